@@ -1,0 +1,51 @@
+# Everything a newcomer types: `make demo` and `make test`. Each sets up what it needs.
+
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.gsgen-ready
+
+.PHONY: setup demo test check drivers bench docs wheel clean
+
+setup: $(READY)
+
+# torch comes first and by exact version: asked for as a range, pip would fetch the
+# newest build with gigabytes of CUDA packages.
+$(READY): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1' -c constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+	    "$$(grep '^torch==' constraints.txt)"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+	    -e '.[all]' --group dev
+	touch $@
+
+# The software Vulkan driver that tests and `gsgen doctor` use where there is no GPU.
+drivers:
+	scripts/drivers.sh
+
+demo: setup
+	$(BIN)/python docs/examples/demo.py out/demo
+
+test: setup drivers check
+	scripts/test.sh
+
+check: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+# Throughput, start-up and memory, as ratios against a baseline measured in the same run.
+bench: setup
+	$(BIN)/python -m pytest tests/bench -m bench -s -p no:xdist
+
+docs: setup
+	$(BIN)/gsgen rules --pages docs/rules
+	$(BIN)/zensical build --clean
+
+wheel: setup
+	$(BIN)/python -m build --wheel --outdir dist
+
+clean:
+	rm -rf out build dist site .coverage .mypy_cache .pytest_cache .ruff_cache

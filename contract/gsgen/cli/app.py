@@ -1,0 +1,86 @@
+"""Assemble the commands of every installed room into one program."""
+
+__all__ = ["build", "main"]
+
+import sys
+from importlib.metadata import version
+from typing import Annotated
+
+import typer
+
+from gsgen.cli.commands import Command, find_commands
+from gsgen.contract.errors import GsgenError, UnknownName
+
+_USAGE = 2
+_INTERNAL = 3
+
+
+def main() -> None:
+    """Run the program on the process's arguments, and exit with the contract's codes."""
+    arguments = sys.argv[1:]
+    commands = find_commands()
+    named = next((word for word in arguments if not word.startswith("-")), None)
+    if named is not None and named not in commands:
+        _fail(UnknownName.among("command", named, commands))
+    wanted = [commands[named]] if named else list(commands.values())
+    try:
+        build(wanted)()
+    except GsgenError as error:
+        _fail(error)
+    except BrokenPipeError:  # the reader of our output went away: `gsgen rules | head`
+        sys.stderr.close()
+        sys.exit(_USAGE)
+
+
+def _fail(error: GsgenError) -> None:
+    typer.echo(f"gsgen: {error}", err=True)
+    sys.exit(_USAGE)
+
+
+def build(commands: list[Command]) -> typer.Typer:
+    """Return an app with ``commands``; only those are imported, so that start-up stays short."""
+    app = typer.Typer(
+        name="gsgen",
+        help="Export, validate and draw Gaussian Generators: ONNX models that emit 3D Gaussians.",
+        epilog=_epilog(commands),
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(_root)
+    for command in commands:
+        loaded = command.load()
+        if isinstance(loaded, typer.Typer):
+            app.add_typer(loaded, name=command.name)
+        else:
+            app.command(command.name, context_settings=command.context)(loaded)
+    return app
+
+
+def _epilog(commands: list[Command]) -> str | None:
+    missing = [command for command in commands if command.missing]
+    if not missing:
+        return None
+    lines = [f"{one.name} needs {one.requirement}: {one.remedy}" for one in missing]
+    return "Not installed here: " + "; ".join(lines)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"gsgen {version('gsgen')}")
+        raise typer.Exit
+
+
+def _root(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            help="Show the version and exit.",
+            callback=_show_version,
+            is_eager=True,
+        ),
+    ] = False,
+) -> None:
+    pass

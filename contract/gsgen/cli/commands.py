@@ -1,0 +1,90 @@
+"""Find commands: each room registers its own under the entry point group ``gsgen.commands``.
+
+An entry point names a typer function or a :class:`typer.Typer`. If it needs an extra, it says so
+in square brackets, as entry points do: ``export = "gsgen.sdk.commands.export:app [sdk]"``.
+"""
+
+__all__ = ["Command", "find_commands"]
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
+from typing import Any
+
+import typer
+
+_GROUP = "gsgen.commands"
+_USAGE = 2
+_REQUIREMENT = re.compile(r"^([A-Za-z0-9._-]+).*extra\s*==\s*['\"]([^'\"]+)['\"]")
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A command that may or may not be usable here.
+
+    Attributes:
+        name: What people type.
+        point: Where its code is.
+        missing: Distributions it needs that are not installed.
+    """
+
+    name: str
+    point: EntryPoint
+    missing: tuple[str, ...]
+
+    @property
+    def requirement(self) -> str:
+        """The distribution with the extra that this command needs."""
+        owner = self.point.dist.name if self.point.dist else "gsgen"
+        return f"{owner}[{','.join(self.point.extras)}]"
+
+    @property
+    def remedy(self) -> str:
+        """What to type to be able to use it."""
+        return f"pip install '{self.requirement}'"
+
+    @property
+    def context(self) -> dict[str, Any]:
+        """Settings of the command's context: one that cannot run takes any arguments."""
+        free = {"allow_extra_args": True, "ignore_unknown_options": True}
+        return free if self.missing else {}
+
+    def load(self) -> Callable[..., Any] | typer.Typer:
+        """Import the command, or return one that says what it lacks."""
+        if not self.missing:
+            loaded: Callable[..., Any] | typer.Typer = self.point.load()
+            return loaded
+
+        def unavailable() -> None:
+            needs = f"`gsgen {self.name}` needs {', '.join(self.missing)}, which is not installed"
+            typer.echo(f"gsgen: {needs}: {self.remedy}", err=True)
+            raise typer.Exit(_USAGE)
+
+        unavailable.__doc__ = f"Not installed: {self.remedy}"
+        return unavailable
+
+
+def find_commands() -> dict[str, Command]:
+    """Return every registered command, by name."""
+    points = sorted(entry_points(group=_GROUP), key=lambda point: point.name)
+    return {point.name: Command(point.name, point, _missing(point)) for point in points}
+
+
+def _missing(point: EntryPoint) -> tuple[str, ...]:
+    """Return the distributions that the entry point's extras ask for and that are absent."""
+    required = (point.dist.requires or []) if point.dist and point.extras else []
+    absent = []
+    for line in required:
+        match = _REQUIREMENT.match(line)
+        if match and match[2] in point.extras and not _installed(match[1]):
+            absent.append(match[1])
+    return tuple(absent)
+
+
+def _installed(name: str) -> bool:
+    try:
+        version(name)
+    except PackageNotFoundError:
+        return False
+    return True

@@ -1,0 +1,1 @@
+"""What proves that a generator, a validator or a viewer keeps the contract."""

@@ -1,0 +1,66 @@
+"""The contract of Gaussian Generators: manifest, packed layout, rules, and the judge.
+
+The names below are loaded when first used, so that ``import gsgen.contract`` costs nothing.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gsgen.contract.config import Settings
+    from gsgen.contract.engine import validate
+    from gsgen.contract.errors import GsgenError
+    from gsgen.contract.finding import Breach, Finding, Level, Severity
+    from gsgen.contract.layout import Gaussians, decode, encode
+    from gsgen.contract.manifest import GeneratorManifest, Manifest
+    from gsgen.contract.model import open_model, write_manifest
+    from gsgen.contract.report import Report
+    from gsgen.contract.targets import Target, load_target
+
+__all__ = [
+    "Breach",
+    "Finding",
+    "Gaussians",
+    "GeneratorManifest",
+    "GsgenError",
+    "Level",
+    "Manifest",
+    "Report",
+    "Settings",
+    "Severity",
+    "Target",
+    "decode",
+    "encode",
+    "load_target",
+    "open_model",
+    "validate",
+    "write_manifest",
+]
+
+_HOME = {
+    "Breach": "finding",
+    "Finding": "finding",
+    "Gaussians": "layout",
+    "GeneratorManifest": "manifest",
+    "GsgenError": "errors",
+    "Level": "finding",
+    "Manifest": "manifest",
+    "Report": "report",
+    "Settings": "config",
+    "Severity": "finding",
+    "Target": "targets",
+    "decode": "layout",
+    "encode": "layout",
+    "load_target": "targets",
+    "open_model": "model",
+    "validate": "engine",
+    "write_manifest": "model",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name in _HOME:
+        value: object = getattr(import_module(f"gsgen.contract.{_HOME[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,144 @@
+"""`gsgen inspect`: show what a model says of itself, or derive the manifest it lacks."""
+
+__all__ = ["inspect"]
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gsgen.contract.errors import ModelUnreadable
+
+if TYPE_CHECKING:
+    from gsgen.contract.subject import Subject
+
+_UNREADABLE = 4
+
+
+def inspect(
+    model: Annotated[
+        Path | None, typer.Argument(help="The ONNX file.", show_default=False)
+    ] = None,
+    emit_manifest: Annotated[
+        bool,
+        typer.Option(
+            "--emit-manifest", help="Print the manifest, or a derived one, as JSON."
+        ),
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print everything as JSON.")
+    ] = False,
+    schema: Annotated[
+        str | None,
+        typer.Option(help="Print the JSON Schema of a kind of manifest instead."),
+    ] = None,
+) -> None:
+    """Show a model's inputs, outputs and manifest; its weights are not read.
+
+    With --emit-manifest, a model without a manifest gets one derived from names and shapes; what
+    had to be guessed is listed on stderr.
+    """
+    if schema is not None:
+        typer.echo(json.dumps(_schema(schema), indent=2, ensure_ascii=False))
+        return
+    if model is None:
+        typer.echo("gsgen: name a model, or a kind with --schema", err=True)
+        raise typer.Exit(2)
+    subject = _read(model)
+    if emit_manifest:
+        _emit(subject)
+    elif as_json:
+        typer.echo(json.dumps(_facts(subject), indent=2, ensure_ascii=False))
+    else:
+        _show(subject)
+
+
+def _schema(kind: str) -> dict[str, object]:
+    from gsgen.contract.errors import UnknownName
+    from gsgen.contract.manifest_json import schema_name, schemas
+    from gsgen.contract.roles import KINDS
+
+    if kind not in KINDS:
+        raise UnknownName.among("kind", kind, KINDS, "--schema")
+    return schemas()[schema_name(kind)]
+
+
+def _read(model: Path) -> "Subject":
+    from gsgen.contract.model import open_model
+    from gsgen.contract.sandbox import Limits
+    from gsgen.contract.subject import read_subject
+    from gsgen.contract.targets import load_target
+
+    try:
+        return read_subject(open_model(model), load_target("core"), Limits())
+    except ModelUnreadable as error:
+        typer.echo(f"gsgen: {error}", err=True)
+        raise typer.Exit(_UNREADABLE) from error
+
+
+def _emit(subject: "Subject") -> None:
+    from gsgen.contract.manifest_json import dumps
+
+    if subject.parsed is not None and subject.parsed.manifest is None:
+        typer.echo(subject.file.manifest_text or "")
+        typer.echo(
+            "this manifest is invalid: see `gsgen validate --level static`", err=True
+        )
+        raise typer.Exit(1)
+    manifest = subject.manifest
+    assert manifest is not None
+    typer.echo(dumps(manifest))
+    if subject.candidate is not None:
+        typer.echo(
+            f"{subject.file.path} has no manifest; this one is derived. Confirm:", err=True
+        )
+        for guess in subject.candidate.guesses:
+            typer.echo(f"  - {guess}", err=True)
+
+
+def _facts(subject: "Subject") -> dict[str, Any]:
+    file, graph = subject.file, subject.graph
+    text = file.manifest_text
+    opsets = {entry.domain or "ai.onnx": entry.version for entry in file.proto.opset_import}
+    return {
+        "path": str(file.path),
+        "bytes": file.size,
+        "ir_version": file.proto.ir_version,
+        "opsets": opsets,
+        "producer": f"{file.proto.producer_name} {file.proto.producer_version}".strip(),
+        "nodes": sum(1 for _ in graph.all_nodes()),
+        "weights": len(graph.initializers),
+        "inputs": [_tensor(t.name, t.dtype, t.dims) for t in graph.inputs],
+        "outputs": [_tensor(t.name, t.dtype, t.dims) for t in graph.outputs],
+        "manifest": json.loads(text) if text and subject.manifest else None,
+    }
+
+
+def _tensor(name: str, dtype: str | None, dims: object) -> dict[str, object]:
+    return {"name": name, "dtype": dtype, "shape": dims}
+
+
+def _show(subject: "Subject") -> None:
+    facts, graph = _facts(subject), subject.graph
+    opsets = ", ".join(f"{domain} {number}" for domain, number in facts["opsets"].items())
+    typer.echo(
+        f"{facts['path']}: {facts['bytes']:,} B, opset {opsets}, {facts['nodes']} nodes"
+    )
+    roles = {i.name: i.role for i in subject.manifest.inputs} if subject.manifest else {}
+    for tensor in graph.inputs:
+        typer.echo(
+            f"  input   {tensor.name}: {tensor}  {roles.get(tensor.name, '')}".rstrip()
+        )
+    for tensor in graph.outputs:
+        typer.echo(f"  output  {tensor.name}: {tensor}")
+    if subject.parsed is None:
+        typer.echo("  no manifest: `gsgen inspect MODEL --emit-manifest` derives one")
+    elif subject.manifest is None:
+        typer.echo("  the manifest is invalid: see `gsgen validate --level static`")
+    else:
+        from gsgen.contract.manifest_json import dumps
+
+        typer.echo("  manifest:")
+        for line in dumps(subject.manifest).splitlines():
+            typer.echo(f"    {line}")

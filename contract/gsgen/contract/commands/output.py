@@ -1,0 +1,47 @@
+"""Where commands write: styled on a terminal, plain elsewhere, whole files or none."""
+
+__all__ = ["show", "write_text"]
+
+import os
+import sys
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+import typer
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.reporters.text import Line
+
+
+def show(lines: Iterable[Line]) -> None:
+    """Print lines to stdout, in colour where stdout is a terminal that wants it."""
+    if not sys.stdout.isatty() or "NO_COLOR" in os.environ:
+        for line in lines:
+            typer.echo(line.text)
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(highlight=False)
+    for line in lines:
+        console.print(Text(line.text, style=line.style), soft_wrap=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file beside its place and rename it, so that a failure leaves what was there.
+
+    Raises:
+        ConfigInvalid: The file cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(text, "utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            temporary.unlink()
+        raise ConfigInvalid(
+            f"cannot be written: {error.strerror}", where=str(path)
+        ) from error

@@ -1,0 +1,220 @@
+"""Judge a model: open it, check what its file says, run it, check what it emits."""
+
+__all__ = ["Progress", "validate"]
+
+import os
+import time
+from collections.abc import Callable, Iterable
+from importlib.metadata import version
+from pathlib import Path
+
+from gsgen.contract.behaviour import Behaviour, Trial, read_behaviour
+from gsgen.contract.board import Board
+from gsgen.contract.config import Settings
+from gsgen.contract.emission import chunks, read_emission
+from gsgen.contract.finding import Level
+from gsgen.contract.installed import installed_rules
+from gsgen.contract.model import open_model
+from gsgen.contract.plan import Plan, make_plan
+from gsgen.contract.report import LevelOutcome, Report
+from gsgen.contract.rule import Registry, Rule, Scope
+from gsgen.contract.sandbox import Execution, execute
+from gsgen.contract.subject import read_subject
+
+# Called with what is being done, for progress displays.
+Progress = Callable[[str], None]
+
+# The rule that holds when the model ran to the end; nothing can be said of values before.
+_RUNS = "GV025"
+_WHERE_FROM = {
+    Level.LIVE: "no installed package checks it; it needs a package with rules of this level",
+    Level.RENDER: "no installed package checks it; it needs gsgen[runtime]",
+}
+
+
+def _silent(_: str) -> None:
+    return
+
+
+def validate(
+    path: str | os.PathLike[str],
+    settings: Settings | None = None,
+    *,
+    registry: Registry | None = None,
+    progress: Progress = _silent,
+) -> Report:
+    """Judge the model at ``path`` and report what was found; nothing is printed.
+
+    Args:
+        path: An ONNX file.
+        settings: Level, target, limits and severities; the defaults where absent.
+        registry: The rules to judge by; all that are installed where absent.
+        progress: Called with a few words whenever a new stage begins.
+
+    Raises:
+        ModelUnreadable: The file is not an ONNX model at all.
+    """
+    return _Validation(Path(path), settings or Settings(), registry, progress).report()
+
+
+class _Validation:
+    """One validation, stage by stage."""
+
+    def __init__(
+        self, path: Path, settings: Settings, registry: Registry | None, progress: Progress
+    ) -> None:
+        self.began = time.perf_counter()
+        self.settings = settings
+        self.progress = progress
+        self.progress(f"reading {path.name}")
+        self.registry = registry or installed_rules()
+        file = open_model(path)
+        self.subject = read_subject(file, settings.target, settings.limits)
+        self.board = Board(self.registry, settings, self.subject.kind)
+        self.levels = [LevelOutcome(Level.STATIC, ran=True)]
+        self.probes: tuple[str, ...] = ()
+        self.environment = {"onnx": version("onnx")}
+        self.runtime_seconds = 0.0
+
+    def report(self) -> Report:
+        """Run every stage that was asked for, and sum up."""
+        self._judge_model()
+        self._judge_runs()
+        self._skip_the_rest()
+        subject, gaussians = self.subject, self.subject.declared_gaussians
+        manifest = subject.manifest
+        return Report(
+            path=str(subject.file.path),
+            size=subject.file.size,
+            kind=subject.kind,
+            name=manifest.name if manifest and subject.parsed else "",
+            contract=manifest.contract if manifest and subject.parsed else "",
+            capacity=gaussians.capacity if gaussians else None,
+            target=self.settings.target,
+            level=self.settings.level,
+            fail_on=self.settings.fail_on,
+            findings=self.board.findings(),
+            outcomes=tuple(self.board.outcomes[id] for id in self.registry.rules),
+            levels=tuple(self.levels),
+            probes=self.probes,
+            environment=self.environment,
+            settings=self.settings.source,
+            seconds=time.perf_counter() - self.began,
+            runtime_seconds=self.runtime_seconds,
+        )
+
+    def _of_scope(self, *scopes: Scope, upto: Level) -> list[Rule]:
+        rules = self.registry.rules.values()
+        return [rule for rule in rules if rule.scope in scopes and rule.level <= upto]
+
+    def _judge_model(self) -> None:
+        for rule in _needs_first(self._of_scope("model", upto=Level.STATIC)):
+            if self.board.is_ready(rule):
+                self.board.judge(rule, self.subject)
+                self.board.settle([rule], items=1)
+
+    def _judge_runs(self) -> None:
+        level = self.settings.level
+        if level < Level.VALUES:
+            return
+        gates = _needs_first(self._of_scope("execution", upto=Level.VALUES))
+        if not self._can_run(gates):
+            return
+        plan = make_plan(self.subject, level, self.settings.seed)
+        self.probes = tuple(probe.label for probe in plan.probes[: plan.values])
+        self.progress(f"running {len(plan.probes)} probes in ONNX Runtime")
+        path, names = self.subject.file.path, self._fetched()
+        with execute(path, names, plan.probes, self.settings.limits) as execution:
+            self.runtime_seconds = execution.seconds
+            self.environment["onnxruntime"] = execution.version
+            trial = Trial(self.subject, execution, plan)
+            for rule in gates:
+                if self.board.is_ready(rule):
+                    self.board.judge(rule, trial)
+                    self.board.settle([rule], items=len(execution.runs))
+            if self.board.outcomes[_RUNS].status == "pass":
+                self.progress("checking values")
+                self._judge_values(execution, plan)
+                if level >= Level.BEHAVIOUR:
+                    self._judge_behaviour(trial)
+
+    def _can_run(self, gates: list[Rule]) -> bool:
+        """Say whether nothing that running depends on has failed; settle the gates if it has."""
+        if self.board.is_ready(gates[0]):  # all it needs is known before the model runs
+            reason = ""
+        else:
+            reason = self.board.outcomes[gates[0].id].reason
+        for level in (Level.VALUES, Level.BEHAVIOUR):
+            if level <= self.settings.level:
+                why = f"the model was not run {reason}" if reason else ""
+                self.levels.append(LevelOutcome(level, ran=not reason, reason=why))
+        return not reason
+
+    def _fetched(self) -> list[str]:
+        graph = self.subject.graph
+        return [name for name in self.subject.output_names if graph.output(name)]
+
+    def _judge_values(self, execution: Execution, plan: Plan) -> None:
+        whole = self.board.ready(self._of_scope("emission", upto=Level.VALUES))
+        by_rows = self.board.ready(self._of_scope("rows", upto=Level.VALUES))
+        seen: set[int] = set()
+        rows = 0
+        for run in execution.runs[: plan.values]:
+            if run.sample in seen:
+                continue  # the same bytes again
+            seen.add(run.sample)
+            probe = plan.probes[run.probe]
+            outputs = execution.samples[run.sample].outputs
+            emission = read_emission(self.subject, probe.label, probe.zeros, outputs)
+            whole = [
+                rule for rule in whole if self.board.judge(rule, emission, probe.label)
+            ]
+            for chunk in chunks(emission):
+                rows += len(chunk)
+                by_rows = [
+                    rule
+                    for rule in by_rows
+                    if self.board.judge(rule, chunk, probe.label, chunk.start)
+                ]
+        self.board.settle(whole, items=len(seen))
+        self.board.settle(by_rows, items=rows)
+
+    def _judge_behaviour(self, trial: Trial) -> None:
+        self.progress("comparing runs")
+        behaviour: Behaviour = read_behaviour(trial)
+        for rule in _needs_first(self._of_scope("runs", upto=Level.BEHAVIOUR)):
+            if self.board.is_ready(rule):
+                self.board.judge(rule, behaviour)
+                self.board.settle([rule], items=len(trial.execution.runs))
+
+    def _skip_the_rest(self) -> None:
+        """Account for every rule and level that was not reached."""
+        asked = self.settings.level
+        for level, reason in _WHERE_FROM.items():
+            if level <= asked:
+                self.levels.append(LevelOutcome(level, ran=False, reason=reason))
+        for rule in _needs_first(self.registry.rules.values()):
+            if rule.id in self.board.outcomes:
+                continue
+            if rule.level > asked:
+                self.board.skip([rule], f"level {rule.level.word} was not asked for")
+            elif self.board.is_ready(rule):
+                self.board.skip([rule], f"level {rule.level.word} did not run")
+
+
+def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
+    """Order rules so that each comes after those it needs."""
+    pending = {rule.id: rule for rule in rules}
+    ordered: list[Rule] = []
+
+    def place(rule: Rule) -> None:
+        if pending.pop(rule.id, None) is None:
+            return
+        for need in rule.needs:
+            if need in pending:
+                place(pending[need])
+        ordered.append(rule)
+
+    for rule in list(pending.values()):
+        place(rule)
+    return ordered

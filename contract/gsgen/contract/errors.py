@@ -1,0 +1,64 @@
+"""What stops us: every error a user can meet carries where, what and how to mend it."""
+
+__all__ = [
+    "ConfigInvalid",
+    "GsgenError",
+    "LayoutMismatch",
+    "ManifestInvalid",
+    "ModelUnreadable",
+    "UnknownName",
+]
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class GsgenError(Exception):
+    """The base of all errors that are the input's fault, never ours.
+
+    Attributes:
+        what: What was wrong, with the offending value.
+        where: The file, tensor, row or option it was found in.
+        mend: The next thing to do or type; empty if there is nothing to say.
+    """
+
+    def __init__(self, what: str, *, where: str = "", mend: str = "") -> None:
+        self.what = what
+        self.where = where
+        self.mend = mend
+        super().__init__(what)
+
+    def __str__(self) -> str:
+        head = f"{self.where}: {self.what}" if self.where else self.what
+        return f"{head}\n  {self.mend}" if self.mend else head
+
+
+class ModelUnreadable(GsgenError):
+    """The file is not an ONNX model that can be judged at all (exit code 4)."""
+
+
+class ManifestInvalid(GsgenError):
+    """A manifest does not follow its schema, or cannot be written."""
+
+
+class ConfigInvalid(GsgenError):
+    """An option or a configuration file says something that cannot be meant."""
+
+
+class LayoutMismatch(GsgenError):
+    """Arrays do not have the shapes or dtypes of the packed layout."""
+
+
+class UnknownName(ConfigInvalid):
+    """A rule, target, role or plugin of that name does not exist."""
+
+    @classmethod
+    def among(
+        cls, noun: str, name: str, known: Iterable[str], where: str = ""
+    ) -> "UnknownName":
+        """Say that ``name`` is unknown, and which known name it may have meant."""
+        names = sorted(known)
+        close = get_close_matches(name, names, n=1, cutoff=0.5)
+        listed = ", ".join(names) if len(names) <= 12 else f"{len(names)} are known"
+        mend = f"Did you mean {close[0]!r}?" if close else f"Known: {listed}."
+        return cls(f"unknown {noun} {name!r}", where=where, mend=mend)

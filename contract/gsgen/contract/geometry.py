@@ -1,0 +1,114 @@
+"""Rotations and covariances in float64: the oracle that every other room is tested against."""
+
+__all__ = [
+    "COVARIANCE_INDEX",
+    "covariance_upper",
+    "look_at",
+    "perspective",
+    "rotation_matrix",
+    "smallest_eigenvalue",
+    "symmetric",
+]
+
+import numpy as np
+from jaxtyping import Float
+
+# The upper triangle xx xy xz yy yz zz, as (row, column) of the 3×3 matrix.
+COVARIANCE_INDEX = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
+
+
+def rotation_matrix(quaternion: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
+    """Turn quaternions (w, x, y, z), normalised here, into rotation matrices.
+
+    A zero quaternion has no direction; it gives the identity, as w = 1 would.
+    """
+    q = np.asarray(quaternion, np.float64)
+    norm = np.linalg.norm(q, axis=1, keepdims=True)
+    q = np.where(norm > 0, q / np.where(norm > 0, norm, 1), np.array([1.0, 0, 0, 0]))
+    w, x, y, z = q.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
+
+
+def covariance_upper(
+    scale: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"]
+) -> Float[np.ndarray, "n 6"]:
+    """Return the upper triangle of Σ = R S Sᵀ Rᵀ (Kerbl et al. 2023, equation 6).
+
+    Args:
+        scale: Linear standard deviations along the local axes.
+        rotation: Quaternions (w, x, y, z), normalised here.
+    """
+    m = rotation_matrix(rotation) * np.asarray(scale, np.float64)[:, None, :]
+    full = m @ m.transpose(0, 2, 1)
+    return np.ascontiguousarray(full[:, COVARIANCE_INDEX[0], COVARIANCE_INDEX[1]])
+
+
+def symmetric(upper: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "n 3 3"]:
+    """Return the full 3×3 matrices of upper triangles xx xy xz yy yz zz."""
+    return np.asarray(upper, np.float64)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+
+
+def smallest_eigenvalue(upper: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, " n"]:
+    """Return the smallest eigenvalue of symmetric 3×3 matrices, by the closed formula.
+
+    Source: O. K. Smith 1961, "Eigenvalues of a symmetric 3 × 3 matrix".
+    """
+    xx, xy, xz, yy, yz, zz = np.asarray(upper, np.float64).T
+    mean = (xx + yy + zz) / 3
+    off = xy * xy + xz * xz + yz * yz
+    spread = np.sqrt(((xx - mean) ** 2 + (yy - mean) ** 2 + (zz - mean) ** 2 + 2 * off) / 6)
+    safe = np.where(spread > 0, spread, 1)
+    a, b, c = (xx - mean) / safe, (yy - mean) / safe, (zz - mean) / safe
+    d, e, f = xy / safe, xz / safe, yz / safe
+    half_det = (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / 2
+    angle = np.arccos(np.clip(half_det, -1, 1)) / 3
+    return np.asarray(mean + 2 * spread * np.cos(angle + 2 * np.pi / 3))
+
+
+def look_at(
+    eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "4 4"]:
+    """Return the world→camera matrix of an OpenCV camera (+x right, +y down, +z forward).
+
+    Args:
+        eye: The camera centre, in world units.
+        target: The point it looks at; must differ from ``eye``.
+        up: The world's upward direction; need be neither unit nor orthogonal.
+    """
+    forward = np.asarray(target, np.float64) - eye
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, up)
+    if np.linalg.norm(right) < 1e-9:  # looking along `up`: any right-hand axis will do
+        right = np.cross(forward, np.roll(np.asarray(up, np.float64), 1))
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    view = np.eye(4)
+    view[:3, :3] = rotation
+    view[:3, 3] = -rotation @ eye
+    return view
+
+
+def perspective(
+    fov_x: float, aspect: float, near: float, far: float
+) -> Float[np.ndarray, "4 4"]:
+    """Return the camera→clip matrix of an OpenCV camera, depth 0..1 (column vectors).
+
+    Args:
+        fov_x: Horizontal field of view, in radians.
+        aspect: Width over height.
+        near: Distance of the near plane, > 0.
+        far: Distance of the far plane, > ``near``.
+    """
+    focal = 1 / np.tan(fov_x / 2)
+    matrix = np.zeros((4, 4))
+    matrix[0, 0] = focal
+    matrix[1, 1] = -focal * aspect  # clip space has +y up, the camera +y down
+    matrix[2, 2] = far / (far - near)
+    matrix[2, 3] = -near * far / (far - near)
+    matrix[3, 2] = 1
+    return matrix

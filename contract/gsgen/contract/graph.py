@@ -1,0 +1,350 @@
+"""A model's graph as rules want to see it: tensors with shapes, and who makes what from what."""
+
+__all__ = ["Conflict", "Graph", "Tensor", "read_graph"]
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import onnx
+from onnx import (
+    AttributeProto,
+    GraphProto,
+    ModelProto,
+    NodeProto,
+    TensorProto,
+    ValueInfoProto,
+)
+
+from gsgen.contract.model import ModelFile
+
+Dims = tuple[int | str | None, ...]
+
+_MAX_DEPTH = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Tensor:
+    """What is known of a tensor before the model runs.
+
+    Attributes:
+        name: Its name in the graph.
+        dtype: ``float32``, ``int64``, …; None where nothing says.
+        dims: A size, a symbol or None (unknown) for each axis; None where even the rank is unknown.
+    """
+
+    name: str
+    dtype: str | None
+    dims: Dims | None
+
+    def __str__(self) -> str:
+        dims = (
+            "?"
+            if self.dims is None
+            else ", ".join("?" if d is None else str(d) for d in self.dims)
+        )
+        return f"{self.dtype or '?'} [{dims}]"
+
+
+@dataclass(frozen=True, slots=True)
+class Conflict:
+    """A tensor whose declared and inferred types cannot both be true."""
+
+    name: str
+    declared: Tensor
+    inferred: Tensor
+
+
+@dataclass(slots=True)
+class _Facts:
+    """What the two libraries that know ONNX say about the model."""
+
+    tensors: dict[str, Tensor]
+    conflicts: tuple[Conflict, ...] = ()
+    checker: str = ""
+    inference: str = ""
+
+
+@dataclass(frozen=True)
+class Graph:
+    """The main graph of a model.
+
+    Attributes:
+        inputs: What a runtime feeds, in order; initialisers listed as inputs are not among them.
+        outputs: Declared outputs, in order, with inferred sizes where the model leaves them open.
+        nodes: Every node of the main graph.
+        initializers: Names of the weights.
+        conflicts: Tensors whose declared and inferred types contradict each other.
+        checker_fault: What ``onnx.checker`` objects to; empty if nothing.
+        inference_fault: What shape inference objects to; empty if nothing.
+    """
+
+    inputs: tuple[Tensor, ...]
+    outputs: tuple[Tensor, ...]
+    nodes: tuple[NodeProto, ...]
+    initializers: dict[str, Tensor]
+    tensors: dict[str, Tensor]
+    functions: frozenset[tuple[str, str]]
+    conflicts: tuple[Conflict, ...] = ()
+    checker_fault: str = ""
+    inference_fault: str = ""
+    output_names: tuple[str, ...] = field(default=())
+
+    @cached_property
+    def producers(self) -> dict[str, NodeProto]:
+        """Tensor name → the node of the main graph that makes it."""
+        return {name: node for node in self.nodes for name in node.output if name}
+
+    @cached_property
+    def uses(self) -> dict[str, int]:
+        """Tensor name → how many nodes and outputs of the main graph read it."""
+        count: dict[str, int] = {}
+        for node in self.nodes:
+            for name in reads(node):
+                count[name] = count.get(name, 0) + 1
+        for output in self.outputs:
+            count[output.name] = count.get(output.name, 0) + 1
+        return count
+
+    def output(self, name: str) -> Tensor | None:
+        """Return the output called ``name``, or None."""
+        return next((tensor for tensor in self.outputs if tensor.name == name), None)
+
+    def input(self, name: str) -> Tensor | None:
+        """Return the input called ``name``, or None."""
+        return next((tensor for tensor in self.inputs if tensor.name == name), None)
+
+    def ancestors(self, name: str) -> tuple[set[str], list[NodeProto]]:
+        """Return every tensor and every node that ``name`` is computed from, itself included."""
+        names, nodes, queue = {name}, [], [name]
+        visited: set[int] = set()
+        while queue:
+            node = self.producers.get(queue.pop())
+            if node is None or id(node) in visited:
+                continue
+            visited.add(id(node))
+            nodes.append(node)
+            fresh = set(reads(node)) - names
+            names |= fresh
+            queue.extend(fresh)
+        return names, nodes
+
+    def varies(self, name: str) -> bool:
+        """Say whether ``name`` is computed from any frame input."""
+        names, _ = self.ancestors(name)
+        return any(tensor.name in names for tensor in self.inputs)
+
+    def all_nodes(self) -> Iterator[NodeProto]:
+        """Yield every node, those inside If, Loop and Scan bodies included."""
+        for node in self.nodes:
+            yield from _nested(node, 0)
+
+
+def reads(node: NodeProto) -> list[str]:
+    """Return the names that ``node`` reads, from inside its subgraphs too."""
+    names = [name for name in node.input if name]
+    for attribute in node.attribute:
+        for graph in _subgraphs(attribute):
+            for inner in graph.node:
+                names.extend(reads(inner))
+            names.extend(output.name for output in graph.output)
+    return names
+
+
+def read_graph(file: ModelFile) -> Graph:
+    """Look at the main graph: infer shapes, check well-formedness, note what contradicts.
+
+    Weights are not needed: where payload was left out, the tensor stands as an input of the
+    copy that ONNX's own library judges.
+    """
+    graph = file.proto.graph
+    facts = _facts(file)
+    weights = {tensor.name: _of_weight(tensor) for tensor in graph.initializer}
+    weights |= {s.values.name: _of_weight(s.values) for s in graph.sparse_initializer}
+    inputs = tuple(_of_value(v) for v in graph.input if v.name not in weights)
+    outputs = tuple(_best(_of_value(v), facts.tensors.get(v.name)) for v in graph.output)
+    return Graph(
+        inputs=inputs,
+        outputs=outputs,
+        nodes=tuple(graph.node),
+        initializers=weights,
+        tensors=facts.tensors | weights | {t.name: t for t in (*inputs, *outputs)},
+        functions=frozenset((f.domain, f.name) for f in file.proto.functions),
+        conflicts=facts.conflicts,
+        checker_fault=facts.checker,
+        inference_fault=facts.inference,
+        output_names=tuple(v.name for v in graph.output),
+    )
+
+
+def _facts(file: ModelFile) -> _Facts:
+    proto = _without_stubs(file)
+    facts = _Facts({})
+    try:
+        onnx.checker.check_model(proto)
+    except (onnx.checker.ValidationError, ValueError, RuntimeError) as error:
+        facts.checker = _first_line(error)
+        return facts  # inference on a malformed graph would only repeat it
+    declared = {
+        v.name: _of_value(v) for v in (*proto.graph.output, *proto.graph.value_info)
+    }
+    for value in proto.graph.output:
+        value.ClearField("type")
+    del proto.graph.value_info[:]
+    infer = onnx.shape_inference.infer_shapes
+    try:
+        inferred = infer(proto, check_type=True, strict_mode=True, data_prop=True)
+    except (onnx.shape_inference.InferenceError, ValueError, RuntimeError) as error:
+        facts.inference = _first_line(error)
+        try:
+            inferred = infer(proto, data_prop=True)
+        except (onnx.shape_inference.InferenceError, ValueError, RuntimeError):
+            return facts  # the fault is already noted
+    values = (*inferred.graph.value_info, *inferred.graph.output)
+    found = {v.name: _of_value(v) for v in values}
+    facts.tensors = {
+        name: _best(declared.get(name), tensor) for name, tensor in found.items()
+    }
+    facts.conflicts = tuple(
+        Conflict(name, tensor, found[name])
+        for name, tensor in declared.items()
+        if name in found and not _compatible(tensor, found[name])
+    )
+    return facts
+
+
+def _without_stubs(file: ModelFile) -> ModelProto:
+    """Return a copy in which weights that were not read are inputs of the same type."""
+    copy = ModelProto()
+    copy.CopyFrom(file.proto)
+    copy.ClearField("metadata_props")
+    if not file.stubs:
+        return copy
+    taken = {value.name for value in copy.graph.input}
+    _lift_stubs(copy.graph, copy.graph, file.stubs, taken, 0)
+    return copy
+
+
+def _lift_stubs(
+    graph: GraphProto, main: GraphProto, stubs: frozenset[str], taken: set[str], depth: int
+) -> None:
+    kept = [t for t in graph.initializer if t.name not in stubs]
+    lifted = [t for t in graph.initializer if t.name in stubs]
+    if lifted:
+        del graph.initializer[:]
+        graph.initializer.extend(kept)
+    for tensor in lifted:
+        _add_input(main, tensor.name, tensor, taken)
+    for index in range(len(graph.node) - 1, -1, -1):
+        node = graph.node[index]
+        stub = _constant_stub(node)
+        if stub is not None:
+            _add_input(main, node.output[0], stub, taken)
+            del graph.node[index]
+        elif depth < _MAX_DEPTH:
+            for attribute in node.attribute:
+                for inner in _subgraphs(attribute):
+                    _lift_stubs(inner, main, stubs, taken, depth + 1)
+
+
+def _constant_stub(node: NodeProto) -> TensorProto | None:
+    """Return the tensor of a Constant node whose payload was left out."""
+    if node.op_type != "Constant" or not node.output:
+        return None
+    for attribute in node.attribute:
+        if (
+            attribute.HasField("t")
+            and attribute.t.raw_data == b"\0"
+            and _elements(attribute.t) > 1
+        ):
+            return attribute.t
+    return None
+
+
+def _elements(tensor: TensorProto) -> int:
+    count = 1
+    for dim in tensor.dims:
+        count *= dim
+    return count
+
+
+def _add_input(graph: GraphProto, name: str, tensor: TensorProto, taken: set[str]) -> None:
+    if name in taken:
+        return
+    taken.add(name)
+    value = graph.input.add(name=name)
+    value.type.tensor_type.elem_type = tensor.data_type
+    value.type.tensor_type.shape.SetInParent()
+    for dim in tensor.dims:
+        value.type.tensor_type.shape.dim.add(dim_value=dim)
+
+
+def _subgraphs(attribute: AttributeProto) -> list[GraphProto]:
+    return [attribute.g] if attribute.HasField("g") else list(attribute.graphs)
+
+
+def _nested(node: NodeProto, depth: int) -> Iterator[NodeProto]:
+    yield node
+    if depth < _MAX_DEPTH:
+        for attribute in node.attribute:
+            for graph in _subgraphs(attribute):
+                for inner in graph.node:
+                    yield from _nested(inner, depth + 1)
+
+
+def _dtype(code: int) -> str | None:
+    if code == TensorProto.UNDEFINED or code not in TensorProto.DataType.values():
+        return None
+    name = TensorProto.DataType.Name(code).lower()
+    return {"float": "float32", "double": "float64"}.get(name, name)
+
+
+def _of_weight(tensor: TensorProto) -> Tensor:
+    return Tensor(tensor.name, _dtype(tensor.data_type), tuple(tensor.dims))
+
+
+def _of_value(value: ValueInfoProto) -> Tensor:
+    kind = value.type.tensor_type
+    if not value.type.HasField("tensor_type"):
+        return Tensor(value.name, None, None)
+    dims: Dims | None = None
+    if kind.HasField("shape"):
+        dims = tuple(
+            d.dim_value if d.HasField("dim_value") else (d.dim_param or None)
+            for d in kind.shape.dim
+        )
+    return Tensor(value.name, _dtype(kind.elem_type), dims)
+
+
+def _best(declared: Tensor | None, inferred: Tensor | None) -> Tensor:
+    """Combine what is declared with what is inferred; a number beats a symbol."""
+    if declared is None or inferred is None:
+        known = declared or inferred
+        assert known is not None
+        return known
+    dims = declared.dims
+    if dims is None:
+        dims = inferred.dims
+    elif inferred.dims is not None and len(inferred.dims) == len(dims):
+        pairs = zip(dims, inferred.dims, strict=True)
+        dims = tuple(
+            a if isinstance(a, int) else b if isinstance(b, int) else a or b
+            for a, b in pairs
+        )
+    return Tensor(declared.name, declared.dtype or inferred.dtype, dims)
+
+
+def _compatible(declared: Tensor, inferred: Tensor) -> bool:
+    if declared.dtype and inferred.dtype and declared.dtype != inferred.dtype:
+        return False
+    if declared.dims is None or inferred.dims is None:
+        return True
+    if len(declared.dims) != len(inferred.dims):
+        return False
+    pairs = zip(declared.dims, inferred.dims, strict=True)
+    return all(a == b or not (isinstance(a, int) and isinstance(b, int)) for a, b in pairs)
+
+
+def _first_line(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return " ".join(lines)[:300] or type(error).__name__

@@ -1,0 +1,273 @@
+"""An ONNX file opened for judging: its structure, its manifest, where its weights lie."""
+
+__all__ = ["MANIFEST_KEY", "ExternalRef", "ModelFile", "open_model", "write_manifest"]
+
+import mmap
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from google.protobuf.message import DecodeError
+from onnx import AttributeProto, GraphProto, ModelProto, StringStringEntryProto, TensorProto
+
+from gsgen.contract.errors import ModelUnreadable
+from gsgen.contract.manifest import Manifest
+from gsgen.contract.manifest_json import dumps
+from gsgen.contract.wire import BYTES, Skeleton, WireFault, scan, skeleton
+
+MANIFEST_KEY = "gsgen.manifest"
+
+_METADATA_FIELD = 14  # ModelProto.metadata_props
+_MAX_TENSORS = 1_000_000
+
+# First bytes of files that people pass by mistake.
+_LOOKALIKES = (
+    (b"PK\x03\x04", "a zip archive (a torch checkpoint or an npz)"),
+    (b"ply", "a PLY point cloud: turn it into a model with `gsgen export static`"),
+    (b"\x80\x02", "a pickle"),
+    (b"<", "an XML or HTML page"),
+    (b"{", "a JSON document"),
+    (b"version https://git-lfs", "a git LFS pointer: fetch the file with `git lfs pull`"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ExternalRef:
+    """A tensor whose payload lies in another file.
+
+    Attributes:
+        tensor: Its name.
+        location: The path as written in the model, relative to the model's folder.
+        offset: First byte in that file.
+        length: Number of bytes, or None where the model does not say.
+    """
+
+    tensor: str
+    location: str
+    offset: int
+    length: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class ModelFile:
+    """A model's structure. Its weights stay in the file.
+
+    Attributes:
+        path: The file.
+        size: Its size, in bytes.
+        proto: The model, with stubs in place of large payloads and of external data.
+        stripped: Bytes of payload that were not read.
+        stubs: Names of the initialisers that hold a stub instead of values.
+        external: Tensors whose payload lies in other files.
+    """
+
+    path: Path
+    size: int
+    proto: ModelProto
+    stripped: int
+    stubs: frozenset[str]
+    external: tuple[ExternalRef, ...]
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """The model-level ``metadata_props``; where a key repeats, the last one holds."""
+        return {entry.key: entry.value for entry in self.proto.metadata_props}
+
+    @property
+    def manifest_text(self) -> str | None:
+        """The embedded manifest as JSON text, or None."""
+        return self.metadata.get(MANIFEST_KEY)
+
+
+def open_model(path: str | os.PathLike[str]) -> ModelFile:
+    """Open an ONNX file without reading its weights.
+
+    Raises:
+        ModelUnreadable: There is no such file, or it is not an ONNX model.
+    """
+    path = Path(path)
+    size = _size(path)
+    try:
+        with (
+            path.open("rb") as file,
+            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as view,
+        ):
+            bones = _skeleton(path, view)
+    except OSError as error:
+        raise ModelUnreadable(
+            f"cannot be read: {error.strerror}", where=str(path)
+        ) from error
+    proto = _parse(path, bones.data)
+    external = tuple(_detach_external(proto))
+    stubs = frozenset(bones.names | {ref.tensor for ref in external})
+    return ModelFile(path, size, proto, bones.stripped, stubs, external)
+
+
+def _size(path: Path) -> int:
+    where = str(path)
+    if path.is_dir():
+        raise ModelUnreadable("is a folder, wanted an ONNX file", where=where)
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise ModelUnreadable(f"cannot be read: {error.strerror}", where=where) from error
+    if not path.is_file():
+        raise ModelUnreadable("is not a regular file", where=where)
+    if size == 0:
+        raise ModelUnreadable("is empty (0 bytes), wanted an ONNX model", where=where)
+    return size
+
+
+def _skeleton(path: Path, view: mmap.mmap) -> Skeleton:
+    with memoryview(view) as data:
+        try:
+            return skeleton(data)
+        except WireFault as fault:
+            raise _not_onnx(
+                path, f"is damaged or cut off at {fault}", bytes(data[:32])
+            ) from fault
+
+
+def _parse(path: Path, data: bytes) -> ModelProto:
+    try:
+        proto = ModelProto.FromString(data)
+    except (DecodeError, RecursionError) as error:
+        raise _not_onnx(path, f"does not parse as ONNX ({error})", data[:32]) from error
+    if not proto.HasField("graph") or not (proto.ir_version or proto.opset_import):
+        raise _not_onnx(path, "holds no ONNX graph", data[:32])
+    return proto
+
+
+def _not_onnx(path: Path, what: str, head: bytes) -> ModelUnreadable:
+    for magic, name in _LOOKALIKES:
+        if head.startswith(magic):
+            return ModelUnreadable(f"is not an ONNX model but {name}", where=str(path))
+    mend = (
+        "Write the file again; a partial download or an interrupted export looks like this."
+    )
+    return ModelUnreadable(what, where=str(path), mend=mend)
+
+
+def _detach_external(proto: ModelProto) -> Iterator[ExternalRef]:
+    """Put a stub in place of every external payload, and say where it was."""
+    for tensor in _tensors(proto):
+        if tensor.data_location != TensorProto.EXTERNAL:
+            continue
+        entries = {entry.key: entry.value for entry in tensor.external_data}
+        tensor.ClearField("external_data")
+        tensor.ClearField("data_location")
+        tensor.raw_data = b"\0"
+        yield ExternalRef(
+            tensor.name,
+            entries.get("location", ""),
+            _whole(entries.get("offset")) or 0,
+            _whole(entries.get("length")),
+        )
+
+
+def _whole(text: str | None) -> int | None:
+    return int(text) if text is not None and text.isascii() and text.isdigit() else None
+
+
+def _tensors(proto: ModelProto) -> Iterator[TensorProto]:
+    """Yield every tensor that a file can hold, in subgraphs and functions too."""
+    graphs = [proto.graph]
+    nodes = [node for function in proto.functions for node in function.node]
+    seen = 0
+    while graphs or nodes:
+        if graphs:
+            graph = graphs.pop()
+            yield from graph.initializer
+            for sparse in graph.sparse_initializer:
+                yield from (sparse.values, sparse.indices)
+            nodes.extend(graph.node)
+        while nodes:
+            for attribute in nodes.pop().attribute:
+                yield from _attribute_tensors(attribute)
+                graphs.extend(_attribute_graphs(attribute))
+                seen += 1
+                if seen > _MAX_TENSORS:
+                    return
+
+
+def _attribute_tensors(attribute: AttributeProto) -> Iterator[TensorProto]:
+    if attribute.HasField("t"):
+        yield attribute.t
+    yield from attribute.tensors
+
+
+def _attribute_graphs(attribute: AttributeProto) -> Iterator[GraphProto]:
+    if attribute.HasField("g"):
+        yield attribute.g
+    yield from attribute.graphs
+
+
+def write_manifest(
+    source: str | os.PathLike[str], manifest: Manifest, target: str | os.PathLike[str]
+) -> None:
+    """Copy the model ``source`` to ``target`` with ``manifest`` in it, replacing any other.
+
+    The weights pass through in chunks and are never parsed; ``target`` may be ``source``.
+    It is written beside its place and renamed, so a failure leaves what was there.
+
+    Raises:
+        ManifestInvalid: ``manifest`` does not follow its schema.
+        ModelUnreadable: ``source`` is not an ONNX model.
+        OSError: ``target`` cannot be written.
+    """
+    source, target = Path(source), Path(target)
+    entry = StringStringEntryProto(key=MANIFEST_KEY, value=dumps(manifest, indent=None))
+    appended = ModelProto(metadata_props=[entry]).SerializeToString()
+    open_model(source)  # says what is wrong with it, if something is
+    handle, name = tempfile.mkstemp(
+        dir=target.parent, prefix=f".{target.name}.", suffix=".part"
+    )
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, "wb") as out, source.open("rb") as file:
+            for start, end in _without_manifest(file.fileno()):
+                file.seek(start)
+                _copy_bytes(file, out, end - start)
+            out.write(appended)  # a repeated field may stand anywhere in the message
+        shutil.copymode(source, temporary)
+        temporary.replace(target)
+    except BaseException:
+        with suppress(FileNotFoundError):
+            temporary.unlink()
+        raise
+
+
+def _without_manifest(descriptor: int) -> list[tuple[int, int]]:
+    """Return the byte ranges of a model that are not its manifest, in order."""
+    ranges: list[tuple[int, int]] = []
+    with (
+        mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ) as view,
+        memoryview(view) as data,
+    ):
+        for one in scan(data, 0, len(data)):
+            if one.number == _METADATA_FIELD and _is_manifest(data, one.value, one.end):
+                continue
+            if ranges and ranges[-1][1] == one.start:
+                ranges[-1] = (ranges[-1][0], one.end)
+            else:
+                ranges.append((one.start, one.end))
+    return ranges
+
+
+def _is_manifest(data: memoryview, start: int, end: int) -> bool:
+    key = next(
+        (f for f in scan(data, start, end) if f.number == 1 and f.wire == BYTES), None
+    )
+    return key is not None and bytes(data[key.value : key.end]) == MANIFEST_KEY.encode()
+
+
+def _copy_bytes(source: BinaryIO, out: BinaryIO, count: int) -> None:
+    while count:
+        chunk = source.read(min(count, 1 << 20))
+        out.write(chunk)
+        count -= len(chunk)

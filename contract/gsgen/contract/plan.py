@@ -1,0 +1,72 @@
+"""Which probes to run, in which order, so that one session answers every rule."""
+
+__all__ = ["Plan", "make_plan"]
+
+from dataclasses import dataclass, field
+
+from gsgen.contract.candidate import static_dims
+from gsgen.contract.finding import Level
+from gsgen.contract.probes import Probe, default_probes, dependency_probes
+from gsgen.contract.subject import Subject
+
+# All distinct outputs together should not fill the disk that holds temporary files.
+_BUDGET = 1 << 30
+_MOST, _FEWEST = 8, 3
+_VARIANTS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Probes in order, and what each is for.
+
+    Attributes:
+        probes: Inputs, one set a run.
+        values: How many of the first probes value rules look at.
+        repeated: Two consecutive runs with the same inputs.
+        revisited: Two runs with the same inputs and others between them.
+        variants: Role → (base run, runs that differ from it in that role alone).
+    """
+
+    probes: tuple[Probe, ...]
+    values: int
+    repeated: tuple[int, int] | None = None
+    revisited: tuple[int, int] | None = None
+    variants: dict[str, tuple[int, tuple[int, ...]]] = field(default_factory=dict)
+
+
+def make_plan(subject: Subject, level: Level, seed: int = 0) -> Plan:
+    """Lay out the runs that ``level`` needs."""
+    manifest = subject.manifest
+    assert manifest is not None
+    tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
+    shapes = {
+        i.name: tuple(int(d) for d in static_dims(tensors[i.name]) or ())
+        for i in manifest.inputs
+    }
+    dtypes = {i.name: tensors[i.name].dtype or "float32" for i in manifest.inputs}
+    count = _affordable(subject)
+    first = default_probes(manifest, shapes, dtypes, seed, count)
+    if level < Level.BEHAVIOUR:
+        return Plan(first, len(first))
+    base = len(first) - 1 if len(first) == 1 else 1
+    probes = [*first, first[base], first[base]]
+    again = len(first)
+    others = (first[-1], first[len(first) // 2])[:_VARIANTS]
+    variants: dict[str, tuple[int, tuple[int, ...]]] = {}
+    for role, changed in dependency_probes(manifest, first[base], others):
+        variants[role] = (base, tuple(range(len(probes), len(probes) + len(changed))))
+        probes.extend(changed)
+    revisited = (base, again) if len(first) > 1 else None
+    return Plan(tuple(probes), len(first), (again, again + 1), revisited, variants)
+
+
+def _affordable(subject: Subject) -> int:
+    """Return how many probes' outputs fit the budget."""
+    total = 0
+    for tensor in (subject.gaussians, subject.appearance):
+        dims = static_dims(tensor) if tensor else None
+        size = 4
+        for dim in dims or (0,):
+            size *= int(dim)
+        total += size
+    return max(_FEWEST, min(_MOST, _BUDGET // max(total, 1)))

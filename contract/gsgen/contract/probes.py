@@ -1,0 +1,166 @@
+"""Probes: the inputs that a model is run with, the same on every machine.
+
+Cameras orbit the declared bounds, times cover the declared range with both ends, and every
+other input is sampled within its range. The first probe is all zeros, because that is what
+runtimes feed before they know better.
+"""
+
+__all__ = ["Probe", "as_tensor", "default_probes", "dependency_probes"]
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.geometry import look_at, perspective
+from gsgen.contract.manifest import Bounds, GeneratorManifest, Input, Manifest
+from gsgen.contract.roles import ROLES
+
+Array = np.ndarray
+
+_FOV = np.deg2rad(60.0)
+_ASPECT = 16 / 9
+_VIEWPORT = (1280.0, 720.0)
+_UP = {"x": 0, "y": 1, "z": 2}
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """One set of inputs.
+
+    Attributes:
+        label: What a report calls it, such as ``camera 3, time=0.5``.
+        inputs: Input name → array.
+        zeros: Every input is zero.
+    """
+
+    label: str
+    inputs: dict[str, Array]
+    zeros: bool = False
+
+
+def default_probes(
+    manifest: Manifest,
+    shapes: dict[str, tuple[int, ...]],
+    dtypes: dict[str, str],
+    seed: int = 0,
+    count: int = 8,
+) -> tuple[Probe, ...]:
+    """Return the deterministic probe set of a model.
+
+    Args:
+        manifest: Says what each input means and which range it has.
+        shapes: Input name → static shape.
+        dtypes: Input name → dtype in the graph.
+        seed: Another seed gives another set.
+        count: How many probes besides the one with all inputs zero; at least 2.
+
+    A model without inputs has one probe.
+    """
+    if not manifest.inputs:
+        return (Probe("no inputs", {}),)
+    zero = {i.name: np.zeros(shapes[i.name], dtypes[i.name]) for i in manifest.inputs}
+    probes = [Probe("all inputs zero", zero, zeros=True)]
+    for index in range(count):
+        rng = np.random.default_rng([seed, index])
+        inputs = {
+            i.name: _sample(i, manifest, shapes[i.name], index / (count - 1), rng).astype(
+                dtypes[i.name]
+            )
+            for i in manifest.inputs
+        }
+        probes.append(Probe(_label(manifest, inputs, index), inputs))
+    return tuple(probes)
+
+
+def dependency_probes(
+    manifest: Manifest, base: Probe, others: tuple[Probe, ...]
+) -> Iterator[tuple[str, tuple[Probe, ...]]]:
+    """Yield, for each role, probes that differ from ``base`` in that role's inputs alone."""
+    for name in sorted({i.role for i in manifest.inputs}):
+        changed = [i.name for i in manifest.inputs if i.role == name]
+        variants = tuple(
+            Probe(
+                f"{base.label} with the {name} of {other.label}",
+                base.inputs | {key: other.inputs[key] for key in changed},
+            )
+            for other in others
+        )
+        yield name, variants
+
+
+def as_tensor(matrix: Float[np.ndarray, "4 4"], order: str) -> Float[np.ndarray, "4 4"]:
+    """Lay a matrix into its [4,4] tensor: ``column`` stores Mᵀ, ``row`` stores M."""
+    tensor = matrix.T if order == "column" else matrix
+    return np.ascontiguousarray(tensor, np.float32)
+
+
+def _sample(
+    one: Input,
+    manifest: Manifest,
+    shape: tuple[int, ...],
+    along: float,
+    rng: np.random.Generator,
+) -> Array:
+    space = manifest.space if isinstance(manifest, GeneratorManifest) else None
+    order = space.matrix_order if space else "column"
+    if one.role == "view":
+        return as_tensor(_camera(manifest, along), order)
+    if one.role == "projection":
+        return as_tensor(perspective(_FOV, _ASPECT, 0.01, 1000.0), order)
+    if one.role == "camera_position":
+        view = _camera(manifest, along)
+        return np.asarray(-view[:3, :3].T @ view[:3, 3])
+    if one.role == "viewport":
+        return np.asarray(_VIEWPORT)
+    low, high = one.range or _usual_range(one)
+    if one.role in ("time", "frame_index", "appearance_id", "timestep"):
+        value = low + (high - low) * along  # both ends included
+        return np.full(shape, np.rint(value) if ROLES[one.role].index else value)
+    if one.role in ("pose", "root_rotation") and shape[-1] == 4:
+        quaternion = rng.normal(size=shape)
+        return np.asarray(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True))
+    if one.role == "root_rotation" and shape == (3, 3):
+        q, r = np.linalg.qr(rng.normal(size=(3, 3)))
+        q = q * np.sign(np.diag(r))
+        return np.asarray(q * np.linalg.det(q))
+    return rng.uniform(low, high, shape)
+
+
+def _usual_range(one: Input) -> tuple[float, float]:
+    usual = {
+        "pose": (-0.6, 0.6),
+        "root_rotation": (-0.6, 0.6),
+        "root_translation": (-0.5, 0.5),
+    }
+    return usual.get(one.role, (0.0, 1.0))
+
+
+def _camera(manifest: Manifest, along: float) -> Float[np.ndarray, "4 4"]:
+    """Return the view matrix of the camera ``along`` (0..1) a spiral around the bounds."""
+    bounds = getattr(manifest, "bounds", None) or Bounds(
+        (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)
+    )
+    low, high = np.asarray(bounds.min), np.asarray(bounds.max)
+    center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+    space = getattr(manifest, "space", None)
+    axis = space.up if space else "-y"
+    up = np.zeros(3)
+    up[_UP[axis[1]]] = 1.0 if axis[0] == "+" else -1.0
+    side = np.roll(up, 1)
+    azimuth = 1.75 * np.pi * along + 0.3
+    elevation = np.deg2rad(-30 + 80 * along)
+    ring = np.cos(azimuth) * side + np.sin(azimuth) * np.cross(up, side)
+    eye = center + 2.2 * radius * (np.cos(elevation) * ring + np.sin(elevation) * up)
+    return look_at(eye, center, up)
+
+
+def _label(manifest: Manifest, inputs: dict[str, Array], index: int) -> str:
+    words = []
+    if any(i.role in ("view", "camera_position") for i in manifest.inputs):
+        words.append(f"camera {index}")
+    for i in manifest.inputs:
+        if inputs[i.name].size == 1:
+            words.append(f"{i.name}={inputs[i.name].item():.3g}")
+    return ", ".join(words) or f"sample {index}"

@@ -1,0 +1,126 @@
+"""The result of a validation, as data; reporters turn it into text, JSON and more."""
+
+__all__ = ["LevelOutcome", "Outcome", "Report", "Status", "exit_code"]
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Literal
+
+from gsgen.contract.finding import Finding, Level, Severity
+from gsgen.contract.rule import Rule
+from gsgen.contract.targets import Target
+
+Status = Literal["pass", "fail", "skipped", "not-applicable", "crashed"]
+Verdict = Literal["conforms", "invalid", "internal-error"]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one rule.
+
+    Attributes:
+        rule: The rule.
+        status: ``pass``, ``fail``, ``skipped``, ``not-applicable`` or ``crashed``.
+        reason: Why it was skipped, does not apply or crashed; empty otherwise.
+        milliseconds: Time spent in its check.
+        items: Rows or things it looked at.
+        blocked_by: The failed rule that keeps this one from being judged.
+    """
+
+    rule: Rule
+    status: Status
+    reason: str = ""
+    milliseconds: float = 0.0
+    items: int = 0
+    blocked_by: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LevelOutcome:
+    """Whether a level ran, and if not, why."""
+
+    level: Level
+    ran: bool
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Everything a validation found out.
+
+    Attributes:
+        path: The model, as it was named.
+        size: Bytes of the file.
+        kind: The kind of model, if known.
+        name: The manifest's name for it.
+        contract: The version the manifest declares; empty if it has none.
+        capacity: Rows of the Gaussian output, where static.
+        target: What it was judged for.
+        level: How far the validation was asked to go.
+        fail_on: The lowest severity that fails.
+        findings: Worst first; ignored ones included, marked as waived.
+        outcomes: Every installed rule, in catalogue order.
+        levels: Every level, and whether it ran.
+        probes: Labels of the probes that value rules looked at.
+        environment: Versions of what ran.
+        seconds: Wall-clock time, and what ONNX Runtime's process took of it.
+    """
+
+    path: str
+    size: int
+    kind: str
+    name: str
+    contract: str
+    capacity: int | None
+    target: Target
+    level: Level
+    fail_on: Severity
+    findings: tuple[Finding, ...]
+    outcomes: tuple[Outcome, ...]
+    levels: tuple[LevelOutcome, ...]
+    probes: tuple[str, ...] = ()
+    environment: dict[str, str] = field(default_factory=dict)
+    settings: str = "defaults"
+    seconds: float = 0.0
+    runtime_seconds: float = 0.0
+
+    @property
+    def verdict(self) -> Verdict:
+        """``conforms``, ``invalid``, or ``internal-error`` where a rule crashed."""
+        if any(outcome.status == "crashed" for outcome in self.outcomes):
+            return "internal-error"
+        return (
+            "invalid"
+            if any(self.fails_by(finding) for finding in self.findings)
+            else "conforms"
+        )
+
+    def fails_by(self, finding: Finding) -> bool:
+        """Say whether ``finding`` alone makes the model invalid."""
+        counts = not finding.waived and finding.certainty == "confirmed"
+        return counts and finding.severity >= self.fail_on
+
+    def count(self, severity: Severity) -> int:
+        """Return how many findings of ``severity`` count."""
+        return sum(f.severity == severity and not f.waived for f in self.findings)
+
+    @property
+    def statuses(self) -> Counter[str]:
+        """How many rules have each status."""
+        return Counter(outcome.status for outcome in self.outcomes)
+
+    def outcome(self, rule_id: str) -> Outcome:
+        """Return the outcome of one rule; raises KeyError if it is not installed."""
+        for outcome in self.outcomes:
+            if outcome.rule.id == rule_id:
+                return outcome
+        raise KeyError(rule_id)
+
+
+def exit_code(reports: Iterable[Report]) -> int:
+    """Return 0 if all conform, 1 if one is invalid, 3 if a rule crashed."""
+    verdicts = {report.verdict for report in reports}
+    if "internal-error" in verdicts:
+        return 3
+    return 1 if "invalid" in verdicts else 0

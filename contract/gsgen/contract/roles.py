@@ -1,0 +1,140 @@
+"""Input roles: what a frame input means, and the shape and dtype that this fixes."""
+
+__all__ = ["ROLES", "Role", "Shape", "matching_shape", "role"]
+
+from dataclasses import dataclass
+
+from gsgen.contract.errors import UnknownName
+
+# A dimension is a fixed size or the name of a size that the manifest declares.
+Shape = tuple[int | str, ...]
+
+GENERATOR = "gaussian-generator"
+POST_PROCESS = "post-process"
+TRAJECTORY = "trajectory-predictor"
+KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
+
+
+@dataclass(frozen=True, slots=True)
+class Role:
+    """What one kind of input means.
+
+    Attributes:
+        name: The word the manifest uses.
+        dtype: The dtypes it may have; the first is the usual one.
+        shapes: The shapes it may have; a word stands for a size that the model fixes.
+        summary: One sentence for people.
+        kinds: The kinds of model that may take it.
+        index: It counts things (frames, identities), so values are whole numbers.
+        needs_range: Sampling it makes no sense unless the manifest declares a range.
+        conventions: What ``convention`` may say, where the role has more than one.
+    """
+
+    name: str
+    dtype: tuple[str, ...]
+    shapes: tuple[Shape, ...]
+    summary: str
+    kinds: tuple[str, ...] = (GENERATOR,)
+    index: bool = False
+    needs_range: bool = False
+    conventions: tuple[str, ...] = ()
+
+
+_FLOAT = ("float32",)
+_INDEX = ("int32",)
+
+ROLES: dict[str, Role] = {
+    entry.name: entry
+    for entry in (
+        Role("view", _FLOAT, ((4, 4),), "World→camera matrix; memory order as declared."),
+        Role("projection", _FLOAT, ((4, 4),), "Camera→clip matrix, depth 0..1."),
+        Role("time", _FLOAT, ((1,),), "Time, in the declared range."),
+        Role("frame_index", _INDEX, ((1,),), "Frame number.", index=True, needs_range=True),
+        Role("camera_position", _FLOAT, ((3,),), "Camera centre, in local space."),
+        Role("viewport", _FLOAT, ((2,),), "Width and height of the image, in pixels."),
+        Role(
+            "pose",
+            _FLOAT,
+            (("J", 3), ("J", 4)),
+            "Joint rotations, axis-angle [J,3] in radians or quaternions (w,x,y,z) [J,4].",
+            conventions=("smpl-axis-angle", "axis-angle", "quaternion-wxyz"),
+        ),
+        Role("shape", _FLOAT, (("B",),), "Body shape coefficients.", needs_range=True),
+        Role(
+            "root_translation", _FLOAT, ((3,),), "Translation of the root, in local units."
+        ),
+        Role(
+            "root_rotation",
+            _FLOAT,
+            ((3,), (3, 3)),
+            "Rotation of the root, axis-angle [3] in radians or matrix [3,3].",
+            conventions=("axis-angle", "matrix"),
+        ),
+        Role("expression", _FLOAT, (("E",),), "Expression coefficients.", needs_range=True),
+        Role("appearance_id", _INDEX, ((1,),), "Appearance.", index=True, needs_range=True),
+        Role(
+            "control",
+            _FLOAT,
+            (("*",),),
+            "A named slider.",
+            kinds=(GENERATOR, POST_PROCESS),
+            needs_range=True,
+        ),
+        Role(
+            "image",
+            ("float32", "float16"),
+            ((1, 3, "H", "W"), (1, 4, "H", "W")),
+            "The rendered image, channels first.",
+            kinds=(POST_PROCESS,),
+        ),
+        Role(
+            "timestep",
+            ("int32", "float32"),
+            ((1,),),
+            "Diffusion timestep.",
+            kinds=(POST_PROCESS,),
+            needs_range=True,
+        ),
+        Role(
+            "conditioning",
+            ("float32", "float16"),
+            ((1, "L", "D"), (1, "D")),
+            "Conditioning vectors, such as a text embedding.",
+            kinds=(POST_PROCESS,),
+        ),
+        Role(
+            "camera_history",
+            _FLOAT,
+            (("T", "S"),),
+            "Past camera states, oldest first.",
+            kinds=(TRAJECTORY,),
+        ),
+    )
+}
+
+
+def role(name: str) -> Role:
+    """Return the role called ``name``.
+
+    Raises:
+        UnknownName: There is none; the message names the nearest one.
+    """
+    if name not in ROLES:
+        raise UnknownName.among("role", name, ROLES)
+    return ROLES[name]
+
+
+def matching_shape(entry: Role, dims: Shape) -> Shape | None:
+    """Return the shape of ``entry`` that ``dims`` fits, or None.
+
+    A named size fits any positive number; ``*`` alone fits any shape.
+    """
+    for shape in entry.shapes:
+        if shape == ("*",):
+            return shape
+        if len(shape) == len(dims) and all(
+            isinstance(want, str) or want == seen
+            for want, seen in zip(shape, dims, strict=True)
+        ):
+            return shape
+    return None

@@ -1,0 +1,91 @@
+"""GB: the model is a function of its inputs, and of all that it says it depends on."""
+
+from collections.abc import Iterator
+
+from gsgen.contract.behaviour import Behaviour, Comparison
+from gsgen.contract.finding import Breach, Severity
+from gsgen.contract.roles import KINDS
+from gsgen.contract.rule import rule
+
+
+def _differences(comparison: Comparison, want: str) -> Iterator[Breach]:
+    for name, largest in comparison.changed.items():
+        saw = f"differs by up to {largest:.3g} at probe {comparison.first!r}"
+        yield Breach.at(f"output {name}", saw, want)
+
+
+@rule(
+    "GB001",
+    "deterministic",
+    Severity.ERROR,
+    over="runs",
+    fixture="seeded_random",
+    needs=("GV025", "GG010"),
+    kinds=KINDS,
+)
+def deterministic(behaviour: Behaviour) -> Iterator[Breach]:
+    """The same inputs twice in a row give the same bits.
+
+    Why:
+        A still camera would show a flickering picture, and no test could compare results.
+
+    Mend:
+        Remove random operators; draw the numbers before export and store them as weights.
+    """
+    yield from _differences(behaviour.repeated, "the same bits as the run before")
+
+
+@rule(
+    "GB002",
+    "stateless",
+    Severity.ERROR,
+    over="runs",
+    fixture="remembers_other_runs",
+    needs=("GV025", "GB001"),
+    kinds=KINDS,
+)
+def stateless(behaviour: Behaviour) -> Iterator[Breach]:
+    """The same inputs give the same bits, whatever was run in between.
+
+    Why:
+        Scrubbing back to an earlier time must show what was shown then.
+
+    Mend:
+        Make every output a function of the inputs alone.
+    """
+    if behaviour.revisited is not None:
+        want = "the same bits as before other inputs were run"
+        yield from _differences(behaviour.revisited, want)
+
+
+@rule(
+    "GB003",
+    "inputs-matter",
+    Severity.WARNING,
+    over="runs",
+    fixture="time_is_baked",
+    needs=("GV025", "GB001", "GB002"),
+)
+def inputs_matter(behaviour: Behaviour) -> Iterator[Breach]:
+    """Each input changes some output, unless `depends_on` says that it does not; and then it does not.
+
+    Why:
+        An input without effect was usually turned into a constant when the model was traced: the
+        avatar does not move, the scene does not change with time. A runtime also skips inference
+        where nothing it depends on has changed.
+
+    Mend:
+        Export without detaching the input (numpy round trips, `.item()`, Python branches), or set
+        "depends_on": {role: false}.
+    """
+    generator = behaviour.subject.generator
+    declared = generator.depends_on if generator else {}
+    for role, comparisons in behaviour.varied.items():
+        changes = any(comparison.changed for comparison in comparisons)
+        place = f"role {role}"
+        if declared.get(role, True) and not changes:
+            saw = f"no output changes with it ({len(comparisons)} variations)"
+            yield Breach.at(place, saw, "an effect, or depends_on false")
+        elif not declared.get(role, True) and changes:
+            name = next(iter(next(c.changed for c in comparisons if c.changed)))
+            yield Breach.at(place, f"output {name} changes with it", "depends_on true")

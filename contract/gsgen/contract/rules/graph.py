@@ -1,0 +1,258 @@
+"""GG: the graph itself is well formed, portable, and can be captured and replayed."""
+
+from collections.abc import Iterator
+
+from onnx import NodeProto
+
+from gsgen.contract.finding import Breach, Severity
+from gsgen.contract.graph import Graph
+from gsgen.contract.roles import KINDS
+from gsgen.contract.rule import rule
+from gsgen.contract.subject import Subject
+
+_MAIN_DOMAIN = ("", "ai.onnx")
+_CONTROL_FLOW = frozenset({"If", "Loop", "Scan"})
+_RANDOM = frozenset(
+    {
+        "Bernoulli",
+        "Multinomial",
+        "RandomNormal",
+        "RandomNormalLike",
+        "RandomUniform",
+        "RandomUniformLike",
+    }
+)
+_VIEWS = frozenset({"Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"})
+_SCATTERS = frozenset({"ScatterElements", "ScatterND"})
+
+
+def _place(node: NodeProto) -> str:
+    return f"node {node.name or node.op_type} ({node.op_type})"
+
+
+@rule(
+    "GG001",
+    "opset-supported",
+    Severity.ERROR,
+    over="model",
+    fixture="ancient_opset",
+    kinds=KINDS,
+)
+def opset_supported(subject: Subject) -> Iterator[Breach]:
+    """Operator set and IR version are ones that the target runs.
+
+    Why:
+        A runtime refuses an operator set it does not know, and old sets lack operators and types
+        that the layout needs.
+
+    Mend:
+        Export at operator set 18, which every current runtime has kernels for.
+    """
+    low, high = subject.target.opset
+    proto = subject.file.proto
+    opsets = {entry.domain: entry.version for entry in proto.opset_import}
+    seen = next((opsets[domain] for domain in _MAIN_DOMAIN if domain in opsets), None)
+    if seen is None:
+        yield Breach.at(
+            "opset_import", "no version of the ONNX operator set", f"{low} to {high}"
+        )
+    elif not low <= seen <= high:
+        yield Breach.at("opset_import", f"operator set {seen}", f"{low} to {high}")
+    if proto.ir_version > subject.target.ir:
+        yield Breach.at("ir_version", str(proto.ir_version), f"{subject.target.ir} at most")
+
+
+@rule(
+    "GG002",
+    "standard-operators",
+    Severity.ERROR,
+    over="model",
+    fixture="custom_operator",
+    kinds=KINDS,
+)
+def standard_operators(subject: Subject) -> Iterator[Breach]:
+    """Every operator is a standard one, or a function that the model defines.
+
+    Why:
+        No runtime but the author's has kernels for operators of another domain.
+
+    Mend:
+        Export without custom operators; write the operation with standard ones.
+    """
+    graph, allowed = subject.graph, subject.target.domains
+    for node in graph.all_nodes():
+        known = node.domain in allowed or (node.domain, node.op_type) in graph.functions
+        if not known:
+            saw = f"domain {node.domain!r}"
+            yield Breach.at(
+                _place(node), saw, "the ONNX domain, or a function in the model"
+            )
+
+
+@rule(
+    "GG003",
+    "no-control-flow",
+    Severity.WARNING,
+    over="model",
+    fixture="if_node",
+    kinds=KINDS,
+)
+def no_control_flow(subject: Subject) -> Iterator[Breach]:
+    """The graph has no If, Loop or Scan.
+
+    Why:
+        Graph capture refuses control flow, so every frame pays for launching every kernel anew.
+
+    Mend:
+        Compute both branches and select with Where; unroll loops of fixed length.
+    """
+    for node in subject.graph.all_nodes():
+        if node.op_type in _CONTROL_FLOW and node.domain in _MAIN_DOMAIN:
+            yield Breach.at(_place(node), node.op_type, "straight-line operators")
+
+
+@rule(
+    "GG010",
+    "no-unseeded-random",
+    Severity.ERROR,
+    over="model",
+    fixture="unseeded_random",
+    kinds=KINDS,
+)
+def no_unseeded_random(subject: Subject) -> Iterator[Breach]:
+    """Random operators have a seed.
+
+    Why:
+        The same camera and time would give another picture every frame and on every machine.
+
+    Mend:
+        Draw the numbers before export and store them as weights.
+    """
+    for node in subject.graph.all_nodes():
+        seeded = any(attribute.name == "seed" for attribute in node.attribute)
+        if node.op_type in _RANDOM and node.domain in _MAIN_DOMAIN and not seeded:
+            yield Breach.at(_place(node), "no seed", "a seed, or stored numbers")
+
+
+@rule(
+    "GG011",
+    "no-float64",
+    Severity.ERROR,
+    over="model",
+    fixture="float64_inside",
+    kinds=KINDS,
+    needs=("GG019",),
+)
+def no_float64(subject: Subject) -> Iterator[Breach]:
+    """No tensor of the graph is float64.
+
+    Why:
+        WebGPU has no 64-bit floats: the node falls back to the CPU, and with graph capture the
+        session is refused.
+
+    Mend:
+        Keep constants and buffers in float32; numpy and Python floats are float64 by default.
+    """
+    for tensor in subject.graph.tensors.values():
+        if tensor.dtype == "float64":
+            yield Breach.at(f"tensor {tensor.name}", "float64", "float32 or float16")
+
+
+@rule(
+    "GG015",
+    "shapes-agree",
+    Severity.ERROR,
+    over="model",
+    fixture="shape_conflict",
+    kinds=KINDS,
+    needs=("GG019",),
+)
+def shapes_agree(subject: Subject) -> Iterator[Breach]:
+    """Declared shapes and dtypes agree with what the operators compute.
+
+    Why:
+        Readers allocate buffers from declared shapes; ONNX Runtime computes the real ones, and
+        only warns where they differ.
+
+    Mend:
+        Run shape inference again after editing a graph, and keep its result.
+    """
+    for conflict in subject.graph.conflicts:
+        saw = f"declared {conflict.declared}"
+        yield Breach.at(f"tensor {conflict.name}", saw, f"{conflict.inferred}, as inferred")
+    if subject.graph.inference_fault and not subject.graph.conflicts:
+        yield Breach.at(
+            "graph", subject.graph.inference_fault, "operators whose shapes fit"
+        )
+
+
+@rule(
+    "GG016",
+    "outputs-survive-replay",
+    Severity.WARNING,
+    over="model",
+    fixture="output_from_reshape",
+    kinds=KINDS,
+    needs=("GG019",),
+)
+def outputs_survive_replay(subject: Subject) -> Iterator[Breach]:
+    """Every output that varies is written by an operator that computes, not by a view of a buffer.
+
+    Why:
+        Graph capture records kernels, not buffer copies. An output made by Reshape, Flatten,
+        Squeeze, Unsqueeze or Identity repeats the first frame for ever, without any error. So does
+        a tensor that is two outputs, and an update in place by ScatterND or ScatterElements.
+
+    Mend:
+        End the output on Cast, Concat, Mul by one, or Add of zero; reshape before that. Replace
+        Scatter by Concat, Where or Gather.
+    """
+    graph = subject.graph
+    seen: set[str] = set()
+    for tensor in graph.outputs:
+        place = f"output {tensor.name}"
+        if tensor.name in seen:
+            yield Breach.at(place, "the same tensor is two outputs", "a tensor of its own")
+        seen.add(tensor.name)
+        if graph.input(tensor.name):
+            yield Breach.at(place, "an input passed through", "the result of an operator")
+            continue
+        if not graph.varies(tensor.name):
+            continue
+        producer = graph.producers.get(tensor.name)
+        if producer is not None and producer.op_type in _VIEWS:
+            yield Breach.at(
+                place, f"made by {producer.op_type}", "an operator that computes"
+            )
+        for node in graph.ancestors(tensor.name)[1]:
+            if node.op_type in _SCATTERS and _shares_base(graph, node):
+                yield Breach.at(
+                    _place(node), "updates a tensor that others read", "Where or Concat"
+                )
+
+
+def _shares_base(graph: Graph, node: NodeProto) -> bool:
+    base = node.input[0]
+    return base not in graph.producers or graph.uses.get(base, 0) > 1
+
+
+@rule(
+    "GG019",
+    "onnx-well-formed",
+    Severity.ERROR,
+    over="model",
+    fixture="cyclic_graph",
+    kinds=KINDS,
+    needs=("GG001", "GG002"),
+)
+def onnx_well_formed(subject: Subject) -> Iterator[Breach]:
+    """ONNX's own checker accepts the model.
+
+    Why:
+        A graph with a cycle, a dangling name or a missing attribute does not load anywhere.
+
+    Mend:
+        Export again, or undo the edit that broke the graph; the message is that of onnx.checker.
+    """
+    if subject.graph.checker_fault:
+        yield Breach.at("graph", subject.graph.checker_fault, "what onnx.checker accepts")

@@ -1,0 +1,123 @@
+"""GL: outputs and weights fit the limits of the target."""
+
+from collections.abc import Iterator
+
+from gsgen.contract.candidate import static_dims
+from gsgen.contract.finding import Breach, Severity
+from gsgen.contract.graph import Tensor
+from gsgen.contract.roles import KINDS
+from gsgen.contract.rule import rule
+from gsgen.contract.subject import Subject
+
+_BITS = {
+    "float64": 64,
+    "int64": 64,
+    "uint64": 64,
+    "float16": 16,
+    "bfloat16": 16,
+    "int16": 16,
+    "uint16": 16,
+    "int8": 8,
+    "uint8": 8,
+    "bool": 8,
+}
+_MIB = 1 << 20
+
+
+def tensor_bytes(tensor: Tensor) -> int:
+    """Return the size of ``tensor``; 0 where it is not known."""
+    dims = static_dims(tensor)
+    if dims is None:
+        return 0
+    size = _BITS.get(tensor.dtype or "", 32) // 8
+    for dim in dims:
+        size *= int(dim)
+    return size
+
+
+def _buffers(subject: Subject) -> Iterator[tuple[str, int]]:
+    for tensor in subject.graph.outputs:
+        yield f"output {tensor.name}", tensor_bytes(tensor)
+    for name, tensor in subject.graph.initializers.items():
+        yield f"weight {name}", tensor_bytes(tensor)
+
+
+def _mib(size: int) -> str:
+    return f"{size / _MIB:.1f} MiB"
+
+
+@rule(
+    "GL001",
+    "fits-binding",
+    Severity.WARNING,
+    over="model",
+    fixture="large_binding",
+    kinds=KINDS,
+    limit="binding_bytes",
+    needs=("GL002",),
+)
+def fits_binding(subject: Subject) -> Iterator[Breach]:
+    """Every output and weight fits one storage buffer binding of the target.
+
+    Why:
+        WebGPU guarantees 128 MiB a binding. Beyond it onnxruntime-web 1.22 returns zeros; newer
+        ones split the buffer, and pay for it.
+
+    Mend:
+        Use float16, fewer SH degrees or a smaller capacity, or split the model.
+    """
+    limit = subject.target.limits["binding_bytes"]
+    for place, size in _buffers(subject):
+        if size > limit:
+            yield Breach.at(place, _mib(size), f"{_mib(limit)} at most")
+
+
+@rule(
+    "GL002",
+    "fits-buffer",
+    Severity.WARNING,
+    over="model",
+    fixture="large_buffer",
+    kinds=KINDS,
+    limit="buffer_bytes",
+)
+def fits_buffer(subject: Subject) -> Iterator[Breach]:
+    """Every output and weight fits one buffer of the target.
+
+    Why:
+        WebGPU guarantees buffers of 256 MiB; creating a larger one fails on many devices.
+
+    Mend:
+        Use float16, fewer SH degrees or a smaller capacity, or split the model.
+    """
+    limit = subject.target.limits["buffer_bytes"]
+    for place, size in _buffers(subject):
+        if size > limit:
+            yield Breach.at(place, _mib(size), f"{_mib(limit)} at most")
+
+
+@rule(
+    "GL003",
+    "fits-dispatch",
+    Severity.ERROR,
+    over="model",
+    fixture="too_many_rows",
+    needs=("GO004", "GL001", "GL002"),
+    limit="workgroups",
+)
+def fits_dispatch(subject: Subject) -> Iterator[Breach]:
+    """One dispatch can visit every row.
+
+    Why:
+        WebGPU launches at most 65,535 workgroups along an axis. With 256 rows a workgroup, rows
+        beyond 16,776,960 are never visited.
+
+    Mend:
+        Lower the capacity, or split the model.
+    """
+    limits = subject.target.limits
+    most = limits["workgroups"] * limits["workgroup_size"]
+    tensor = subject.gaussians
+    rows = tensor.dims[0] if tensor is not None and tensor.dims else 0
+    if tensor is not None and isinstance(rows, int) and rows > most:
+        yield Breach.at(f"output {tensor.name}", f"{rows} rows", f"{most} rows at most")

@@ -1,0 +1,146 @@
+"""GS: a model cannot reach outside its folder, nor take more than it is given."""
+
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+from gsgen.contract.behaviour import Trial
+from gsgen.contract.finding import Breach, Severity
+from gsgen.contract.model import ExternalRef
+from gsgen.contract.roles import KINDS
+from gsgen.contract.rule import rule
+from gsgen.contract.rules.limits import tensor_bytes
+from gsgen.contract.subject import Subject
+
+_MOST_ELEMENTS = 1 << 40
+_MIB = 1 << 20
+
+
+@rule(
+    "GS001",
+    "external-data-inside",
+    Severity.ERROR,
+    over="model",
+    fixture="external_data_outside",
+    kinds=KINDS,
+)
+def external_data_inside(subject: Subject) -> Iterator[Breach]:
+    """External weights lie in files beside or below the model, and are complete.
+
+    Why:
+        A path that leads out of the folder makes whoever loads the model read files of its
+        author's choosing; a missing or short file fails only when the model is loaded.
+
+    Mend:
+        Store weights inside the model or in a file beside it, and ship both.
+    """
+    root = subject.file.path.resolve().parent
+    faults: dict[str, tuple[str, str]] = {}
+    for ref in subject.file.external:
+        fault = _fault(ref, root)
+        if fault is not None:
+            faults.setdefault(ref.location, fault)
+    for location, (saw, want) in faults.items():
+        yield Breach.at(f"external data {location!r}", saw, want)
+
+
+def _fault(ref: ExternalRef, root: Path) -> tuple[str, str] | None:
+    """Say what is wrong with a reference, without opening the file."""
+    windows, posix = PureWindowsPath(ref.location), PurePosixPath(ref.location)
+    if not ref.location or "\0" in ref.location:
+        return "no file name", "a file beside the model"
+    if (
+        posix.is_absolute()
+        or windows.is_absolute()
+        or windows.drive
+        or ".." in windows.parts
+    ):
+        return (
+            f"leads out of the model's folder (weight {ref.tensor!r})",
+            "a relative path below it",
+        )
+    path = (root / ref.location).resolve()
+    if not path.is_relative_to(root):
+        return f"is a link to {path}", "a file below the model's folder"
+    if not path.is_file():
+        return f"no such file (weight {ref.tensor!r})", "a file beside the model"
+    needed, size = ref.offset + (ref.length or 0), path.stat().st_size
+    if needed > size:
+        return f"has {size} bytes (weight {ref.tensor!r})", f"at least {needed}"
+    return None
+
+
+@rule(
+    "GS002",
+    "sizes-sane",
+    Severity.ERROR,
+    over="model",
+    fixture="huge_dimension",
+    kinds=KINDS,
+)
+def sizes_sane(subject: Subject) -> Iterator[Breach]:
+    """Declared sizes fit the memory that running the model may take.
+
+    Why:
+        A few bytes of a file can ask for terabytes of memory.
+
+    Mend:
+        Correct the dimension; if the model is meant to be that large, raise `--memory`.
+    """
+    limit = subject.limits.memory
+    graph = subject.graph
+    for place, tensors in (
+        ("output", graph.outputs),
+        ("weight", graph.initializers.values()),
+    ):
+        for tensor in tensors:
+            negative = any(isinstance(dim, int) and dim < 0 for dim in tensor.dims or ())
+            size = tensor_bytes(tensor)
+            if negative:
+                yield Breach.at(
+                    f"{place} {tensor.name}", f"shape {tensor}", "sizes of 0 or more"
+                )
+            elif size > limit or size > 8 * _MOST_ELEMENTS:
+                saw = f"{size / _MIB:.0f} MiB, {tensor}"
+                yield Breach.at(
+                    f"{place} {tensor.name}", saw, f"{limit // _MIB} MiB at most"
+                )
+
+
+@rule(
+    "GS004",
+    "within-limits",
+    Severity.ERROR,
+    over="execution",
+    fixture="never_ends",
+    kinds=KINDS,
+    needs=(
+        "GM002",
+        "GM003",
+        "GM004",
+        "GI001",
+        "GI002",
+        "GI003",
+        "GI004",
+        "GI005",
+        "GG001",
+        "GG002",
+        "GG019",
+        "GS001",
+        "GS002",
+    ),
+)
+def within_limits(trial: Trial) -> Iterator[Breach]:
+    """The model runs within the limits on time and memory.
+
+    Why:
+        A model that takes minutes or gigabytes on the CPU blocks the viewer that loads it.
+
+    Mend:
+        Look for loops without end and for tensors that grow; raise `--timeout` or `--memory` if
+        the model is meant to be that heavy.
+    """
+    fault = trial.execution.fault
+    if fault is not None and fault.stage in ("time", "memory"):
+        limit = trial.subject.limits
+        want = f"at most {limit.seconds:g} s and {limit.memory // _MIB} MiB"
+        yield Breach.at("ONNX Runtime", fault.message, want)

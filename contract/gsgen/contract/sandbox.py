@@ -1,0 +1,228 @@
+"""Run a model in ONNX Runtime without trusting it: a child process with limits on time and memory.
+
+The child (:mod:`gsgen.contract.worker`) may hang, crash or be killed; the parent reads what it
+managed to write and says what happened.
+"""
+
+__all__ = ["Execution", "Fault", "Limits", "Run", "Sample", "execute"]
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from gsgen.contract.probes import Probe
+
+Stage = Literal["load", "run", "time", "memory", "crash"]
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the child may use.
+
+    Attributes:
+        seconds: Wall-clock time for loading and all runs together.
+        memory: Bytes of data (heap and private mappings).
+    """
+
+    seconds: float = 120.0
+    memory: int = 2 << 30
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Why the model did not run to the end."""
+
+    stage: Stage
+    message: str
+    probe: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One distinct set of outputs; runs that gave the same bytes share it.
+
+    Attributes:
+        index: Its number, counted in order of appearance.
+        outputs: Output name → array, memory-mapped from the child's file.
+    """
+
+    index: int
+    outputs: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One inference: which probe, which sample it gave, and how long it took."""
+
+    probe: int
+    sample: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Execution:
+    """All runs of one child.
+
+    Attributes:
+        runs: Completed runs, in order.
+        samples: Distinct outputs.
+        fault: Why it ended early, or None.
+        seconds: Wall-clock time of the child.
+        version: Version of ONNX Runtime that ran.
+    """
+
+    runs: tuple[Run, ...]
+    samples: tuple[Sample, ...]
+    fault: Fault | None
+    seconds: float
+    version: str
+
+
+@contextmanager
+def execute(
+    model: Path, outputs: Sequence[str], probes: Sequence[Probe], limits: Limits
+) -> Iterator[Execution]:
+    """Run ``model`` once for each probe, in order, in one session; results live as long as the block.
+
+    Args:
+        model: The ONNX file.
+        outputs: Names of the outputs to fetch.
+        probes: Inputs, one set a run.
+        limits: Time and memory for the child.
+    """
+    folder = Path(tempfile.mkdtemp(prefix="gsgen-"))
+    try:
+        _write_job(folder, model, outputs, probes, limits)
+        started = time.monotonic()
+        ended = _run_child(folder, limits.seconds)
+        yield _collect(folder, ended, time.monotonic() - started, limits)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _write_job(
+    folder: Path,
+    model: Path,
+    outputs: Sequence[str],
+    probes: Sequence[Probe],
+    limits: Limits,
+) -> None:
+    for index, probe in enumerate(probes):
+        with (folder / f"probe_{index}.npz").open("wb") as file:
+            # Names go by number: a tensor may be called "a/b" or "file".
+            arrays: dict[str, Any] = {
+                f"input_{k}": a for k, a in enumerate(probe.inputs.values())
+            }
+            np.savez(file, **arrays)
+    job = {
+        "model": str(model.resolve()),
+        "outputs": list(outputs),
+        "probes": [list(probe.inputs) for probe in probes],
+        "memory": limits.memory,
+    }
+    (folder / "job.json").write_text(json.dumps(job))
+
+
+def _run_child(folder: Path, seconds: float) -> int | None:
+    """Return the child's exit status, or None where it was stopped for taking too long."""
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    with (folder / "log").open("wb") as log:
+        child = subprocess.Popen(
+            [sys.executable, "-P", "-m", "gsgen.contract.worker", str(folder)],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            env=environment,
+            start_new_session=True,
+        )
+        try:
+            return child.wait(timeout=seconds)
+        except subprocess.TimeoutExpired:
+            return None
+        finally:
+            _stop(child)
+
+
+def _stop(child: "subprocess.Popen[bytes]") -> None:
+    if child.poll() is None:
+        if hasattr(os, "killpg"):
+            os.killpg(child.pid, signal.SIGKILL)
+        else:  # no process groups on this system
+            child.kill()
+        child.wait()
+
+
+def _collect(folder: Path, status: int | None, seconds: float, limits: Limits) -> Execution:
+    events = _events(folder / "events.jsonl")
+    runs = tuple(
+        Run(event["probe"], event["sample"], event["seconds"])
+        for event in events
+        if event["event"] == "run"
+    )
+    samples = tuple(
+        Sample(event["sample"], _load(folder, event["outputs"]))
+        for event in events
+        if event["event"] == "sample"
+    )
+    version = next((e["version"] for e in events if e["event"] == "started"), "")
+    fault = _fault(events, status, limits, folder / "log")
+    return Execution(runs, samples, fault, seconds, version)
+
+
+def _events(path: Path) -> list[dict[str, Any]]:
+    """Read what the child wrote; a half-written last line is its end, not an error."""
+    events: list[dict[str, Any]] = []
+    if path.exists():
+        for line in path.read_text().splitlines():
+            try:
+                events.append(json.loads(line))
+            except ValueError:
+                break
+    return events
+
+
+def _load(folder: Path, files: dict[str, str]) -> dict[str, np.ndarray]:
+    return {name: _map(folder / file) for name, file in files.items()}
+
+
+def _map(path: Path) -> np.ndarray:
+    try:
+        return np.asanyarray(np.load(path, mmap_mode="r", allow_pickle=False))
+    except ValueError:  # an empty array or a scalar cannot be mapped
+        return np.asarray(np.load(path, allow_pickle=False))
+
+
+def _fault(
+    events: list[dict[str, Any]], status: int | None, limits: Limits, log: Path
+) -> Fault | None:
+    last: dict[str, Any] = events[-1] if events else {"event": "nothing"}
+    probe = last.get("probe") if last["event"] == "begin" else None
+    if last["event"] == "done" and status == 0:
+        return None
+    if last["event"] == "fault":
+        return Fault(last["stage"], last["message"], last.get("probe"))
+    if status is None:
+        return Fault("time", f"still running after {limits.seconds:g} s", probe)
+    if status < 0:
+        return Fault("crash", f"ended by signal {_signal_name(-status)}", probe)
+    tail = log.read_text(errors="replace").strip().splitlines()[-1:] or ["no message"]
+    return Fault("crash", f"exit status {status}: {tail[0][:300]}", probe)
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return str(number)

@@ -1,0 +1,86 @@
+"""Real spherical harmonics in the sign convention of 3D Gaussian Splatting.
+
+Source: Kerbl et al. 2023, "3D Gaussian Splatting for Real-Time Radiance Field
+Rendering" (the constants of its published code), and the appendix of the glTF
+extension KHR_gaussian_splatting, which lists the same polynomials.
+"""
+
+__all__ = ["COEFFICIENTS", "MAX_DEGREE", "basis", "coefficients", "degree_of", "evaluate"]
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+MAX_DEGREE = 3
+COEFFICIENTS = tuple((degree + 1) ** 2 for degree in range(MAX_DEGREE + 1))
+
+_C0 = 0.5 * math.sqrt(1 / math.pi)
+_C1 = math.sqrt(3 / (4 * math.pi))
+_C2 = (0.5 * math.sqrt(15 / math.pi), 0.25 * math.sqrt(5 / math.pi))
+_C3 = (
+    0.25 * math.sqrt(35 / (2 * math.pi)),
+    0.5 * math.sqrt(105 / math.pi),
+    0.25 * math.sqrt(21 / (2 * math.pi)),
+    0.25 * math.sqrt(7 / math.pi),
+)
+
+
+def coefficients(degree: int) -> int:
+    """Return K, the number of coefficients up to ``degree``: (degree + 1)²."""
+    return (degree + 1) ** 2
+
+
+def degree_of(count: int) -> int:
+    """Return the degree that has ``count`` coefficients.
+
+    Raises:
+        ValueError: ``count`` is not 1, 4, 9 or 16.
+    """
+    if count not in COEFFICIENTS:
+        raise ValueError(f"{count} is no number of SH coefficients: wanted {COEFFICIENTS}")
+    return COEFFICIENTS.index(count)
+
+
+def basis(
+    directions: Float[np.ndarray, "... 3"], degree: int = MAX_DEGREE
+) -> Float[np.ndarray, "... k"]:
+    """Evaluate the K = (degree + 1)² basis functions at unit ``directions``, in float64."""
+    x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
+    xx, yy, zz = x * x, y * y, z * z
+    columns = [np.full_like(x, _C0)]
+    if degree >= 1:
+        columns += [-_C1 * y, _C1 * z, -_C1 * x]
+    if degree >= 2:
+        columns += [
+            _C2[0] * x * y,
+            -_C2[0] * y * z,
+            _C2[1] * (2 * zz - xx - yy),
+            -_C2[0] * x * z,
+            0.5 * _C2[0] * (xx - yy),
+        ]
+    if degree >= 3:
+        columns += [
+            -_C3[0] * y * (3 * xx - yy),
+            _C3[1] * x * y * z,
+            -_C3[2] * y * (4 * zz - xx - yy),
+            _C3[3] * z * (2 * zz - 3 * xx - 3 * yy),
+            -_C3[2] * x * (4 * zz - xx - yy),
+            0.5 * _C3[1] * z * (xx - yy),
+            -_C3[0] * x * (xx - 3 * yy),
+        ]
+    return np.stack(columns, axis=-1)
+
+
+def evaluate(
+    sh: Float[np.ndarray, "n k 3"], directions: Float[np.ndarray, "d 3"]
+) -> Float[np.ndarray, "n d 3"]:
+    """Return the colour of every Gaussian in every direction: max(0, 0.5 + Σ Y_k c_k).
+
+    Args:
+        sh: Coefficient-major coefficients, K = 1, 4, 9 or 16.
+        directions: Unit vectors from the camera centre to the Gaussian, in local space.
+    """
+    weights = basis(directions, degree_of(sh.shape[1]))
+    color = 0.5 + np.einsum("dk,nkc->ndc", weights, np.asarray(sh, np.float64))
+    return np.asarray(np.maximum(color, 0.0))

@@ -1,0 +1,41 @@
+"""Read properties of a PLY file, chosen by name, into dense arrays."""
+
+import mmap
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsgen.formats._ply_ascii import ascii_rows
+from gsgen.formats._ply_binary import binary_rows
+from gsgen.formats._ply_header import Element, Header
+
+
+def read_columns(
+    data: mmap.mmap, header: Header, vertex: Element, groups: Mapping[str, Sequence[str]]
+) -> dict[str, Float32[np.ndarray, "n m"]]:
+    """Return one array for each of ``groups``, a column for each name in it.
+
+    Takes no more memory than these arrays and one chunk of rows: no array is made before
+    the file is known to be long enough for it.
+
+    Raises:
+        FileTruncated: The file ends before the last row.
+        BodyMalformed: A row of text, or a list on the way, breaks the rules.
+    """
+    read = ascii_rows if header.encoding == "ascii" else binary_rows
+    chunks = read(data, header, vertex)
+    tables = {
+        group: np.empty((vertex.count, len(names)), np.float32)
+        for group, names in groups.items()
+    }
+    at = 0
+    # A double may be more than a float holds; as infinity it meets the checks of values.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for columns in chunks:
+            size = len(next(iter(columns.values())))
+            for group, names in groups.items():
+                for index, name in enumerate(names):
+                    tables[group][at : at + size, index] = columns[name]
+            at += size
+    return tables

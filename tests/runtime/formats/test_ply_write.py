@@ -1,0 +1,192 @@
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from gsgen.formats import (
+    FileUnwritable,
+    PointCloud,
+    Splats,
+    ValueInvalid,
+    read_ply,
+    write_ply,
+)
+
+ENCODINGS = ["ascii", "binary_little_endian", "binary_big_endian"]
+
+
+def naive_read(content: bytes) -> dict[str, list[float]]:
+    """The columns of a file of floats and bytes, read one value at a time."""
+    head, _, body = content.partition(b"end_header\n")
+    lines = head.decode().splitlines()
+    encoding = lines[1].split()[1]
+    count = int(lines[2].split()[2])
+    names = [line.split()[2] for line in lines[3:]]
+    codes = ["f" if line.split()[1] == "float" else "B" for line in lines[3:]]
+    if encoding == "ascii":
+        rows = [[float(word) for word in line.split()] for line in body.splitlines()]
+    else:
+        order = "<" if "little" in encoding else ">"
+        rows = [list(row) for row in struct.iter_unpack(order + "".join(codes), body)]
+    assert len(rows) == count
+    return {name: [row[i] for row in rows] for i, name in enumerate(names)}
+
+
+def some_splats(count: int, coefficients: int) -> Splats:
+    random = np.random.default_rng(0)
+
+    def draw(*shape: int) -> np.ndarray:
+        return random.normal(size=(count, *shape)).astype(np.float32)
+
+    return Splats(draw(3), draw(4), draw(3), draw(), draw(coefficients, 3))
+
+
+def some_points(count: int) -> PointCloud:
+    position = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
+    color = np.arange(3 * count).reshape(count, 3) % 256 / np.float32(255)
+    return PointCloud(position, color.astype(np.float32))
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("coefficients", [1, 4, 9, 16, 25])
+def test_splats_are_written_under_the_names_of_the_training_code(
+    tmp_path, coefficients, encoding
+):
+    splats = some_splats(3, coefficients)
+    file = tmp_path / "splats.ply"
+    write_ply(file, splats, format=encoding)
+    columns = naive_read(file.read_bytes())
+
+    rest = coefficients - 1
+    wanted = dict(zip("xyz", splats.position.T, strict=True))
+    wanted |= {f"f_dc_{c}": splats.sh[:, 0, c] for c in range(3)}
+    wanted |= {
+        f"f_rest_{i}": splats.sh[:, 1 + i % rest, i // rest] for i in range(3 * rest)
+    }
+    wanted |= {"opacity": splats.logit_opacity}
+    wanted |= {f"scale_{i}": splats.log_scale[:, i] for i in range(3)}
+    wanted |= {f"rot_{i}": splats.rotation[:, i] for i in range(4)}
+    assert list(columns) == list(wanted)
+    for name, values in wanted.items():
+        assert np.float32(columns[name]).tolist() == values.tolist()
+
+
+def floats_of(*shape: int) -> st.SearchStrategy[np.ndarray]:
+    finite = st.floats(width=32, allow_nan=False, allow_infinity=False)
+    return arrays.arrays(np.float32, shape, elements=finite)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    encoding=st.sampled_from(ENCODINGS),
+    position=floats_of(2, 3),
+    rotation=floats_of(2, 4),
+    log_scale=floats_of(2, 3),
+    logit_opacity=arrays.arrays(
+        np.float32, 2, elements=st.floats(width=32, allow_nan=False)
+    ),
+    sh=st.sampled_from([1, 4]).flatmap(lambda count: floats_of(2, count, 3)),
+)
+def test_splats_come_back_bit_for_bit(tmp_path_factory, encoding, **fields):
+    file = tmp_path_factory.getbasetemp() / "round_trip.ply"
+    write_ply(file, Splats(**fields), format=encoding)
+    splats = read_ply(file)
+    for name, wanted in fields.items():
+        assert getattr(splats, name).tobytes() == wanted.tobytes()
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("count", [1, 4095, 4096, 4097])  # both sides of a chunk
+def test_points_of_byte_colours_come_back_exactly(tmp_path, encoding, count):
+    cloud = some_points(count)
+    file = tmp_path / "points.ply"
+    write_ply(file, cloud, format=encoding)
+    back = read_ply(file)
+    assert isinstance(back, PointCloud)
+    np.testing.assert_array_equal(back.position, cloud.position)
+    np.testing.assert_array_equal(back.color, cloud.color)
+    assert naive_read(file.read_bytes())["blue"][:2] == [2, 5][:count]
+
+
+def test_other_colours_come_back_to_within_half_a_step(tmp_path):
+    color = np.linspace(0, 1, 300, dtype=np.float32).reshape(100, 3)
+    file = tmp_path / "points.ply"
+    write_ply(file, PointCloud(np.zeros((100, 3), np.float32), color))
+    back = read_ply(file)
+    assert isinstance(back, PointCloud)
+    np.testing.assert_allclose(back.color, color, atol=1 / 510 + 1e-6, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (
+            PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)),
+            "element 'vertex': 0 rows\nwanted at least one\n"
+            "whatever made this may have dropped every point",
+        ),
+        (
+            PointCloud(np.full((2, 3), np.nan, np.float32), np.zeros((2, 3), np.float32)),
+            "property x: 2 of 2 rows, row 0 is nan\nwanted a finite number",
+        ),
+        (
+            PointCloud(np.zeros((2, 3), np.float32), np.full((2, 3), 2, np.float32)),
+            "property red: 2 of 2 rows, row 0 is 2\nwanted 0 <= value <= 1\n"
+            "colours from 0 to 255 have to be stored as bytes (uchar, uint8)",
+        ),
+    ],
+)
+def test_what_could_not_be_read_back_is_not_written(tmp_path, content, text):
+    file = tmp_path / "bad.ply"
+    with pytest.raises(ValueInvalid) as caught:
+        write_ply(file, content)
+    assert str(caught.value) == f"{file}: {text}"
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_unknown_format_is_refused(tmp_path):
+    file = tmp_path / "a.ply"
+    with pytest.raises(ValueInvalid) as caught:
+        write_ply(file, some_points(1), format="binary")  # type: ignore[arg-type]
+    assert str(caught.value) == (
+        f"{file}: format: 'binary'\nwanted ascii, binary_little_endian, binary_big_endian"
+    )
+
+
+def test_a_file_in_place_is_replaced_and_nothing_is_left_behind(tmp_path):
+    file = tmp_path / "points.ply"
+    file.write_text("old")
+    write_ply(file, some_points(2))
+    assert isinstance(read_ply(file), PointCloud)
+    assert [*tmp_path.iterdir()] == [file]
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_part(tmp_path, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    file = tmp_path / "points.ply"
+    file.write_text("old")
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(FileUnwritable) as caught:
+        write_ply(file, some_points(2))
+    assert str(caught.value) == f"{file}: cannot be written: No space left on device"
+    assert file.read_text() == "old"
+    assert [*tmp_path.iterdir()] == [file]
+
+
+@pytest.mark.parametrize(
+    ("place", "reason"),
+    [("no/a.ply", "No such file or directory"), (".", "Is a directory")],
+)
+def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, place, reason):
+    with pytest.raises(FileUnwritable) as caught:
+        write_ply(tmp_path / place, some_points(1))
+    assert caught.value.path == str(tmp_path / place)
+    assert reason in str(caught.value)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+
+from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, ValueInvalid
+
+
+def splats_of(count: int, coefficients: int, **changed: object) -> Splats:
+    arrays: dict[str, object] = {
+        "position": np.zeros((count, 3), np.float32),
+        "rotation": np.zeros((count, 4), np.float32),
+        "log_scale": np.zeros((count, 3), np.float32),
+        "logit_opacity": np.zeros(count, np.float32),
+        "sh": np.zeros((count, coefficients, 3), np.float32),
+    }
+    return Splats(**(arrays | changed))
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "degree"), [(1, 0), (4, 1), (9, 2), (16, 3), (25, 4)]
+)
+def test_degree_follows_from_the_number_of_coefficients(coefficients, degree):
+    assert splats_of(2, coefficients).degree == degree
+
+
+@pytest.mark.parametrize("coefficients", [0, 2, 15, 36])
+def test_splats_refuse_coefficients_of_no_degree(coefficients):
+    with pytest.raises(ValueInvalid) as caught:
+        splats_of(2, coefficients)
+    assert str(caught.value) == (
+        f"sh: {coefficients} SH coefficients\n"
+        "wanted 1, 4, 9, 16 or 25 of them (degree 0 to 4)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("position", np.zeros((2, 4), np.float32), "float32 [2, 4]\nwanted float32 [n, 3]"),
+        ("position", np.zeros(2, np.float32), "float32 [2]\nwanted float32 [n, 3]"),
+        ("rotation", np.zeros((3, 4), np.float32), "float32 [3, 4]\nwanted float32 [2, 4]"),
+        ("log_scale", np.zeros((2, 3)), "float64 [2, 3]\nwanted float32 [2, 3]"),
+        (
+            "logit_opacity",
+            np.zeros((2, 1), np.float32),
+            "float32 [2, 1]\nwanted float32 [2]",
+        ),
+        ("sh", [[0.0]], "a list\nwanted float32 [2, k, 3]"),
+        ("sh", np.zeros((2, 3), np.float32), "float32 [2, 3]\nwanted float32 [2, k, 3]"),
+    ],
+)
+def test_splats_refuse_an_array_that_does_not_fit(name, value, text):
+    with pytest.raises(ValueInvalid) as caught:
+        splats_of(2, 1, **{name: value})
+    assert str(caught.value) == f"{name}: {text}"
+
+
+def test_points_refuse_colours_of_another_length():
+    with pytest.raises(ValueInvalid) as caught:
+        PointCloud(np.zeros((2, 3), np.float32), np.zeros((1, 3), np.float32))
+    assert str(caught.value) == "color: float32 [1, 3]\nwanted float32 [2, 3]"
+
+
+def test_packed_rows_keep_two_data_types():
+    packed = PackedRows(np.zeros((2, 10), np.float32), np.zeros((2, 48), np.float16))
+    assert (packed.gaussians.dtype, packed.appearance.dtype) == (np.float32, np.float16)
+    assert len(packed) == 2
+
+
+def test_packed_rows_refuse_doubles():
+    with pytest.raises(ValueInvalid) as caught:
+        PackedRows(np.zeros((2, 10)), np.zeros((2, 3), np.float32))
+    assert str(caught.value) == (
+        "gaussians: float64 [2, 10]\nwanted float16 or float32 [n, 10]"
+    )
+
+
+def test_an_invalid_value_is_both_a_format_error_and_a_value_error():
+    assert issubclass(ValueInvalid, FormatError)
+    assert issubclass(ValueInvalid, ValueError)
