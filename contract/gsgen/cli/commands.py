@@ -65,9 +65,9 @@ class Command:
         return unavailable
 
 
-def find_commands() -> dict[str, Command]:
-    """Return every registered command, by name."""
-    points = sorted(entry_points(group=_GROUP), key=lambda point: point.name)
+def find_commands(group: str = _GROUP) -> dict[str, Command]:
+    """Return every command registered under an entry point group, by name."""
+    points = sorted(entry_points(group=group), key=lambda point: point.name)
     return {point.name: Command(point.name, point, _missing(point)) for point in points}
 
 

@@ -1,0 +1,122 @@
+"""`gsgen export static`: a splat file or a point cloud as a generator."""
+
+__all__ = ["PLUGIN", "static"]
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from gsgen.contract.errors import GsgenError
+from gsgen.sdk.plugin import Plugin
+
+if TYPE_CHECKING:
+    from gsgen.contract.report import Report
+    from gsgen.formats import PackedRows, PointCloud, Splats
+
+
+def static(
+    file: Annotated[Path, typer.Argument(help="PLY or npz file.", show_default=False)],
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", help="The ONNX file to write.", show_default=False),
+    ],
+    dtype: Annotated[
+        Literal["float32", "float16"] | None,
+        typer.Option(help="Of the outputs. [float32, or that of packed rows]"),
+    ] = None,
+    opacity: Annotated[
+        float, typer.Option(help="Of bare points.", min=0.001, max=1.0)
+    ] = 0.1,
+    appearance: Annotated[
+        Literal["sh", "rgb"] | None,
+        typer.Option(help="What packed rows with three channels hold. [rgb]"),
+    ] = None,
+    capacity: Annotated[
+        int | None, typer.Option(help="Rows of the outputs. [as many as needed]", min=1)
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option(help="Name in the manifest. [the file's]")
+    ] = None,
+    color_space: Annotated[
+        Literal["srgb", "linear"], typer.Option(help="Of the colours.")
+    ] = "srgb",
+    antialias: Annotated[
+        Literal["classic", "mip"], typer.Option(help="How the scene was trained.")
+    ] = "classic",
+) -> None:
+    """Export FILE as a generator without inputs."""
+    from gsgen.formats import PackedRows
+    from gsgen.reference_plugins.static import from_content, write_scene
+
+    content = _read(file)
+    typer.echo(f"{file}: {_describe(content)}", err=True)
+    scene = from_content(content, dtype=dtype, opacity=opacity, appearance=appearance)
+    for note in scene.notes:
+        typer.echo(f"note: {note}", err=True)
+    passing_through = isinstance(content, PackedRows)
+    verdicts: list[bool] = []
+
+    def accept(draft: Path) -> None:
+        verdicts.append(_judge(draft))
+        if not (verdicts[0] or passing_through):
+            typer.echo(f"gsgen: {output} was not written", err=True)
+            raise typer.Exit(1)
+
+    write_scene(
+        scene,
+        output,
+        name=name,
+        capacity=capacity,
+        color_space=color_space,
+        antialias=antialias,
+        accept=accept,
+    )
+    size = output.stat().st_size / (1 << 20)
+    verdict = (
+        "conforms"
+        if verdicts[0]
+        else "does NOT conform; the rows were passed through unchanged"
+    )
+    typer.echo(f"{output}: {scene.source}, {scene.rows.dtype}, {size:.1f} MiB; {verdict}")
+
+
+def _read(file: Path) -> "Splats | PointCloud | PackedRows":
+    from gsgen.formats import FormatError, open_splats
+
+    try:
+        return open_splats(file)
+    except FormatError as error:
+        raise GsgenError(str(error)) from error
+
+
+def _describe(content: "Splats | PointCloud | PackedRows") -> str:
+    from gsgen.formats import PointCloud, Splats
+
+    if isinstance(content, Splats):
+        return f"{len(content):,} splats, SH degree {content.degree}"
+    kind = "coloured points" if isinstance(content, PointCloud) else "packed rows"
+    return f"{len(content):,} {kind}"
+
+
+def _judge(draft: Path) -> bool:
+    """Validate what was written; show the findings if it does not conform."""
+    from gsgen.contract.commands.output import show
+    from gsgen.contract.engine import validate
+    from gsgen.contract.reporters.text import render
+
+    report: Report = validate(draft)
+    if report.verdict != "conforms":
+        show(render(report))
+    return report.verdict == "conforms"
+
+
+PLUGIN = Plugin(
+    name="static",
+    summary="A splat file or a coloured point cloud, unchanging.",
+    reads="Reads a 3DGS PLY (SH degree 0 to 3), a point cloud (PLY with red, green, blue; npz with "
+    "points, xyz or means3d and colors), or an npz of packed rows (gaussians and appearance), "
+    "which passes through unchanged.",
+    inputs=(),
+    command=static,
+)

@@ -1,0 +1,1 @@
+"""The wgpu runtime: where validated models are drawn."""

@@ -1,0 +1,106 @@
+"""Run a generator in eager torch, as the reference that an exported model is compared with."""
+
+__all__ = ["Reference", "measure_bounds", "run_eager"]
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gsgen.contract import layout
+from gsgen.contract.geometry import covariance_upper
+from gsgen.contract.manifest import Bounds
+from gsgen.contract.probes import Probe
+from gsgen.sdk.errors import GeneratorInvalid
+from gsgen.sdk.generator import GaussianGenerator, Gaussians
+
+# Bounds are widened by this share of their size, so that times and poses between the probes
+# stay inside too.
+_MARGIN = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """What eager torch gave for one probe, unpacked, with covariances computed in float64.
+
+    Attributes:
+        probe: The inputs.
+        gaussians: The Gaussians before packing and casting.
+        count: How many rows are live.
+    """
+
+    probe: Probe
+    gaussians: layout.Gaussians
+    count: int
+
+
+def run_eager(generator: GaussianGenerator, probe: Probe) -> Reference:
+    """Run ``generator`` once, without gradients.
+
+    Raises:
+        GeneratorInvalid: ``forward`` returned something else than Gaussians.
+    """
+    tensors = [torch.from_numpy(np.array(value)) for value in probe.inputs.values()]
+    with torch.no_grad():
+        made = generator(*tensors)
+    if not isinstance(made, Gaussians):
+        what = f"forward returned {type(made).__name__}, wanted gsgen.sdk.Gaussians"
+        raise GeneratorInvalid(what, where=type(generator).__name__)
+    n = made.position.shape[0]
+    count = n if made.count is None else int(np.clip(int(made.count.reshape(-1)[0]), 0, n))
+    return Reference(probe, _unpacked(made), count)
+
+
+def _unpacked(made: Gaussians) -> layout.Gaussians:
+    if made.covariance is not None:
+        covariance = _wide(made.covariance)
+    else:
+        assert made.scale is not None
+        assert made.rotation is not None
+        covariance = covariance_upper(_wide(made.scale), _wide(made.rotation))
+    return layout.Gaussians(
+        position=_wide(made.position),
+        opacity=_wide(made.opacity).reshape(-1),
+        covariance=covariance,
+        sh=None if made.sh is None else _wide(made.sh),
+        rgb=None if made.rgb is None else _wide(made.rgb),
+    )
+
+
+def _wide(tensor: Tensor) -> np.ndarray:
+    return np.asarray(tensor.detach().to(torch.float64).cpu().numpy())
+
+
+def measure_bounds(references: list[Reference]) -> Bounds:
+    """Return the box around all visible centres of ``references``, slightly widened.
+
+    Raises:
+        GeneratorInvalid: No centre is finite and visible, so there is nothing to bound.
+    """
+    centres = [
+        r.gaussians.position[: r.count][_visible(r)]
+        for r in references
+        if not r.probe.zeros
+    ]
+    points = np.concatenate(centres) if centres else np.zeros((0, 3))
+    if not len(points):
+        raise GeneratorInvalid(
+            "no probe gives a single finite, visible Gaussian",
+            where="forward",
+            mend="Check that opacity is activated and that positions are finite.",
+        )
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = _MARGIN * (high - low) + 1e-6
+    return Bounds(_corner(low - margin), _corner(high + margin))
+
+
+def _visible(reference: Reference) -> np.ndarray:
+    g, n = reference.gaussians, reference.count
+    finite = np.isfinite(g.position[:n]).all(axis=1)
+    return np.asarray(finite & (g.opacity[:n] >= layout.CULL_OPACITY))
+
+
+def _corner(point: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = (float(f"{value:.6g}") for value in point)
+    return x, y, z

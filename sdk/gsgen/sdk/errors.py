@@ -1,0 +1,36 @@
+"""What can stop an export."""
+
+__all__ = ["ExportFailed", "ExportRejected", "GeneratorInvalid", "ParityFailed"]
+
+from typing import TYPE_CHECKING
+
+from gsgen.contract.errors import GsgenError
+
+if TYPE_CHECKING:
+    from gsgen.contract.report import Report
+
+
+class GeneratorInvalid(GsgenError):
+    """A generator declares or returns something that the contract does not know."""
+
+
+class ExportFailed(GsgenError):
+    """Torch could not turn the module into an ONNX graph."""
+
+
+class ParityFailed(GsgenError):
+    """The exported model computes something else than the torch module."""
+
+
+class ExportRejected(GsgenError):
+    """The exported model breaks a rule of the contract.
+
+    Attributes:
+        report: What the validator found.
+    """
+
+    def __init__(
+        self, what: str, report: "Report", *, where: str = "", mend: str = ""
+    ) -> None:
+        super().__init__(what, where=where, mend=mend)
+        self.report = report

@@ -1,0 +1,129 @@
+"""What an author writes: a torch module that declares its inputs and returns Gaussians."""
+
+__all__ = ["GaussianGenerator", "Gaussians"]
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from gsgen.contract.manifest import Input, Producer, Space
+from gsgen.contract.spherical_harmonics import COEFFICIENTS
+from gsgen.sdk.errors import GeneratorInvalid
+from gsgen.sdk.math import covariance_upper
+
+
+@dataclass(frozen=True, slots=True)
+class Gaussians:
+    """N Gaussians in the model's local space, as torch tensors of float32 or float16.
+
+    Shape is given either by ``scale`` and ``rotation`` or by ``covariance``; colour either by
+    ``sh`` or by ``rgb``.
+
+    Attributes:
+        position: Centres, [N, 3].
+        opacity: Opacity after activation in [0, 1], [N] or [N, 1].
+        scale: Linear standard deviations, [N, 3] (after ``exp``, where the method stores logs).
+        rotation: Quaternions (w, x, y, z), [N, 4]; need not be normalised.
+        covariance: Upper triangle xx xy xz yy yz zz, [N, 6].
+        sh: Spherical harmonics, coefficient-major, [N, K, 3] with K = 1, 4, 9 or 16.
+        rgb: Raw colour in [0, 1], [N, 3].
+        count: How many of the first rows are live, an integer tensor of one element; all if absent.
+
+    Raises:
+        GeneratorInvalid: A shape is not as above, or a choice is made twice or not at all.
+    """
+
+    position: Float[Tensor, "n 3"]
+    opacity: Float[Tensor, "..."]
+    scale: Float[Tensor, "n 3"] | None = None
+    rotation: Float[Tensor, "n 4"] | None = None
+    covariance: Float[Tensor, "n 6"] | None = None
+    sh: Float[Tensor, "n k 3"] | None = None
+    rgb: Float[Tensor, "n 3"] | None = None
+    count: Int[Tensor, "..."] | None = None
+
+    def __post_init__(self) -> None:
+        both = self.scale is not None and self.rotation is not None
+        neither = self.scale is None and self.rotation is None
+        if not (both and self.covariance is None) and not (
+            neither and self.covariance is not None
+        ):
+            raise GeneratorInvalid(
+                "give scale and rotation, or covariance", where="Gaussians"
+            )
+        if (self.sh is None) == (self.rgb is None):
+            raise GeneratorInvalid("give exactly one of sh and rgb", where="Gaussians")
+        n = self.position.shape[0]
+        for name, width in (
+            ("position", 3),
+            ("scale", 3),
+            ("rotation", 4),
+            ("covariance", 6),
+        ):
+            self._expect(name, (n, width))
+        self._expect("rgb", (n, 3))
+        self._expect("opacity", (n,), (n, 1))
+        self._expect("sh", *((n, k, 3) for k in COEFFICIENTS))
+        if self.count is not None and self.count.numel() != 1:
+            seen = list(self.count.shape)
+            raise GeneratorInvalid(
+                f"shape is {seen}, wanted one element", where="Gaussians.count"
+            )
+
+    def _expect(self, name: str, *shapes: tuple[int, ...]) -> None:
+        value: Tensor | None = getattr(self, name)
+        if value is None or tuple(value.shape) in shapes:
+            return
+        wanted = " or ".join(str(list(shape)) for shape in shapes)
+        mend = ""
+        if name == "sh" and value.ndim == 3 and value.shape[1] == 3:
+            mend = "It looks channel-major [N, 3, K]: transpose(1, 2) makes it coefficient-major."
+        if name == "sh" and value.ndim == 2:
+            mend = "Reshape to [N, K, 3]; f_rest of a 3DGS PLY is channel-major: [N, 3, K-1] first."
+        what = f"shape is {list(value.shape)}, wanted {wanted}"
+        raise GeneratorInvalid(what, where=f"Gaussians.{name}", mend=mend)
+
+    def covariances(self) -> Float[Tensor, "n 6"]:
+        """Return the covariance's upper triangle, computed if it was not given."""
+        if self.covariance is not None:
+            return self.covariance
+        assert self.scale is not None
+        assert self.rotation is not None
+        return covariance_upper(self.scale, self.rotation)
+
+
+class GaussianGenerator(nn.Module, ABC):
+    """A torch module that emits Gaussians every frame.
+
+    Subclasses set the class attributes below (or set them on the instance) and write
+    ``forward``, which takes the declared inputs in order and returns :class:`Gaussians`.
+
+    Attributes:
+        inputs: Frame inputs, made by the functions of :mod:`gsgen.sdk.inputs`.
+        space: Coordinate frame and matrix memory order.
+        color_space: Of the colours that come out of SH or RGB.
+        antialias: How the model was trained: ``classic`` (0.3 px dilation) or ``mip``.
+        depends_on: Role → whether outputs change with it; roles not named do.
+        family: ``static``, ``mlp``, ``4d``, ``avatar`` or another word.
+        producer: Tool, source and licence; the SDK fills in itself where absent.
+    """
+
+    inputs: ClassVar[Sequence[Input]] = ()
+    space: Space = Space()
+    color_space: Literal["srgb", "linear"] = "srgb"
+    antialias: Literal["classic", "mip"] = "classic"
+    depends_on: ClassVar[dict[str, bool]] = {}
+    family: str | None = None
+    producer: Producer | None = None
+
+    @abstractmethod
+    def forward(self, *inputs: Tensor) -> Any:
+        """Return the :class:`Gaussians` of one frame.
+
+        Args:
+            inputs: One tensor for each declared input, in order, of its role's shape and dtype.
+        """

@@ -1,0 +1,189 @@
+"""Compare an exported model with the torch module it came from, each field in its own unit.
+
+Positions are compared in standard deviations of their Gaussian, covariances relative to their
+trace, opacity absolutely, and appearance as the colour seen from 64 directions. On top of each
+tolerance comes the rounding of the storage dtype, which no export can avoid.
+"""
+
+__all__ = ["FieldParity", "Parity", "compare", "fibonacci_directions"]
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract import layout
+from gsgen.contract.manifest import Tolerances
+from gsgen.contract.spherical_harmonics import basis, degree_of
+from gsgen.sdk.eager import Reference
+
+DIRECTIONS = 64
+
+# Kernels of another library round differently in every step; this many units in the last place
+# of float32 is what a long chain of them may add up to.
+_ULPS = 16
+_EPSILON = {"float32": 2.0**-24, "float16": 2.0**-11}
+_SUBNORMAL = {"float32": 2.0**-149, "float16": 2.0**-24}
+_CHUNK = 8192
+
+
+@dataclass(frozen=True, slots=True)
+class FieldParity:
+    """The largest disagreement in one field.
+
+    Attributes:
+        field: ``position``, ``covariance``, ``opacity`` or ``appearance``.
+        error: The largest error, in the field's unit.
+        excess: The error over what is allowed; above 1 is a failure.
+        probe: Label of the probe where it was seen.
+        row: The Gaussian.
+    """
+
+    field: str
+    error: float
+    excess: float
+    probe: str
+    row: int
+
+
+@dataclass(frozen=True, slots=True)
+class Parity:
+    """The result of a comparison: the worst of each field, over all probes.
+
+    Attributes:
+        fields: One entry a field.
+        probes: How many probes were compared.
+    """
+
+    fields: tuple[FieldParity, ...]
+    probes: int
+
+    @property
+    def holds(self) -> bool:
+        """Whether every field agrees within its tolerance; NaN does not."""
+        return all(field.excess <= 1 for field in self.fields)
+
+    def describe(self) -> str:
+        """Say the largest error of each field."""
+        parts = [
+            f"{f.field} {f.error:.2g} ({100 * f.excess:.3g} % of allowed)"
+            for f in self.fields
+        ]
+        return ", ".join(parts)
+
+
+def compare(
+    references: list[Reference],
+    outputs: list[tuple[np.ndarray, np.ndarray, int]],
+    tolerances: Tolerances,
+) -> Parity:
+    """Compare what a model emitted with what eager torch gave for the same probes.
+
+    Args:
+        references: Eager results.
+        outputs: ``(gaussians [C, 10], appearance [C, channels], count)`` of each probe.
+        tolerances: Allowed errors.
+    """
+    worst: dict[str, FieldParity] = {}
+    for reference, (rows, color, count) in zip(references, outputs, strict=True):
+        if reference.probe.zeros and not _all_finite(reference):
+            continue  # a fault of the module itself, which rule GI009 reports
+        for one in _compare_probe(reference, rows, color, count, tolerances):
+            known = worst.get(one.field)
+            if known is None or not one.excess <= known.excess:
+                worst[one.field] = one
+    return Parity(tuple(worst.values()), len(references))
+
+
+def _all_finite(reference: Reference) -> bool:
+    g = reference.gaussians
+    return all(np.isfinite(part).all() for part in (g.position, g.covariance, g.opacity))
+
+
+def _compare_probe(
+    reference: Reference,
+    rows: np.ndarray,
+    color: np.ndarray,
+    count: int,
+    tolerances: Tolerances,
+) -> Iterator[FieldParity]:
+    label, n = reference.probe.label, reference.count
+    if count != n:
+        yield FieldParity("count", abs(count - n), np.inf, label, 0)
+        return
+    for start in range(0, n, _CHUNK):
+        part = slice(start, min(start + _CHUNK, n))
+        for name, error, allowed in _fields(
+            reference.gaussians, part, rows, color, tolerances
+        ):
+            ratio = error / allowed
+            ratio[np.isnan(ratio)] = np.inf
+            row = int(np.argmax(ratio))
+            yield FieldParity(
+                name, float(error[row]), float(ratio[row]), label, start + row
+            )
+
+
+Measured = tuple[str, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
+
+
+def _fields(
+    wanted: layout.Gaussians,
+    part: slice,
+    rows: np.ndarray,
+    color: np.ndarray,
+    tolerances: Tolerances,
+) -> Iterator[Measured]:
+    """Yield each field's error and allowance, row by row."""
+    seen = rows[part].astype(np.float64)
+    rounding = _rounding(rows.dtype.name)
+    tiny = 2 * _SUBNORMAL[rows.dtype.name]
+    position, covariance = wanted.position[part], wanted.covariance[part]
+    trace = np.maximum(covariance[:, [0, 3, 5]].sum(axis=1), 1e-30)
+    sigma = np.sqrt(trace / 3)
+
+    error = np.abs(seen[:, layout.POSITION] - position).max(axis=1)
+    scale = np.abs(position).max(axis=1)
+    yield "position", error / sigma, tolerances.position + (rounding * scale + tiny) / sigma
+
+    error = np.abs(seen[:, layout.COVARIANCE] - covariance).max(axis=1) / trace
+    yield "covariance", error, tolerances.covariance + rounding + tiny / trace
+
+    error = np.abs(seen[:, layout.OPACITY] - wanted.opacity[part])
+    yield "opacity", error, np.full(len(error), tolerances.opacity + rounding)
+    yield _appearance(wanted, part, color[part].astype(np.float64), rounding, tolerances)
+
+
+def _appearance(
+    wanted: layout.Gaussians,
+    part: slice,
+    seen: np.ndarray,
+    rounding: float,
+    tolerances: Tolerances,
+) -> Measured:
+    if wanted.rgb is not None:
+        rgb = wanted.rgb[part]
+        allowed = tolerances.appearance + rounding * np.abs(rgb).max(axis=1)
+        return "appearance", np.abs(seen[:, :3] - rgb).max(axis=1), allowed
+    assert wanted.sh is not None
+    sh = wanted.sh[part]
+    weights = basis(fibonacci_directions(DIRECTIONS), degree_of(sh.shape[1]))
+    difference = seen.reshape(sh.shape) - sh
+    error = np.abs(np.einsum("dk,nkc->ndc", weights, difference)).max(axis=(1, 2))
+    largest = np.einsum("dk,nkc->ndc", np.abs(weights), np.abs(sh)).max(axis=(1, 2))
+    return "appearance", error, tolerances.appearance + rounding * largest
+
+
+def _rounding(dtype: str) -> float:
+    """Return the relative error that storage and float32 kernels may add."""
+    return _EPSILON[dtype] + _ULPS * _EPSILON["float32"]
+
+
+def fibonacci_directions(count: int) -> Float[np.ndarray, "count 3"]:
+    """Return unit vectors spread evenly over the sphere (a Fibonacci lattice)."""
+    index = np.arange(count) + 0.5
+    z = 1 - 2 * index / count
+    angle = np.pi * (1 + np.sqrt(5)) * index
+    ring = np.sqrt(1 - z * z)
+    return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
