@@ -40,6 +40,7 @@ from gsgen.contract.manifest import (
 from gsgen.contract.spherical_harmonics import (
     COEFFICIENTS,
     MAX_DEGREE,
+    basis,
     coefficients,
     degree_of,
 )
@@ -52,6 +53,7 @@ INITIAL_OPACITY = 0.1
 # The published initialisation clamps squared distances here, so that duplicates have a size.
 _SMALLEST_SQUARE = 1e-7
 _NEIGHBOURS = 3
+_UP = np.array([[0.0, -1.0, 0.0]])
 _BOUNDS_MARGIN = 1e-3
 
 Dtype = Literal["float32", "float16"]
@@ -87,6 +89,7 @@ def from_content(
     dtype: Dtype | None = None,
     opacity: float = INITIAL_OPACITY,
     appearance: Literal["sh", "rgb"] | None = None,
+    sh_degree: int | None = None,
 ) -> StaticScene:
     """Turn what a file holds into packed rows.
 
@@ -95,6 +98,8 @@ def from_content(
         dtype: Of the rows; float32, or that of packed rows, where absent.
         opacity: Of bare points, in (0, 1].
         appearance: What packed rows with three channels hold, RGB where absent.
+        sh_degree: Cut SH to this degree, or fill up to it with zeros; points become SH with it,
+            and raw RGB without. Packed rows stay as they are.
 
     Raises:
         GsgenError: Packed rows have a number of channels that means nothing.
@@ -102,17 +107,15 @@ def from_content(
     if isinstance(content, PackedRows):
         return _from_rows(content, dtype, appearance)
     if isinstance(content, Splats):
-        return _from_splats(content, dtype or "float32")
-    return _from_points(content, dtype or "float32", opacity)
+        return _from_splats(content, dtype or "float32", sh_degree)
+    return _from_points(content, dtype or "float32", opacity, sh_degree)
 
 
-def _from_splats(splats: Splats, dtype: Dtype) -> StaticScene:
-    degree = min(splats.degree, MAX_DEGREE)
+def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> StaticScene:
+    degree = min(splats.degree, MAX_DEGREE) if sh_degree is None else sh_degree
     notes: tuple[str, ...] = ()
-    if splats.degree > MAX_DEGREE:
-        notes = (
-            f"SH degree {splats.degree} is cut to {MAX_DEGREE}, the contract's highest",
-        )
+    if splats.degree > degree:
+        notes = (f"SH degree {splats.degree} is cut to {degree}",)
     with np.errstate(
         over="ignore"
     ):  # exp(-(-inf)) is inf, and 1 / (1 + inf) is the 0 it means
@@ -123,13 +126,23 @@ def _from_splats(splats: Splats, dtype: Dtype) -> StaticScene:
         covariance=covariance_upper(
             np.exp(splats.log_scale.astype(np.float64)), splats.rotation
         ),
-        sh=splats.sh[:, : coefficients(degree)],
+        sh=_of_degree(splats.sh, degree),
     )
     source = f"{len(splats):,} splats of SH degree {splats.degree}"
     return StaticScene(*layout.encode(gaussians, _type(dtype)), "sh", source, notes)
 
 
-def _from_points(points: PointCloud, dtype: Dtype, opacity: float) -> StaticScene:
+def _of_degree(sh: Float[np.ndarray, "n k 3"], degree: int) -> Float[np.ndarray, "n l 3"]:
+    """Cut SH to a degree, or fill it up with zeros."""
+    made = np.zeros((len(sh), coefficients(degree), 3), sh.dtype)
+    shared = min(made.shape[1], sh.shape[1])
+    made[:, :shared] = sh[:, :shared]
+    return made
+
+
+def _from_points(
+    points: PointCloud, dtype: Dtype, opacity: float, sh_degree: int | None
+) -> StaticScene:
     scale = neighbour_scale(points.position)
     n = len(points)
     covariance = np.zeros((n, 6))
@@ -138,10 +151,19 @@ def _from_points(points: PointCloud, dtype: Dtype, opacity: float) -> StaticScen
         position=points.position,
         opacity=np.full(n, opacity),
         covariance=covariance,
-        rgb=points.color,
+        rgb=points.color if sh_degree is None else None,
+        sh=None
+        if sh_degree is None
+        else _of_degree(_constant_term(points.color), sh_degree),
     )
+    space: Literal["sh", "rgb"] = "rgb" if sh_degree is None else "sh"
     source = f"{n:,} coloured points"
-    return StaticScene(*layout.encode(gaussians, _type(dtype)), "rgb", source)
+    return StaticScene(*layout.encode(gaussians, _type(dtype)), space, source)
+
+
+def _constant_term(color: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 1 3"]:
+    """Return the SH of degree 0 that shows ``color`` from everywhere: 0.5 + Y₀ c₀ = colour."""
+    return np.asarray((np.asarray(color, np.float64)[:, None] - 0.5) / basis(_UP, 0)[0, 0])
 
 
 def _from_rows(

@@ -32,6 +32,14 @@ def static(
         Literal["sh", "rgb"] | None,
         typer.Option(help="What packed rows with three channels hold. [rgb]"),
     ] = None,
+    sh_degree: Annotated[
+        int | None,
+        typer.Option(
+            help="Cut SH to this degree or fill up to it; points become SH. [as in the file]",
+            min=0,
+            max=3,
+        ),
+    ] = None,
     capacity: Annotated[
         int | None, typer.Option(help="Rows of the outputs. [as many as needed]", min=1)
     ] = None,
@@ -51,7 +59,9 @@ def static(
 
     content = _read(file)
     typer.echo(f"{file}: {_describe(content)}", err=True)
-    scene = from_content(content, dtype=dtype, opacity=opacity, appearance=appearance)
+    scene = from_content(
+        content, dtype=dtype, opacity=opacity, appearance=appearance, sh_degree=sh_degree
+    )
     for note in scene.notes:
         typer.echo(f"note: {note}", err=True)
     passing_through = isinstance(content, PackedRows)

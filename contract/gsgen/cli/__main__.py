@@ -1,0 +1,5 @@
+"""`python -m gsgen.cli` is `gsgen`."""
+
+from gsgen.cli import main
+
+main()
