@@ -1,0 +1,43 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.formats import PackedRows
+from gsgen.reference_plugins.static import from_content, write_scene
+
+
+def rows(n: int = 40, dtype: type = np.float32) -> np.ndarray:
+    rng = np.random.default_rng(5)
+    made = np.zeros((n, 10), dtype)
+    made[:, :3] = rng.normal(size=(n, 3))
+    made[:, 3] = rng.uniform(0.2, 0.9, n)
+    made[:, [4, 7, 9]] = rng.uniform(0.01, 0.1, (n, 3))
+    return made
+
+
+def write_rows(path: Path, packed: np.ndarray, color: np.ndarray | None = None) -> Path:
+    if color is None:
+        color = np.full((len(packed), 4), 0.5, packed.dtype)
+    write_scene(from_content(PackedRows(packed, color)), path)
+    return path
+
+
+@pytest.fixture
+def good(tmp_path: Path) -> Path:
+    return write_rows(tmp_path / "good.onnx", rows())
+
+
+@pytest.fixture
+def nan(tmp_path: Path) -> Path:
+    packed = rows()
+    packed[7, 0] = np.nan
+    return write_rows(tmp_path / "nan.onnx", packed)
+
+
+@pytest.fixture
+def dim(tmp_path: Path) -> Path:
+    """A model that breaks GV004, a warning, and nothing else."""
+    packed = rows()
+    packed[:, 3] = 0.001
+    return write_rows(tmp_path / "dim.onnx", packed)

@@ -1,0 +1,136 @@
+import json
+from pathlib import Path
+
+import pytest
+
+from support.commands import gsgen
+
+
+def test_a_good_model_conforms(good: Path) -> None:
+    ran = gsgen("validate", good)
+    assert ran.code == 0
+    assert "conforms: " in ran.out
+    assert ran.err == ""
+
+
+def test_a_broken_model_exits_1_and_says_what_where_and_how_to_mend(nan: Path) -> None:
+    ran = gsgen("validate", nan)
+    assert ran.code == 1
+    assert "GV001 error rows-finite" in ran.out
+    assert "output gaussians: 1 of 40 rows (2.5 %), first row 7" in ran.out
+    assert "mend: " in ran.out
+    assert "Traceback" not in ran.out + ran.err
+
+
+def test_json_has_the_same_verdict(nan: Path) -> None:
+    ran = gsgen("validate", nan, "--format", "json")
+    document = json.loads(ran.out)
+    assert document["verdict"] == "invalid"
+    assert [finding["rule"] for finding in document["findings"]] == ["GV001"]
+    assert document["findings"][0]["stats"]["examples"][0]["row"] == 7
+    statuses = {rule["status"] for rule in document["rules"]}
+    assert statuses <= {"pass", "fail", "skipped", "not-applicable"}
+
+
+def test_output_goes_to_a_file_whole(nan: Path, tmp_path: Path) -> None:
+    target = tmp_path / "deep" / "report.json"
+    ran = gsgen("validate", nan, "--format", "json", "-o", target)
+    assert ran.code == 1
+    assert ran.out == ""
+    assert json.loads(target.read_text())["verdict"] == "invalid"
+    assert [path.name for path in target.parent.iterdir()] == ["report.json"]
+
+
+def test_several_models_give_several_reports(good: Path, nan: Path) -> None:
+    ran = gsgen("validate", good, nan, "--format", "json")
+    assert ran.code == 1
+    assert [r["verdict"] for r in json.loads(ran.out)["reports"]] == ["conforms", "invalid"]
+
+
+def test_an_unreadable_file_exits_4_and_the_others_are_still_judged(
+    good: Path, tmp_path: Path
+) -> None:
+    empty = tmp_path / "empty.onnx"
+    empty.touch()
+    ran = gsgen("validate", empty, good)
+    assert ran.code == 4
+    assert f"gsgen: {empty}: is empty" in ran.err
+    assert "conforms" in ran.out
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [
+        ((), 0),
+        (("--fail-on", "warning"), 1),
+        (("--fail-on", "warning", "--ignore", "GV004"), 0),
+        (("--fail-on", "warning", "--ignore", "mostly-visible,GM001"), 0),
+        (("--severity", "GV004=error"), 1),
+        (("--severity", "gv004=error", "--severity", "GV004=info"), 0),
+        (("--fail-on", "info", "--severity", "GV004=info"), 1),
+    ],
+)
+def test_what_fails_is_for_the_user_to_say(
+    dim: Path, options: tuple[str, ...], code: int
+) -> None:
+    assert gsgen("validate", dim, *options).code == code
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--ignore", "GV999"), "--ignore: unknown rule 'GV999'"),
+        (("--severity", "GV004=fatal"), "unknown severity 'fatal'"),
+        (("--severity", "GV004"), "Write it as GV004=error."),
+        (("--level", "behavior"), "Did you mean 'behaviour'?"),
+        (("--target", "webgpuu"), "Did you mean 'webgpu'?"),
+        (("--target", "webgpu@9"), "has version 1.0, not 9"),
+        (("--fail-on", "never"), "unknown severity 'never'"),
+        (("--config", "nowhere.toml"), "nowhere.toml: cannot be read"),
+        (("--format", "yaml"), "yaml"),
+        (("--frobnicate",), "No such option"),
+    ],
+)
+def test_a_wrong_option_exits_2_and_names_itself(
+    good: Path, options: tuple[str, ...], words: str
+) -> None:
+    ran = gsgen("validate", good, *options)
+    assert ran.code == 2
+    assert words in ran.err
+    assert "Traceback" not in ran.err
+
+
+def test_an_unknown_command_names_the_nearest() -> None:
+    ran = gsgen("validat")
+    assert ran.code == 2
+    assert ran.err == "gsgen: unknown command 'validat'\n  Did you mean 'validate'?\n"
+
+
+def test_configuration_is_found_in_the_folder_and_the_command_line_wins(dim: Path) -> None:
+    (dim.parent / "gsgen.toml").write_text('[validate]\nfail_on = "warning"\n')
+    assert gsgen("validate", dim, cwd=dim.parent).code == 1
+    assert gsgen("validate", dim, "--fail-on", "error", cwd=dim.parent).code == 0
+    (dim.parent / "gsgen.toml").write_text('[validate]\nfail-on = "warning"\n')
+    ran = gsgen("validate", dim, cwd=dim.parent)
+    assert ran.code == 2
+    assert "unknown key 'fail-on'" in ran.err
+    assert "'fail_on'" in ran.err
+
+
+def test_levels_that_cannot_run_are_named_and_do_not_pass_in_silence(good: Path) -> None:
+    ran = gsgen("validate", good, "--level", "render")
+    assert ran.code == 0
+    assert "level live did not run" in ran.out
+    assert "level render did not run" in ran.out
+
+
+def test_a_model_without_manifest_is_judged_all_the_same(good: Path) -> None:
+    import onnx
+
+    model = onnx.load(good)
+    del model.metadata_props[:]
+    onnx.save(model, good)
+    ran = gsgen("validate", good)
+    assert ran.code == 0
+    assert "GM001 warning manifest-present" in ran.out
+    assert gsgen("validate", good, "--strict").code == 1
