@@ -1,63 +1,22 @@
-"""Last steps on an exported graph: outputs that survive capture, and the manifest inside."""
+"""Last steps on an exported graph: what every runtime gets right, and the manifest inside."""
 
-__all__ = ["EndOutputsOnCompute", "finish"]
+__all__ = ["finish"]
 
-import numpy as np
 import onnx_ir as ir
-from onnx_ir import passes
+from onnx_ir.passes.common import NameFixPass
 
 from gsgen.contract.manifest import Manifest
 from gsgen.contract.manifest_json import dumps
 from gsgen.contract.model import MANIFEST_KEY
-
-_VIEWS = frozenset({"Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"})
-
-
-class EndOutputsOnCompute(passes.InPlacePass):
-    """End every output on an operator that computes: Mul by one.
-
-    Graph capture records kernels, not buffer copies, so an output that Reshape or its kin makes
-    repeats the first frame for ever. An output that is a weight loses its name in some runtimes::
-
-        Reshape → color_sh        →   Reshape → Mul(1) → color_sh
-        weight (color_sh)         →   weight → Mul(1) → color_sh
-
-    Multiplying by one changes no bit of a number.
-    """
-
-    def call(self, model: ir.Model) -> passes.PassResult:
-        """Mend every output that needs it."""
-        modified = False
-        seen: set[ir.Value] = set()
-        for index, value in enumerate(model.graph.outputs):
-            producer = value.producer()
-            if producer is None or producer.op_type in _VIEWS or value in seen:
-                self._end_on_mul(model.graph, index, value)
-                modified = True
-            seen.add(value)
-        return passes.PassResult(model, modified=modified)
-
-    def _end_on_mul(self, graph: ir.Graph, index: int, value: ir.Value) -> None:
-        name, kind = value.name, value.dtype
-        if kind is None:
-            raise ValueError(f"output {name!r} has no dtype")
-        value.name = f"{name}_uncopied"
-        one = ir.Value(
-            name=f"{name}_one",
-            const_value=ir.tensor(np.ones((), kind.numpy()), name=f"{name}_one"),
-            type=ir.TensorType(kind),
-            shape=ir.Shape([]),
-        )
-        node = ir.Node("", "Mul", [value, one], name=f"{name}_end")
-        made = node.outputs[0]
-        made.name, made.type, made.shape = name, value.type, value.shape
-        graph.append(node)
-        graph.register_initializer(one)
-        graph.outputs[index] = made
+from gsgen.sdk.passes import EndOutputsOnCompute, MultiplyMatrices
 
 
 def finish(model: ir.Model, manifest: Manifest) -> ir.Model:
-    """Make outputs capture-safe and embed ``manifest``; the model given is changed."""
+    """Rewrite what runtimes get wrong and embed ``manifest``; the model given is changed."""
+    NameFixPass()(
+        model
+    )  # the exporter may call a tensor `view` although an input is called so
+    MultiplyMatrices()(model)
     EndOutputsOnCompute()(model)
     model.metadata_props.clear()  # the exporter's notes name files of the author's machine
     for node in model.graph.all_nodes():
