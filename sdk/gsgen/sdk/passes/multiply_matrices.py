@@ -46,7 +46,7 @@ def _rewrite(node: ir.Node) -> None:
         lifted = _reaxed(
             graph, "Unsqueeze", operands[index], [axis], f"{node.name}_{index}"
         )
-        (size,) = operands[index].shape
+        size = _size(operands[index])
         lifted.outputs[0].shape = ir.Shape([1, size] if index == 0 else [size, 1])
         graph.insert_before(node, lifted)
         operands[index] = lifted.outputs[0]
@@ -60,6 +60,12 @@ def _rewrite(node: ir.Node) -> None:
     ir.convenience.replace_all_uses_with(old, made, replace_graph_outputs=True)
     graph.remove(node, safe=True)
     made.name = name
+
+
+def _size(vector: ir.Value | None) -> int | ir.SymbolicDim:
+    assert vector is not None
+    assert vector.shape is not None
+    return vector.shape[0]
 
 
 def _reaxed(
