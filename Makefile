@@ -38,7 +38,7 @@ check: setup
 
 # Throughput, start-up and memory, as ratios against a baseline measured in the same run.
 bench: setup
-	$(BIN)/python -m pytest tests/bench -m bench -s -p no:xdist
+	$(BIN)/python -m pytest tests/bench -o python_files='bench_*.py' -o python_functions='bench_*' -s -q
 
 docs: setup
 	$(BIN)/gsgen rules --pages docs/rules

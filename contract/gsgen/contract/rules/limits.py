@@ -9,7 +9,10 @@ from gsgen.contract.roles import KINDS
 from gsgen.contract.rule import rule
 from gsgen.contract.subject import Subject
 
+# Bits of an element, where that is not 32.
 _BITS = {
+    "complex128": 128,
+    "complex64": 64,
     "float64": 64,
     "int64": 64,
     "uint64": 64,
@@ -20,6 +23,18 @@ _BITS = {
     "int8": 8,
     "uint8": 8,
     "bool": 8,
+    "float8e4m3fn": 8,
+    "float8e4m3fnuz": 8,
+    "float8e5m2": 8,
+    "float8e5m2fnuz": 8,
+    "float8e8m0": 8,
+    "float6e2m3": 6,
+    "float6e3m2": 6,
+    "float4e2m1": 4,
+    "int4": 4,
+    "uint4": 4,
+    "int2": 2,
+    "uint2": 2,
 }
 _MIB = 1 << 20
 
@@ -29,10 +44,10 @@ def tensor_bytes(tensor: Tensor) -> int:
     dims = static_dims(tensor)
     if dims is None:
         return 0
-    size = _BITS.get(tensor.dtype or "", 32) // 8
+    bits = _BITS.get(tensor.dtype or "", 32)
     for dim in dims:
-        size *= int(dim)
-    return size
+        bits *= int(dim)
+    return -(-bits // 8)
 
 
 def _buffers(subject: Subject) -> Iterator[tuple[str, int]]:
@@ -43,7 +58,7 @@ def _buffers(subject: Subject) -> Iterator[tuple[str, int]]:
 
 
 def _mib(size: int) -> str:
-    return f"{size / _MIB:.1f} MiB"
+    return f"{size / _MIB:.1f} MiB ({size} bytes)"
 
 
 @rule(

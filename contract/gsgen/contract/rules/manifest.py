@@ -10,6 +10,7 @@ from gsgen.contract.model import MANIFEST_KEY
 from gsgen.contract.roles import KINDS
 from gsgen.contract.rule import rule
 from gsgen.contract.subject import Subject
+from gsgen.contract.upgrades import CURRENT
 
 _ITEMSIZE = {"float32": 4, "float16": 2}
 
@@ -174,8 +175,8 @@ def _gaussians_agree(subject: Subject) -> Iterator[Breach]:
         )
     first = tensor.dims[0] if tensor.dims else None
     guessed = subject.candidate is not None  # taken from the graph, so it cannot disagree
-    known = len(tensor.dims) == 2 and isinstance(first, int) and not guessed
-    if known and first != declared.capacity:
+    known = len(tensor.dims) == 2 and isinstance(first, int) and first > 0
+    if known and not guessed and first != declared.capacity:
         want = f"the declared capacity {declared.capacity}"
         yield Breach.at(place, f"graph has {first} rows", want)
 
@@ -185,7 +186,8 @@ def _appearance_agrees(subject: Subject) -> Iterator[Breach]:
     if (
         declared is None
         or tensor is None
-        or not tensor.dims
+        or tensor.dims is None
+        or len(tensor.dims) != 2
         or tensor.dtype not in _ITEMSIZE
     ):
         return
@@ -276,4 +278,6 @@ def manifest_minor_known(subject: Subject) -> Iterator[Breach]:
     """
     if subject.parsed is not None and subject.parsed.newer and subject.parsed.version:
         major, minor = subject.parsed.version
-        yield Breach.at("manifest contract", f"{major}.{minor}", "1.0 or older")
+        yield Breach.at(
+            "manifest contract", f"{major}.{minor}", f"{CURRENT[0]}.{CURRENT[1]} or older"
+        )

@@ -36,15 +36,16 @@ def external_data_inside(subject: Subject) -> Iterator[Breach]:
     root = subject.file.path.resolve().parent
     faults: dict[str, tuple[str, str]] = {}
     for ref in subject.file.external:
-        fault = _fault(ref, root)
+        weight = subject.graph.initializers.get(ref.tensor)
+        fault = _fault(ref, root, tensor_bytes(weight) if weight else 0)
         if fault is not None:
             faults.setdefault(ref.location, fault)
     for location, (saw, want) in faults.items():
         yield Breach.at(f"external data {location!r}", saw, want)
 
 
-def _fault(ref: ExternalRef, root: Path) -> tuple[str, str] | None:
-    """Say what is wrong with a reference, without opening the file."""
+def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None:
+    """Say what is wrong with a reference to a weight of ``payload`` bytes, without opening the file."""
     windows, posix = PureWindowsPath(ref.location), PurePosixPath(ref.location)
     if not ref.location or "\0" in ref.location:
         return "no file name", "a file beside the model"
@@ -63,7 +64,8 @@ def _fault(ref: ExternalRef, root: Path) -> tuple[str, str] | None:
         return f"is a link to {path}", "a file below the model's folder"
     if not path.is_file():
         return f"no such file (weight {ref.tensor!r})", "a file beside the model"
-    needed, size = ref.offset + (ref.length or 0), path.stat().st_size
+    needed = ref.offset + (payload if ref.length is None else ref.length)
+    size = path.stat().st_size
     if needed > size:
         return f"has {size} bytes (weight {ref.tensor!r})", f"at least {needed}"
     return None

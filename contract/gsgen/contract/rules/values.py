@@ -26,12 +26,18 @@ _INF_BITS = {2: 0x7C00, 4: 0x7F800000}
 # One unit in the last place of float16 below 1 is 2⁻¹¹; a sigmoid may round up by that much.
 _OPACITY_SLACK = 1e-3
 _MOSTLY_DEAD = 0.9
-# How negative an eigenvalue may be by rounding alone, relative to the trace.
+# How negative an eigenvalue may be by rounding alone: relative to the trace, and, because the
+# smallest float16 numbers are 2⁻²⁴ apart, for three entries a row that are off by half of that.
 _PSD_SLACK = {2: 2.0**-10, 4: 1e-5}
+_PSD_FLOOR = {2: 3 * 2.0**-25, 4: 0.0}
+# What rounding may do to a determinant in float32, relative to its largest terms, and the size
+# below which terms lose bits.
+_DET_DOUBT = np.float32(2e-6)
+_DET_FLOOR = np.float32(1e-30)
 _COLOR_SLACK = 1e-2
 
 _ROWS = ("GV025", "GO001", "GO002", "GO008")
-_COLOR = ("GV025", "GO005", "GO006", "GO008")
+_COLOR = (*_ROWS, "GO005", "GO006", "GO007")
 
 
 def _subject(rows: Rows) -> str:
@@ -55,11 +61,13 @@ def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], judged: int) -> Itera
     color = rows.color
     if color is None:
         return
-    bad = np.zeros(len(rows), bool)
+    bad, shown = np.zeros(len(rows), bool), color[:, :1]
     if peak_bits(color) >= _INF_BITS[color.itemsize]:
-        bad = ~np.isfinite(color).all(axis=1) & among
+        broken = ~np.isfinite(color)
+        bad = broken.any(axis=1) & among
+        shown = np.take_along_axis(color, broken.argmax(axis=1)[:, None], axis=1)
     yield Breach.rows(
-        Where(_color_subject(rows)), bad, color, "finite values", judged=judged
+        Where(_color_subject(rows)), bad, shown, "finite values", judged=judged
     )
 
 
@@ -207,7 +215,7 @@ def covariance_psd(rows: Rows) -> Iterator[Breach]:
         Build the covariance as R S Sᵀ Rᵀ with a normalised rotation; in float16, scale the scene
         so that variances do not underflow.
     """
-    slack = _PSD_SLACK[rows.packed.itemsize]
+    slack, floor = _PSD_SLACK[rows.packed.itemsize], _PSD_FLOOR[rows.packed.itemsize]
     suspects = np.flatnonzero(rows.drawn & ~_surely_psd(rows, slack))
     bad = np.zeros(len(rows), bool)
     lowest = np.zeros(len(rows))
@@ -216,7 +224,7 @@ def covariance_psd(rows: Rows) -> Iterator[Breach]:
         diagonal = upper[:, [0, 3, 5]]
         smallest = smallest_eigenvalue(upper)
         lowest[suspects] = smallest
-        broken = ~(smallest >= -slack * np.abs(diagonal).sum(axis=1))
+        broken = ~(smallest >= -slack * np.abs(diagonal).sum(axis=1) - floor)
         bad[suspects] = broken & (diagonal >= 0).all(axis=1)  # negative ones are GV005's
     yield Breach.rows(
         Where(_subject(rows), "covariance"),
@@ -234,8 +242,10 @@ def _surely_psd(rows: Rows, slack: float) -> Bool[np.ndarray, " n"]:
     lift = np.float32(slack) * rows.trace
     a, b, c = xx + lift, yy + lift, zz + lift
     minor = a * b - xy * xy
-    det = c * minor - a * yz * yz - b * xz * xz + 2 * xy * xz * yz
-    return np.asarray((a > 0) & (minor > 0) & (det > 1e-4 * slack * a * b * c))
+    taken = a * yz * yz + b * xz * xz
+    det = c * minor - taken + 2 * xy * xz * yz
+    doubt = np.maximum(_DET_DOUBT * (a * b * c + taken), _DET_FLOOR)
+    return np.asarray((a > 0) & (minor > 0) & (det > doubt))
 
 
 @rule(
@@ -337,7 +347,7 @@ def rgb_range(rows: Rows) -> Iterator[Breach]:
     Severity.ERROR,
     over="emission",
     fixture="count_above_capacity",
-    needs=("GV025", "GO010", "GO011"),
+    needs=("GV025", "GO001", "GO002", "GO010", "GO011"),
 )
 def count_range(emission: Emission) -> Iterator[Breach]:
     """The row count lies between 0 and the capacity, at every probe.

@@ -1,0 +1,148 @@
+"""What validation costs, as ratios against a baseline measured in the same run.
+
+Printed and asserted against the project's bars; run by ``make bench``, never by ``make test``.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+
+from gsgen.contract.config import Settings
+from gsgen.contract.engine import validate
+from gsgen.contract.finding import Level
+from gsgen.contract.reporters.machine import to_json
+from gsgen.formats import PackedRows
+from gsgen.reference_plugins.static import from_content, write_scene
+
+MEBIBYTE = 1 << 20
+MILLION = 1_000_000
+
+
+def best(action: Callable[[], object], times: int = 5) -> float:
+    """Return the shortest of several runs, in seconds."""
+    taken = []
+    for _ in range(times):
+        began = time.perf_counter()
+        action()
+        taken.append(time.perf_counter() - began)
+    return min(taken)
+
+
+def say(text: str) -> None:
+    sys.stdout.write(f"\n  {text}")
+
+
+def million(dtype: type, degree: int) -> PackedRows:
+    rng = np.random.default_rng(0)
+    rows = np.zeros((MILLION, 10), dtype)
+    rows[:, :3] = rng.normal(size=(MILLION, 3))
+    rows[:, 3] = rng.uniform(0.1, 1, MILLION)
+    root = rng.normal(size=(MILLION, 3, 3)).astype(np.float32) * 0.2
+    full = root @ root.transpose(0, 2, 1)
+    rows[:, 4:] = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    color = (
+        0.1 * rng.standard_normal((MILLION, 3 * (degree + 1) ** 2), np.float32)
+    ).astype(dtype)
+    return PackedRows(rows, color)
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model of 232 MB: a million Gaussians, SH of degree 3, float32."""
+    path = tmp_path_factory.mktemp("large") / "large.onnx"
+    write_scene(from_content(million(np.float32, 3)), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def half(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("half") / "half.onnx"
+    write_scene(from_content(million(np.float16, 3)), path)
+    return path
+
+
+@pytest.mark.parametrize("words", [("--help",), ("validate", "--level", "static")])
+def bench_cold_start(words: tuple[str, ...], tmp_path: Path) -> None:
+    path = tmp_path / "small.onnx"
+    rows = million(np.float32, 0)
+    small = PackedRows(rows.gaussians[:100], rows.appearance[:100])
+    write_scene(from_content(small), path)
+    command = [sys.executable, "-m", "gsgen.cli", *words]
+    command += [str(path)] if words[0] == "validate" else []
+    seconds = best(lambda: subprocess.run(command, check=True, capture_output=True), 7)
+    say(f"cold start, gsgen {' '.join(words)}: {seconds:.2f} s (bar 0.6)")
+    assert seconds <= 0.6
+
+
+def bench_static_on_a_large_model(large: Path) -> None:
+    settings = Settings(level=Level.STATIC)
+    validate(large, settings)  # imports and caches
+    ours = best(lambda: validate(large, settings))
+    load = best(lambda: onnx.load(large), 3)
+    size = large.stat().st_size / MEBIBYTE
+    say(f"static on {size:.0f} MiB: {1000 * ours:.1f} ms, onnx.load {1000 * load:.0f} ms, ")
+    say(f"ratio {ours / load:.4f} (bar 0.3)")
+    assert ours <= 0.3 * load
+
+
+def bench_memory_of_static_on_a_large_model(large: Path) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "gsgen.cli",
+        "validate",
+        "--level",
+        "static",
+        str(large),
+    ]
+    child = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    peak = usage.ru_maxrss * 1024 / 1e6
+    say(f"peak memory of the whole process, 232 MB model: {peak:.0f} MB (bar 150)")
+    assert child.returncode == 0
+    assert peak <= 150
+
+
+def values_seconds(path: Path) -> tuple[float, str]:
+    """Return the time of everything but ONNX Runtime's process, and the JSON report."""
+    taken = []
+    for _ in range(3):
+        report = validate(path, Settings(level=Level.VALUES))
+        taken.append(report.seconds - report.runtime_seconds)
+    return min(taken), to_json([report])
+
+
+def bench_values_of_a_million_and_a_million_broken(half: Path, tmp_path: Path) -> None:
+    clean, _ = values_seconds(half)
+    bytes_checked = MILLION * (10 + 48) * 2
+    rate = bytes_checked / clean / 1e6
+    say(
+        f"values of 1 M Gaussians, SH3 float16: {1000 * clean:.0f} ms, {rate:.0f} MB/s (bar 500)"
+    )
+    baseline = best(lambda: np.isfinite(np.ones((MILLION, 58), np.float16)).all(), 3)
+    say(f"for scale, one np.isfinite over as many values: {1000 * baseline:.0f} ms")
+    content = million(np.float16, 3)
+    content.gaussians[:, 3] = 5  # GV003
+    content.gaussians[:, 4] = -1  # GV005
+    content.appearance[::2, 7] = np.nan  # GV001
+    write_scene(from_content(content), tmp_path / "broken.onnx")
+    broken, text = values_seconds(tmp_path / "broken.onnx")
+    findings = json.loads(text)["findings"]
+    counted = {finding["rule"]: finding["stats"]["count"] for finding in findings}
+    say(
+        f"a million broken rows: {1000 * broken:.0f} ms, {broken / clean:.2f} × clean (bar 3)"
+    )
+    say(f"findings {counted}, report {len(text) / 1000:.1f} kB (bar 20)")
+    assert rate >= 500
+    assert broken <= 3 * clean
+    assert len(text) < 20_000
+    assert len(findings) == len(counted) == 3

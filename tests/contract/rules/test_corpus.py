@@ -1,0 +1,81 @@
+"""The corpus of fixtures and the rules prove each other."""
+
+import subprocess
+import sys
+
+import pytest
+
+from gsgen.conformance.fixtures import Fixture, find, fixtures
+from gsgen.contract.errors import UnknownName
+from gsgen.contract.finding import Severity
+from gsgen.contract.installed import catalogue
+from gsgen.contract.rule import Rule
+
+CORPUS = fixtures()
+GOOD = [fixture for fixture in CORPUS if not fixture.rule]
+BROKEN = [fixture for fixture in CORPUS if fixture.rule]
+
+each_rule = pytest.mark.parametrize("rule", catalogue(), ids=lambda rule: rule.id)
+each_fixture = pytest.mark.parametrize("fixture", CORPUS, ids=lambda one: one.name)
+each_good = pytest.mark.parametrize("fixture", GOOD, ids=lambda one: one.name)
+each_broken = pytest.mark.parametrize(
+    "fixture", BROKEN, ids=lambda one: f"{one.rule}-{one.name}"
+)
+
+
+@each_broken
+def test_a_broken_model_breaks_its_rule_and_no_other(fixture: Fixture, judge):
+    report = judge(fixture)
+    assert {finding.rule for finding in report.findings} == {fixture.rule}
+    severity = report.findings[0].severity
+    assert report.verdict == ("invalid" if severity is Severity.ERROR else "conforms")
+
+
+@each_good
+def test_a_good_model_breaks_nothing(fixture: Fixture, judge):
+    report = judge(fixture)
+    assert report.findings == ()
+    assert report.verdict == "conforms"
+    assert all(level.ran for level in report.levels)
+
+
+@each_fixture
+def test_no_rule_crashes_or_stays_silent(fixture: Fixture, judge):
+    for outcome in judge(fixture).outcomes:
+        assert outcome.status != "crashed", outcome.reason
+        settled = outcome.status == "pass" or outcome.rule.id == fixture.rule
+        assert settled or outcome.reason, f"{outcome.rule.id} is {outcome.status}"
+
+
+@each_rule
+def test_a_rule_names_a_fixture_that_breaks_it(rule: Rule):
+    assert find(rule.fixture).rule == rule.id
+
+
+@each_rule
+def test_a_rule_passes_on_some_good_model(rule: Rule, judge):
+    outcomes = (judge(fixture).outcome(rule.id) for fixture in GOOD)
+    assert any(outcome.status == "pass" and outcome.items for outcome in outcomes)
+
+
+def test_there_are_enough_fixtures():
+    assert len(GOOD) >= 25
+    assert len(CORPUS) >= 110
+
+
+@each_fixture
+def test_a_fixture_is_described_small_and_always_the_same(fixture: Fixture, tmp_path):
+    assert fixture.summary.endswith(".")
+    first = fixture.write(tmp_path).read_bytes()
+    assert len(first) < 2_000_000
+    assert fixture.draw().build().SerializeToString() == first
+
+
+def test_an_unknown_fixture_is_answered_with_the_nearest():
+    with pytest.raises(UnknownName, match="'opacity_is_logits'"):
+        find("opacity_is_logit")
+
+
+def test_importing_the_corpus_does_not_load_onnx_runtime():
+    code = "import sys, gsgen.conformance.fixtures; sys.exit('onnxruntime' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

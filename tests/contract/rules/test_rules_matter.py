@@ -1,0 +1,26 @@
+"""A rule that falls silent is noticed: its fixture no longer reports what it should."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from gsgen.conformance.fixtures import find
+from gsgen.contract.engine import validate
+from gsgen.contract.finding import Breach
+from gsgen.contract.installed import catalogue
+from gsgen.contract.rule import Registry, Rule
+
+
+def silent(_: object) -> Iterator[Breach]:
+    """Find nothing, whatever there is."""
+    yield from ()
+
+
+@pytest.mark.parametrize("rule", catalogue(), ids=lambda rule: rule.id)
+def test_the_corpus_notices_a_silent_rule(rule: Rule, tmp_path):
+    fixture = find(rule.fixture)
+    rules = [replace(one, check=silent) if one is rule else one for one in catalogue()]
+    settings = replace(fixture.settings, level=rule.level)
+    report = validate(fixture.write(tmp_path), settings, registry=Registry.of(rules))
+    assert {finding.rule for finding in report.findings} != {rule.id}
