@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from gsgen.cli.commands import Command, find_commands
+from gsgen.cli.commands import Command, escaped, find_commands
 from gsgen.contract.errors import GsgenError, UnknownName
 
 _USAGE = 2
@@ -63,7 +63,7 @@ def _epilog(commands: list[Command]) -> str | None:
     if not missing:
         return None
     lines = [f"{one.name} needs {one.requirement}: {one.remedy}" for one in missing]
-    return "Not installed here: " + "; ".join(lines)
+    return escaped("Not installed here: " + "; ".join(lines))
 
 
 def _show_version(wanted: bool) -> None:

@@ -4,15 +4,17 @@ An entry point names a typer function or a :class:`typer.Typer`. If it needs an 
 in square brackets, as entry points do: ``export = "gsgen.sdk.commands.export:app [sdk]"``.
 """
 
-__all__ = ["Command", "find_commands"]
+__all__ = ["Command", "escaped", "find_commands"]
 
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
+from importlib.metadata import EntryPoint, PackageNotFoundError, version
 from typing import Any
 
 import typer
+
+from gsgen.contract.registered import registered
 
 _GROUP = "gsgen.commands"
 _USAGE = 2
@@ -61,14 +63,21 @@ class Command:
             typer.echo(f"gsgen: {needs}: {self.remedy}", err=True)
             raise typer.Exit(_USAGE)
 
-        unavailable.__doc__ = f"Not installed: {self.remedy}"
+        unavailable.__doc__ = escaped(f"Not installed: {self.remedy}")
         return unavailable
+
+
+def escaped(text: str) -> str:
+    """Return ``text`` so that help pages show its square brackets, which rich takes as markup."""
+    return text.replace("[", r"\[")
 
 
 def find_commands(group: str = _GROUP) -> dict[str, Command]:
     """Return every command registered under an entry point group, by name."""
-    points = sorted(entry_points(group=group), key=lambda point: point.name)
-    return {point.name: Command(point.name, point, _missing(point)) for point in points}
+    return {
+        point.name: Command(point.name, point, _missing(point))
+        for point in registered(group)
+    }
 
 
 def _missing(point: EntryPoint) -> tuple[str, ...]:

@@ -85,5 +85,8 @@ def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
 def _difference(a: np.ndarray, b: np.ndarray) -> float:
     if a.shape != b.shape:
         return float("inf")
-    wide = np.abs(a.astype(np.float64) - b.astype(np.float64))
-    return float(np.nan_to_num(wide, nan=np.inf).max(initial=0.0))
+    x, y = a.astype(np.float64), b.astype(np.float64)
+    same = (x == y) | (np.isnan(x) & np.isnan(y))
+    with np.errstate(invalid="ignore"):  # infinity less infinity
+        wide = np.where(same, 0, np.abs(x - y))
+    return float(np.where(np.isnan(wide), np.inf, wide).max(initial=0.0))

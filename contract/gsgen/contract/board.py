@@ -7,6 +7,8 @@ import traceback
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from gsgen.contract.config import Settings
 from gsgen.contract.finding import Breach, Finding, Severity
 from gsgen.contract.report import Outcome, Status
@@ -78,8 +80,11 @@ class Board:
         """Run one check once and tally its breaches; False if it crashed."""
         began = time.perf_counter()
         try:
-            for breach in rule.check(subject):
-                self._add(rule, breach, probe, start)
+            with np.errstate(
+                all="ignore"
+            ):  # a model may emit any number: rules look for that
+                for breach in rule.check(subject):
+                    self._add(rule, breach, probe, start)
         except Exception:  # a rule's fault must not take the report down
             last = traceback.format_exc(limit=-3).strip()
             self.outcomes[rule.id] = Outcome(rule, "crashed", last)
@@ -91,9 +96,10 @@ class Board:
 
     def _add(self, rule: Rule, breach: Breach, probe: str, start: int) -> None:
         places = self._tallies.setdefault(rule.id, {})
-        key = str(breach.where) if len(places) < _MAX_PLACES else next(iter(places))
-        if key not in places:
-            key = str(breach.where)
+        key = str(breach.where)
+        if key not in places and len(places) >= _MAX_PLACES:
+            key = next(iter(places))
+        elif key not in places:
             places[key] = Tally(
                 breach.where, breach.want, breach.saw, certainty=breach.certainty
             )

@@ -150,7 +150,11 @@ def config_schema(registry: Registry) -> dict[str, object]:
                 "properties": section,
                 "additionalProperties": False,
             },
-            "severity": {"type": "object", "properties": rules},
+            "severity": {
+                "type": "object",
+                "properties": rules,
+                "additionalProperties": {"enum": severities},  # a rule in lower case, say
+            },
         },
         "additionalProperties": False,
     }

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt
 
 from gsgen.contract.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.manifest import AppearanceOutput
@@ -45,6 +45,17 @@ class Emission:
     declared: AppearanceOutput | None
     subject: Subject
 
+    @property
+    def rows_place(self) -> str:
+        """What a report calls the packed rows."""
+        declared = self.subject.declared_gaussians
+        return f"output {declared.name if declared else '?'}"
+
+    @property
+    def color_place(self) -> str:
+        """What a report calls the appearance."""
+        return f"output {self.declared.name if self.declared else '?'}"
+
 
 def read_emission(
     subject: Subject, probe: str, zeros: bool, outputs: dict[str, np.ndarray]
@@ -60,7 +71,8 @@ def read_emission(
         color = None  # another rule says so
     count = take(getattr(subject.declared_count, "name", None))
     capacity = len(rows) if rows is not None else 0
-    live = int(count.reshape(-1)[0]) if count is not None and count.size else capacity
+    whole = count is not None and count.size and count.dtype.kind in "iu"
+    live = int(count.reshape(-1)[0]) if count is not None and whole else capacity
     clipped = min(max(live, 0), capacity)
     declared = subject.declared_appearance
     return Emission(probe, zeros, outputs, rows, color, clipped, declared, subject)
@@ -125,12 +137,21 @@ class Rows:
     def finite(self) -> Bool[np.ndarray, " n"]:
         """Rows whose packed values and colour are all finite."""
         kept: Bool[np.ndarray, " n"] = np.isfinite(self.wide).all(axis=0)
-        if (
-            self.color is not None
-            and peak_bits(self.color) >= _EXPONENT[self.color.itemsize]
-        ):
-            kept &= np.isfinite(self.color).all(axis=1)
+        if self.color is not None:
+            kept &= self.color_peak < _EXPONENT[self.color.itemsize]
         return kept
+
+    @cached_property
+    def color_peak(self) -> UInt[np.ndarray, " n"]:
+        """The largest magnitude in each row's colour, as its bit pattern.
+
+        Zero in all rows where no value of the chunk comes near the end of its dtype's range.
+        """
+        assert self.color is not None
+        bits = _magnitude_bits(self.color)
+        if bits.size == 0 or int(bits.max()) < _EXPONENT[self.color.itemsize] - 1:
+            return np.zeros(len(self), bits.dtype)
+        return np.asarray(bits.max(axis=1))
 
     @cached_property
     def drawn(self) -> Bool[np.ndarray, " n"]:
@@ -149,15 +170,12 @@ class Rows:
         return np.asarray(xx + yy + zz)
 
 
-def peak_bits(array: np.ndarray) -> int:
-    """Return the largest magnitude in ``array`` as its bit pattern, NaN and Inf on top.
-
-    One pass over raw bits: the order of float magnitudes is that of their bits.
-    """
-    if array.size == 0:
-        return 0
-    bits = np.ascontiguousarray(array).view(_WORD[array.itemsize])
-    return int((bits & _WORD[array.itemsize](_MAGNITUDE[array.itemsize])).max())
+def _magnitude_bits(array: np.ndarray) -> UInt[np.ndarray, "..."]:
+    """Return the bits of ``array`` without signs: ordered as the magnitudes, NaN and Inf on top."""
+    word = _WORD[array.itemsize]
+    return np.asarray(
+        np.ascontiguousarray(array).view(word) & word(_MAGNITUDE[array.itemsize])
+    )
 
 
 def chunks(emission: Emission) -> Iterator[Rows]:

@@ -26,6 +26,11 @@ Progress = Callable[[str], None]
 
 # The rule that holds when the model ran to the end; nothing can be said of values before.
 _RUNS = "GV025"
+# Dtypes that numpy can hold, so that ONNX Runtime can hand them over; None is not known yet.
+_FETCHABLE = (
+    *("float32", "float16", "float64", "bool", None),
+    *("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"),
+)
 _WHERE_FROM = {
     Level.LIVE: "no installed package checks it; it needs a package with rules of this level",
     Level.RENDER: "no installed package checks it; it needs gsgen[runtime]",
@@ -69,7 +74,9 @@ class _Validation:
         self.progress(f"reading {path.name}")
         self.registry = registry or installed_rules()
         file = open_model(path)
-        self.subject = read_subject(file, settings.target, settings.limits)
+        weights = file.size + sum(ref.length or 0 for ref in file.external)
+        self.limits = settings.limits.for_model(weights)
+        self.subject = read_subject(file, settings.target, self.limits)
         self.board = Board(self.registry, settings, self.subject.kind)
         self.levels = [LevelOutcome(Level.STATIC, ran=True)]
         self.probes: tuple[str, ...] = ()
@@ -124,7 +131,7 @@ class _Validation:
         self.probes = tuple(probe.label for probe in plan.probes[: plan.values])
         self.progress(f"running {len(plan.probes)} probes in ONNX Runtime")
         path, names = self.subject.file.path, self._fetched()
-        with execute(path, names, plan.probes, self.settings.limits) as execution:
+        with execute(path, names, plan.probes, self.limits) as execution:
             self.runtime_seconds = execution.seconds
             self.environment["onnxruntime"] = execution.version
             trial = Trial(self.subject, execution, plan)
@@ -140,10 +147,13 @@ class _Validation:
 
     def _can_run(self, gates: list[Rule]) -> bool:
         """Say whether nothing that running depends on has failed; settle the gates if it has."""
-        if self.board.is_ready(gates[0]):  # all it needs is known before the model runs
-            reason = ""
+        runs = self.registry.rules.get(_RUNS)
+        if runs is None:
+            reason = f"because no rule {_RUNS} is installed"
         else:
-            reason = self.board.outcomes[gates[0].id].reason
+            gate = next(rule for rule in gates if rule.id in (_RUNS, *runs.needs))
+            ready = self.board.is_ready(gate)  # all it needs is known before the model runs
+            reason = "" if ready else self.board.outcomes[gate.id].reason
         for level in (Level.VALUES, Level.BEHAVIOUR):
             if level <= self.settings.level:
                 why = f"the model was not run {reason}" if reason else ""
@@ -151,8 +161,11 @@ class _Validation:
         return not reason
 
     def _fetched(self) -> list[str]:
+        """Return the outputs to fetch: the declared ones, or all; numpy cannot hold every dtype."""
         graph = self.subject.graph
-        return [name for name in self.subject.output_names if graph.output(name)]
+        declared = [graph.output(name) for name in self.subject.output_names]
+        tensors = [tensor for tensor in declared if tensor] or graph.outputs
+        return [tensor.name for tensor in tensors if tensor.dtype in _FETCHABLE]
 
     def _judge_values(self, execution: Execution, plan: Plan) -> None:
         whole = self.board.ready(self._of_scope("emission", upto=Level.VALUES))
@@ -177,6 +190,8 @@ class _Validation:
                     if self.board.judge(rule, chunk, probe.label, chunk.start)
                 ]
         self.board.settle(whole, items=len(seen))
+        if not rows:
+            self.board.skip(by_rows, "no probe gave packed rows")
         self.board.settle(by_rows, items=rows)
 
     def _judge_behaviour(self, trial: Trial) -> None:

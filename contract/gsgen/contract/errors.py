@@ -10,7 +10,6 @@ __all__ = [
 ]
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 
 
 class GsgenError(Exception):
@@ -57,6 +56,8 @@ class UnknownName(ConfigInvalid):
         cls, noun: str, name: str, known: Iterable[str], where: str = ""
     ) -> "UnknownName":
         """Say that ``name`` is unknown, and which known name it may have meant."""
+        from difflib import get_close_matches  # only trouble needs it, and start-up counts
+
         names = sorted(known)
         close = get_close_matches(name, names, n=1, cutoff=0.5)
         listed = ", ".join(names) if len(names) <= 12 else f"{len(names)} are known"

@@ -20,11 +20,12 @@ COVARIANCE_INDEX = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
 def rotation_matrix(quaternion: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
     """Turn quaternions (w, x, y, z), normalised here, into rotation matrices.
 
-    A zero quaternion has no direction; it gives the identity, as w = 1 would.
+    A zero quaternion has no direction; it gives the identity, as w = 1 would. One that holds
+    NaN gives NaN.
     """
     q = np.asarray(quaternion, np.float64)
     norm = np.linalg.norm(q, axis=1, keepdims=True)
-    q = np.where(norm > 0, q / np.where(norm > 0, norm, 1), np.array([1.0, 0, 0, 0]))
+    q = np.where(norm == 0, np.array([1.0, 0, 0, 0]), q / np.where(norm == 0, 1, norm))
     w, x, y, z = q.T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -83,8 +84,8 @@ def look_at(
     forward = np.asarray(target, np.float64) - eye
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, up)
-    if np.linalg.norm(right) < 1e-9:  # looking along `up`: any right-hand axis will do
-        right = np.cross(forward, np.roll(np.asarray(up, np.float64), 1))
+    if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(up):  # looking along `up`
+        right = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])  # any will do
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     view = np.eye(4)

@@ -9,14 +9,16 @@ from functools import cached_property
 import onnx
 from onnx import (
     AttributeProto,
+    FunctionProto,
     GraphProto,
     ModelProto,
     NodeProto,
+    SparseTensorProto,
     TensorProto,
     ValueInfoProto,
 )
 
-from gsgen.contract.model import ModelFile
+from gsgen.contract.model import STUB, ModelFile, bodies, subgraphs
 
 Dims = tuple[int | str | None, ...]
 
@@ -144,7 +146,7 @@ def reads(node: NodeProto) -> list[str]:
     """Return the names that ``node`` reads, from inside its subgraphs too."""
     names = [name for name in node.input if name]
     for attribute in node.attribute:
-        for graph in _subgraphs(attribute):
+        for graph in subgraphs(attribute):
             for inner in graph.node:
                 names.extend(reads(inner))
             names.extend(output.name for output in graph.output)
@@ -160,7 +162,7 @@ def read_graph(file: ModelFile) -> Graph:
     graph = file.proto.graph
     facts = _facts(file)
     weights = {tensor.name: _of_weight(tensor) for tensor in graph.initializer}
-    weights |= {s.values.name: _of_weight(s.values) for s in graph.sparse_initializer}
+    weights |= {s.values.name: _of_weight(_dense(s)) for s in graph.sparse_initializer}
     inputs = tuple(_of_value(v) for v in graph.input if v.name not in weights)
     outputs = tuple(_best(_of_value(v), facts.tensors.get(v.name)) for v in graph.output)
     return Graph(
@@ -214,80 +216,111 @@ def _facts(file: ModelFile) -> _Facts:
 
 
 def _without_stubs(file: ModelFile) -> ModelProto:
-    """Return a copy in which weights that were not read are inputs of the same type."""
+    """Return a copy that ONNX's library accepts although weights were not read.
+
+    Weights of the main graph become inputs of the same type. What lies deeper becomes a
+    sparse constant without entries, which has type and shape but no payload.
+    """
     copy = ModelProto()
     copy.CopyFrom(file.proto)
     copy.ClearField("metadata_props")
-    if not file.stubs:
-        return copy
     taken = {value.name for value in copy.graph.input}
-    _lift_stubs(copy.graph, copy.graph, file.stubs, taken, 0)
+    for tensor in _take_stubs(copy.graph):
+        if tensor.name not in taken:
+            _add_input(copy.graph, tensor)
+    for body in bodies(copy):
+        if isinstance(body, GraphProto):
+            for tensor in _take_stubs(body):
+                body.node.insert(0, _constant(tensor))
+        _fill_nodes(body)
     return copy
 
 
-def _lift_stubs(
-    graph: GraphProto, main: GraphProto, stubs: frozenset[str], taken: set[str], depth: int
-) -> None:
-    kept = [t for t in graph.initializer if t.name not in stubs]
-    lifted = [t for t in graph.initializer if t.name in stubs]
-    if lifted:
+def _is_stub(tensor: TensorProto) -> bool:
+    return tensor.raw_data == STUB
+
+
+def _take_stubs(graph: GraphProto) -> list[TensorProto]:
+    """Remove the weights of ``graph`` that are stubs, and return them.
+
+    Sparse ones, too: a runtime makes them dense, but shape inference does not know that.
+    """
+    weights = list(graph.initializer)
+    stubs = [tensor for tensor in weights if _is_stub(tensor)]
+    if stubs:
         del graph.initializer[:]
-        graph.initializer.extend(kept)
-    for tensor in lifted:
-        _add_input(main, tensor.name, tensor, taken)
-    for index in range(len(graph.node) - 1, -1, -1):
-        node = graph.node[index]
-        stub = _constant_stub(node)
-        if stub is not None:
-            _add_input(main, node.output[0], stub, taken)
-            del graph.node[index]
-        elif depth < _MAX_DEPTH:
-            for attribute in node.attribute:
-                for inner in _subgraphs(attribute):
-                    _lift_stubs(inner, main, stubs, taken, depth + 1)
+        graph.initializer.extend(tensor for tensor in weights if not _is_stub(tensor))
+    stubs += [_dense(sparse) for sparse in graph.sparse_initializer]
+    del graph.sparse_initializer[:]
+    return stubs
 
 
-def _constant_stub(node: NodeProto) -> TensorProto | None:
-    """Return the tensor of a Constant node whose payload was left out."""
-    if node.op_type != "Constant" or not node.output:
-        return None
-    for attribute in node.attribute:
-        if (
-            attribute.HasField("t")
-            and attribute.t.raw_data == b"\0"
-            and _elements(attribute.t) > 1
-        ):
-            return attribute.t
-    return None
+def _dense(sparse: SparseTensorProto) -> TensorProto:
+    kind = sparse.values.data_type
+    return TensorProto(
+        name=sparse.values.name, data_type=kind, dims=sparse.dims, raw_data=STUB
+    )
 
 
-def _elements(tensor: TensorProto) -> int:
-    count = 1
-    for dim in tensor.dims:
-        count *= dim
-    return count
-
-
-def _add_input(graph: GraphProto, name: str, tensor: TensorProto, taken: set[str]) -> None:
-    if name in taken:
-        return
-    taken.add(name)
-    value = graph.input.add(name=name)
+def _add_input(graph: GraphProto, tensor: TensorProto) -> None:
+    value = graph.input.add(name=tensor.name)
     value.type.tensor_type.elem_type = tensor.data_type
     value.type.tensor_type.shape.SetInParent()
     for dim in tensor.dims:
         value.type.tensor_type.shape.dim.add(dim_value=dim)
 
 
-def _subgraphs(attribute: AttributeProto) -> list[GraphProto]:
-    return [attribute.g] if attribute.HasField("g") else list(attribute.graphs)
+def _constant(tensor: TensorProto) -> NodeProto:
+    value = AttributeProto(name="value", type=AttributeProto.TENSOR, t=tensor)
+    return NodeProto(op_type="Constant", output=[tensor.name], attribute=[value])
+
+
+def _fill_nodes(body: GraphProto | FunctionProto) -> None:
+    """Take the stubs out of the attributes of all nodes of ``body``."""
+    for index in reversed(range(len(body.node))):
+        node = body.node[index]
+        for attribute in node.attribute:
+            for tensor in (attribute.t, *attribute.tensors):
+                if _is_stub(tensor) and node.op_type == "Constant" and 0 not in tensor.dims:
+                    if not tensor.dims:  # sparse tensors have an axis; a scalar has none
+                        body.node.insert(index + 1, _squeeze(node))
+                    _make_sparse(attribute, tensor)
+                elif _is_stub(tensor):
+                    tensor.CopyFrom(_nothing(tensor.data_type))
+            for sparse in (attribute.sparse_tensor, *attribute.sparse_tensors):
+                _empty(sparse)
+
+
+def _squeeze(node: NodeProto) -> NodeProto:
+    """Let ``node`` make a vector, and return the node that makes a scalar of it."""
+    name = node.output[0]
+    node.output[0] = f"{name}/stub"
+    return NodeProto(op_type="Squeeze", input=node.output, output=[name])
+
+
+def _make_sparse(attribute: AttributeProto, tensor: TensorProto) -> None:
+    sparse = SparseTensorProto(dims=tensor.dims or [1], values=_nothing(tensor.data_type))
+    sparse.indices.CopyFrom(_nothing(TensorProto.INT64))
+    kind = AttributeProto.SPARSE_TENSOR
+    made = AttributeProto(name="sparse_value", type=kind, sparse_tensor=sparse)
+    attribute.CopyFrom(made)
+
+
+def _empty(sparse: SparseTensorProto) -> None:
+    if _is_stub(sparse.values) or _is_stub(sparse.indices):
+        sparse.values.CopyFrom(_nothing(sparse.values.data_type))
+        sparse.indices.CopyFrom(_nothing(TensorProto.INT64))
+
+
+def _nothing(dtype: int) -> TensorProto:
+    return TensorProto(data_type=dtype, dims=[0])
 
 
 def _nested(node: NodeProto, depth: int) -> Iterator[NodeProto]:
     yield node
     if depth < _MAX_DEPTH:
         for attribute in node.attribute:
-            for graph in _subgraphs(attribute):
+            for graph in subgraphs(attribute):
                 for inner in graph.node:
                     yield from _nested(inner, depth + 1)
 

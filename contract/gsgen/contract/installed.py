@@ -2,12 +2,14 @@
 
 __all__ = ["catalogue", "installed_rules"]
 
+import re
 from collections.abc import Iterator
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from types import ModuleType
 
 from gsgen.contract.finding import Breach, Severity
+from gsgen.contract.registered import registered
 from gsgen.contract.roles import KINDS
 from gsgen.contract.rule import Registry, Rule, rule, rules_in
 from gsgen.contract.rules import FAMILIES
@@ -15,9 +17,9 @@ from gsgen.contract.rules import FAMILIES
 
 def catalogue() -> list[Rule]:
     """Return our own rules, family by family, in order of their ids."""
-    return [
-        one for module in FAMILIES for one in sorted(rules_in(module), key=lambda r: r.id)
-    ]
+    rules = [one for module in FAMILIES for one in rules_in(module)]
+    order = list(dict.fromkeys(one.family for one in rules))
+    return sorted(rules, key=lambda one: (order.index(one.family), one.id))
 
 
 @cache
@@ -28,19 +30,23 @@ def installed_rules() -> Registry:
     not load becomes a crashed rule in every report.
     """
     rules = catalogue()
-    for point in sorted(entry_points(group="gsgen.rules"), key=lambda p: p.name):
+    points = registered("gsgen.rules")
+    for number, point in enumerate(points):
         try:
-            rules.extend(_load(point))
+            loaded = _load(point)
+            Registry.of([*rules, *loaded])  # refuses an id that is taken
         except Exception as error:  # a third party's import may fail in any way
-            rules.append(_unloadable(point, error))
+            loaded = [_unloadable(point, number, error)]
+        rules.extend(loaded)
     return Registry.of(rules)
 
 
-def _unloadable(point: EntryPoint, error: Exception) -> Rule:
+def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
     """Stand in for the rules of a plugin that does not load: a rule that crashes."""
+    letters = re.sub("[^a-z0-9]+", "-", point.name.lower()).lstrip("-0123456789")
 
     @rule(
-        f"{point.name}/XX000",
+        f"{letters or 'plugin'}/XX{number:03}",
         "plugin-loads",
         Severity.ERROR,
         over="model",

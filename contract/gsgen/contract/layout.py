@@ -115,7 +115,7 @@ def encode(
     rows = np.concatenate(columns, axis=1).astype(dtype)
     n = len(gaussians)
     if gaussians.sh is not None:
-        return rows, gaussians.sh.reshape(n, -1).astype(dtype)
+        return rows, gaussians.sh.reshape(n, 3 * gaussians.sh.shape[1]).astype(dtype)
     channels = appearance_channels("rgb", None, np.dtype(dtype).itemsize)
     color = np.ones((n, channels), dtype)
     color[:, :3] = gaussians.rgb
@@ -153,6 +153,6 @@ def decode(
         position=wide[:, POSITION],
         opacity=wide[:, OPACITY],
         covariance=wide[:, COVARIANCE],
-        sh=color.reshape(n, -1, 3) if space == "sh" else None,
+        sh=color.reshape(n, color.shape[1] // 3, 3) if space == "sh" else None,
         rgb=color[:, :3] if space == "rgb" else None,
     )

@@ -3,6 +3,8 @@
 __all__ = ["Complaint", "Parsed", "dumps", "loads", "parse", "schema_name", "schemas"]
 
 import json
+import math
+import re
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -40,7 +42,7 @@ class Parsed:
 
     Attributes:
         manifest: The manifest, or None where a complaint prevents reading it.
-        complaints: What is wrong, in document order.
+        complaints: What is wrong, in order of where.
         version: The version it declares, as (major, minor), where readable.
         newer: It declares a newer minor version than this reader knows.
     """
@@ -88,8 +90,20 @@ def parse(text: str) -> Parsed:
     if len(text) > _MAX_BYTES:
         return _failed("syntax", "", f"{len(text)} characters", f"at most {_MAX_BYTES}")
     try:
-        document = json.loads(text, parse_constant=_reject_constant)
-    except (ValueError, RecursionError) as error:
+        return _parse_document(text)
+    except RecursionError:
+        return _failed("syntax", "", _short(text), "fewer brackets inside each other")
+
+
+def _parse_document(text: str) -> Parsed:
+    try:
+        document = json.loads(
+            text, parse_float=_number, parse_int=_integer, parse_constant=_number
+        )
+        json.dumps(
+            document, ensure_ascii=False
+        ).encode()  # half a surrogate pair is no text
+    except ValueError as error:
         return _failed("syntax", "", _short(text), f"a JSON document ({error})")
     if not isinstance(document, dict):
         return _failed("schema", "", _short(document), "a JSON object")
@@ -113,7 +127,7 @@ def _parse_body(document: dict[str, Any], version: Version) -> Parsed:
     errors = list(_validator(kind).iter_errors(document))
     if newer:  # a newer minor may have fields that this reader does not know
         errors = [error for error in errors if error.validator != "additionalProperties"]
-    complaints = tuple(_complaint(error) for error in sorted(errors, key=_document_order))
+    complaints = tuple(_complaint(error) for error in sorted(errors, key=_place))
     if complaints:
         return Parsed(None, complaints, version, newer)
     manifest: Manifest = from_json(manifest_type(kind), document)
@@ -152,8 +166,17 @@ def _failed(cause: str, where: str, saw: str, want: str) -> Parsed:
     return Parsed(None, (Complaint(cause, where, saw, want),))
 
 
-def _reject_constant(name: str) -> float:
-    raise ValueError(f"{name} is not JSON")
+def _number(text: str) -> float:
+    """Read a number; what has no finite float, such as NaN or 1e999, is refused."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{_short(text)} is no finite number")
+    return value
+
+
+def _integer(text: str) -> int:
+    _number(text)  # some fields take it as a float
+    return int(text)
 
 
 def _version(value: object) -> Version | None:
@@ -175,11 +198,18 @@ def _short(value: object) -> str:
         if isinstance(value, str)
         else json.dumps(value, ensure_ascii=False, default=str)
     )
+    text = text.encode(errors="replace").decode() or "an empty text"
     return text if len(text) <= 60 else f"{text[:57]}…"
 
 
-def _document_order(error: Any) -> tuple[str, ...]:
-    return tuple(str(part) for part in error.absolute_path)
+def _place(error: Any) -> tuple[str | int, ...]:
+    return tuple(error.absolute_path)
+
+
+def _is_unknown(name: str, error: Any) -> bool:
+    patterns = error.schema.get("patternProperties", ())
+    known = name in error.schema.get("properties", ())
+    return not known and not any(re.search(pattern, name) for pattern in patterns)
 
 
 def _complaint(error: Any) -> Complaint:
@@ -193,7 +223,10 @@ def _complaint(error: Any) -> Complaint:
         )
     if error.validator == "additionalProperties":
         known = ", ".join(error.schema.get("properties", {}))
-        return Complaint("schema", where, _short(error.message), f"only the fields {known}")
+        strangers = ", ".join(
+            repr(name) for name in error.instance if _is_unknown(name, error)
+        )
+        return Complaint("schema", where, _short(strangers), f"only the fields {known}")
     if error.validator == "enum":
         options = ", ".join(str(option) for option in error.validator_value)
         return Complaint("schema", where, _short(error.instance), f"one of {options}")

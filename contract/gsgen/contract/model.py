@@ -1,10 +1,20 @@
 """An ONNX file opened for judging: its structure, its manifest, where its weights lie."""
 
-__all__ = ["MANIFEST_KEY", "ExternalRef", "ModelFile", "open_model", "write_manifest"]
+__all__ = [
+    "MANIFEST_KEY",
+    "STUB",
+    "ExternalRef",
+    "ModelFile",
+    "bodies",
+    "open_model",
+    "subgraphs",
+    "write_manifest",
+]
 
 import mmap
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
@@ -13,17 +23,23 @@ from pathlib import Path
 from typing import BinaryIO
 
 from google.protobuf.message import DecodeError
-from onnx import AttributeProto, GraphProto, ModelProto, StringStringEntryProto, TensorProto
+from onnx import (
+    AttributeProto,
+    FunctionProto,
+    GraphProto,
+    ModelProto,
+    StringStringEntryProto,
+    TensorProto,
+)
 
 from gsgen.contract.errors import ModelUnreadable
 from gsgen.contract.manifest import Manifest
 from gsgen.contract.manifest_json import dumps
-from gsgen.contract.wire import BYTES, Skeleton, WireFault, scan, skeleton
+from gsgen.contract.wire import BYTES, STUB, Skeleton, WireFault, scan, skeleton
 
 MANIFEST_KEY = "gsgen.manifest"
 
 _METADATA_FIELD = 14  # ModelProto.metadata_props
-_MAX_TENSORS = 1_000_000
 
 # First bytes of files that people pass by mistake.
 _LOOKALIKES = (
@@ -62,7 +78,6 @@ class ModelFile:
         size: Its size, in bytes.
         proto: The model, with stubs in place of large payloads and of external data.
         stripped: Bytes of payload that were not read.
-        stubs: Names of the initialisers that hold a stub instead of values.
         external: Tensors whose payload lies in other files.
     """
 
@@ -70,7 +85,6 @@ class ModelFile:
     size: int
     proto: ModelProto
     stripped: int
-    stubs: frozenset[str]
     external: tuple[ExternalRef, ...]
 
     @property
@@ -104,23 +118,22 @@ def open_model(path: str | os.PathLike[str]) -> ModelFile:
         ) from error
     proto = _parse(path, bones.data)
     external = tuple(_detach_external(proto))
-    stubs = frozenset(bones.names | {ref.tensor for ref in external})
-    return ModelFile(path, size, proto, bones.stripped, stubs, external)
+    return ModelFile(path, size, proto, bones.stripped, external)
 
 
 def _size(path: Path) -> int:
     where = str(path)
-    if path.is_dir():
-        raise ModelUnreadable("is a folder, wanted an ONNX file", where=where)
     try:
-        size = path.stat().st_size
+        entry = path.stat()
     except OSError as error:
         raise ModelUnreadable(f"cannot be read: {error.strerror}", where=where) from error
-    if not path.is_file():
-        raise ModelUnreadable("is not a regular file", where=where)
-    if size == 0:
+    if stat.S_ISDIR(entry.st_mode):
+        raise ModelUnreadable("is a folder, wanted an ONNX file", where=where)
+    if not stat.S_ISREG(entry.st_mode):
+        raise ModelUnreadable("is not a regular file, wanted an ONNX file", where=where)
+    if entry.st_size == 0:
         raise ModelUnreadable("is empty (0 bytes), wanted an ONNX model", where=where)
-    return size
+    return entry.st_size
 
 
 def _skeleton(path: Path, view: mmap.mmap) -> Skeleton:
@@ -140,6 +153,9 @@ def _parse(path: Path, data: bytes) -> ModelProto:
         raise _not_onnx(path, f"does not parse as ONNX ({error})", data[:32]) from error
     if not proto.HasField("graph") or not (proto.ir_version or proto.opset_import):
         raise _not_onnx(path, "holds no ONNX graph", data[:32])
+    for text in _texts(proto):
+        if isinstance(text, bytes):  # what protobuf gives where bytes are no UTF-8
+            raise _not_onnx(path, f"has a name that is no text ({text[:32]!r})", data[:32])
     return proto
 
 
@@ -161,7 +177,7 @@ def _detach_external(proto: ModelProto) -> Iterator[ExternalRef]:
         entries = {entry.key: entry.value for entry in tensor.external_data}
         tensor.ClearField("external_data")
         tensor.ClearField("data_location")
-        tensor.raw_data = b"\0"
+        tensor.raw_data = STUB
         yield ExternalRef(
             tensor.name,
             entries.get("location", ""),
@@ -174,37 +190,70 @@ def _whole(text: str | None) -> int | None:
     return int(text) if text is not None and text.isascii() and text.isdigit() else None
 
 
+def bodies(proto: ModelProto) -> Iterator[GraphProto | FunctionProto]:
+    """Yield every graph of a model: the main one, functions, and all that nodes hold."""
+    queue: list[GraphProto | FunctionProto] = [proto.graph, *proto.functions]
+    for training in proto.training_info:
+        queue += [training.initialization, training.algorithm]
+    while queue:
+        body = queue.pop()
+        yield body
+        for attribute in _attributes(body):
+            queue += subgraphs(attribute)
+
+
+def subgraphs(attribute: AttributeProto) -> list[GraphProto]:
+    """Return the graphs that an attribute holds."""
+    return [*([attribute.g] if attribute.HasField("g") else ()), *attribute.graphs]
+
+
+def _attributes(body: GraphProto | FunctionProto) -> Iterator[AttributeProto]:
+    if isinstance(body, FunctionProto):
+        yield from body.attribute_proto
+    for node in body.node:
+        yield from node.attribute
+
+
 def _tensors(proto: ModelProto) -> Iterator[TensorProto]:
     """Yield every tensor that a file can hold, in subgraphs and functions too."""
-    graphs = [proto.graph]
-    nodes = [node for function in proto.functions for node in function.node]
-    seen = 0
-    while graphs or nodes:
-        if graphs:
-            graph = graphs.pop()
-            yield from graph.initializer
-            for sparse in graph.sparse_initializer:
+    for body in bodies(proto):
+        if isinstance(body, GraphProto):
+            yield from body.initializer
+            for sparse in body.sparse_initializer:
                 yield from (sparse.values, sparse.indices)
-            nodes.extend(graph.node)
-        while nodes:
-            for attribute in nodes.pop().attribute:
-                yield from _attribute_tensors(attribute)
-                graphs.extend(_attribute_graphs(attribute))
-                seen += 1
-                if seen > _MAX_TENSORS:
-                    return
+        for attribute in _attributes(body):
+            yield from _attribute_tensors(attribute)
 
 
 def _attribute_tensors(attribute: AttributeProto) -> Iterator[TensorProto]:
     if attribute.HasField("t"):
         yield attribute.t
     yield from attribute.tensors
+    if attribute.HasField("sparse_tensor"):
+        yield from (attribute.sparse_tensor.values, attribute.sparse_tensor.indices)
+    for sparse in attribute.sparse_tensors:
+        yield from (sparse.values, sparse.indices)
 
 
-def _attribute_graphs(attribute: AttributeProto) -> Iterator[GraphProto]:
-    if attribute.HasField("g"):
-        yield attribute.g
-    yield from attribute.graphs
+def _texts(proto: ModelProto) -> Iterator[str]:
+    """Yield every name and text that rules look at."""
+    for entry in proto.metadata_props:
+        yield from (entry.key, entry.value)
+    for opset in proto.opset_import:
+        yield opset.domain
+    for function in proto.functions:
+        yield from (function.domain, function.name)
+    for body in bodies(proto):
+        if isinstance(body, GraphProto):
+            for value in (*body.input, *body.output, *body.value_info):
+                yield value.name
+                yield from (dim.dim_param for dim in value.type.tensor_type.shape.dim)
+        for node in body.node:
+            yield from (node.op_type, node.domain, node.name, *node.input, *node.output)
+    for tensor in _tensors(proto):
+        yield tensor.name
+        for pair in tensor.external_data:
+            yield from (pair.key, pair.value)
 
 
 def write_manifest(
@@ -269,5 +318,7 @@ def _is_manifest(data: memoryview, start: int, end: int) -> bool:
 def _copy_bytes(source: BinaryIO, out: BinaryIO, count: int) -> None:
     while count:
         chunk = source.read(min(count, 1 << 20))
+        if not chunk:
+            raise OSError(f"{source.name} became shorter while it was copied")
         out.write(chunk)
         count -= len(chunk)

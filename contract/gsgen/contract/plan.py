@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 from gsgen.contract.candidate import static_dims
 from gsgen.contract.finding import Level
+from gsgen.contract.graph import Tensor
+from gsgen.contract.manifest import Input
 from gsgen.contract.probes import Probe, default_probes, dependency_probes
 from gsgen.contract.subject import Subject
 
@@ -13,6 +15,8 @@ from gsgen.contract.subject import Subject
 _BUDGET = 1 << 30
 _MOST, _FEWEST = 8, 3
 _VARIANTS = 2
+# What an axis of open size is probed with, such as the height of an image.
+_OPEN_SIZE = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +43,7 @@ def make_plan(subject: Subject, level: Level, seed: int = 0) -> Plan:
     manifest = subject.manifest
     assert manifest is not None
     tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
-    shapes = {
-        i.name: tuple(int(d) for d in static_dims(tensors[i.name]) or ())
-        for i in manifest.inputs
-    }
+    shapes = {i.name: _probed_shape(i, tensors[i.name]) for i in manifest.inputs}
     dtypes = {i.name: tensors[i.name].dtype or "float32" for i in manifest.inputs}
     count = _affordable(subject)
     first = default_probes(manifest, shapes, dtypes, seed, count)
@@ -58,6 +59,16 @@ def make_plan(subject: Subject, level: Level, seed: int = 0) -> Plan:
         probes.extend(changed)
     revisited = (base, again) if len(first) > 1 else None
     return Plan(tuple(probes), len(first), (again, again + 1), revisited, variants)
+
+
+def _probed_shape(entry: Input, tensor: Tensor) -> tuple[int, ...]:
+    """Return the shape to feed; sizes that the graph leaves open come from the manifest."""
+    dims = tensor.dims if tensor.dims is not None else entry.shape or ()
+    declared = entry.shape if entry.shape and len(entry.shape) == len(dims) else None
+    return tuple(
+        dim if isinstance(dim, int) else declared[axis] if declared else _OPEN_SIZE
+        for axis, dim in enumerate(dims)
+    )
 
 
 def _affordable(subject: Subject) -> int:

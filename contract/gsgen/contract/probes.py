@@ -19,9 +19,13 @@ from gsgen.contract.roles import ROLES
 
 Array = np.ndarray
 
-_FOV = np.deg2rad(60.0)
-_ASPECT = 16 / 9
-_VIEWPORT = (1280.0, 720.0)
+# Images wide, square and tall, and lenses from the narrower to the wider angle: a model that
+# depends on either must show it.
+_VIEWPORTS = ((1280.0, 720.0), (960.0, 960.0), (720.0, 1280.0))
+_FOV = (np.deg2rad(50.0), np.deg2rad(70.0))
+_NEAR, _FAR = 0.01, 1000.0
+# Bounds beyond this are none; its square is still a float32.
+_FARTHEST = 1e18
 _UP = {"x": 0, "y": 1, "z": 2}
 
 
@@ -64,10 +68,9 @@ def default_probes(
     probes = [Probe("all inputs zero", zero, zeros=True)]
     for index in range(count):
         rng = np.random.default_rng([seed, index])
+        along = index / (count - 1)
         inputs = {
-            i.name: _sample(i, manifest, shapes[i.name], index / (count - 1), rng).astype(
-                dtypes[i.name]
-            )
+            i.name: _cast(_sample(i, manifest, shapes[i.name], along, rng), dtypes[i.name])
             for i in manifest.inputs
         }
         probes.append(Probe(_label(manifest, inputs, index), inputs))
@@ -108,15 +111,15 @@ def _sample(
     if one.role == "view":
         return as_tensor(_camera(manifest, along), order)
     if one.role == "projection":
-        return as_tensor(perspective(_FOV, _ASPECT, 0.01, 1000.0), order)
+        return as_tensor(_lens(along), order)
     if one.role == "camera_position":
         view = _camera(manifest, along)
         return np.asarray(-view[:3, :3].T @ view[:3, 3])
     if one.role == "viewport":
-        return np.asarray(_VIEWPORT)
+        return np.asarray(_viewport(along))
     low, high = one.range or _usual_range(one)
     if one.role in ("time", "frame_index", "appearance_id", "timestep"):
-        value = low + (high - low) * along  # both ends included
+        value = _between(low, high, np.asarray(along))  # both ends included
         return np.full(shape, np.rint(value) if ROLES[one.role].index else value)
     if one.role in ("pose", "root_rotation") and shape[-1] == 4:
         quaternion = rng.normal(size=shape)
@@ -125,7 +128,21 @@ def _sample(
         q, r = np.linalg.qr(rng.normal(size=(3, 3)))
         q = q * np.sign(np.diag(r))
         return np.asarray(q * np.linalg.det(q))
-    return rng.uniform(low, high, shape)
+    return _between(low, high, rng.random(shape))
+
+
+def _between(low: float, high: float, along: Array) -> Array:
+    """Interpolate without a difference that might overflow."""
+    return np.asarray(low * (1 - along) + high * along)
+
+
+def _cast(values: Array, dtype: str) -> Array:
+    """Convert to ``dtype``; what does not fit becomes the nearest number that does."""
+    kind = np.dtype(dtype)
+    if kind.kind in "iuf":
+        limits = np.finfo(kind) if kind.kind == "f" else np.iinfo(kind)
+        values = np.clip(values, limits.min, limits.max)
+    return np.asarray(values.astype(kind))
 
 
 def _usual_range(one: Input) -> tuple[float, float]:
@@ -137,12 +154,23 @@ def _usual_range(one: Input) -> tuple[float, float]:
     return usual.get(one.role, (0.0, 1.0))
 
 
+def _viewport(along: float) -> tuple[float, float]:
+    return _VIEWPORTS[round(along * (len(_VIEWPORTS) - 1))]
+
+
+def _lens(along: float) -> Float[np.ndarray, "4 4"]:
+    """Return the projection of the camera ``along`` (0..1) the spiral, for its viewport."""
+    narrow, wide = _FOV
+    width, height = _viewport(along)
+    return perspective(narrow + (wide - narrow) * along, width / height, _NEAR, _FAR)
+
+
 def _camera(manifest: Manifest, along: float) -> Float[np.ndarray, "4 4"]:
     """Return the view matrix of the camera ``along`` (0..1) a spiral around the bounds."""
     bounds = getattr(manifest, "bounds", None) or Bounds(
         (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)
     )
-    low, high = np.asarray(bounds.min), np.asarray(bounds.max)
+    low, high = np.clip([bounds.min, bounds.max], -_FARTHEST, _FARTHEST)
     center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
     space = getattr(manifest, "space", None)
     axis = space.up if space else "-y"

@@ -16,13 +16,16 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.probes import Probe
+
+_COPIES = 5
 
 Stage = Literal["load", "run", "time", "memory", "crash"]
 
@@ -38,6 +41,18 @@ class Limits:
 
     seconds: float = 120.0
     memory: int = 2 << 30
+
+    def __post_init__(self) -> None:
+        if not (self.seconds > 0 and self.memory > 0):  # so that NaN is refused, too
+            saw = f"{self.seconds:g} s and {self.memory} bytes"
+            raise ConfigInvalid(f"{saw}, wanted more than 0 of each", where="limits")
+
+    def for_model(self, size: int) -> "Limits":
+        """Allow, on top, what loading ``size`` bytes of weights takes.
+
+        ONNX Runtime holds the parsed file, its own copy, a folded copy, and the outputs.
+        """
+        return replace(self, memory=self.memory + _COPIES * size)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ __all__ = ["DIALECT", "Json", "from_json", "schema_of", "to_json"]
 import types
 import typing
 from collections.abc import Mapping
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from gsgen.contract.schema_hints import Hint
@@ -110,13 +110,23 @@ def _tuple_schema(
 def to_json(value: Any) -> Any:
     """Turn a dataclass (or a part of one) into what ``json.dumps`` takes, without absent fields."""
     if is_dataclass(value) and not isinstance(value, type):
-        pairs = ((f.name, to_json(getattr(value, f.name))) for f in fields(value))
-        return {name: entry for name, entry in pairs if entry not in (None, {}, [])}
+        given = ((f, getattr(value, f.name)) for f in fields(value))
+        return {f.name: to_json(entry) for f, entry in given if not _is_absent(f, entry)}
     if isinstance(value, (tuple, list)):
         return [to_json(item) for item in value]
     if isinstance(value, Mapping):
         return {key: to_json(item) for key, item in value.items()}
     return value
+
+
+def _is_absent(field: "Field[Any]", value: Any) -> bool:
+    """Say whether leaving ``field`` out means ``value``: it is None, or empty by default."""
+    if value is None:
+        return True
+    default = field.default
+    if field.default_factory is not MISSING:
+        default = field.default_factory()
+    return value in ((), {}) and value == default
 
 
 def from_json(hint: Any, value: Any) -> Any:

@@ -53,9 +53,9 @@ class Tally:
         count = int(np.count_nonzero(breach.bad))
         if count:
             self.count += count
-            self._remember(breach, probe, start, count)
+            self._remember(breach, probe, start)
 
-    def _remember(self, breach: Breach, probe: str, start: int, count: int) -> None:
+    def _remember(self, breach: Breach, probe: str, start: int) -> None:
         assert breach.bad is not None
         assert breach.values is not None
         if len(self.examples) < _SHOWN:
@@ -63,7 +63,8 @@ class Tally:
                 self.examples.append(_example(breach.values, row, probe, start))
         if breach.badness is None:
             return
-        masked = np.where(breach.bad, breach.badness, -np.inf)
+        badness = np.where(np.isnan(breach.badness), np.inf, breach.badness)
+        masked = np.where(breach.bad, badness, -np.inf)
         worst = int(np.argmax(masked))
         if masked[worst] > self.badness:
             self.badness = float(masked[worst])

@@ -6,11 +6,12 @@ import json
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint
 from typing import Any
 
 from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.finding import Severity
+from gsgen.contract.registered import registered
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,30 +64,55 @@ def target_from_json(text: str, where: str) -> Target:
                 k: Severity.parse(v) for k, v in data.get("severities", {}).items()
             },
         )
-    except (ValueError, KeyError, IndexError, TypeError) as error:
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise ConfigInvalid(
             f"is not a target's data file: {error!r}", where=where
         ) from error
 
 
 @cache
+def _own_targets() -> dict[str, Target]:
+    """Return the targets that come with gsgen."""
+    folder = resources.files("gsgen.contract").joinpath("targets_data")
+    files = sorted(folder.iterdir(), key=lambda entry: entry.name)
+    found = [
+        target_from_json(file.read_text("utf-8"), file.name)
+        for file in files
+        if file.name.endswith(".json")
+    ]
+    return {target.name: target for target in found}
+
+
+@cache
 def known_targets() -> dict[str, Target]:
     """Return every target that is installed, by name; third parties' come last.
 
-    A third party registers a function without arguments that returns a :class:`Target` under the
-    entry point group ``gsgen.targets``.
+    A third party registers a :class:`Target`, or a function without arguments that returns one,
+    under the entry point group ``gsgen.targets``. It may build on ours with :func:`load_target`.
+
+    Raises:
+        ConfigInvalid: A registered target cannot be loaded.
     """
-    found: dict[str, Target] = {}
-    folder = resources.files("gsgen.contract").joinpath("targets_data")
-    for file in sorted(folder.iterdir(), key=lambda entry: entry.name):
-        if file.name.endswith(".json"):
-            target = target_from_json(file.read_text("utf-8"), file.name)
-            found[target.name] = target
-    for point in entry_points(group="gsgen.targets"):
-        loaded: Any = point.load()
-        target = loaded() if callable(loaded) else loaded
+    found = dict(_own_targets())
+    for point in registered("gsgen.targets"):
+        target = _loaded(point)
         found[target.name] = target
     return found
+
+
+def _loaded(point: EntryPoint) -> Target:
+    where = f"entry point gsgen.targets, {point.name} = {point.value}"
+    try:
+        loaded: Any = point.load()
+        target = loaded() if callable(loaded) else loaded
+    except Exception as error:  # a third party's code may fail in any way
+        mend = "Mend or uninstall the package that registers it."
+        raise ConfigInvalid(f"does not load: {error!r}", where=where, mend=mend) from error
+    if not isinstance(target, Target):
+        raise ConfigInvalid(
+            f"gives a {type(target).__name__}, wanted a Target", where=where
+        )
+    return target
 
 
 def load_target(name: str, where: str = "--target") -> Target:
@@ -97,7 +123,8 @@ def load_target(name: str, where: str = "--target") -> Target:
         ConfigInvalid: There is, but in another version.
     """
     wanted, _, version = name.partition("@")
-    targets = known_targets()
+    own = _own_targets()
+    targets = own if wanted in own else known_targets()
     if wanted not in targets:
         raise UnknownName.among("target", wanted, targets, where)
     target = targets[wanted]

@@ -5,10 +5,10 @@ the payload of large tensors, and leaves a model that protobuf parses in millise
 Source: "Encoding", protobuf.dev, and ``onnx.proto`` of ONNX 1.18 for the field numbers.
 """
 
-__all__ = ["Field", "Skeleton", "WireFault", "scan", "skeleton", "varint"]
+__all__ = ["STUB", "Field", "Skeleton", "WireFault", "scan", "skeleton", "varint"]
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 Buffer = bytes | memoryview
 
@@ -33,8 +33,11 @@ _NESTED: dict[str, dict[int, str]] = {
 }
 # TensorProto: float_data int32_data string_data int64_data raw_data double_data uint64_data.
 _PAYLOAD = frozenset({4, 5, 6, 7, 9, 10, 11})
-_TENSOR_TYPE, _TENSOR_NAME, _TENSOR_RAW = 2, 8, 9
+_TENSOR_TYPE, _TENSOR_RAW = 2, 9
 _INTEGER_TYPES = frozenset({6, 7})  # int32, int64: shape inference may want their values
+
+# What stands for a payload that was left out.
+STUB = b"\0"
 
 # A message up to this size is copied whole: looking inside would cost more than it saves.
 _SMALL = 2048
@@ -70,12 +73,10 @@ class Skeleton:
     Attributes:
         data: The remaining protobuf bytes.
         stripped: Bytes of payload left out, in total.
-        names: Names of the tensors whose payload was left out, where they have one.
     """
 
     data: bytes = b""
     stripped: int = 0
-    names: set[str] = field(default_factory=set)
 
 
 def varint(data: Buffer, at: int, end: int) -> tuple[int, int]:
@@ -180,12 +181,9 @@ class _Builder:
                 payload += one.end - one.value
             else:
                 kept.append(self._copy(one.start, one.end))
-                if one.number == _TENSOR_NAME and one.wire == BYTES:
-                    name = bytes(self.data[one.value : one.end])
-                    self.result.names.add(name.decode(errors="replace"))
         self.result.stripped += payload
         if payload:  # a stub, so that the tensor still says it has data
-            kept.append(_header(_TENSOR_RAW, 1) + b"\0")
+            kept.append(_header(_TENSOR_RAW, len(STUB)) + STUB)
         return kept
 
     def _copy(self, start: int, end: int) -> bytes:

@@ -68,7 +68,9 @@ def _limit_memory(limit: int) -> None:
         import resource
 
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+        _, most = resource.getrlimit(resource.RLIMIT_DATA)
+        most = sys.maxsize if most == resource.RLIM_INFINITY else most
+        resource.setrlimit(resource.RLIMIT_DATA, (min(limit, most), min(limit, most)))
 
 
 def _inputs(path: Path, names: list[str]) -> dict[str, np.ndarray]:
@@ -83,9 +85,10 @@ def _keep(
     digest = hashlib.sha256()
     for name, value in outputs.items():
         if not isinstance(value, np.ndarray) or value.dtype.hasobject:
-            raise TypeError(
-                f"output {name!r} is a {type(value).__name__}, wanted a numeric tensor"
+            saw = (
+                "strings" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
             )
+            raise TypeError(f"output {name!r} is {saw}, wanted a numeric tensor")
         digest.update(f"{name} {value.dtype} {value.shape}\n".encode())
         digest.update(np.ascontiguousarray(value).data)
     key = digest.hexdigest()

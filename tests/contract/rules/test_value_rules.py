@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gsgen.contract.emission import Emission, Rows
 from gsgen.contract.manifest import AppearanceOutput, GaussiansOutput
 from gsgen.contract.rule import Rule
-from gsgen.contract.rules import values
+from gsgen.contract.rules import appearance, covariance, values
 from gsgen.contract.subject import Subject
 
 DTYPES = {16: np.float16, 32: np.float32}
@@ -72,13 +72,13 @@ ORACLES: dict[str, tuple[Rule, Oracle]] = {
         ),
     ),
     "GV005": (
-        values.variance_not_negative,
+        covariance.variance_not_negative,
         lambda row, color, live, half: (
             drawn(row, color, live) and min(row[4], row[7], row[9]) < 0
         ),
     ),
     "GV007": (
-        values.covariance_not_zero,
+        covariance.covariance_not_zero,
         lambda row, color, live, half: drawn(row, color, live) and not any(row[4:]),
     ),
     "GV010": (
@@ -91,7 +91,7 @@ ORACLES: dict[str, tuple[Rule, Oracle]] = {
         ),
     ),
     "GV012": (
-        values.rgb_range,
+        appearance.rgb_range,
         lambda row, color, live, half: (
             drawn(row, color, live) and not all(-0.01 <= c <= 1.01 for c in color[:3])
         ),
@@ -170,7 +170,9 @@ def check_psd(upper: np.ndarray) -> None:
     ours = (diagonal >= 0).all(axis=1)  # a negative variance is GV005's
     wanted = set(np.flatnonzero(ours & (margin < 0)).tolist())
     close = np.abs(margin) <= 1e-7 * np.abs(matrices).max(axis=(1, 2))
-    found = bad_rows(values.covariance_psd, rows_of(packed_with(upper), None, len(upper)))
+    found = bad_rows(
+        covariance.covariance_psd, rows_of(packed_with(upper), None, len(upper))
+    )
     assert found ^ wanted <= set(np.flatnonzero(close).tolist())
 
 
@@ -234,8 +236,8 @@ def test_a_proper_covariance_survives_rounding(
     spread = turned * 10.0 ** np.asarray(axes)
     upper = uppers(spread @ spread.transpose(0, 2, 1), dtype)
     rows = rows_of(packed_with(upper), None, len(upper))
-    assert not bad_rows(values.covariance_psd, rows)
-    assert not bad_rows(values.variance_not_negative, rows)
+    assert not bad_rows(covariance.covariance_psd, rows)
+    assert not bad_rows(covariance.variance_not_negative, rows)
 
 
 def test_rows_beyond_the_first_chunk_are_counted_from_the_start():

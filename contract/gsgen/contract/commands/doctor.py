@@ -4,10 +4,12 @@ __all__ = ["doctor"]
 
 import json
 from dataclasses import asdict
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from gsgen.contract.registered import registered
 
 if TYPE_CHECKING:
     from gsgen.contract.environment import Check
@@ -50,7 +52,7 @@ def _rooms() -> list[EntryPoint]:
         ours = point.name in _ORDER
         return (_ORDER.index(point.name) if ours else len(_ORDER), point.name)
 
-    return sorted(entry_points(group="gsgen.doctor"), key=rank)
+    return sorted(registered("gsgen.doctor"), key=rank)
 
 
 def _ask(point: EntryPoint) -> "list[Check]":

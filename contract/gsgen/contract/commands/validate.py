@@ -34,17 +34,23 @@ def validate(
     level: Annotated[
         str | None,
         typer.Option(
-            help="How far to go: static, values, behaviour, live or render. [behaviour]"
+            help="How far to go: static, values, behaviour, live or render.",
+            show_default="behaviour",
         ),
     ] = None,
     target: Annotated[
         str | None,
-        typer.Option(help="Consumer to judge for: core, webgpu, visionary, gsgen. [core]"),
+        typer.Option(
+            help="Consumer to judge for: core, webgpu, visionary, gsgen.",
+            show_default="core",
+        ),
     ] = None,
     format: Annotated[Format, typer.Option(help="How to print the report.")] = Format.TEXT,
     fail_on: Annotated[
         str | None,
-        typer.Option(help="Lowest severity that fails: error, warning or info. [error]"),
+        typer.Option(
+            help="Lowest severity that fails: error, warning or info.", show_default="error"
+        ),
     ] = None,
     ignore: Annotated[
         list[str] | None,
@@ -60,7 +66,9 @@ def validate(
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option(help="Configuration file. [./gsgen.toml, where there is one]"),
+        typer.Option(
+            help="Configuration file.", show_default="./gsgen.toml, where there is one"
+        ),
     ] = None,
     output: Annotated[
         Path | None,
@@ -69,11 +77,15 @@ def validate(
     strict: Annotated[bool, typer.Option(help="A missing manifest is an error.")] = False,
     timeout: Annotated[
         float | None,
-        typer.Option(help="Seconds that running a model may take. [120]", min=0.1),
+        typer.Option(
+            help="Seconds that running a model may take.", show_default="120", min=0.1
+        ),
     ] = None,
     memory: Annotated[
         int | None,
-        typer.Option(help="MiB of memory that running a model may take. [2048]", min=64),
+        typer.Option(
+            help="MiB of memory that running a model may take.", show_default="2048", min=64
+        ),
     ] = None,
     verbose: Annotated[
         bool, typer.Option("-v", "--verbose", help="List every rule.")
@@ -81,8 +93,7 @@ def validate(
 ) -> None:
     """Say whether each MODEL keeps the contract.
 
-    Exits 0 if all conform, 1 if one does not, 2 for wrong options, 3 if a rule crashed, 4 if a
-    file is no model.
+    Exits 0 if all conform, 1 if not, 2 for wrong options, 3 if a rule crashed, 4 if no model.
     """
     from gsgen.contract.installed import installed_rules
 

@@ -39,7 +39,7 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
     if verbose:
         lines += _details(report)
     lines.append(_verdict(report))
-    return lines
+    return [Line(_printable(line.text), line.style) for line in lines]
 
 
 def _head(report: Report) -> list[Line]:
@@ -81,6 +81,11 @@ def _wrapped(text: str) -> list[Line]:
         break_on_hyphens=False,
     )
     return [Line(line) for line in made]
+
+
+def _printable(text: str) -> str:
+    """Write control characters as escapes: a tensor's name must not steer the terminal."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def _not_run(report: Report) -> list[Line]:

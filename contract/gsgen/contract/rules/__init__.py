@@ -1,9 +1,11 @@
-"""The rule catalogue, one module a family."""
+"""The rule catalogue, one or more modules a family."""
 
 __all__ = ["FAMILIES"]
 
 from gsgen.contract.rules import (
+    appearance,
     behaviour,
+    covariance,
     graph,
     inputs,
     limits,
@@ -14,4 +16,16 @@ from gsgen.contract.rules import (
     visionary,
 )
 
-FAMILIES = (manifest, inputs, outputs, graph, values, behaviour, limits, safety, visionary)
+FAMILIES = (
+    manifest,
+    inputs,
+    outputs,
+    graph,
+    values,
+    covariance,
+    appearance,
+    behaviour,
+    limits,
+    safety,
+    visionary,
+)

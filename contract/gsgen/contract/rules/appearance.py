@@ -1,23 +1,60 @@
-"""GV, appearance: whether the coefficients stand in the order that readers take them in."""
+"""GV, appearance: colours are in range, and coefficients in the order that readers take."""
 
 from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
 
-from gsgen.contract.emission import Emission
-from gsgen.contract.finding import Breach, Severity
+from gsgen.contract.emission import Emission, Rows
+from gsgen.contract.finding import Breach, Severity, Where
 from gsgen.contract.layout import CULL_OPACITY, OPACITY
 from gsgen.contract.rule import rule
 from gsgen.contract.spherical_harmonics import degree_of
 
+_COLOR_SLACK = 1e-2
+
+_COLOR = ("GV025", "GO001", "GO002", "GO005", "GO006", "GO007", "GO008")
+
 # Enough rows for a mean; more would only cost time.
-_SAMPLE = 1 << 16
+_SAMPLE = 1 << 14
 
 # Mean degree of the coefficients' energy. Trained scenes lie below 0.3, since detail falls with
 # the degree; a wrong order spreads the constant terms over all degrees and gives 1 or more.
 _SUSPECT = 0.5
 _CLEARER = 0.4
+
+
+@rule(
+    "GV012",
+    "rgb-range",
+    Severity.WARNING,
+    over="rows",
+    fixture="rgb_in_bytes",
+    needs=_COLOR,
+)
+def rgb_range(rows: Rows) -> Iterator[Breach]:
+    """Raw RGB lies in [0, 1] in every drawn row.
+
+    Why:
+        Values up to 255 are bytes that were not divided, and show as white. Values around zero
+        are SH coefficients passed as colours, and show as black.
+
+    Mend:
+        Divide bytes by 255; turn the SH constant term into colour as 0.5 + 0.28209479 · f_dc.
+    """
+    declared, color = rows.emission.declared, rows.color
+    if declared is None or declared.space != "rgb" or color is None:
+        return
+    shown = color[:, :3].astype(np.float32)
+    kept = ((shown >= -_COLOR_SLACK) & (shown <= 1 + _COLOR_SLACK)).all(axis=1)
+    yield Breach.rows(
+        Where(rows.emission.color_place, "rgb"),
+        rows.drawn & ~kept,
+        shown,
+        "0 <= rgb <= 1",
+        judged=rows.drawn_count,
+        badness=np.nan_to_num(np.abs(shown - 0.5).max(axis=1)),
+    )
 
 
 @rule(

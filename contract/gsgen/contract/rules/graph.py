@@ -231,6 +231,43 @@ def outputs_survive_replay(subject: Subject) -> Iterator[Breach]:
                 )
 
 
+@rule(
+    "GG020",
+    "no-transposed-vector-product",
+    Severity.ERROR,
+    over="model",
+    fixture="transposed_times_vector",
+    kinds=KINDS,
+    needs=("GG019",),
+)
+def no_transposed_vector_product(subject: Subject) -> Iterator[Breach]:
+    """No MatMul multiplies the result of a Transpose with a vector of one axis.
+
+    Why:
+        ONNX Runtime's optimiser (seen in 1.31) fuses the Transpose into the product, and then
+        computes A v where Aᵀ v was meant. The camera centre −Rᵀ t comes out wrong without any
+        error, and right again when optimisation is switched off.
+
+    Mend:
+        Give the vector a second axis: Unsqueeze it to [n, 1], multiply, and Squeeze the result.
+        Models exported with the SDK are so already.
+    """
+    graph = subject.graph
+    for node in graph.nodes:
+        if (
+            node.op_type != "MatMul"
+            or node.domain not in _MAIN_DOMAIN
+            or len(node.input) != 2
+        ):
+            continue
+        maker, right = graph.producers.get(node.input[0]), graph.tensors.get(node.input[1])
+        turned = maker is not None and maker.op_type == "Transpose"
+        if turned and right is not None and right.dims is not None and len(right.dims) == 1:
+            yield Breach.at(
+                _place(node), f"Transpose times {right}", "a right side of two axes"
+            )
+
+
 def _shares_base(graph: Graph, node: NodeProto) -> bool:
     base = node.input[0]
     return base not in graph.producers or graph.uses.get(base, 0) > 1

@@ -11,43 +11,22 @@ from jaxtyping import Bool, Float
 
 from gsgen.contract.behaviour import Trial
 from gsgen.contract.candidate import static_dims
-from gsgen.contract.emission import Emission, Rows, peak_bits
+from gsgen.contract.emission import Emission, Rows
 from gsgen.contract.finding import Breach, Severity, Where
-from gsgen.contract.geometry import smallest_eigenvalue
 from gsgen.contract.layout import CULL_OPACITY
 from gsgen.contract.roles import KINDS
 from gsgen.contract.rule import rule
 from gsgen.contract.subject import Subject
 
 _LARGEST_HALF = 65504.0
-_LARGEST_HALF_BITS = 0x7BFF
+_SHOWN = 8
 _INF_BITS = {2: 0x7C00, 4: 0x7F800000}
 
 # One unit in the last place of float16 below 1 is 2⁻¹¹; a sigmoid may round up by that much.
 _OPACITY_SLACK = 1e-3
 _MOSTLY_DEAD = 0.9
-# How negative an eigenvalue may be by rounding alone: relative to the trace, and, because the
-# smallest float16 numbers are 2⁻²⁴ apart, for three entries a row that are off by half of that.
-_PSD_SLACK = {2: 2.0**-10, 4: 1e-5}
-_PSD_FLOOR = {2: 3 * 2.0**-25, 4: 0.0}
-# What rounding may do to a determinant in float32, relative to its largest terms, and the size
-# below which terms lose bits.
-_DET_DOUBT = np.float32(2e-6)
-_DET_FLOOR = np.float32(1e-30)
-_COLOR_SLACK = 1e-2
 
 _ROWS = ("GV025", "GO001", "GO002", "GO008")
-_COLOR = (*_ROWS, "GO005", "GO006", "GO007")
-
-
-def _subject(rows: Rows) -> str:
-    declared = rows.emission.subject.declared_gaussians
-    return f"output {declared.name if declared else '?'}"
-
-
-def _color_subject(rows: Rows) -> str:
-    declared = rows.emission.declared
-    return f"output {declared.name if declared else '?'}"
 
 
 def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], judged: int) -> Iterator[Breach]:
@@ -56,18 +35,18 @@ def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], judged: int) -> Itera
         return
     packed = ~np.isfinite(rows.wide).all(axis=0) & among
     yield Breach.rows(
-        Where(_subject(rows)), packed, rows.packed, "finite values", judged=judged
+        Where(rows.emission.rows_place), packed, rows.packed, "finite values", judged=judged
     )
     color = rows.color
     if color is None:
         return
-    bad, shown = np.zeros(len(rows), bool), color[:, :1]
-    if peak_bits(color) >= _INF_BITS[color.itemsize]:
-        broken = ~np.isfinite(color)
-        bad = broken.any(axis=1) & among
-        shown = np.take_along_axis(color, broken.argmax(axis=1)[:, None], axis=1)
+    bad = (rows.color_peak >= _INF_BITS[color.itemsize]) & among
+    shown = np.zeros((len(rows), 1), color.dtype)
+    first = np.flatnonzero(bad)[:_SHOWN]  # the rows that a report shows
+    broken = ~np.isfinite(color[first])
+    shown[first] = np.take_along_axis(color[first], broken.argmax(axis=1)[:, None], axis=1)
     yield Breach.rows(
-        Where(_color_subject(rows)), bad, shown, "finite values", judged=judged
+        Where(rows.emission.color_place), bad, shown, "finite values", judged=judged
     )
 
 
@@ -130,7 +109,7 @@ def opacity_range(rows: Rows) -> Iterator[Breach]:
     kept = (opacity >= -_OPACITY_SLACK) & (opacity <= 1 + _OPACITY_SLACK)
     bad = ~kept & rows.counted & rows.finite
     yield Breach.rows(
-        Where(_subject(rows), "opacity"),
+        Where(rows.emission.rows_place, "opacity"),
         bad,
         opacity,
         "0 <= opacity <= 1",
@@ -159,119 +138,12 @@ def mostly_visible(rows: Rows) -> Iterator[Breach]:
     """
     dead = rows.counted & rows.finite & (rows.opacity < CULL_OPACITY)
     yield Breach.rows(
-        Where(_subject(rows), "opacity"),
+        Where(rows.emission.rows_place, "opacity"),
         dead,
         rows.opacity,
         f"at least 1/255 in more than {100 * (1 - _MOSTLY_DEAD):.0f} % of live rows",
         judged=rows.live_rows,
         above_share=_MOSTLY_DEAD,
-    )
-
-
-@rule(
-    "GV005",
-    "variance-not-negative",
-    Severity.ERROR,
-    over="rows",
-    fixture="negative_variance",
-    needs=_ROWS,
-)
-def variance_not_negative(rows: Rows) -> Iterator[Breach]:
-    """The variances xx, yy and zz are not negative in any drawn row.
-
-    Why:
-        A negative variance has no axes: the projected ellipse is NaN or covers the screen.
-
-    Mend:
-        Build the covariance as R S Sᵀ Rᵀ, and check the order of the six entries: xx xy xz yy yz zz.
-    """
-    lowest = rows.covariance[[0, 3, 5]].min(axis=0)
-    yield Breach.rows(
-        Where(_subject(rows), "covariance"),
-        rows.drawn & ~(lowest >= 0),
-        lowest,
-        "xx, yy, zz >= 0",
-        judged=rows.drawn_count,
-        badness=-lowest,
-    )
-
-
-@rule(
-    "GV006",
-    "covariance-psd",
-    Severity.ERROR,
-    over="rows",
-    fixture="indefinite_covariance",
-    needs=_ROWS,
-)
-def covariance_psd(rows: Rows) -> Iterator[Breach]:
-    """The covariance of every drawn row is positive semi-definite, up to rounding.
-
-    Why:
-        A renderer clamps the smaller eigenvalue of the projected ellipse, which hides the fault
-        until the other axis is hundreds of pixels long: a spike.
-
-    Mend:
-        Build the covariance as R S Sᵀ Rᵀ with a normalised rotation; in float16, scale the scene
-        so that variances do not underflow.
-    """
-    slack, floor = _PSD_SLACK[rows.packed.itemsize], _PSD_FLOOR[rows.packed.itemsize]
-    suspects = np.flatnonzero(rows.drawn & ~_surely_psd(rows, slack))
-    bad = np.zeros(len(rows), bool)
-    lowest = np.zeros(len(rows))
-    if len(suspects):
-        upper = rows.covariance[:, suspects].T.astype(np.float64)
-        diagonal = upper[:, [0, 3, 5]]
-        smallest = smallest_eigenvalue(upper)
-        lowest[suspects] = smallest
-        broken = ~(smallest >= -slack * np.abs(diagonal).sum(axis=1) - floor)
-        bad[suspects] = broken & (diagonal >= 0).all(axis=1)  # negative ones are GV005's
-    yield Breach.rows(
-        Where(_subject(rows), "covariance"),
-        bad,
-        lowest,
-        f"smallest eigenvalue >= -{slack:.2g} of the trace",
-        judged=rows.drawn_count,
-        badness=-lowest,
-    )
-
-
-def _surely_psd(rows: Rows, slack: float) -> Bool[np.ndarray, " n"]:
-    """Sylvester's criterion on Σ + slack·tr(Σ)·I in float32: true only if well inside."""
-    xx, xy, xz, yy, yz, zz = rows.covariance
-    lift = np.float32(slack) * rows.trace
-    a, b, c = xx + lift, yy + lift, zz + lift
-    minor = a * b - xy * xy
-    taken = a * yz * yz + b * xz * xz
-    det = c * minor - taken + 2 * xy * xz * yz
-    doubt = np.maximum(_DET_DOUBT * (a * b * c + taken), _DET_FLOOR)
-    return np.asarray((a > 0) & (minor > 0) & (det > doubt))
-
-
-@rule(
-    "GV007",
-    "covariance-not-zero",
-    Severity.WARNING,
-    over="rows",
-    fixture="zero_covariance",
-    needs=_ROWS,
-)
-def covariance_not_zero(rows: Rows) -> Iterator[Breach]:
-    """The covariance of a drawn row is not all zero.
-
-    Why:
-        The Gaussian has no extent of its own and shows only as the renderer's low-pass filter. A
-        zero quaternion, or float16 underflow of a variance below 6e-8, gives such rows.
-
-    Mend:
-        Normalise rotations safely; scale the scene up before float16.
-    """
-    yield Breach.rows(
-        Where(_subject(rows), "covariance"),
-        rows.drawn & (rows.trace == 0) & (rows.covariance == 0).all(axis=0),
-        rows.trace,
-        "a trace above 0",
-        judged=rows.drawn_count,
     )
 
 
@@ -294,51 +166,16 @@ def float16_saturation(rows: Rows) -> Iterator[Breach]:
     """
     if rows.packed.dtype == np.float16:
         peak = np.abs(rows.wide).max(axis=0, initial=0)
-        yield _saturated(rows, _subject(rows), peak)
+        yield _saturated(rows, rows.emission.rows_place, peak)
     if rows.color is not None and rows.color.dtype == np.float16:
-        peak = np.zeros(len(rows), np.float32)
-        if peak_bits(rows.color) >= _LARGEST_HALF_BITS:
-            peak = np.abs(rows.color.astype(np.float32)).max(axis=1)
-        yield _saturated(rows, _color_subject(rows), peak)
+        peak = rows.color_peak.view(np.float16).astype(np.float32)
+        yield _saturated(rows, rows.emission.color_place, peak)
 
 
 def _saturated(rows: Rows, subject: str, peak: Float[np.ndarray, " n"]) -> Breach:
     bad = (peak >= _LARGEST_HALF) & rows.counted & rows.finite
     want = f"magnitudes below {_LARGEST_HALF:g}"
     return Breach.rows(Where(subject), bad, peak, want, judged=rows.live_rows)
-
-
-@rule(
-    "GV012",
-    "rgb-range",
-    Severity.WARNING,
-    over="rows",
-    fixture="rgb_in_bytes",
-    needs=_COLOR,
-)
-def rgb_range(rows: Rows) -> Iterator[Breach]:
-    """Raw RGB lies in [0, 1] in every drawn row.
-
-    Why:
-        Values up to 255 are bytes that were not divided, and show as white. Values around zero
-        are SH coefficients passed as colours, and show as black.
-
-    Mend:
-        Divide bytes by 255; turn the SH constant term into colour as 0.5 + 0.28209479 · f_dc.
-    """
-    declared, color = rows.emission.declared, rows.color
-    if declared is None or declared.space != "rgb" or color is None:
-        return
-    shown = color[:, :3].astype(np.float32)
-    kept = ((shown >= -_COLOR_SLACK) & (shown <= 1 + _COLOR_SLACK)).all(axis=1)
-    yield Breach.rows(
-        Where(_color_subject(rows), "rgb"),
-        rows.drawn & ~kept,
-        shown,
-        "0 <= rgb <= 1",
-        judged=rows.drawn_count,
-        badness=np.nan_to_num(np.abs(shown - 0.5).max(axis=1)),
-    )
 
 
 @rule(
@@ -386,7 +223,7 @@ def padding_inert(rows: Rows) -> Iterator[Breach]:
         Fill rows behind the count with zeros; the SDK pads so.
     """
     yield Breach.rows(
-        Where(_subject(rows), "opacity"),
+        Where(rows.emission.rows_place, "opacity"),
         ~rows.counted & np.isfinite(rows.opacity) & (rows.opacity != 0),
         rows.opacity,
         "opacity 0 in rows behind the count",

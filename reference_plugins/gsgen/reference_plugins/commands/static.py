@@ -23,28 +23,32 @@ def static(
     ],
     dtype: Annotated[
         Literal["float32", "float16"] | None,
-        typer.Option(help="Of the outputs. [float32, or that of packed rows]"),
+        typer.Option(
+            help="Of the outputs.", show_default="float32, or that of packed rows"
+        ),
     ] = None,
     opacity: Annotated[
         float, typer.Option(help="Of bare points.", min=0.001, max=1.0)
     ] = 0.1,
     appearance: Annotated[
         Literal["sh", "rgb"] | None,
-        typer.Option(help="What packed rows with three channels hold. [rgb]"),
+        typer.Option(help="What packed rows with three channels hold.", show_default="rgb"),
     ] = None,
     sh_degree: Annotated[
         int | None,
         typer.Option(
-            help="Cut SH to this degree or fill up to it; points become SH. [as in the file]",
+            help="Cut SH to this degree or fill up to it; points become SH.",
+            show_default="as in the file",
             min=0,
             max=3,
         ),
     ] = None,
     capacity: Annotated[
-        int | None, typer.Option(help="Rows of the outputs. [as many as needed]", min=1)
+        int | None,
+        typer.Option(help="Rows of the outputs.", show_default="as many as needed", min=1),
     ] = None,
     name: Annotated[
-        str | None, typer.Option(help="Name in the manifest. [the file's]")
+        str | None, typer.Option(help="Name in the manifest.", show_default="the file's")
     ] = None,
     color_space: Annotated[
         Literal["srgb", "linear"], typer.Option(help="Of the colours.")

@@ -1,0 +1,183 @@
+"""Facts of the contract as tables: roles, layout, targets, configuration, probes."""
+
+from typing import Any
+
+import numpy as np
+
+from docs_parts.rules import ours
+from docs_parts.tables import code, table
+from gsgen.contract.config import Settings, config_schema
+from gsgen.contract.layout import APPEARANCE_CHANNELS, FIELDS, WORD_BYTES
+from gsgen.contract.manifest import Bounds, GeneratorManifest, GeneratorOutputs, Input, Space
+from gsgen.contract.manifest import Tolerances
+from gsgen.contract.probes import default_probes
+from gsgen.contract.roles import ROLES
+from gsgen.contract.schema import to_json
+from gsgen.contract.spherical_harmonics import degree_of
+from gsgen.contract.targets import load_target
+
+_OURS = ("core", "webgpu", "visionary", "gsgen")
+_SIZES = {"float32": 4, "float16": 2}
+
+# What each limit of a target bounds, and the rules that ask for it.
+_LIMITS = {
+    "binding_bytes": ("Bytes of one storage buffer binding.", ("GL001",)),
+    "buffer_bytes": ("Bytes of one buffer.", ("GL002",)),
+    "workgroups": ("Workgroups of one dispatch along an axis.", ("GL003",)),
+    "workgroup_size": ("Rows that one workgroup visits.", ("GL003",)),
+}
+
+
+def roles(kind: str) -> str:
+    """Return the roles that a kind of model may take."""
+    rows = [
+        (
+            f"`{role.name}`",
+            " or ".join(role.dtype),
+            " or ".join(f"[{', '.join(map(str, shape))}]" for shape in role.shapes),
+            "required" if role.needs_range else "optional",
+            code(role.conventions) or "–",
+            role.summary,
+        )
+        for role in ROLES.values()
+        if kind in role.kinds
+    ]
+    return table(("role", "dtype", "shape", "`range`", "`convention`", "meaning"), rows)
+
+
+def row() -> str:
+    """Return where each field of a packed row lies."""
+    rows = [
+        (str(place), f"`{name}`", str(4 * place), str(2 * place))
+        for place, name in enumerate(FIELDS)
+    ]
+    sizes = [str(size * len(FIELDS)) for size in _SIZES.values()]
+    head = ("column", "field", "byte in float32", "byte in float16")
+    return table(head, [*rows, ("", "bytes a row", *sizes)])
+
+
+def rows_of_color() -> str:
+    """Return every appearance row: channels, bytes, and whether it is allowed."""
+    rows = []
+    for space, choices in APPEARANCE_CHANNELS.items():
+        for channels in choices:
+            degree = str(degree_of(channels // 3)) if space == "sh" else "–"
+            cells = [f"`{space}`", degree, str(channels)]
+            for size in _SIZES.values():
+                whole = (channels * size) % WORD_BYTES == 0
+                cells.append(f"{channels * size} B" if whole else "not allowed")
+            rows.append(tuple(cells))
+    return table(("`space`", "`degree`", "channels", "float32", "float16"), rows)
+
+
+def targets() -> str:
+    """Return the targets that come with gsgen."""
+    found = [load_target(name) for name in _OURS]
+    rows = [
+        (
+            f"`{one.name}`",
+            one.version,
+            f"{one.opset[0]} to {one.opset[1]}",
+            f"up to {one.ir}",
+            code(sorted(domain for domain in one.domains if domain)),
+            one.summary,
+        )
+        for one in found
+    ]
+    head = ("target", "version", "operator set", "IR version", "domains", "what it is")
+    return table(head, rows)
+
+
+def limits() -> str:
+    """Return the limits of each target."""
+    found = [load_target(name) for name in _OURS]
+    names = list(dict.fromkeys(name for one in found for name in one.limits))
+    rows = []
+    for name in names:
+        text, asked_by = _LIMITS[name]
+        values = [f"{one.limits[name]:,}" if name in one.limits else "–" for one in found]
+        links = ", ".join(f"[{id}](../rules/{id}.md)" for id in asked_by)
+        rows.append((f"`{name}`", *values, f"{text} {links}"))
+    return table(("limit", *(f"`{one.name}`" for one in found), "meaning, and rule"), rows)
+
+
+def severities() -> str:
+    """Return the severities that targets change, and the rules that are theirs alone."""
+    registry = ours()
+    rows = []
+    for name in _OURS:
+        target = load_target(name)
+        own = [rule.id for rule in registry.rules.values() if rule.target == name]
+        changed = [
+            f"{_link(id)} {registry.rules[id].severity.word} → {severity.word}"
+            for id, severity in target.severities.items()
+        ]
+        shown = ", ".join(_link(id) for id in own)
+        rows.append((f"`{name}`", ", ".join(changed) or "–", shown or "–"))
+    return table(("target", "severities it changes", "rules of its own"), rows)
+
+
+def _link(id: str) -> str:
+    return f"[{id}](../rules/{id}.md)"
+
+
+def config_keys() -> str:
+    """Return the keys of ``gsgen.toml``."""
+    schema: Any = config_schema(ours())
+    defaults = Settings()
+    values = {
+        "level": f'"{defaults.level.word}"',
+        "target": f'"{defaults.target.name}"',
+        "fail_on": f'"{defaults.fail_on.word}"',
+        "ignore": "[]",
+        "timeout": f"{defaults.limits.seconds:g}",
+        "memory_mib": str(defaults.limits.memory >> 20),
+        "strict": "false",
+        "seed": str(defaults.seed),
+    }
+    rows = []
+    for key, entry in schema["properties"]["validate"]["properties"].items():
+        kind = code(f'"{word}"' for word in entry["enum"]) if "enum" in entry else ""
+        kind = kind or {"array": "array of strings"}.get(entry["type"], entry["type"])
+        if "minimum" in entry:
+            kind += f" ≥ {entry['minimum']}"
+        if "exclusiveMinimum" in entry:
+            kind += f" > {entry['exclusiveMinimum']}"
+        rows.append((f"`{key}`", kind, f"`{values[key]}`", entry["description"]))
+    return table(("key of `[validate]`", "type", "if absent", "meaning"), rows)
+
+
+def tolerances() -> str:
+    """Return the tolerances that hold where the manifest declares none."""
+    rows = [(f"`{name}`", f"{value:g}") for name, value in to_json(Tolerances()).items()]
+    return table(("field", "if absent"), rows)
+
+
+def probes() -> str:
+    """Return the probes of a model with a camera and time, for bounds of ±1."""
+    entries = (
+        Input("camera", "view"),
+        Input("proj", "projection"),
+        Input("eye", "camera_position"),
+        Input("viewport", "viewport"),
+        Input("time", "time", range=(0.0, 1.0)),
+    )
+    manifest = GeneratorManifest(
+        name="probed",
+        inputs=entries,
+        outputs=GeneratorOutputs(),
+        space=Space(),
+        bounds=Bounds((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
+    )
+    shapes = {"camera": (4, 4), "proj": (4, 4), "eye": (3,), "viewport": (2,), "time": (1,)}
+    made = default_probes(manifest, shapes, dict.fromkeys(shapes, "float32"))
+    rows = []
+    for probe in made:
+        eye, lens = probe.inputs["eye"], probe.inputs["proj"]
+        fov = "–" if probe.zeros else f"{2 * np.degrees(np.arctan(1 / lens[0, 0])):.1f}°"
+        width, height = probe.inputs["viewport"]
+        place = " ".join(f"{value:.3f}" for value in eye.tolist())
+        size, when = f"{width:g} × {height:g}", f"{probe.inputs['time'].item():.3f}"
+        rows.append((f"`{probe.label}`", place, fov, size, when))
+    head = ("label", "camera centre", "horizontal field of view", "viewport", "time")
+    return table(head, rows)

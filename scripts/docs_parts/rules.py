@@ -1,0 +1,21 @@
+"""Rules in tables; their pages come from :mod:`gsgen.contract.rule_pages`."""
+
+from docs_parts.tables import table
+from gsgen.contract.finding import Level
+from gsgen.contract.installed import catalogue
+from gsgen.contract.rule import Registry
+
+
+def ours() -> Registry:
+    """Return the rules of this project alone, whatever else is installed."""
+    return Registry.of(catalogue())
+
+
+def by_level() -> str:
+    """Return how many rules each level adds, and which families they are of."""
+    rows = []
+    for level in Level:
+        found = [rule for rule in ours().rules.values() if rule.level is level]
+        families = list(dict.fromkeys(rule.family for rule in found))
+        rows.append((f"`{level.word}`", str(len(found)), ", ".join(families) or "–"))
+    return table(("level", "rules", "families"), rows)

@@ -1,0 +1,39 @@
+"""Commands that are really run, and what they print."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from gsgen.conformance.fixtures import find
+
+
+def run(*words: str) -> str:
+    """Return a command, its output and its exit code; MODEL.onnx is that example model."""
+    done = _run(words)
+    printed = (done.stdout + done.stderr).rstrip()
+    return f"```console\n$ {' '.join(words)}\n{printed}\n$ echo $?\n{done.returncode}\n```"
+
+
+def finding(name: str) -> str:
+    """Return the first finding of an example model as a JSON report has it."""
+    done = _run(("gsgen", "validate", f"{name}.onnx", "--format", "json"))
+    first = json.loads(done.stdout)["findings"][0]
+    return f"```json\n{json.dumps(first, indent=2, ensure_ascii=False)}\n```"
+
+
+def _run(words: tuple[str, ...]) -> "subprocess.CompletedProcess[str]":
+    assert words[0] == "gsgen", words
+    with tempfile.TemporaryDirectory() as folder:
+        for word in words:
+            if word.endswith(".onnx"):
+                find(Path(word).stem).write(Path(folder))
+        return subprocess.run(
+            [sys.executable, "-m", "gsgen.cli", *words[1:]],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            env=os.environ | {"COLUMNS": "96", "NO_COLOR": "1"},
+        )

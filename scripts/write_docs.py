@@ -1,0 +1,110 @@
+"""Write anew the parts of the documentation that state what the code states.
+
+A part stands in a page between two comments, and what follows the colon says which it is:
+
+    <!-- generated: roles gaussian-generator -->
+    …
+    <!-- end generated -->
+
+Run it after a change to the contract: .venv/bin/python scripts/write_docs.py
+With --check it writes nothing, lists the pages that are not current, and exits 1 if there are any.
+"""
+
+import json
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from docs_parts import commands, contract, corpus, manifest, rules, runs
+from gsgen.contract.manifest_json import schemas
+from gsgen.contract.rule_pages import index, page
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+
+Part = Callable[..., str]
+
+# First word of a marker → the function that writes what stands there, called with the others.
+PARTS: dict[str, Part] = {
+    "command": commands.command,
+    "config-keys": contract.config_keys,
+    "corpus-broken": corpus.broken,
+    "corpus-good": corpus.good,
+    "finding": runs.finding,
+    "kinds": manifest.kinds,
+    "fields": manifest.fields,
+    "limits": contract.limits,
+    "plugin-commands": commands.plugins,
+    "plugins": commands.plugin_table,
+    "probes": contract.probes,
+    "roles": contract.roles,
+    "row": contract.row,
+    "rows-of-color": contract.rows_of_color,
+    "rules-by-level": rules.by_level,
+    "run": runs.run,
+    "severities": contract.severities,
+    "targets": contract.targets,
+    "tolerances": contract.tolerances,
+}
+
+_MARKED = re.compile(
+    r"(<!-- generated: (?P<name>[^>]+?) -->\n).*?(<!-- end generated -->)", re.DOTALL
+)
+
+
+def fill(text: str) -> str:
+    """Return a page with all of its generated parts made anew."""
+
+    def made(match: "re.Match[str]") -> str:
+        name, *words = match["name"].split()
+        return f"{match[1]}\n{PARTS[name](*words).strip()}\n\n{match[3]}"
+
+    return _MARKED.sub(made, text)
+
+
+def generated() -> dict[Path, str]:
+    """Return every file that is generated as a whole or in part: path → what it should hold."""
+    registry = rules.ours()
+    made = {
+        DOCS / "rules" / f"{rule.id}.md": page(rule, registry)
+        for rule in registry.rules.values()
+    }
+    made[DOCS / "rules" / "index.md"] = index(registry)
+    for name, document in schemas().items():
+        text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
+        made[DOCS / "spec" / "schemas" / name] = text
+    for path in sorted(DOCS.rglob("*.md")):
+        if path not in made and "<!-- generated: " in path.read_text("utf-8"):
+            made[path] = fill(path.read_text("utf-8"))
+    return made
+
+
+def orphans(made: dict[Path, str]) -> list[Path]:
+    """Return pages of rules that no longer exist."""
+    return sorted(path for path in (DOCS / "rules").glob("*.md") if path not in made)
+
+
+def main(arguments: list[str]) -> int:
+    """Write what is not current, or only say so; return the exit code."""
+    made = generated()
+    stale = [
+        path
+        for path, text in made.items()
+        if not path.is_file() or path.read_text("utf-8") != text
+    ]
+    gone = orphans(made)
+    listed = "".join(f"{path.relative_to(ROOT)}\n" for path in [*stale, *gone])
+    sys.stdout.write(listed)
+    if "--check" in arguments:
+        return int(bool(listed))
+    for path in stale:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(made[path], "utf-8")
+    for path in gone:
+        path.unlink()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,23 @@
+"""Write the published manifest schemas anew, from the dataclasses that they describe.
+
+Run it after a change to `gsgen.contract.manifest`: .venv/bin/python scripts/write_schemas.py
+"""
+
+import json
+import sys
+from pathlib import Path
+
+from gsgen.contract.manifest_json import schemas
+
+FOLDER = Path(__file__).parents[1] / "contract/gsgen/contract/schemas"
+
+
+def main(folder: Path = FOLDER) -> None:
+    """Write one file a kind of manifest into ``folder``."""
+    for name, document in schemas().items():
+        text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
+        (folder / name).write_text(text, "utf-8")
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))

@@ -1,0 +1,91 @@
+import re
+from dataclasses import replace
+
+import pytest
+
+from gsgen.contract.finding import Severity, Where
+from gsgen.contract.reporters.text import Line, render
+from support.goldens import assert_is_golden
+from support.judged import MODELS, judged
+
+VOLATILE = ((r"\b\d+\.\d ms", "0.0 ms"), (r"\b\d+\.\d\d s\b", "0.00 s"))
+
+
+def text_of(report, **options):
+    text = "".join(line.text + "\n" for line in render(report, **options))
+    for pattern, stand_in in VOLATILE:
+        text = re.sub(pattern, stand_in, text)
+    return text
+
+
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("reports")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        return {name: judged(name, folder) for name in MODELS}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_report_reads_as_it_did(reports, name):
+    assert_is_golden(f"{name}.txt", text_of(reports[name]))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_verbose_report_reads_as_it_did(reports, name):
+    assert_is_golden(f"{name}.verbose.txt", text_of(reports[name], verbose=True))
+
+
+def test_no_line_of_a_finding_is_longer_than_a_terminal(reports):
+    for report in reports.values():
+        for line in render(report)[2:-1]:
+            assert len(line.text) <= 96
+
+
+def styles(report):
+    return [line.style for line in render(report) if line.style]
+
+
+def test_the_verdict_and_errors_have_a_style(reports):
+    assert styles(reports["good"]) == ["bold", "bold green"]
+    assert set(styles(reports["broken"])) == {"bold", "bold red", "yellow"}
+
+
+def test_a_finding_says_whether_it_is_possible_and_where_it_comes_from(reports):
+    (finding, *_) = reports["broken"].findings
+    doubtful = replace(finding, certainty="possible", source="webgpu@1.0")
+    text = text_of(replace(reports["broken"], findings=(doubtful,)))
+    assert f"  {finding.rule} error (possible) {finding.slug} [webgpu@1.0]\n" in text
+
+
+def test_a_crashed_rule_is_shown_with_its_traceback(reports):
+    report = reports["good"]
+    crashed = replace(
+        report.outcomes[0], status="crashed", reason="Traceback:\n  ValueError: x"
+    )
+    text = text_of(replace(report, outcomes=(crashed, *report.outcomes[1:])))
+    shown = f"  {crashed.rule.id} crashed: this is a fault of the rule\n    Traceback:\n      Val"
+    assert shown in text
+    assert text.splitlines()[-1].startswith("a rule crashed, no verdict: ")
+
+
+def test_the_last_line_counts_in_the_plural_where_there_are_several(reports):
+    (finding, *_) = reports["broken"].findings
+    found = [replace(finding, severity=severity, waived=False) for severity in Severity]
+    report = replace(reports["broken"], findings=(*found, found[-1], found[0]))
+    assert "2 errors; 1 warning; 2 info;" in text_of(report).splitlines()[-1]
+
+
+def test_sizes_are_shown_in_mebibytes_from_one_on(reports):
+    big = replace(reports["good"], size=5 << 19, settings="gsgen.toml")
+    first, second = text_of(big).splitlines()[:2]
+    assert first.endswith(", 8 rows, 2.5 MiB")
+    assert second.endswith(", settings from gsgen.toml")
+
+
+def test_what_a_model_is_called_cannot_steer_the_terminal(reports):
+    (finding, *_) = reports["broken"].findings
+    evil = replace(finding, where=Where("output \x1b[2J\x9b1m\ud800é"), message="a\nb\x07")
+    lines = render(replace(reports["broken"], findings=(evil,)))
+    assert Line(r"    output \x1b[2J\x9b1m\ud800é: a b\x07") in lines
+    assert all(line.text.isprintable() for line in lines)
