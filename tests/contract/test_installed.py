@@ -49,7 +49,7 @@ def plugin(monkeypatch):
             monkeypatch.setitem(sys.modules, point.value, made)
         points.append(point)
 
-    monkeypatch.setattr(installed, "entry_points", lambda group: points)
+    monkeypatch.setattr(installed, "registered", lambda group: points)
     installed_rules.cache_clear()
     yield register
     installed_rules.cache_clear()

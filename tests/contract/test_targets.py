@@ -116,7 +116,7 @@ def registered(monkeypatch):
     def register(name):
         point = EntryPoint("acme", f"{__name__}:{name}", "gsgen.targets")
         monkeypatch.setattr(EntryPoint, "load", lambda self: globals()[name])
-        monkeypatch.setattr(targets, "entry_points", lambda group: [point])
+        monkeypatch.setattr(targets, "registered", lambda group: [point])
 
     known_targets.cache_clear()
     yield register

@@ -101,17 +101,14 @@ def known_targets() -> dict[str, Target]:
 
 
 def _loaded(point: EntryPoint) -> Target:
-    where = f"entry point gsgen.targets, {point.name} = {point.value}"
+    where = f"target {point.name} = {point.value}"
     try:
         loaded: Any = point.load()
         target = loaded() if callable(loaded) else loaded
     except Exception as error:  # a third party's code may fail in any way
-        mend = "Mend or uninstall the package that registers it."
-        raise ConfigInvalid(f"does not load: {error!r}", where=where, mend=mend) from error
+        raise ConfigInvalid(f"does not load: {error!r}", where=where) from error
     if not isinstance(target, Target):
-        raise ConfigInvalid(
-            f"gives a {type(target).__name__}, wanted a Target", where=where
-        )
+        raise ConfigInvalid(f"gives {target!r}, wanted a Target", where=where)
     return target
 
 
