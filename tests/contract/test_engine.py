@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import TensorProto
 
+from gsgen.conformance.fixtures import find
 from gsgen.contract.config import Settings
 from gsgen.contract.engine import validate
 from gsgen.contract.errors import ModelUnreadable
@@ -292,3 +293,17 @@ def test_no_damage_to_a_file_makes_a_rule_crash(tmp_path_factory, edits):
     except ModelUnreadable:
         return
     assert report.verdict != "internal-error"
+
+
+def test_a_nan_that_every_probe_has_belongs_to_gv001_and_not_to_zero_inputs(tmp_path):
+    base = find("time_is_baked").draw()
+    broken = base.weighing(
+        center=np.where(
+            np.arange(15).reshape(5, 3) == 4, np.nan, base.weights["center"]
+        ).astype("f4")
+    )
+    path = tmp_path / "m.onnx"
+    broken.write(path)
+    rules = {finding.rule for finding in validate(path).findings}
+    assert "GV001" in rules
+    assert "GI009" not in rules

@@ -141,3 +141,8 @@ def test_a_third_partys_target_that_does_not_load_is_named(registered, name, sai
     with pytest.raises(ConfigInvalid) as caught:
         known_targets()
     assert str(caught.value) == f"target acme = {__name__}:{name}: {said}"
+
+
+def test_our_own_targets_load_whatever_a_third_partys_does(registered):
+    registered("absent")
+    assert load_target("core").name == "core"

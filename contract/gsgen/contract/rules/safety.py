@@ -91,6 +91,7 @@ def sizes_sane(subject: Subject) -> Iterator[Breach]:
     limit = subject.limits.memory
     graph = subject.graph
     for place, tensors in (
+        ("input", graph.inputs),
         ("output", graph.outputs),
         ("weight", graph.initializers.values()),
     ):
