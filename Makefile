@@ -11,14 +11,16 @@ setup: $(READY)
 
 # torch comes first and by exact version: asked for as a range, pip would fetch the
 # newest build with gigabytes of CUDA packages.
+PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt
+
 $(READY): pyproject.toml constraints.txt
+	@echo "setting up $(VENV): two to three minutes, once"
+	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is not installed: name another with make PYTHON=…"; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1' -c constraints.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
-	    "$$(grep '^torch==' constraints.txt)"
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
-	    -e '.[all]' --group dev
-	touch $@
+	$(PIP) --upgrade 'pip>=25.1'
+	$(PIP) "$$(grep '^torch==' constraints.txt)"
+	$(PIP) -e '.[all]' --group dev
+	@touch $@
 
 # The software Vulkan driver that tests and `gsgen doctor` use where there is no GPU.
 drivers:
@@ -41,7 +43,7 @@ bench: setup
 	$(BIN)/python -m pytest tests/bench -o python_files='bench_*.py' -o python_functions='bench_*' -s -q
 
 docs: setup
-	$(BIN)/gsgen rules --pages docs/rules
+	$(BIN)/python scripts/write_docs.py
 	$(BIN)/zensical build --clean
 
 wheel: setup

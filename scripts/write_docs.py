@@ -17,6 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from docs_parts import commands, contract, corpus, manifest, rules, runs
+
 from gsgen.contract.manifest_json import schemas
 from gsgen.contract.rule_pages import index, page
 

@@ -50,41 +50,42 @@ def _usage(found: Any) -> list[str]:
 
 def _row(parameter: Any) -> tuple[str, str, str]:
     is_argument = parameter.param_type_name == "argument"
-    names = [parameter.name.upper()] if is_argument else _names(parameter)
+    names = [*parameter.opts, *parameter.secondary_opts]
     text = parameter.help or ""
-    default = parameter.default
-    # A default that the option's own text names stands in brackets there.
-    shown = default is not None and default is not False and not parameter.required
-    if shown and not callable(default) and "[" not in text:
-        text += f" [{getattr(default, 'value', default)}]"
+    default = _default(parameter)
+    if default:
+        text += f" [{default}]"
     if parameter.required:
         text += " Required."
-    return code(names), _takes(parameter), text.strip() or "–"
+    shown = [parameter.name.upper()] if is_argument else names
+    return code(shown), _takes(parameter), text.strip() or "–"
 
 
-def _names(parameter: Any) -> list[str]:
-    return [*parameter.opts, *parameter.secondary_opts]
+def _default(parameter: Any) -> str:
+    """Return the default as people read it; empty where there is none, or where none says more."""
+    if isinstance(parameter.show_default, str):
+        return parameter.show_default
+    default = parameter.default
+    if parameter.required or default is None or default is False or callable(default):
+        return ""
+    return str(getattr(default, "value", default))
 
 
 def _takes(parameter: Any) -> str:
     if getattr(parameter, "is_flag", False):
         return "–"
-    choices = getattr(parameter.type, "choices", None)
-    if choices:
-        return code(str(getattr(choice, "value", choice)) for choice in choices)
-    if parameter.metavar:
-        return f"`{parameter.metavar}`"
-    kind = parameter.type.name.partition(" ")[0]
-    low, high = getattr(parameter.type, "min", None), getattr(parameter.type, "max", None)
-    limits = f" ≥ {low:g}" if low is not None else ""
-    limits += f" ≤ {high:g}" if high is not None else ""
-    return f"{kind}{limits}{', repeatable' if parameter.multiple else ''}" if _many(
-        parameter
-    ) else f"{kind}{limits}"
-
-
-def _many(parameter: Any) -> bool:
-    return bool(getattr(parameter, "multiple", False))
+    kind = parameter.type
+    words = {"str": "text", "int": "integer", "float": "number"}
+    taken = words.get(kind.name.partition(" ")[0], kind.name.partition(" ")[0])
+    if getattr(kind, "choices", None):
+        taken = code(str(getattr(choice, "value", choice)) for choice in kind.choices)
+    elif parameter.metavar:
+        taken = f"`{parameter.metavar}`"
+    low, high = getattr(kind, "min", None), getattr(kind, "max", None)
+    taken += f" ≥ {low:g}" if low is not None else ""
+    taken += f" ≤ {high:g}" if high is not None else ""
+    many = getattr(parameter, "multiple", False)
+    return f"{taken}, repeatable" if many else taken
 
 
 def plugins() -> str:
@@ -105,4 +106,6 @@ def plugin_table() -> str:
         inputs = code(plugin.inputs) or "none"
         link = f"[{point.name}]({point.name.replace('_', '-')}.md)"
         rows.append((link, plugin.summary, plugin.reads, inputs))
-    return table(("plugin", "what it exports", "what it reads", "inputs of the model"), rows)
+    return table(
+        ("plugin", "what it exports", "what it reads", "inputs of the model"), rows
+    )

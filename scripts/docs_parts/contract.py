@@ -8,8 +8,14 @@ from docs_parts.rules import ours
 from docs_parts.tables import code, table
 from gsgen.contract.config import Settings, config_schema
 from gsgen.contract.layout import APPEARANCE_CHANNELS, FIELDS, WORD_BYTES
-from gsgen.contract.manifest import Bounds, GeneratorManifest, GeneratorOutputs, Input, Space
-from gsgen.contract.manifest import Tolerances
+from gsgen.contract.manifest import (
+    Bounds,
+    GeneratorManifest,
+    GeneratorOutputs,
+    Input,
+    Space,
+    Tolerances,
+)
 from gsgen.contract.probes import default_probes
 from gsgen.contract.roles import ROLES
 from gsgen.contract.schema import to_json

@@ -21,14 +21,12 @@ def kinds() -> str:
     return table(("kind", "what it is", "JSON Schema"), rows)
 
 
-def fields(cls: str, *, only: tuple[str, ...] = ()) -> str:
+def fields(cls: str) -> str:
     """Return the fields of one object of the manifest: type, whether required, meaning."""
     schema: dict[str, Any] = schema_of(getattr(manifest, cls))
     required = set(schema["required"]) | ({"contract", "kind"} & set(schema["properties"]))
     rows = []
     for name, entry in schema["properties"].items():
-        if only and name not in only:
-            continue
         need = "required" if name in required else _default(entry)
         text = entry.get("description", "") or _of_item(entry)
         rows.append((f"`{name}`", _type(entry), need, text or "–"))
@@ -62,8 +60,9 @@ def _type(entry: dict[str, Any]) -> str:
     if "anyOf" in entry:
         return " or ".join(_type(option) for option in entry["anyOf"])
     if entry["type"] == "array":
-        size = entry.get("minItems")
-        return f"array of {f'{size} ' if size else ''}{_type(entry['items'])}"
+        item = _type(entry["items"])
+        fixed = "minItems" in entry
+        return f"[{', '.join([item] * entry['minItems'])}]" if fixed else f"array of {item}"
     if entry["type"] == "object":
         return f"object of {_type(entry['additionalProperties'])}"
     return f"{entry['type']}{_limits(entry)}"

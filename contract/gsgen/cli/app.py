@@ -2,6 +2,7 @@
 
 __all__ = ["build", "main"]
 
+import gc
 import sys
 from importlib.metadata import version
 from typing import Annotated
@@ -17,6 +18,7 @@ _INTERNAL = 3
 
 def main() -> None:
     """Run the program on the process's arguments, and exit with the contract's codes."""
+    gc.set_threshold(50_000)  # imports make many objects and hardly any garbage
     arguments = sys.argv[1:]
     commands = find_commands()
     named = next((word for word in arguments if not word.startswith("-")), None)

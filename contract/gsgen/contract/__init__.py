@@ -3,8 +3,9 @@
 The names below are loaded when first used, so that ``import gsgen.contract`` costs nothing.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from gsgen.contract.lazy import attributes
 
 if TYPE_CHECKING:
     from gsgen.contract.config import Settings
@@ -58,9 +59,4 @@ _HOME = {
 }
 
 
-def __getattr__(name: str) -> object:
-    if name in _HOME:
-        value: object = getattr(import_module(f"gsgen.contract.{_HOME[name]}"), name)
-        globals()[name] = value
-        return value
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = attributes(__name__, _HOME)

@@ -99,6 +99,7 @@ class Board:
         key = str(breach.where)
         if key not in places and len(places) >= _MAX_PLACES:
             key = next(iter(places))
+            places[key].truncated = True
         elif key not in places:
             places[key] = Tally(
                 breach.where, breach.want, breach.saw, certainty=breach.certainty
@@ -149,4 +150,5 @@ class Board:
             certainty=tally.certainty,
             source=source,
             waived=rule.id in self.settings.ignore,
+            truncated=tally.truncated,
         )

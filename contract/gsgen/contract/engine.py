@@ -15,7 +15,7 @@ from gsgen.contract.emission import chunks, read_emission
 from gsgen.contract.finding import Level
 from gsgen.contract.installed import installed_rules
 from gsgen.contract.model import open_model
-from gsgen.contract.plan import Plan, make_plan
+from gsgen.contract.plan import Plan, fetched_outputs, make_plan
 from gsgen.contract.report import LevelOutcome, Report
 from gsgen.contract.rule import Registry, Rule, Scope
 from gsgen.contract.sandbox import Execution, execute
@@ -26,11 +26,6 @@ Progress = Callable[[str], None]
 
 # The rule that holds when the model ran to the end; nothing can be said of values before.
 _RUNS = "GV025"
-# Dtypes that numpy can hold, so that ONNX Runtime can hand them over; None is not known yet.
-_FETCHABLE = (
-    *("float32", "float16", "float64", "bool", None),
-    *("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"),
-)
 _WHERE_FROM = {
     Level.LIVE: "no installed package checks it; it needs a package with rules of this level",
     Level.RENDER: "no installed package checks it; it needs gsgen[runtime]",
@@ -130,7 +125,7 @@ class _Validation:
         plan = make_plan(self.subject, level, self.settings.seed)
         self.probes = tuple(probe.label for probe in plan.probes[: plan.values])
         self.progress(f"running {len(plan.probes)} probes in ONNX Runtime")
-        path, names = self.subject.file.path, self._fetched()
+        path, names = self.subject.file.path, fetched_outputs(self.subject)
         with execute(path, names, plan.probes, self.limits) as execution:
             self.runtime_seconds = execution.seconds
             self.environment["onnxruntime"] = execution.version
@@ -159,13 +154,6 @@ class _Validation:
                 why = f"the model was not run {reason}" if reason else ""
                 self.levels.append(LevelOutcome(level, ran=not reason, reason=why))
         return not reason
-
-    def _fetched(self) -> list[str]:
-        """Return the outputs to fetch: the declared ones, or all; numpy cannot hold every dtype."""
-        graph = self.subject.graph
-        declared = [graph.output(name) for name in self.subject.output_names]
-        tensors = [tensor for tensor in declared if tensor] or graph.outputs
-        return [tensor.name for tensor in tensors if tensor.dtype in _FETCHABLE]
 
     def _judge_values(self, execution: Execution, plan: Plan) -> None:
         whole = self.board.ready(self._of_scope("emission", upto=Level.VALUES))

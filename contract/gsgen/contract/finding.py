@@ -2,6 +2,8 @@
 
 __all__ = ["Breach", "Certainty", "Example", "Finding", "Level", "Severity", "Where"]
 
+import hashlib
+import json
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Literal
@@ -166,6 +168,9 @@ class Finding:
         certainty: ``confirmed`` or ``possible``.
         source: ``contract``, or the target that raised it.
         waived: It is reported but does not count.
+        waiver: The reason that a waiver gives for that; empty for rules that are ignored.
+        known: It stood in the baseline already, and does not count.
+        truncated: It counts what was found at further places, too.
     """
 
     rule: str
@@ -181,3 +186,19 @@ class Finding:
     certainty: Certainty = "confirmed"
     source: str = "contract"
     waived: bool = False
+    waiver: str = ""
+    known: bool = False
+    truncated: bool = False
+
+    @property
+    def counts(self) -> bool:
+        """Whether it is held against the model."""
+        return not (self.waived or self.known)
+
+    @property
+    def fingerprint(self) -> str:
+        """The same for as long as the fault is: over runs, machines and numbers of rows."""
+        of_rows = any(example.row is not None for example in self.examples)
+        kind = ("rows" if of_rows else "thing", self.certainty)
+        text = json.dumps((self.rule, self.where.subject, self.where.field, *kind))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -31,6 +31,9 @@ __all__ = [
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
+import numpy as np
+from jaxtyping import Float
+
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.roles import ROLES
 from gsgen.contract.schema_hints import Hint
@@ -70,6 +73,25 @@ class Bounds:
 
     min: Annotated[tuple[float, float, float], Hint("Lower corner, x y z.")]
     max: Annotated[tuple[float, float, float], Hint("Upper corner, x y z.")]
+
+    @classmethod
+    def around(cls, points: Float[np.ndarray, "n 3"], margin: float) -> "Bounds | None":
+        """Return the box around all finite points, or None where there is none.
+
+        Args:
+            points: Centres, in local units.
+            margin: How much wider the box is, as a share of its size.
+        """
+        wide = np.asarray(points, np.float64)
+        finite = wide[np.isfinite(wide).all(axis=1)]
+        if not len(finite):
+            return None
+        low, high = finite.min(axis=0), finite.max(axis=0)
+        room = margin * (high - low) + 1e-6
+        corners = [
+            [float(f"{value:.6g}") for value in end] for end in (low - room, high + room)
+        ]
+        return cls(*((x, y, z) for x, y, z in corners))
 
 
 @dataclass(frozen=True, slots=True)

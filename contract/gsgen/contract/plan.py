@@ -1,6 +1,6 @@
 """Which probes to run, in which order, so that one session answers every rule."""
 
-__all__ = ["Plan", "make_plan"]
+__all__ = ["Plan", "fetched_outputs", "make_plan"]
 
 from dataclasses import dataclass, field
 
@@ -17,6 +17,11 @@ _MOST, _FEWEST = 8, 3
 _VARIANTS = 2
 # What an axis of open size is probed with, such as the height of an image.
 _OPEN_SIZE = 64
+# Dtypes that numpy can hold, so that ONNX Runtime can hand them over; None is not known yet.
+_FETCHABLE = (
+    *("float32", "float16", "float64", "bool", None),
+    *("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +64,14 @@ def make_plan(subject: Subject, level: Level, seed: int = 0) -> Plan:
         probes.extend(changed)
     revisited = (base, again) if len(first) > 1 else None
     return Plan(tuple(probes), len(first), (again, again + 1), revisited, variants)
+
+
+def fetched_outputs(subject: Subject) -> list[str]:
+    """Return the outputs to fetch: the declared ones, or all; numpy cannot hold every dtype."""
+    graph = subject.graph
+    declared = [graph.output(name) for name in subject.output_names]
+    tensors = [tensor for tensor in declared if tensor] or graph.outputs
+    return [tensor.name for tensor in tensors if tensor.dtype in _FETCHABLE]
 
 
 def _probed_shape(entry: Input, tensor: Tensor) -> tuple[int, ...]:

@@ -1,12 +1,23 @@
 """The result of a validation, as data; reporters turn it into text, JSON and more."""
 
-__all__ = ["LevelOutcome", "Outcome", "Report", "Status", "exit_code"]
+__all__ = [
+    "Cause",
+    "Entry",
+    "LevelOutcome",
+    "Outcome",
+    "Report",
+    "Status",
+    "Tolerance",
+    "Unreadable",
+    "exit_code",
+]
 
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
+from gsgen.contract.errors import GsgenError
 from gsgen.contract.finding import Finding, Level, Severity
 from gsgen.contract.rule import Rule
 from gsgen.contract.targets import Target
@@ -46,6 +57,31 @@ class LevelOutcome:
 
 
 @dataclass(frozen=True, slots=True)
+class Cause:
+    """A rule that does not hold, and those that could not be judged because of it."""
+
+    outcome: Outcome
+    blocked: tuple[Rule, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """How closely executions of a model must agree in one field.
+
+    Attributes:
+        field: Such as ``position``.
+        value: The largest difference.
+        unit: What it is measured in.
+        source: ``manifest``, or ``default`` where the manifest does not say.
+    """
+
+    field: str
+    value: float
+    unit: str
+    source: Literal["default", "manifest"]
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
     """Everything a validation found out.
 
@@ -64,7 +100,11 @@ class Report:
         levels: Every level, and whether it ran.
         probes: Labels of the probes that value rules looked at.
         environment: Versions of what ran.
+        settings: Where the settings came from.
         seconds: Wall-clock time, and what ONNX Runtime's process took of it.
+        sha256: Digest of the file; empty where it was not computed.
+        tolerances: How closely executions must agree, field by field.
+        baseline: The earlier report whose findings are known; empty without one.
     """
 
     path: str
@@ -84,6 +124,9 @@ class Report:
     settings: str = "defaults"
     seconds: float = 0.0
     runtime_seconds: float = 0.0
+    sha256: str = ""
+    tolerances: tuple[Tolerance, ...] = ()
+    baseline: str = ""
 
     @property
     def verdict(self) -> Verdict:
@@ -98,12 +141,22 @@ class Report:
 
     def fails_by(self, finding: Finding) -> bool:
         """Say whether ``finding`` alone makes the model invalid."""
-        counts = not finding.waived and finding.certainty == "confirmed"
-        return counts and finding.severity >= self.fail_on
+        confirmed = finding.counts and finding.certainty == "confirmed"
+        return confirmed and finding.severity >= self.fail_on
 
     def count(self, severity: Severity) -> int:
         """Return how many findings of ``severity`` count."""
-        return sum(f.severity == severity and not f.waived for f in self.findings)
+        return sum(f.severity == severity and f.counts for f in self.findings)
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """The rules that keep others from being judged, in catalogue order."""
+        blocked: dict[str, list[Rule]] = {}
+        for outcome in self.outcomes:
+            if outcome.blocked_by:
+                blocked.setdefault(outcome.blocked_by, []).append(outcome.rule)
+        roots = (outcome for outcome in self.outcomes if outcome.rule.id in blocked)
+        return tuple(Cause(root, tuple(blocked[root.rule.id])) for root in roots)
 
     @property
     def statuses(self) -> Counter[str]:
@@ -116,6 +169,18 @@ class Report:
             if outcome.rule.id == rule_id:
                 return outcome
         raise KeyError(rule_id)
+
+
+@dataclass(frozen=True, slots=True)
+class Unreadable:
+    """A file that could not be judged at all, and why."""
+
+    path: str
+    error: GsgenError
+
+
+# What becomes of one file that was to be validated.
+Entry = Report | Unreadable
 
 
 def exit_code(reports: Iterable[Report]) -> int:

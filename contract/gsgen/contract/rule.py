@@ -18,7 +18,7 @@ from gsgen.contract.finding import Breach, Level, Severity
 from gsgen.contract.roles import GENERATOR
 
 # What a check is called with: the model before it runs, the fact that it ran, the outputs of
-# one probe, a chunk of their rows, or all runs compared.
+# one probe, a chunk of their rows, or all runs compared; or what all other rules found.
 Scope = Literal["model", "execution", "emission", "rows", "runs"]
 Check = Callable[[Any], Iterator[Breach]]
 
@@ -30,6 +30,7 @@ _LEVELS: dict[Scope, Level] = {
     "rows": Level.VALUES,
     "emission": Level.VALUES,
     "runs": Level.BEHAVIOUR,
+    "report": Level.STATIC,
 }
 
 

@@ -26,6 +26,7 @@ class Tally:
         badness: How bad that one is.
         above_share: The rule fails above this share only.
         by_rows: Rows are counted, not things.
+        truncated: It counts what was found at further places, too.
     """
 
     where: Where
@@ -39,6 +40,7 @@ class Tally:
     above_share: float = 0.0
     certainty: Certainty = "confirmed"
     by_rows: bool = False
+    truncated: bool = False
 
     def add(self, breach: Breach, probe: str = "", start: int = 0) -> None:
         """Add one breach; ``start`` is the number of its chunk's first row."""

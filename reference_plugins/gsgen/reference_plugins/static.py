@@ -251,7 +251,7 @@ def write_scene(
             CountOutput("num_points"),
         ),
         space=Space(),
-        bounds=_bounds(scene.rows),
+        bounds=Bounds.around(scene.rows[:, layout.POSITION], _BOUNDS_MARGIN),
         antialias=antialias,
         tolerances=Tolerances(),
     )
@@ -266,19 +266,3 @@ def write_scene(
 def _padded(rows: np.ndarray, total: int) -> np.ndarray:
     missing = np.zeros((total - len(rows), rows.shape[1]), rows.dtype)
     return np.concatenate([rows, missing]) if len(missing) else rows
-
-
-def _bounds(rows: np.ndarray) -> Bounds | None:
-    """Return the box around all finite centres, or None where there is none."""
-    position = rows[:, layout.POSITION].astype(np.float64)
-    finite = position[np.isfinite(position).all(axis=1)]
-    if not len(finite):
-        return None
-    low, high = finite.min(axis=0), finite.max(axis=0)
-    margin = _BOUNDS_MARGIN * (high - low) + 1e-6
-    return Bounds(_corner(low - margin), _corner(high + margin))
-
-
-def _corner(point: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = (float(f"{value:.6g}") for value in point)
-    return x, y, z

@@ -3,8 +3,9 @@
 The names below are loaded when first used, so that ``import gsgen.sdk`` does not import torch.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from gsgen.contract.lazy import attributes
 
 if TYPE_CHECKING:
     from gsgen.sdk import inputs, math
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
         GeneratorInvalid,
         ParityFailed,
     )
-    from gsgen.sdk.export import Exported, export
+    from gsgen.sdk.exporter import Exported, export
     from gsgen.sdk.generator import GaussianGenerator, Gaussians
 
 __all__ = [
@@ -33,23 +34,15 @@ __all__ = [
 _HOME = {
     "ExportFailed": "errors",
     "ExportRejected": "errors",
-    "Exported": "export",
+    "Exported": "exporter",
     "GaussianGenerator": "generator",
     "Gaussians": "generator",
     "GeneratorInvalid": "errors",
     "ParityFailed": "errors",
-    "export": "export",
+    "export": "exporter",
+    "inputs": "inputs",
+    "math": "math",
 }
 
 
-def __getattr__(name: str) -> object:
-    if name in _HOME:
-        value: object = getattr(import_module(f"gsgen.sdk.{_HOME[name]}"), name)
-    elif name in ("inputs", "math"):
-        value = import_module(f"gsgen.sdk.{name}")
-    else:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    # `export` is a function here and the module it lives in: importing the module puts it in the
-    # function's place, so the function is put back.
-    globals()[name] = value
-    return value
+__getattr__ = attributes(__name__, _HOME)

@@ -84,23 +84,17 @@ def measure_bounds(references: list[Reference]) -> Bounds:
         if not r.probe.zeros
     ]
     points = np.concatenate(centres) if centres else np.zeros((0, 3))
-    if not len(points):
+    bounds = Bounds.around(points, _MARGIN)
+    if bounds is None:
         raise GeneratorInvalid(
             "no probe gives a single finite, visible Gaussian",
             where="forward",
             mend="Check that opacity is activated and that positions are finite.",
         )
-    low, high = points.min(axis=0), points.max(axis=0)
-    margin = _MARGIN * (high - low) + 1e-6
-    return Bounds(_corner(low - margin), _corner(high + margin))
+    return bounds
 
 
 def _visible(reference: Reference) -> np.ndarray:
     g, n = reference.gaussians, reference.count
     finite = np.isfinite(g.position[:n]).all(axis=1)
     return np.asarray(finite & (g.opacity[:n] >= layout.CULL_OPACITY))
-
-
-def _corner(point: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = (float(f"{value:.6g}") for value in point)
-    return x, y, z

@@ -1,0 +1,173 @@
+"""Suites: which rules are tested together, and which models each group is for.
+
+A rule belongs to the first suite that claims it among those that apply to the model, else to
+``basic``. So every rule that can fail for a model has exactly one place, and a model that passes
+all its suites is one that ``gsgen validate`` accepts.
+"""
+
+__all__ = ["BASIC", "SUITES", "Declared", "Suite", "find_suite", "plan_suites"]
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from gsgen.contract.errors import UnknownName
+from gsgen.contract.finding import Level
+from gsgen.contract.roles import GENERATOR, POST_PROCESS, TRAJECTORY
+from gsgen.contract.rule import Rule
+from gsgen.contract.subject import Subject
+from gsgen.contract.targets import Target
+
+
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """What a manifest says that decides which suites apply.
+
+    Attributes:
+        kind: The kind of model; empty where the manifest cannot be read.
+        roles: Roles of the inputs.
+        replays: The model promises that its kernels can be recorded once and replayed.
+    """
+
+    kind: str
+    roles: frozenset[str] = frozenset()
+    replays: bool = False
+
+    @classmethod
+    def by(cls, subject: Subject) -> "Declared":
+        """Read what the manifest of ``subject`` says, or what was guessed in its place."""
+        manifest = subject.manifest
+        if manifest is None:
+            return cls("")
+        capture = getattr(manifest, "capture", None)  # a trajectory predictor has none
+        roles = frozenset(entry.role for entry in manifest.inputs)
+        return cls(manifest.kind, roles, bool(capture and capture.static_shapes))
+
+
+@dataclass(frozen=True, slots=True)
+class Suite:
+    """A group of rules that are tested together.
+
+    Attributes:
+        name: What ``--suite`` takes.
+        summary: What it is about, in one sentence.
+        applies: Says whether it is for a model that declares so much.
+        claims: Says whether a rule is part of it.
+    """
+
+    name: str
+    summary: str
+    applies: Callable[[Declared], bool]
+    claims: Callable[[Rule], bool]
+
+
+def _kind(*kinds: str) -> Callable[[Declared], bool]:
+    return lambda declared: declared.kind in kinds
+
+
+def _takes(*roles: str) -> Callable[[Declared], bool]:
+    return lambda declared: declared.kind == GENERATOR and bool(declared.roles & {*roles})
+
+
+def _ids(*ids: str) -> Callable[[Rule], bool]:
+    return lambda rule: rule.id in ids
+
+
+def _only_for(kind: str) -> Callable[[Rule], bool]:
+    return lambda rule: rule.kinds == (kind,)
+
+
+_CAPTURE = (
+    *("GG003", "GG004", "GG005", "GG006", "GG007", "GG009", "GG016", "GG017", "GG018"),
+    "GO004",
+)
+
+BASIC = Suite(
+    "basic",
+    "What every model must keep, and all that belongs to no other suite.",
+    lambda declared: True,
+    lambda rule: True,
+)
+SUITES: tuple[Suite, ...] = (
+    Suite(
+        "camera",
+        "Cameras come as declared, and do what they should.",
+        _takes("view", "projection", "camera_position", "viewport"),
+        _ids("GI001", "GI002", "GI007", "GI008", "GB007", "GB008"),
+    ),
+    Suite(
+        "time",
+        "Time comes as declared, loops, and reaches every frame.",
+        _takes("time", "frame_index"),
+        _ids("GI003", "GM010", "GB004", "GB005", "GB006", "TV108"),
+    ),
+    Suite(
+        "avatar",
+        "Poses and body shapes, at rest and at their extremes.",
+        _takes("pose", "shape", "expression", "root_translation", "root_rotation"),
+        _ids("GI009", "GI010", "GB013"),
+    ),
+    Suite(
+        "appearance",
+        "Colours have the declared layout and sensible values.",
+        _kind(GENERATOR),
+        _ids(
+            *("GM007", "GM008", "GO005", "GO006", "GO007", "GO009", "GV012", "GV013"),
+            *("GV014", "GV015", "GV022", "TV102", "TV104", "TV105"),
+        ),
+    ),
+    Suite(
+        "post-process",
+        "Images in, images out.",
+        _kind(POST_PROCESS),
+        _only_for(POST_PROCESS),
+    ),
+    Suite(
+        "trajectory",
+        "Camera states in, camera states with uncertainty out.",
+        _kind(TRAJECTORY),
+        _only_for(TRAJECTORY),
+    ),
+    Suite(
+        "capture",
+        "A runtime may record the kernels once and replay them.",
+        lambda declared: declared.replays,
+        lambda rule: rule.id in _CAPTURE or rule.level == Level.LIVE,
+    ),
+    BASIC,
+)
+
+
+def find_suite(name: str, where: str = "--suite") -> Suite:
+    """Return the suite called ``name``.
+
+    Raises:
+        UnknownName: There is none; the message names the nearest.
+    """
+    by_name = {suite.name: suite for suite in SUITES}
+    if name not in by_name:
+        raise UnknownName.among("suite", name, by_name, where)
+    return by_name[name]
+
+
+def plan_suites(
+    rules: Iterable[Rule], declared: Declared, target: Target
+) -> dict[str, tuple[Rule, ...]]:
+    """Return the suites that apply to a model with their rules, ``basic`` first.
+
+    Rules of other kinds of models, and of other targets, are left out: they cannot fail.
+    """
+    applying = [suite for suite in SUITES if suite.applies(declared)]
+    found: dict[str, list[Rule]] = {suite.name: [] for suite in (BASIC, *applying)}
+    for rule in rules:
+        if _concerns(rule, declared.kind, target):
+            suite = next(suite for suite in applying if suite.claims(rule))
+            found[suite.name].append(rule)
+    return {name: tuple(held) for name, held in found.items() if held}
+
+
+def _concerns(rule: Rule, kind: str, target: Target) -> bool:
+    if rule.target and rule.target != target.name:
+        return False
+    if rule.limit and rule.limit not in target.limits:
+        return False
+    return not kind or kind in rule.kinds

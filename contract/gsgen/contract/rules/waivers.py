@@ -1,0 +1,38 @@
+"""GW: what a configuration waives is really there."""
+
+from collections.abc import Iterator
+
+from gsgen.contract.finding import Breach, Severity
+from gsgen.contract.roles import KINDS
+from gsgen.contract.rule import rule
+from gsgen.contract.waivers import Review
+
+
+@rule(
+    "GW001",
+    "waiver-matches",
+    Severity.WARNING,
+    over="report",
+    fixture="waived_without_need",
+    kinds=KINDS,
+)
+def waiver_matches(review: Review) -> Iterator[Breach]:
+    """Every waiver that speaks of the model has not ended, and waives something.
+
+    Why:
+        A waiver that is no longer needed hides the same fault when it comes back, and one that has
+        ended looks as if it still held.
+
+    Mend:
+        Remove the waiver from `gsgen.toml`; correct its `where`, which must be a place as the
+        report writes it; or mend the model, or move `until`, if the waiver has ended.
+    """
+    for waiver in review.waivers:
+        if waiver.rule == "GW001" or review.statuses.get(waiver.rule) not in ("pass", "fail"):
+            continue  # what was not judged may be there all the same
+        found = any(waiver.covers(finding) for finding in review.findings)
+        place = f"waiver of {waiver}"
+        if not found:
+            yield Breach.at(place, "nothing to waive", "a finding that it speaks of")
+        elif not waiver.holds_on(review.today):
+            yield Breach.at(place, f"ended on {waiver.until}", "a day that is not past")

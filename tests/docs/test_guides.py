@@ -1,0 +1,114 @@
+"""Every marked code block is run as a reader would run it, page by page."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.contract.manifest_json import loads
+from gsgen.contract.spherical_harmonics import basis
+from support.pages import DOCS, Block, blocks, name_of, pages
+
+_BINARIES = Path(sys.executable).parent
+
+
+def run(block: Block, folder: Path) -> "subprocess.CompletedProcess[str]":
+    if block.mark == "bash":
+        command = ["bash", "-e", "-c", block.text]
+    else:
+        (folder / block.mark).write_text(block.text, "utf-8")
+        command = [sys.executable, block.mark]
+    path = f"{_BINARIES}{os.pathsep}{os.environ['PATH']}"
+    return subprocess.run(
+        command,
+        cwd=folder,
+        env=os.environ | {"PATH": path},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+def is_run(block: Block) -> bool:
+    return block.mark == "bash" or block.mark.endswith(".py")
+
+
+_RUN = [page for page in pages() if any(is_run(block) for block in blocks(page))]
+
+
+@pytest.mark.parametrize("page", _RUN, ids=name_of)
+def test_every_block_runs(page, tmp_path):
+    for block in blocks(page):
+        if is_run(block):
+            done = run(block, tmp_path)
+            assert done.returncode == 0, f"{block.mark}:\n{done.stdout}{done.stderr}"
+
+
+@pytest.mark.parametrize("page", pages(), ids=name_of)
+def test_every_marked_manifest_can_be_read(page):
+    for block in blocks(page):
+        if block.mark == "manifest":
+            assert block.language == "json"
+            loads(block.text)
+
+
+def test_every_mark_is_one_that_a_test_knows():
+    marked = re.compile(r"<!-- test: (.+?) -->")
+    for page in pages():
+        known = {block.mark for block in blocks(page)} | {"sh basis", "report fields"}
+        assert set(marked.findall(page.read_text("utf-8"))) <= known, page
+
+
+def test_the_workflow_runs_what_the_guide_tries():
+    """The guide's workflow is not run by a test, but its commands are those that are."""
+    page = DOCS / "guides" / "validate-in-ci.md"
+    tried = next(block.text for block in blocks(page) if block.mark == "bash")
+    text = page.read_text("utf-8")
+    (command,) = re.findall(r"- run: (gsgen validate .+)", text)
+    assert command in tried
+    summary = re.search(r"run: (python summary.py report.json) >>", text)
+    assert summary is not None
+    assert summary[1] in tried
+
+
+def test_the_basis_in_the_specification_is_that_of_the_code():
+    text = (DOCS / "spec" / "layout.md").read_text("utf-8")
+    table = text.partition("<!-- test: sh basis -->")[2].partition("\n\n")[0]
+    formulas = re.findall(r"^\| (\d+) \| (\d) \| `(.+)` \|$", table, re.MULTILINE)
+    assert [int(k) for k, _, _ in formulas] == list(range(16))
+    assert [int(d) for _, d, _ in formulas] == [0, *[1] * 3, *[2] * 5, *[3] * 7]
+    directions = np.random.default_rng(3).normal(size=(50, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    x, y, z = directions.T
+    names = {"x": x, "y": y, "z": z}
+    made = [eval(formula, names) + 0 * x for _, _, formula in formulas]
+    np.testing.assert_allclose(np.stack(made, axis=1), basis(directions), rtol=1e-14)
+
+
+def test_the_rule_of_the_guide_can_be_installed(tmp_path):
+    """Its entry point, as the guide's pyproject.toml has it, brings the rule to the commands."""
+    page = DOCS / "guides" / "writing-a-rule.md"
+    module = next(block.text for block in blocks(page) if block.mark == "acme_rules.py")
+    (tmp_path / "acme_rules.py").write_text(module, "utf-8")
+    text = page.read_text("utf-8")
+    section = re.search(r'\[project\.entry-points\."(gsgen\.rules)"\]\n(.+ = ".+")\n', text)
+    assert section is not None
+    info = tmp_path / "acme_gsgen_rules-0.1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: acme-gsgen-rules\nVersion: 0.1.0\n"
+    )
+    points = f"[{section[1]}]\n{section[2].replace(chr(34), '')}\n"
+    (info / "entry_points.txt").write_text(points)
+    done = subprocess.run(
+        [sys.executable, "-m", "gsgen.cli", "explain", "acme/AC001"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.startswith("# acme/AC001 licence-named\n"), done.stderr

@@ -1,0 +1,78 @@
+"""Links lead somewhere, and lists are complete."""
+
+from importlib import import_module
+
+import pytest
+import yaml
+
+from gsgen.cli.commands import find_commands
+from gsgen.contract.installed import catalogue
+from support.commands import ROOT, gsgen
+from support.pages import DOCS, README, anchors, links, name_of, pages
+
+
+@pytest.mark.parametrize("page", pages(), ids=name_of)
+def test_every_relative_link_leads_to_a_file_and_a_heading(page):
+    for link in links(page):
+        if link.startswith(("http://", "https://", "mailto:")):
+            continue
+        path, _, anchor = link.partition("#")
+        aim = (page.parent / path).resolve() if path else page
+        assert aim.is_file(), f"{name_of(page)}: {link}"
+        if page != README:  # the site has what is below docs/ and nothing else
+            assert aim.is_relative_to(DOCS), f"{name_of(page)}: {link}"
+        if anchor:
+            assert anchor in anchors(aim), f"{name_of(page)}: {link}"
+
+
+def test_every_rule_is_listed_and_has_a_page():
+    listed = set(links(DOCS / "rules" / "index.md"))
+    assert listed == {f"{rule.id}.md" for rule in catalogue()}
+
+
+@pytest.mark.parametrize("page", [README, DOCS / "commands.md"], ids=name_of)
+def test_every_command_is_described(page):
+    text, shown = page.read_text("utf-8"), gsgen("--help").out
+    for name in find_commands():
+        assert f" {name} " in shown
+        assert f"`gsgen {name}" in text, f"{name_of(page)} does not describe {name}"
+
+
+def test_every_page_can_be_reached():
+    """From README, by following links; rules are reached through their index."""
+    reached, todo = set(), [README, DOCS / "index.md"]
+    while todo:
+        page = todo.pop()
+        if page in reached or page.suffix != ".md":
+            continue
+        reached.add(page)
+        aims = (link.partition("#")[0] for link in links(page) if "://" not in link)
+        todo += [(page.parent / aim).resolve() for aim in aims if aim]
+    assert reached >= set(pages()) - set((DOCS / "api").iterdir())
+
+
+def test_every_page_of_the_navigation_exists():
+    text = (ROOT / "mkdocs.yml").read_text("utf-8")
+    named = _files(yaml.safe_load(text)["nav"])
+    assert len(named) == len(set(named))
+    on_site = {page.relative_to(DOCS).as_posix() for page in pages() if page != README}
+    rules = {f"rules/{rule.id}.md" for rule in catalogue()}  # found through their index
+    assert set(named) == on_site - rules
+
+
+def _files(entry: object) -> list[str]:
+    if isinstance(entry, str):
+        return [entry]
+    inner = entry.values() if isinstance(entry, dict) else entry
+    assert not isinstance(inner, (int, float))
+    return [file for one in inner for file in _files(one)]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", ["contract", "sdk", "formats"])
+def test_every_public_name_is_on_its_page(name):
+    text = (DOCS / "api" / f"{name}.md").read_text("utf-8")
+    module = import_module(f"gsgen.{name}")
+    shown = {line.split(".")[-1] for line in text.splitlines() if line.startswith("::: ")}
+    if "::: gsgen.formats.errors" in text:  # a page may show a module as a whole
+        shown |= set(import_module("gsgen.formats.errors").__all__)
+    assert set(module.__all__) <= shown
