@@ -20,13 +20,7 @@ def attributes(package: str, home: Mapping[str, str]) -> Callable[[str], object]
         if name not in home:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module = import_module(f"{package}.{home[name]}")
-        value: object = (
-            module
-            if home[name] == name and name not in vars(module)
-            else getattr(module, name)
-        )
-        # A function may be called like the module it lives in: importing the module put it in
-        # the function's place, so the function is put back.
+        value: object = module if home[name] == name else getattr(module, name)
         setattr(sys.modules[package], name, value)
         return value
 
