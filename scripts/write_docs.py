@@ -29,6 +29,8 @@ Part = Callable[..., str]
 # First word of a marker → the function that writes what stands there, called with the others.
 PARTS: dict[str, Part] = {
     "command": commands.command,
+    "commands": commands.overview,
+    "commands-besides": commands.besides,
     "config-keys": contract.config_keys,
     "corpus-broken": corpus.broken,
     "corpus-good": corpus.good,
@@ -47,6 +49,7 @@ PARTS: dict[str, Part] = {
     "severities": contract.severities,
     "targets": contract.targets,
     "tolerances": contract.tolerances,
+    "waiver-keys": contract.waiver_keys,
 }
 
 _MARKED = re.compile(

@@ -1,6 +1,7 @@
-"""Write the published manifest schemas anew, from the dataclasses that they describe.
+"""Write the published schemas of manifests and reports anew, from the dataclasses they describe.
 
-Run it after a change to `gsgen.contract.manifest`: .venv/bin/python scripts/write_schemas.py
+Run it after a change to `gsgen.contract.manifest` or `gsgen.contract.reporters.document`:
+.venv/bin/python scripts/write_schemas.py
 """
 
 import json
@@ -8,13 +9,14 @@ import sys
 from pathlib import Path
 
 from gsgen.contract.manifest_json import schemas
+from gsgen.contract.reporters.document import SCHEMA_FILE, schema
 
 FOLDER = Path(__file__).parents[1] / "contract/gsgen/contract/schemas"
 
 
 def main(folder: Path = FOLDER) -> None:
-    """Write one file a kind of manifest into ``folder``."""
-    for name, document in schemas().items():
+    """Write one file a kind of manifest, and one for reports, into ``folder``."""
+    for name, document in {**schemas(), SCHEMA_FILE: schema()}.items():
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         (folder / name).write_text(text, "utf-8")
 

@@ -1,5 +1,6 @@
 """The command line, from the typer apps behind it."""
 
+import inspect
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -86,6 +87,26 @@ def _takes(parameter: Any) -> str:
     taken += f" ≤ {high:g}" if high is not None else ""
     many = getattr(parameter, "multiple", False)
     return f"{taken}, repeatable" if many else taken
+
+
+def overview() -> str:
+    """Return every command of ours with the first sentence of its help."""
+    rows = []
+    for point in _ours("gsgen.commands"):
+        found = _find(point.name)
+        text = (found.help or "").partition("\n\n")[0].replace("\n", " ")
+        rows.append((f"[`gsgen {point.name}`](#gsgen-{point.name})", text))
+    return table(("command", "what it does"), rows)
+
+
+def besides(*described: str) -> str:
+    """Return a section for each command of ours that the page does not describe by itself."""
+    parts = []
+    for point in _ours("gsgen.commands"):
+        if point.name not in described:
+            head = f"## gsgen {point.name}\n\n{inspect.cleandoc(_find(point.name).help)}"
+            parts.append(f"{head}\n\n{command(point.name)}")
+    return "\n\n".join(parts)
 
 
 def plugins() -> str:

@@ -128,7 +128,7 @@ def _link(id: str) -> str:
 
 
 def config_keys() -> str:
-    """Return the keys of ``gsgen.toml``."""
+    """Return the keys of ``[validate]`` in ``gsgen.toml``."""
     schema: Any = config_schema(ours())
     defaults = Settings()
     values = {
@@ -141,16 +141,41 @@ def config_keys() -> str:
         "strict": "false",
         "seed": str(defaults.seed),
     }
-    rows = []
-    for key, entry in schema["properties"]["validate"]["properties"].items():
-        kind = code(f'"{word}"' for word in entry["enum"]) if "enum" in entry else ""
-        kind = kind or {"array": "array of strings"}.get(entry["type"], entry["type"])
-        if "minimum" in entry:
-            kind += f" ≥ {entry['minimum']}"
-        if "exclusiveMinimum" in entry:
-            kind += f" > {entry['exclusiveMinimum']}"
-        rows.append((f"`{key}`", kind, f"`{values[key]}`", entry["description"]))
+    section = schema["properties"]["validate"]["properties"]
+    rows = [
+        (f"`{key}`", _kind(entry), f"`{values[key]}`", entry["description"])
+        for key, entry in section.items()
+    ]
     return table(("key of `[validate]`", "type", "if absent", "meaning"), rows)
+
+
+def waiver_keys() -> str:
+    """Return the keys of a ``[[waive]]`` table in ``gsgen.toml``."""
+    schema: Any = config_schema(ours())
+    items = schema["properties"]["waive"]["items"]
+    rows = [
+        (
+            f"`{key}`",
+            _kind(entry),
+            "required" if key in items["required"] else "–",
+            entry["description"],
+        )
+        for key, entry in items["properties"].items()
+    ]
+    return table(("key of `[[waive]]`", "type", "if absent", "meaning"), rows)
+
+
+def _kind(entry: dict[str, Any]) -> str:
+    """Say what a key of ``gsgen.toml`` takes."""
+    if "enum" in entry:
+        return code(f'"{word}"' for word in entry["enum"])
+    kind = {"array": "array of strings"}.get(entry["type"], entry["type"])
+    kind = str(entry.get("format", kind))
+    if "minimum" in entry:
+        kind += f" ≥ {entry['minimum']}"
+    if "exclusiveMinimum" in entry:
+        kind += f" > {entry['exclusiveMinimum']}"
+    return kind
 
 
 def tolerances() -> str:

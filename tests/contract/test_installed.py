@@ -12,7 +12,7 @@ from gsgen.contract.roles import KINDS
 from gsgen.contract.rule import Registry
 from support.rules import made_up
 
-FAMILIES = ["GM", "GI", "GO", "GG", "GV", "GB", "GL", "GS", "TV"]
+FAMILIES = ["GM", "GI", "GO", "GG", "GV", "GB", "GL", "GS", "TV", "GW"]
 
 
 def test_the_catalogue_goes_family_by_family_in_order_of_ids():

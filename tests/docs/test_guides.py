@@ -5,11 +5,15 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 
+from gsgen.contract.config import read_config
+from gsgen.contract.installed import installed_rules
 from gsgen.contract.manifest_json import loads
+from gsgen.contract.rule import Scope
 from gsgen.contract.spherical_harmonics import basis
 from support.pages import DOCS, Block, blocks, name_of, pages
 
@@ -54,6 +58,21 @@ def test_every_marked_manifest_can_be_read(page):
         if block.mark == "manifest":
             assert block.language == "json"
             loads(block.text)
+
+
+@pytest.mark.parametrize("page", pages(), ids=name_of)
+def test_every_marked_configuration_can_be_read(page, tmp_path):
+    for block in blocks(page):
+        if block.mark == "config":
+            path = tmp_path / "gsgen.toml"
+            path.write_text(block.text, "utf-8")
+            read_config(path, installed_rules())
+
+
+def test_the_guide_lists_every_scope_of_a_rule():
+    text = (DOCS / "guides" / "writing-a-rule.md").read_text("utf-8")
+    listed = re.findall(r'^\| `"(\w+)"` \|', text, re.MULTILINE)
+    assert set(listed) == set(get_args(Scope))
 
 
 def test_every_mark_is_one_that_a_test_knows():

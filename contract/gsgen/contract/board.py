@@ -116,6 +116,12 @@ class Board:
             spent = 1000 * self._spent.get(rule.id, 0.0)
             self.outcomes[rule.id] = Outcome(rule, status, milliseconds=spent, items=items)
 
+    def crash(self, rules: Iterable[Rule]) -> None:
+        """Note that rules could not be judged because of the error being handled."""
+        last = traceback.format_exc(limit=-3).strip()
+        for rule in rules:
+            self.outcomes.setdefault(rule.id, Outcome(rule, "crashed", last))
+
     def skip(self, rules: Iterable[Rule], reason: str) -> None:
         """Note that rules were not run, and why."""
         for rule in rules:

@@ -8,6 +8,7 @@ __all__ = ["Settings", "config_schema", "read_config"]
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from gsgen.contract.rule import Registry, Rule
 from gsgen.contract.sandbox import Limits
 from gsgen.contract.schema import DIALECT
 from gsgen.contract.targets import Target, known_targets, load_target
+from gsgen.contract.waivers import Waiver
 
 DEFAULT_LEVEL = Level.BEHAVIOUR
 MEBIBYTE = 1 << 20
@@ -36,6 +38,8 @@ class Settings:
         strict: A missing manifest is an error.
         seed: Seed of the probe set.
         source: Where the settings came from, for the report.
+        waivers: Faults that are accepted, and why.
+        today: The day on which waivers are judged.
     """
 
     level: Level = DEFAULT_LEVEL
@@ -47,6 +51,8 @@ class Settings:
     strict: bool = False
     seed: int = 0
     source: str = "defaults"
+    waivers: tuple[Waiver, ...] = ()
+    today: date = field(default_factory=date.today)
 
     def severity_of(self, rule: Rule) -> Severity:
         """Return the severity that holds for ``rule`` here."""
@@ -55,6 +61,12 @@ class Settings:
         if self.strict and rule.id == "GM001":
             return Severity.ERROR
         return self.target.severities.get(rule.id, rule.severity)
+
+    def for_model(self, path: Path) -> "Settings":
+        """Return the settings with only those waivers that speak of the model at ``path``."""
+        return replace(
+            self, waivers=tuple(one for one in self.waivers if one.speaks_of(path))
+        )
 
 
 def read_config(path: Path, registry: Registry, base: Settings | None = None) -> Settings:
@@ -71,6 +83,7 @@ def read_config(path: Path, registry: Registry, base: Settings | None = None) ->
         raise ConfigInvalid(f"cannot be read: {error.strerror}", where=where) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigInvalid(f"is not TOML: {error}", where=where) from error
+    _write_out_days(data)
     _check_shape(data, config_schema(registry), where)
     return _apply(base or Settings(), data, registry, where)
 
@@ -102,7 +115,30 @@ def _apply(
         strict=section.get("strict", base.strict),
         seed=section.get("seed", base.seed),
         source=where,
+        waivers=base.waivers + _waivers(data, registry, where),
     )
+
+
+def _write_out_days(data: dict[str, Any]) -> None:
+    """Write TOML's dates as text, which is what a JSON Schema knows them as."""
+    waivers = data.get("waive", [])
+    for entry in waivers if isinstance(waivers, list) else ():
+        if isinstance(entry, dict) and type(entry.get("until")) is date:
+            entry["until"] = entry["until"].isoformat()
+
+
+def _waivers(data: dict[str, Any], registry: Registry, where: str) -> tuple[Waiver, ...]:
+    made = []
+    for number, entry in enumerate(data.get("waive", [])):
+        place = f"{where}, waive.{number}"
+        try:
+            until = date.fromisoformat(entry["until"]) if "until" in entry else None
+        except ValueError as error:
+            raise ConfigInvalid(str(error), where=f"{place}.until") from error
+        named = registry.find(entry["rule"], f"{place}.rule").id
+        reason, at = entry["reason"].strip(), entry.get("where", "")
+        made.append(Waiver(named, reason, at, entry.get("model", ""), until))
+    return tuple(made)
 
 
 def config_schema(registry: Registry) -> dict[str, object]:
@@ -135,6 +171,31 @@ def config_schema(registry: Registry) -> dict[str, object]:
         "strict": {"type": "boolean", "description": "A missing manifest is an error."},
         "seed": {"type": "integer", "minimum": 0, "description": "Seed of the probe set."},
     }
+    waiver: dict[str, object] = {
+        "rule": {
+            "type": "string",
+            "examples": names,
+            "description": "The rule, by id or name, whose findings are accepted.",
+        },
+        "reason": {
+            "type": "string",
+            "pattern": r"\S",
+            "description": "Why they are accepted; it is shown in every report.",
+        },
+        "where": {
+            "type": "string",
+            "description": "The only place it speaks of, as reports write it: output gaussians.",
+        },
+        "model": {
+            "type": "string",
+            "description": "The only models it speaks of: a path or file name, * stands for any.",
+        },
+        "until": {
+            "type": "string",
+            "format": "date",
+            "description": "The last day on which it holds: 2027-01-01.",
+        },
+    }
     rules = {
         name: {"enum": severities, "description": rule.what}
         for rule in registry.rules.values()
@@ -154,6 +215,15 @@ def config_schema(registry: Registry) -> dict[str, object]:
                 "type": "object",
                 "properties": rules,
                 "additionalProperties": {"enum": severities},  # a rule in lower case, say
+            },
+            "waive": {
+                "type": "array",
+                "items": {
+                    "type": "object",
+                    "properties": waiver,
+                    "required": ["rule", "reason"],
+                    "additionalProperties": False,
+                },
             },
         },
         "additionalProperties": False,

@@ -5,21 +5,26 @@ __all__ = ["Progress", "validate"]
 import os
 import time
 from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
 
 from gsgen.contract.behaviour import Behaviour, Trial, read_behaviour
 from gsgen.contract.board import Board
 from gsgen.contract.config import Settings
+from gsgen.contract.digest import digest
 from gsgen.contract.emission import chunks, read_emission
-from gsgen.contract.finding import Level
+from gsgen.contract.finding import Finding, Level
 from gsgen.contract.installed import installed_rules
 from gsgen.contract.model import open_model
 from gsgen.contract.plan import Plan, fetched_outputs, make_plan
 from gsgen.contract.report import LevelOutcome, Report
 from gsgen.contract.rule import Registry, Rule, Scope
+from gsgen.contract.runner import LevelUnavailable, Runner
 from gsgen.contract.sandbox import Execution, execute
 from gsgen.contract.subject import read_subject
+from gsgen.contract.tolerances import effective_tolerances
+from gsgen.contract.waivers import Review, waive
 
 # Called with what is being done, for progress displays.
 Progress = Callable[[str], None]
@@ -27,9 +32,11 @@ Progress = Callable[[str], None]
 # The rule that holds when the model ran to the end; nothing can be said of values before.
 _RUNS = "GV025"
 _WHERE_FROM = {
-    Level.LIVE: "no installed package checks it; it needs a package with rules of this level",
+    Level.LIVE: "no installed package checks it; it needs gsgen[live]",
     Level.RENDER: "no installed package checks it; it needs gsgen[runtime]",
 }
+# Levels that are run by what another package registers, and the scope of their rules.
+_FURTHER: dict[Level, Scope] = {Level.LIVE: "live", Level.RENDER: "render"}
 
 
 def _silent(_: str) -> None:
@@ -64,7 +71,7 @@ class _Validation:
         self, path: Path, settings: Settings, registry: Registry | None, progress: Progress
     ) -> None:
         self.began = time.perf_counter()
-        self.settings = settings
+        self.settings = settings = settings.for_model(path)
         self.progress = progress
         self.progress(f"reading {path.name}")
         self.registry = registry or installed_rules()
@@ -83,6 +90,7 @@ class _Validation:
         self._judge_model()
         self._judge_runs()
         self._skip_the_rest()
+        self._judge_report()
         subject, gaussians = self.subject, self.subject.declared_gaussians
         manifest = subject.manifest
         return Report(
@@ -95,7 +103,7 @@ class _Validation:
             target=self.settings.target,
             level=self.settings.level,
             fail_on=self.settings.fail_on,
-            findings=self.board.findings(),
+            findings=self._findings(),
             outcomes=tuple(self.board.outcomes[id] for id in self.registry.rules),
             levels=tuple(self.levels),
             probes=self.probes,
@@ -103,7 +111,12 @@ class _Validation:
             settings=self.settings.source,
             seconds=time.perf_counter() - self.began,
             runtime_seconds=self.runtime_seconds,
+            sha256=digest(subject.file.path, self.settings.level, subject.file.size),
+            tolerances=effective_tolerances(subject),
         )
+
+    def _findings(self) -> tuple[Finding, ...]:
+        return waive(self.board.findings(), self.settings.waivers, self.settings.today)
 
     def _of_scope(self, *scopes: Scope, upto: Level) -> list[Rule]:
         rules = self.registry.rules.values()
@@ -139,6 +152,7 @@ class _Validation:
                 self._judge_values(execution, plan)
                 if level >= Level.BEHAVIOUR:
                     self._judge_behaviour(trial)
+                self._judge_further(trial)
 
     def _can_run(self, gates: list[Rule]) -> bool:
         """Say whether nothing that running depends on has failed; settle the gates if it has."""
@@ -162,7 +176,9 @@ class _Validation:
         rows = 0
         # All-zero inputs come last: if their outputs are those of another probe, they are judged
         # as that one, by all rules.
-        runs = sorted(execution.runs[: plan.values], key=lambda r: plan.probes[r.probe].zeros)
+        runs = sorted(
+            execution.runs[: plan.values], key=lambda r: plan.probes[r.probe].zeros
+        )
         for run in runs:
             if run.sample in seen:
                 continue  # the same bytes again
@@ -193,19 +209,66 @@ class _Validation:
                 self.board.judge(rule, behaviour)
                 self.board.settle([rule], items=len(trial.execution.runs))
 
+    def _judge_further(self, trial: Trial) -> None:
+        """Judge the levels that other packages run, as far as they can run here."""
+        for level, scope in _FURTHER.items():
+            runner = self.registry.runners.get(level)
+            if runner is not None and level <= self.settings.level:
+                self.progress(runner.what)
+                self._judge_with(
+                    runner, trial, _needs_first(self._of_scope(scope, upto=level))
+                )
+
+    def _judge_with(self, runner: Runner, trial: Trial, rules: list[Rule]) -> None:
+        with ExitStack() as stack:
+            try:
+                prepared = stack.enter_context(runner.prepare(trial))
+            except LevelUnavailable as error:
+                self.levels.append(
+                    LevelOutcome(runner.level, ran=False, reason=error.reason)
+                )
+                self.board.skip(rules, error.reason)
+                return
+            except Exception:  # a runner's fault must not take the report down
+                self.levels.append(
+                    LevelOutcome(runner.level, ran=False, reason="it crashed")
+                )
+                self.board.crash(rules)
+                return
+            self.levels.append(LevelOutcome(runner.level, ran=True))
+            self.environment.update(prepared.environment)
+            self.runtime_seconds += prepared.seconds
+            for rule in rules:
+                if self.board.is_ready(rule):
+                    self.board.judge(rule, prepared.context)
+                    self.board.settle([rule], items=prepared.items)
+
     def _skip_the_rest(self) -> None:
         """Account for every rule and level that was not reached."""
         asked = self.settings.level
+        settled = {one.level for one in self.levels}
         for level, reason in _WHERE_FROM.items():
-            if level <= asked:
-                self.levels.append(LevelOutcome(level, ran=False, reason=reason))
+            if level <= asked and level not in settled:
+                known = level in self.registry.runners
+                why = "the model did not run to the end on the CPU" if known else reason
+                self.levels.append(LevelOutcome(level, ran=False, reason=why))
         for rule in _needs_first(self.registry.rules.values()):
-            if rule.id in self.board.outcomes:
+            if rule.id in self.board.outcomes or rule.scope == "report":
                 continue
             if rule.level > asked:
                 self.board.skip([rule], f"level {rule.level.word} was not asked for")
             elif self.board.is_ready(rule):
                 self.board.skip([rule], f"level {rule.level.word} did not run")
+
+    def _judge_report(self) -> None:
+        """Judge what the other rules found: do all waivers waive something?"""
+        statuses = {id: outcome.status for id, outcome in self.board.outcomes.items()}
+        settings = self.settings
+        review = Review(self._findings(), statuses, settings.waivers, settings.today)
+        for rule in self._of_scope("report", upto=settings.level):
+            if self.board.is_ready(rule):
+                self.board.judge(rule, review)
+                self.board.settle([rule], items=1)
 
 
 def _needs_first(rules: Iterable[Rule]) -> list[Rule]:

@@ -11,8 +11,9 @@ from types import ModuleType
 from gsgen.contract.finding import Breach, Severity
 from gsgen.contract.registered import registered
 from gsgen.contract.roles import KINDS
-from gsgen.contract.rule import Registry, Rule, rule, rules_in
+from gsgen.contract.rule import Registry, Rule, rule, rules_in, runners_in
 from gsgen.contract.rules import FAMILIES
+from gsgen.contract.runner import Runner
 
 
 def catalogue() -> list[Rule]:
@@ -26,19 +27,22 @@ def catalogue() -> list[Rule]:
 def installed_rules() -> Registry:
     """Return our rules and those registered under the entry point group ``gsgen.rules``.
 
-    An entry point names a module, whose rules are all taken, or a list of rules. One that does
-    not load becomes a crashed rule in every report.
+    An entry point names a module, whose rules and runners are all taken, or a list of them. One
+    that does not load becomes a crashed rule in every report.
     """
     rules = catalogue()
+    runners: list[Runner] = []
     points = registered("gsgen.rules")
     for number, point in enumerate(points):
         try:
-            loaded = _load(point)
-            Registry.of([*rules, *loaded])  # refuses an id that is taken
+            loaded, brought = _load(point)
+            # Refuses an id or a level that is taken.
+            Registry.of([*rules, *loaded], [*runners, *brought])
         except Exception as error:  # a third party's import may fail in any way
-            loaded = [_unloadable(point, number, error)]
+            loaded, brought = [_unloadable(point, number, error)], []
         rules.extend(loaded)
-    return Registry.of(rules)
+        runners.extend(brought)
+    return Registry.of(rules, runners)
 
 
 def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
@@ -67,6 +71,9 @@ def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
     return plugin_loads
 
 
-def _load(point: EntryPoint) -> list[Rule]:
+def _load(point: EntryPoint) -> tuple[list[Rule], list[Runner]]:
     loaded = point.load()
-    return rules_in(loaded) if isinstance(loaded, ModuleType) else list(loaded)
+    if isinstance(loaded, ModuleType):
+        return rules_in(loaded), runners_in(loaded)
+    runners = [one for one in loaded if isinstance(one, Runner)]
+    return [one for one in loaded if not isinstance(one, Runner)], runners

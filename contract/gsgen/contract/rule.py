@@ -4,22 +4,26 @@ A rule is declared once. Its page in the documentation, ``gsgen explain``, the c
 schema and the metadata of machine-readable reports all come from that declaration.
 """
 
-__all__ = ["Check", "Registry", "Rule", "Scope", "rule", "rules_in"]
+__all__ = ["Check", "Registry", "Rule", "Scope", "rule", "rules_in", "runners_in"]
 
 import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any, Literal
 
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.finding import Breach, Level, Severity
 from gsgen.contract.roles import GENERATOR
+from gsgen.contract.runner import Runner
 
 # What a check is called with: the model before it runs, the fact that it ran, the outputs of
-# one probe, a chunk of their rows, or all runs compared; or what all other rules found.
-Scope = Literal["model", "execution", "emission", "rows", "runs"]
+# one probe, a chunk of their rows, or all runs compared; what the runner of a further level
+# prepared; or what all other rules found.
+Scope = Literal[
+    "model", "execution", "emission", "rows", "runs", "live", "render", "report"
+]
 Check = Callable[[Any], Iterator[Breach]]
 
 _ID = re.compile(r"^(?:[a-z][a-z0-9-]*/)?[A-Z]{2}[0-9]{3}$")
@@ -30,6 +34,8 @@ _LEVELS: dict[Scope, Level] = {
     "rows": Level.VALUES,
     "emission": Level.VALUES,
     "runs": Level.BEHAVIOUR,
+    "live": Level.LIVE,
+    "render": Level.RENDER,
     "report": Level.STATIC,
 }
 
@@ -53,6 +59,7 @@ class Rule:
         kinds: The kinds of model it applies to.
         target: The only target it applies to; empty for all.
         limit: The limit of the target that it checks; without one it does not apply.
+        evidence: Where it was seen to break something; empty if nobody noted it.
     """
 
     id: str
@@ -69,10 +76,11 @@ class Rule:
     kinds: tuple[str, ...] = (GENERATOR,)
     target: str = ""
     limit: str = ""
+    evidence: str = ""
 
     @property
     def family(self) -> str:
-        """The letters of the id: GM, GI, GO, GG, GV, GB, GL, GS or TV."""
+        """The letters of the id: GM, GI, GO, GG, GV, GB, GL, GS, TV or GW."""
         return self.id.rpartition("/")[2][:2]
 
 
@@ -92,7 +100,8 @@ def rule(
     """Declare the decorated check as a rule; its docstring is the text of the rule's page.
 
     The docstring's first paragraph is the sentence that must hold. The sections ``Why:`` and
-    ``Mend:`` say what breaks otherwise and what to do.
+    ``Mend:`` say what breaks otherwise and what to do; ``Evidence:`` may follow, and say where
+    that was seen.
 
     Raises:
         ValueError: The id, the slug or the docstring does not have that form.
@@ -103,7 +112,7 @@ def rule(
             raise ValueError(
                 f"{id} {slug}: wanted an id like GV003 and a slug like opacity-range"
             )
-        what, why, mend = _sections(id, inspect.getdoc(check) or "")
+        what, why, mend, evidence = _sections(id, inspect.getdoc(check) or "")
         return Rule(
             id=id,
             slug=slug,
@@ -119,25 +128,32 @@ def rule(
             kinds=kinds,
             target=target,
             limit=limit,
+            evidence=evidence,
         )
 
     return declare
 
 
-def _sections(id: str, doc: str) -> tuple[str, str, str]:
+def _sections(id: str, doc: str) -> tuple[str, str, str, str]:
     what, found, rest = doc.partition("\nWhy:")
-    why, found_mend, mend = rest.partition("\nMend:")
+    why, found_mend, rest = rest.partition("\nMend:")
+    mend, _, evidence = rest.partition("\nEvidence:")
     texts = tuple(" ".join(inspect.cleandoc(part).split()) for part in (what, why, mend))
     if not (found and found_mend and all(texts)):
         raise ValueError(
             f"{id}: the docstring needs a sentence, a `Why:` and a `Mend:` section"
         )
-    return texts[0], texts[1], texts[2]
+    return texts[0], texts[1], texts[2], " ".join(evidence.split())
 
 
 def rules_in(module: ModuleType) -> list[Rule]:
     """Return the rules that ``module`` declares, in order of declaration."""
     return [value for value in vars(module).values() if isinstance(value, Rule)]
+
+
+def runners_in(module: ModuleType) -> list[Runner]:
+    """Return the runners that ``module`` has, in order of declaration."""
+    return [value for value in vars(module).values() if isinstance(value, Runner)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,16 +162,19 @@ class Registry:
 
     Attributes:
         rules: By id, in order of the catalogue.
+        runners: What prepares the levels that this package does not run itself.
     """
 
     rules: dict[str, Rule]
+    runners: dict[Level, Runner] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, rules: Iterable[Rule]) -> "Registry":
-        """Collect rules, each id once.
+    def of(cls, rules: Iterable[Rule], runners: Iterable[Runner] = ()) -> "Registry":
+        """Collect rules, each id once, and runners, one a level.
 
         Raises:
-            ValueError: Two rules share an id, or a rule needs one that does not exist.
+            ValueError: Two rules share an id, two runners a level, or a rule needs one that does
+                not exist.
         """
         by_id: dict[str, Rule] = {}
         for one in rules:
@@ -166,7 +185,12 @@ class Registry:
             for need in one.needs:
                 if need not in by_id:
                     raise ValueError(f"rule {one.id} needs {need}, which does not exist")
-        return cls(by_id)
+        by_level: dict[Level, Runner] = {}
+        for runner in runners:
+            if runner.level in by_level:
+                raise ValueError(f"level {runner.level.word} has two runners")
+            by_level[runner.level] = runner
+        return cls(by_id, by_level)
 
     def find(self, name: str, where: str = "") -> Rule:
         """Return the rule with the id or slug ``name``, upper or lower case.

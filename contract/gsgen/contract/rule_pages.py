@@ -1,6 +1,6 @@
 """A rule's declaration as text: its page, its entry in the list, its data."""
 
-__all__ = ["index", "page", "to_dict"]
+__all__ = ["help_path", "index", "page", "to_dict"]
 
 from typing import Any
 
@@ -16,7 +16,13 @@ FAMILIES = {
     "GL": "Limits",
     "GS": "Safety",
     "TV": "The Visionary viewer",
+    "GW": "Waivers",
 }
+
+
+def help_path(rule: Rule) -> str:
+    """Return the path of our page on ``rule``; nothing for the rules of others."""
+    return "" if "/" in rule.id else f"rules/{rule.id}.md"
 
 
 def page(rule: Rule, registry: Registry) -> str:
@@ -33,10 +39,11 @@ def page(rule: Rule, registry: Registry) -> str:
         ("example that breaks it", f"`{rule.fixture}`" if rule.fixture else ""),
     ]
     listed = "\n".join(f"- {name}: {value}" for name, value in facts if value)
-    return (
+    text = (
         f"# {rule.id} {rule.slug}\n\n{rule.what}\n\n{listed}\n\n"
         f"## Why\n\n{rule.why}\n\n## How to mend it\n\n{rule.mend}\n"
     )
+    return f"{text}\n## Evidence\n\n{rule.evidence}\n" if rule.evidence else text
 
 
 def index(registry: Registry) -> str:

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,6 +26,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.probes import Probe
 
 _COPIES = 5
+_WORKER = "gsgen.contract.worker"
 
 Stage = Literal["load", "run", "time", "memory", "crash"]
 
@@ -96,6 +97,7 @@ class Execution:
         fault: Why it ended early, or None.
         seconds: Wall-clock time of the child.
         version: Version of ONNX Runtime that ran.
+        events: All that the child wrote down, in order.
     """
 
     runs: tuple[Run, ...]
@@ -103,11 +105,17 @@ class Execution:
     fault: Fault | None
     seconds: float
     version: str
+    events: tuple[Mapping[str, Any], ...] = ()
 
 
 @contextmanager
 def execute(
-    model: Path, outputs: Sequence[str], probes: Sequence[Probe], limits: Limits
+    model: Path,
+    outputs: Sequence[str],
+    probes: Sequence[Probe],
+    limits: Limits,
+    worker: str = _WORKER,
+    **options: object,
 ) -> Iterator[Execution]:
     """Run ``model`` once for each probe, in order, in one session; results live as long as the block.
 
@@ -116,12 +124,14 @@ def execute(
         outputs: Names of the outputs to fetch.
         probes: Inputs, one set a run.
         limits: Time and memory for the child.
+        worker: The module that the child runs; another one may run the model another way.
+        options: What that worker wants to know besides; anything that JSON can hold.
     """
     folder = Path(tempfile.mkdtemp(prefix="gsgen-"))
     try:
-        _write_job(folder, model, outputs, probes, limits)
+        _write_job(folder, model, outputs, probes, limits, **options)
         started = time.monotonic()
-        ended = _run_child(folder, limits.seconds)
+        ended = _run_child(folder, limits.seconds, worker)
         yield _collect(folder, ended, time.monotonic() - started, limits)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -133,6 +143,7 @@ def _write_job(
     outputs: Sequence[str],
     probes: Sequence[Probe],
     limits: Limits,
+    **options: object,
 ) -> None:
     for index, probe in enumerate(probes):
         with (folder / f"probe_{index}.npz").open("wb") as file:
@@ -146,16 +157,17 @@ def _write_job(
         "outputs": list(outputs),
         "probes": [list(probe.inputs) for probe in probes],
         "memory": limits.memory,
+        **options,
     }
     (folder / "job.json").write_text(json.dumps(job))
 
 
-def _run_child(folder: Path, seconds: float) -> int | None:
+def _run_child(folder: Path, seconds: float, worker: str) -> int | None:
     """Return the child's exit status, or None where it was stopped for taking too long."""
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with (folder / "log").open("wb") as log:
         child = subprocess.Popen(
-            [sys.executable, "-P", "-m", "gsgen.contract.worker", str(folder)],
+            [sys.executable, "-P", "-m", worker, str(folder)],
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=log,
@@ -193,7 +205,7 @@ def _collect(folder: Path, status: int | None, seconds: float, limits: Limits) -
     )
     version = next((e["version"] for e in events if e["event"] == "started"), "")
     fault = _fault(events, status, limits, folder / "log")
-    return Execution(runs, samples, fault, seconds, version)
+    return Execution(runs, samples, fault, seconds, version, tuple(events))
 
 
 def _events(path: Path) -> list[dict[str, Any]]:

@@ -1,10 +1,19 @@
 """The child of :mod:`gsgen.contract.sandbox`: run one model for a list of probes, then exit.
 
 It writes one JSON line an event, and every distinct output once as an ``.npy`` file, so that
-whatever stops it leaves all that was done before.
+whatever stops it leaves all that was done before. Other workers are made of the same parts.
 """
 
-__all__ = ["main"]
+__all__ = [
+    "Emit",
+    "keep_outputs",
+    "limit_memory",
+    "main",
+    "one_line",
+    "read_inputs",
+    "serve",
+    "stage_of",
+]
 
 import contextlib
 import hashlib
@@ -24,20 +33,25 @@ Emit = Callable[..., None]
 
 def main(folder: Path) -> int:
     """Do the job described in ``folder/job.json``."""
+    return serve(folder, _work)
+
+
+def serve(folder: Path, work: Callable[[Path, dict[str, Any], Emit], int]) -> int:
+    """Read the job in ``folder``, do its ``work``, and return the exit status."""
     job = json.loads((folder / "job.json").read_text())
     with (folder / "events.jsonl").open("w", buffering=1) as log:
 
         def emit(event: str, **facts: object) -> None:
             log.write(json.dumps({"event": event} | facts) + "\n")
 
-        return _work(folder, job, emit)
+        return work(folder, job, emit)
 
 
 def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
     import onnxruntime
 
     emit("started", version=onnxruntime.__version__)
-    _limit_memory(job["memory"])
+    limit_memory(job["memory"])
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4
     probe: int | None = None
@@ -48,22 +62,23 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
         known: dict[str, int] = {}
         for probe, names in enumerate(job["probes"]):
             emit("begin", probe=probe)
-            inputs = _inputs(folder / f"probe_{probe}.npz", names)
+            inputs = read_inputs(folder / f"probe_{probe}.npz", names)
             began = time.perf_counter()
             outputs = session.run(job["outputs"], inputs)
             seconds = time.perf_counter() - began
-            sample = _keep(
+            sample = keep_outputs(
                 folder, dict(zip(job["outputs"], outputs, strict=True)), known, emit
             )
             emit("run", probe=probe, sample=sample, seconds=seconds)
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
-        emit("fault", stage=_stage(error, probe), message=_one_line(error), probe=probe)
+        emit("fault", stage=stage_of(error, probe), message=one_line(error), probe=probe)
         return 0
     emit("done")
     return 0
 
 
-def _limit_memory(limit: int) -> None:
+def limit_memory(limit: int) -> None:
+    """Let this process have no more than ``limit`` bytes of data, and leave no core file."""
     with contextlib.suppress(ImportError):  # no such module on Windows
         import resource
 
@@ -73,12 +88,13 @@ def _limit_memory(limit: int) -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (min(limit, most), min(limit, most)))
 
 
-def _inputs(path: Path, names: list[str]) -> dict[str, np.ndarray]:
+def read_inputs(path: Path, names: list[str]) -> dict[str, np.ndarray]:
+    """Return the arrays of a probe, by the names of the inputs."""
     with np.load(path, allow_pickle=False) as arrays:
         return {name: arrays[f"input_{index}"] for index, name in enumerate(names)}
 
 
-def _keep(
+def keep_outputs(
     folder: Path, outputs: dict[str, np.ndarray], known: dict[str, int], emit: Emit
 ) -> int:
     """Store outputs that were not seen before; return the number of the sample they are."""
@@ -101,13 +117,15 @@ def _keep(
     return known[key]
 
 
-def _stage(error: Exception, probe: int | None) -> str:
+def stage_of(error: Exception, probe: int | None) -> str:
+    """Say which limit an error is about, or else when it happened."""
     if isinstance(error, MemoryError) or any(word in str(error) for word in _OUT_OF_MEMORY):
         return "memory"
     return "load" if probe is None else "run"
 
 
-def _one_line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
+    """Return the message of an error without line breaks, cut where it is long."""
     text = " ".join(str(error).split())
     return text[:500] or type(error).__name__
 

@@ -14,25 +14,11 @@ from gsgen.contract.manifest import Bounds
 from gsgen.contract.probes import Probe
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.generator import GaussianGenerator, Gaussians
+from gsgen.sdk.parity import Reference
 
 # Bounds are widened by this share of their size, so that times and poses between the probes
 # stay inside too.
 _MARGIN = 0.02
-
-
-@dataclass(frozen=True, slots=True)
-class Reference:
-    """What eager torch gave for one probe, unpacked, with covariances computed in float64.
-
-    Attributes:
-        probe: The inputs.
-        gaussians: The Gaussians before packing and casting.
-        count: How many rows are live.
-    """
-
-    probe: Probe
-    gaussians: layout.Gaussians
-    count: int
 
 
 def run_eager(generator: GaussianGenerator, probe: Probe) -> Reference:

@@ -5,7 +5,7 @@ trace, opacity absolutely, and appearance as the colour seen from 64 directions.
 tolerance comes the rounding of the storage dtype, which no export can avoid.
 """
 
-__all__ = ["FieldParity", "Parity", "compare", "fibonacci_directions"]
+__all__ = ["FieldParity", "Parity", "Reference", "compare", "fibonacci_directions"]
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ from jaxtyping import Float
 
 from gsgen.contract import layout
 from gsgen.contract.manifest import Tolerances
+from gsgen.contract.probes import Probe
 from gsgen.contract.spherical_harmonics import basis, degree_of
-from gsgen.sdk.eager import Reference
 
 DIRECTIONS = 64
 
@@ -26,6 +26,21 @@ _ULPS = 16
 _EPSILON = {"float32": 2.0**-24, "float16": 2.0**-11}
 _SUBNORMAL = {"float32": 2.0**-149, "float16": 2.0**-24}
 _CHUNK = 8192
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """What a model should give for one probe, unpacked: in an export, what eager torch gave.
+
+    Attributes:
+        probe: The inputs.
+        gaussians: The Gaussians, before packing and casting where torch gave them.
+        count: How many rows are live.
+    """
+
+    probe: Probe
+    gaussians: layout.Gaussians
+    count: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,19 +92,23 @@ def compare(
     references: list[Reference],
     outputs: list[tuple[np.ndarray, np.ndarray, int]],
     tolerances: Tolerances,
+    *,
+    roundings: int = 1,
 ) -> Parity:
-    """Compare what a model emitted with what eager torch gave for the same probes.
+    """Compare what a model emitted with what it should emit for the same probes.
 
     Args:
-        references: Eager results.
+        references: What it should.
         outputs: ``(gaussians [C, 10], appearance [C, channels], count)`` of each probe.
         tolerances: Allowed errors.
+        roundings: How often values were rounded to the storage dtype: twice, where the
+            references were, too.
     """
     worst: dict[str, FieldParity] = {}
     for reference, (rows, color, count) in zip(references, outputs, strict=True):
         if reference.probe.zeros and not _all_finite(reference):
             continue  # a fault of the module itself, which rule GI009 reports
-        for one in _compare_probe(reference, rows, color, count, tolerances):
+        for one in _compare_probe(reference, rows, color, count, tolerances, roundings):
             known = worst.get(one.field)
             if known is None or not one.excess <= known.excess:
                 worst[one.field] = one
@@ -107,6 +126,7 @@ def _compare_probe(
     color: np.ndarray,
     count: int,
     tolerances: Tolerances,
+    roundings: int,
 ) -> Iterator[FieldParity]:
     label, n = reference.probe.label, reference.count
     if count != n:
@@ -115,7 +135,7 @@ def _compare_probe(
     for start in range(0, n, _CHUNK):
         part = slice(start, min(start + _CHUNK, n))
         for name, error, allowed in _fields(
-            reference.gaussians, part, rows, color, tolerances
+            reference.gaussians, part, rows, color, tolerances, roundings
         ):
             ratio = error / allowed
             ratio[np.isnan(ratio)] = np.inf
@@ -134,11 +154,12 @@ def _fields(
     rows: np.ndarray,
     color: np.ndarray,
     tolerances: Tolerances,
+    roundings: int,
 ) -> Iterator[Measured]:
     """Yield each field's error and allowance, row by row."""
     seen = rows[part].astype(np.float64)
-    rounding = _rounding(rows.dtype.name)
-    tiny = 2 * _SUBNORMAL[rows.dtype.name]
+    rounding = roundings * _rounding(rows.dtype.name)
+    tiny = 2 * roundings * _SUBNORMAL[rows.dtype.name]
     position, covariance = wanted.position[part], wanted.covariance[part]
     trace = np.maximum(covariance[:, [0, 3, 5]].sum(axis=1), 1e-30)
     sigma = np.sqrt(trace / 3)

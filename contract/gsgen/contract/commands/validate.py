@@ -153,18 +153,14 @@ def _severities(registry: "Registry", entries: list[str]) -> "dict[str, Severity
 if TYPE_CHECKING:
     from gsgen.contract.finding import Severity
 
-Entry = "Report | tuple[str, GsgenError]"
-
-
-def _judge(
-    model: Path, settings: "Settings", registry: "Registry"
-) -> "Report | tuple[str, GsgenError]":
+def _judge(model: Path, settings: "Settings", registry: "Registry") -> "Entry":
     from gsgen.contract.engine import validate as judge
+    from gsgen.contract.report import Unreadable
 
     try:
         return judge(model, settings, registry=registry, progress=_progress)
     except ModelUnreadable as error:
-        return str(model), error
+        return Unreadable(str(model), error)
 
 
 def _progress(words: str) -> None:

@@ -1,6 +1,6 @@
 """A report for people: what is wrong, where, how much of it, and what to do."""
 
-__all__ = ["Line", "render"]
+__all__ = ["Line", "finding_lines", "render"]
 
 import textwrap
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
     lines = _head(report)
     for finding in report.findings:
         if not finding.waived:
-            lines += _finding(finding)
+            lines += finding_lines(finding)
     for outcome in report.outcomes:
         if outcome.status == "crashed":
             lines.append(
@@ -59,7 +59,8 @@ def _head(report: Report) -> list[Line]:
     ]
 
 
-def _finding(finding: Finding) -> list[Line]:
+def finding_lines(finding: Finding) -> list[Line]:
+    """Return what is said of one finding: what, where, how much of it, how to mend it."""
     style = _STYLE[finding.severity]
     doubt = "" if finding.certainty == "confirmed" else " (possible)"
     source = "" if finding.source == "contract" else f" [{finding.source}]"
@@ -68,7 +69,8 @@ def _finding(finding: Finding) -> list[Line]:
     if len(finding.examples) > 1 and finding.examples[0].row is not None:
         shown = "; ".join(str(example) for example in finding.examples[1:])
         lines += _wrapped(f"also {shown}")
-    return lines + _wrapped(f"mend: {finding.mend}")
+    lines += _wrapped(f"mend: {finding.mend}")
+    return [Line(_printable(line.text), line.style) for line in lines]
 
 
 def _wrapped(text: str) -> list[Line]:

@@ -14,6 +14,7 @@ from gsgen.contract.rules import (
     safety,
     values,
     visionary,
+    waivers,
 )
 
 FAMILIES = (
@@ -28,4 +29,5 @@ FAMILIES = (
     limits,
     safety,
     visionary,
+    waivers,
 )

@@ -1,6 +1,23 @@
-"""Graph rewrites, one a file: each says why it is needed, and keeps what the graph computes."""
+"""Graph rewrites: each says why it is needed, and keeps what the graph computes."""
 
-__all__ = ["EndOutputsOnCompute", "MultiplyMatrices"]
+__all__ = [
+    "CastCount",
+    "EndOutputsOnCompute",
+    "MultiplyMatrices",
+    "PadColor",
+    "PinDimensions",
+    "RenameOutputs",
+    "ReorderHarmonics",
+    "SilencePadding",
+]
 
 from gsgen.sdk.passes.end_outputs_on_compute import EndOutputsOnCompute
 from gsgen.sdk.passes.multiply_matrices import MultiplyMatrices
+from gsgen.sdk.passes.repairs import (
+    CastCount,
+    PadColor,
+    PinDimensions,
+    RenameOutputs,
+    ReorderHarmonics,
+    SilencePadding,
+)

@@ -6,6 +6,8 @@ import numpy as np
 import onnx_ir as ir
 from onnx_ir import passes
 
+from gsgen.sdk.passes.building import new_node, weight
+
 _VIEWS = frozenset({"Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"})
 
 
@@ -39,15 +41,9 @@ def _end_on_mul(graph: ir.Graph, index: int, value: ir.Value) -> None:
     if kind is None:
         raise ValueError(f"output {name!r} has no dtype")
     value.name = f"{name}_uncopied"
-    one = ir.Value(
-        name=f"{name}_one",
-        const_value=ir.tensor(np.ones((), kind.numpy()), name=f"{name}_one"),
-        type=ir.TensorType(kind),
-        shape=ir.Shape([]),
-    )
-    node = ir.Node("", "Mul", [value, one], name=f"{name}_end")
+    one = weight(graph, f"{name}_one", np.ones((), kind.numpy()))
+    node = new_node("Mul", [value, one], f"{name}_end")
     made = node.outputs[0]
     made.name, made.type, made.shape = name, value.type, value.shape
     graph.append(node)
-    graph.register_initializer(one)
     graph.outputs[index] = made

@@ -6,6 +6,8 @@ import numpy as np
 import onnx_ir as ir
 from onnx_ir import passes
 
+from gsgen.sdk.passes.building import new_node, weight
+
 
 class MultiplyMatrices(passes.InPlacePass):
     """Make both operands of every MatMul matrices.
@@ -73,14 +75,6 @@ def _reaxed(
 ) -> ir.Node:
     """Return a node that adds or removes axes; the axes become a weight of ``graph``."""
     assert value is not None
-    tensor = ir.tensor(np.array(axes, np.int64), name=f"{name}_axes")
-    weight = ir.Value(
-        name=tensor.name,
-        const_value=tensor,
-        type=ir.TensorType(ir.DataType.INT64),
-        shape=ir.Shape([len(axes)]),
+    return new_node(
+        op, [value, weight(graph, f"{name}_axes", np.array(axes))], name, dtype=value.dtype
     )
-    graph.register_initializer(weight)
-    node = ir.Node("", op, [value, weight], name=name)
-    node.outputs[0].type = value.type
-    return node

@@ -1,0 +1,89 @@
+"""Cases: one rule tested on one model, and the words for what came of it.
+
+Every front end (pytest, the command line) shows these, so that all of them say the same.
+"""
+
+__all__ = ["Case", "CaseStatus", "settle"]
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import Literal
+
+from gsgen.conformance.expected import ExpectedFailure
+from gsgen.contract.finding import Finding
+from gsgen.contract.report import Report
+from gsgen.contract.reporters.text import finding_lines
+from gsgen.contract.rule import Rule
+
+# `warned`: broken, but not badly enough to fail. `expected`: broken, as was foreseen.
+CaseStatus = Literal["passed", "warned", "expected", "skipped", "failed", "crashed"]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What came of one rule.
+
+    Attributes:
+        rule: The rule.
+        suite: Name of the suite that holds it.
+        status: Whether the test passes, and if not, why not.
+        text: The findings in the words of ``gsgen validate``, or the reason; empty if passed.
+        findings: What was found, waived findings included.
+    """
+
+    rule: Rule
+    suite: str
+    status: CaseStatus
+    text: str = ""
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Id and name of the rule, such as ``GV003-opacity-range``."""
+        return f"{self.rule.id}-{self.rule.slug}"
+
+    @property
+    def broken(self) -> bool:
+        """Whether the rule does not hold, whatever follows from it."""
+        return bool(self.findings)
+
+
+def settle(
+    report: Report, rule: Rule, suite: str, expected: Iterable[ExpectedFailure] = ()
+) -> Case:
+    """Say what came of ``rule``, by the report of the model and what was expected of it."""
+    path = PurePath(report.path)
+    foreseen = next((one for one in expected if one.speaks_of(rule.id, path)), None)
+    outcome = report.outcome(rule.id)
+    found = tuple(one for one in report.findings if one.rule == rule.id)
+    if outcome.status == "crashed":
+        text = f"{rule.id} crashed: this is a fault of the rule\n{outcome.reason}"
+        return Case(rule, suite, "crashed", text, found)
+    if outcome.status in ("skipped", "not-applicable"):
+        return Case(rule, suite, "skipped", f"{outcome.status}: {outcome.reason}")
+    status, text = _judged(report, found, foreseen)
+    return Case(rule, suite, status, text, found)
+
+
+def _judged(
+    report: Report, found: tuple[Finding, ...], foreseen: ExpectedFailure | None
+) -> tuple[CaseStatus, str]:
+    if not found:
+        if foreseen is None:
+            return "passed", ""
+        return "failed", f"holds, but is expected to fail: remove the entry\n  {foreseen}"
+    text = _words(found)
+    if foreseen is not None:
+        return "expected", f"{foreseen}\n{text}"
+    if any(report.fails_by(one) for one in found):
+        return "failed", text
+    if not any(one.counts for one in found):
+        return "skipped", f"accepted by the settings ({report.settings})\n{text}"
+    return "warned", text
+
+
+def _words(found: tuple[Finding, ...]) -> str:
+    """Return what ``gsgen validate`` prints of the findings that count, or else of all."""
+    shown = [one for one in found if one.counts] or found
+    return "\n".join(line.text for one in shown for line in finding_lines(one))

@@ -1,0 +1,103 @@
+"""`gsgen repro`: show one failure again."""
+
+__all__ = ["repro"]
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from gsgen.conformance.repro import Reproduction
+
+_UNREADABLE = 4
+_FIELDS = ("x", "y", "z", "opacity", "xx", "xy", "xz", "yy", "yz", "zz")
+_COLOR_SHOWN = 6
+
+
+def repro(
+    model: Annotated[Path, typer.Argument(help="The ONNX file.", show_default=False)],
+    rule: Annotated[
+        str, typer.Option(help="The rule, by id or name.", show_default=False)
+    ],
+    probe: Annotated[
+        str | None,
+        typer.Option(help="The probe, by label or number; all of them where left out."),
+    ] = None,
+    target: Annotated[
+        str | None, typer.Option(help="Consumer to judge for.", show_default="core")
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="Configuration file.", show_default="./gsgen.toml, where there is one"
+        ),
+    ] = None,
+    dump: Annotated[
+        Path | None,
+        typer.Option(help="Write inputs and outputs of the failing probe here (.npz)."),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the probe set.", min=0)] = None,
+    timeout: Annotated[
+        float | None,
+        typer.Option(help="Seconds that running may take.", show_default="120", min=0.1),
+    ] = None,
+    memory: Annotated[
+        int | None,
+        typer.Option(help="MiB that running may take.", show_default="2048", min=1),
+    ] = None,
+) -> None:
+    """Judge one rule of MODEL again, by one probe where that is enough.
+
+    Exits 1 if the rule is broken, 0 if it holds, 2 if it cannot be judged, 4 if no model.
+    """
+    from gsgen.conformance.options import make_settings
+    from gsgen.conformance.repro import reproduce
+    from gsgen.contract.errors import ModelUnreadable
+    from gsgen.contract.installed import installed_rules
+
+    wanted = installed_rules().find(rule, "--rule")
+    settings = make_settings(target=target, config=config)
+    limits = settings.limits
+    limits = replace(limits, seconds=timeout) if timeout else limits
+    limits = replace(limits, memory=memory << 20) if memory else limits
+    seed = settings.seed if seed is None else seed
+    settings = replace(settings, limits=limits, seed=seed)
+    try:
+        found = reproduce(model, wanted, settings, probe=probe, dump=dump)
+    except ModelUnreadable as error:
+        typer.echo(f"gsgen: {error}", err=True)
+        raise typer.Exit(_UNREADABLE) from error
+    _show(model, found)
+    if dump is not None and dump.is_file():
+        typer.echo(f"  inputs and outputs: {dump}")
+    raise typer.Exit(1 if found.findings else 0)
+
+
+def _show(model: Path, found: "Reproduction") -> None:
+    from gsgen.contract.commands.output import show
+    from gsgen.contract.reporters.text import Line, finding_lines
+
+    where = f"{model} at probe {', '.join(found.probes)}" if found.probes else str(model)
+    if not found.findings:
+        show([Line(f"does not reproduce: {found.rule.id} holds for {where}", "bold green")])
+        return
+    show([Line(f"{where}:", "bold")])
+    for finding in found.findings:
+        show(finding_lines(finding))
+    show([Line(text) for text in _table(found)])
+    show([Line(f"reproduced: {found.rule.id} is broken", "bold red")])
+
+
+def _table(found: "Reproduction") -> list[str]:
+    if not found.rows:
+        return []
+    lines = [f"  rows at probe {found.rows[0].probe}:"]
+    lines.append("  " + "".join(f"{name:>13}" for name in ("row", *_FIELDS)) + "  color")
+    for row in found.rows:
+        numbers = "".join(f"{value:13.6g}" for value in row.packed)
+        color = " ".join(f"{value:.4g}" for value in row.color[:_COLOR_SHOWN])
+        more = " …" if len(row.color) > _COLOR_SHOWN else ""
+        lines.append(f"  {row.number:13d}{numbers}  {color}{more}")
+    return lines

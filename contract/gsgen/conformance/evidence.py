@@ -1,0 +1,136 @@
+"""Evidence: for every failure, a command that shows it again and a file with its inputs and outputs."""
+
+__all__ = ["Evidence", "gather", "suspects"]
+
+import os
+import re
+import shlex
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gsgen.conformance.cases import Case
+from gsgen.conformance.replay import ONE_PROBE, Arrays, Replay, plan_for, replay, save
+from gsgen.contract.config import Settings
+from gsgen.contract.finding import Finding
+from gsgen.contract.plan import Plan
+from gsgen.contract.probes import Probe
+from gsgen.contract.sandbox import Limits
+
+_MEBIBYTE = 1 << 20
+_MOST_RUNS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """How to see one failure again.
+
+    Attributes:
+        command: What to type; it exits 1 for as long as the rule is broken.
+        dump: An ``.npz`` with inputs and outputs of the failing probe, or None.
+    """
+
+    command: str
+    dump: Path | None = None
+
+    def __str__(self) -> str:
+        lines = [f"    reproduce: {self.command}"]
+        if self.dump:
+            lines.append(f"    inputs and outputs: {self.dump}")
+        return "\n".join(lines)
+
+
+def gather(
+    path: Path, settings: Settings, cases: Iterable[Case], folder: Path | None
+) -> dict[str, Evidence]:
+    """Return the evidence for each broken case, by rule; dumps go to ``folder`` if it is given.
+
+    The failing probes are run once more, together, so that a command is only given a probe that
+    is enough to break the rule.
+    """
+    broken = [case for case in cases if case.broken]
+    ran = [case for case in broken if case.rule.scope not in ("model", "report")]
+    found = {case.rule.id: Evidence(_command(path, settings, case)) for case in broken}
+    if not ran:
+        return found
+    subject, plan = plan_for(path, settings)
+    wanted = {case.rule.id: suspects(plan, case.findings) for case in ran}
+    probes = tuple({id(one): one for held in wanted.values() for one in held}.values())
+    if any(case.rule.scope == "execution" for case in ran):
+        for case in ran:  # it did not run, or not to the end: once was enough
+            dump = _dump(folder, path, settings, case, [(p, {}) for p in wanted[case.rule.id]])
+            found[case.rule.id] = Evidence(_command(path, settings, case), dump)
+        return found
+    with replay(subject, probes, settings) as again:
+        for case in ran:
+            numbers = [probes.index(probe) for probe in wanted[case.rule.id]]
+            runs = [(probes[number], again.outputs(number)) for number in numbers]
+            command = _command(path, settings, case, _enough(again, case, numbers))
+            dump = _dump(folder, path, settings, case, runs)
+            found[case.rule.id] = Evidence(command, dump)
+    return found
+
+
+def suspects(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
+    """Return the probes that findings speak of, the first one first, and never none."""
+    text = " ".join(finding.message for finding in findings)
+    labels = {example.probe for finding in findings for example in finding.examples[:1]}
+    named = [one for one in plan.probes if one.label in labels or repr(one.label) in text]
+    for role, (base, others) in plan.variants.items():
+        if any(finding.where.subject == f"role {role}" for finding in findings):
+            named += [plan.probes[base], *(plan.probes[other] for other in others)]
+    distinct = list({id(one): one for one in named}.values())
+    return distinct[:_MOST_RUNS] or [plan.probes[min(1, plan.values - 1)]]
+
+
+def _enough(again: Replay, case: Case, numbers: list[int]) -> Probe | None:
+    """Return the probe that breaks the rule alone, if one does."""
+    if case.rule.scope not in ONE_PROBE:
+        return None
+    breaking = (number for number in numbers if again.findings(case.rule, number))
+    first = next(breaking, None)
+    return None if first is None else again.probes[first]
+
+
+def _command(
+    path: Path, settings: Settings, case: Case, probe: Probe | None = None
+) -> str:
+    words = ["gsgen", "repro", os.path.relpath(path) if _is_near(path) else str(path)]
+    words += ["--rule", case.rule.id]
+    words += ["--probe", probe.label] if probe else []
+    return shlex.join([*words, *_options(settings)])
+
+
+def _is_near(path: Path) -> bool:
+    return path.resolve().is_relative_to(Path.cwd())
+
+
+def _options(settings: Settings) -> list[str]:
+    """Return the options that make `gsgen repro` run as ``settings`` say."""
+    words = []
+    if settings.source != "defaults":
+        words += ["--config", settings.source]
+    if settings.target.name != "core":
+        words += ["--target", settings.target.name]
+    if settings.seed:
+        words += ["--seed", str(settings.seed)]
+    if settings.limits.seconds != Limits().seconds:
+        words += ["--timeout", f"{settings.limits.seconds:g}"]
+    if settings.limits.memory != Limits().memory:
+        words += ["--memory", str(max(settings.limits.memory // _MEBIBYTE, 1))]
+    return words
+
+
+def _dump(
+    folder: Path | None,
+    path: Path,
+    settings: Settings,
+    case: Case,
+    runs: Sequence[tuple[Probe, Arrays]],
+) -> Path | None:
+    if folder is None:
+        return None
+    name = re.sub(r"[^\w.-]+", "-", f"{path.stem}.{settings.target.name}.{case.rule.id}")
+    target = folder / f"{name}.npz"
+    save(target, runs)
+    return target

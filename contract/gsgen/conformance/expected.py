@@ -1,0 +1,110 @@
+"""Expected failures: rules that a model is known to break, each with a reason, strict both ways.
+
+They are written in a TOML file, one table each::
+
+    [[xfail]]
+    rule = "opacity-range"   # or GV003
+    model = "drift*.onnx"    # optional: a path or a pattern
+    reason = "logits until release 2"
+"""
+
+__all__ = ["ExpectedFailure", "read_expected", "strangers"]
+
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePath
+from typing import Any
+
+from gsgen.contract.errors import ConfigInvalid, UnknownName
+from gsgen.contract.rule import Registry
+
+_TABLE = "xfail"
+_KEYS = ("rule", "model", "reason")
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedFailure:
+    """A rule that is known to be broken.
+
+    Attributes:
+        rule: The rule's id.
+        reason: Why that is accepted for now.
+        model: The models it speaks of, a path or a pattern; empty for all.
+        source: The file that says so.
+    """
+
+    rule: str
+    reason: str
+    model: str = ""
+    source: str = "expected failures"
+
+    def __str__(self) -> str:
+        models = f" of {self.model}" if self.model else ""
+        return f"{self.source}: {self.rule}{models} ({self.reason})"
+
+    def speaks_of(self, rule: str, path: PurePath) -> bool:
+        """Say whether it is meant for this rule of the model at ``path``."""
+        names = (path.as_posix(), path.name)
+        named = not self.model or any(fnmatchcase(name, self.model) for name in names)
+        return named and rule == self.rule
+
+
+def read_expected(path: Path, registry: Registry) -> tuple[ExpectedFailure, ...]:
+    """Read a file of expected failures.
+
+    Raises:
+        ConfigInvalid: It is no TOML, or an entry lacks a rule or a reason.
+        UnknownName: A rule or a key does not exist; the message names the nearest.
+    """
+    where = str(path)
+    try:
+        data = tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise ConfigInvalid(f"cannot be read: {error.strerror}", where=where) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigInvalid(f"is not TOML: {error}", where=where) from error
+    _refuse_strange_keys(data, (_TABLE,), where)
+    tables = data.get(_TABLE, [])
+    if not (isinstance(tables, list) and all(isinstance(one, dict) for one in tables)):
+        raise ConfigInvalid(f"{tables!r}, wanted tables [[{_TABLE}]]", where=where)
+    return tuple(
+        _entry(table, f"{where}, {_TABLE} {number}", where, registry)
+        for number, table in enumerate(tables, start=1)
+    )
+
+
+def _entry(
+    table: dict[str, Any], place: str, source: str, registry: Registry
+) -> ExpectedFailure:
+    _refuse_strange_keys(table, _KEYS, place)
+    for key, value in table.items():
+        if not (isinstance(value, str) and value.strip()):
+            raise ConfigInvalid(f"{key} is {value!r}, wanted a text", where=place)
+    for key in ("rule", "reason"):
+        if key not in table:
+            raise ConfigInvalid(f"has no {key}", where=place)
+    rule = registry.find(table["rule"], place).id
+    return ExpectedFailure(rule, table["reason"], table.get("model", ""), source)
+
+
+def _refuse_strange_keys(
+    table: Mapping[str, Any], known: tuple[str, ...], where: str
+) -> None:
+    for key in table:
+        if key not in known:
+            raise UnknownName.among("key", key, known, where)
+
+
+def strangers(
+    entries: Iterable[ExpectedFailure], tested: Mapping[Path, Iterable[str]]
+) -> list[ExpectedFailure]:
+    """Return the entries that speak of nothing that is tested.
+
+    Args:
+        entries: What is expected to fail.
+        tested: Model → ids of the rules that its suites hold.
+    """
+    pairs = [(rule, path) for path, rules in tested.items() for rule in rules]
+    return [one for one in entries if not any(one.speaks_of(*pair) for pair in pairs)]

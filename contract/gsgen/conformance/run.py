@@ -1,0 +1,103 @@
+"""Test a model: plan its suites, judge it once, say what came of every case."""
+
+__all__ = ["ModelRun", "run_model", "suites_of"]
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from gsgen.conformance.cases import Case, CaseStatus, settle
+from gsgen.conformance.evidence import Evidence, gather
+from gsgen.conformance.expected import ExpectedFailure
+from gsgen.conformance.suite import Declared, plan_suites
+from gsgen.contract.config import Settings
+from gsgen.contract.engine import Progress, validate
+from gsgen.contract.installed import installed_rules
+from gsgen.contract.model import open_model
+from gsgen.contract.report import Report
+from gsgen.contract.rule import Rule
+from gsgen.contract.subject import read_subject
+
+# What a test counts as, beside passed.
+FAILING: tuple[CaseStatus, ...] = ("failed", "crashed")
+
+
+@dataclass(frozen=True, slots=True)
+class ModelRun:
+    """One model, tested.
+
+    Attributes:
+        report: What `gsgen validate` says of it.
+        cases: What came of every rule, suite by suite.
+        evidence: Rule id → how to see its failure again.
+    """
+
+    report: Report
+    cases: tuple[Case, ...]
+    evidence: Mapping[str, Evidence]
+
+    def case(self, rule: str) -> Case:
+        """Return what came of a rule; raises KeyError if no suite of this run holds it."""
+        for case in self.cases:
+            if case.rule.id == rule:
+                return case
+        raise KeyError(rule)
+
+    def text(self, case: Case) -> str:
+        """Return what to tell of a case: what was found, and how to see it again."""
+        evidence = self.evidence.get(case.rule.id)
+        return f"{case.text}\n{evidence}" if evidence and case.status in FAILING else case.text
+
+    @property
+    def suites(self) -> dict[str, list[Case]]:
+        """The cases by the name of their suite."""
+        found: dict[str, list[Case]] = {}
+        for case in self.cases:
+            found.setdefault(case.suite, []).append(case)
+        return found
+
+
+def suites_of(path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
+    """Return the suites that apply to a model and their rules; it is not run for that.
+
+    Raises:
+        ModelUnreadable: The file is not an ONNX model at all.
+    """
+    subject = read_subject(open_model(path), settings.target, settings.limits)
+    rules = installed_rules().rules.values()
+    return plan_suites(rules, Declared.by(subject), settings.target)
+
+
+def run_model(
+    path: Path,
+    settings: Settings,
+    *,
+    suites: Iterable[str] = (),
+    expected: Iterable[ExpectedFailure] = (),
+    dumps: Path | None = None,
+    progress: Progress = lambda words: None,
+) -> ModelRun:
+    """Judge a model once and say what came of every rule of its suites.
+
+    Args:
+        path: The ONNX file.
+        settings: Level, target, limits and severities.
+        suites: Names of the suites to report; all that apply where empty.
+        expected: Rules that are known to be broken.
+        dumps: Folder for the inputs and outputs of failing probes; none are kept without it.
+        progress: Called with a few words whenever a new stage begins.
+
+    Raises:
+        ModelUnreadable: The file is not an ONNX model at all.
+    """
+    wanted, entries = set(suites), tuple(expected)
+    planned = suites_of(path, settings)
+    report = validate(path, settings, progress=progress)
+    cases = tuple(
+        settle(report, rule, name, entries)
+        for name, rules in planned.items()
+        if not wanted or name in wanted
+        for rule in rules
+    )
+    failing = [case for case in cases if case.status in FAILING]
+    return ModelRun(report, cases, gather(path, settings, failing, dumps))

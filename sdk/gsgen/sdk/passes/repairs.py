@@ -1,0 +1,192 @@
+"""Repairs of outputs that break a rule in a way with one right answer."""
+
+__all__ = [
+    "CastCount",
+    "PadColor",
+    "PinDimensions",
+    "RenameOutputs",
+    "ReorderHarmonics",
+    "SilencePadding",
+]
+
+from collections.abc import Mapping
+
+import numpy as np
+import onnx_ir as ir
+from onnx_ir import passes
+
+from gsgen.sdk.passes.building import append_output, new_node, weight
+
+_RGB = 3
+
+
+class CastCount(passes.InPlacePass):
+    """Make the row count int32 [1]: runtimes bind four bytes to it (rule GO011).
+
+    ::
+
+        num_points int64 []   →   Reshape([1]) → Cast(int32) → num_points
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.name = name
+
+    def call(self, model: ir.Model) -> passes.PassResult:
+        """Cast last, so that the output ends on an operator that capture records."""
+        graph, count = model.graph, _output(model, self.name)
+        flat = count.shape is not None and list(count.shape) == [1]
+        if flat and count.dtype == ir.DataType.INT32:
+            return passes.PassResult(model, modified=False)
+        one = weight(graph, f"{self.name}_one", np.array([1]))
+        shaped = new_node("Reshape", [count, one], f"{self.name}_flat", dtype=count.dtype)
+        cast = new_node(
+            "Cast",
+            [shaped.outputs[0]],
+            f"{self.name}_int32",
+            dtype=ir.DataType.INT32,
+            shape=[1],
+            to=ir.DataType.INT32.value,
+        )
+        append_output(graph, count, [shaped, cast])
+        return passes.PassResult(model, modified=True)
+
+
+class PadColor(passes.InPlacePass):
+    """Give float16 RGB a fourth channel of ones: a row must fill whole words (rule GO015).
+
+    ::
+
+        color_rgb [N, 3]   →   Concat(color_rgb, 1) → color_rgb [N, 4]
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.name = name
+
+    def call(self, model: ir.Model) -> passes.PassResult:
+        """Append a constant column."""
+        graph, color = model.graph, _output(model, self.name)
+        if color.shape is None or len(color.shape) != 2 or color.shape[1] != _RGB:
+            return passes.PassResult(model, modified=False)
+        rows = color.shape[0]
+        if not isinstance(rows, int) or color.dtype != ir.DataType.FLOAT16:
+            return passes.PassResult(model, modified=False)
+        ones = weight(graph, f"{self.name}_ones", np.ones((rows, 1), np.float16))
+        joined = new_node(
+            "Concat",
+            [color, ones],
+            f"{self.name}_padded",
+            dtype=color.dtype,
+            shape=[rows, _RGB + 1],
+            axis=1,
+        )
+        append_output(graph, color, [joined])
+        return passes.PassResult(model, modified=True)
+
+
+class SilencePadding(passes.InPlacePass):
+    """Set every value of the rows behind the count to zero (rules GV002 and GV018).
+
+    Where selects, so a NaN behind the count does not survive as it would a product::
+
+        gaussians   →   Where(arange < num_points, gaussians, 0) → gaussians
+    """
+
+    def __init__(self, names: tuple[str, ...], count: str) -> None:
+        super().__init__()
+        self.names = names
+        self.count = count
+
+    def call(self, model: ir.Model) -> passes.PassResult:
+        """Guard each output with the same mask."""
+        graph, count = model.graph, _output(model, self.count)
+        outputs = [_output(model, name) for name in self.names]
+        rows = outputs[0].shape[0] if outputs[0].shape is not None else None
+        if not isinstance(rows, int):
+            return passes.PassResult(model, modified=False)
+        order = weight(graph, "row_numbers", np.arange(rows, dtype=np.int32)[:, None])
+        live = new_node(
+            "Less", [order, count], "live_rows", dtype=ir.DataType.BOOL, shape=[rows, 1]
+        )
+        graph.append(live)
+        for value in outputs:
+            assert value.dtype is not None
+            zero = weight(graph, f"{value.name}_zero", np.zeros((), value.dtype.numpy()))
+            kept = new_node("Where", [live.outputs[0], value, zero], f"{value.name}_live")
+            kept.outputs[0].type, kept.outputs[0].shape = value.type, value.shape
+            append_output(graph, value, [kept])
+        return passes.PassResult(model, modified=True)
+
+
+class RenameOutputs(passes.InPlacePass):
+    """Rename outputs, so that a viewer that goes by names finds them (TV101, TV102)."""
+
+    def __init__(self, names: Mapping[str, str]) -> None:
+        super().__init__()
+        self.names = names
+
+    def call(self, model: ir.Model) -> passes.PassResult:
+        """Rename values; a name that is taken inside the graph makes way."""
+        wanted = {old: new for old, new in self.names.items() if old != new}
+        for node in model.graph:
+            for value in node.outputs:
+                if value.name in wanted.values() and value not in model.graph.outputs:
+                    value.name = f"{value.name}_inner"
+        for value in model.graph.outputs:
+            value.name = wanted.get(value.name or "", value.name)
+        return passes.PassResult(model, modified=bool(wanted))
+
+
+class PinDimensions(passes.InPlacePass):
+    """Give symbolic dimensions of inputs and outputs a size (rule GO004)."""
+
+    def __init__(self, sizes: Mapping[str, int]) -> None:
+        super().__init__()
+        self.sizes = sizes
+
+    def call(self, model: ir.Model) -> passes.PassResult:
+        """Replace every symbol that has a size."""
+        modified = False
+        for value in (*model.graph.inputs, *model.graph.outputs):
+            if value.shape is None:
+                continue
+            dims = [self._size(dim) for dim in value.shape]
+            if dims != list(value.shape):
+                value.shape = ir.Shape(dims)
+                modified = True
+        return passes.PassResult(model, modified=modified)
+
+    def _size(self, dim: int | ir.SymbolicDim) -> int | ir.SymbolicDim:
+        symbol = None if isinstance(dim, int) else dim.value
+        return self.sizes.get(str(symbol), dim) if symbol is not None else dim
+
+
+def _output(model: ir.Model, name: str) -> ir.Value:
+    return next(value for value in model.graph.outputs if value.name == name)
+
+
+class ReorderHarmonics(passes.InPlacePass):
+    """Turn channel-major SH into coefficient-major; done on request only (rule GV014 is a guess).
+
+    ::
+
+        color_sh [R… G… B…]   →   Gather(axis=1) → color_sh [RGB RGB …]
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.name = name
+
+    def call(self, model: ir.Model) -> passes.PassResult:
+        """Gather columns in the order that readers take them in."""
+        graph, color = model.graph, _output(model, self.name)
+        size = color.shape[1] if color.shape is not None and len(color.shape) == 2 else None
+        if not isinstance(size, int) or size % _RGB:
+            return passes.PassResult(model, modified=False)
+        slots = np.arange(size).reshape(_RGB, -1).T.reshape(-1)
+        order = weight(graph, f"{self.name}_order", slots)
+        taken = new_node("Gather", [color, order], f"{self.name}_reordered", axis=1)
+        taken.outputs[0].type, taken.outputs[0].shape = color.type, color.shape
+        append_output(graph, color, [taken])
+        return passes.PassResult(model, modified=True)

@@ -1,0 +1,189 @@
+"""Repair a model: only what has one right answer, each repair validated and listed."""
+
+__all__ = ["Repair", "Repaired", "Request", "repair"]
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import onnx_ir as ir
+from onnx_ir import passes
+
+from gsgen.contract.config import Settings
+from gsgen.contract.engine import validate
+from gsgen.contract.errors import GsgenError
+from gsgen.contract.finding import Severity
+from gsgen.contract.manifest import GeneratorManifest
+from gsgen.contract.manifest_json import dumps
+from gsgen.contract.model import MANIFEST_KEY, open_model
+from gsgen.contract.report import Report
+from gsgen.contract.subject import Subject, read_subject
+from gsgen.sdk.packing import APPEARANCE_RGB, APPEARANCE_SH, COUNT, GAUSSIANS
+from gsgen.sdk.passes import (
+    CastCount,
+    PadColor,
+    PinDimensions,
+    RenameOutputs,
+    ReorderHarmonics,
+    SilencePadding,
+)
+from gsgen.sdk.placement import draft_of
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What cannot be known from the model, and what is only done if it is asked for.
+
+    Attributes:
+        sizes: Symbolic dimension → its size.
+        manifest: The manifest to embed; the model's own where absent.
+        rename: Give the outputs the names that viewers look for.
+        channel_major: The SH stand channel by channel and are to be reordered.
+    """
+
+    sizes: Mapping[str, int] = field(default_factory=dict)
+    manifest: GeneratorManifest | None = None
+    rename: bool = False
+    channel_major: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Repair:
+    """One change, and the rule that asked for it."""
+
+    what: str
+    rule: str
+
+
+@dataclass(frozen=True, slots=True)
+class Repaired:
+    """The result.
+
+    Attributes:
+        repairs: What was changed, in order.
+        before: The report of the model as it came.
+        after: The report of the model as it was written.
+    """
+
+    repairs: tuple[Repair, ...]
+    before: Report
+    after: Report
+
+
+def repair(
+    source: Path,
+    target: Path,
+    request: Request | None = None,
+    settings: Settings | None = None,
+) -> Repaired:
+    """Write a repaired copy of ``source`` to ``target``; nothing ambiguous is guessed.
+
+    Raises:
+        ModelUnreadable: ``source`` is no model.
+        GsgenError: There is nothing to repair, or the result would break a rule that was kept.
+    """
+    request, settings = request or Request(), settings or Settings()
+    before = validate(source, settings)
+    subject = read_subject(open_model(source), settings.target, settings.limits)
+    broken = {finding.rule for finding in before.findings}
+    manifest = request.manifest or _own_manifest(subject)
+    steps, manifest = _steps(subject, manifest, broken, request)
+    if request.manifest is not None:
+        steps.append((Repair("embedded the manifest given", "GM001"), _nothing))
+    if not steps:
+        raise GsgenError("nothing that has one right answer is broken", where=str(source))
+    model = ir.load(source)
+    for _, change in steps:
+        change(model)
+    model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
+    with draft_of(target) as draft:
+        ir.save(model, draft)
+        after = validate(draft, settings)
+        _must_not_be_worse(before, after)
+    return Repaired(
+        tuple(step for step, _ in steps), before, replace(after, path=str(target))
+    )
+
+
+Change = Callable[[ir.Model], passes.PassResult | None]
+Steps = list[tuple[Repair, Change]]
+
+
+def _nothing(_: ir.Model) -> None:
+    return
+
+
+def _own_manifest(subject: Subject) -> GeneratorManifest:
+    if subject.parsed is None:
+        raise GsgenError(
+            "carries no manifest, so its outputs' meaning would be guessed",
+            where=str(subject.file.path),
+            mend="Derive one with `gsgen inspect MODEL --emit-manifest`, check it, and give it "
+            "with --manifest FILE.",
+        )
+    if not isinstance(subject.manifest, GeneratorManifest):
+        mend = "See `gsgen validate --level static`."
+        raise GsgenError(
+            "is no Gaussian Generator", where=str(subject.file.path), mend=mend
+        )
+    return subject.manifest
+
+
+def _steps(
+    subject: Subject, manifest: GeneratorManifest, broken: set[str], request: Request
+) -> tuple[Steps, GeneratorManifest]:
+    """Return the changes to make, in order, and the manifest that fits the result."""
+    steps: Steps = []
+    outputs = manifest.outputs
+    rows, color, count = outputs.gaussians, outputs.appearance, outputs.count
+    for symbol, size in request.sizes.items():
+        steps.append(
+            (
+                Repair(f"dimension {symbol} is {size}", "GO004"),
+                PinDimensions({symbol: size}),
+            )
+        )
+    if count is not None and "GO011" in broken:
+        steps.append(
+            (Repair(f"{count.name} is cast to int32 [1]", "GO011"), CastCount(count.name))
+        )
+    if color is not None and color.space == "rgb" and "GO015" in broken:
+        what = f"{color.name} is padded to four channels"
+        steps.append((Repair(what, "GO015"), PadColor(color.name)))
+    if color is not None and request.channel_major:
+        what = f"{color.name} is reordered to coefficient-major"
+        steps.append((Repair(what, "GV014"), ReorderHarmonics(color.name)))
+    if rows and color and count and broken & {"GV002", "GV018"}:
+        silence = SilencePadding((rows.name, color.name), count.name)
+        steps.append((Repair("rows behind the count are zero", "GV018"), silence))
+    if rows and color and count and request.rename:
+        wanted = APPEARANCE_SH if color.space == "sh" else APPEARANCE_RGB
+        names = {rows.name: GAUSSIANS, color.name: wanted, count.name: COUNT}
+        changed = ", ".join(f"{old} → {new}" for old, new in names.items() if old != new)
+        if changed:
+            steps.append(
+                (Repair(f"outputs are renamed: {changed}", "TV101"), RenameOutputs(names))
+            )
+            outputs = replace(
+                outputs,
+                gaussians=replace(rows, name=GAUSSIANS),
+                appearance=replace(color, name=wanted),
+                count=replace(count, name=COUNT),
+            )
+    return steps, replace(manifest, outputs=outputs)
+
+
+def _must_not_be_worse(before: Report, after: Report) -> None:
+    """Refuse a result that breaks a rule the model kept."""
+
+    def errors(report: Report) -> set[str]:
+        return {f.rule for f in report.findings if f.severity is Severity.ERROR}
+
+    # A repair lets rules be judged that could not be before; what they find is no damage.
+    judged = {o.rule.id for o in before.outcomes if o.status in ("pass", "fail")}
+    fresh = (errors(after) - errors(before)) & judged
+    if fresh:
+        listed = ", ".join(sorted(fresh))
+        raise GsgenError(
+            f"the repaired model would break {listed}, which it kept", where=after.path
+        )
