@@ -1,0 +1,63 @@
+import json
+from pathlib import Path
+
+import numpy as np
+
+from gsgen.conformance.fixtures import find
+from support.commands import gsgen
+
+
+def test_a_model_does_not_differ_from_its_copy(tmp_path: Path) -> None:
+    path = find("drift").write(tmp_path)
+    copy = tmp_path / "copy.onnx"
+    copy.write_bytes(path.read_bytes())
+    ran = gsgen("diff", path, copy)
+    assert ran.code == 0
+    assert "no difference" in ran.out
+    assert ran.out.count("equal bits") == 3
+
+
+def test_values_that_differ_are_counted_and_placed(tmp_path: Path) -> None:
+    sketch = find("drift").draw()
+    a, b = tmp_path / "a.onnx", tmp_path / "b.onnx"
+    sketch.write(a)
+    moved = sketch.weights["center"].copy()
+    moved[2, 1] += 0.25
+    sketch.weighing(center=moved).write(b)
+    ran = gsgen("diff", a, b)
+    assert ran.code == 1
+    assert "output  gaussians: up to 0.25 apart, 1 rows differ" in ran.out
+    assert "output  appearance: equal bits" in ran.out
+    assert gsgen("diff", a, b, "--tolerance", "0.3").code == 0
+
+
+def test_what_is_declared_and_how_it_is_built_are_compared(tmp_path: Path) -> None:
+    sketch = find("drift").draw()
+    a, b = tmp_path / "a.onnx", tmp_path / "b.onnx"
+    sketch.write(a)
+    sketch.declaring(family="4d").reworded("Mul (speed, time)", "Add (speed, time)").write(
+        b
+    )
+    facts = json.loads(gsgen("diff", a, b, "--json").out)["facts"]
+    listed = {(fact["kind"], fact["what"]): fact["second"] for fact in facts}
+    assert listed[("contract", "family")] == "4d"
+    assert ("graph", "operator Mul") in listed
+
+
+def test_models_with_other_inputs_are_not_run(tmp_path: Path) -> None:
+    a, b = find("drift").write(tmp_path), find("camera_position").write(tmp_path)
+    ran = gsgen("diff", a, b)
+    assert ran.code == 1
+    assert "not compared: the models take different inputs" in ran.out
+
+
+def test_nan_equals_nan(tmp_path: Path) -> None:
+    path = find("nan_row").write(tmp_path)
+    copy = tmp_path / "copy.onnx"
+    copy.write_bytes(path.read_bytes())
+    assert gsgen("diff", path, copy).code == 0
+
+
+def test_a_file_that_is_no_model_exits_4(tmp_path: Path) -> None:
+    (tmp_path / "no.onnx").write_bytes(bytes(np.arange(9, dtype=np.uint8)))
+    assert gsgen("diff", tmp_path / "no.onnx", find("drift").write(tmp_path)).code == 4
