@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, PackageNotFoundError, version
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
@@ -18,6 +18,7 @@ from gsgen.contract.registered import registered
 
 _GROUP = "gsgen.commands"
 _USAGE = 2
+_INTERNAL = 3
 _REQUIREMENT = re.compile(r"^([A-Za-z0-9._-]+).*extra\s*==\s*['\"]([^'\"]+)['\"]")
 
 
@@ -48,23 +49,38 @@ class Command:
 
     @property
     def context(self) -> dict[str, Any]:
-        """Settings of the command's context: one that cannot run takes any arguments."""
-        free = {"allow_extra_args": True, "ignore_unknown_options": True}
-        return free if self.missing else {}
+        """Settings of the command's context: one that cannot run takes any options."""
+        return {"ignore_unknown_options": True} if self.missing else {}
 
     def load(self) -> Callable[..., Any] | typer.Typer:
         """Import the command, or return one that says what it lacks."""
-        if not self.missing:
+        if self.missing:
+            absent = ", ".join(self.missing)
+            return _refusing(
+                f"Not installed: {self.remedy}",
+                f"`gsgen {self.name}` needs {absent}, which is not installed: {self.remedy}",
+                _USAGE,
+            )
+        try:
             loaded: Callable[..., Any] | typer.Typer = self.point.load()
-            return loaded
+        except Exception as error:  # a third party's code may fail in any way
+            reason = f"{type(error).__name__}: {error}"
+            what = f"`gsgen {self.name}` ({self.point.value}) cannot be loaded: {reason}"
+            return _refusing(f"Broken: {reason}", what, _INTERNAL)
+        return loaded
 
-        def unavailable() -> None:
-            needs = f"`gsgen {self.name}` needs {', '.join(self.missing)}, which is not installed"
-            typer.echo(f"gsgen: {needs}: {self.remedy}", err=True)
-            raise typer.Exit(_USAGE)
 
-        unavailable.__doc__ = escaped(f"Not installed: {self.remedy}")
-        return unavailable
+def _refusing(summary: str, reason: str, code: int) -> Callable[..., Any]:
+    """Return a command that takes any arguments and only says why it cannot run."""
+
+    def refuse(
+        words: Annotated[list[str] | None, typer.Argument(hidden=True)] = None,
+    ) -> None:
+        typer.echo(f"gsgen: {reason}", err=True)
+        raise typer.Exit(code)
+
+    refuse.__doc__ = escaped(summary)
+    return refuse
 
 
 def escaped(text: str) -> str:
