@@ -16,9 +16,10 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from docs_parts import commands, contract, corpus, manifest, rules, runs
+from docs_parts import commands, contract, corpus, manifest, report, rules, runs
 
 from gsgen.contract.manifest_json import schemas
+from gsgen.contract.reporters.document import SCHEMA_FILE, schema
 from gsgen.contract.rule_pages import index, page
 
 ROOT = Path(__file__).parents[1]
@@ -41,6 +42,7 @@ PARTS: dict[str, Part] = {
     "plugin-commands": commands.plugins,
     "plugins": commands.plugin_table,
     "probes": contract.probes,
+    "report-fields": report.fields,
     "roles": contract.roles,
     "row": contract.row,
     "rows-of-color": contract.rows_of_color,
@@ -75,7 +77,8 @@ def generated() -> dict[Path, str]:
         for rule in registry.rules.values()
     }
     made[DOCS / "rules" / "index.md"] = index(registry)
-    for name, document in schemas().items():
+    published = schemas() | {SCHEMA_FILE: schema()}
+    for name, document in published.items():
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         made[DOCS / "spec" / "schemas" / name] = text
     for path in sorted(DOCS.rglob("*.md")):

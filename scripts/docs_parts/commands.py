@@ -20,7 +20,7 @@ def _ours(group: str) -> list[EntryPoint]:
 
 def _find(*words: str) -> Any:
     """Return the click command behind ``gsgen WORDS``."""
-    found: Any = typer.main.get_command(build(list(find_commands().values())))
+    found: Any = typer.main.get_command(build([find_commands()[words[0]]]))
     for word in words:
         found = found.commands[word]
     return found

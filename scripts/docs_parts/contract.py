@@ -25,12 +25,13 @@ from gsgen.contract.targets import load_target
 _OURS = ("core", "webgpu", "visionary", "gsgen")
 _SIZES = {"float32": 4, "float16": 2}
 
-# What each limit of a target bounds, and the rules that ask for it.
+# What a limit bounds, where the rule that asks for it does not say so.
 _LIMITS = {
-    "binding_bytes": ("Bytes of one storage buffer binding.", ("GL001",)),
-    "buffer_bytes": ("Bytes of one buffer.", ("GL002",)),
-    "workgroups": ("Workgroups of one dispatch along an axis.", ("GL003",)),
-    "workgroup_size": ("Rows that one workgroup visits.", ("GL003",)),
+    "binding_bytes": "Bytes of one storage buffer binding.",
+    "buffer_bytes": "Bytes of one buffer.",
+    "workgroups": "Workgroups of one dispatch along an axis.",
+    "workgroup_size": "Rows that one workgroup visits; times `workgroups`, the most rows.",
+    "graph_capture": "1: kernels are recorded once and replayed, so what cannot be is reported.",
 }
 
 
@@ -100,10 +101,11 @@ def limits() -> str:
     names = list(dict.fromkeys(name for one in found for name in one.limits))
     rows = []
     for name in names:
-        text, asked_by = _LIMITS[name]
+        asked_by = [rule for rule in ours().rules.values() if rule.limit == name]
+        text = _LIMITS.get(name) or (asked_by[0].what if asked_by else "–")
         values = [f"{one.limits[name]:,}" if name in one.limits else "–" for one in found]
-        links = ", ".join(f"[{id}](../rules/{id}.md)" for id in asked_by)
-        rows.append((f"`{name}`", *values, f"{text} {links}"))
+        links = ", ".join(_link(rule.id) for rule in asked_by)
+        rows.append((f"`{name}`", *values, f"{text} {links}".strip()))
     return table(("limit", *(f"`{one.name}`" for one in found), "meaning, and rule"), rows)
 
 

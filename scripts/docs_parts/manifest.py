@@ -29,7 +29,7 @@ def fields(cls: str) -> str:
     for name, entry in schema["properties"].items():
         need = "required" if name in required else _default(entry)
         text = entry.get("description", "") or _of_item(entry)
-        rows.append((f"`{name}`", _type(entry), need, text or "–"))
+        rows.append((f"`{name}`", type_in_words(entry), need, text or "–"))
     return table(("field", "type", "if absent", "meaning"), rows)
 
 
@@ -47,7 +47,7 @@ def _of_item(entry: dict[str, Any]) -> str:
     return str(cls.__doc__).partition("\n")[0]
 
 
-def _type(entry: dict[str, Any]) -> str:
+def type_in_words(entry: dict[str, Any]) -> str:
     """Say in words what a schema asks for."""
     if "$ref" in entry:
         name = entry["$ref"].rpartition("/")[2]
@@ -58,13 +58,13 @@ def _type(entry: dict[str, Any]) -> str:
         options = [json.dumps(option) for option in entry["enum"]]
         return code(options) if len(options) == 1 else f"one of {code(options)}"
     if "anyOf" in entry:
-        return " or ".join(_type(option) for option in entry["anyOf"])
+        return " or ".join(type_in_words(option) for option in entry["anyOf"])
     if entry["type"] == "array":
-        item = _type(entry["items"])
+        item = type_in_words(entry["items"])
         fixed = "minItems" in entry
         return f"[{', '.join([item] * entry['minItems'])}]" if fixed else f"array of {item}"
     if entry["type"] == "object":
-        return f"object of {_type(entry['additionalProperties'])}"
+        return f"object of {type_in_words(entry['additionalProperties'])}"
     return f"{entry['type']}{_limits(entry)}"
 
 

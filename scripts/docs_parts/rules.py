@@ -2,13 +2,18 @@
 
 from docs_parts.tables import table
 from gsgen.contract.finding import Level
-from gsgen.contract.installed import catalogue
+from gsgen.contract.installed import installed_rules
 from gsgen.contract.rule import Registry
 
 
 def ours() -> Registry:
-    """Return the rules of this project alone, whatever else is installed."""
-    return Registry.of(catalogue())
+    """Return the rules of this project alone, whatever else is installed.
+
+    Those of a third party have its name in front of their ids.
+    """
+    registry = installed_rules()
+    own = [one for one in registry.rules.values() if "/" not in one.id]
+    return Registry.of(own, registry.runners.values())
 
 
 def by_level() -> str:

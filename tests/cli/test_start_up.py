@@ -8,7 +8,7 @@ import pytest
 HEAVY = {"torch", "onnxscript", "onnx_ir", "wgpu", "scipy"}
 
 
-def imported(*words: str) -> set[str]:
+def imported(*words: str, whole: bool = False) -> set[str]:
     done = subprocess.run(
         [sys.executable, "-X", "importtime", "-m", "gsgen.cli", *words],
         capture_output=True,
@@ -17,7 +17,8 @@ def imported(*words: str) -> set[str]:
     )
     assert done.returncode == 0, done.stderr[-2000:]
     lines = [line for line in done.stderr.splitlines() if line.startswith("import time:")]
-    return {line.rpartition("|")[2].strip().partition(".")[0] for line in lines}
+    names = {line.rpartition("|")[2].strip() for line in lines}
+    return names if whole else {name.partition(".")[0] for name in names}
 
 
 @pytest.mark.parametrize(
@@ -36,3 +37,15 @@ def test_static_validation_imports_nothing_heavy(good: Path) -> None:
 def test_running_a_model_keeps_onnx_runtime_out_of_the_parent(good: Path) -> None:
     names = imported("validate", "--level", "behaviour", str(good))
     assert names & (HEAVY | {"onnxruntime"}) == set()
+
+
+def test_only_the_reporter_that_is_asked_for_is_imported(good: Path) -> None:
+    def reporters(*words: str) -> set[str]:
+        names = imported("validate", "--level", "static", str(good), *words, whole=True)
+        head = "gsgen.contract.reporters."
+        return {name.removeprefix(head) for name in names if name.startswith(head)}
+
+    assert reporters() == {"summary", "text"}
+    # The reporters themselves are imported by name, which the interpreter does not list.
+    assert reporters("--format", "json") == {"summary", "text", "document"}
+    assert reporters("--format", "junit") == {"summary", "text"}

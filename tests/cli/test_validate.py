@@ -120,7 +120,6 @@ def test_configuration_is_found_in_the_folder_and_the_command_line_wins(dim: Pat
 def test_levels_that_cannot_run_are_named_and_do_not_pass_in_silence(good: Path) -> None:
     ran = gsgen("validate", good, "--level", "render")
     assert ran.code == 0
-    assert "level live did not run" in ran.out
     assert "level render did not run" in ran.out
 
 

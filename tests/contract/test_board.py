@@ -159,6 +159,7 @@ def test_more_than_twenty_places_are_counted_with_the_first():
     found = judge(board(rule), rule).findings()
     assert len(found) == 20
     assert [one.count for one in found] == [12] + [2] * 19
+    assert [one.truncated for one in found] == [True] + [False] * 19
 
 
 def test_findings_come_worst_first_then_in_order_of_the_catalogue():

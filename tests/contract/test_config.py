@@ -1,3 +1,5 @@
+from datetime import date
+
 import pytest
 from jsonschema import Draft202012Validator
 
@@ -7,6 +9,7 @@ from gsgen.contract.finding import Level, Severity
 from gsgen.contract.installed import installed_rules
 from gsgen.contract.sandbox import Limits
 from gsgen.contract.targets import Target, load_target
+from gsgen.contract.waivers import Waiver
 
 REGISTRY = installed_rules()
 OPACITY = REGISTRY.find("GV003")
@@ -222,3 +225,72 @@ def test_a_strict_run_makes_a_missing_manifest_an_error_unless_said_otherwise():
     assert Settings(strict=True).severity_of(missing) == Severity.ERROR
     lenient = Settings(strict=True, severities={"GM001": Severity.INFO})
     assert lenient.severity_of(missing) == Severity.INFO
+
+
+def test_a_file_can_waive_findings_with_a_reason(read, tmp_path):
+    settings = read(
+        """
+        [[waive]]
+        rule = "GV004"
+        reason = " Dust, on purpose. "
+
+        [[waive]]
+        rule = "opacity-range"
+        where = "output gaussians, opacity"
+        model = "garden*.onnx"
+        reason = "Until the next export."
+        until = 2027-01-01
+
+        [[waive]]
+        rule = "gv005"
+        reason = "Known."
+        until = "2027-01-02"
+    """
+    )
+    where, next_year = "output gaussians, opacity", date(2027, 1, 1)
+    assert settings.waivers == (
+        Waiver("GV004", "Dust, on purpose."),
+        Waiver("GV003", "Until the next export.", where, "garden*.onnx", next_year),
+        Waiver("GV005", "Known.", until=date(2027, 1, 2)),
+    )
+    assert settings.source == str(tmp_path / "gsgen.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('rule = "GV004"', ", waive.0: 'reason' is a required property"),
+        ('reason = "x"', ", waive.0: 'rule' is a required property"),
+        ('rule = "GV004"\nreason = " "', ", waive.0.reason: ' ' does not match"),
+        (
+            'rule = "opacity-rage"\nreason = "x"',
+            ", waive.0.rule: unknown rule 'opacity-rage'\n  Did you mean 'opacity-range'?",
+        ),
+        (
+            'rule = "GV004"\nreason = "x"\nuntill = 2027-01-01',
+            ", waive.0: unknown key 'untill'\n  Did you mean 'until'?",
+        ),
+        (
+            'rule = "GV004"\nreason = "x"\nuntil = "soon"',
+            ", waive.0.until: 'soon' is no day; wanted one like 2027-01-01",
+        ),
+        (
+            'rule = "GV004"\nreason = "x"\nuntil = 2027-01-01T00:00:00',
+            ", waive.0.until: datetime.datetime(2027, 1, 1, 0, 0) is not of type 'string'",
+        ),
+        (
+            'rule = "GV004"\nreason = "x"\nuntil = 3',
+            ", waive.0.until: 3 is not of type 'string'",
+        ),
+    ],
+)
+def test_a_waiver_that_cannot_be_meant_is_an_error(read, tmp_path, text, said):
+    with pytest.raises(ConfigInvalid) as caught:
+        read(f"[[waive]]\n{text}\n")
+    assert str(caught.value).startswith(f"{tmp_path / 'gsgen.toml'}{said}")
+
+
+@pytest.mark.parametrize("text", ["waive = 3", "waive = [3]", "[waive]\nrule = 1"])
+def test_what_is_no_list_of_waivers_is_an_error(read, text):
+    with pytest.raises(ConfigInvalid, match=", waive"):
+        read(f"{text}\n")

@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import pytest
 
 from gsgen.contract.errors import GsgenError, UnknownName
-from gsgen.contract.finding import Example, Level, Severity, Where
+from gsgen.contract.finding import Example, Finding, Level, Severity, Where
 
 
 def test_severities_and_levels_are_ordered_and_read_in_any_case():
@@ -54,3 +56,47 @@ def test_a_place_says_its_field():
 )
 def test_an_error_says_where_what_and_what_next(fields, text):
     assert str(GsgenError("9 rows", **fields)) == text
+
+
+FOUND = Finding(
+    *("GV003", "opacity-range", Severity.ERROR, Where("output g", "opacity")),
+    *("2 of 4 rows", "Mend it.", 2, 4, (Example("1.5", 3, "time=0"),)),
+)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"count": 3, "total": 9, "message": "3 of 9 rows"},
+        {"examples": (Example("nan", 1, "time=1"), Example("2", 2))},
+        {"severity": Severity.INFO, "waived": True, "known": True, "mend": "Do."},
+    ],
+)
+def test_a_fingerprint_does_not_change_with_numbers_and_settings(change):
+    assert replace(FOUND, **change).fingerprint == FOUND.fingerprint == "b83b67613a63b931"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"rule": "GV004"},
+        {"where": Where("output g")},
+        {"where": Where("output h", "opacity")},
+        {"examples": (Example("no rows"),)},
+        {"certainty": "possible"},
+    ],
+)
+def test_another_fault_has_another_fingerprint(change):
+    assert replace(FOUND, **change).fingerprint != FOUND.fingerprint
+
+
+def test_places_that_read_alike_have_their_own_fingerprints():
+    joined = replace(FOUND, where=Where("output g, opacity"))
+    assert str(joined.where) == str(FOUND.where)
+    assert joined.fingerprint != FOUND.fingerprint
+
+
+@pytest.mark.parametrize(("waived", "known"), [(True, False), (False, True)])
+def test_what_is_waived_or_known_does_not_count(waived, known):
+    assert FOUND.counts
+    assert not replace(FOUND, waived=waived, known=known).counts

@@ -6,25 +6,20 @@ from gsgen.contract.config import Settings
 from gsgen.contract.engine import validate
 from gsgen.contract.errors import ModelUnreadable
 from gsgen.contract.finding import Level
+from gsgen.contract.report import Unreadable
 from gsgen.contract.reporters.machine import SCHEMA, to_dict, to_json
 from support.goldens import assert_is_golden
-from support.judged import MODELS, judged
+from support.judged import MODELS
 from support.small_models import good_rows, save_moving
-
-
-@pytest.fixture(scope="module")
-def reports(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("reports")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        return {name: judged(name, folder) for name in MODELS}
 
 
 def without_the_hour(document):
     """Replace what differs from run to run and from one installation to the next."""
-    document["tool"]["version"] = "0"
+    document["tool"] |= {"version": "0", "rules_digest": "0"}
     document["seconds"] = 0
     document["environment"] = dict.fromkeys(document["environment"], "0")
+    for finding in document["findings"]:
+        finding["why"] = "Because."  # the rules' own tests are for that
     for rule in document["rules"]:
         if "ms" in rule:
             rule["ms"] = 0
@@ -47,7 +42,7 @@ def test_one_report_is_an_object_and_several_are_a_list(reports):
 
 def test_a_model_that_could_not_be_read_stands_with_its_error():
     error = ModelUnreadable("is empty", where="a.onnx", mend="Write it again.")
-    assert json.loads(to_json([("a.onnx", error)])) == {
+    assert json.loads(to_json([Unreadable("a.onnx", error)])) == {
         "schema": SCHEMA,
         "subject": {"uri": "a.onnx"},
         "verdict": "unreadable",
@@ -59,17 +54,19 @@ def test_counts_add_up(reports):
     for report in reports.values():
         document = to_dict(report)
         assert sum(document["counts"]["rules"].values()) == len(document["rules"])
-        found = [finding for finding in document["findings"] if not finding["waived"]]
+        found = [one for one in document["findings"] if not one["waived"]]
+        waived = len(document["findings"]) - len(found)
+        assert (document["counts"]["waived"], document["counts"]["known"]) == (waived, 0)
         for severity in ("error", "warning", "info"):
             count = sum(finding["severity"] == severity for finding in found)
             assert document["counts"][severity] == count
 
 
-def test_a_hundred_thousand_bad_rows_take_little_room(tmp_path):
-    rows = good_rows(100_000)
+def test_a_million_bad_rows_take_little_room(tmp_path):
+    rows = good_rows(125_000)
     rows[:, 3] = 2
     report = validate(save_moving(tmp_path / "a.onnx", rows), Settings(level=Level.VALUES))
     (finding,) = to_dict(report)["findings"]
-    assert finding["stats"]["count"] == finding["stats"]["total"] == 800_000
+    assert finding["stats"]["count"] == finding["stats"]["total"] == 1_000_000
     assert len(finding["stats"]["examples"]) == 5
     assert len(to_json([report]).encode()) < 20_000

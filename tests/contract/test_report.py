@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 
 from gsgen.contract.finding import Finding, Level, Severity, Where
-from gsgen.contract.report import Outcome, Report, exit_code
+from gsgen.contract.report import Cause, Outcome, Report, exit_code
 from gsgen.contract.targets import load_target
 from support.rules import made_up
 
@@ -44,8 +44,10 @@ def test_without_findings_a_model_conforms():
     assert report().verdict == "conforms"
 
 
-@pytest.mark.parametrize("changes", [{"waived": True}, {"certainty": "possible"}])
-def test_what_is_waived_or_only_possible_never_fails(changes):
+@pytest.mark.parametrize(
+    "changes", [{"waived": True}, {"known": True}, {"certainty": "possible"}]
+)
+def test_what_is_waived_known_or_only_possible_never_fails(changes):
     assert report(finding(**changes), fail_on=Severity.INFO).verdict == "conforms"
 
 
@@ -55,8 +57,10 @@ def test_a_crashed_rule_leaves_no_verdict(findings):
     assert made.verdict == "internal-error"
 
 
-def test_counts_leave_out_what_is_waived():
-    made = report(finding(), finding(waived=True), finding(Severity.INFO))
+def test_counts_leave_out_what_is_waived_or_known():
+    made = report(
+        finding(), finding(waived=True), finding(known=True), finding(Severity.INFO)
+    )
     assert [made.count(severity) for severity in Severity] == [1, 0, 1]
 
 
@@ -71,6 +75,20 @@ def test_an_outcome_is_found_by_its_rule():
     assert made.outcome("GV901") is made.outcomes[0]
     with pytest.raises(KeyError, match="GV902"):
         made.outcome("GV902")
+
+
+def test_causes_are_rules_that_keep_others_from_being_judged():
+    names = ("GV901", "GV902", "GV903", "GV904")
+    first, second, third, fourth = (made_up(name) for name in names)
+    root = Outcome(second, "fail")
+    blocked = [
+        Outcome(one, "not-applicable", "because", blocked_by="GV902")
+        for one in (first, fourth)
+    ]
+    outcomes = (blocked[0], root, Outcome(third, "pass"), blocked[1])
+    made = replace(report(), outcomes=outcomes)
+    assert made.causes == (Cause(root, (first, fourth)),)
+    assert report().causes == ()
 
 
 GOOD, BAD, CRASHED = report(), report(finding()), report(statuses=("crashed",))

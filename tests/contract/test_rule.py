@@ -41,6 +41,13 @@ def test_a_rule_takes_its_text_from_its_docstring():
     assert (always_so.severity, always_so.fixture) == (Severity.WARNING, "broken")
     assert always_so.kinds == ("gaussian-generator",)
     assert (always_so.needs, always_so.target, always_so.limit) == ((), "", "")
+    assert always_so.evidence == ""
+
+
+def test_a_rule_may_say_where_it_was_seen_to_break_something():
+    doc = "It is so.\n\nWhy:\n  x\n\nMend:\n  y\n\nEvidence:\n  Seen\n  in a viewer.\n"
+    made = declared(doc=doc)
+    assert (made.mend, made.evidence) == ("y", "Seen in a viewer.")
 
 
 @pytest.mark.parametrize(
@@ -51,6 +58,7 @@ def test_a_rule_takes_its_text_from_its_docstring():
         ("emission", Level.VALUES),
         ("rows", Level.VALUES),
         ("runs", Level.BEHAVIOUR),
+        ("report", Level.STATIC),
     ],
 )
 def test_what_a_rule_looks_at_decides_its_level(scope, level):

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -6,7 +7,7 @@ from gsgen.contract.finding import Severity
 from gsgen.contract.installed import installed_rules
 from gsgen.contract.roles import KINDS
 from gsgen.contract.rule import Registry
-from gsgen.contract.rule_pages import FAMILIES, index, page, to_dict
+from gsgen.contract.rule_pages import FAMILIES, help_path, index, page, to_dict
 from support.rules import made_up
 
 FIRST = made_up("GV901")
@@ -69,6 +70,16 @@ def test_a_page_leaves_out_what_the_rule_does_not_declare():
     assert "- target: webgpu\n" in page(THIRD, REGISTRY)
 
 
+def test_a_page_tells_where_the_rule_was_seen_to_break_something():
+    seen = replace(SECOND, evidence="In a viewer.")
+    assert page(seen, REGISTRY) == f"{PAGE}\n## Evidence\n\nIn a viewer.\n"
+
+
+def test_only_our_own_rules_have_a_page_of_ours():
+    assert help_path(FIRST) == "rules/GV901.md"
+    assert help_path(THIRD) == ""
+
+
 def test_the_index_lists_rules_by_family():
     assert index(REGISTRY) == INDEX
 
@@ -100,4 +111,5 @@ def test_a_rule_as_data_is_plain():
         "needs": ["GV901"],
         "kinds": list(KINDS),
         "target": None,
+        "evidence": None,
     }

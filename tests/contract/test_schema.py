@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from gsgen.contract.manifest_json import loads, parse, schema_name, schemas
+from gsgen.contract.reporters.document import SCHEMA_FILE
+from gsgen.contract.reporters.document import schema as report_schema
 from gsgen.contract.roles import KINDS
 from gsgen.contract.schema import DIALECT, from_json, schema_of, to_json
 from gsgen.contract.schema_hints import Hint
@@ -22,8 +24,9 @@ WRITER = "scripts/write_schemas.py"
 
 
 def test_the_published_schemas_are_those_of_the_dataclasses():
-    assert {file.name for file in PUBLISHED.iterdir()} == set(schemas())
-    for name, document in schemas().items():
+    documents = {**schemas(), SCHEMA_FILE: report_schema()}
+    assert {file.name for file in PUBLISHED.iterdir()} == set(documents)
+    for name, document in documents.items():
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         same = (PUBLISHED / name).read_bytes() == text.encode()
         assert same, f"{name} is out of date: run {sys.executable} {WRITER}"

@@ -3,10 +3,12 @@ from dataclasses import replace
 
 import pytest
 
+from gsgen.contract.errors import ModelUnreadable
 from gsgen.contract.finding import Severity, Where
-from gsgen.contract.reporters.text import Line, render
+from gsgen.contract.report import Unreadable
+from gsgen.contract.reporters.text import Line, render, render_all
 from support.goldens import assert_is_golden
-from support.judged import MODELS, judged
+from support.judged import MODELS
 
 VOLATILE = ((r"\b\d+\.\d ms", "0.0 ms"), (r"\b\d+\.\d\d s\b", "0.00 s"))
 
@@ -16,14 +18,6 @@ def text_of(report, **options):
     for pattern, stand_in in VOLATILE:
         text = re.sub(pattern, stand_in, text)
     return text
-
-
-@pytest.fixture(scope="module")
-def reports(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("reports")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        return {name: judged(name, folder) for name in MODELS}
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -89,3 +83,50 @@ def test_what_a_model_is_called_cannot_steer_the_terminal(reports):
     lines = render(replace(reports["broken"], findings=(evil,)))
     assert Line(r"    output \x1b[2J\x9b1m\ud800é: a b\x07") in lines
     assert all(line.text.isprintable() for line in lines)
+
+
+def test_a_finding_is_followed_by_what_could_not_be_judged_because_of_it(reports):
+    lines = text_of(reports["foreign"]).splitlines()
+    after = lines[lines.index("  GO005 error appearance-declared") :]
+    assert after[3] == "    so 1 rule could not be judged: GO008"
+
+
+def test_causes_that_are_no_finding_are_named_all_the_same(reports):
+    report = replace(reports["foreign"], findings=())
+    lines = text_of(report).splitlines()
+    at = lines.index("  GO005 fail: appearance-declared")
+    assert lines[at + 1] == "    so 1 rule could not be judged: GO008"
+
+
+def test_what_is_known_is_shown_only_where_all_is(reports):
+    first, *rest = reports["broken"].findings
+    found = (replace(first, known=True), *rest)
+    report = replace(reports["broken"], findings=found, baseline="old.json")
+    assert f"{first.rule} error" not in text_of(report)
+    assert "1 known from old.json" in text_of(report).splitlines()[-1]
+    assert f"  {first.rule} error {first.slug} (known)\n" in text_of(report, verbose=True)
+
+
+def test_places_that_are_not_listed_are_spoken_of(reports):
+    first, *_ = reports["broken"].findings
+    report = replace(reports["broken"], findings=(replace(first, truncated=True),))
+    want = "    with what was found at further places, which are not listed\n"
+    assert want in text_of(report)
+
+
+def test_quiet_is_a_line_a_model(reports):
+    error = ModelUnreadable("is empty", where="a.onnx")
+    entries = [reports["good"], Unreadable("a.onnx", error), reports["broken"]]
+    lines = [line.text for line in render_all(entries, quiet=True)]
+    assert lines == [
+        "good.onnx: conforms: 34 rules hold; 2 not applicable",
+        "broken.onnx: invalid: 29 rules hold; 2 errors; 1 warning; ignored: GV018; "
+        "1 waived; 2 not applicable",
+        "3 models: 1 conforms, 1 invalid, 1 unreadable",
+    ]
+
+
+def test_one_model_is_not_summed_up(reports):
+    report = reports["good"]
+    assert render_all([report]) == render(report)
+    assert render_all([report, report])[:-1] == render(report) * 2

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from gsgen.cli.commands import find_commands
-from gsgen.contract.installed import catalogue
+from gsgen.contract.installed import installed_rules
 from support.commands import ROOT, gsgen
 from support.pages import DOCS, README, anchors, links, name_of, pages
 
@@ -29,7 +29,7 @@ def test_every_relative_link_leads_to_a_file_and_a_heading(page):
 
 def test_every_rule_is_listed_and_has_a_page():
     listed = set(links(DOCS / "rules" / "index.md"))
-    assert listed == {f"{rule.id}.md" for rule in catalogue()}
+    assert listed == {f"{rule.id}.md" for rule in installed_rules().rules.values()}
 
 
 @pytest.mark.parametrize("page", [README, DOCS / "commands.md"], ids=name_of)
@@ -58,7 +58,9 @@ def test_every_page_of_the_navigation_exists():
     named = _files(yaml.safe_load(text)["nav"])
     assert len(named) == len(set(named))
     on_site = {page.relative_to(DOCS).as_posix() for page in pages() if page != README}
-    rules = {f"rules/{rule.id}.md" for rule in catalogue()}  # found through their index
+    rules = {
+        f"rules/{rule.id}.md" for rule in installed_rules().rules.values()
+    }  # found through their index
     assert set(named) == on_site - rules
 
 

@@ -1,1 +1,23 @@
-"""What proves that a generator, a validator or a viewer keeps the contract."""
+"""What proves that a generator, a validator or a viewer keeps the contract.
+
+The names below need pytest (``pip install 'gsgen[conformance]'``) and are loaded when first used.
+"""
+
+from typing import TYPE_CHECKING
+
+from gsgen.contract.lazy import attributes
+
+if TYPE_CHECKING:
+    from gsgen.conformance.generator import GeneratorConformance
+    from gsgen.conformance.testing import Check, RuleWarning, parametrize_with_rules
+
+__all__ = ["Check", "GeneratorConformance", "RuleWarning", "parametrize_with_rules"]
+
+_HOME = {
+    "Check": "testing",
+    "GeneratorConformance": "generator",
+    "RuleWarning": "testing",
+    "parametrize_with_rules": "testing",
+}
+
+__getattr__ = attributes(__name__, _HOME)

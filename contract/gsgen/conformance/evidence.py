@@ -58,7 +58,9 @@ def gather(
     probes = tuple({id(one): one for held in wanted.values() for one in held}.values())
     if any(case.rule.scope == "execution" for case in ran):
         for case in ran:  # it did not run, or not to the end: once was enough
-            dump = _dump(folder, path, settings, case, [(p, {}) for p in wanted[case.rule.id]])
+            dump = _dump(
+                folder, path, settings, case, [(p, {}) for p in wanted[case.rule.id]]
+            )
             found[case.rule.id] = Evidence(_command(path, settings, case), dump)
         return found
     with replay(subject, probes, settings) as again:
@@ -92,9 +94,7 @@ def _enough(again: Replay, case: Case, numbers: list[int]) -> Probe | None:
     return None if first is None else again.probes[first]
 
 
-def _command(
-    path: Path, settings: Settings, case: Case, probe: Probe | None = None
-) -> str:
+def _command(path: Path, settings: Settings, case: Case, probe: Probe | None = None) -> str:
     words = ["gsgen", "repro", os.path.relpath(path) if _is_near(path) else str(path)]
     words += ["--rule", case.rule.id]
     words += ["--probe", probe.label] if probe else []

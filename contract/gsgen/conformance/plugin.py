@@ -8,7 +8,7 @@ __all__: list[str] = []
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -46,7 +46,11 @@ _OPTIONS = (
     ("fail-on", "SEVERITY", "Lowest severity that fails (default: error); others warn."),
     ("config", "FILE", "Configuration file (default: ./gsgen.toml, where there is one)."),
     ("xfails", "FILE", "TOML file of expected failures, strict both ways."),
-    ("dump", "DIR", "Where inputs and outputs of failing probes go (default: pytest's tmp)."),
+    (
+        "dump",
+        "DIR",
+        "Where inputs and outputs of failing probes go (default: pytest's tmp).",
+    ),
 )
 
 
@@ -58,6 +62,9 @@ def pytest_configure(config: pytest.Config) -> None:
     models = [str(Path(name)) for name in config.getoption("--gsgen")]
     if not models:
         return
+    from gsgen.conformance.bench import Bench
+
+    Bench.of(config)  # a wrong option ends the run here
     if config.args_source is pytest.Config.ArgsSource.INVOCATION_DIR:
         config.args = []
     config.args += [model for model in models if model not in config.args]
@@ -82,9 +89,11 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Give a test that asks for rules a `check` for each."""
     marker = metafunc.definition.get_closest_marker(_MARK)
     if marker is not None:
+        from gsgen.conformance.bench import Bench
         from gsgen.conformance.testing import checks_for
 
-        checks = checks_for(marker.args[0], metafunc.config)
+        bench, folder = Bench.of(metafunc.config), metafunc.definition.path.parent
+        checks = checks_for(marker.args[0], bench, folder)
         metafunc.parametrize("check", checks, ids=[check.name for check in checks])
 
 
@@ -93,16 +102,19 @@ def pytest_collection_modifyitems(
     session: pytest.Session, items: "list[pytest.Item]"
 ) -> None:
     """Add an error for each expected failure that speaks of nothing that is tested."""
-    if session.config.getoption("--gsgen"):
+    if session.config.getoption("--gsgen-xfails"):
         from gsgen.conformance.items import stale_entries
 
-        items += stale_entries(session, items)
+        items += stale_entries(session)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Make a crashed rule an error of its test, not a failure."""
     check = _check_of(item)
     if check is not None:
+        from gsgen.conformance.bench import properties
+
+        item.user_properties += properties(check.run, check.case)
         check.prepare()
 
 
@@ -119,5 +131,6 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Iterator[None]:
 def _check_of(item: pytest.Item) -> "Check | None":
     if item.get_closest_marker(_MARK) is None or not isinstance(item, pytest.Function):
         return None
-    check: Check = item.callspec.params["check"]
+    found: Any = item.callspec.params["check"]
+    check: Check = found
     return check

@@ -71,7 +71,8 @@ def reproduce(
         NotJudged: The rule does not apply, or something it needs does not hold.
         ConfigInvalid: The rule does not look at single probes, or there is no such probe.
     """
-    settings = replace(settings, level=rule.level)
+    if rule.scope != "report":  # which depends on all that was found
+        settings = replace(settings, level=rule.level)
     if probe is None:
         report = _judge(path, rule, settings)
         found = tuple(one for one in report.findings if one.rule == rule.id)
@@ -103,9 +104,7 @@ def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
     part = registry if rule.scope == "report" else needed_by(rule, registry)
     report = validate(path, settings, registry=part)
     outcome = report.outcome(rule.id)
-    blocked = [
-        one.rule.id for one in report.outcomes if one.status in ("fail", "crashed")
-    ]
+    blocked = [one.rule.id for one in report.outcomes if one.status in ("fail", "crashed")]
     if settings.level < rule.level and outcome.status == "skipped":
         needs = [name for name in blocked if name in part.rules and name != rule.id]
         reason = f"because {needs[0]} does not hold" if needs else ""

@@ -46,7 +46,9 @@ class ModelRun:
     def text(self, case: Case) -> str:
         """Return what to tell of a case: what was found, and how to see it again."""
         evidence = self.evidence.get(case.rule.id)
-        return f"{case.text}\n{evidence}" if evidence and case.status in FAILING else case.text
+        return (
+            f"{case.text}\n{evidence}" if evidence and case.status in FAILING else case.text
+        )
 
     @property
     def suites(self) -> dict[str, list[Case]]:

@@ -72,8 +72,8 @@ def _ids(*ids: str) -> Callable[[Rule], bool]:
     return lambda rule: rule.id in ids
 
 
-def _only_for(kind: str) -> Callable[[Rule], bool]:
-    return lambda rule: rule.kinds == (kind,)
+def _of_tensors(rule: Rule) -> bool:
+    return rule.family in ("GI", "GO", "GV")
 
 
 _CAPTURE = (
@@ -119,13 +119,13 @@ SUITES: tuple[Suite, ...] = (
         "post-process",
         "Images in, images out.",
         _kind(POST_PROCESS),
-        _only_for(POST_PROCESS),
+        _of_tensors,
     ),
     Suite(
         "trajectory",
         "Camera states in, camera states with uncertainty out.",
         _kind(TRAJECTORY),
-        _only_for(TRAJECTORY),
+        _of_tensors,
     ),
     Suite(
         "capture",

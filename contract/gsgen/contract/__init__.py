@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from gsgen.contract.lazy import attributes
 
 if TYPE_CHECKING:
+    from gsgen.contract.baseline import Baseline, read_baseline
     from gsgen.contract.config import Settings
     from gsgen.contract.engine import validate
     from gsgen.contract.errors import GsgenError
@@ -17,8 +18,10 @@ if TYPE_CHECKING:
     from gsgen.contract.model import open_model, write_manifest
     from gsgen.contract.report import Report
     from gsgen.contract.targets import Target, load_target
+    from gsgen.contract.waivers import Waiver
 
 __all__ = [
+    "Baseline",
     "Breach",
     "Finding",
     "Gaussians",
@@ -30,15 +33,18 @@ __all__ = [
     "Settings",
     "Severity",
     "Target",
+    "Waiver",
     "decode",
     "encode",
     "load_target",
     "open_model",
+    "read_baseline",
     "validate",
     "write_manifest",
 ]
 
 _HOME = {
+    "Baseline": "baseline",
     "Breach": "finding",
     "Finding": "finding",
     "Gaussians": "layout",
@@ -50,10 +56,12 @@ _HOME = {
     "Settings": "config",
     "Severity": "finding",
     "Target": "targets",
+    "Waiver": "waivers",
     "decode": "layout",
     "encode": "layout",
     "load_target": "targets",
     "open_model": "model",
+    "read_baseline": "baseline",
     "validate": "engine",
     "write_manifest": "model",
 }

@@ -134,7 +134,8 @@ def _waivers(data: dict[str, Any], registry: Registry, where: str) -> tuple[Waiv
         try:
             until = date.fromisoformat(entry["until"]) if "until" in entry else None
         except ValueError as error:
-            raise ConfigInvalid(str(error), where=f"{place}.until") from error
+            what = f"{entry['until']!r} is no day; wanted one like 2027-01-01"
+            raise ConfigInvalid(what, where=f"{place}.until") from error
         named = registry.find(entry["rule"], f"{place}.rule").id
         reason, at = entry["reason"].strip(), entry.get("where", "")
         made.append(Waiver(named, reason, at, entry.get("model", ""), until))

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, UInt
 
+from gsgen.contract.field_order import FieldOrder, suspect_order
 from gsgen.contract.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.manifest import AppearanceOutput
 from gsgen.contract.subject import Subject
@@ -16,6 +17,8 @@ from gsgen.contract.subject import Subject
 # Rows judged at a time: their unpacked columns stay in the second-level cache.
 CHUNK = 16384
 
+_SAMPLE = 1 << 14
+_ORDER_SAMPLE = 1 << 12
 _EXPONENT = {2: 0x7C00, 4: 0x7F800000}
 _MAGNITUDE = {2: 0x7FFF, 4: 0x7FFFFFFF}
 _WORD: dict[int, type[np.unsignedinteger]] = {2: np.uint16, 4: np.uint32}
@@ -55,6 +58,33 @@ class Emission:
     def color_place(self) -> str:
         """What a report calls the appearance."""
         return f"output {self.declared.name if self.declared else '?'}"
+
+    @property
+    def is_sh(self) -> bool:
+        """Whether the appearance is declared as SH."""
+        return self.declared is not None and self.declared.space == "sh"
+
+    @cached_property
+    def shown_colors(self) -> Float[np.ndarray, "m c"]:
+        """Finite colours of rows that are drawn, spread over all rows, in float64.
+
+        Enough for a mean; more would only cost time.
+        """
+        rows, color = self.gaussians, self.appearance
+        if rows is None or color is None:
+            return np.zeros((0, 0))
+        live = slice(0, self.count, max(1, self.count // _SAMPLE))
+        shown = rows[live, OPACITY].astype(np.float32) >= CULL_OPACITY
+        sample = color[live][shown].astype(np.float64)
+        return np.asarray(sample[np.isfinite(sample).all(axis=1)])
+
+    @cached_property
+    def field_order(self) -> FieldOrder | None:
+        """The order that the rows seem to be in, where it is clearly another than ours."""
+        if self.gaussians is None:
+            return None
+        step = max(1, self.count // _ORDER_SAMPLE)
+        return suspect_order(self.gaussians[: self.count : step].astype(np.float64))
 
 
 def read_emission(
@@ -168,6 +198,12 @@ class Rows:
         """Sum of the variances along the axes."""
         xx, _, _, yy, _, zz = self.covariance
         return np.asarray(xx + yy + zz)
+
+    @cached_property
+    def widest(self) -> Float[np.ndarray, " n"]:
+        """The largest variance along an axis."""
+        xx, _, _, yy, _, zz = self.covariance
+        return np.asarray(np.maximum(np.maximum(xx, yy), zz))
 
 
 def _magnitude_bits(array: np.ndarray) -> UInt[np.ndarray, "..."]:

@@ -122,6 +122,7 @@ class Breach:
         judged: int,
         badness: Float[np.ndarray, " n"] | None = None,
         above_share: float = 0.0,
+        certainty: Certainty = "confirmed",
     ) -> "Breach":
         """Report rows of a chunk; the engine counts them and picks the ones to show."""
         return cls(
@@ -132,6 +133,7 @@ class Breach:
             values=values,
             badness=badness,
             above_share=above_share,
+            certainty=certainty,
         )
 
 

@@ -79,4 +79,5 @@ def to_dict(rule: Rule) -> dict[str, Any]:
         "needs": list(rule.needs),
         "kinds": list(rule.kinds),
         "target": rule.target or None,
+        "evidence": rule.evidence or None,
     }

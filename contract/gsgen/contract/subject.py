@@ -18,6 +18,8 @@ from gsgen.contract.manifest import (
 )
 from gsgen.contract.manifest_json import Parsed, parse
 from gsgen.contract.model import ModelFile
+from gsgen.contract.operators import operator_table
+from gsgen.contract.placement import Placement, placements
 from gsgen.contract.sandbox import Limits
 from gsgen.contract.targets import Target
 
@@ -100,6 +102,12 @@ class Subject:
             else ()
         )
         return tuple(part.name for part in parts if part is not None)
+
+    @cached_property
+    def placements(self) -> list[Placement]:
+        """What the target's WebGPU provider does with each node of the frame, by its tables."""
+        tables = [operator_table(name) for name in self.target.operators]
+        return placements(self.graph, self.file.proto, tables)
 
     def inputs_of(self, role: str) -> list[tuple[Input, Tensor]]:
         """Return the declared inputs of ``role`` that the graph has."""

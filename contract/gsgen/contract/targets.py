@@ -26,6 +26,8 @@ class Target:
         ir: Highest ONNX IR version.
         domains: Operator domains it has kernels for.
         limits: Name → number, such as ``binding_bytes``.
+        operators: Names of the operator tables of the releases that it runs on; empty where
+            nothing is known of them.
         severities: Rule id → severity that differs from the rule's own.
     """
 
@@ -37,6 +39,7 @@ class Target:
     domains: frozenset[str]
     limits: dict[str, int] = field(default_factory=dict)
     severities: dict[str, Severity] = field(default_factory=dict)
+    operators: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
@@ -63,6 +66,7 @@ def target_from_json(text: str, where: str) -> Target:
             severities={
                 k: Severity.parse(v) for k, v in data.get("severities", {}).items()
             },
+            operators=tuple(data.get("operators", ())),
         )
     except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise ConfigInvalid(

@@ -38,4 +38,4 @@ def _said(subject: Subject) -> frozenset[str]:
 
 def _unit(hint: Any) -> str:
     texts = [one.text for one in hint.__metadata__ if isinstance(one, Hint) and one.text]
-    return texts[-1].rstrip(".").lower() if texts else ""
+    return texts[-1][:1].lower() + texts[-1][1:].rstrip(".") if texts else ""

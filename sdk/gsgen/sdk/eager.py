@@ -2,7 +2,6 @@
 
 __all__ = ["Reference", "measure_bounds", "run_eager"]
 
-from dataclasses import dataclass
 
 import numpy as np
 import torch

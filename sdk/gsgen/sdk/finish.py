@@ -8,7 +8,7 @@ from onnx_ir.passes.common import NameFixPass
 from gsgen.contract.manifest import Manifest
 from gsgen.contract.manifest_json import dumps
 from gsgen.contract.model import MANIFEST_KEY
-from gsgen.sdk.passes import EndOutputsOnCompute, MultiplyMatrices
+from gsgen.sdk.passes import EndOutputsOnCompute, MultiplyMatrices, RoundByFloor
 
 
 def finish(model: ir.Model, manifest: Manifest) -> ir.Model:
@@ -17,6 +17,7 @@ def finish(model: ir.Model, manifest: Manifest) -> ir.Model:
         model
     )  # the exporter may call a tensor `view` although an input is called so
     MultiplyMatrices()(model)
+    RoundByFloor()(model)
     EndOutputsOnCompute()(model)
     model.metadata_props.clear()  # the exporter's notes name files of the author's machine
     for node in model.graph.all_nodes():

@@ -91,13 +91,13 @@ def pose(
     range: Range = (-3.1416, 3.1416),
 ) -> Input:
     """Joint rotations, float32 [joints, 3] (axis-angle, radians) or [joints, 4] (quaternions)."""
-    width = 4 if convention == "quaternion-wxyz" else 3
+    quaternions = convention == "quaternion-wxyz"
     return Input(
         name,
         "pose",
-        shape=(joints, width),
-        range=range,
-        default="zeros",
+        shape=(joints, 4 if quaternions else 3),
+        range=(-1.0, 1.0) if quaternions else range,
+        default="identity" if quaternions else "zeros",
         convention=convention,
     )
 

@@ -20,7 +20,6 @@ from gsgen.contract.worker import (
     Emit,
     keep_outputs,
     limit_memory,
-    one_line,
     read_inputs,
     serve,
 )
@@ -30,6 +29,10 @@ _DRIVER_BYTES = 2 << 30
 # The loader tells, on demand, which device was opened.
 _OPENED = re.compile(r'Using "([^"]+)" with driver')
 _SOFTWARE = re.compile("llvmpipe|swiftshader|basic render|warp", re.IGNORECASE)
+_CODES = re.compile(
+    r"\[ONNXRuntimeError\] : \d+ : \w+ : |\S+\.(?:cc|h):\d+ .*? was false\. "
+)
+_LONGEST = 500
 # Capture computes in 64-bit integers what the plain session leaves to the CPU, unless told.
 _PLAIN = {"enableInt64": "1"}
 _CAPTURING = {"enableGraphCapture": "1"}
@@ -97,7 +100,7 @@ def _find_provider(folder: Path, emit: Emit) -> Opener:
     devices = [one for one in onnxruntime.get_ep_devices() if one.ep_name == name]
     if not devices:
         what = "ONNX Runtime lists no device for WebGPU"
-        raise _Unavailable(what, "install a Vulkan driver (`make drivers`)")
+        raise _Unavailable(what, "install a Vulkan driver, such as mesa-vulkan-drivers 25")
     hardware = onnxruntime.OrtHardwareDeviceType.GPU
     device = min(devices, key=lambda one: one.device.type != hardware)
     described = device.device.metadata.get("Description", device.device.vendor)
@@ -124,8 +127,10 @@ def _try_adapter(opener: Opener, folder: Path, emit: Emit, *, half: bool) -> Non
     except _FellBack:
         raise
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
-        what = f"there is no usable WebGPU adapter ({one_line(error)[-160:]})"
-        raise _Unavailable(what, "install a Vulkan driver (`make drivers`)") from error
+        what = f"there is no usable WebGPU adapter ({_words(error)})"
+        raise _Unavailable(
+            what, "install a Vulkan driver, such as mesa-vulkan-drivers 25"
+        ) from error
     log = (folder / "log").read_text(errors="replace")
     opened = _OPENED.findall(log)
     name = opened[-1] if opened else ""
@@ -180,7 +185,7 @@ class _Frames:
         except _FellBack:
             raise
         except Exception as error:
-            self.emit("stopped", phase=name, frame=self.at, message=one_line(error))
+            self.emit("stopped", phase=name, frame=self.at, message=_words(error))
             return None
 
     def _frames(self, phase: str) -> Iterator[dict[str, np.ndarray]]:
@@ -222,6 +227,11 @@ class _Frames:
                 bound[name].update_inplace(np.ascontiguousarray(array))
             session.run_with_iobinding(binding)
             self._keep("captured", {name: one.numpy() for name, one in outputs.items()})
+
+
+def _words(error: Exception) -> str:
+    """Return what ONNX Runtime says, without its codes, source files and conditions."""
+    return _CODES.sub("", " ".join(str(error).split()))[:_LONGEST] or type(error).__name__
 
 
 def _buffer(session: Session, like: np.ndarray) -> Any:

@@ -18,9 +18,7 @@ _COLOR_SHOWN = 6
 
 def repro(
     model: Annotated[Path, typer.Argument(help="The ONNX file.", show_default=False)],
-    rule: Annotated[
-        str, typer.Option(help="The rule, by id or name.", show_default=False)
-    ],
+    rule: Annotated[str, typer.Option(help="The rule, by id or name.", show_default=False)],
     probe: Annotated[
         str | None,
         typer.Option(help="The probe, by label or number; all of them where left out."),

@@ -38,7 +38,7 @@ def doctor(
         show([Line(room, "bold")])
         for check in checks:
             purpose = f"  ({check.purpose})" if check.purpose else ""
-            text = f"  {check.state:<8}{check.name:<16}{check.detail}{purpose}"
+            text = f"  {check.state:<8}{check.name:<22}{check.detail}{purpose}"
             show([Line(text, _STYLE[check.state])])
             if check.remedy:
                 show([Line(f"          mend: {check.remedy}")])

@@ -1,6 +1,6 @@
 """Where commands write: styled on a terminal, plain elsewhere, whole files or none."""
 
-__all__ = ["show", "write_text"]
+__all__ = ["append_text", "show", "write_text"]
 
 import os
 import sys
@@ -28,6 +28,21 @@ def show(lines: Iterable[Line]) -> None:
         console.print(Text(line.text, style=line.style), soft_wrap=True)
 
 
+def append_text(path: Path, text: str) -> None:
+    """Add to the end of a file that others write, too.
+
+    Raises:
+        ConfigInvalid: The file cannot be written.
+    """
+    try:
+        with path.open("a", encoding="utf-8", errors="backslashreplace") as file:
+            file.write(text)
+    except OSError as error:
+        raise ConfigInvalid(
+            f"cannot be written: {error.strerror}", where=str(path)
+        ) from error
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a file beside its place and rename it, so that a failure leaves what was there.
 
@@ -37,7 +52,7 @@ def write_text(path: Path, text: str) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text, "utf-8")
+        temporary.write_text(text, "utf-8", errors="backslashreplace")
         temporary.replace(path)
     except OSError as error:
         with suppress(OSError):

@@ -2,19 +2,23 @@
 
 __all__ = ["validate"]
 
+import os
 import sys
 from dataclasses import replace
 from enum import StrEnum
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.contract.errors import ConfigInvalid, GsgenError, ModelUnreadable
+from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
 
 if TYPE_CHECKING:
+    from gsgen.contract.baseline import Baseline
     from gsgen.contract.config import Settings
-    from gsgen.contract.report import Report
+    from gsgen.contract.finding import Severity
+    from gsgen.contract.report import Entry
     from gsgen.contract.rule import Registry
 
 _UNREADABLE = 4
@@ -27,6 +31,22 @@ class Format(StrEnum):
 
     TEXT = "text"
     JSON = "json"
+    SARIF = "sarif"
+    JUNIT = "junit"
+    MARKDOWN = "markdown"
+    MD = "md"
+    GITHUB = "github"
+
+
+# Format → the module in gsgen.contract.reporters, and its function.
+_REPORTERS = {
+    Format.JSON: ("machine", "to_json"),
+    Format.SARIF: ("sarif", "to_sarif"),
+    Format.JUNIT: ("junit", "to_junit"),
+    Format.MARKDOWN: ("markdown", "to_markdown"),
+    Format.MD: ("markdown", "to_markdown"),
+    Format.GITHUB: ("github", "to_github"),
+}
 
 
 def validate(
@@ -70,6 +90,10 @@ def validate(
             help="Configuration file.", show_default="./gsgen.toml, where there is one"
         ),
     ] = None,
+    baseline: Annotated[
+        Path | None,
+        typer.Option(help="An earlier JSON report: what it lists does not fail again."),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="Write the report to a file instead."),
@@ -88,7 +112,11 @@ def validate(
         ),
     ] = None,
     verbose: Annotated[
-        bool, typer.Option("-v", "--verbose", help="List every rule.")
+        bool,
+        typer.Option("-v", "--verbose", help="List every rule, tolerance and probe."),
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("-q", "--quiet", help="Print one line a model: the verdict.")
     ] = False,
 ) -> None:
     """Say whether each MODEL keeps the contract.
@@ -103,8 +131,9 @@ def validate(
     limits = replace(limits, seconds=timeout) if timeout else limits
     limits = replace(limits, memory=memory << 20) if memory else limits
     settings = replace(settings, limits=limits, strict=strict or settings.strict)
-    entries = [_judge(model, settings, registry) for model in models]
-    _print(entries, format, output, verbose)
+    known = _baseline(baseline) if baseline else None
+    entries = [_judge(model, settings, registry, known) for model in models]
+    _print(entries, format, output, verbose, quiet)
     raise typer.Exit(_exit_code(entries))
 
 
@@ -150,17 +179,23 @@ def _severities(registry: "Registry", entries: list[str]) -> "dict[str, Severity
     return made
 
 
-if TYPE_CHECKING:
-    from gsgen.contract.finding import Severity
+def _baseline(path: Path) -> "Baseline":
+    from gsgen.contract.baseline import read_baseline
 
-def _judge(model: Path, settings: "Settings", registry: "Registry") -> "Entry":
+    return read_baseline(path)
+
+
+def _judge(
+    model: Path, settings: "Settings", registry: "Registry", known: "Baseline | None"
+) -> "Entry":
     from gsgen.contract.engine import validate as judge
     from gsgen.contract.report import Unreadable
 
     try:
-        return judge(model, settings, registry=registry, progress=_progress)
+        report = judge(model, settings, registry=registry, progress=_progress)
     except ModelUnreadable as error:
         return Unreadable(str(model), error)
+    return known.applied(report) if known else report
 
 
 def _progress(words: str) -> None:
@@ -170,39 +205,56 @@ def _progress(words: str) -> None:
 
 
 def _print(
-    entries: "list[Report | tuple[str, GsgenError]]",
+    entries: "list[Entry]",
     format: Format,
     output: Path | None,
     verbose: bool,
+    quiet: bool,
 ) -> None:
     from gsgen.contract.commands.output import show, write_text
-    from gsgen.contract.reporters import machine, text
+    from gsgen.contract.report import Unreadable
 
     if sys.stderr.isatty():
         typer.echo("\r\x1b[2K", err=True, nl=False)
     for entry in entries:
-        if isinstance(entry, tuple):
-            typer.echo(f"gsgen: {entry[1]}", err=True)
-    if format is Format.JSON:
-        made = machine.to_json(entries)
+        if isinstance(entry, Unreadable):
+            typer.echo(f"gsgen: {entry.error}", err=True)
+    if format is not Format.TEXT:
+        made = _rendered(entries, format)
         write_text(output, made + "\n") if output else typer.echo(made)
+        if format is Format.GITHUB:
+            _summarise(entries)
         return
-    lines = [
-        line
-        for entry in entries
-        if not isinstance(entry, tuple)
-        for line in text.render(entry, verbose=verbose)
-    ]
+    from gsgen.contract.reporters.text import render_all
+
+    lines = render_all(entries, verbose=verbose, quiet=quiet)
     if output:
         write_text(output, "".join(line.text + "\n" for line in lines))
     else:
         show(lines)
 
 
-def _exit_code(entries: "list[Report | tuple[str, GsgenError]]") -> int:
-    from gsgen.contract.report import exit_code
+def _rendered(entries: "list[Entry]", format: Format) -> str:
+    """Return what a program reads; only the reporter that is asked for is imported."""
+    module, name = _REPORTERS[format]
+    reporter = getattr(import_module(f"gsgen.contract.reporters.{module}"), name)
+    made: str = reporter(entries)
+    return made
 
-    reports = [entry for entry in entries if not isinstance(entry, tuple)]
+
+def _summarise(entries: "list[Entry]") -> None:
+    """Add the reports to the job's summary page, where GitHub Actions has one."""
+    path = os.environ.get("GITHUB_STEP_SUMMARY")
+    if path:
+        from gsgen.contract.commands.output import append_text
+
+        append_text(Path(path), _rendered(entries, Format.MARKDOWN) + "\n")
+
+
+def _exit_code(entries: "list[Entry]") -> int:
+    from gsgen.contract.report import Report, exit_code
+
+    reports = [entry for entry in entries if isinstance(entry, Report)]
     code = exit_code(reports)
     unreadable = len(reports) < len(entries)
     return _UNREADABLE if unreadable and code != _INTERNAL else code

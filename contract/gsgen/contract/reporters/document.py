@@ -17,7 +17,9 @@ SCHEMA_FILE = "report-1.schema.json"
 
 SchemaName = Annotated[Literal["gsgen-report/1"], Hint("Name and major version.")]
 SeverityName = Literal["error", "warning", "info"]
-RuleId = Annotated[str, Hint("A rule's id.", pattern=r"^([a-z][a-z0-9-]*/)?[A-Z]{2}[0-9]{3}$")]
+RuleId = Annotated[
+    str, Hint("A rule's id.", pattern=r"^([a-z][a-z0-9-]*/)?[A-Z]{2}[0-9]{3}$")
+]
 Fingerprint = Annotated[
     str,
     Hint("The same over runs, machines and numbers of rows.", pattern="^[0-9a-f]{16}$"),
@@ -32,7 +34,10 @@ class Tool:
     version: str
     rules_digest: Annotated[
         str,
-        Hint("Over what the rules declare: equal where they are.", pattern="^sha256:[0-9a-f]{64}$"),
+        Hint(
+            "Over what the rules declare: equal where they are.",
+            pattern="^sha256:[0-9a-f]{64}$",
+        ),
     ]
 
 
@@ -52,8 +57,12 @@ class SubjectEntry:
     ] = None
     kind: Annotated[str | None, Hint("Kind of model, where known.")] = None
     name: Annotated[str | None, Hint("What the manifest calls it.")] = None
-    contract: Annotated[str | None, Hint("Contract version that the manifest declares.")] = None
-    capacity: Annotated[int | None, Hint("Rows of the Gaussian output, where fixed.")] = None
+    contract: Annotated[
+        str | None, Hint("Contract version that the manifest declares.")
+    ] = None
+    capacity: Annotated[int | None, Hint("Rows of the Gaussian output, where fixed.")] = (
+        None
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,13 +127,19 @@ class FindingEntry:
     why: Annotated[str, Hint("What breaks because of it.")]
     mend: Annotated[str, Hint("What to do about it.")]
     source: Annotated[str, Hint("`contract`, or the target that raised it.")]
-    waived: Annotated[bool, Hint("It does not count: its rule is ignored, or it is waived.")]
+    waived: Annotated[
+        bool, Hint("It does not count: its rule is ignored, or it is waived.")
+    ]
     known: Annotated[bool, Hint("It does not count: it stood in the baseline already.")]
     truncated: Annotated[bool, Hint("It counts what was found at further places, too.")]
     fingerprint: Fingerprint
-    help: Annotated[str | None, Hint("The rule's page, from the root of the documentation.")] = None
+    help: Annotated[
+        str | None, Hint("The rule's page, from the root of the documentation.")
+    ] = None
     waiver: Annotated[str | None, Hint("The reason that its waiver gives.")] = None
-    evidence: Annotated[str | None, Hint("Where the rule was seen to break something.")] = None
+    evidence: Annotated[str | None, Hint("Where the rule was seen to break something.")] = (
+        None
+    )
 
 
 @dataclass(frozen=True, slots=True)

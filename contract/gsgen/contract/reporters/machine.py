@@ -45,9 +45,7 @@ def to_json(entries: Sequence[Entry]) -> str:
 
 def to_dict(entry: Entry) -> dict[str, Any]:
     """Return a report as plain data; a model that could not be read stands with its error."""
-    document = (
-        _unreadable(entry) if isinstance(entry, Unreadable) else document_of(entry)
-    )
+    document = _unreadable(entry) if isinstance(entry, Unreadable) else document_of(entry)
     made: dict[str, Any] = plain(document)
     return made
 

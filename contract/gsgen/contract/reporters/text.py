@@ -1,14 +1,19 @@
-"""A report for people: what is wrong, where, how much of it, and what to do."""
+"""A report for people: what is wrong, where, how much of it, what follows, and what to do."""
 
-__all__ = ["Line", "finding_lines", "render"]
+__all__ = ["Line", "brief", "finding_lines", "render", "render_all"]
 
 import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 from gsgen.contract.finding import Finding, Severity
-from gsgen.contract.report import Report
+from gsgen.contract.report import Cause, Entry, Report
+from gsgen.contract.reporters.summary import plural, printable, several, verdict
 
 _STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
+_VERDICT_STYLE = {"conforms": "bold green"}
+_BAD = "bold red"
 _WIDTH = 96
 _MIB = 1 << 20
 
@@ -21,25 +26,47 @@ class Line:
     style: str = ""
 
 
+def render_all(
+    entries: Sequence[Entry], *, verbose: bool = False, quiet: bool = False
+) -> list[Line]:
+    """Return all reports line by line, and a last line that sums up several."""
+    lines: list[Line] = []
+    for entry in entries:
+        if isinstance(entry, Report):
+            lines += [brief(entry)] if quiet else render(entry, verbose=verbose)
+    return [*lines, Line(several(entries), "bold")] if len(entries) > 1 else lines
+
+
+def brief(report: Report) -> Line:
+    """Return the verdict alone, with the model's name."""
+    return Line(printable(f"{report.path}: {verdict(report)}"), _verdict(report).style)
+
+
 def render(report: Report, *, verbose: bool = False) -> list[Line]:
-    """Return the report line by line; ``verbose`` lists every rule that was not judged, too."""
+    """Return a report line by line.
+
+    Args:
+        report: What to show.
+        verbose: Show findings that are known, what became of every rule, tolerances and probes.
+    """
     lines = _head(report)
-    for finding in report.findings:
-        if not finding.waived:
+    causes = {cause.outcome.rule.id: cause for cause in report.causes}
+    shown = [one for one in report.findings if one.counts or (one.known and verbose)]
+    for rule, findings in groupby(shown, lambda one: one.rule):
+        for finding in findings:
             lines += finding_lines(finding)
-    for outcome in report.outcomes:
-        if outcome.status == "crashed":
-            lines.append(
-                Line(
-                    f"  {outcome.rule.id} crashed: this is a fault of the rule", "bold red"
-                )
-            )
-            lines += [Line(f"    {text}") for text in outcome.reason.splitlines()]
-    lines += _not_run(report)
+        if rule in causes:
+            lines += _consequence(causes.pop(rule))
+    lines += _crashes(report)
+    for cause in causes.values():
+        rule, status = cause.outcome.rule, cause.outcome.status
+        lines.append(Line(f"  {rule.id} {status}: {rule.slug}"))
+        lines += _consequence(cause)
+    lines += _not_run(report) + _waived(report)
     if verbose:
         lines += _details(report)
     lines.append(_verdict(report))
-    return [Line(_printable(line.text), line.style) for line in lines]
+    return [Line(printable(line.text), line.style) for line in lines]
 
 
 def _head(report: Report) -> list[Line]:
@@ -60,17 +87,26 @@ def _head(report: Report) -> list[Line]:
 
 
 def finding_lines(finding: Finding) -> list[Line]:
-    """Return what is said of one finding: what, where, how much of it, how to mend it."""
+    """Return what is said of one finding: what, where, how much of it, and how to mend it."""
     style = _STYLE[finding.severity]
     doubt = "" if finding.certainty == "confirmed" else " (possible)"
     source = "" if finding.source == "contract" else f" [{finding.source}]"
-    head = f"  {finding.rule} {finding.severity.word}{doubt} {finding.slug}{source}"
+    known = " (known)" if finding.known else ""
+    head = f"  {finding.rule} {finding.severity.word}{doubt} {finding.slug}{source}{known}"
     lines = [Line(head, style), *_wrapped(f"{finding.where}: {finding.message}")]
     if len(finding.examples) > 1 and finding.examples[0].row is not None:
         shown = "; ".join(str(example) for example in finding.examples[1:])
         lines += _wrapped(f"also {shown}")
+    if finding.truncated:
+        lines += _wrapped("with what was found at further places, which are not listed")
     lines += _wrapped(f"mend: {finding.mend}")
-    return [Line(_printable(line.text), line.style) for line in lines]
+    return [Line(printable(line.text), line.style) for line in lines]
+
+
+def _consequence(cause: Cause) -> list[Line]:
+    names = ", ".join(rule.id for rule in cause.blocked)
+    rules = plural(len(cause.blocked), "rule")
+    return _wrapped(f"so {rules} could not be judged: {names}")
 
 
 def _wrapped(text: str) -> list[Line]:
@@ -85,9 +121,14 @@ def _wrapped(text: str) -> list[Line]:
     return [Line(line) for line in made]
 
 
-def _printable(text: str) -> str:
-    """Write control characters as escapes: a tensor's name must not steer the terminal."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+def _crashes(report: Report) -> list[Line]:
+    lines: list[Line] = []
+    for outcome in report.outcomes:
+        if outcome.status == "crashed":
+            fault = f"  {outcome.rule.id} crashed: this is a fault of the rule"
+            lines.append(Line(fault, _BAD))
+            lines += [Line(f"    {text}") for text in outcome.reason.splitlines()]
+    return lines
 
 
 def _not_run(report: Report) -> list[Line]:
@@ -96,6 +137,15 @@ def _not_run(report: Report) -> list[Line]:
         for outcome in report.levels
         if not outcome.ran
     ]
+
+
+def _waived(report: Report) -> list[Line]:
+    lines: list[Line] = []
+    for one in report.findings:
+        if one.waiver:
+            lines.append(Line(f"  {one.rule} waived: {one.slug}"))
+            lines += _wrapped(f"{one.where}: {one.waiver}")
+    return lines
 
 
 def _details(report: Report) -> list[Line]:
@@ -108,6 +158,9 @@ def _details(report: Report) -> list[Line]:
         lines.append(
             Line(f"    {outcome.rule.id} {outcome.status}: {outcome.rule.slug} ({spent})")
         )
+    lines += [Line("  tolerances:")] if report.tolerances else []
+    for one in report.tolerances:
+        lines.append(Line(f"    {one.field}: {one.value:g} {one.unit} (from {one.source})"))
     lines += [Line("  probes:")] if report.probes else []
     lines += [Line(f"    {label}") for label in report.probes]
     took = f"{report.seconds:.2f} s, of which {report.runtime_seconds:.2f} s in ONNX Runtime's process"
@@ -115,23 +168,4 @@ def _details(report: Report) -> list[Line]:
 
 
 def _verdict(report: Report) -> Line:
-    counted = report.statuses
-    parts = [f"{counted['pass']} rules hold"]
-    for severity in reversed(Severity):
-        if report.count(severity):
-            word = severity.word + (
-                "s" if report.count(severity) > 1 and severity > Severity.INFO else ""
-            )
-            parts.append(f"{report.count(severity)} {word}")
-    waived = sorted({finding.rule for finding in report.findings if finding.waived})
-    parts += [f"ignored: {', '.join(waived)}"] if waived else []
-    for status, words in (("not-applicable", "not applicable"), ("skipped", "skipped")):
-        if counted[status]:
-            parts.append(f"{counted[status]} {words}")
-    style = {"conforms": "bold green", "invalid": "bold red"}.get(
-        report.verdict, "bold red"
-    )
-    word = {"internal-error": "a rule crashed, no verdict"}.get(
-        report.verdict, report.verdict
-    )
-    return Line(f"{word}: {'; '.join(parts)}", style)
+    return Line(verdict(report), _VERDICT_STYLE.get(report.verdict, _BAD))

@@ -7,7 +7,6 @@ from jaxtyping import Float
 
 from gsgen.contract.emission import Emission, Rows
 from gsgen.contract.finding import Breach, Severity, Where
-from gsgen.contract.layout import CULL_OPACITY, OPACITY
 from gsgen.contract.rule import rule
 from gsgen.contract.spherical_harmonics import degree_of
 
@@ -15,13 +14,14 @@ _COLOR_SLACK = 1e-2
 
 _COLOR = ("GV025", "GO001", "GO002", "GO005", "GO006", "GO007", "GO008")
 
-# Enough rows for a mean; more would only cost time.
-_SAMPLE = 1 << 14
-
 # Mean degree of the coefficients' energy. Trained scenes lie below 0.3, since detail falls with
 # the degree; a wrong order spreads the constant terms over all degrees and gives 1 or more.
 _SUSPECT = 0.5
 _CLEARER = 0.4
+
+# Beyond what any colour needs; fewer than one in a hundred may be outliers.
+_LARGE = 10.0
+_LARGE_SHARE = 0.01
 
 
 @rule(
@@ -76,21 +76,13 @@ def sh_order(emission: Emission) -> Iterator[Breach]:
         Transpose [N, 3, K] to [N, K, 3] before flattening. If the order is right and the scene is
         unusual, ignore this rule.
     """
-    declared, rows, color = emission.declared, emission.gaussians, emission.appearance
-    if declared is None or declared.space != "sh" or rows is None or color is None:
+    declared, sample = emission.declared, emission.shown_colors
+    if declared is None or not emission.is_sh or emission.zeros:
         return
-    if color.shape[1] < 12 or emission.zeros:  # a single coefficient has no order
+    if sample.shape[1] < 12 or not len(sample):  # a single coefficient has no order
         return
-    step = max(1, emission.count // _SAMPLE)
-    live = slice(0, emission.count, step)
-    shown = rows[live, OPACITY].astype(np.float32) >= CULL_OPACITY
-    sample = color[live][shown].astype(np.float64)
-    energy = (
-        np.square(sample[np.isfinite(sample).all(axis=1)]).mean(axis=0)
-        if len(sample)
-        else None
-    )
-    if energy is None or not energy.sum() > 0:
+    energy = np.square(sample).mean(axis=0)
+    if not energy.sum() > 0:
         return
     spread = {
         name: _mean_degree(energy[slots]) for name, slots in _orders(len(energy)).items()
@@ -123,3 +115,58 @@ def _mean_degree(energy: Float[np.ndarray, "k 3"]) -> float:
         np.arange(degree_of(count) + 1), 2 * np.arange(degree_of(count) + 1) + 1
     )
     return float((energy.sum(axis=1) * degrees).sum() / energy.sum())
+
+
+@rule(
+    "GV013",
+    "sh-magnitude",
+    Severity.WARNING,
+    over="emission",
+    fixture="sh_in_bytes",
+    needs=("GV025", "GO005", "GO006", "GO007", "GO008", "GM005"),
+)
+def sh_magnitude(emission: Emission) -> Iterator[Breach]:
+    """SH coefficients above degree 0 are not far larger than colours can use.
+
+    Why:
+        A coefficient of 3 alone moves a colour from black to white within a turn of the camera.
+        Coefficients beyond 10 are usually bytes, or quantised and never scaled back.
+
+    Mend:
+        Scale the coefficients as they were trained.
+    """
+    if not emission.is_sh or emission.shown_colors.shape[1] <= 3:
+        return
+    detail = np.abs(emission.shown_colors[:, 3:])
+    share = float(np.count_nonzero(detail > _LARGE) / max(detail.size, 1))
+    if share > _LARGE_SHARE:
+        saw = f"{100 * share:.3g} % of coefficients beyond ±{_LARGE:g}, up to {detail.max():.3g}"
+        want = f"magnitudes up to {_LARGE:g}"
+        yield Breach.at(emission.color_place, saw, want, certainty="possible")
+
+
+@rule(
+    "GV022",
+    "fourth-channel-unused",
+    Severity.INFO,
+    over="emission",
+    fixture="rgb_with_alpha",
+    needs=("GV025", "GO005", "GO006", "GO007", "GO008", "GM005"),
+)
+def fourth_channel_unused(emission: Emission) -> Iterator[Breach]:
+    """The fourth channel of RGB holds one number, 0 or 1, in all rows.
+
+    Why:
+        It only fills the row up to whole words, and no reader looks at it. What varies there was
+        meant to have an effect, such as an alpha, and has none.
+
+    Mend:
+        Put opacity in column 3 of the packed rows, and 1 in the fourth channel.
+    """
+    sample = emission.shown_colors
+    if emission.is_sh or sample.shape[1] != 4 or not len(sample):
+        return
+    low, high = sample[:, 3].min(), sample[:, 3].max()
+    if low != high or low not in (0, 1):
+        saw = f"values from {low:.3g} to {high:.3g} in channel 3"
+        yield Breach.at(emission.color_place, saw, "0 or 1 in all rows")

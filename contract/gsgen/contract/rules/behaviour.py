@@ -6,6 +6,9 @@ from gsgen.contract.behaviour import Behaviour, Comparison
 from gsgen.contract.finding import Breach, Severity
 from gsgen.contract.roles import KINDS
 from gsgen.contract.rule import rule
+from gsgen.contract.subject import Subject
+
+_OF_CAMERA = ("view", "projection", "camera_position", "viewport")
 
 
 def _differences(comparison: Comparison, want: str) -> Iterator[Breach]:
@@ -63,7 +66,7 @@ def stateless(behaviour: Behaviour) -> Iterator[Breach]:
     "inputs-matter",
     Severity.WARNING,
     over="runs",
-    fixture="time_is_baked",
+    fixture="time_times_zero",
     needs=("GV025", "GB001", "GB002"),
 )
 def inputs_matter(behaviour: Behaviour) -> Iterator[Breach]:
@@ -81,11 +84,45 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Breach]:
     generator = behaviour.subject.generator
     declared = generator.depends_on if generator else {}
     for role, comparisons in behaviour.varied.items():
+        if not _leads_anywhere(behaviour.subject, role):
+            continue  # another rule says so
         changes = any(comparison.changed for comparison in comparisons)
         place = f"role {role}"
         if declared.get(role, True) and not changes:
             saw = f"no output changes with it ({len(comparisons)} variations)"
             yield Breach.at(place, saw, "an effect, or depends_on false")
-        elif not declared.get(role, True) and changes:
+        elif not declared.get(role, True) and changes and role not in _OF_CAMERA:
             name = next(iter(next(c.changed for c in comparisons if c.changed)))
             yield Breach.at(place, f"output {name} changes with it", "depends_on true")
+
+
+def _leads_anywhere(subject: Subject, role: str) -> bool:
+    graph = subject.graph
+    used = {name for tensor in graph.outputs for name in graph.ancestors(tensor.name)[0]}
+    return any(tensor.name in used for _, tensor in subject.inputs_of(role))
+
+
+@rule(
+    "GB007",
+    "camera-invariance",
+    Severity.ERROR,
+    over="runs",
+    fixture="undeclared_camera",
+    needs=("GV025", "GB001", "GB002"),
+)
+def camera_invariance(behaviour: Behaviour) -> Iterator[Breach]:
+    """Where `depends_on` says that the camera changes nothing, no output changes with it.
+
+    Why:
+        A runtime runs such a model once and keeps the result while the camera moves: the picture
+        shows what another camera should see.
+
+    Mend:
+        Set "depends_on": {"view": true}, or compute what depends on the camera elsewhere.
+    """
+    generator = behaviour.subject.generator
+    declared = generator.depends_on if generator else {}
+    for role, comparisons in behaviour.varied.items():
+        if role in _OF_CAMERA and not declared.get(role, True):
+            for comparison in comparisons:
+                yield from _differences(comparison, f"the same at every {role}")

@@ -39,6 +39,8 @@ def variance_not_negative(rows: Rows) -> Iterator[Breach]:
     Mend:
         Build the covariance as R S Sᵀ Rᵀ, and check the order of the six entries: xx xy xz yy yz zz.
     """
+    if rows.emission.field_order is not None:
+        return  # another rule says what is wrong with all of them
     lowest = rows.covariance[[0, 3, 5]].min(axis=0)
     yield Breach.rows(
         Where(rows.emission.rows_place, "covariance"),
@@ -69,6 +71,8 @@ def covariance_psd(rows: Rows) -> Iterator[Breach]:
         Build the covariance as R S Sᵀ Rᵀ with a normalised rotation; in float16, scale the scene
         so that variances do not underflow.
     """
+    if rows.emission.field_order is not None:
+        return
     slack, floor = _PSD_SLACK[rows.packed.itemsize], _PSD_FLOOR[rows.packed.itemsize]
     fair = (rows.covariance[[0, 3, 5]] >= 0).all(axis=0)  # the others are GV005's
     suspects = np.flatnonzero(rows.drawn & fair & ~_surely_psd(rows, slack))

@@ -204,3 +204,58 @@ def zero_inputs_finite(emission: Emission) -> Iterator[Breach]:
             yield Breach.at(
                 f"output {name}", f"{bad} of {value.size} values not finite", "finite"
             )
+
+
+@rule(
+    "GI006",
+    "inputs-reach-outputs",
+    Severity.WARNING,
+    over="model",
+    fixture="time_is_baked",
+    needs=("GM004", "GG019"),
+    kinds=KINDS,
+)
+def inputs_reach_outputs(subject: Subject) -> Iterator[Breach]:
+    """Some output is computed from each input, unless `depends_on` says that none is.
+
+    Why:
+        An input that leads nowhere was usually turned into a constant when the model was traced.
+        Runtimes still feed it, and run the model whenever it changes.
+
+    Mend:
+        Export without detaching the input (numpy round trips, `.item()`, Python branches), remove
+        it, or set "depends_on": {role: false}.
+    """
+    graph, generator = subject.graph, subject.generator
+    idle = generator.depends_on if generator else {}
+    used: set[str] = set()
+    for tensor in graph.outputs:
+        used |= graph.ancestors(tensor.name)[0]
+    for entry in subject.manifest.inputs if subject.manifest else ():
+        if entry.name not in used and idle.get(entry.role, True):
+            yield Breach.at(f"input {entry.name}", "leads to no output", "an effect")
+
+
+@rule(
+    "GI012",
+    "weights-are-no-inputs",
+    Severity.WARNING,
+    over="model",
+    fixture="weight_listed_as_input",
+    kinds=KINDS,
+)
+def weights_are_no_inputs(subject: Subject) -> Iterator[Breach]:
+    """No weight is listed among the inputs.
+
+    Why:
+        Old exporters list them, which lets a runtime feed other numbers: so no optimiser folds
+        them, and a viewer that walks the inputs finds one that nobody can explain.
+
+    Mend:
+        Remove the entry from the graph's inputs; the weight stays.
+    """
+    for value in subject.file.proto.graph.input:
+        if value.name in subject.graph.initializers:
+            yield Breach.at(
+                f"input {value.name}", "a weight of that name", "a weight alone"
+            )

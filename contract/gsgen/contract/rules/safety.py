@@ -127,6 +127,7 @@ def sizes_sane(subject: Subject) -> Iterator[Breach]:
         "GI005",
         "GG001",
         "GG002",
+        "GG012",
         "GG019",
         "GS001",
         "GS002",

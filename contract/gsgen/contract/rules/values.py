@@ -282,6 +282,7 @@ def shapes_as_declared(emission: Emission) -> Iterator[Breach]:
         "GI005",
         "GG001",
         "GG002",
+        "GG012",
         "GG019",
         "GS001",
         "GS002",

@@ -28,7 +28,10 @@ def waiver_matches(review: Review) -> Iterator[Breach]:
         report writes it; or mend the model, or move `until`, if the waiver has ended.
     """
     for waiver in review.waivers:
-        if waiver.rule == "GW001" or review.statuses.get(waiver.rule) not in ("pass", "fail"):
+        if waiver.rule == "GW001" or review.statuses.get(waiver.rule) not in (
+            "pass",
+            "fail",
+        ):
             continue  # what was not judged may be there all the same
         found = any(waiver.covers(finding) for finding in review.findings)
         place = f"waiver of {waiver}"

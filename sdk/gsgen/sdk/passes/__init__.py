@@ -8,6 +8,7 @@ __all__ = [
     "PinDimensions",
     "RenameOutputs",
     "ReorderHarmonics",
+    "RoundByFloor",
     "SilencePadding",
 ]
 
@@ -21,3 +22,4 @@ from gsgen.sdk.passes.repairs import (
     ReorderHarmonics,
     SilencePadding,
 )
+from gsgen.sdk.passes.round_by_floor import RoundByFloor

@@ -1,0 +1,153 @@
+"""`gsgen conformance`: test models suite by suite, as the pytest plugin does, without pytest."""
+
+__all__ = ["conformance"]
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from gsgen.conformance.expected import ExpectedFailure
+    from gsgen.conformance.summary import Entry
+    from gsgen.contract.config import Settings
+
+
+class Format(StrEnum):
+    """How the result is printed."""
+
+    TEXT = "text"
+    JSON = "json"
+
+
+def conformance(
+    models: Annotated[list[Path], typer.Argument(help="ONNX files.", show_default=False)],
+    suite: Annotated[
+        list[str] | None,
+        typer.Option(help="Only this suite: basic, camera, time, avatar, …; repeatable."),
+    ] = None,
+    target: Annotated[
+        str | None,
+        typer.Option(
+            help="Consumer to judge for: core, webgpu, visionary, gsgen.",
+            show_default="core",
+        ),
+    ] = None,
+    level: Annotated[
+        str | None,
+        typer.Option(
+            help="How far to go: static, values, behaviour, live or render.",
+            show_default="behaviour",
+        ),
+    ] = None,
+    xfails: Annotated[
+        Path | None,
+        typer.Option(help="TOML file of expected failures, strict both ways."),
+    ] = None,
+    fail_on: Annotated[
+        str | None,
+        typer.Option(
+            help="Lowest severity that fails: error, warning or info.", show_default="error"
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="Configuration file.", show_default="./gsgen.toml, where there is one"
+        ),
+    ] = None,
+    dump: Annotated[
+        Path | None,
+        typer.Option(help="Folder for inputs and outputs of failing probes (.npz)."),
+    ] = None,
+    format: Annotated[Format, typer.Option(help="How to print the result.")] = Format.TEXT,
+) -> None:
+    """Test each MODEL suite by suite, and say how to reproduce what fails.
+
+    Exits 0 if all pass, 1 if not, 2 for wrong options, 3 if a rule crashed, 4 if no model.
+    """
+    from gsgen.conformance.expected import read_expected
+    from gsgen.conformance.options import make_settings
+    from gsgen.conformance.suite import find_suite
+    from gsgen.conformance.summary import exit_code
+    from gsgen.contract.installed import installed_rules
+
+    settings = make_settings(level=level, target=target, fail_on=fail_on, config=config)
+    suites = [find_suite(name).name for name in suite or ()]
+    expected = read_expected(xfails, installed_rules()) if xfails else ()
+    entries = [_test(model, settings, suites, expected, dump) for model in models]
+    _print(entries, format)
+    _refuse_strangers(entries, settings, expected)
+    raise typer.Exit(exit_code(entries))
+
+
+def _test(
+    model: Path,
+    settings: "Settings",
+    suites: "list[str]",
+    expected: "Sequence[ExpectedFailure]",
+    dump: Path | None,
+) -> "Entry":
+    from gsgen.conformance.run import run_model
+    from gsgen.contract.report import Unreadable
+
+    try:
+        return run_model(
+            model,
+            settings,
+            suites=suites,
+            expected=expected,
+            dumps=dump,
+            progress=_progress,
+        )
+    except ModelUnreadable as error:
+        return Unreadable(str(model), error)
+
+
+def _progress(words: str) -> None:
+    """Show what is being done, where someone is watching."""
+    if sys.stderr.isatty():
+        typer.echo(f"\r\x1b[2K{words} …", err=True, nl=False)
+
+
+def _print(entries: "list[Entry]", format: Format) -> None:
+    from gsgen.conformance.summary import lines_of, to_json
+    from gsgen.contract.commands.output import show
+    from gsgen.contract.report import Unreadable
+
+    if sys.stderr.isatty():
+        typer.echo("\r\x1b[2K", err=True, nl=False)
+    for entry in entries:
+        if isinstance(entry, Unreadable):
+            typer.echo(f"gsgen: {entry.error}", err=True)
+        elif format is Format.TEXT:
+            show(lines_of(entry))
+    if format is Format.JSON:
+        typer.echo(to_json(entries))
+
+
+def _refuse_strangers(
+    entries: "list[Entry]", settings: "Settings", expected: "Sequence[ExpectedFailure]"
+) -> None:
+    """Refuse expected failures that speak of nothing; the results are out by then."""
+    from gsgen.conformance.expected import strangers
+    from gsgen.conformance.run import ModelRun, suites_of
+
+    tested = {
+        Path(entry.report.path): [
+            rule.id
+            for rules in suites_of(Path(entry.report.path), settings).values()
+            for rule in rules
+        ]
+        for entry in entries
+        if isinstance(entry, ModelRun)
+    }
+    for entry in strangers(expected, tested):
+        what = "matches no rule of any tested model"
+        raise ConfigInvalid(what, where=str(entry), mend="Remove or correct the entry.")

@@ -1,0 +1,116 @@
+"""The result of a conformance run, as text for people and as JSON for programs."""
+
+__all__ = ["SCHEMA", "exit_code", "lines_of", "to_json"]
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Any
+
+from gsgen.conformance.cases import Case, CaseStatus
+from gsgen.conformance.run import ModelRun
+from gsgen.contract.report import Unreadable
+from gsgen.contract.reporters.machine import to_dict
+from gsgen.contract.reporters.text import Line
+
+SCHEMA = "gsgen-conformance/1"
+
+Entry = ModelRun | Unreadable
+
+_ORDER: tuple[CaseStatus, ...] = (
+    *("passed", "failed", "crashed", "warned", "expected", "skipped"),
+)
+_STYLE: dict[CaseStatus, str] = {
+    "failed": "bold red",
+    "crashed": "bold red",
+    "warned": "yellow",
+    "expected": "cyan",
+}
+
+
+def exit_code(entries: Sequence[Entry]) -> int:
+    """Return what `gsgen validate` would: 3 for a crash, 4 for no model, 1 for a failure, else 0."""
+    runs = [entry for entry in entries if isinstance(entry, ModelRun)]
+    seen = {case.status for run in runs for case in run.cases}
+    if "crashed" in seen:
+        return 3
+    if len(runs) < len(entries):
+        return 4
+    return 1 if "failed" in seen else 0
+
+
+def lines_of(run: ModelRun) -> list[Line]:
+    """Return one line a suite, what failed with how to reproduce it, and the verdict."""
+    report = run.report
+    judged = f"judged for {report.target.label} at level {report.level.word}"
+    lines = [Line(f"{report.path}: {report.kind or 'kind unknown'}, {judged}", "bold")]
+    for name, cases in run.suites.items():
+        worst = max((case.status for case in cases), key=_badness)
+        lines.append(Line(f"  {name:<13} {_counts(cases)}", _STYLE.get(worst, "")))
+    for case in run.cases:
+        if case.status in _STYLE:
+            lines += _shown(run, case)
+    return [*lines, _verdict(run)]
+
+
+def _badness(status: CaseStatus) -> int:
+    return ("skipped", "passed", "expected", "warned", "failed", "crashed").index(status)
+
+
+def _counts(cases: Sequence[Case]) -> str:
+    counted = Counter(case.status for case in cases)
+    return ", ".join(f"{counted[one]} {one}" for one in _ORDER if counted[one])
+
+
+def _shown(run: ModelRun, case: Case) -> list[Line]:
+    head = Line(f"  {case.suite}: {case.name} {case.status}", _STYLE[case.status])
+    return [head, *(Line(text) for text in run.text(case).splitlines())]
+
+
+def _verdict(run: ModelRun) -> Line:
+    bad = exit_code([run])
+    word = {0: "passed", 1: "failed", 3: "a rule crashed, no verdict"}[bad]
+    return Line(f"{word}: {_counts(run.cases)}", "bold red" if bad else "bold green")
+
+
+def to_json(entries: Sequence[Entry]) -> str:
+    """Return all models as one document; findings are those of `gsgen validate --format json`."""
+    document = {
+        "schema": SCHEMA,
+        "tool": {"name": "gsgen", "version": version("gsgen")},
+        "models": [_model(entry) for entry in entries],
+    }
+    return json.dumps(document, indent=2, ensure_ascii=False)
+
+
+def _model(entry: Entry) -> dict[str, Any]:
+    if isinstance(entry, Unreadable):
+        found = to_dict(entry)
+        return {key: found[key] for key in ("subject", "verdict", "error")}
+    document = to_dict(entry.report)
+    tested = {case.rule.id for case in entry.cases}
+    kept = ("subject", "target", "level", "fail_on", "settings", "environment")
+    return {
+        **{key: document[key] for key in kept},
+        "verdict": "failed" if exit_code([entry]) else "passed",
+        "counts": dict(Counter(case.status for case in entry.cases)),
+        "suites": [
+            {"name": name, "cases": [_case(entry, case) for case in cases]}
+            for name, cases in entry.suites.items()
+        ],
+        "findings": [one for one in document["findings"] if one["rule"] in tested],
+    }
+
+
+def _case(run: ModelRun, case: Case) -> dict[str, Any]:
+    made = {"rule": case.rule.id, "slug": case.rule.slug, "status": case.status}
+    if case.status in ("skipped", "expected"):
+        made["reason"] = case.text.partition("\n")[0]
+    elif case.text:
+        made["text"] = case.text
+    evidence = run.evidence.get(case.rule.id)
+    if evidence:
+        made["reproduce"] = evidence.command
+        made |= {"dump": str(evidence.dump)} if evidence.dump else {}
+    return made

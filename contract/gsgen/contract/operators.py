@@ -1,0 +1,75 @@
+"""Operator tables: what a release of ONNX Runtime's WebGPU provider does with an operator.
+
+Measured, not read from its documentation, and written by ``scripts/write_operator_tables.py``.
+"""
+
+__all__ = ["FAILURES", "OperatorTable", "operator_table"]
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+from gsgen.contract.errors import UnknownName
+
+# What may become of a node with graph capture on, in words; ``capture`` is the good one.
+FAILURES = {
+    "stale": "runs, but repeats the first frame",
+    "cpu": "falls to the CPU",
+    "wrong": "runs, but computes something else",
+    "run_error": "fails at the first frame",
+    "error": "keeps the session from loading",
+    "control_flow": "is refused as control flow",
+}
+CAPTURE = "capture"
+
+
+@dataclass(frozen=True, slots=True)
+class OperatorTable:
+    """What one release does with each operator.
+
+    Attributes:
+        runtime: The release, as reports show it.
+        outcomes: (operator, dtype) → operator set from which on → outcome. The operator may have
+            a variant in its name, such as ``Slice/backwards``.
+    """
+
+    runtime: str
+    outcomes: dict[tuple[str, str], dict[int, str]]
+
+    def outcome(self, operator: str, variant: str, dtype: str, opset: int) -> str:
+        """Return what becomes of an operator; empty where it was not measured."""
+        steps = self.outcomes.get((f"{operator}/{variant}", dtype)) if variant else None
+        steps = steps or self.outcomes.get((operator, dtype))
+        if not steps:
+            return ""
+        reached = [step for step in steps if step <= opset] or [min(steps)]
+        return steps[max(reached)]
+
+    def opset_with_kernel(self, operator: str, variant: str, dtype: str) -> int | None:
+        """Return an operator set in which it is captured; None if there is none."""
+        steps = self.outcomes.get((f"{operator}/{variant}", dtype)) if variant else None
+        steps = steps or self.outcomes.get((operator, dtype), {})
+        return next((step for step, found in steps.items() if found == CAPTURE), None)
+
+
+@cache
+def operator_table(name: str) -> OperatorTable:
+    """Return the table called ``name``, such as ``onnxruntime-web-1.22.0``.
+
+    Raises:
+        UnknownName: There is none.
+    """
+    folder = resources.files("gsgen.contract").joinpath("targets_data", "operators")
+    file = folder.joinpath(f"{name}.json")
+    if not file.is_file():
+        known = [entry.name.removesuffix(".json") for entry in folder.iterdir()]
+        raise UnknownName.among("operator table", name, known)
+    data = json.loads(file.read_text("utf-8"))
+    outcomes = {
+        (operator, dtype): {int(opset): found for opset, found in steps.items()}
+        for operator, groups in data["operators"].items()
+        for dtypes, steps in groups.items()
+        for dtype in dtypes.split()
+    }
+    return OperatorTable(data["runtime"], outcomes)

@@ -1,0 +1,55 @@
+"""A report for GitHub Actions: workflow commands, which show up as annotations."""
+
+__all__ = ["to_github"]
+
+from collections.abc import Sequence
+
+from gsgen.contract.finding import Finding, Severity
+from gsgen.contract.report import Entry, Unreadable
+from gsgen.contract.reporters.summary import printable, several, verdict
+
+_COMMANDS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: "notice"}
+
+
+def to_github(entries: Sequence[Entry]) -> str:
+    """Return an annotation for each finding that counts, and the verdict of each model."""
+    lines: list[str] = []
+    for entry in entries:
+        if isinstance(entry, Unreadable):
+            lines.append(_command("error", entry.path, "unreadable", str(entry.error)))
+            continue
+        for outcome in entry.outcomes:
+            if outcome.status == "crashed":
+                title = f"{outcome.rule.id} crashed"
+                lines.append(_command("error", entry.path, title, outcome.reason))
+        for finding in entry.findings:
+            if finding.counts:
+                lines.append(_annotation(entry.path, finding))
+        lines.append(_inert(f"gsgen: {entry.path}: {verdict(entry)}"))
+    return "\n".join([*lines, _inert(several(entries))] if len(entries) > 1 else lines)
+
+
+def _annotation(path: str, finding: Finding) -> str:
+    command = _COMMANDS[finding.severity]
+    if finding.certainty == "possible" and command == "error":
+        command = "warning"  # a guess from the numbers fails nobody
+    text = f"{finding.where}: {finding.message}\nmend: {finding.mend}"
+    return _command(command, path, f"{finding.rule} {finding.slug}", text)
+
+
+def _command(command: str, path: str, title: str, text: str) -> str:
+    return f"::{command} file={_property(path)},title={_property(title)}::{_data(text)}"
+
+
+def _data(text: str) -> str:
+    return printable(text, keep="\n").replace("%", "%25").replace("\n", "%0A")
+
+
+def _property(text: str) -> str:
+    escaped = printable(text).replace("%", "%25")
+    return escaped.replace(":", "%3A").replace(",", "%2C")
+
+
+def _inert(text: str) -> str:
+    """Return a line that is no command: old ones begin with ``##[`` wherever it stands."""
+    return printable(text).replace("##[", "## [")

@@ -1,0 +1,88 @@
+"""A report for test runners: JUnit XML, one suite a model and one test a rule.
+
+A rule fails its test if it makes the model invalid. Other findings stand in the test's output.
+"""
+
+__all__ = ["to_junit"]
+
+from collections.abc import Sequence
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from gsgen.contract.finding import Finding
+from gsgen.contract.report import Entry, Outcome, Report, Unreadable
+from gsgen.contract.reporters.summary import printable
+
+_COUNTED = ("failure", "error", "skipped")
+
+
+def to_junit(entries: Sequence[Entry]) -> str:
+    """Return all reports as one JUnit document."""
+    root = Element("testsuites", name="gsgen")
+    for entry in entries:
+        suite = SubElement(root, "testsuite", name=printable(entry.path))
+        if isinstance(entry, Unreadable):
+            _unreadable(suite, entry)
+        else:
+            _suite(suite, entry)
+    for parent in (*root, root):
+        _count(parent)
+    indent(root)
+    body = tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{body}'
+
+
+def _count(parent: Element) -> None:
+    """Note how many tests stand below ``parent``, and what became of them."""
+    parent.set("tests", str(len(list(parent.iter("testcase")))))
+    for tag in _COUNTED:
+        name = tag if tag == "skipped" else f"{tag}s"
+        parent.set(name, str(len(list(parent.iter(tag)))))
+
+
+def _unreadable(suite: Element, entry: Unreadable) -> None:
+    case = SubElement(suite, "testcase", classname=printable(entry.path), name="readable")
+    error = SubElement(case, "error", message=printable(entry.error.what))
+    error.set("type", type(entry.error).__name__)
+    error.text = printable(str(entry.error), keep="\n")
+
+
+def _suite(suite: Element, report: Report) -> None:
+    suite.set("time", f"{report.seconds:.3f}")
+    found: dict[str, list[Finding]] = {}
+    for finding in report.findings:
+        found.setdefault(finding.rule, []).append(finding)
+    for outcome in report.outcomes:
+        case = SubElement(suite, "testcase", classname=printable(report.path))
+        case.set("name", f"{outcome.rule.id} {outcome.rule.slug}")
+        case.set("time", f"{outcome.milliseconds / 1000:.6f}")
+        _judge(case, report, outcome, found.get(outcome.rule.id, []))
+
+
+def _judge(
+    case: Element, report: Report, outcome: Outcome, found: Sequence[Finding]
+) -> None:
+    if outcome.status == "crashed":
+        last = outcome.reason.splitlines()[-1] if outcome.reason else ""
+        error = SubElement(case, "error", message=printable(last), type="crashed")
+        error.text = printable(outcome.reason, keep="\n")
+    elif outcome.status in ("skipped", "not-applicable"):
+        reason = f"{outcome.status}: {outcome.reason}"
+        SubElement(case, "skipped", message=printable(reason))
+    failing = [one for one in found if report.fails_by(one)]
+    others = [one for one in found if not report.fails_by(one)]
+    if failing and outcome.status != "crashed":
+        first = printable(f"{failing[0].where}: {failing[0].message}")
+        failure = SubElement(case, "failure", message=first)
+        failure.set("type", failing[0].severity.word)
+        failure.text = "\n\n".join(map(_words, failing))
+    if others:
+        SubElement(case, "system-out").text = "\n\n".join(map(_words, others))
+
+
+def _words(finding: Finding) -> str:
+    notes = ["possible"] if finding.certainty == "possible" else []
+    notes += [f"waived: {finding.waiver or 'ignored'}"] if finding.waived else []
+    notes += ["known"] if finding.known else []
+    said = f" ({'; '.join(notes)})" if notes else ""
+    text = f"{finding.severity.word}{said}: {finding.where}: {finding.message}"
+    return printable(f"{text}\nmend: {finding.mend}", keep="\n")

@@ -1,0 +1,109 @@
+"""A report for pull requests and job summaries: Markdown as GitHub reads it.
+
+What comes from a model stands in code spans: there, no name can format, link or mention.
+"""
+
+__all__ = ["to_markdown"]
+
+import re
+from collections.abc import Sequence
+from itertools import groupby
+
+from gsgen.contract.finding import Finding
+from gsgen.contract.report import Entry, Report, Unreadable
+from gsgen.contract.reporters.summary import (
+    plural,
+    printable,
+    several,
+    verdict,
+    verdict_word,
+)
+
+_SIGNS = {"conforms": "✅", "invalid": "❌", "internal-error": "💥"}
+_UNREADABLE = "⛔"
+
+
+def to_markdown(entries: Sequence[Entry]) -> str:
+    """Return all reports as one page; several begin with a table of verdicts."""
+    parts = [_table(entries)] if len(entries) != 1 else []
+    parts += [_section(entry) for entry in entries]
+    return "\n\n".join(parts)
+
+
+def _table(entries: Sequence[Entry]) -> str:
+    rows = ["| model | verdict | errors | warnings |", "|---|---|---|---|"]
+    for entry in entries:
+        name = code(entry.path).replace("|", "\\|")
+        if isinstance(entry, Unreadable):
+            rows.append(f"| {name} | {_UNREADABLE} unreadable | | |")
+            continue
+        counts = [
+            sum(f.counts and f.severity.word == word for f in entry.findings)
+            for word in ("error", "warning")
+        ]
+        said = f"{_SIGNS[entry.verdict]} {verdict_word(entry)}"
+        rows.append(f"| {name} | {said} | {counts[0]} | {counts[1]} |")
+    return "\n".join([f"**{several(entries)}**", "", *rows])
+
+
+def _section(entry: Entry) -> str:
+    if isinstance(entry, Unreadable):
+        return f"### {_UNREADABLE} {code(entry.path)}\n\n{code(str(entry.error))}"
+    judged = f"Judged for {entry.target.label} at level {entry.level.word}."
+    parts = [
+        f"### {_SIGNS[entry.verdict]} {code(entry.path)}",
+        f"**{_escaped(verdict(entry))}**",
+        judged,
+    ]
+    causes = {cause.outcome.rule.id: cause for cause in entry.causes}
+    items = []
+    counted = (finding for finding in entry.findings if finding.counts)
+    for rule, findings in groupby(counted, lambda one: one.rule):
+        items += [_finding(finding) for finding in findings]
+        if rule in causes:
+            blocked = causes[rule].blocked
+            names = ", ".join(one.id for one in blocked)
+            rules = plural(len(blocked), "rule")
+            items.append(f"  - so {rules} could not be judged: {names}")
+    parts += ["\n".join(items)] if items else []
+    return "\n\n".join(parts + _details(entry))
+
+
+def _finding(finding: Finding) -> str:
+    doubt = " (possible)" if finding.certainty == "possible" else ""
+    head = f"**{finding.rule} {finding.slug}** {finding.severity.word}{doubt}"
+    place = f"{code(str(finding.where))}: {code(finding.message)}"
+    return f"- {head} at {place}\n  - mend: {finding.mend}"
+
+
+def _details(report: Report) -> list[str]:
+    parts = []
+    for outcome in report.outcomes:
+        if outcome.status == "crashed":
+            last = outcome.reason.splitlines()[-1]
+            parts.append(
+                f"💥 **{outcome.rule.id}** crashed, a fault of the rule: {code(last)}"
+            )
+    for level in report.levels:
+        if not level.ran:
+            parts.append(f"Level {level.level.word} did not run: {code(level.reason)}")
+    waived = [
+        f"- {one.rule} {one.slug} at {code(str(one.where))}: {code(one.waiver)}"
+        for one in report.findings
+        if one.waiver
+    ]
+    return [*parts, "Waived:\n\n" + "\n".join(waived)] if waived else parts
+
+
+def code(text: str) -> str:
+    """Return ``text`` as a code span that nothing in it can end."""
+    shown = printable(text)
+    longest = max((len(run) for run in re.findall("`+", shown)), default=0)
+    fence = "`" * (longest + 1)
+    pad = " " if shown[:1] in ("`", " ", "") or shown[-1:] in ("`", " ") else ""
+    return f"{fence}{pad}{shown}{pad}{fence}"
+
+
+def _escaped(text: str) -> str:
+    """Return ``text`` with its punctuation escaped, where it cannot stand in a code span."""
+    return re.sub(r"([\\`*_\[\]<>|~@&#])", r"\\\1", printable(text))

@@ -1,0 +1,66 @@
+"""`gsgen conformance`: the same suites without pytest."""
+
+import json
+import shlex
+from pathlib import Path
+
+from conformance.conftest import write
+from support.commands import gsgen
+
+
+def test_each_suite_is_one_line_and_failures_say_how_to_see_them_again(
+    folder: Path,
+) -> None:
+    write(folder, "drift", "opacity_is_logits")
+    ran = gsgen(
+        *("conformance", "drift.onnx", "opacity_is_logits.onnx", "--dump", "dumps"),
+        cwd=folder,
+    )
+    assert ran.code == 1, ran.err
+    lines = ran.out.splitlines()
+    good, broken = [i for i, line in enumerate(lines) if "judged for core@" in line]
+    suites = [line.split()[0] for line in lines[good + 1 : broken - 1]]
+    assert suites == ["basic", "time", "appearance", "capture"]
+    assert lines[broken - 1].startswith("passed: ")
+    assert lines[-1].startswith("failed: ")
+    assert "  basic: GV003-opacity-range failed" in lines
+    (line,) = [line for line in lines if "reproduce: " in line]
+    words = shlex.split(line.partition("reproduce: ")[2])
+    assert gsgen(*words[1:], cwd=folder).code == 1
+    assert (folder / "dumps" / "opacity_is_logits.core.GV003.npz").is_file()
+
+
+def test_json_lists_every_case(folder: Path) -> None:
+    (model,) = write(folder, "drift")
+    ran = gsgen("conformance", model, "--format", "json", "--level", "static")
+    assert ran.code == 0
+    document = json.loads(ran.out)
+    assert document["schema"] == "gsgen-conformance/1"
+    (made,) = document["models"]
+    cases = [case for suite in made["suites"] for case in suite["cases"]]
+    assert made["verdict"] == "passed"
+    assert sum(made["counts"].values()) == len(cases)
+    skipped = next(case for case in cases if case["rule"] == "GV003")
+    assert skipped["status"] == "skipped"
+    assert skipped["reason"] == "skipped: level values was not asked for"
+
+
+def test_one_suite_alone(folder: Path) -> None:
+    (model,) = write(folder, "drift")
+    ran = gsgen("conformance", model, "--suite", "time", "--level", "static")
+    assert ran.code == 0
+    assert "  time " in ran.out
+    assert "  basic " not in ran.out
+
+
+def test_exit_codes_are_those_of_validate(folder: Path) -> None:
+    (model,) = write(folder, "drift")
+    empty = folder / "empty.onnx"
+    empty.touch()
+    ran = gsgen("conformance", empty, model, "--level", "static")
+    assert ran.code == 4
+    assert "is empty (0 bytes)" in ran.err
+    assert "passed: " in ran.out
+    wrong = gsgen("conformance", model, "--suite", "tme")
+    assert wrong.code == 2
+    assert "Did you mean 'time'?" in wrong.err

@@ -1,0 +1,115 @@
+"""Expected failures: read from a file, strict both ways, in pytest and on the command line."""
+
+from pathlib import Path
+
+import pytest
+
+from conformance.conftest import run_pytest, write
+from gsgen.conformance.expected import ExpectedFailure, read_expected, strangers
+from gsgen.contract.errors import ConfigInvalid, UnknownName
+from gsgen.contract.installed import installed_rules
+from support.commands import gsgen
+
+KNOWN = '[[xfail]]\nrule = "opacity-range"\nmodel = "opacity*.onnx"\nreason = "until 2.0"\n'
+
+
+def read(tmp_path: Path, text: str) -> tuple[ExpectedFailure, ...]:
+    file = tmp_path / "known.toml"
+    file.write_text(text)
+    return read_expected(file, installed_rules())
+
+
+def test_a_file_names_rules_by_id_or_name(tmp_path: Path) -> None:
+    more = '[[xfail]]\nrule = "gv001"\nreason = "known"\n'
+    first, second = read(tmp_path, KNOWN + more)
+    assert (first.rule, first.model, first.reason) == (
+        "GV003",
+        "opacity*.onnx",
+        "until 2.0",
+    )
+    assert (second.rule, second.model) == ("GV001", "")
+    assert first.speaks_of("GV003", Path("a/opacity_is_logits.onnx"))
+    assert not first.speaks_of("GV003", Path("a/drift.onnx"))
+    assert not first.speaks_of("GV001", Path("opacity.onnx"))
+    assert second.speaks_of("GV001", Path("any.onnx"))
+
+
+def test_an_empty_file_expects_nothing(tmp_path: Path) -> None:
+    assert read(tmp_path, "") == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "words"),
+    [
+        ("[[xfail", ConfigInvalid, "is not TOML"),
+        ("xfail = 3", ConfigInvalid, "3, wanted tables [[xfail]]"),
+        ('[[xfails]]\nrule = "GV003"', UnknownName, "unknown key 'xfails'"),
+        ('[[xfail]]\nrule = "GV003"', ConfigInvalid, "xfail 1: has no reason"),
+        ('[[xfail]]\nreason = "x"', ConfigInvalid, "xfail 1: has no rule"),
+        ('[[xfail]]\nrule = "GV003"\nreason = " "', ConfigInvalid, "reason is ' '"),
+        ('[[xfail]]\nrule = 3\nreason = "x"', ConfigInvalid, "rule is 3, wanted a text"),
+        ('[[xfail]]\nrule = "GV999"\nreason = "x"', UnknownName, "unknown rule 'GV999'"),
+        ('[[xfail]]\nrule = "GV003"\nmodle = "x"', UnknownName, "Did you mean 'model'?"),
+    ],
+)
+def test_a_file_that_cannot_be_meant_is_refused(
+    tmp_path: Path, text: str, error: type[Exception], words: str
+) -> None:
+    with pytest.raises(error) as caught:
+        read(tmp_path, text)
+    assert words in str(caught.value)
+    assert "known.toml" in str(caught.value)
+
+
+def test_strangers_match_nothing_that_is_tested() -> None:
+    known = ExpectedFailure("GV003", "?", "drift.onnx")
+    other_rule, other_model = (
+        ExpectedFailure("TV101", "?"),
+        ExpectedFailure("GV003", "?", "x"),
+    )
+    tested = {Path("out/drift.onnx"): ["GV001", "GV003"]}
+    assert strangers([known, other_rule, other_model], tested) == [other_rule, other_model]
+
+
+def test_in_pytest_an_entry_that_holds_or_matches_nothing_is_no_pass(folder: Path) -> None:
+    write(folder, "drift", "opacity_is_logits")
+    models = (
+        "--gsgen=drift.onnx",
+        "--gsgen=opacity_is_logits.onnx",
+        "-k",
+        "GV003 or xfail",
+    )
+    (folder / "known.toml").write_text(KNOWN)
+    ran = run_pytest(folder, *models, "--gsgen-xfails=known.toml")
+    assert ran.code == 0, ran.out
+    assert ran.names("xfailed") == ["opacity_is_logits.onnx.basic::GV003-opacity-range"]
+    assert "until 2.0" in ran.out
+    stale = KNOWN.replace("opacity*", "d*") + KNOWN.replace("opacity*", "none")
+    (folder / "known.toml").write_text(stale)
+    ran = run_pytest(folder, *models, "--gsgen-xfails=known.toml")
+    assert ran.code == 1
+    assert sorted(ran.names("failure")) == [
+        "drift.onnx.basic::GV003-opacity-range",
+        "opacity_is_logits.onnx.basic::GV003-opacity-range",
+    ]
+    assert "holds, but is expected to fail: remove the entry" in ran.out
+    assert len(ran.names("error")) == 1
+    assert "GV003 of none.onnx (until 2.0)" in ran.out
+
+
+def test_on_the_command_line_it_is_the_same(folder: Path) -> None:
+    (model,) = write(folder, "opacity_is_logits")
+    known = folder / "known.toml"
+    known.write_text(KNOWN)
+    ran = gsgen("conformance", model, "--xfails", known)
+    assert ran.code == 0, ran.out + ran.err
+    assert "1 expected" in ran.out
+    assert "until 2.0" in ran.out
+    known.write_text(KNOWN.replace("opacity-range", "rows-finite"))
+    ran = gsgen("conformance", model, "--xfails", known)
+    assert ran.code == 1
+    assert "2 failed" in ran.out
+    known.write_text(KNOWN.replace("opacity*", "none"))
+    ran = gsgen("conformance", model, "--xfails", known, "--level", "static")
+    assert ran.code == 2
+    assert "matches no rule of any tested model" in ran.err

@@ -1,0 +1,95 @@
+"""`GeneratorConformance`: a class whose fixtures an author overrides."""
+
+from pathlib import Path
+
+from conformance.conftest import run_pytest, write
+
+HEAD = """
+import pytest
+from pathlib import Path
+from gsgen.conformance import GeneratorConformance
+
+HERE = Path(__file__).parent
+"""
+
+
+def test_a_class_with_one_fixture_tests_every_rule(folder: Path) -> None:
+    write(folder, "camera_and_proj")
+    text = """
+class TestMine(GeneratorConformance):
+    @pytest.fixture(scope="class")
+    def model(self):
+        return HERE / "camera_and_proj.onnx"
+"""
+    (folder / "test_mine.py").write_text(HEAD + text)
+    ran = run_pytest(folder)
+    assert ran.code == 0, ran.out
+    assert set(ran.counts) == {"passed", "skipped"}
+    place = "test_mine.TestMine::"
+    passed = ran.names("passed")
+    assert f"{place}test_camera[GI001-view-is-4x4]" in passed
+    assert f"{place}test_basic[GV003-opacity-range]" in passed
+    assert f"{place}test_time[GI003-time-is-1]" in ran.names("skipped")
+    assert "suite time is not for what this model declares" in ran.out
+    assert "::GeneratorConformance" not in ran.out
+
+
+def test_every_fixture_can_be_overridden(folder: Path) -> None:
+    write(folder, "opacity_is_logits")
+    text = """
+from gsgen.conformance.expected import ExpectedFailure
+
+class TestMine(GeneratorConformance):
+    test_basic = None
+
+    @pytest.fixture
+    def model(self):
+        return HERE / "opacity_is_logits.onnx"
+
+    @pytest.fixture
+    def target(self):
+        return "webgpu"
+
+    @pytest.fixture
+    def level(self):
+        return "static"
+
+    def test_mine(self, settings, conformance):
+        assert settings.target.name == "webgpu"
+        assert conformance.report.level.word == "static"
+
+
+class TestKnown(GeneratorConformance):
+    @pytest.fixture
+    def model(self):
+        return HERE / "opacity_is_logits.onnx"
+
+    @pytest.fixture
+    def expected_failures(self):
+        return [ExpectedFailure("GV003", "logits until 2.0")]
+
+
+class TestForgotten(GeneratorConformance):
+    pass
+"""
+    (folder / "test_mine.py").write_text(HEAD + text)
+    ran = run_pytest(folder, "-k", "TestMine or GV003")
+    assert ran.code == 1
+    assert "test_mine.TestMine::test_mine" in ran.names("passed")
+    assert not [name for name in ran.cases if "TestMine::test_basic" in name]
+    assert ran.names("xfailed") == ["test_mine.TestKnown::test_basic[GV003-opacity-range]"]
+    assert "TestForgotten must override the fixture `model`" in ran.out
+
+
+def test_a_broken_model_fails_with_a_line_that_shows_it_again(folder: Path) -> None:
+    write(folder, "opacity_is_logits")
+    text = """
+class TestMine(GeneratorConformance):
+    @pytest.fixture
+    def model(self):
+        return HERE / "opacity_is_logits.onnx"
+"""
+    (folder / "test_mine.py").write_text(HEAD + text)
+    ran = run_pytest(folder)
+    assert ran.names("failure") == ["test_mine.TestMine::test_basic[GV003-opacity-range]"]
+    assert "reproduce: gsgen repro opacity_is_logits.onnx --rule GV003" in ran.out

@@ -1,0 +1,210 @@
+"""`pytest --gsgen model.onnx`: one test a rule, without a file of the author's."""
+
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conformance.conftest import run_pytest, write
+
+
+def reproduce(line: str, folder: Path) -> "subprocess.CompletedProcess[str]":
+    """Type the line that a failure printed."""
+    words = shlex.split(line)
+    assert words[0] == "gsgen"
+    command = [sys.executable, "-m", "gsgen.cli", *words[1:]]
+    return subprocess.run(command, capture_output=True, text=True, cwd=folder)
+
+
+def lines_with(text: str, words: str) -> list[str]:
+    found = [line.partition(words)[2].strip() for line in text.splitlines()]
+    return [line for line in found if line]
+
+
+def test_a_good_model_passes_and_only_the_model_is_collected(folder: Path) -> None:
+    write(folder, "drift")
+    (folder / "test_other.py").write_text("def test_other():\n    assert False\n")
+    ran = run_pytest(folder, "--gsgen", "drift.onnx", "-k", "not live")
+    assert ran.code == 0, ran.out
+    assert set(ran.counts) <= {"passed", "skipped"}
+    assert ran.counts["passed"] > 40
+    suites = {name.partition("::")[0] for name in ran.cases}
+    assert suites == {f"drift.onnx.{s}" for s in ("basic", "time", "appearance", "capture")}
+
+
+def test_tests_that_are_named_run_beside_the_model(folder: Path) -> None:
+    write(folder, "drift", "avatar")
+    (folder / "test_mine.py").write_text("def test_mine():\n    pass\n")
+    options = ("--gsgen", "drift.onnx", "--gsgen-level", "static", "--gsgen-suite", "basic")
+    ran = run_pytest(folder, *options, "test_mine.py", "avatar.onnx")
+    assert ran.code == 0, ran.out
+    assert {name.partition(".")[0].partition("::")[0] for name in ran.cases} == {
+        *("drift", "avatar", "test_mine")
+    }
+
+
+def test_without_the_option_models_are_left_alone(folder: Path) -> None:
+    write(folder, "drift")
+    (folder / "test_mine.py").write_text("def test_mine():\n    pass\n")
+    ran = run_pytest(folder)
+    assert list(ran.cases) == ["test_mine::test_mine"]
+
+
+@pytest.mark.parametrize(
+    ("name", "rule"),
+    [
+        ("opacity_is_logits", "GV003"),
+        ("seeded_random", "GB001"),
+        ("view_flattened", "GI001"),
+        ("nan_at_zero_inputs", "GI009"),
+        ("fails_at_end_of_time", "GV025"),
+    ],
+)
+def test_a_broken_model_fails_with_its_rule_and_a_line_that_shows_it_again(
+    folder: Path, name: str, rule: str
+) -> None:
+    write(folder, name)
+    ran = run_pytest(folder, f"--gsgen={name}.onnx", "--gsgen-dump=dumps")
+    assert ran.code == 1, ran.out
+    (failed,) = ran.names("failure")
+    assert failed.partition("::")[2].startswith(f"{rule}-")
+    assert f"{rule} error" in ran.out
+    (line,) = set(lines_with(ran.out, "reproduce: "))
+    again = reproduce(line, folder)
+    assert again.returncode == 1, again.stdout + again.stderr
+    assert f"reproduced: {rule} is broken" in again.stdout
+    dumps = set(lines_with(ran.out, "inputs and outputs: "))
+    assert len(dumps) == (0 if rule == "GI001" else 1)
+
+
+def test_the_dump_holds_what_went_in_and_what_came_out(folder: Path) -> None:
+    write(folder, "drift")
+    import onnx
+
+    model = onnx.load(folder / "drift.onnx")
+    for weight in model.graph.initializer:
+        if weight.dims and weight.dims[-1] == 3:
+            array = onnx.numpy_helper.to_array(weight).copy()
+            array[1] = np.nan
+            weight.CopyFrom(onnx.numpy_helper.from_array(array, weight.name))
+            break
+    onnx.save(model, folder / "nan.onnx")
+    ran = run_pytest(folder, "--gsgen=nan.onnx", "-k", "GV001")
+    assert ran.code == 1, ran.out
+    (dump,) = set(lines_with(ran.out, "inputs and outputs: "))
+    with np.load(dump) as arrays:
+        assert arrays["probe"].item().startswith("time=")
+        assert arrays["input.time"].shape == (1,)
+        outputs = [arrays[name] for name in arrays if name.startswith("output.")]
+        assert len(outputs) == 3
+        assert any(np.isnan(array).any() for array in outputs)
+    (line,) = set(lines_with(ran.out, "reproduce: "))
+    assert "--probe time=" in line
+    assert reproduce(line, folder).returncode == 1
+
+
+def test_what_cannot_be_judged_is_skipped_with_the_reason(folder: Path) -> None:
+    write(folder, "drift")
+    ran = run_pytest(folder, "--gsgen=drift.onnx", "--gsgen-level=static")
+    assert ran.code == 0
+    assert "skipped: level values was not asked for" in ran.out
+
+
+def test_warnings_warn_or_fail_as_asked(folder: Path) -> None:
+    write(folder, "all_transparent")
+    options = ("--gsgen=all_transparent.onnx", "-k", "GV004")
+    ran = run_pytest(folder, *options)
+    assert ran.code == 0
+    assert "RuleWarning: GV004 warning mostly-visible" in ran.out
+    ran = run_pytest(folder, *options, "--gsgen-fail-on=warning")
+    assert ran.code == 1
+
+
+def test_the_target_brings_its_rules(folder: Path) -> None:
+    write(folder, "still_sh1")
+    ran = run_pytest(folder, "--gsgen=still_sh1.onnx", "--gsgen-target=visionary")
+    assert ran.code == 1
+    (failed,) = ran.names("failure")
+    assert failed == "still_sh1.onnx.appearance::TV104-visionary-reads-color"
+    assert "--target visionary" in ran.out
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        (("--gsgen=none.onnx",), 4, "none.onnx"),
+        (("--gsgen=text.onnx",), 2, "is damaged or cut off"),
+        (("--gsgen=drift.onnx", "--gsgen-suite=tme"), 4, "Did you mean 'time'?"),
+        (("--gsgen=drift.onnx", "--gsgen-target=webgpuu"), 4, "Did you mean 'webgpu'?"),
+        (("--gsgen=drift.onnx", "--gsgen-level=values?"), 4, "Did you mean 'values'?"),
+        (("--gsgen=drift.onnx", "--gsgen-fail-on=x"), 4, "unknown severity 'x'"),
+        (
+            ("--gsgen=drift.onnx", "--gsgen-config=none.toml"),
+            4,
+            "none.toml: cannot be read",
+        ),
+        (
+            ("--gsgen=drift.onnx", "--gsgen-xfails=none.toml"),
+            4,
+            "none.toml: cannot be read",
+        ),
+    ],
+)
+def test_a_wrong_option_ends_the_run_and_names_itself(
+    folder: Path, options: tuple[str, ...], code: int, words: str
+) -> None:
+    write(folder, "drift")
+    (folder / "text.onnx").write_text("this is no model\n")
+    ran = run_pytest(folder, *options)
+    assert ran.code == code, ran.out
+    assert words in ran.out
+    assert "INTERNALERROR" not in ran.out
+
+
+def test_a_crashed_rule_is_an_error_not_a_failure(folder: Path) -> None:
+    write(folder, "drift")
+    (folder / "conftest.py").write_text(CRASHING)
+    ran = run_pytest(folder, "--gsgen=drift.onnx", "--gsgen-level=static")
+    assert ran.code == 1
+    assert ran.names("error") == ["drift.onnx.basic::acme/AC001-never-works"]
+    assert "acme/AC001 crashed: this is a fault of the rule" in ran.out
+    assert "ZeroDivisionError" in ran.out
+
+
+CRASHING = """
+from dataclasses import replace
+from gsgen.contract import installed
+
+own = installed.catalogue
+
+def catalogue():
+    def crash(subject):
+        yield 1 / 0
+
+    return [*own(), replace(own()[0], id="acme/AC001", slug="never-works", check=crash)]
+
+installed.catalogue = catalogue
+"""
+
+
+def test_workers_share_the_tests(folder: Path) -> None:
+    write(folder, "drift", "opacity_is_logits")
+    options = (
+        "--gsgen=drift.onnx",
+        "--gsgen=opacity_is_logits.onnx",
+        "--gsgen-level=values",
+    )
+    ran = run_pytest(
+        folder,
+        *options,
+        "-p",
+        "xdist.plugin",
+        "-n2",
+        "--gsgen-suite=basic",
+    )
+    assert ran.code == 1, ran.out
+    assert len(ran.names("failure")) == 1
+    assert ran.counts["passed"] > 60

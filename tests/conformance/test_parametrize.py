@@ -1,0 +1,83 @@
+"""`@parametrize_with_rules`: an author's own test, called once for each rule."""
+
+from pathlib import Path
+
+from conformance.conftest import run_pytest, write
+
+
+def run(folder: Path, text: str, *words: str) -> "object":
+    head = "from gsgen.conformance import parametrize_with_rules\n"
+    (folder / "test_mine.py").write_text(head + text)
+    return run_pytest(folder, *words)
+
+
+def test_each_rule_of_each_model_is_a_test(folder: Path) -> None:
+    write(folder, "drift", "opacity_is_logits")
+    text = """
+@parametrize_with_rules(["drift.onnx", "opacity_is_logits.onnx"], level="values", suites=["basic"])
+def test_mine(check):
+    assert check.model.is_file()
+    check()
+"""
+    ran = run(folder, text)
+    assert ran.code == 1, ran.out
+    (failed,) = ran.names("failure")
+    assert failed == "test_mine::test_mine[opacity_is_logits-basic-GV003-opacity-range]"
+    assert "reproduce: gsgen repro opacity_is_logits.onnx --rule GV003" in ran.out
+    assert ran.counts["passed"] > 60
+
+
+def test_a_function_gives_the_models_and_options_still_count(folder: Path) -> None:
+    write(folder, "drift")
+    text = """
+from pathlib import Path
+
+def models():
+    return Path(__file__).parent.glob("*.onnx")
+
+@parametrize_with_rules(models, target="webgpu")
+class TestMine:
+    def test_mine(self, check):
+        assert check.run.report.target.name == "webgpu"
+        assert check.run.report.level.word == "static"
+        check()
+"""
+    ran = run(folder, text, "--gsgen-level=static", "--gsgen-suite=time")
+    assert ran.code == 0, ran.out
+    assert "test_mine.TestMine::test_mine[drift-time-GI003-time-is-1]" in ran.cases
+    assert all("[drift-time-" in name for name in ran.cases)
+
+
+def test_a_test_that_forgets_to_check_fails(folder: Path) -> None:
+    write(folder, "drift")
+    text = """
+@parametrize_with_rules(["drift.onnx"], level="static", suites=["time"])
+def test_mine(check):
+    pass
+"""
+    ran = run(folder, text)
+    assert ran.code == 1
+    assert "the test never called check()" in ran.out
+
+
+def test_expected_failures_are_strict_both_ways(folder: Path) -> None:
+    write(folder, "drift", "opacity_is_logits")
+    text = """
+from gsgen.conformance.expected import ExpectedFailure
+
+@parametrize_with_rules(
+    ["drift.onnx", "opacity_is_logits.onnx"],
+    suites=["basic"],
+    expected_failures=[ExpectedFailure("GV003", "logits until 2.0")],
+)
+def test_mine(check):
+    check()
+"""
+    ran = run(folder, text, "-k", "GV003")
+    assert ran.code == 1
+    assert ran.names("failure") == ["test_mine::test_mine[drift-basic-GV003-opacity-range]"]
+    assert "holds, but is expected to fail: remove the entry" in ran.out
+    assert len(ran.names("xfailed")) == 1
+    ran = run(folder, text.replace('2.0"', '2.0", "other*.onnx"'))
+    assert ran.code == 2
+    assert "matches no rule of any tested model" in ran.out

@@ -1,0 +1,67 @@
+"""The command line, the Python API and pytest find the same, in the same words."""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from conformance.conftest import property_of, run_pytest, write
+from gsgen.contract import validate
+from gsgen.contract.config import Settings
+from gsgen.contract.targets import load_target
+from support.commands import gsgen
+
+Found = tuple[str, str, str, str]
+
+MODELS = {
+    "core": ("opacity_is_logits", "time_is_baked", "view_flattened"),
+    "visionary": ("drift", "still_sh1"),
+}
+
+
+def told(findings: Iterable[dict[str, Any]]) -> list[Found]:
+    made = []
+    for one in findings:
+        where = one["where"]["subject"], one["where"].get("field") or ""
+        made.append((one["rule"], *where, one["message"]))
+    return sorted(made)
+
+
+@pytest.mark.parametrize("target", MODELS)
+def test_all_front_ends_agree(folder: Path, target: str) -> None:
+    paths = write(folder, *MODELS[target])
+    named = [path.name for path in paths]
+    settings = Settings(target=load_target(target))
+    python = {
+        path.name: sorted(
+            (one.rule, one.where.subject, one.where.field, one.message)
+            for one in validate(path, settings).findings
+        )
+        for path in paths
+    }
+    assert sum(map(len, python.values())) >= 2
+
+    ran = gsgen("validate", *named, "--target", target, "--format", "json", cwd=folder)
+    reports = json.loads(ran.out)["reports"]
+    assert {r["subject"]["uri"]: told(r["findings"]) for r in reports} == python
+
+    suites = gsgen(
+        "conformance", *named, "--target", target, "--format", "json", cwd=folder
+    )
+    models = json.loads(suites.out)["models"]
+    assert {m["subject"]["uri"]: told(m["findings"]) for m in models} == python
+    assert suites.code == ran.code == 1
+
+    tested = run_pytest(
+        folder, *[f"--gsgen={n}" for n in named], f"--gsgen-target={target}"
+    )
+    by_model: dict[str, list[dict[str, Any]]] = {name: [] for name in named}
+    for name, case in tested.cases.items():
+        model = f"{name.partition('.onnx')[0]}.onnx"
+        by_model[model] += json.loads(property_of(case, "gsgen.findings") or "[]")
+    assert {name: told(found) for name, found in by_model.items()} == python
+    failing = {r["subject"]["uri"] for r in reports if r["verdict"] != "conforms"}
+    failed = {f"{name.partition('.onnx')[0]}.onnx" for name in tested.names("failure")}
+    assert failed == failing
