@@ -2,6 +2,8 @@
 
 import json
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 from conformance.conftest import write
@@ -13,7 +15,15 @@ def test_each_suite_is_one_line_and_failures_say_how_to_see_them_again(
 ) -> None:
     write(folder, "drift", "opacity_is_logits")
     ran = gsgen(
-        *("conformance", "drift.onnx", "opacity_is_logits.onnx", "--dump", "dumps"),
+        *(
+            "conformance",
+            "drift.onnx",
+            "opacity_is_logits.onnx",
+            "--level",
+            "values",
+            "--dump",
+            "dumps",
+        ),
         cwd=folder,
     )
     assert ran.code == 1, ran.err
@@ -43,6 +53,17 @@ def test_json_lists_every_case(folder: Path) -> None:
     skipped = next(case for case in cases if case["rule"] == "GV003")
     assert skipped["status"] == "skipped"
     assert skipped["reason"] == "skipped: level values was not asked for"
+
+
+def test_pytest_need_not_be_installed(folder: Path) -> None:
+    (model,) = write(folder, "drift")
+    script = (
+        "import sys; sys.modules['pytest'] = None; from gsgen.cli import main; "
+        f"sys.argv[1:] = ['conformance', {str(model)!r}, '--level', 'static']; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "passed: " in done.stdout
 
 
 def test_one_suite_alone(folder: Path) -> None:

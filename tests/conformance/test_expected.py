@@ -80,13 +80,13 @@ def test_in_pytest_an_entry_that_holds_or_matches_nothing_is_no_pass(folder: Pat
         "GV003 or xfail",
     )
     (folder / "known.toml").write_text(KNOWN)
-    ran = run_pytest(folder, *models, "--gsgen-xfails=known.toml")
+    ran = run_pytest(folder, *models, "--gsgen-level=values", "--gsgen-xfails=known.toml")
     assert ran.code == 0, ran.out
     assert ran.names("xfailed") == ["opacity_is_logits.onnx.basic::GV003-opacity-range"]
     assert "until 2.0" in ran.out
     stale = KNOWN.replace("opacity*", "d*") + KNOWN.replace("opacity*", "none")
     (folder / "known.toml").write_text(stale)
-    ran = run_pytest(folder, *models, "--gsgen-xfails=known.toml")
+    ran = run_pytest(folder, *models, "--gsgen-level=values", "--gsgen-xfails=known.toml")
     assert ran.code == 1
     assert sorted(ran.names("failure")) == [
         "drift.onnx.basic::GV003-opacity-range",
@@ -101,12 +101,12 @@ def test_on_the_command_line_it_is_the_same(folder: Path) -> None:
     (model,) = write(folder, "opacity_is_logits")
     known = folder / "known.toml"
     known.write_text(KNOWN)
-    ran = gsgen("conformance", model, "--xfails", known)
+    ran = gsgen("conformance", model, "--xfails", known, "--level", "values")
     assert ran.code == 0, ran.out + ran.err
     assert "1 expected" in ran.out
     assert "until 2.0" in ran.out
     known.write_text(KNOWN.replace("opacity-range", "rows-finite"))
-    ran = gsgen("conformance", model, "--xfails", known)
+    ran = gsgen("conformance", model, "--xfails", known, "--level", "values")
     assert ran.code == 1
     assert "2 failed" in ran.out
     known.write_text(KNOWN.replace("opacity*", "none"))

@@ -22,7 +22,7 @@ class TestMine(GeneratorConformance):
         return HERE / "camera_and_proj.onnx"
 """
     (folder / "test_mine.py").write_text(HEAD + text)
-    ran = run_pytest(folder)
+    ran = run_pytest(folder, "--gsgen-level=values")
     assert ran.code == 0, ran.out
     assert set(ran.counts) == {"passed", "skipped"}
     place = "test_mine.TestMine::"
@@ -30,7 +30,7 @@ class TestMine(GeneratorConformance):
     assert f"{place}test_camera[GI001-view-is-4x4]" in passed
     assert f"{place}test_basic[GV003-opacity-range]" in passed
     assert f"{place}test_time[GI003-time-is-1]" in ran.names("skipped")
-    assert "suite time is not for what this model declares" in ran.out
+    assert "suite time is not for what it declares" in ran.out
     assert "::GeneratorConformance" not in ran.out
 
 
@@ -71,14 +71,22 @@ class TestKnown(GeneratorConformance):
 
 class TestForgotten(GeneratorConformance):
     pass
+
+
+class TestEmpty(GeneratorConformance):
+    @pytest.fixture
+    def model(self):
+        return HERE / "nothing.onnx"
 """
     (folder / "test_mine.py").write_text(HEAD + text)
-    ran = run_pytest(folder, "-k", "TestMine or GV003")
+    ran = run_pytest(folder, "-k", "TestMine or GV003", "--gsgen-level=values")
     assert ran.code == 1
     assert "test_mine.TestMine::test_mine" in ran.names("passed")
     assert not [name for name in ran.cases if "TestMine::test_basic" in name]
     assert ran.names("xfailed") == ["test_mine.TestKnown::test_basic[GV003-opacity-range]"]
     assert "TestForgotten must override the fixture `model`" in ran.out
+    assert "nothing.onnx: cannot be read: No such file" in ran.out
+    assert "INTERNALERROR" not in ran.out
 
 
 def test_a_broken_model_fails_with_a_line_that_shows_it_again(folder: Path) -> None:
@@ -90,6 +98,6 @@ class TestMine(GeneratorConformance):
         return HERE / "opacity_is_logits.onnx"
 """
     (folder / "test_mine.py").write_text(HEAD + text)
-    ran = run_pytest(folder)
+    ran = run_pytest(folder, "--gsgen-level=values")
     assert ran.names("failure") == ["test_mine.TestMine::test_basic[GV003-opacity-range]"]
     assert "reproduce: gsgen repro opacity_is_logits.onnx --rule GV003" in ran.out

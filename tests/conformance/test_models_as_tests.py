@@ -67,7 +67,9 @@ def test_a_broken_model_fails_with_its_rule_and_a_line_that_shows_it_again(
     folder: Path, name: str, rule: str
 ) -> None:
     write(folder, name)
-    ran = run_pytest(folder, f"--gsgen={name}.onnx", "--gsgen-dump=dumps")
+    level = "behaviour" if rule == "GB001" else "values"
+    options = ("--gsgen-dump=dumps", f"--gsgen-level={level}")
+    ran = run_pytest(folder, f"--gsgen={name}.onnx", *options)
     assert ran.code == 1, ran.out
     (failed,) = ran.names("failure")
     assert failed.partition("::")[2].startswith(f"{rule}-")
@@ -92,7 +94,7 @@ def test_the_dump_holds_what_went_in_and_what_came_out(folder: Path) -> None:
             weight.CopyFrom(onnx.numpy_helper.from_array(array, weight.name))
             break
     onnx.save(model, folder / "nan.onnx")
-    ran = run_pytest(folder, "--gsgen=nan.onnx", "-k", "GV001")
+    ran = run_pytest(folder, "--gsgen=nan.onnx", "--gsgen-level=values", "-k", "GV001")
     assert ran.code == 1, ran.out
     (dump,) = set(lines_with(ran.out, "inputs and outputs: "))
     with np.load(dump) as arrays:
@@ -115,7 +117,7 @@ def test_what_cannot_be_judged_is_skipped_with_the_reason(folder: Path) -> None:
 
 def test_warnings_warn_or_fail_as_asked(folder: Path) -> None:
     write(folder, "all_transparent")
-    options = ("--gsgen=all_transparent.onnx", "-k", "GV004")
+    options = ("--gsgen=all_transparent.onnx", "--gsgen-level=values", "-k", "GV004")
     ran = run_pytest(folder, *options)
     assert ran.code == 0
     assert "RuleWarning: GV004 warning mostly-visible" in ran.out
@@ -125,7 +127,8 @@ def test_warnings_warn_or_fail_as_asked(folder: Path) -> None:
 
 def test_the_target_brings_its_rules(folder: Path) -> None:
     write(folder, "still_sh1")
-    ran = run_pytest(folder, "--gsgen=still_sh1.onnx", "--gsgen-target=visionary")
+    options = ("--gsgen-target=visionary", "--gsgen-level=static")
+    ran = run_pytest(folder, "--gsgen=still_sh1.onnx", *options)
     assert ran.code == 1
     (failed,) = ran.names("failure")
     assert failed == "still_sh1.onnx.appearance::TV104-visionary-reads-color"

@@ -67,6 +67,7 @@ from gsgen.conformance.expected import ExpectedFailure
 
 @parametrize_with_rules(
     ["drift.onnx", "opacity_is_logits.onnx"],
+    level="values",
     suites=["basic"],
     expected_failures=[ExpectedFailure("GV003", "logits until 2.0")],
 )

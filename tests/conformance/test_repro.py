@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 
 from conformance.conftest import write
+from gsgen.conformance.repro import reproduce
+from gsgen.contract.config import Settings
+from gsgen.contract.errors import GsgenError
+from gsgen.contract.installed import installed_rules
 from support.commands import gsgen
 
 
@@ -38,24 +42,41 @@ def test_a_rule_that_holds_exits_0(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "options", "code", "words"),
+    ("name", "rule", "probe", "words"),
     [
-        ("drift", ("--rule", "GV999"), 2, "--rule: unknown rule 'GV999'"),
-        ("drift", ("--rule", "GV003", "--probe", "time=2"), 2, "unknown probe 'time=2'"),
-        ("drift", ("--rule", "GB001", "--probe", "0"), 2, "Leave --probe out."),
-        ("drift", ("--rule", "TV101"), 2, "only for target visionary"),
-        ("trajectory", ("--rule", "GV003"), 2, "only for kind gaussian-generator"),
-        ("view_flattened", ("--rule", "GV003", "--probe", "0"), 2, "GI001 does not hold"),
-        ("view_flattened", ("--rule", "GV003"), 2, "GI001 does not hold"),
-        ("", ("--rule", "GV003"), 4, "empty"),
+        ("drift", "GV003", "time=2", "--probe: unknown probe 'time=2'"),
+        ("drift", "GB001", "0", "several runs compared\n  Leave --probe out."),
+        ("drift", "GI003", "0", "GI003 does not look at single probes but at the file"),
+        ("drift", "TV101", None, "TV101 was not judged: only for target visionary"),
+        ("trajectory", "GV003", None, "only for kind gaussian-generator"),
+        ("view_flattened", "GV003", "0", "because GI001 does not hold"),
+        ("view_flattened", "GV003", None, "because GI001 does not hold"),
     ],
 )
 def test_what_cannot_be_judged_is_neither_broken_nor_held(
-    folder: Path, name: str, options: tuple[str, ...], code: int, words: str
+    folder: Path, name: str, rule: str, probe: str | None, words: str
 ) -> None:
-    model = write(folder, name)[0] if name else folder / "empty.onnx"
-    model.touch()
-    ran = gsgen("repro", model, *options)
+    (model,) = write(folder, name)
+    found = installed_rules().find(rule)
+    with pytest.raises(GsgenError) as caught:
+        reproduce(model, found, Settings(), probe=probe)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "rule", "code", "words"),
+    [
+        ("drift", "GV999", 2, "--rule: unknown rule 'GV999'"),
+        ("drift", "TV101", 2, "TV101 was not judged: only for target visionary"),
+        ("empty", "GV003", 4, "is empty (0 bytes)"),
+    ],
+)
+def test_trouble_has_its_own_exit_codes(
+    folder: Path, name: str, rule: str, code: int, words: str
+) -> None:
+    write(folder, "drift")
+    (folder / "empty.onnx").touch()
+    ran = gsgen("repro", folder / f"{name}.onnx", "--rule", rule)
     assert ran.code == code, ran.out
     assert words in ran.err
     assert "Traceback" not in ran.err

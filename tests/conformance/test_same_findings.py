@@ -16,7 +16,7 @@ from support.commands import gsgen
 Found = tuple[str, str, str, str]
 
 MODELS = {
-    "core": ("opacity_is_logits", "time_is_baked", "view_flattened"),
+    "core": ("opacity_is_logits", "time_is_baked"),
     "visionary": ("drift", "still_sh1"),
 }
 

@@ -45,17 +45,19 @@ def test_behaviour_repeats_a_probe_revisits_it_and_varies_each_role(subject):
     assert plan.revisited == (1, 9)
     assert plan.probes[1] is plan.probes[9] is plan.probes[10]
     assert plan.variants == {"time": (1, (11, 12))}
-    assert len(plan.probes) == 13
+    assert not any(probe.extra for probe in plan.probes[:13])
+    assert all(probe.extra for probe in plan.probes[13:])
     for index in (11, 12):
         changed = plan.probes[index].inputs["time"] != plan.probes[1].inputs["time"]
         assert changed.all()
 
 
-def test_a_model_without_inputs_is_run_thrice(subject_of):
+def test_a_model_without_inputs_is_run_thrice_and_once_unoptimised(subject_of):
     text = "m () => (float[1] y) <float[1] w = {1}> { y = Neg (w) }"
     manifest = replace(manifest_of(1), inputs=())
     plan = make_plan(subject_of(model(text), manifest), Level.BEHAVIOUR)
-    assert (len(plan.probes), plan.values) == (3, 1)
+    assert (len(plan.probes), plan.values) == (4, 1)
+    assert not plan.probes[plan.trials["plain"][0]].optimise
     assert plan.repeated == (1, 2)
     assert (plan.revisited, plan.variants) == (None, {})
 

@@ -301,4 +301,12 @@ def test_the_job_is_plain_data(folder):
     path = save(folder / "a.onnx", DOUBLE)
     sandbox._write_job(folder, path, ["y"], [pair(1, 2)], Limits(memory=5))
     job = json.loads((folder / "job.json").read_text())
-    assert job == {"model": str(path), "outputs": ["y"], "probes": [["x"]], "memory": 5}
+    assert job == {
+        "model": str(path),
+        "outputs": ["y"],
+        "probes": [["x"]],
+        "extra": [False],
+        "optimise": [True],
+        "memory": 5,
+        "seconds": 120.0,
+    }

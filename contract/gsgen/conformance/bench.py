@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from gsgen.conformance.cases import Case
+from gsgen.conformance.evidence import Dumps
 from gsgen.conformance.expected import ExpectedFailure, read_expected
 from gsgen.conformance.options import make_settings
 from gsgen.conformance.run import ModelRun, run_model, suites_of
@@ -21,6 +22,9 @@ from gsgen.contract.errors import GsgenError
 from gsgen.contract.installed import installed_rules
 from gsgen.contract.reporters.machine import to_dict
 from gsgen.contract.rule import Rule
+
+# A dump that nobody asked for must not fill a disk: models of this field give 0.5 GB a frame.
+_MOST_UNASKED = 64 << 20
 
 
 class RuleWarning(UserWarning):
@@ -37,7 +41,7 @@ class Bench:
     def __init__(self, config: pytest.Config) -> None:
         self.config = config
         self.tested: dict[Path, set[str]] = {}
-        self._runs: dict[object, ModelRun] = {}
+        self._runs: dict[object, ModelRun | Exception] = {}
 
     @classmethod
     def of(cls, config: pytest.Config) -> "Bench":
@@ -89,13 +93,13 @@ class Bench:
         return read_expected(Path(file), installed_rules()) if file else ()
 
     @cached_property
-    def dumps(self) -> Path:
-        """Where inputs and outputs of failing probes go."""
+    def dumps(self) -> Dumps:
+        """Where inputs and outputs of failing probes go: as asked, or small ones to pytest's tmp."""
         folder = self.option("dump")
         if folder:
-            return Path(folder)
+            return Dumps(Path(folder))
         factory: pytest.TempPathFactory = self.config._tmp_path_factory  # type: ignore[attr-defined]
-        return factory.mktemp("gsgen-dumps")
+        return Dumps(factory.mktemp("gsgen-dumps"), _MOST_UNASKED)
 
     def plan(self, path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
         """Return the suites of a model with their rules, and remember them as tested."""
@@ -108,11 +112,25 @@ class Bench:
         self, path: Path, settings: Settings, expected: Iterable[ExpectedFailure]
     ) -> ModelRun:
         """Judge a model, unless that was done already."""
-        stat, entries = path.stat(), tuple(expected)
-        key = (path.resolve(), stat.st_mtime_ns, stat.st_size, repr(settings), entries)
+        entries = tuple(expected)
+        stat = path.stat() if path.is_file() else None
+        version = (stat.st_mtime_ns, stat.st_size) if stat else ()
+        key = (path.resolve(), version, repr(settings), entries)
         if key not in self._runs:
-            self._runs[key] = run_model(path, settings, expected=entries, dumps=self.dumps)
-        return self._runs[key]
+            self._runs[key] = self._judge(path, settings, entries)
+        made = self._runs[key]
+        if isinstance(made, Exception):
+            raise made
+        return made
+
+    def _judge(
+        self, path: Path, settings: Settings, expected: tuple[ExpectedFailure, ...]
+    ) -> ModelRun | Exception:
+        """Judge a model; what stops us once would stop us at every rule, so it is kept, too."""
+        try:
+            return run_model(path, settings, expected=expected, dumps=self.dumps)
+        except Exception as error:
+            return error
 
 
 _BENCH = pytest.StashKey[Bench]()

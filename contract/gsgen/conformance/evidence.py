@@ -1,6 +1,6 @@
 """Evidence: for every failure, a command that shows it again and a file with its inputs and outputs."""
 
-__all__ = ["Evidence", "gather", "suspects"]
+__all__ = ["Dumps", "Evidence", "gather", "suspects"]
 
 import os
 import re
@@ -20,6 +20,8 @@ from gsgen.contract.sandbox import Limits
 _MEBIBYTE = 1 << 20
 _MOST_RUNS = 4
 
+Runs = list[tuple[Probe, Arrays]]
+
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
@@ -27,50 +29,91 @@ class Evidence:
 
     Attributes:
         command: What to type; it exits 1 for as long as the rule is broken.
-        dump: An ``.npz`` with inputs and outputs of the failing probe, or None.
+        dump: An ``.npz`` with inputs and outputs of the failing probes, or None.
+        withheld: Bytes that the dump would take, where that is more than was allowed.
     """
 
     command: str
     dump: Path | None = None
+    withheld: int = 0
 
     def __str__(self) -> str:
         lines = [f"    reproduce: {self.command}"]
         if self.dump:
             lines.append(f"    inputs and outputs: {self.dump}")
+        if self.withheld:
+            size = f"{self.withheld / _MEBIBYTE:.0f} MiB"
+            lines.append(
+                f"    inputs and outputs: {size}, kept only where a folder is given"
+            )
         return "\n".join(lines)
 
 
+@dataclass(frozen=True, slots=True)
+class Dumps:
+    """Where inputs and outputs of failing probes go.
+
+    Attributes:
+        folder: It is made if there is something to keep.
+        most: Bytes that one file may take; None is no limit.
+    """
+
+    folder: Path
+    most: int | None = None
+
+
 def gather(
-    path: Path, settings: Settings, cases: Iterable[Case], folder: Path | None
+    path: Path, settings: Settings, cases: Iterable[Case], dumps: Dumps | None
 ) -> dict[str, Evidence]:
-    """Return the evidence for each broken case, by rule; dumps go to ``folder`` if it is given.
+    """Return the evidence for each broken case, by rule; dumps are written if a place is given.
 
     The failing probes are run once more, together, so that a command is only given a probe that
     is enough to break the rule.
     """
     broken = [case for case in cases if case.broken]
-    ran = [case for case in broken if case.rule.scope not in ("model", "report")]
     found = {case.rule.id: Evidence(_command(path, settings, case)) for case in broken}
+    ran = [case for case in broken if case.rule.scope not in ("model", "report")]
     if not ran:
         return found
     subject, plan = plan_for(path, settings)
     wanted = {case.rule.id: suspects(plan, case.findings) for case in ran}
-    probes = tuple({id(one): one for held in wanted.values() for one in held}.values())
-    if any(case.rule.scope == "execution" for case in ran):
-        for case in ran:  # it did not run, or not to the end: once was enough
-            dump = _dump(
-                folder, path, settings, case, [(p, {}) for p in wanted[case.rule.id]]
-            )
-            found[case.rule.id] = Evidence(_command(path, settings, case), dump)
+    if any(case.rule.scope == "execution" for case in ran):  # it did not run to the end:
+        for case in ran:  # once was enough
+            runs: Runs = [(probe, {}) for probe in wanted[case.rule.id]]
+            command = _command(path, settings, case)
+            found[case.rule.id] = _keep(dumps, path, settings, case, command, runs)
         return found
+    probes = list({id(one): one for held in wanted.values() for one in held}.values())
+    places = {id(probe): number for number, probe in enumerate(probes)}
     with replay(subject, probes, settings) as again:
         for case in ran:
-            numbers = [probes.index(probe) for probe in wanted[case.rule.id]]
+            numbers = [places[id(probe)] for probe in wanted[case.rule.id]]
             runs = [(probes[number], again.outputs(number)) for number in numbers]
             command = _command(path, settings, case, _enough(again, case, numbers))
-            dump = _dump(folder, path, settings, case, runs)
-            found[case.rule.id] = Evidence(command, dump)
+            found[case.rule.id] = _keep(dumps, path, settings, case, command, runs)
     return found
+
+
+def _keep(
+    dumps: Dumps | None,
+    path: Path,
+    settings: Settings,
+    case: Case,
+    command: str,
+    runs: Runs,
+) -> Evidence:
+    if dumps is None:
+        return Evidence(command)
+    arrays = (
+        array for one, made in runs for array in (*one.inputs.values(), *made.values())
+    )
+    size = sum(array.nbytes for array in arrays)
+    if dumps.most is not None and size > dumps.most:
+        return Evidence(command, withheld=size)
+    name = re.sub(r"[^\w.-]+", "-", f"{path.stem}.{settings.target.name}.{case.rule.id}")
+    target = dumps.folder / f"{name}.npz"
+    save(target, runs)
+    return Evidence(command, target)
 
 
 def suspects(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
@@ -119,18 +162,3 @@ def _options(settings: Settings) -> list[str]:
     if settings.limits.memory != Limits().memory:
         words += ["--memory", str(max(settings.limits.memory // _MEBIBYTE, 1))]
     return words
-
-
-def _dump(
-    folder: Path | None,
-    path: Path,
-    settings: Settings,
-    case: Case,
-    runs: Sequence[tuple[Probe, Arrays]],
-) -> Path | None:
-    if folder is None:
-        return None
-    name = re.sub(r"[^\w.-]+", "-", f"{path.stem}.{settings.target.name}.{case.rule.id}")
-    target = folder / f"{name}.npz"
-    save(target, runs)
-    return target

@@ -2,7 +2,7 @@
 
 __all__ = ["GeneratorConformance"]
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
@@ -10,9 +10,10 @@ import pytest
 from gsgen.conformance.bench import Bench, act, prepare, properties
 from gsgen.conformance.expected import ExpectedFailure
 from gsgen.conformance.run import ModelRun
-from gsgen.conformance.suite import SUITES
+from gsgen.conformance.suite import SUITES, Suite
 from gsgen.conformance.testing import refuse_strangers
 from gsgen.contract.config import Settings
+from gsgen.contract.errors import GsgenError
 from gsgen.contract.installed import installed_rules
 from gsgen.contract.roles import GENERATOR, POST_PROCESS
 from gsgen.contract.rule import Rule
@@ -72,10 +73,14 @@ class GeneratorConformance:
         pytestconfig: pytest.Config,
     ) -> ModelRun:
         """The model, judged."""
-        bench, expected = Bench.of(pytestconfig), tuple(expected_failures)
-        if expected != bench.expected:  # those of the options may speak of other models
-            refuse_strangers(expected, {model: bench.plan(model, settings)})
-        return bench.run(Path(model), settings, expected)
+        bench, path = Bench.of(pytestconfig), Path(model)
+        expected = tuple(expected_failures)
+        try:
+            if expected != bench.expected:  # those of the options may speak of other models
+                refuse_strangers(expected, {path: bench.plan(path, settings)})
+            return bench.run(path, settings, expected)
+        except (GsgenError, pytest.UsageError) as error:
+            pytest.fail(f"{error}", pytrace=False)
 
     @pytest.fixture
     def _ready(
@@ -89,11 +94,8 @@ class GeneratorConformance:
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
         """Give each suite's test the rules that the suite claims."""
-        name = metafunc.function.__name__.removeprefix("test_").replace("_", "-")
-        if name in {suite.name for suite in SUITES} and "rule" in metafunc.fixturenames:
-            rules = [
-                rule for rule in installed_rules().rules.values() if _home(rule) == name
-            ]
+        rules = getattr(metafunc.function, "rules", None)
+        if rules is not None:
             ids = [f"{rule.id}-{rule.slug}" for rule in rules]
             metafunc.parametrize("rule", rules, ids=ids)
 
@@ -105,28 +107,36 @@ def _home(rule: Rule) -> str:
     return next(suite.name for suite in suites if suite.claims(rule))
 
 
-def _test_of(suite: str, summary: str) -> object:
+def _test_of(suite: Suite, rules: list[Rule]) -> Callable[..., None]:
+    """Return the test of a suite, to be called with each of its rules."""
+
     @pytest.mark.usefixtures("_ready")
     def test(self: GeneratorConformance, rule: Rule, conformance: ModelRun) -> None:
         __tracebackhide__ = True
         try:
             case = conformance.case(rule.id)
         except KeyError:
-            pytest.skip("not-applicable: not for this kind of model, or for another target")
-        if suite not in conformance.suites and case.status == "passed":
-            pytest.skip(
-                f"not-applicable: suite {suite} is not for what this model declares"
-            )
+            pytest.skip("not-applicable: for another target or kind of model")
+        if suite.name not in conformance.suites and case.status == "passed":
+            pytest.skip(f"not-applicable: suite {suite.name} is not for what it declares")
         act(conformance, case)
 
-    test.__doc__ = summary
-    test.__name__ = f"test_{suite.replace('-', '_')}"
+    test.__doc__ = suite.summary
+    test.__name__ = _name(suite)
+    test.rules = rules  # type: ignore[attr-defined]
     return test
 
 
-for _suite in SUITES:
-    setattr(
-        GeneratorConformance,
-        f"test_{_suite.name.replace('-', '_')}",
-        _test_of(_suite.name, _suite.summary),
-    )
+def _name(suite: Suite) -> str:
+    return f"test_{suite.name.replace('-', '_')}"
+
+
+def _add_tests() -> None:
+    """Give the class a test for each suite, so that an author can override or drop one."""
+    for suite in SUITES:
+        rules = [r for r in installed_rules().rules.values() if _home(r) == suite.name]
+        if rules:
+            setattr(GeneratorConformance, _name(suite), _test_of(suite, rules))
+
+
+_add_tests()

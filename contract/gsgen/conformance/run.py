@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gsgen.conformance.cases import Case, CaseStatus, settle
-from gsgen.conformance.evidence import Evidence, gather
+from gsgen.conformance.evidence import Dumps, Evidence, gather
 from gsgen.conformance.expected import ExpectedFailure
 from gsgen.conformance.suite import Declared, plan_suites
 from gsgen.contract.config import Settings
@@ -76,7 +76,7 @@ def run_model(
     *,
     suites: Iterable[str] = (),
     expected: Iterable[ExpectedFailure] = (),
-    dumps: Path | None = None,
+    dumps: Dumps | None = None,
     progress: Progress = lambda words: None,
 ) -> ModelRun:
     """Judge a model once and say what came of every rule of its suites.
@@ -86,7 +86,7 @@ def run_model(
         settings: Level, target, limits and severities.
         suites: Names of the suites to report; all that apply where empty.
         expected: Rules that are known to be broken.
-        dumps: Folder for the inputs and outputs of failing probes; none are kept without it.
+        dumps: Where inputs and outputs of failing probes go; none are kept without it.
         progress: Called with a few words whenever a new stage begins.
 
     Raises:

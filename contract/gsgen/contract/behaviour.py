@@ -1,14 +1,17 @@
 """What behaviour rules look at: several runs of one session, compared output by output."""
 
-__all__ = ["Behaviour", "Comparison", "Trial", "read_behaviour"]
+__all__ = ["Behaviour", "Comparison", "Trial", "Visit", "difference", "read_behaviour"]
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from gsgen.contract.plan import Plan
-from gsgen.contract.sandbox import Execution
+from gsgen.contract.probes import Probe
+from gsgen.contract.sandbox import Execution, Sample
 from gsgen.contract.subject import Subject
+from gsgen.contract.worker import thinned
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +39,41 @@ class Comparison:
 
 
 @dataclass(frozen=True, slots=True)
+class Visit:
+    """One run that a rule asked for.
+
+    Attributes:
+        probe: Its inputs.
+        sample: What it gave; None where it failed.
+        error: What ONNX Runtime said; empty where it did not fail.
+    """
+
+    probe: Probe
+    sample: Sample | None
+    error: str
+
+    @property
+    def outputs(self) -> dict[str, np.ndarray]:
+        """What it gave, or a part of the rows where there are many; empty where it failed."""
+        if self.sample is None:
+            return {}
+        return {name: thinned(value) for name, value in self.sample.outputs.items()}
+
+    @property
+    def digest(self) -> str:
+        """Stands for all that it gave, bit for bit; empty where it failed."""
+        return self.sample.digest if self.sample is not None else ""
+
+    @property
+    def not_finite(self) -> tuple[str, ...]:
+        """Outputs with a value that is NaN or infinite."""
+        if self.sample is None or self.sample.thin:
+            return self.sample.not_finite if self.sample else ()
+        floats = {n: v for n, v in self.sample.outputs.items() if v.dtype.kind == "f"}
+        return tuple(name for name, value in floats.items() if not np.isfinite(value).all())
+
+
+@dataclass(frozen=True, slots=True)
 class Behaviour:
     """Comparisons between runs.
 
@@ -44,12 +82,61 @@ class Behaviour:
         repeated: The same inputs twice in a row.
         revisited: The same inputs with others in between; None without inputs.
         varied: Role → runs that differ in that role's inputs alone.
+        trial: The runs themselves.
     """
 
     subject: Subject
     repeated: Comparison
     revisited: Comparison | None
     varied: dict[str, tuple[Comparison, ...]]
+    trial: Trial
+
+    @property
+    def emitted(self) -> list[tuple[Probe, dict[str, np.ndarray]]]:
+        """The probes that value rules look at, all-zero ones left out, with their outputs."""
+        return [one for one in self._of(range(self.trial.plan.values)) if not one[0].zeros]
+
+    def variants(self, role: str) -> list[tuple[Probe, dict[str, np.ndarray]]]:
+        """The base probe and those that differ from it in the inputs of ``role`` alone."""
+        base, others = self.trial.plan.variants.get(role, (0, ()))
+        return self._of((base, *others)) if others else []
+
+    @property
+    def values(self) -> list[Visit]:
+        """The runs that value rules look at, in order."""
+        return [self._visit(index) for index in range(self.trial.plan.values)]
+
+    @property
+    def base(self) -> Visit:
+        """The run that most others are compared with."""
+        repeated = self.trial.plan.repeated
+        assert repeated is not None
+        return self._visit(repeated[0])
+
+    @property
+    def seconds(self) -> list[float]:
+        """How long each run of the value probes took."""
+        return [run.seconds for run in self.trial.execution.runs[: self.trial.plan.values]]
+
+    def visits(self, trial: str) -> list[Visit]:
+        """Return the extra runs of one name that took place."""
+        plan = self.trial.plan
+        return [
+            self._visit(index) for index in plan.trials.get(trial, ()) if self._ran(index)
+        ]
+
+    def _ran(self, index: int) -> bool:
+        run = self.trial.execution.runs[index]
+        return run.sample >= 0 or bool(run.error)
+
+    def _visit(self, index: int) -> Visit:
+        run, probe = self.trial.execution.runs[index], self.trial.plan.probes[index]
+        sample = self.trial.execution.samples[run.sample] if run.sample >= 0 else None
+        return Visit(probe, sample, run.error)
+
+    def _of(self, indices: Iterable[int]) -> list[tuple[Probe, dict[str, np.ndarray]]]:
+        visits = (self._visit(index) for index in indices)
+        return [(v.probe, v.sample.outputs) for v in visits if v.sample is not None]
 
 
 def read_behaviour(trial: Trial) -> Behaviour:
@@ -61,7 +148,8 @@ def read_behaviour(trial: Trial) -> Behaviour:
         for role, (base, others) in plan.variants.items()
     }
     revisited = _compare(trial, *plan.revisited) if plan.revisited else None
-    return Behaviour(trial.subject, _compare(trial, *plan.repeated), revisited, varied)
+    repeated = _compare(trial, *plan.repeated)
+    return Behaviour(trial.subject, repeated, revisited, varied, trial)
 
 
 def _compare(trial: Trial, first: int, second: int) -> Comparison:
@@ -74,7 +162,7 @@ def _compare(trial: Trial, first: int, second: int) -> Comparison:
         (name, value, samples[b].outputs[name])
         for name, value in samples[a].outputs.items()
     )
-    changed = {name: _difference(x, y) for name, x, y in pairs if not _same_bits(x, y)}
+    changed = {name: difference(x, y) for name, x, y in pairs if not _same_bits(x, y)}
     return Comparison(*labels, changed)
 
 
@@ -82,7 +170,8 @@ def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
     return a.shape == b.shape and a.tobytes() == b.tobytes()
 
 
-def _difference(a: np.ndarray, b: np.ndarray) -> float:
+def difference(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the largest absolute difference; infinite where shapes or finiteness differ."""
     if a.shape != b.shape:
         return float("inf")
     x, y = a.astype(np.float64), b.astype(np.float64)

@@ -70,12 +70,12 @@ def compare_models(
         ModelUnreadable: One of the files is no model.
     """
     limits, target = limits or Limits(), load_target("core")
-    subjects = [read_subject(open_model(path), target, limits) for path in (first, second)]
-    facts = list(_contract(*subjects)) + list(_graph(*subjects))
-    reason = _incomparable(*subjects)
+    a, b = (read_subject(open_model(path), target, limits) for path in (first, second))
+    facts = [*_contract(a, b), *_graph(a, b)]
+    reason = _incomparable(a, b)
     if reason:
         return facts, [], reason
-    outputs, reason = _outputs(*subjects, limits)
+    outputs, reason = _outputs(a, b, limits)
     return facts, outputs, reason
 
 

@@ -10,6 +10,7 @@ from gsgen.contract.graph import Tensor
 from gsgen.contract.manifest import Input
 from gsgen.contract.probes import Probe, default_probes, dependency_probes
 from gsgen.contract.subject import Subject
+from gsgen.contract.trials import trial_probes
 
 # All distinct outputs together should not fill the disk that holds temporary files.
 _BUDGET = 1 << 30
@@ -34,6 +35,7 @@ class Plan:
         repeated: Two consecutive runs with the same inputs.
         revisited: Two runs with the same inputs and others between them.
         variants: Role → (base run, runs that differ from it in that role alone).
+        trials: Name → the runs that one rule asks for.
     """
 
     probes: tuple[Probe, ...]
@@ -41,6 +43,7 @@ class Plan:
     repeated: tuple[int, int] | None = None
     revisited: tuple[int, int] | None = None
     variants: dict[str, tuple[int, tuple[int, ...]]] = field(default_factory=dict)
+    trials: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
 
 def make_plan(subject: Subject, level: Level, seed: int = 0) -> Plan:
@@ -62,8 +65,13 @@ def make_plan(subject: Subject, level: Level, seed: int = 0) -> Plan:
     for role, changed in dependency_probes(manifest, first[base], others):
         variants[role] = (base, tuple(range(len(probes), len(probes) + len(changed))))
         probes.extend(changed)
+    trials: dict[str, tuple[int, ...]] = {}
+    for name, made in trial_probes(manifest, first[base], first):
+        trials[name] = tuple(range(len(probes), len(probes) + len(made)))
+        probes.extend(made)
     revisited = (base, again) if len(first) > 1 else None
-    return Plan(tuple(probes), len(first), (again, again + 1), revisited, variants)
+    repeated = (again, again + 1)
+    return Plan(tuple(probes), len(first), repeated, revisited, variants, trials)
 
 
 def fetched_outputs(subject: Subject) -> list[str]:

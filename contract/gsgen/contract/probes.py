@@ -5,7 +5,7 @@ other input is sampled within its range. The first probe is all zeros, because t
 runtimes feed before they know better.
 """
 
-__all__ = ["Probe", "as_tensor", "default_probes", "dependency_probes"]
+__all__ = ["Array", "Probe", "as_tensor", "default_probes", "dependency_probes"]
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -37,11 +37,16 @@ class Probe:
         label: What a report calls it, such as ``camera 3, time=0.5``.
         inputs: Input name → array.
         zeros: Every input is zero.
+        extra: Behaviour rules alone look at it: of its outputs a part is kept, and if it fails the
+            model has not failed.
+        optimise: Whether ONNX Runtime may rewrite the graph.
     """
 
     label: str
     inputs: dict[str, Array]
     zeros: bool = False
+    extra: bool = False
+    optimise: bool = True
 
 
 def default_probes(

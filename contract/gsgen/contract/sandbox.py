@@ -72,19 +72,30 @@ class Sample:
     Attributes:
         index: Its number, counted in order of appearance.
         outputs: Output name → array, memory-mapped from the child's file.
+        digest: SHA-256 over all outputs, see :func:`gsgen.contract.worker.digest_of`.
+        thin: Only every so many rows were kept.
+        not_finite: Outputs with a value that is NaN or infinite, where thin.
     """
 
     index: int
     outputs: dict[str, np.ndarray]
+    digest: str = ""
+    thin: bool = False
+    not_finite: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One inference: which probe, which sample it gave, and how long it took."""
+    """One inference: which probe, which sample it gave, and how long it took.
+
+    An extra probe may give none: then ``sample`` is −1, and ``error`` says why, or is empty where
+    there was no time left.
+    """
 
     probe: int
     sample: int
     seconds: float
+    error: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +167,10 @@ def _write_job(
         "model": str(model.resolve()),
         "outputs": list(outputs),
         "probes": [list(probe.inputs) for probe in probes],
+        "extra": [probe.extra for probe in probes],
+        "optimise": [probe.optimise for probe in probes],
         "memory": limits.memory,
+        "seconds": limits.seconds,
         **options,
     }
     (folder / "job.json").write_text(json.dumps(job))
@@ -194,12 +208,18 @@ def _stop(child: "subprocess.Popen[bytes]") -> None:
 def _collect(folder: Path, status: int | None, seconds: float, limits: Limits) -> Execution:
     events = _events(folder / "events.jsonl")
     runs = tuple(
-        Run(event["probe"], event["sample"], event["seconds"])
+        Run(event["probe"], event["sample"], event["seconds"], event.get("error", ""))
         for event in events
         if event["event"] == "run"
     )
     samples = tuple(
-        Sample(event["sample"], _load(folder, event["outputs"]))
+        Sample(
+            event["sample"],
+            _load(folder, event["outputs"]),
+            event["digest"],
+            event["thin"],
+            tuple(event["not_finite"]),
+        )
         for event in events
         if event["event"] == "sample"
     )

@@ -6,6 +6,7 @@ whatever stops it leaves all that was done before. Other workers are made of the
 
 __all__ = [
     "Emit",
+    "digest_of",
     "keep_outputs",
     "limit_memory",
     "main",
@@ -13,6 +14,7 @@ __all__ = [
     "read_inputs",
     "serve",
     "stage_of",
+    "thinned",
 ]
 
 import contextlib
@@ -27,6 +29,10 @@ from typing import Any
 import numpy as np
 
 _OUT_OF_MEMORY = ("bad_alloc", "bad allocation", "Failed to allocate memory", "MemoryError")
+
+# Extra probes start only within this share of the time, so that they never use it up.
+_SHARE_FOR_EXTRAS = 0.5
+_THIN_ROWS = 1 << 14
 
 Emit = Callable[..., None]
 
@@ -50,31 +56,54 @@ def serve(folder: Path, work: Callable[[Path, dict[str, Any], Emit], int]) -> in
 def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
     import onnxruntime
 
+    began = time.monotonic()
     emit("started", version=onnxruntime.__version__)
     limit_memory(job["memory"])
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 4
+    deadline = began + _SHARE_FOR_EXTRAS * job["seconds"]
+    known: dict[str, int] = {}
     probe: int | None = None
+    optimised = True
     try:
-        session = onnxruntime.InferenceSession(
-            job["model"], options, providers=["CPUExecutionProvider"]
-        )
-        known: dict[str, int] = {}
+        session = _session(job["model"])
         for probe, names in enumerate(job["probes"]):
             emit("begin", probe=probe)
-            inputs = read_inputs(folder / f"probe_{probe}.npz", names)
-            began = time.perf_counter()
-            outputs = session.run(job["outputs"], inputs)
-            seconds = time.perf_counter() - began
-            sample = keep_outputs(
-                folder, dict(zip(job["outputs"], outputs, strict=True)), known, emit
-            )
+            extra = job["extra"][probe]
+            if extra and time.monotonic() > deadline:
+                emit("run", probe=probe, sample=-1, seconds=0.0)
+                continue
+            try:
+                if job["optimise"][probe] is not optimised:
+                    optimised = job["optimise"][probe]
+                    del session  # first, so that two of them never need memory at once
+                    session = _session(job["model"], optimise=optimised)
+                inputs = read_inputs(folder / f"probe_{probe}.npz", names)
+                started = time.perf_counter()
+                outputs = session.run(job["outputs"], inputs)
+                seconds = time.perf_counter() - started
+                named = dict(zip(job["outputs"], outputs, strict=True))
+                sample = keep_outputs(folder, named, known, emit, thin=extra)
+            except Exception as error:
+                if not extra:
+                    raise
+                emit("run", probe=probe, sample=-1, seconds=0.0, error=one_line(error))
+                continue
             emit("run", probe=probe, sample=sample, seconds=seconds)
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
         emit("fault", stage=stage_of(error, probe), message=one_line(error), probe=probe)
         return 0
     emit("done")
     return 0
+
+
+def _session(model: str, *, optimise: bool = True) -> Any:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 4
+    if not optimise:
+        level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
+        options.graph_optimization_level = level
+    return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
 
 
 def limit_memory(limit: int) -> None:
@@ -95,9 +124,32 @@ def read_inputs(path: Path, names: list[str]) -> dict[str, np.ndarray]:
 
 
 def keep_outputs(
-    folder: Path, outputs: dict[str, np.ndarray], known: dict[str, int], emit: Emit
+    folder: Path,
+    outputs: dict[str, np.ndarray],
+    known: dict[str, int],
+    emit: Emit,
+    *,
+    thin: bool = False,
 ) -> int:
-    """Store outputs that were not seen before; return the number of the sample they are."""
+    """Store outputs that were not seen before; return the number of the sample they are.
+
+    Where ``thin``, a part of the rows is stored, and which outputs are not finite is noted.
+    """
+    key = digest_of(outputs)
+    if key not in known:
+        known[key] = len(known)
+        files = {name: f"sample_{known[key]}_{k}.npy" for k, name in enumerate(outputs)}
+        for name, file in files.items():
+            kept = thinned(outputs[name]) if thin else outputs[name]
+            np.save(folder / file, kept, allow_pickle=False)
+        bad = [name for name, value in outputs.items() if thin and not _finite(value)]
+        facts = {"digest": key, "outputs": files, "thin": thin, "not_finite": bad}
+        emit("sample", sample=known[key], **facts)
+    return known[key]
+
+
+def digest_of(outputs: dict[str, np.ndarray]) -> str:
+    """Return SHA-256 over a line "name dtype shape" and the bytes of each output, in order."""
     digest = hashlib.sha256()
     for name, value in outputs.items():
         if not isinstance(value, np.ndarray) or value.dtype.hasobject:
@@ -107,14 +159,17 @@ def keep_outputs(
             raise TypeError(f"output {name!r} is {saw}, wanted a numeric tensor")
         digest.update(f"{name} {value.dtype} {value.shape}\n".encode())
         digest.update(np.ascontiguousarray(value).data)
-    key = digest.hexdigest()
-    if key not in known:
-        known[key] = len(known)
-        files = {name: f"sample_{known[key]}_{k}.npy" for k, name in enumerate(outputs)}
-        for name, file in files.items():
-            np.save(folder / file, outputs[name], allow_pickle=False)
-        emit("sample", sample=known[key], digest=key, outputs=files)
-    return known[key]
+    return digest.hexdigest()
+
+
+def thinned(value: np.ndarray) -> np.ndarray:
+    """Return every so many rows of ``value``, some 16,384 of them; all where there are fewer."""
+    step = max(1, len(value) // _THIN_ROWS) if value.ndim else 1
+    return value[::step] if step > 1 else value
+
+
+def _finite(value: np.ndarray) -> bool:
+    return value.dtype.kind != "f" or bool(np.isfinite(value).all())
 
 
 def stage_of(error: Exception, probe: int | None) -> str:

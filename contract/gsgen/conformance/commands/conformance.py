@@ -94,6 +94,7 @@ def _test(
     expected: "Sequence[ExpectedFailure]",
     dump: Path | None,
 ) -> "Entry":
+    from gsgen.conformance.evidence import Dumps
     from gsgen.conformance.run import run_model
     from gsgen.contract.report import Unreadable
 
@@ -103,7 +104,7 @@ def _test(
             settings,
             suites=suites,
             expected=expected,
-            dumps=dump,
+            dumps=Dumps(dump) if dump else None,
             progress=_progress,
         )
     except ModelUnreadable as error:

@@ -137,6 +137,8 @@ def keeps_frame_rate(behaviour: Behaviour) -> Iterator[Breach]:
             continue
         median, late = times[len(times) // 2], times[int(0.95 * (len(times) - 1))]
         if median > 1 / entry.fps:
-            saw = f"median {1e3 * median:.3g} ms, 95 % within {1e3 * late:.3g} ms on this CPU"
+            saw = (
+                f"median {1e3 * median:.3g} ms, 95 % within {1e3 * late:.3g} ms on this CPU"
+            )
             want = f"{1e3 / entry.fps:.3g} ms, as {entry.fps:g} frames a second need"
             yield Breach.at(f"input {tensor.name}", saw, want, certainty="possible")

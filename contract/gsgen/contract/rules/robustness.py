@@ -1,0 +1,200 @@
+"""GB and GI, robustness: edges of inputs, another optimiser, another order of runs."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from gsgen.contract.behaviour import Behaviour, Visit, difference
+from gsgen.contract.finding import Breach, Severity
+from gsgen.contract.layout import OPACITY
+from gsgen.contract.roles import KINDS
+from gsgen.contract.rule import rule
+from gsgen.contract.trials import AGAIN
+
+_RUNS = ("GV025", "GB001", "GB002")
+_FINITE = ("GV001", "GV002", "GI009")
+
+# What rewriting a graph may change by rounding, relative to an output's largest value.
+_REWRITTEN = 1e-2
+_INERT_SHARE = 0.5
+_MOSTLY_DEAD = 0.9
+
+
+def _broken(visits: list[Visit]) -> Iterator[Breach]:
+    for visit in visits:
+        if visit.error:
+            yield Breach.at(
+                "ONNX Runtime", f"{visit.error} ({visit.probe.label})", "no error"
+            )
+        for name in visit.not_finite:
+            yield Breach.at(
+                f"output {name}", f"not finite at {visit.probe.label!r}", "finite values"
+            )
+
+
+@rule(
+    "GB013",
+    "edges-finite",
+    Severity.ERROR,
+    over="runs",
+    fixture="nan_at_half_a_turn",
+    needs=(*_RUNS, *_FINITE),
+)
+def edges_finite(behaviour: Behaviour) -> Iterator[Breach]:
+    """Every output is finite while one input is all zero, and at both ends of all ranges.
+
+    Why:
+        A rest pose is all zeros, a slider rests at its end, a joint turns by half a circle: norms
+        of zero and logarithms of zero hide there.
+
+    Mend:
+        Clamp under the square root, and before division and logarithm.
+    """
+    yield from _broken(behaviour.visits("edges"))
+
+
+@rule(
+    "GI010",
+    "beyond-range-finite",
+    Severity.WARNING,
+    over="runs",
+    fixture="nan_beyond_range",
+    needs=(*_RUNS, *_FINITE, "GB013"),
+)
+def beyond_range_finite(behaviour: Behaviour) -> Iterator[Breach]:
+    """Just outside the declared ranges, every output is finite and nothing fails.
+
+    Why:
+        Timelines overshoot by a rounding error, and sliders by a pixel. An index computed from time
+        then lies outside its table, and the whole frame fails.
+
+    Mend:
+        Clip inputs to their range inside the model.
+    """
+    yield from _broken(behaviour.visits("outside"))
+
+
+@rule(
+    "GB010",
+    "optimiser-agrees",
+    Severity.WARNING,
+    over="runs",
+    fixture="optimised_wrongly",
+    needs=(*_RUNS, "GG020"),
+    kinds=KINDS,
+)
+def optimiser_agrees(behaviour: Behaviour) -> Iterator[Breach]:
+    """With the optimisations of ONNX Runtime switched off, the outputs are the same but for rounding.
+
+    Why:
+        Optimisers rewrite graphs, and some rewrites are wrong or amplify rounding. Every runtime
+        and every release has others, so such a model shows something else elsewhere.
+
+    Mend:
+        Find the operators by switching optimisations off one by one; write that part differently.
+    """
+    base = behaviour.base
+    for visit in behaviour.visits("plain"):
+        for name, value in base.outputs.items():
+            other = visit.outputs.get(name)
+            if other is None:
+                continue
+            peak = float(np.abs(value.astype(np.float64)).max(initial=0))
+            least = 1.0 if value.dtype.kind in "iu" else 0.0
+            largest = difference(value, other)
+            if largest > max(_REWRITTEN * peak, least):
+                saw = f"differs by up to {largest:.3g} without optimisations"
+                want = f"{_REWRITTEN * peak:.3g} at most, 1 % of the largest value"
+                yield Breach.at(f"output {name}", saw, want)
+
+
+@rule(
+    "GB012",
+    "order-does-not-matter",
+    Severity.INFO,
+    over="runs",
+    fixture="remembers_after_a_while",
+    needs=_RUNS,
+    kinds=KINDS,
+)
+def order_does_not_matter(behaviour: Behaviour) -> Iterator[Breach]:
+    """After all other runs, the probes give the same bits in reverse order.
+
+    Why:
+        What is remembered from run to run may show only after a while.
+
+    Mend:
+        Make every output a function of the inputs alone.
+    """
+    first = {one.probe.label: one.digest for one in behaviour.values}
+    for visit in behaviour.visits("again"):
+        label = visit.probe.label.removesuffix(f" {AGAIN}")
+        if visit.digest and visit.digest != first[label]:
+            yield Breach.at(f"probe {label!r}", "other bits than at first", "the same bits")
+
+
+@rule(
+    "GB009",
+    "live-rows-first",
+    Severity.INFO,
+    over="runs",
+    fixture="mostly_inert",
+    needs=("GV025", "GO001", "GO002", "GO010", "GO011", "GV016", "GV003"),
+)
+def live_rows_first(behaviour: Behaviour) -> Iterator[Breach]:
+    """An exact count counts rows that are drawn: most of them are not fully transparent.
+
+    Why:
+        A renderer sorts and visits all rows before an exact count. If most are inert, the live ones
+        do not stand first, and the count saves nothing.
+
+    Mend:
+        Move live rows to the front, or declare the count's semantics as "upper-bound".
+    """
+    subject = behaviour.subject
+    declared, count = subject.declared_gaussians, subject.declared_count
+    if declared is None or count is None or count.semantics != "exact":
+        return
+    for probe, outputs in behaviour.emitted:
+        live = max(0, int(outputs[count.name].reshape(-1)[0]))
+        opacity = outputs[declared.name][:live, OPACITY]
+        inert = int(np.count_nonzero(opacity == 0))
+        # If nearly all are, another rule says so.
+        if _INERT_SHARE * len(opacity) < inert <= _MOSTLY_DEAD * len(opacity):
+            saw = (
+                f"{inert} of {len(opacity)} counted rows have opacity 0 at {probe.label!r}"
+            )
+            yield Breach.at(f"output {count.name}", saw, "live rows first")
+            return
+
+
+@rule(
+    "GM012",
+    "test-vectors-reproduce",
+    Severity.WARNING,
+    over="runs",
+    fixture="test_vector_differs",
+    needs=(*_RUNS, "GM002", "GM003"),
+    kinds=KINDS,
+)
+def vectors_reproduce(behaviour: Behaviour) -> Iterator[Breach]:
+    """Every test vector names a probe, and the model gives the outputs that it promises.
+
+    Why:
+        A vector tells whoever downloads the model that it runs as it did at its author's. The
+        digest is SHA-256 over the declared outputs in order: a line "name dtype shape", then the
+        bytes. Another processor may round differently, so a difference is no proof of a fault.
+
+    Mend:
+        Take the digest given here, if the model is right. Models without vectors are fine.
+    """
+    manifest = behaviour.subject.manifest
+    digests = {one.probe.label: one.digest for one in behaviour.values}
+    for index, vector in enumerate(manifest.test_vectors if manifest else ()):
+        place, given = f"manifest test_vectors.{index}", digests.get(vector.inputs)
+        if given is None:
+            known = ", ".join(map(repr, digests))
+            yield Breach.at(place, f"no probe {vector.inputs!r}", f"one of {known}")
+        elif given != vector.expected_sha256:
+            want = f"the declared {vector.expected_sha256}"
+            yield Breach.at(place, f"sha256 {given}", want, certainty="possible")
