@@ -137,7 +137,7 @@ def _place(
         return Placement(node, dtype, "control flow", {})
     if node.op_type in _SIZED_BY_DATA or not varying.isdisjoint(shape_arguments(node)):
         return Placement(node, dtype, "shape", {})
-    if dtype == "float64":
+    if "float64" in (dtype, variant.removeprefix("to ")):
         return Placement(node, dtype, "float64", {})
     domain = node.domain in _MAIN_DOMAIN
     found = {

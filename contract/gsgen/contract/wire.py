@@ -42,7 +42,7 @@ STUB = b"\0"
 # A message up to this size is copied whole: looking inside would cost more than it saves.
 _SMALL = 2048
 _SMALL_INTEGERS = 1 << 20
-_MAX_FIELDS = 4_000_000
+_MAX_FIELDS = 1_000_000
 _MAX_DEPTH = 100
 _MAX_KEPT = 256 << 20
 
