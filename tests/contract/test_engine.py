@@ -193,7 +193,7 @@ def test_progress_is_told_in_a_few_words(good):
     validate(good, progress=told.append)
     assert told == [
         "reading good.onnx",
-        "running 13 probes in ONNX Runtime",
+        "running 22 probes in ONNX Runtime",
         "checking values",
         "comparing runs",
     ]

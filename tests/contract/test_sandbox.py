@@ -310,3 +310,37 @@ def test_the_job_is_plain_data(folder):
         "memory": 5,
         "seconds": 120.0,
     }
+
+
+ROOT_OF_INDEX = model("""
+look (float[1] x) => (float[1] y) <float[2] table = {1, 4}> {
+    row = Cast <to = 6> (x)
+    y = Gather (table, row)
+}
+""")
+
+
+def test_an_extra_probe_that_fails_is_no_fault_of_the_model(folder):
+    path = save(folder / "a.onnx", ROOT_OF_INDEX)
+    far = np.float32([9])
+    probes = [probe(x=np.float32([1])), Probe("far", {"x": far}, extra=True)]
+    with execute(path, ["y"], probes, Limits()) as execution:
+        assert execution.fault is None
+        assert [run.sample for run in execution.runs] == [0, -1]
+        assert "out of data bounds" in execution.runs[1].error
+    with execute(path, ["y"], [probe(x=far)], Limits()) as execution:
+        assert execution.fault.stage == "run"
+
+
+def test_of_an_extra_probe_a_part_of_the_rows_is_kept_and_what_is_not_finite(folder):
+    rows = 1 << 16
+    text = f"root (float[{rows},1] x) => (float[{rows},1] y) {{ y = Sqrt (x) }}"
+    path = save(folder / "a.onnx", model(text))
+    x = np.arange(rows, dtype=np.float32)[:, None]
+    x[5] = -1
+    probes = [Probe("part", {"x": x}, extra=True, optimise=False)]
+    with execute(path, ["y"], probes, Limits()) as execution:
+        (sample,) = execution.samples
+        assert sample.thin
+        assert sample.not_finite == ("y",)
+        np.testing.assert_array_equal(sample.outputs["y"], np.sqrt(x[::4]))

@@ -17,8 +17,8 @@ from gsgen.contract.subject import Subject
 # Rows judged at a time: their unpacked columns stay in the second-level cache.
 CHUNK = 16384
 
-_SAMPLE = 1 << 14
-_ORDER_SAMPLE = 1 << 12
+_SAMPLE = 1 << 13
+_ORDER_SAMPLE = 1 << 10
 _EXPONENT = {2: 0x7C00, 4: 0x7F800000}
 _MAGNITUDE = {2: 0x7FFF, 4: 0x7FFFFFFF}
 _WORD: dict[int, type[np.unsignedinteger]] = {2: np.uint16, 4: np.uint32}
@@ -66,7 +66,7 @@ class Emission:
 
     @cached_property
     def shown_colors(self) -> Float[np.ndarray, "m c"]:
-        """Finite colours of rows that are drawn, spread over all rows, in float64.
+        """Finite colours of rows that are drawn, spread over all rows, in float32.
 
         Enough for a mean; more would only cost time.
         """
@@ -75,8 +75,9 @@ class Emission:
             return np.zeros((0, 0))
         live = slice(0, self.count, max(1, self.count // _SAMPLE))
         shown = rows[live, OPACITY].astype(np.float32) >= CULL_OPACITY
-        sample = color[live][shown].astype(np.float64)
-        return np.asarray(sample[np.isfinite(sample).all(axis=1)])
+        sample = color[live][shown].astype(np.float32)
+        finite = np.isfinite(sample).all(axis=1)
+        return sample if finite.all() else np.asarray(sample[finite])
 
     @cached_property
     def field_order(self) -> FieldOrder | None:
@@ -198,6 +199,11 @@ class Rows:
         """Sum of the variances along the axes."""
         xx, _, _, yy, _, zz = self.covariance
         return np.asarray(xx + yy + zz)
+
+    @cached_property
+    def corners(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """The box around all centres, padding included; NaN where a centre is."""
+        return self.position.min(axis=1), self.position.max(axis=1)
 
     @cached_property
     def widest(self) -> Float[np.ndarray, " n"]:

@@ -81,7 +81,7 @@ def sh_order(emission: Emission) -> Iterator[Breach]:
         return
     if sample.shape[1] < 12 or not len(sample):  # a single coefficient has no order
         return
-    energy = np.square(sample).mean(axis=0)
+    energy = np.square(sample).mean(axis=0, dtype=np.float64)
     if not energy.sum() > 0:
         return
     spread = {
@@ -137,7 +137,10 @@ def sh_magnitude(emission: Emission) -> Iterator[Breach]:
     """
     if not emission.is_sh or emission.shown_colors.shape[1] <= 3:
         return
-    detail = np.abs(emission.shown_colors[:, 3:])
+    detail = emission.shown_colors[:, 3:]
+    if not len(detail) or max(-detail.min(), detail.max()) <= _LARGE:
+        return
+    detail = np.abs(detail)
     share = float(np.count_nonzero(detail > _LARGE) / max(detail.size, 1))
     if share > _LARGE_SHARE:
         saw = f"{100 * share:.3g} % of coefficients beyond ±{_LARGE:g}, up to {detail.max():.3g}"
@@ -154,7 +157,7 @@ def sh_magnitude(emission: Emission) -> Iterator[Breach]:
     needs=("GV025", "GO005", "GO006", "GO007", "GO008", "GM005"),
 )
 def fourth_channel_unused(emission: Emission) -> Iterator[Breach]:
-    """The fourth channel of RGB holds one number, 0 or 1, in all rows.
+    """The fourth channel of RGB holds the same number in all rows.
 
     Why:
         It only fills the row up to whole words, and no reader looks at it. What varies there was
@@ -167,6 +170,6 @@ def fourth_channel_unused(emission: Emission) -> Iterator[Breach]:
     if emission.is_sh or sample.shape[1] != 4 or not len(sample):
         return
     low, high = sample[:, 3].min(), sample[:, 3].max()
-    if low != high or low not in (0, 1):
+    if low != high:
         saw = f"values from {low:.3g} to {high:.3g} in channel 3"
-        yield Breach.at(emission.color_place, saw, "0 or 1 in all rows")
+        yield Breach.at(emission.color_place, saw, "one number in all rows")

@@ -103,14 +103,18 @@ def position_resolution(rows: Rows) -> Iterator[Breach]:
     """
     if rows.packed.dtype != np.float16:
         return
-    farthest = np.abs(rows.position).max(axis=0)
-    coarse = np.square(farthest * _HALF_STEP) > rows.widest  # a bound on the step
-    if coarse.any():
-        step = np.exp2(np.floor(np.log2(np.maximum(farthest, _SMALLEST_HALF)))) * _HALF_STEP
-        coarse &= np.square(step) > rows.widest
+    bound = np.square(np.abs(rows.corners).max(initial=0) * _HALF_STEP)  # NaN finds all
+    farthest, coarse = np.zeros(len(rows), np.float32), np.zeros(len(rows), bool)
+    small = np.flatnonzero(rows.drawn & (rows.widest > 0) & ~(rows.widest >= bound))
+    if len(small):
+        far = np.abs(rows.position[:, small]).max(axis=0)
+        power = np.floor(np.log2(np.maximum(far, _SMALLEST_HALF)))
+        beyond = np.square(np.exp2(power) * _HALF_STEP) > rows.widest[small]
+        coarse[small] = beyond & (far < _SATURATED)
+        farthest[small] = far
     yield Breach.rows(
         Where(rows.emission.rows_place, "position"),
-        coarse & rows.drawn & (rows.widest > 0) & (farthest < _SATURATED),
+        coarse,
         rows.packed[:, :3],
         "steps below the largest standard deviation",
         judged=rows.drawn_count,
@@ -178,10 +182,9 @@ def centres_within_bounds(rows: Rows) -> Iterator[Breach]:
     slack = _OUTSIDE_SLACK * float(np.linalg.norm(high - low))
     if rows.packed.dtype == np.float16:
         slack += float(_HALF_STEP * max(np.abs(low).max(), np.abs(high).max()))
-    position = rows.position
-    kept = position.min(axis=1) >= low - slack, position.max(axis=1) <= high + slack
+    position, (lowest, highest) = rows.position, rows.corners
     outside = np.zeros(len(rows), bool)
-    if not (kept[0].all() and kept[1].all()):
+    if not ((lowest >= low - slack) & (highest <= high + slack)).all():
         inside = (position >= (low - slack)[:, None]) & (
             position <= (high + slack)[:, None]
         )
