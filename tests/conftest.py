@@ -1,0 +1,30 @@
+"""Which processes are measured: test workers, and commands that a test of the command line runs.
+
+Measuring costs every process a tenth of a second at its start. The thousand children that ONNX
+Runtime runs in are not measured, but for those of the command line's own tests.
+"""
+
+import os
+
+import pytest
+
+_ON = {
+    name: value for name, value in os.environ.items() if name.startswith("COVERAGE_PROCESS")
+}
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if "PYTEST_XDIST_WORKER" in os.environ:  # started, and measured already
+        for name in _ON:
+            os.environ.pop(name, None)
+
+
+@pytest.fixture(autouse=True)
+def _measured(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if request.node.path.name in (
+        "test_validate.py",
+        "test_other_commands.py",
+        "test_diff.py",
+    ):
+        for name, value in _ON.items():
+            monkeypatch.setenv(name, value)
