@@ -84,8 +84,9 @@ def plan_for(path: Path, settings: Settings) -> tuple[Subject, Plan]:
         ModelUnreadable: The file is not an ONNX model at all.
     """
     file = open_model(path)
-    weights = file.size + sum(ref.length or 0 for ref in file.external)
-    subject = read_subject(file, settings.target, settings.limits.for_model(weights))
+    subject = read_subject(
+        file, settings.target, settings.limits.for_model(file.weight_bytes)
+    )
     level = min(max(settings.level, Level.VALUES), Level.BEHAVIOUR)
     return subject, make_plan(subject, level, settings.seed)
 

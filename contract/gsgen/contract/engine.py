@@ -76,8 +76,7 @@ class _Validation:
         self.progress(f"reading {path.name}")
         self.registry = registry or installed_rules()
         file = open_model(path)
-        weights = file.size + sum(ref.length or 0 for ref in file.external)
-        self.limits = settings.limits.for_model(weights)
+        self.limits = settings.limits.for_model(file.weight_bytes)
         self.subject = read_subject(file, settings.target, self.limits)
         self.board = Board(self.registry, settings, self.subject.kind)
         self.levels = [LevelOutcome(Level.STATIC, ran=True)]
