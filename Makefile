@@ -44,6 +44,7 @@ bench: setup
 	$(BIN)/python -m pytest tests/bench -o python_files='bench_*.py' -o python_functions='bench_*' -s -q
 
 docs: setup
+	$(PIP) --group docs
 	$(BIN)/python scripts/write_docs.py
 	$(BIN)/zensical build --clean
 

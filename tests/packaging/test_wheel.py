@@ -60,6 +60,7 @@ def fresh(tmp_path_factory: pytest.TempPathFactory, wheel: Path) -> Path:
         "pip",
         "install",
         "--quiet",
+        "--no-compile",
         "-c",
         ROOT / "constraints.txt",
     ]
@@ -142,7 +143,7 @@ def test_a_third_party_brings_a_command_a_rule_and_a_target(
     package.mkdir()
     (package / "acme.py").write_text(ACME)
     (package / "pyproject.toml").write_text(ACME_PROJECT)
-    pip = [fresh / "python", "-m", "pip", "install", "--quiet", "--no-deps"]
+    pip = [fresh / "python", "-m", "pip", "install", "--quiet", "--no-compile", "--no-deps"]
     done = run(*pip, "-c", ROOT / "constraints.txt", package, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     try:
