@@ -353,18 +353,3 @@ def test_weights_survive_bit_by_bit(tmp_path):
     path = save(tmp_path / "a.onnx", proto)
     write_manifest(path, manifest_of(1), path)
     assert ModelProto.FromString(path.read_bytes()).graph == proto.graph
-
-
-def test_many_references_to_one_file_count_its_bytes_once(tmp_path):
-    (tmp_path / "w.bin").write_bytes(bytes(1000))
-    proto = ModelProto(ir_version=8)
-    proto.opset_import.add(domain="", version=18)
-    proto.graph.name = "g"
-    for index in range(50):
-        tensor = proto.graph.initializer.add(name=f"w{index}", data_type=1, dims=[250])
-        tensor.data_location = TensorProto.EXTERNAL
-        tensor.external_data.add(key="location", value="w.bin")
-        tensor.external_data.add(key="length", value="1000000000000")
-    path = tmp_path / "m.onnx"
-    path.write_bytes(proto.SerializeToString())
-    assert open_model(path).weight_bytes == path.stat().st_size + 1000

@@ -84,9 +84,8 @@ def plan_for(path: Path, settings: Settings) -> tuple[Subject, Plan]:
         ModelUnreadable: The file is not an ONNX model at all.
     """
     file = open_model(path)
-    subject = read_subject(
-        file, settings.target, settings.limits.for_model(file.weight_bytes)
-    )
+    weights = file.size + sum(ref.length or 0 for ref in file.external)
+    subject = read_subject(file, settings.target, settings.limits.for_model(weights))
     level = min(max(settings.level, Level.VALUES), Level.BEHAVIOUR)
     return subject, make_plan(subject, level, settings.seed)
 

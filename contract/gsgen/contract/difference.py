@@ -142,7 +142,7 @@ def _outputs(a: Subject, b: Subject, limits: Limits) -> tuple[list[OutputDiffere
         runs: list[Execution] = []
         for subject in (a, b):
             names = [name for name in subject.output_names if subject.graph.output(name)]
-            allowed = limits.for_model(subject.file.weight_bytes)
+            allowed = limits.for_model(subject.file.size)
             job = execute(subject.file.path, names, plan.probes, allowed)
             runs.append(stack.enter_context(job))
             fault = runs[-1].fault

@@ -76,7 +76,8 @@ class _Validation:
         self.progress(f"reading {path.name}")
         self.registry = registry or installed_rules()
         file = open_model(path)
-        self.limits = settings.limits.for_model(file.weight_bytes)
+        weights = file.size + sum(ref.length or 0 for ref in file.external)
+        self.limits = settings.limits.for_model(weights)
         self.subject = read_subject(file, settings.target, self.limits)
         self.board = Board(self.registry, settings, self.subject.kind)
         self.levels = [LevelOutcome(Level.STATIC, ran=True)]

@@ -93,16 +93,6 @@ class ModelFile:
         return {entry.key: entry.value for entry in self.proto.metadata_props}
 
     @property
-    def weight_bytes(self) -> int:
-        """Bytes of the file and of every file its weights lie in, each counted once."""
-        total = self.size
-        for location in {ref.location for ref in self.external}:
-            with suppress(OSError, ValueError):  # such a file is a finding of its own
-                path = self.path.parent / location
-                total += path.stat().st_size if path.is_file() else 0
-        return total
-
-    @property
     def manifest_text(self) -> str | None:
         """The embedded manifest as JSON text, or None."""
         return self.metadata.get(MANIFEST_KEY)
