@@ -11,8 +11,7 @@ setup: $(READY)
 
 # torch comes first and by exact version: asked for as a range, pip would fetch the
 # newest build with gigabytes of CUDA packages.
-# Bytecode is compiled when a module is first imported: most of torch never is.
-PIP := $(BIN)/python -m pip install -qq --no-compile --disable-pip-version-check -c constraints.txt
+PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt
 
 $(READY): pyproject.toml constraints.txt
 	@echo "setting up $(VENV): two to three minutes, once"
