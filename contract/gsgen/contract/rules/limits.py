@@ -61,6 +61,13 @@ def _mib(size: int) -> str:
     return f"{size / _MIB:.1f} MiB ({size} bytes)"
 
 
+def _larger(subject: Subject, limit: int) -> Iterator[Breach]:
+    """Report every output and weight of more than ``limit`` bytes."""
+    for place, size in _buffers(subject):
+        if size > limit:
+            yield Breach.at(place, _mib(size), f"{_mib(limit)} at most")
+
+
 @rule(
     "GL001",
     "fits-binding",
@@ -81,10 +88,7 @@ def fits_binding(subject: Subject) -> Iterator[Breach]:
     Mend:
         Use float16, fewer SH degrees or a smaller capacity, or split the model.
     """
-    limit = subject.target.limits["binding_bytes"]
-    for place, size in _buffers(subject):
-        if size > limit:
-            yield Breach.at(place, _mib(size), f"{_mib(limit)} at most")
+    yield from _larger(subject, subject.target.limits["binding_bytes"])
 
 
 @rule(
@@ -105,10 +109,7 @@ def fits_buffer(subject: Subject) -> Iterator[Breach]:
     Mend:
         Use float16, fewer SH degrees or a smaller capacity, or split the model.
     """
-    limit = subject.target.limits["buffer_bytes"]
-    for place, size in _buffers(subject):
-        if size > limit:
-            yield Breach.at(place, _mib(size), f"{_mib(limit)} at most")
+    yield from _larger(subject, subject.target.limits["buffer_bytes"])
 
 
 @rule(
