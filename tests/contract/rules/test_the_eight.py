@@ -1,0 +1,234 @@
+"""Eight models that ONNX's checker and ONNX Runtime take without a word, and no viewer draws.
+
+Each is the same good model with one thing changed. What is asserted is everything that the
+validator finds, for the strictest consumer: no rule fewer, and no rule more.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+
+from gsgen.conformance.fixtures.arrays import i64
+from gsgen.conformance.fixtures.clouds import still
+from gsgen.conformance.fixtures.sketch import Sketch
+from gsgen.contract.config import Settings
+from gsgen.contract.engine import validate
+from gsgen.contract.manifest import GaussiansOutput
+from gsgen.contract.report import Report
+from gsgen.contract.targets import load_target
+
+ROWS = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A model, and all that is wrong with it.
+
+    Attributes:
+        draw: Draws the model.
+        found: Rule → its name, who says so, and the facts that its place or message must contain.
+    """
+
+    draw: Callable[[], Sketch]
+    found: Mapping[str, tuple[str, str, tuple[str, ...]]]
+
+
+def good() -> Sketch:
+    """What the eight are made from: float16, SH of degree 3, a whole workgroup of rows."""
+    return still(ROWS, degree=3, dtype="float16")
+
+
+def hostile_values() -> Sketch:
+    negative = -good().weights["rows"][4, 4:]
+    one_nan = good().altered("rows", np.s_[2, 0], np.nan)
+    return one_nan.altered("rows", np.s_[3, 3], 5).altered("rows", np.s_[4, 4:], negative)
+
+
+def other_name() -> Sketch:
+    splats = GaussiansOutput("splats", ROWS, "float16")
+    return good().reworded("gaussians", "splats").declaring_outputs(gaussians=splats)
+
+
+def name_that_the_manifest_has_not() -> Sketch:
+    return good().reworded("gaussians", "splats")
+
+
+def sh_of_12() -> Sketch:
+    return still(ROWS, degree=1, dtype="float16")
+
+
+def half_rgb_of_3() -> Sketch:
+    four = still(ROWS, degree=None, dtype="float16")
+    three = four.weights["colors"][:, :3]
+    return four.reworded("[256,4]", "[256,3]").weighing(colors=three)
+
+
+def mixed_precision() -> Sketch:
+    wide = good().weights["colors"].astype(np.float32)
+    return good().reworded("float16[256,48]", "float[256,48]").weighing(colors=wide)
+
+
+def no_count() -> Sketch:
+    without = good().reworded(", int32[1] num_points", "")
+    return without.reworded("num_points = Identity (live)", "").declaring_outputs(
+        count=None
+    )
+
+
+def count_of_int64() -> Sketch:
+    return good().reworded("int32[1]", "int64[1]").weighing(live=i64(ROWS))
+
+
+def symbolic_rows() -> Sketch:
+    """As many rows as are kept: the number is only known once the model has run."""
+    kept = "Compress <axis = 0> ({}, wanted)"
+    cut = good().reworded("Identity (rows)", kept.format("rows"))
+    cut = cut.reworded("Identity (colors)", kept.format("colors"))
+    open_ended = cut.reworded("[256,10]", "[N,10]").reworded("[256,48]", "[N,48]")
+    return open_ended.weighing(wanted=np.ones(ROWS, np.bool_))
+
+
+CASES = {
+    "NaN, opacity 5, negative covariance": Case(
+        hostile_values,
+        {
+            "GV001": ("rows-finite", "contract", ("1 of 256 rows", "row 2", "nan")),
+            "GV003": ("opacity-range", "contract", ("row 3", ": 5;", "0 <= opacity <= 1")),
+            "GV005": (
+                "variance-not-negative",
+                "contract",
+                ("row 4", ": -0.0375", "xx, yy, zz >= 0"),
+            ),
+        },
+    ),
+    "a name that no viewer looks for": Case(
+        other_name,
+        {
+            "TV101": (
+                "visionary-finds-gaussians",
+                "visionary@1.0.1",
+                ("output splats", "starts with 'gauss'"),
+            )
+        },
+    ),
+    "a name that the manifest has not": Case(
+        name_that_the_manifest_has_not,
+        {
+            "GM004": (
+                "declared-tensors-exist",
+                "contract",
+                ("output 'gaussians'", "splats, color, num_points"),
+            )
+        },
+    ),
+    "SH12": Case(
+        sh_of_12,
+        {
+            "TV104": (
+                "visionary-reads-color",
+                "visionary@1.0.1",
+                ("SH with 12 channels", "48 channels"),
+            )
+        },
+    ),
+    "RGB3 in float16": Case(
+        half_rgb_of_3,
+        {
+            "GO015": (
+                "rows-fill-words",
+                "contract",
+                (
+                    "output color",
+                    "3 channels of float16",
+                    "6 bytes a row",
+                    "multiple of 4 bytes",
+                ),
+            ),
+            "TV104": (
+                "visionary-reads-color",
+                "visionary@1.0.1",
+                ("RGB as float16 with 3 channels", "float16 with 4 channels"),
+            ),
+        },
+    ),
+    "mixed precision": Case(
+        mixed_precision,
+        {
+            "GO009": (
+                "output-dtypes-match",
+                "visionary@1.0.1",  # to the contract alone it is a warning
+                ("output color", "float32", "wanted float16, as gaussians"),
+            )
+        },
+    ),
+    "no count": Case(
+        no_count,
+        {"GO010": ("count-declared", "contract", ("no row count", "int32 [1]"))},
+    ),
+    "a count of int64": Case(
+        count_of_int64,
+        {
+            "GO011": (
+                "count-is-int32",
+                "contract",
+                ("output num_points", "int64 [1]", "wanted int32 [1]"),
+            )
+        },
+    ),
+    "symbolic N": Case(
+        symbolic_rows,
+        {
+            "GO004": (
+                "capacity-static",
+                "contract",
+                ("output gaussians", "[N, 10]", "a fixed, positive number"),
+            ),
+        },
+    ),
+}
+
+
+@pytest.fixture(params=CASES.values(), ids=CASES.keys())
+def case(request: pytest.FixtureRequest) -> Case:
+    return request.param
+
+
+def judged(sketch: Sketch, folder: Path) -> Report:
+    path = folder / "model.onnx"
+    sketch.write(path)
+    return validate(path, Settings(target=load_target("visionary")))
+
+
+def test_checker_and_runtime_accept_it(case: Case) -> None:
+    model = case.draw().build()
+    onnx.checker.check_model(model, full_check=True)
+    session = onnxruntime.InferenceSession(
+        model.SerializeToString(), providers=["CPUExecutionProvider"]
+    )
+    rows, colors, *_ = session.run(None, {})
+    assert rows.shape == (ROWS, 10)
+    assert len(colors) == ROWS
+
+
+def test_the_validator_names_each_fault_and_no_other(case: Case, tmp_path: Path) -> None:
+    report = judged(case.draw(), tmp_path)
+    assert report.verdict == "invalid"
+    assert {one.rule for one in report.findings} == set(case.found)
+    assert len(report.findings) == len(case.found)
+    for finding in report.findings:
+        slug, source, facts = case.found[finding.rule]
+        assert (finding.slug, finding.source) == (slug, source)
+        assert finding.severity.word == "error"
+        assert finding.certainty == "confirmed"
+        for fact in facts:
+            assert fact in f"{finding.where}: {finding.message}"
+
+
+def test_the_model_they_are_made_from_is_good(tmp_path: Path) -> None:
+    report = judged(good(), tmp_path)
+    assert (report.verdict, report.findings) == ("conforms", ())
