@@ -1,6 +1,6 @@
 """What passes build graphs from: weights, and nodes whose results have a type."""
 
-__all__ = ["append_output", "new_node", "weight"]
+__all__ = ["Before", "append_output", "known_array", "new_node", "remake", "weight"]
 
 from collections.abc import Sequence
 
@@ -39,7 +39,7 @@ def new_node(
     *,
     dtype: ir.DataType | None = None,
     shape: Sequence[int | ir.SymbolicDim | None] | None = None,
-    **attributes: int | Sequence[int],
+    **attributes: int | float | str | Sequence[int],
 ) -> ir.Node:
     """Return a node of the ONNX domain with one result, called ``name`` like the node."""
     node = ir.node(op, inputs, attributes=attributes, name=name)
@@ -62,3 +62,73 @@ def append_output(graph: ir.Graph, old: ir.Value, nodes: Sequence[ir.Node]) -> N
     for index, value in enumerate(graph.outputs):
         if value is old:
             graph.outputs[index] = made
+
+
+class Before:
+    """Writes nodes in front of another one, named after it.
+
+    Results get the dtype of their first input unless one is given; shapes are inferred afterwards
+    by the pipeline.
+    """
+
+    def __init__(self, node: ir.Node) -> None:
+        graph = node.graph
+        assert isinstance(graph, ir.Graph)
+        self.node, self.graph = node, graph
+        self._stem = node.name or node.outputs[0].name or node.op_type
+        self._count = 0
+
+    def op(
+        self,
+        kind: str,
+        *inputs: ir.Value | None,
+        dtype: ir.DataType | None = None,
+        shape: Sequence[int | ir.SymbolicDim | None] | None = None,
+        **attributes: int | float | str | Sequence[int],
+    ) -> ir.Value:
+        """Insert a node of the ONNX domain with one result, and return the result."""
+        known = (value.dtype for value in inputs if value is not None)
+        kind_of = dtype if dtype is not None else next(known, None)
+        name = self._next(kind)
+        made = new_node(kind, inputs, name, dtype=kind_of, shape=shape, **attributes)
+        self.graph.insert_before(self.node, made)
+        return made.outputs[0]
+
+    def constant(self, array: np.ndarray, name: str = "constant") -> ir.Value:
+        """Add a weight."""
+        return weight(self.graph, self._next(name), np.asarray(array))
+
+    def whole(self, *numbers: int) -> ir.Value:
+        """Add a weight of int64 [n]: axes, shapes, starts."""
+        return self.constant(np.array(numbers, np.int64), "numbers")
+
+    def replace(self, *values: ir.Value) -> None:
+        """Remove the node; ``values`` take the places and names of what it returned."""
+        for old, made in zip(self.node.outputs, values, strict=True):
+            remake(old, made)
+        self.graph.remove(self.node, safe=True)
+
+    def _next(self, kind: str) -> str:
+        self._count += 1
+        return f"{self._stem}_{self._count}_{kind}"
+
+
+def remake(old: ir.Value, made: ir.Value) -> None:
+    """Let ``made`` stand wherever ``old`` did, as a graph output under the same name, too."""
+    name, output = old.name, old.is_graph_output()
+    if made.type is None or output:
+        made.type = old.type
+    if made.shape is None or output:
+        made.shape = old.shape
+    ir.convenience.replace_all_uses_with(old, made, replace_graph_outputs=True)
+    if output:
+        old.name = f"{name}_replaced"
+        made.name = name
+
+
+def known_array(value: ir.Value | None) -> np.ndarray | None:
+    """Return the numbers of a weight or of a Constant; None where they are not known."""
+    if value is None:
+        return None
+    tensor = ir.convenience.get_const_tensor(value)
+    return None if tensor is None else tensor.numpy()

@@ -4,14 +4,14 @@ __all__ = ["EndOutputsOnCompute"]
 
 import numpy as np
 import onnx_ir as ir
-from onnx_ir import passes
 
+from gsgen.sdk.passes.base import Rewrite
 from gsgen.sdk.passes.building import new_node, weight
 
 _VIEWS = frozenset({"Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"})
 
 
-class EndOutputsOnCompute(passes.InPlacePass):
+class EndOutputsOnCompute(Rewrite):
     """End every output on an operator that computes: Mul by one.
 
     Graph capture records kernels, not buffer copies, so an output that Reshape or its kin makes
@@ -23,17 +23,17 @@ class EndOutputsOnCompute(passes.InPlacePass):
     Multiplying by one changes no bit of a number.
     """
 
-    def call(self, model: ir.Model) -> passes.PassResult:
+    name = "end-on-compute"
+
+    def rewrite(self, model: ir.Model) -> None:
         """Mend every output that needs it."""
-        modified = False
         seen: set[ir.Value] = set()
         for index, value in enumerate(model.graph.outputs):
             producer = value.producer()
             if producer is None or producer.op_type in _VIEWS or value in seen:
+                self.note(value)
                 _end_on_mul(model.graph, index, value)
-                modified = True
             seen.add(value)
-        return passes.PassResult(model, modified=modified)
 
 
 def _end_on_mul(graph: ir.Graph, index: int, value: ir.Value) -> None:

@@ -4,12 +4,12 @@ __all__ = ["MultiplyMatrices"]
 
 import numpy as np
 import onnx_ir as ir
-from onnx_ir import passes
 
+from gsgen.sdk.passes.base import Exactness, NodeRewrite
 from gsgen.sdk.passes.building import new_node, weight
 
 
-class MultiplyMatrices(passes.InPlacePass):
+class MultiplyMatrices(NodeRewrite):
     """Make both operands of every MatMul matrices.
 
     ONNX Runtime (seen in 1.31) fuses Transpose into MatMul, and computes A v where Aᵀ v was meant
@@ -20,12 +20,16 @@ class MultiplyMatrices(passes.InPlacePass):
         MatMul(v, B)   →   Squeeze(MatMul(Unsqueeze(v, 0), B), -2)
     """
 
-    def call(self, model: ir.Model) -> passes.PassResult:
-        """Rewrite every MatMul that has an operand of one axis, subgraphs included."""
-        found = [node for node in model.graph.all_nodes() if _vector_operands(node)]
-        for node in found:
-            _rewrite(node)
-        return passes.PassResult(model, modified=bool(found))
+    name = "multiply-matrices"
+    exactness = Exactness(relative=1e-6)
+
+    def matches(self, node: ir.Node) -> bool:
+        """Say whether it is a MatMul with an operand of one axis."""
+        return bool(_vector_operands(node))
+
+    def replace(self, node: ir.Node) -> None:
+        """Give the vector a second axis."""
+        _rewrite(node)
 
 
 def _vector_operands(node: ir.Node) -> list[int]:

@@ -4,12 +4,12 @@ __all__ = ["RoundByFloor"]
 
 import numpy as np
 import onnx_ir as ir
-from onnx_ir import passes
 
+from gsgen.sdk.passes.base import NodeRewrite
 from gsgen.sdk.passes.building import new_node, weight
 
 
-class RoundByFloor(passes.InPlacePass):
+class RoundByFloor(NodeRewrite):
     """Write every Round with Floor.
 
     ONNX Runtime has no WebGPU kernel for Round in any version: the node stays on the CPU, and
@@ -18,12 +18,15 @@ class RoundByFloor(passes.InPlacePass):
         Round(x)   →   f + (1 if x - f > ½ else f mod 2 if x - f = ½ else 0), where f = Floor(x)
     """
 
-    def call(self, model: ir.Model) -> passes.PassResult:
-        """Rewrite every Round of the model, subgraphs included."""
-        found = [node for node in model.graph.all_nodes() if _rounds(node)]
-        for node in found:
-            _rewrite(node)
-        return passes.PassResult(model, modified=bool(found))
+    name = "round-by-floor"
+
+    def matches(self, node: ir.Node) -> bool:
+        """Say whether it is a Round of a known dtype."""
+        return _rounds(node)
+
+    def replace(self, node: ir.Node) -> None:
+        """Write it with Floor."""
+        _rewrite(node)
 
 
 def _rounds(node: ir.Node) -> bool:

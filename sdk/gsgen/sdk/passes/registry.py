@@ -1,0 +1,54 @@
+"""All rewrites, in the order in which they run.
+
+The order is sound for one reason a block. Within a round every pass runs once; rounds are repeated
+until nothing changes, so a pass may rely on what a later one did in the round before.
+"""
+
+__all__ = ["REWRITES", "find_rewrites"]
+
+from collections.abc import Sequence
+
+from gsgen.contract.errors import UnknownName
+from gsgen.sdk.passes.base import Goal, Rewrite
+from gsgen.sdk.passes.end_outputs_on_compute import EndOutputsOnCompute
+from gsgen.sdk.passes.multiply_matrices import MultiplyMatrices
+from gsgen.sdk.passes.round_by_floor import RoundByFloor
+
+REWRITES: tuple[type[Rewrite], ...] = (
+    # -- First what makes shapes and constants known: others look at them.
+    # -- Then what gives back what an exporter or an optimiser took away.
+    # -- Whole constructs that no GPU runs, written out with plain operators.
+    # -- The operator set, before operators are looked up in tables.
+    # -- Operators without a kernel, by ones that have one.
+    MultiplyMatrices,
+    RoundByFloor,
+    # -- Less work: what the result does not need, and what can be done at once.
+    # -- Widths and sizes that a target can bind, once nothing joins things any more.
+    # -- Last: how outputs end, whatever came before.
+    EndOutputsOnCompute,
+)
+
+
+def find_rewrites(
+    goal: Goal, only: Sequence[str] = (), skip: Sequence[str] = ()
+) -> list[Rewrite]:
+    """Return the passes that ``goal`` wants, in order.
+
+    Args:
+        goal: What to rewrite for.
+        only: Names of passes; none besides runs.
+        skip: Names of passes that do not run.
+
+    Raises:
+        UnknownName: A name is no pass.
+    """
+    known = [one.name for one in REWRITES]
+    for option, names in (("--pass", only), ("--skip", skip)):
+        for name in names:
+            if name not in known:
+                raise UnknownName.among("pass", name, known, option)
+    chosen = [
+        one for one in REWRITES if (not only or one.name in only) and one.name not in skip
+    ]
+    made = [one.for_goal(goal) for one in chosen]
+    return [one for one in made if one is not None]
