@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import onnx_ir as ir
 import torch
 
 from gsgen.contract.config import Settings
@@ -48,6 +47,7 @@ from gsgen.sdk.packing import (
 )
 from gsgen.sdk.parity import Parity, compare
 from gsgen.sdk.placement import draft_of
+from gsgen.sdk.rewrite import Change
 from gsgen.sdk.trace import trace
 
 Dtype = Literal["float32", "float16"]
@@ -55,8 +55,6 @@ Progress = Callable[[str], None]
 
 OPSET = 18
 _TOLERANCES = Tolerances()
-# A protobuf message ends at 2 GiB; weights beyond this go to a file beside the model.
-_INLINE_BYTES = 1_900_000_000
 
 
 def _silent(_: str) -> None:
@@ -72,12 +70,14 @@ class Exported:
         manifest: What was embedded.
         parity: How closely it agrees with eager torch.
         report: What the validator says; it conforms.
+        changes: What the rewrites did to the graph.
     """
 
     path: Path
     manifest: GeneratorManifest
     parity: Parity
     report: Report
+    changes: tuple[Change, ...] = ()
 
 
 def export(
@@ -89,6 +89,7 @@ def export(
     capacity: int | None = None,
     opset: int = OPSET,
     target: str = "core",
+    rewrite: bool = True,
     settings: Settings | None = None,
     progress: Progress = _silent,
 ) -> Exported:
@@ -101,7 +102,9 @@ def export(
         dtype: Of both outputs.
         capacity: Rows of the outputs; as many as there are Gaussians where absent.
         opset: ONNX operator set, 18 being the one that every runtime has kernels for.
-        target: The consumer to validate for.
+        target: The consumer to rewrite and validate for.
+        rewrite: Rewrite the graph so that it is captured; without, it stays as torch wrote it.
+        rewrite: Rewrite what runtimes get wrong; without it, the graph is as torch exports it.
         settings: Limits and severities of that validation.
         progress: Called with a few words whenever a new stage begins.
 
@@ -120,12 +123,12 @@ def export(
     packed = PackedGenerator(generator, Packed(getattr(torch, dtype), gaussians.capacity))
     progress("tracing the graph")
     example = references[min(1, len(references) - 1)].probe
-    model = finish(trace(packed, example, manifest, opset), manifest)
+    model = finish(trace(packed, example, manifest, opset), manifest, rewrite=rewrite)
     with draft_of(path) as draft:
         _save(model, draft)
         parity = _check_parity(draft, manifest, references, progress)
         report = _check_contract(draft, target, settings, progress)
-    return Exported(path, manifest, parity, replace(report, path=str(path)))
+    return Exported(path, manifest, parity, replace(report, path=str(path)), tuple(changes))
 
 
 def _describe(
@@ -196,15 +199,6 @@ def _probes(manifest: GeneratorManifest) -> tuple[Probe, ...]:
     shapes = {entry.name: entry.shape or () for entry in manifest.inputs}
     dtypes = {entry.name: ROLES[entry.role].dtype[0] for entry in manifest.inputs}
     return default_probes(manifest, shapes, dtypes)
-
-
-def _save(model: ir.Model, path: Path) -> None:
-    weights = model.graph.initializers.values()
-    size = sum(
-        value.const_value.nbytes for value in weights if value.const_value is not None
-    )
-    beside = f"{path.name}.data" if size > _INLINE_BYTES else None
-    ir.save(model, path, external_data=beside)
 
 
 def _check_parity(

@@ -1,4 +1,4 @@
-"""Last steps on an exported graph: what every runtime gets right, and the manifest inside."""
+"""Last steps on an exported graph: the rewrites that every runtime needs, and the manifest inside."""
 
 __all__ = ["finish"]
 
@@ -8,21 +8,30 @@ from onnx_ir.passes.common import NameFixPass
 from gsgen.contract.manifest import Manifest
 from gsgen.contract.manifest_json import dumps
 from gsgen.contract.model import MANIFEST_KEY
-from gsgen.sdk.passes import EndOutputsOnCompute, MultiplyMatrices, RoundByFloor
+from gsgen.contract.targets import Target
+from gsgen.sdk.passes.base import Goal
+from gsgen.sdk.rewrite import Change, rewrite_graph
 
 
-def finish(model: ir.Model, manifest: Manifest) -> ir.Model:
-    """Rewrite what runtimes get wrong and embed ``manifest``; the model given is changed."""
+def finish(
+    model: ir.Model, manifest: Manifest, target: Target, *, rewrite: bool = True
+) -> list[Change]:
+    """Rewrite ``model`` for ``target``, and embed ``manifest``; say what was rewritten.
+
+    Args:
+        model: An exported graph; it is changed.
+        manifest: What it is.
+        target: The consumer; ``core`` means all that are known.
+        rewrite: Whether to rewrite; without, the graph stays as torch wrote it.
+    """
     NameFixPass()(
         model
     )  # the exporter may call a tensor `view` although an input is called so
-    MultiplyMatrices()(model)
-    RoundByFloor()(model)
-    EndOutputsOnCompute()(model)
+    changes = rewrite_graph(model, Goal.of(target, manifest)) if rewrite else []
     model.metadata_props.clear()  # the exporter's notes name files of the author's machine
     for node in model.graph.all_nodes():
         node.metadata_props.clear()
     for value in (*model.graph.inputs, *model.graph.outputs):
         value.metadata_props.clear()
     model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
-    return model
+    return changes

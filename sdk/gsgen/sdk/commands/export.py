@@ -1,15 +1,108 @@
-"""`gsgen export`: turn a method's files into a generator, one subcommand a plugin."""
+"""`gsgen export`: turn a module of yours, or a method's files, into a generator."""
 
 __all__ = ["app"]
 
-import typer
+from pathlib import Path
+from typing import Annotated, Any
 
+import typer
+from typer.core import TyperGroup
+
+from gsgen.cli.commands import escaped
+from gsgen.contract.errors import UnknownName
+from gsgen.sdk.export_request import with_common_options
+from gsgen.sdk.factory import is_target
 from gsgen.sdk.plugin import Plugin, find_plugins
+
+_HELP = """Export a Gaussian Generator from your torch module, or from the files of a method.
+
+TARGET is package.module:factory, a callable of yours that returns a GaussianGenerator (modules
+of the current folder can be imported), or one of the methods below.
+"""
+_SCENES = (".ply", ".npz", ".splat", ".spz", ".ksplat")
+
+
+class _Targets(TyperGroup):
+    """The installed plugins, and any ``module:factory``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Take the target first, wherever it stands among options."""
+        known = [word for word in args if word in self.commands or is_target(word)]
+        if args and args[0].startswith("-") and known:
+            at = args.index(known[0])
+            args = [args[at], *args[:at], *args[at + 1 :]]
+        return super().parse_args(ctx, args)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Say what may have been meant by a word that is neither."""
+        word = args[0]
+        if word not in self.commands and is_target(word):
+            wants_help = bool({"-h", "--help"} & set(args))
+            return word, _command_for(word, wants_help=wants_help), args[1:]
+        if word not in self.commands and not word.startswith("-"):
+            raise _unknown(word, list(self.commands))
+        return super().resolve_command(ctx, args)
+
+
+def _unknown(word: str, plugins: list[str]) -> UnknownName:
+    error = UnknownName.among("target", word, plugins, "TARGET")
+    path = Path(word)
+    if path.suffix.lower() in _SCENES:
+        mend = f"Say which method the file belongs to: gsgen export static {word} -o …"
+    elif path.suffix == ".py" or path.with_suffix(".py").is_file():
+        mend = f"Say what in it makes the generator: {word}:NAME"
+    elif "." in word and "Did you mean" not in error.mend:
+        mend = f"Write {word.rpartition('.')[0]}:{word.rpartition('.')[2]}"
+    else:
+        mend = f"{error.mend} A target of your own is written package.module:factory."
+    return UnknownName(error.what, where=error.where, mend=mend)
+
+
+def _command_for(target: str, *, wants_help: bool) -> Any:
+    """Return the command that exports what ``target`` names; only help imports it at once."""
+    single = typer.Typer(add_completion=False)
+    entry = typer.Option(
+        "--arg",
+        metavar="KEY=VALUE",
+        help="An argument of the factory, typed as it declares; repeatable.",
+    )
+
+    def build(arg: Annotated[list[str] | None, entry] = None) -> Any:
+        from gsgen.sdk.factory import load_factory
+
+        factory = load_factory(target)
+        return factory.build(factory.arguments(arg or []))
+
+    def run(made: Any, request: Any) -> None:
+        from gsgen.sdk.export_job import run_export
+
+        run_export(made, request, target)
+
+    function = with_common_options(build, run)
+    help = f"Export what {target} gives."
+    if wants_help:
+        help += f"\n\n{_described(target)}"
+    single.command(target, help=escaped(help))(function)
+    command: Any = typer.main.get_command(single)
+    return command
+
+
+def _described(target: str) -> str:
+    """Say which arguments the factory takes."""
+    from gsgen.sdk.factory import load_factory
+
+    parameters = load_factory(target).parameters.values()
+    if not parameters:
+        return "It takes no arguments."
+    return f"It takes --arg {', --arg '.join(str(one) for one in parameters)}."
 
 
 def _build() -> typer.Typer:
     made = typer.Typer(
-        help="Export a Gaussian Generator from the files of a method.", no_args_is_help=True
+        cls=_Targets,
+        help=_HELP,
+        no_args_is_help=True,
+        subcommand_metavar="TARGET -o OUTPUT [OPTIONS]",
     )
 
     @made.callback()
@@ -17,12 +110,14 @@ def _build() -> typer.Typer:
         pass
 
     for name, command in find_plugins().items():
-        if command.missing:
-            made.command(name, context_settings=command.context)(command.load())
-            continue
-        plugin = command.point.load()
-        if isinstance(plugin, Plugin):
-            made.command(name, help=f"{plugin.summary}\n\n{plugin.reads}")(plugin.command)
+        loaded = command.load()
+        if isinstance(loaded, Plugin):
+            help = f"{loaded.summary}\n\n{loaded.reads}"
+            made.command(name, help=help)(loaded.function)
+        elif isinstance(loaded, typer.Typer):
+            made.add_typer(loaded, name=name)
+        else:  # a plugin that cannot be used here says so itself
+            made.command(name, context_settings=command.context)(loaded)
     return made
 
 

@@ -1,0 +1,117 @@
+"""What `gsgen export` does once it knows what to export: do it, and say how it went."""
+
+__all__ = ["run_export"]
+
+import sys
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from gsgen.contract.errors import GsgenError
+
+if TYPE_CHECKING:
+    from gsgen.sdk.export_request import ExportRequest
+    from gsgen.sdk.exporter import Exported
+
+
+def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) -> None:
+    """Build a generator and export it; show what the validator found.
+
+    Args:
+        build: Makes the generator.
+        request: Where it goes, and how.
+        source: What was asked for: a plugin's name or ``module:factory``.
+
+    Raises:
+        typer.Exit: With code 1, where the module cannot be exported as a model that conforms.
+        GsgenError: Torch is not installed, or an option cannot be meant.
+    """
+    if find_spec("torch") is None:
+        what = "`gsgen export` needs torch, which is not installed"
+        raise GsgenError(what, mend="pip install 'gsgen[sdk]'")
+    from gsgen.sdk.errors import (
+        ExportFailed,
+        ExportRejected,
+        GeneratorInvalid,
+        ParityFailed,
+    )
+    from gsgen.sdk.export_report import write_report
+
+    try:
+        made = _export(build, request)
+    except (ExportFailed, ExportRejected, GeneratorInvalid, ParityFailed) as error:
+        _clear_line()
+        if request.report is not None:
+            write_report(request.report, request, source, error)
+        _show_failure(error)
+        typer.echo(f"gsgen: {request.output} was not written", err=True)
+        raise typer.Exit(1) from error
+    _clear_line()
+    if request.report is not None:
+        write_report(request.report, request, source, made)
+    _show(made)
+
+
+def _export(build: Callable[[], Any], request: "ExportRequest") -> "Exported":
+    from gsgen.contract.config import Settings
+    from gsgen.contract.finding import Level
+    from gsgen.contract.targets import load_target
+    from gsgen.sdk.exporter import export
+
+    # Options are judged before anything slow begins.
+    settings = Settings(level=Level.parse(request.level, "--level"))
+    load_target(request.target)
+    _progress("building the generator")
+    return export(
+        build(),
+        request.output,
+        name=request.name,
+        dtype=request.dtype,
+        capacity=request.capacity,
+        opset=request.opset,
+        target=request.target,
+        rewrite=request.rewrite,
+        settings=settings,
+        progress=_progress,
+    )
+
+
+def _progress(words: str) -> None:
+    """Show what is being done, where someone is watching."""
+    if sys.stderr.isatty():
+        typer.echo(f"\r\x1b[2K{words} …", err=True, nl=False)
+
+
+def _clear_line() -> None:
+    if sys.stderr.isatty():
+        typer.echo("\r\x1b[2K", err=True, nl=False)
+
+
+def _show_failure(error: GsgenError) -> None:
+    from gsgen.contract.commands.output import show
+    from gsgen.contract.reporters.text import render
+    from gsgen.sdk.errors import ExportRejected
+
+    if isinstance(error, ExportRejected):
+        show(render(error.report))
+    else:
+        typer.echo(f"gsgen: {error}", err=True)
+
+
+def _show(made: "Exported") -> None:
+    from gsgen.contract.commands.output import show
+    from gsgen.contract.reporters.text import render
+
+    if made.report.findings or any(not level.ran for level in made.report.levels):
+        show(render(made.report))
+    gaussians = made.manifest.outputs.gaussians
+    assert gaussians is not None
+    kib = made.path.stat().st_size / 1024
+    size = f"{kib:.1f} KiB" if kib < 1024 else f"{kib / 1024:.1f} MiB"
+    rows = f"{gaussians.capacity:,} rows, {gaussians.dtype}, {size}"
+    typer.echo(f"{made.path}: {rows}; conforms at level {made.report.level.word}")
+    typer.echo(
+        f"agrees with torch at {made.parity.probes} probes: {made.parity.describe()}"
+    )
