@@ -13,6 +13,7 @@ from gsgen.sdk.passes.base import Goal, Rewrite
 from gsgen.sdk.passes.end_outputs_on_compute import EndOutputsOnCompute
 from gsgen.sdk.passes.multiply_matrices import MultiplyMatrices
 from gsgen.sdk.passes.round_by_floor import RoundByFloor
+from gsgen.sdk.passes.share_weights import ShareWeights
 
 REWRITES: tuple[type[Rewrite], ...] = (
     # -- First what makes shapes and constants known: others look at them.
@@ -23,6 +24,7 @@ REWRITES: tuple[type[Rewrite], ...] = (
     MultiplyMatrices,
     RoundByFloor,
     # -- Less work: what the result does not need, and what can be done at once.
+    ShareWeights,
     # -- Widths and sizes that a target can bind, once nothing joins things any more.
     # -- Last: how outputs end, whatever came before.
     EndOutputsOnCompute,
