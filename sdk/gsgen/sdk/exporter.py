@@ -48,6 +48,8 @@ from gsgen.sdk.packing import (
 from gsgen.sdk.parity import Parity, compare
 from gsgen.sdk.placement import draft_of
 from gsgen.sdk.rewrite import Change
+from gsgen.sdk.saving import save_model
+from gsgen.sdk.saving import save_model
 from gsgen.sdk.trace import trace
 
 Dtype = Literal["float32", "float16"]
@@ -104,7 +106,6 @@ def export(
         opset: ONNX operator set, 18 being the one that every runtime has kernels for.
         target: The consumer to rewrite and validate for.
         rewrite: Rewrite the graph so that it is captured; without, it stays as torch wrote it.
-        rewrite: Rewrite what runtimes get wrong; without it, the graph is as torch exports it.
         settings: Limits and severities of that validation.
         progress: Called with a few words whenever a new stage begins.
 
@@ -123,9 +124,11 @@ def export(
     packed = PackedGenerator(generator, Packed(getattr(torch, dtype), gaussians.capacity))
     progress("tracing the graph")
     example = references[min(1, len(references) - 1)].probe
-    model = finish(trace(packed, example, manifest, opset), manifest, rewrite=rewrite)
+    model = trace(packed, example, manifest, opset)
+    progress("rewriting the graph")
+    changes = finish(model, manifest, load_target(target), rewrite=rewrite)
     with draft_of(path) as draft:
-        _save(model, draft)
+        save_model(model, draft)
         parity = _check_parity(draft, manifest, references, progress)
         report = _check_contract(draft, target, settings, progress)
     return Exported(path, manifest, parity, replace(report, path=str(path)), tuple(changes))
