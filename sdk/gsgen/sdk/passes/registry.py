@@ -13,12 +13,14 @@ from gsgen.sdk.passes.base import Goal, Rewrite
 from gsgen.sdk.passes.end_outputs_on_compute import EndOutputsOnCompute
 from gsgen.sdk.passes.multiply_matrices import MultiplyMatrices
 from gsgen.sdk.passes.round_by_floor import RoundByFloor
+from gsgen.sdk.passes.sample_by_gather import SampleByGather
 from gsgen.sdk.passes.share_weights import ShareWeights
 
 REWRITES: tuple[type[Rewrite], ...] = (
     # -- First what makes shapes and constants known: others look at them.
     # -- Then what gives back what an exporter or an optimiser took away.
     # -- Whole constructs that no GPU runs, written out with plain operators.
+    SampleByGather,
     # -- The operator set, before operators are looked up in tables.
     # -- Operators without a kernel, by ones that have one.
     MultiplyMatrices,
