@@ -1,6 +1,12 @@
 """What can stop an export."""
 
-__all__ = ["ExportFailed", "ExportRejected", "GeneratorInvalid", "ParityFailed"]
+__all__ = [
+    "ExportFailed",
+    "ExportRejected",
+    "GeneratorInvalid",
+    "ParityFailed",
+    "RewriteFailed",
+]
 
 from typing import TYPE_CHECKING
 
@@ -34,3 +40,7 @@ class ExportRejected(GsgenError):
     ) -> None:
         super().__init__(what, where=where, mend=mend)
         self.report = report
+
+
+class RewriteFailed(GsgenError):
+    """A rewritten model would not be what it was; nothing was written."""

@@ -49,7 +49,6 @@ from gsgen.sdk.parity import Parity, compare
 from gsgen.sdk.placement import draft_of
 from gsgen.sdk.rewrite import Change
 from gsgen.sdk.saving import save_model
-from gsgen.sdk.saving import save_model
 from gsgen.sdk.trace import trace
 
 Dtype = Literal["float32", "float16"]

@@ -1,6 +1,6 @@
 """Repair a model: only what has one right answer, each repair validated and listed."""
 
-__all__ = ["Repair", "Repaired", "Request", "repair"]
+__all__ = ["Repair", "Repaired", "Request", "refuse_worse", "repair"]
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -99,7 +99,7 @@ def repair(
     with draft_of(target) as draft:
         ir.save(model, draft)
         after = validate(draft, settings)
-        _must_not_be_worse(before, after)
+        refuse_worse(before, after, "repaired")
     return Repaired(
         tuple(step for step, _ in steps), before, replace(after, path=str(target))
     )
@@ -173,8 +173,17 @@ def _steps(
     return steps, replace(manifest, outputs=outputs)
 
 
-def _must_not_be_worse(before: Report, after: Report) -> None:
-    """Refuse a result that breaks a rule the model kept."""
+def refuse_worse(before: Report, after: Report, how: str) -> None:
+    """Refuse a result that breaks a rule the model kept.
+
+    Args:
+        before: The report of the model.
+        after: The report of the result.
+        how: What was done to it: ``repaired``.
+
+    Raises:
+        GsgenError: It does.
+    """
 
     def errors(report: Report) -> set[str]:
         return {f.rule for f in report.findings if f.severity is Severity.ERROR}
@@ -185,5 +194,5 @@ def _must_not_be_worse(before: Report, after: Report) -> None:
     if fresh:
         listed = ", ".join(sorted(fresh))
         raise GsgenError(
-            f"the repaired model would break {listed}, which it kept", where=after.path
+            f"the {how} model would break {listed}, which it kept", where=after.path
         )
