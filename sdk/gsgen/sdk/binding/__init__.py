@@ -1,0 +1,53 @@
+"""Run a model every frame: one stable session, buffers bound once, inputs updated in place.
+
+Needs numpy and ONNX Runtime, never torch. The names below are loaded when first used.
+"""
+
+from typing import TYPE_CHECKING
+
+from gsgen.contract.lazy import attributes
+
+if TYPE_CHECKING:
+    from gsgen.sdk.binding.camera import CameraLike
+    from gsgen.sdk.binding.errors import (
+        CaptureOff,
+        FrameGone,
+        InputInvalid,
+        NodesOnCpu,
+        ProviderUnavailable,
+        RunFailed,
+        SessionClosed,
+        SizeUnknown,
+    )
+    from gsgen.sdk.binding.frame import Frame
+    from gsgen.sdk.binding.session import FrameSession
+
+__all__ = [
+    "CameraLike",
+    "CaptureOff",
+    "Frame",
+    "FrameGone",
+    "FrameSession",
+    "InputInvalid",
+    "NodesOnCpu",
+    "ProviderUnavailable",
+    "RunFailed",
+    "SessionClosed",
+    "SizeUnknown",
+]
+
+_HOME = {
+    "CameraLike": "camera",
+    "CaptureOff": "errors",
+    "Frame": "frame",
+    "FrameGone": "errors",
+    "FrameSession": "session",
+    "InputInvalid": "errors",
+    "NodesOnCpu": "errors",
+    "ProviderUnavailable": "errors",
+    "RunFailed": "errors",
+    "SessionClosed": "errors",
+    "SizeUnknown": "errors",
+}
+
+__getattr__ = attributes(__name__, _HOME)

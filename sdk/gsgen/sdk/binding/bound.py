@@ -1,0 +1,188 @@
+"""One ONNX Runtime session whose inputs and outputs are bound once, for good."""
+
+__all__ = ["Bound", "Spec", "failed", "specs"]
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gsgen.contract.errors import GsgenError
+from gsgen.sdk.binding.buffers import Buffer, make_buffer
+from gsgen.sdk.binding.errors import RunFailed, SizeUnknown
+from gsgen.sdk.binding.placed import words
+
+# A run with this graph number is neither captured nor replayed.
+_NO_GRAPH = ("gpu_graph_id", "-1")
+_DTYPES = {
+    "tensor(bool)": "bool",
+    "tensor(double)": "float64",
+    "tensor(float)": "float32",
+    "tensor(float16)": "float16",
+    "tensor(int32)": "int32",
+    "tensor(int64)": "int64",
+    "tensor(int8)": "int8",
+    "tensor(uint8)": "uint8",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Spec:
+    """A tensor of a session.
+
+    Attributes:
+        name: Its name.
+        dtype: Its dtype.
+        dims: Its sizes; a symbol or None where nothing says.
+    """
+
+    name: str
+    dtype: np.dtype[Any]
+    dims: tuple[int | str | None, ...]
+
+    def shape(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
+        """Return the static shape; ``sizes`` may name a nameless dimension ``NAME[AXIS]``.
+
+        Raises:
+            SizeUnknown: A dimension has no size.
+        """
+        return tuple(self._size(axis, sizes) for axis in range(len(self.dims)))
+
+    @property
+    def static(self) -> bool:
+        """Whether every dimension is a number."""
+        return all(isinstance(dim, int) for dim in self.dims)
+
+    def _size(self, axis: int, sizes: Mapping[str, int]) -> int:
+        dim = self.dims[axis]
+        if isinstance(dim, int):
+            return dim
+        key = dim or f"{self.name}[{axis}]"
+        if key in sizes:
+            return sizes[key]
+        what = f"axis {axis} is symbolic ({dim or 'nameless'}), wanted a size"
+        mend = f"Give one, such as sizes={{{key!r}: 24}}."
+        raise SizeUnknown(what, where=f"tensor {self.name}", mend=mend)
+
+
+def specs(arguments: Any) -> tuple[Spec, ...]:
+    """Return what ONNX Runtime says of a session's inputs or outputs.
+
+    Raises:
+        RunFailed: One is no numeric tensor.
+    """
+    made = []
+    for one in arguments:
+        if one.type not in _DTYPES:
+            what = f"is a {one.type}, wanted a numeric tensor"
+            raise RunFailed(what, where=f"tensor {one.name}")
+        made.append(Spec(one.name, np.dtype(_DTYPES[one.type]), tuple(one.shape)))
+    return tuple(made)
+
+
+class Bound:
+    """A session and its buffers; whoever holds it calls it from one thread at a time.
+
+    Attributes:
+        session: ONNX Runtime's session.
+        inputs: Name → buffer.
+        outputs: Name → buffer.
+    """
+
+    def __init__(
+        self,
+        session: Any,
+        shapes: Mapping[str, tuple[int, ...]],
+        start: Mapping[str, np.ndarray],
+        memory: str,
+    ) -> None:
+        """Bind everything.
+
+        Args:
+            session: ONNX Runtime's session.
+            shapes: Input name → shape.
+            start: Input name → the tensor that it holds at first.
+            memory: Where buffers are: ``cpu``, ``gpu`` or ``cuda``.
+
+        Raises:
+            RunFailed: The session cannot be run even to learn its outputs' shapes.
+        """
+        import onnxruntime
+
+        self.session = session
+        self._memory = memory
+        self._binding = session.io_binding()
+        self._plainly = onnxruntime.RunOptions()
+        self._plainly.add_run_config_entry(*_NO_GRAPH)
+        self.inputs = {
+            one.name: self._bind_input(one, shapes[one.name])
+            for one in specs(session.get_inputs())
+        }
+        self.write(start)
+        self.outputs = self._bind_outputs(specs(session.get_outputs()))
+
+    def write(self, tensors: Mapping[str, np.ndarray]) -> None:
+        """Put tensors into the inputs' buffers."""
+        for name, array in tensors.items():
+            self.inputs[name].write(array)
+
+    def run(self) -> None:
+        """Compute a frame; a session that captures records the first and replays the others."""
+        self.session.run_with_iobinding(self._binding)
+
+    def run_plainly(self) -> None:
+        """Compute a frame by launching every kernel anew, whatever the session does else."""
+        self.session.run_with_iobinding(self._binding, self._plainly)
+
+    def copies(self) -> dict[str, np.ndarray]:
+        """Return all outputs as arrays of their own."""
+        return {name: buffer.read().copy() for name, buffer in self.outputs.items()}
+
+    def close(self) -> None:
+        """Release the capture, the buffers and the session, in this order."""
+        self.session.release_captured_graph()
+        self._binding.clear_binding_inputs()
+        self._binding.clear_binding_outputs()
+        self.inputs, self.outputs = {}, {}
+        del self._binding, self.session
+
+    def _bind_input(self, spec: Spec, shape: tuple[int, ...]) -> Buffer:
+        buffer = make_buffer(self.session, shape, spec.dtype, self._memory)
+        self._binding.bind_ortvalue_input(spec.name, buffer.value)
+        return buffer
+
+    def _bind_outputs(self, wanted: tuple[Spec, ...]) -> dict[str, Buffer]:
+        known = {one.name: one.shape({}) for one in wanted if one.static}
+        if len(known) < len(wanted):
+            known = self._learn_shapes(wanted)
+        made = {
+            one.name: make_buffer(self.session, known[one.name], one.dtype, self._memory)
+            for one in wanted
+        }
+        for name, buffer in made.items():
+            self._binding.bind_ortvalue_output(name, buffer.value)
+        return made
+
+    def _learn_shapes(self, wanted: tuple[Spec, ...]) -> dict[str, tuple[int, ...]]:
+        """Run once without buffers for outputs, to see how large they are."""
+        for one in wanted:
+            self._binding.bind_output(one.name, "cpu")
+        try:
+            self.run_plainly()
+        except Exception as error:  # ONNX Runtime's errors share no base class of their own
+            raise failed(error) from error
+        made = self._binding.get_outputs()
+        shapes = {
+            one.name: tuple(value.shape()) for one, value in zip(wanted, made, strict=True)
+        }
+        self._binding.clear_binding_outputs()
+        return shapes
+
+
+def failed(error: Exception) -> GsgenError:
+    """Return an error of ONNX Runtime as one that a user can read."""
+    if isinstance(error, GsgenError):
+        return error
+    mend = "`gsgen validate --level live` says which rule the model breaks."
+    return RunFailed(words(error), where="ONNX Runtime", mend=mend)

@@ -1,0 +1,103 @@
+"""Memory that a session's inputs and outputs stay in, on the host or on a device."""
+
+__all__ = ["Buffer", "DeviceBuffer", "HostBuffer", "make_buffer"]
+
+from abc import ABC, abstractmethod
+from typing import Any, final
+
+import numpy as np
+
+
+class Buffer(ABC):
+    """One tensor that is bound once.
+
+    Attributes:
+        value: ONNX Runtime's handle, which says where the memory is.
+    """
+
+    value: Any
+
+    @abstractmethod
+    def write(self, array: np.ndarray) -> None:
+        """Copy ``array``, of the same shape and dtype, into the memory."""
+
+    @abstractmethod
+    def read(self) -> np.ndarray:
+        """Return what is in the memory, read-only; a later call may reuse the array."""
+
+
+@final
+class HostBuffer(Buffer):
+    """Memory of the host, which ONNX Runtime reads and writes in place: nothing is copied."""
+
+    def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        import onnxruntime
+
+        self._array = np.zeros(shape, dtype)
+        self._shown = _read_only(self._array)
+        self.value = onnxruntime.OrtValue.ortvalue_from_numpy(self._array)
+
+    def write(self, array: np.ndarray) -> None:
+        """Copy ``array`` into the memory."""
+        self._array[...] = array
+
+    def read(self) -> np.ndarray:
+        """Return a view of the memory."""
+        return self._shown
+
+
+@final
+class DeviceBuffer(Buffer):
+    """Memory of a device, and a stable place on the host that it is copied from or to."""
+
+    def __init__(
+        self, session: Any, shape: tuple[int, ...], dtype: np.dtype[Any], memory: str
+    ) -> None:
+        import onnxruntime
+
+        self._array: np.ndarray | None = None
+        self._dtype, self._shape = dtype, shape
+        if memory == "gpu":  # WebGPU's buffers belong to a session
+            make = session.create_ortvalue_from_shape_and_type
+        else:
+            make = onnxruntime.OrtValue.ortvalue_from_shape_and_type
+        self.value = make(list(shape), dtype.type, memory, 0)
+
+    def write(self, array: np.ndarray) -> None:
+        """Copy ``array`` to the device."""
+        host = self._host()
+        host[...] = array
+        self.value.update_inplace(host)
+
+    def read(self) -> np.ndarray:
+        """Copy the memory to the host, always to the same place."""
+        from onnxruntime import copy_tensors
+
+        self._host()
+        copy_tensors([self.value], [self._mirror])
+        return self._shown
+
+    def _host(self) -> np.ndarray:
+        """Return the place on the host, which is made when it is first needed."""
+        import onnxruntime
+
+        if self._array is None:
+            self._array = np.zeros(self._shape, self._dtype)
+            self._shown = _read_only(self._array)
+            self._mirror = onnxruntime.OrtValue.ortvalue_from_numpy(self._array)
+        return self._array
+
+
+def make_buffer(
+    session: Any, shape: tuple[int, ...], dtype: np.dtype[Any], memory: str
+) -> Buffer:
+    """Return a buffer in ``memory``: ``cpu``, ``gpu`` (WebGPU) or ``cuda``."""
+    if memory == "cpu":
+        return HostBuffer(shape, dtype)
+    return DeviceBuffer(session, shape, dtype, memory)
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    shown = array.view()
+    shown.flags.writeable = False
+    return shown
