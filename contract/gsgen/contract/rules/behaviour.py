@@ -88,12 +88,22 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Breach]:
             continue  # another rule says so
         changes = any(comparison.changed for comparison in comparisons)
         place = f"role {role}"
-        if declared.get(role, True) and not changes:
+        if declared.get(role, True) and not (changes or _zero_changes(behaviour, role)):
             saw = f"no output changes with it ({len(comparisons)} variations)"
             yield Breach.at(place, saw, "an effect, or depends_on false")
         elif not declared.get(role, True) and changes and role not in _OF_CAMERA:
             name = next(iter(next(c.changed for c in comparisons if c.changed)))
             yield Breach.at(place, f"output {name} changes with it", "depends_on true")
+
+
+def _zero_changes(behaviour: Behaviour, role: str) -> bool:
+    """Say whether zeros change something: cameras that see everything hide nothing."""
+    zeroed = [
+        visit
+        for visit in behaviour.visits("edges")
+        if visit.digest and visit.probe.label.endswith(f" with zero {role}")
+    ]
+    return any(visit.digest != behaviour.base.digest for visit in zeroed)
 
 
 def _leads_anywhere(subject: Subject, role: str) -> bool:

@@ -1,0 +1,42 @@
+"""Good models of every producer: the validator finds no fault with any of them."""
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from gsgen.contract.config import Settings
+from gsgen.contract.engine import validate
+from gsgen.contract.finding import Severity
+from gsgen.contract.targets import load_target
+from support.producers import ir_models, onnxscript_models, protos, torch_models
+from support.producers.good import Good
+
+MODELS = [
+    model
+    for producer in (protos, ir_models, onnxscript_models, torch_models)
+    for model in producer.models()
+]
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda one: f"{one.producer}: {one.name}")
+def test_a_good_model_is_not_complained_of(model: Good, tmp_path: Path) -> None:
+    path = tmp_path / "model.onnx"
+    path.write_bytes(model.draw().SerializeToString())
+    report = validate(path, Settings(target=load_target(model.target)))
+    told = [finding for finding in report.findings if finding.severity > Severity.INFO]
+    assert told == []
+    assert report.verdict == "conforms"
+    assert all(level.ran for level in report.levels)
+
+
+def test_they_are_of_every_producer_and_many(capsys: pytest.CaptureFixture[str]) -> None:
+    producers = Counter(model.producer for model in MODELS)
+    targets = Counter(model.target for model in MODELS)
+    with capsys.disabled():
+        counted = ", ".join(f"{name} {count}" for name, count in producers.items())
+        print(f"\ngood models: {counted}; {len(MODELS)} in all")
+    assert len(MODELS) >= 60
+    assert min(producers.values()) >= 7
+    assert targets["visionary"] >= 8
+    assert targets["webgpu"] >= 20

@@ -1,0 +1,1 @@
+"""Good models of many producers, which the validator must not find fault with."""
