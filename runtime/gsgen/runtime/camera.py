@@ -1,0 +1,247 @@
+"""Cameras: pinholes in the OpenCV convention, as JSON, looking at a point, or in orbit around it."""
+
+__all__ = ["Camera"]
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract import geometry
+from gsgen.runtime.errors import SceneInvalid
+
+_NEAR = 0.01
+_LARGEST_SIDE = 16_384
+_ROTATION_TOLERANCE = 1e-3
+_UP = (0.0, -1.0, 0.0)  # +y is down in the worlds that COLMAP makes
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A pinhole camera: +x right, +y down, +z forward; the first pixel's centre is (0.5, 0.5).
+
+    Attributes:
+        view: World → camera, [4, 4], acting on column vectors; a rotation and a translation.
+        fx: Horizontal focal length, in pixels.
+        fy: Vertical focal length, in pixels.
+        cx: Principal point from the left edge, in pixels.
+        cy: Principal point from the upper edge, in pixels.
+        width: Of the image, in pixels.
+        height: Of the image, in pixels.
+        near: What is nearer along +z than this, in world units, is not drawn.
+
+    Raises:
+        SceneInvalid: A number is not finite or out of range, or ``view`` is no rigid motion.
+    """
+
+    view: Float[np.ndarray, "4 4"]
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+    near: float = _NEAR
+
+    def __post_init__(self) -> None:
+        view = np.array(self.view, np.float64)
+        if view.shape != (4, 4) or not np.isfinite(view).all():
+            raise SceneInvalid(
+                f"is {view.tolist()}, wanted 4 rows of 4 finite numbers", where="camera.view"
+            )
+        object.__setattr__(self, "view", view)
+        for name in ("fx", "fy", "near"):
+            _require_number(name, getattr(self, name), positive=True)
+        for name in ("cx", "cy"):
+            _require_number(name, getattr(self, name))
+        for name in ("width", "height"):
+            _require_side(name, getattr(self, name))
+        turn = view[:3, :3]
+        off = np.abs(turn @ turn.T - np.eye(3)).max()
+        rigid = off <= _ROTATION_TOLERANCE and np.linalg.det(turn) > 0
+        if not (rigid and np.array_equal(view[3], [0, 0, 0, 1])):
+            raise SceneInvalid(
+                f"is no rotation with a translation: {view.tolist()}",
+                where="camera.view",
+                mend="It maps world to camera and acts on column vectors; its last row is 0 0 0 1.",
+            )
+
+    @classmethod
+    def look_at(
+        cls,
+        eye: Sequence[float],
+        target: Sequence[float],
+        *,
+        up: Sequence[float] = _UP,
+        width: int = 1280,
+        height: int = 720,
+        fov_y: float = 50.0,
+        near: float = _NEAR,
+    ) -> "Camera":
+        """Return the camera at ``eye`` that looks at ``target``.
+
+        Args:
+            eye: The camera centre, in world units.
+            target: What is in the middle of the image.
+            up: The world's upward direction.
+            width: Of the image, in pixels.
+            height: Of the image, in pixels.
+            fov_y: Vertical field of view, in degrees.
+            near: Distance of the near plane.
+
+        Raises:
+            SceneInvalid: ``eye`` and ``target`` are one point, or a number is out of range.
+        """
+        if not 0 < fov_y < 180:
+            raise SceneInvalid(f"is {fov_y} degrees, wanted 0 to 180", where="camera.fov_y")
+        _require_side("height", height)
+        at, goal = np.asarray(eye, np.float64), np.asarray(target, np.float64)
+        if not np.linalg.norm(goal - at) > 0:
+            raise SceneInvalid(
+                f"looks from {at.tolist()} at {goal.tolist()}, which is no direction",
+                where="camera",
+            )
+        if not np.linalg.norm(np.asarray(up, np.float64)) > 0:
+            raise SceneInvalid(f"is {list(up)}, which is no direction", where="camera.up")
+        focal = height / 2 / math.tan(math.radians(fov_y) / 2)
+        view = geometry.look_at(at, goal, np.asarray(up, np.float64))
+        return cls(view, focal, focal, width / 2, height / 2, width, height, near)
+
+    @classmethod
+    def orbit(
+        cls,
+        center: Sequence[float],
+        radius: float,
+        *,
+        azimuth: float = 0.0,
+        elevation: float = 0.0,
+        up: Sequence[float] = _UP,
+        width: int = 1280,
+        height: int = 720,
+        fov_y: float = 50.0,
+        near: float = _NEAR,
+    ) -> "Camera":
+        """Return the camera on a sphere around ``center`` that looks at it.
+
+        Args:
+            center: In world units.
+            radius: Of the sphere, > 0.
+            azimuth: Degrees around ``up``.
+            elevation: Degrees above the horizon.
+            up: The world's upward direction.
+            width: Of the image, in pixels.
+            height: Of the image, in pixels.
+            fov_y: Vertical field of view, in degrees.
+            near: Distance of the near plane.
+
+        Raises:
+            SceneInvalid: A number is out of range.
+        """
+        _require_number("radius", radius, positive=True)
+        axis = np.asarray(up, np.float64)
+        length = np.linalg.norm(axis)
+        if not length > 0:
+            raise SceneInvalid(f"is {list(up)}, which is no direction", where="camera.up")
+        axis = axis / length
+        side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        side /= np.linalg.norm(side)
+        turn, lift = math.radians(azimuth), math.radians(elevation)
+        level = math.cos(turn) * np.cross(side, axis) + math.sin(turn) * side
+        away = math.cos(lift) * level + math.sin(lift) * axis
+        middle = np.asarray(center, np.float64)
+        # Straight above, `up` says nothing: the horizon's direction does.
+        upward = axis if abs(lift) < math.pi / 2 - 1e-6 else -math.copysign(1, lift) * level
+        return cls.look_at(
+            (middle + radius * away).tolist(),
+            middle.tolist(),
+            up=upward.tolist(),
+            width=width,
+            height=height,
+            fov_y=fov_y,
+            near=near,
+        )
+
+    @classmethod
+    def from_json(cls, text: str) -> "Camera":
+        """Return the camera that a JSON object of this class's attributes describes.
+
+        Raises:
+            SceneInvalid: The text is no such object.
+        """
+        try:
+            made = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise SceneInvalid(f"is no JSON: {error}", where="camera") from error
+        return cls.from_dict(made)
+
+    @classmethod
+    def from_dict(cls, made: object) -> "Camera":
+        """Return the camera that a mapping of this class's attributes describes.
+
+        Raises:
+            SceneInvalid: A field is missing, unknown or invalid.
+        """
+        known = [field.name for field in fields(cls)]
+        if not isinstance(made, Mapping):
+            raise SceneInvalid(
+                f"is a {type(made).__name__}, wanted an object with {', '.join(known)}",
+                where="camera",
+            )
+        missing = [name for name in known if name not in made and name != "near"]
+        unknown = [name for name in made if name not in known]
+        if missing or unknown:
+            parts = [f"lacks {', '.join(missing)}"] if missing else []
+            parts += [f"has unknown {', '.join(map(str, unknown))}"] if unknown else []
+            raise SceneInvalid(
+                "; ".join(parts), where="camera", mend=f"Fields: {', '.join(known)}."
+            )
+        values: dict[str, Any] = dict(made)
+        try:
+            values["view"] = np.array(values["view"], np.float64)
+        except (TypeError, ValueError) as error:
+            raise SceneInvalid(f"is no matrix: {error}", where="camera.view") from error
+        return cls(**values)
+
+    def to_json(self) -> str:
+        """Return the camera as a JSON object."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return json.dumps(values | {"view": self.view.tolist()}, indent=1)
+
+    @property
+    def eye(self) -> Float[np.ndarray, "3"]:
+        """The camera centre, in world units: −Rᵀt."""
+        return np.asarray(-self.view[:3, :3].T @ self.view[:3, 3])
+
+    def scaled(self, width: int, height: int) -> "Camera":
+        """Return the camera with the same view in an image of another size."""
+        across, down = width / self.width, height / self.height
+        return Camera(
+            self.view,
+            self.fx * across,
+            self.fy * down,
+            self.cx * across,
+            self.cy * down,
+            width,
+            height,
+            self.near,
+        )
+
+
+def _require_number(name: str, value: object, *, positive: bool = False) -> None:
+    good = isinstance(value, int | float) and math.isfinite(value)
+    if not good or (positive and not float(value) > 0):  # type: ignore[arg-type]
+        wanted = "a positive number" if positive else "a finite number"
+        raise SceneInvalid(f"is {value!r}, wanted {wanted}", where=f"camera.{name}")
+
+
+def _require_side(name: str, value: object) -> None:
+    if not (isinstance(value, int | np.integer) and 1 <= value <= _LARGEST_SIDE):
+        raise SceneInvalid(
+            f"is {value!r}, wanted an integer from 1 to {_LARGEST_SIDE}",
+            where=f"camera.{name}",
+        )

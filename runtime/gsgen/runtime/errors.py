@@ -1,0 +1,17 @@
+"""What stops the runtime: errors that a user can meet, each with the next thing to do."""
+
+__all__ = ["CapacityExceeded", "DeviceUnavailable", "SceneInvalid"]
+
+from gsgen.contract.errors import GsgenError
+
+
+class DeviceUnavailable(GsgenError):
+    """There is no graphics adapter to draw with, or it refuses what is needed."""
+
+
+class CapacityExceeded(GsgenError):
+    """A scene or an image is larger than the device's buffers can be."""
+
+
+class SceneInvalid(GsgenError):
+    """A camera, a transform or an array cannot be drawn, whatever the device."""

@@ -1,0 +1,14 @@
+// What all Gaussians of a frame share. Written by camera.py's `frame_bytes`.
+
+struct Frame {
+    focal: vec2f,        // pixels
+    center: vec2f,       // principal point minus `origin`, pixels
+    slope_low: vec2f,    // x/z and y/z beyond which the Jacobian stays as it is
+    slope_high: vec2f,
+    origin: vec2f,       // whole pixels; image coordinates are relative to it, so that they stay exact
+    near: f32,
+    pair_capacity: u32,
+    size: vec2u,         // pixels
+    tiles: vec2u,
+    background: vec4f,
+}

@@ -1,0 +1,166 @@
+"""Project: turn Gaussians into splats, and say how far away each is."""
+
+__all__ = ["NO_HARMONICS", "FRAME", "PAGE", "ProjectKernel", "frame_uniform", "page_uniform"]
+
+from typing import Any, Final, final
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from gsgen.contract import layout
+from gsgen.runtime.camera import Camera
+from gsgen.runtime.device import Device
+from gsgen.runtime.kernels.kernel import Kernel
+from gsgen.runtime.kernels.shader import JACOBIAN_MARGIN, TILE
+from gsgen.runtime.scene import SplatSet
+
+NO_HARMONICS: Final = 0xFF
+"""The degree of raw colours."""
+
+_THREADS = 64
+
+FRAME: Final = np.dtype(
+    {
+        "names": [
+            "focal",
+            "center",
+            "slope_low",
+            "slope_high",
+            "origin",
+            "near",
+            "pair_capacity",
+            "size",
+            "tiles",
+            "background",
+        ],
+        "formats": ["2f4"] * 5 + ["f4", "u4", "2u4", "2u4", "4f4"],
+        "offsets": [0, 8, 16, 24, 32, 40, 44, 48, 56, 64],
+        "itemsize": 80,
+    }
+)
+"""The bytes of ``struct Frame`` in frame.wgsl."""
+
+PAGE: Final = np.dtype(
+    {
+        "names": [
+            "linear",
+            "local_to_sh",
+            "eye",
+            "opacity_scale",
+            "eye_rest",
+            "base",
+            "clip_low",
+            "count",
+            "clip_high",
+            "degree",
+            "mip",
+        ],
+        "formats": ["(3,4)f4", "(3,4)f4", "3f4", "f4", "3f4", "u4", "3f4", "u4", "3f4"]
+        + ["u4", "u4"],
+        "offsets": [0, 48, 96, 108, 112, 124, 128, 140, 144, 156, 160],
+        "itemsize": 256,
+    }
+)
+"""The bytes of ``struct Page`` in project.wgsl, in steps that any device can bind at."""
+
+
+def tiles_of(camera: Camera) -> tuple[int, int]:
+    """Return how many tiles an image has across and down."""
+    return -(-camera.width // TILE), -(-camera.height // TILE)
+
+
+def frame_uniform(
+    camera: Camera, background: Float[np.ndarray, "4"]
+) -> Shaped[np.ndarray, ""]:
+    """Return what all Gaussians of a frame share.
+
+    Args:
+        camera: Whose image it is.
+        background: Red, green, blue, multiplied by alpha, and alpha.
+    """
+    made = np.zeros((), FRAME)
+    focal = np.array([camera.fx, camera.fy])
+    center = np.array([camera.cx, camera.cy])
+    size = np.array([camera.width, camera.height])
+    margin = JACOBIAN_MARGIN * size / 2
+    origin = np.clip(np.floor(center), 0, size)
+    made["focal"], made["center"], made["origin"] = focal, center - origin, origin
+    made["slope_low"] = -(center + margin) / focal
+    made["slope_high"] = (size - center + margin) / focal
+    made["near"], made["size"], made["tiles"] = camera.near, size, tiles_of(camera)
+    made["background"] = background
+    return made
+
+
+def page_uniform(
+    placed: SplatSet, camera: Camera, base: int, count: int
+) -> Shaped[np.ndarray, ""]:
+    """Return what all Gaussians of a page share, worked out in float64.
+
+    Args:
+        placed: The set that the page is of.
+        camera: Who looks at it.
+        base: Index of the page's first Gaussian in the frame.
+        count: Live Gaussians of the page.
+    """
+    made = np.zeros((), PAGE)
+    linear, offset = placed.transform[:3, :3], placed.transform[:3, 3]
+    eye = np.linalg.solve(linear, camera.eye - offset)
+    made["linear"][:, :3] = (camera.view[:3, :3] @ linear).T  # WGSL matrices are columns
+    # The polar decomposition A = Q S: directions of the harmonics are Qᵀ(A d) = S d.
+    _, stretch, axes = np.linalg.svd(linear)
+    made["local_to_sh"][:, :3] = axes.T @ np.diag(stretch / stretch[0]) @ axes
+    made["eye"] = eye
+    made["eye_rest"] = eye - made["eye"].astype(np.float64)
+    made["opacity_scale"], made["base"], made["count"] = placed.opacity_scale, base, count
+    low, high = (
+        ((-np.inf,) * 3, (np.inf,) * 3)
+        if placed.clip is None
+        else (placed.clip.low, placed.clip.high)
+    )
+    made["clip_low"], made["clip_high"] = low, high
+    made["mip"] = placed.antialias == "mip"
+    degree = placed.data.degree
+    if degree is None:
+        made["degree"] = NO_HARMONICS
+    else:
+        made["degree"] = degree if placed.degree is None else min(degree, placed.degree)
+    return made
+
+
+@final
+class ProjectKernel:
+    """``project.wgsl`` for rows and appearance of given types.
+
+    Args:
+        device: Where it runs.
+        half_rows: Whether rows are float16.
+        half_appearance: Whether the appearance is.
+        channels: Of the appearance.
+    """
+
+    def __init__(
+        self, device: Device, half_rows: bool, half_appearance: bool, channels: int
+    ) -> None:
+        self.kernel = Kernel(
+            device,
+            "project",
+            "project",
+            ("uwwww", "urr"),
+            THREADS=_THREADS,
+            ROW=layout.ROW,
+            HALF_ROWS=half_rows,
+            HALF_APPEARANCE=half_appearance,
+            CHANNELS=channels,
+            NO_HARMONICS=NO_HARMONICS,
+        )
+
+    def bind_page(self, uniform: Any, slot: int, rows: Any, appearance: Any) -> Any:
+        """Return the bind group of a page, whose uniform is number ``slot`` of a buffer."""
+        own = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
+        return self.kernel.bind(own, rows, appearance, group=1)
+
+    @staticmethod
+    def groups(capacity: int) -> tuple[int, int, int]:
+        """Return the workgroups for a page of ``capacity`` Gaussians."""
+        return -(-capacity // _THREADS), 1, 1

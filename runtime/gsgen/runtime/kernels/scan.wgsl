@@ -1,0 +1,69 @@
+// Scan: replace numbers by the sum of all before them, and say what the total was.
+//
+// One workgroup; each invocation sums a run, the sums are scanned, each writes its run.
+
+struct Scan {
+    source: u32,      // which of the counts the length follows from
+    block: u32,       // length = rows × ⌈counts[source] / block⌉
+    rows: u32,
+    effect: u32,      // what the total is: 0 nothing new, 1 the visible splats, 2 the pairs
+}
+
+@group(0) @binding(0) var<uniform> scan_of: Scan;
+@group(0) @binding(1) var<storage, read_write> counts: array<u32>;
+@group(0) @binding(2) var<storage, read_write> numbers: array<u32>;
+
+const MANY = 0x7fffffffu;  // sums stop here instead of wrapping around
+
+var<workgroup> sums: array<u32, THREADS>;
+
+fn groups(amount: u32, size: u32) -> u32 {
+    return (amount + size - 1u) / size;
+}
+
+fn announce(slot: u32, amount: u32, sort_at: u32, walk_at: u32, walk_size: u32) {
+    counts[slot] = amount;
+    counts[sort_at] = groups(amount, SORT_BLOCK);
+    counts[walk_at] = groups(amount, walk_size);
+}
+
+@compute @workgroup_size(THREADS)
+fn scan(@builtin(local_invocation_id) local: vec3u) {
+    let length = scan_of.rows * groups(counts[scan_of.source], scan_of.block);
+    let run = groups(length, THREADS);
+    let start = min(local.x * run, length);
+    let end = min(start + run, length);
+    var sum = 0u;
+    for (var i = start; i < end; i++) {
+        sum = min(sum + numbers[i], MANY);
+    }
+    sums[local.x] = sum;
+    workgroupBarrier();
+    for (var reach = 1u; reach < THREADS; reach *= 2u) {
+        var below = 0u;
+        if (local.x >= reach) {
+            below = sums[local.x - reach];
+        }
+        workgroupBarrier();
+        sums[local.x] = min(sums[local.x] + below, MANY);
+        workgroupBarrier();
+    }
+    var place = 0u;
+    if (local.x > 0u) {
+        place = sums[local.x - 1u];
+    }
+    for (var i = start; i < end; i++) {
+        let own = numbers[i];
+        numbers[i] = place;
+        place = min(place + own, MANY);
+    }
+    if (local.x == THREADS - 1u) {
+        if (scan_of.effect == 1u) {
+            announce(VISIBLE, place, SORT_VISIBLE_GROUPS, WALK_VISIBLE_GROUPS, WALK_BLOCK);
+        }
+        if (scan_of.effect == 2u) {
+            counts[WANTED_PAIRS] = place;
+            announce(PAIRS, min(place, counts[PAIR_CAPACITY]), SORT_PAIRS_GROUPS, WALK_PAIRS_GROUPS, RANGE_BLOCK);
+        }
+    }
+}

@@ -1,0 +1,59 @@
+"""Assemble WGSL: named snippets are included, and constants are written once, here, from Python."""
+
+__all__ = ["source"]
+
+import re
+from functools import cache
+from importlib.resources import files
+
+from gsgen.contract import layout
+
+_INCLUDE = re.compile(r"^//!include (\w+)$", re.MULTILINE)
+
+# What every kernel may use. One truth per fact: the numbers live in gsgen.contract or here.
+DILATION = 0.3
+"""Variance, in pixels², that is added to every splat (Kerbl et al. 2023)."""
+MAX_ALPHA = 0.99
+"""The most that one splat may cover a pixel (Kerbl et al. 2023)."""
+MIN_TRANSMITTANCE = 1e-4
+"""A pixel through which less light would pass is finished (Kerbl et al. 2023)."""
+JACOBIAN_MARGIN = 0.3
+"""How far outside the image, in half images, the Jacobian follows a centre (as gsplat does)."""
+TILE = 16
+"""Edge of a tile, in pixels."""
+ABSENT = 0xFFFFFFFF
+"""The sort key of a Gaussian that is not drawn, and the id of a pixel without one."""
+
+
+def source(name: str, **constants: int | float | bool) -> str:
+    """Return the WGSL of kernel ``name``: constants first, then the file with its snippets.
+
+    Args:
+        name: Of the file in this package, without ``.wgsl``.
+        constants: Declared in front as ``const NAME``; ints are u32, floats f32.
+    """
+    shared: dict[str, int | float | bool] = {
+        "ABSENT": ABSENT,
+        "CULL_OPACITY": layout.CULL_OPACITY,
+        "DILATION": DILATION,
+        "MAX_ALPHA": MAX_ALPHA,
+        "MIN_TRANSMITTANCE": MIN_TRANSMITTANCE,
+        "TILE": TILE,
+    }
+    lines = [_declaration(key, value) for key, value in (shared | constants).items()]
+    return "\n".join(lines) + "\n" + _included(name)
+
+
+@cache
+def _included(name: str) -> str:
+    """Return the text of a file of this package with what it includes in place."""
+    text = files("gsgen.runtime.kernels").joinpath(f"{name}.wgsl").read_text("utf-8")
+    return _INCLUDE.sub(lambda match: _included(match[1]), text)
+
+
+def _declaration(name: str, value: int | float | bool) -> str:
+    if isinstance(value, bool):
+        return f"const {name}: bool = {str(value).lower()};"
+    if isinstance(value, int):
+        return f"const {name}: u32 = {value}u;"
+    return f"const {name}: f32 = {value!r}f;"

@@ -1,0 +1,73 @@
+"""What is on the GPU: the rows of every set, in pages that no binding outgrows."""
+
+__all__ = ["PAGE_ROWS", "Page", "Residency"]
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final, final
+from weakref import WeakKeyDictionary
+
+from gsgen.runtime.device import Device
+from gsgen.runtime.splat_data import SplatData
+
+PAGE_ROWS: Final = 1 << 18
+"""Rows of a page: SH of degree 3 in float32 are 48 MiB, of the 128 that every device binds."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Page:
+    """Some rows of one set, on the GPU.
+
+    Attributes:
+        first: Index of the page's first row in the set.
+        capacity: Rows of the page.
+        rows: Buffer of packed rows.
+        appearance: Buffer of their appearance.
+    """
+
+    first: int
+    capacity: int
+    rows: Any
+    appearance: Any
+
+
+@final
+class Residency:
+    """Keeps each ``SplatData`` on the GPU for as long as anybody holds it.
+
+    Args:
+        device: Where the buffers are.
+        page_rows: Rows of a page.
+    """
+
+    def __init__(self, device: Device, page_rows: int = PAGE_ROWS) -> None:
+        self._device = device
+        self._page_rows = page_rows
+        self._held: WeakKeyDictionary[SplatData, tuple[list[int], list[Page]]]
+        self._held = WeakKeyDictionary()
+
+    def pages(self, data: SplatData) -> list[Page]:
+        """Return the pages of ``data``, with its present values in them."""
+        if data not in self._held:
+            self._held[data] = ([-1], list(self._allocate(data)))
+        version, pages = self._held[data]
+        if version[0] != data.version:
+            for page in pages:
+                part = slice(page.first, page.first + page.capacity)
+                self._device.write(page.rows, data.rows[part])
+                self._device.write(page.appearance, data.appearance[part])
+            version[0] = data.version
+        return pages
+
+    def _allocate(self, data: SplatData) -> Iterator[Page]:
+        for first in range(0, len(data), self._page_rows):
+            capacity = min(self._page_rows, len(data) - first)
+            rows = capacity * data.rows.strides[0]
+            appearance = capacity * data.appearance.strides[0]
+            yield Page(
+                first,
+                capacity,
+                self._device.storage("rows", rows),
+                self._device.storage("appearance", appearance),
+            )

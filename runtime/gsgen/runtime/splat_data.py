@@ -1,0 +1,130 @@
+"""Gaussians to be drawn: packed rows of the contract, whose values may change from frame to frame."""
+
+__all__ = ["SplatData"]
+
+from typing import Literal, final
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract import layout
+from gsgen.contract.geometry import covariance_upper
+from gsgen.contract.spherical_harmonics import MAX_DEGREE, coefficients, degree_of
+from gsgen.formats import PackedRows, Splats
+from gsgen.runtime.errors import SceneInvalid
+
+_HALVES = (np.dtype(np.float16), np.dtype(np.float32))
+
+
+@final
+class SplatData:
+    """Packed rows and their appearance, as a generator emits them.
+
+    Attributes:
+        rows: ``x y z opacity xx xy xz yy yz zz``, [N, 10], float32 or float16.
+        appearance: SH coefficients or RGB, [N, C], float32 or float16.
+        space: What ``appearance`` holds.
+        count: How many of the first rows are drawn.
+        version: Grows with every update; who keeps a copy compares it.
+    """
+
+    def __init__(
+        self,
+        rows: Float[np.ndarray, "n 10"],
+        appearance: Float[np.ndarray, "n c"],
+        space: Literal["sh", "rgb"],
+        *,
+        count: int | None = None,
+    ) -> None:
+        self.space: Literal["sh", "rgb"] = space
+        self.version = 0
+        self.rows, self.appearance, self.count = _checked(rows, appearance, space, count)
+
+    @classmethod
+    def from_splats(cls, splats: Splats) -> "SplatData":
+        """Activate what a splat file holds; harmonics above degree 3 are left out.
+
+        Opacity by the sigmoid, scale by the exponential, covariance by equation 6 of Kerbl
+        et al. 2023.
+        """
+        with np.errstate(over="ignore"):  # the sigmoid of -inf is the 0 that it means
+            opacity = 1 / (1 + np.exp(-splats.logit_opacity.astype(np.float64)))
+        scale = np.exp(splats.log_scale.astype(np.float64))
+        made = layout.Gaussians(
+            position=splats.position,
+            opacity=opacity,
+            covariance=covariance_upper(scale, splats.rotation),
+            sh=splats.sh[:, : coefficients(MAX_DEGREE)],
+        )
+        return cls(*layout.encode(made), "sh")
+
+    @classmethod
+    def from_packed(
+        cls, packed: PackedRows, space: Literal["sh", "rgb"] | None = None
+    ) -> "SplatData":
+        """Take packed rows as they are.
+
+        Args:
+            packed: The rows.
+            space: What the appearance is; three or four channels mean RGB where absent.
+        """
+        three = packed.appearance.shape[1] in (3, 4)
+        return cls(packed.gaussians, packed.appearance, space or ("rgb" if three else "sh"))
+
+    def update(
+        self,
+        rows: Float[np.ndarray, "n 10"],
+        appearance: Float[np.ndarray, "n c"],
+        count: int | None = None,
+    ) -> None:
+        """Replace the values; shapes and dtypes stay, so that no buffer is made anew.
+
+        Raises:
+            SceneInvalid: A shape or a dtype is another than before.
+        """
+        made = _checked(rows, appearance, self.space, count)
+        for name, new, old in (
+            ("rows", made[0], self.rows),
+            ("appearance", made[1], self.appearance),
+        ):
+            if new.shape != old.shape or new.dtype != old.dtype:
+                raise SceneInvalid(
+                    f"{new.dtype} {list(new.shape)}, wanted {old.dtype} {list(old.shape)} as before",
+                    where=name,
+                )
+        self.rows, self.appearance, self.count = made
+        self.version += 1
+
+    @property
+    def degree(self) -> int | None:
+        """The SH degree, or None where the appearance is RGB."""
+        return degree_of(self.appearance.shape[1] // 3) if self.space == "sh" else None
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+def _checked(
+    rows: np.ndarray,
+    appearance: np.ndarray,
+    space: Literal["sh", "rgb"],
+    count: int | None,
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return the arrays in C order, and how many rows are live."""
+    allowed = layout.APPEARANCE_CHANNELS[space]
+    if rows.ndim != 2 or rows.shape[1] != layout.ROW or rows.dtype not in _HALVES:
+        raise SceneInvalid(
+            f"{rows.dtype} {list(rows.shape)}, wanted float16 or float32 [N, {layout.ROW}]",
+            where="rows",
+        )
+    fits = appearance.ndim == 2 and appearance.shape[1] in allowed
+    if not fits or len(appearance) != len(rows) or appearance.dtype not in _HALVES:
+        raise SceneInvalid(
+            f"{appearance.dtype} {list(appearance.shape)}, wanted float16 or float32 "
+            f"[{len(rows)}, C] with C one of {', '.join(map(str, allowed))} for {space}",
+            where="appearance",
+        )
+    live = len(rows) if count is None else int(count)
+    if not 0 <= live <= len(rows):
+        raise SceneInvalid(f"{live} is not within 0 to {len(rows)}", where="count")
+    return np.ascontiguousarray(rows), np.ascontiguousarray(appearance), live
