@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from gsgen.contract.errors import UnknownName
 from gsgen.sdk.passes.base import Goal, Rewrite
 from gsgen.sdk.passes.end_outputs_on_compute import EndOutputsOnCompute
+from gsgen.sdk.passes.fold_shapes import FoldShapes
+from gsgen.sdk.passes.freeze_dimensions import FreezeDimensions
 from gsgen.sdk.passes.multiply_matrices import MultiplyMatrices
 from gsgen.sdk.passes.round_by_floor import RoundByFloor
 from gsgen.sdk.passes.sample_by_gather import SampleByGather
@@ -18,6 +20,8 @@ from gsgen.sdk.passes.share_weights import ShareWeights
 
 REWRITES: tuple[type[Rewrite], ...] = (
     # -- First what makes shapes and constants known: others look at them.
+    FreezeDimensions,
+    FoldShapes,
     # -- Then what gives back what an exporter or an optimiser took away.
     # -- Whole constructs that no GPU runs, written out with plain operators.
     SampleByGather,

@@ -104,7 +104,9 @@ def _replace(node: ir.Node) -> None:
     start = before.constant(first.astype(np.int32)[:, None], "frame")
     rows = []
     for y_index, y_weight in ys:
-        line = before.op("Mul", y_index, before.constant(np.int32(width), "width"))
+        line = before.op(
+            "Mul", y_index, before.constant(np.asarray(width, np.int32), "width")
+        )
         line = before.op("Add", line, start) if frames > 1 else line
         parts = []
         for x_index, x_weight in xs:
