@@ -2,15 +2,20 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import zipfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from gsgen.conformance.fixtures import find
 from support.commands import ROOT
+
+ACME = Path(__file__).parent / "acme"
+Acme = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
 def run(*command: str | Path, cwd: Path) -> "subprocess.CompletedProcess[str]":
@@ -135,90 +140,58 @@ def test_doctor_says_what_is_missing(fresh: Path, tmp_path: Path) -> None:
     assert "mend: pip install 'gsgen[runtime]'" in ran.stdout
 
 
-def test_a_third_party_brings_a_command_a_rule_and_a_target(
-    fresh: Path, tmp_path: Path
-) -> None:
-    """Entry points are found; a command whose extra is absent is listed with what installs it."""
-    package = tmp_path / "acme_gsgen"
-    package.mkdir()
-    (package / "acme.py").write_text(ACME)
-    (package / "pyproject.toml").write_text(ACME_PROJECT)
-    pip = [fresh / "python", "-m", "pip", "install", "--quiet", "--no-compile", "--no-deps"]
-    done = run(*pip, "-c", ROOT / "constraints.txt", package, cwd=tmp_path)
+@pytest.fixture(scope="module")
+def acme(fresh: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Acme]:
+    """Runs a command where a third party's package is installed, with what its tests need."""
+    folder = tmp_path_factory.mktemp("acme")
+    package = shutil.copytree(ACME, folder / "package")
+    pip = [fresh / "python", "-m", "pip", "install", "--quiet", "--no-compile"]
+    done = run(*pip, "-c", ROOT / "constraints.txt", f"{package}[test]", cwd=folder)
     assert done.returncode == 0, done.stderr
-    try:
-        model = find("drift").write(tmp_path)
-        ran = run(fresh / "gsgen", "validate", model, "--target", "acme", cwd=tmp_path)
-        assert ran.returncode == 1
-        assert "acme/AC001 error small-enough" in ran.stdout
-        hello = run(fresh / "gsgen", "hello", cwd=tmp_path)
-        assert hello.stdout == "hello from acme\n"
-        listed = run(fresh / "gsgen", "--help", cwd=tmp_path).stdout
-        assert "pip install 'acme-gsgen[extra]'" in listed
-        heavy = run(fresh / "gsgen", "heavy", "--any", "thing", cwd=tmp_path)
-        assert heavy.returncode == 2
-        assert "needs no-such-distribution" in heavy.stderr
-    finally:
-        run(
-            fresh / "python",
-            "-m",
-            "pip",
-            "uninstall",
-            "-y",
-            "-q",
-            "acme-gsgen",
-            cwd=tmp_path,
-        )
+    here = tmp_path_factory.mktemp("studio")
+    shutil.copy(ACME / "check_acme.py", here)
+    yield lambda name, *words: run(fresh / name, *words, cwd=here)
+    run(fresh / "python", "-m", "pip", "uninstall", "-y", "-q", "acme-gsgen", cwd=folder)
 
 
-ACME_PROJECT = """
-[project]
-name = "acme-gsgen"
-version = "1"
-[project.optional-dependencies]
-extra = ["no-such-distribution"]
-[project.entry-points."gsgen.rules"]
-acme = "acme"
-[project.entry-points."gsgen.targets"]
-acme = "acme:target"
-[project.entry-points."gsgen.commands"]
-hello = "acme:hello"
-heavy = "acme:hello [extra]"
-[build-system]
-requires = ["setuptools"]
-build-backend = "setuptools.build_meta"
-[tool.setuptools]
-py-modules = ["acme"]
-"""
-
-ACME = '''
-import typer
-from dataclasses import replace
-from gsgen.contract.finding import Breach, Severity
-from gsgen.contract.rule import rule
-from gsgen.contract.targets import load_target
+def test_a_third_party_brings_a_command(acme: Acme) -> None:
+    """A command whose extra is absent is listed with what installs it."""
+    assert acme("gsgen", "hello").stdout == "hello from acme\n"
+    assert "pip install 'acme-gsgen[extra]'" in acme("gsgen", "--help").stdout
+    heavy = acme("gsgen", "heavy", "--any", "thing")
+    assert heavy.returncode == 2
+    assert "needs no-such-distribution" in heavy.stderr
 
 
-def hello() -> None:
-    """Say hello."""
-    typer.echo("hello from acme")
+def test_a_third_party_brings_a_generator_a_target_and_a_rule(acme: Acme) -> None:
+    made = acme("gsgen", "export", "row", "-o", "short.onnx")
+    assert made.stdout == "short.onnx: 3 in a row\n", made.stderr
+    assert acme("gsgen", "export", "row", "-o", "long.onnx", "--count", "5").returncode == 0
+    judged = acme("gsgen", "validate", "short.onnx", "long.onnx", "--target", "acme", "-q")
+    assert judged.returncode == 1
+    assert "long.onnx: invalid" in judged.stdout
+    assert "short.onnx: conforms" in judged.stdout
+    tested = acme("gsgen", "conformance", "short.onnx", "long.onnx", "--target", "acme")
+    assert tested.returncode == 1
+    short, _, long = tested.stdout.partition("long.onnx")
+    assert "acme/AC001" not in short
+    assert "acme/AC001" in long
 
 
-def target():
-    return replace(load_target("core"), name="acme", version="2", limits={"acme_rows": 3})
-
-
-@rule("acme/AC001", "small-enough", Severity.ERROR, over="model", fixture="", limit="acme_rows")
-def small_enough(subject):
-    """A model has at most three rows.
-
-    Why:
-        Acme's viewer draws three.
-
-    Mend:
-        Prune.
-    """
-    gaussians = subject.declared_gaussians
-    if gaussians and gaussians.capacity > subject.target.limits["acme_rows"]:
-        yield Breach.at("capacity", str(gaussians.capacity), "3 at most")
-'''
+def test_a_third_party_s_tests_run_by_pytest_alone(acme: Acme) -> None:
+    """Nothing is configured: the installed plugin gives rules, options and the class."""
+    quiet = ("-q", "-rA", "-p", "no:cacheprovider")
+    own = acme("pytest", "check_acme.py", *quiet)
+    assert own.returncode == 0, own.stdout
+    assert (
+        "PASSED check_acme.py::TestRow::test_basic[acme/AC001-small-enough]" in own.stdout
+    )
+    (known,) = [line for line in own.stdout.splitlines() if line.startswith("XFAIL")]
+    assert "test_a_long_row[long-basic-acme/AC001-small-enough]" in known
+    assert "acme/AC001 (Acme draws three.)" in known
+    assert "FAILED" not in own.stdout
+    model = acme("pytest", "--gsgen", "long.onnx", "--gsgen-target", "acme", *quiet)
+    assert model.returncode == 1
+    (failed,) = [line for line in model.stdout.splitlines() if line.startswith("FAILED")]
+    assert "acme/AC001" in failed
+    assert "PASSED long.onnx::basic::GV003-opacity-range" in model.stdout

@@ -1,0 +1,45 @@
+"""Acme's own tests, which run where the package is installed from a wheel."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from acme_gsgen import write_row
+
+from gsgen.conformance import GeneratorConformance, parametrize_with_rules
+from gsgen.conformance.expected import ExpectedFailure
+
+HERE = Path(__file__).parent
+
+
+class TestRow(GeneratorConformance):
+    """Three Gaussians keep the contract, and Acme's limit."""
+
+    @pytest.fixture(scope="class")
+    def model(self, tmp_path_factory: pytest.TempPathFactory) -> Path:
+        path = tmp_path_factory.mktemp("row") / "row.onnx"
+        write_row(path, 3)
+        return path
+
+    @pytest.fixture
+    def target(self) -> str:
+        return "acme"
+
+
+def _long() -> list[Path]:
+    write_row(HERE / "long.onnx", 5)
+    return [HERE / "long.onnx"]
+
+
+@parametrize_with_rules(
+    _long,
+    target="acme",
+    suites=["basic"],
+    expected_failures=[ExpectedFailure("acme/AC001", "Acme draws three.")],
+)
+def test_a_long_row(check):
+    check()
+
+
+def test_nothing_needed_torch():
+    assert "torch" not in sys.modules
