@@ -108,6 +108,7 @@ class GaussianGenerator(nn.Module, ABC):
         color_space: Of the colours that come out of SH or RGB.
         antialias: How the model was trained: ``classic`` (0.3 px dilation) or ``mip``.
         depends_on: Role → whether outputs change with it; roles not named do.
+        count_semantics: ``upper-bound`` where rows before the count may have opacity 0.
         family: ``static``, ``mlp``, ``4d``, ``avatar`` or another word.
         producer: Tool, source and licence; the SDK fills in itself where absent.
     """
@@ -117,6 +118,7 @@ class GaussianGenerator(nn.Module, ABC):
     color_space: Literal["srgb", "linear"] = "srgb"
     antialias: Literal["classic", "mip"] = "classic"
     depends_on: ClassVar[dict[str, bool]] = {}
+    count_semantics: Literal["exact", "upper-bound"] = "exact"
     family: str | None = None
     producer: Producer | None = None
 

@@ -81,7 +81,8 @@ class PackedGenerator(nn.Module):
         channels = appearance_channels("rgb", None, self.packed.dtype.itemsize)
         if channels == made.rgb.shape[1]:
             return made.rgb
-        return torch.cat([made.rgb, torch.ones_like(made.rgb[:, :1])], dim=1)
+        # Not a column of ones: that would be stored.
+        return torch.nn.functional.pad(made.rgb, (0, 1), value=1.0)
 
     def _padded(self, rows: Tensor) -> Tensor:
         missing = self.packed.capacity - rows.shape[0]

@@ -1,0 +1,155 @@
+"""The networks of anchor methods, in a form of constant shape.
+
+The published code selects anchors in view and Gaussians of positive opacity, so that its shapes
+depend on the camera. Here every anchor is decoded; what would not have been selected gets
+opacity zero.
+"""
+
+__all__ = ["AnchorHeads", "Decoded"]
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from gsgen.reference_plugins.checkpoints.anchors import AnchorCloud, AnchorNets, Mlp
+
+_COVARIANCE = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """What the networks say of N anchors with K Gaussians each.
+
+    Attributes:
+        opacity: tanh of the first head, [N, K]; of those at most 0 there is nothing to see.
+        scale: Three factors of the anchor's scale before the sigmoid, [N, K] each.
+        rotation: w, x, y, z, not normalised, [N, K] each.
+        color: RGB before the sigmoid, [N K, 3].
+    """
+
+    opacity: Float[Tensor, "n k"]
+    scale: tuple[Tensor, ...]
+    rotation: tuple[Tensor, ...]
+    color: Float[Tensor, "m 3"]
+
+
+class _Layers(nn.Module):
+    """Two layers, as matrices to multiply from the right."""
+
+    def __init__(self, hidden: Tensor, hidden_bias: Tensor, out: Tensor, out_bias: Tensor):
+        super().__init__()
+        self.register_buffer("hidden", hidden.t().contiguous())
+        self.register_buffer("hidden_bias", hidden_bias.clone())
+        self.register_buffer("out", out.t().contiguous())
+        self.register_buffer("out_bias", out_bias.clone())
+
+    def forward(self, inputs: Tensor, extra: Tensor | None = None) -> Tensor:
+        """Apply both; ``extra`` takes the place of the first bias."""
+        bias = self.hidden_bias if extra is None else extra
+        return torch.relu(inputs @ self.hidden + bias) @ self.out + self.out_bias
+
+
+class AnchorHeads(nn.Module):
+    """Decodes features by the direction and the distance from which they are seen.
+
+    Inputs of the published networks are concatenated as feature, direction, (distance), (level),
+    (appearance). Here one tensor holds the first four for all heads, zeros in a weight taking the
+    place of an input that a head does not have, and the appearance, which is the same for all
+    anchors, is multiplied out beforehand: one row of bias for each training camera.
+    """
+
+    def __init__(
+        self, cloud: AnchorCloud, nets: AnchorNets, appearance: int | None = None
+    ) -> None:
+        """Fold what does not change.
+
+        Args:
+            cloud: The anchors.
+            nets: Their networks.
+            appearance: Which appearance to keep; all where absent.
+        """
+        super().__init__()
+        self.per_anchor = cloud.per_anchor
+        self.width = cloud.width
+        heads = (nets.opacity, nets.covariance, nets.color)
+        self.distance = any(head.distance for head in heads)
+        self.bank_distance = nets.bank is not None and nets.bank.distance
+        self.register_buffer("feature", cloud.feature)
+        level = cloud.level[:, None] if nets.level and cloud.level is not None else None
+        self.register_buffer("level", level)
+        self.opacity = self._layers(nets.opacity)
+        self.covariance = self._layers(nets.covariance, by_component=True)
+        self.color = self._layers(nets.color)
+        bank = nets.bank
+        self.bank = None
+        if bank is not None:
+            self.bank = _Layers(bank.hidden, bank.hidden_bias, bank.out, bank.out_bias)
+        self.register_buffer("looks", self._looks(nets, appearance))
+
+    @property
+    def appearances(self) -> int:
+        """How many appearances there are to choose from; 0 where there is no choice."""
+        looks = self.looks
+        return 0 if looks is None or looks.shape[0] == 1 else int(looks.shape[0])
+
+    def _layers(self, mlp: Mlp, by_component: bool = False) -> _Layers:
+        parts = [mlp.hidden[:, : self.width + 3]]
+        at = self.width + 3
+        if self.distance:
+            column = mlp.hidden[:, at : at + 1] if mlp.distance else 0 * mlp.hidden[:, :1]
+            parts.append(column)
+        at += mlp.distance
+        if self.level is not None:
+            parts.append(mlp.hidden[:, at : at + 1])
+        out, out_bias = mlp.out, mlp.out_bias
+        if by_component:
+            order = torch.arange(_COVARIANCE * self.per_anchor)
+            order = order.reshape(self.per_anchor, _COVARIANCE).t().reshape(-1)
+            out, out_bias = out[order], out_bias[order]
+        return _Layers(torch.cat(parts, dim=1), mlp.hidden_bias, out, out_bias)
+
+    def _looks(self, nets: AnchorNets, appearance: int | None) -> Tensor | None:
+        """Return the colour head's first bias for each appearance, or None without any."""
+        if nets.embedding is None:
+            return None
+        rows = nets.embedding if appearance is None else nets.embedding[appearance][None]
+        weight = nets.color.hidden[:, -nets.embedding.shape[1] :]
+        return rows @ weight.t() + nets.color.hidden_bias
+
+    def forward(
+        self,
+        direction: Float[Tensor, "n 3"],
+        distance: Float[Tensor, "n 1"],
+        appearance_id: Int[Tensor, "1"] | None = None,
+    ) -> Decoded:
+        """Decode all anchors for one camera."""
+        parts = [self._feature(direction, distance), direction]
+        parts += [distance] if self.distance else []
+        parts += [self.level] if self.level is not None else []
+        inputs = torch.cat(parts, dim=1)
+        looks = self.looks
+        if looks is not None and appearance_id is not None:
+            looks = torch.index_select(looks, 0, appearance_id)
+        k = self.per_anchor
+        shape = self.covariance(inputs)
+        planes = tuple(shape[:, i * k : (i + 1) * k] for i in range(_COVARIANCE))
+        color = self.color(inputs, looks).reshape(-1, 3)
+        return Decoded(torch.tanh(self.opacity(inputs)), planes[:3], planes[3:], color)
+
+    def _feature(self, direction: Tensor, distance: Tensor) -> Tensor:
+        """Mix three resolutions of a feature: every fourth number, every second, all.
+
+        A coarse one is laid side by side (a b a b), not stretched (a a b b).
+        """
+        if self.bank is None:
+            return self.feature
+        asked = [direction]
+        asked += [distance] if self.bank_distance else []
+        asked += [self.level] if self.level is not None and not self.bank_distance else []
+        weight = torch.softmax(self.bank(torch.cat(asked, dim=1)), dim=1)
+        coarse = self.feature[:, ::4].repeat(1, 4)
+        middle = self.feature[:, ::2].repeat(1, 2)
+        mixed = coarse * weight[:, 0:1] + middle * weight[:, 1:2]
+        return mixed + self.feature * weight[:, 2:3]

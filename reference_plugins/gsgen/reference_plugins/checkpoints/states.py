@@ -1,0 +1,117 @@
+"""State dicts, read safely and checked name by name before anything is made of them."""
+
+__all__ = ["Shape", "checked", "load_state", "part"]
+
+import pickle
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
+from gsgen.reference_plugins.checkpoints.folder import required_file
+
+# None stands for any size.
+Shape = tuple[int | None, ...]
+
+_SHOWN = 12
+
+
+def load_state(path: Path, what: str) -> dict[str, Any]:
+    """Read a dict that ``torch.save`` wrote, onto the CPU, running no code of the file.
+
+    Args:
+        path: The file.
+        what: What it should hold, for the error where it is missing.
+
+    Raises:
+        CheckpointInvalid: The file is missing, damaged, or holds more than tensors.
+    """
+    required_file(path, what)
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        mend = (
+            "Wanted a file of tensors, as torch.save writes it; code in files is not run."
+        )
+        raise CheckpointInvalid(
+            f"cannot be read: {reason}", where=str(path), mend=mend
+        ) from error
+    if not isinstance(state, dict):
+        raise CheckpointInvalid(
+            f"holds a {type(state).__name__}, wanted a state dict", where=str(path)
+        )
+    return state
+
+
+def part(state: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    """Return the entries below ``prefix``, without it."""
+    return {
+        name.removeprefix(prefix): value
+        for name, value in state.items()
+        if name.startswith(prefix)
+    }
+
+
+def checked(
+    path: Path,
+    state: Mapping[str, Any],
+    wanted: Mapping[str, Shape],
+    ignored: Iterable[str] = (),
+) -> dict[str, Tensor]:
+    """Return the tensors named in ``wanted`` as float32, and demand that there is nothing else.
+
+    Args:
+        path: The file, for the error.
+        state: What was read from it.
+        wanted: Name → shape.
+        ignored: Beginnings of names that inference has no use for.
+
+    Raises:
+        CheckpointInvalid: Tensors are missing, unexpected, of another shape, or not finite; all
+            of them are listed.
+    """
+    passed = tuple(ignored)
+    extra = [
+        name
+        for name in state
+        if name not in wanted and not (passed and name.startswith(passed))
+    ]
+    troubles = [f"missing: {_listed(n for n in wanted if n not in state)}"]
+    troubles += [f"unexpected: {_listed(extra)}"]
+    troubles += [
+        _trouble(name, state[name], shape)
+        for name, shape in wanted.items()
+        if name in state
+    ]
+    found = [text for text in troubles if text and not text.endswith(": ")]
+    if found:
+        raise CheckpointInvalid(
+            "; ".join(found[:_SHOWN]),
+            where=str(path),
+            mend="Its options in cfg_args may be those of another run.",
+        )
+    return {name: state[name].detach().to(torch.float32) for name in wanted}
+
+
+def _listed(names: Iterable[str]) -> str:
+    found = list(names)
+    more = f", and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
+    return ", ".join(found[:_SHOWN]) + more
+
+
+def _trouble(name: str, value: Any, shape: Shape) -> str:
+    if not isinstance(value, Tensor):
+        return f"{name} is a {type(value).__name__}, wanted a tensor"
+    fits = value.ndim == len(shape) and all(
+        want in (None, seen) for want, seen in zip(shape, value.shape, strict=True)
+    )
+    if not fits:
+        words = ", ".join("any" if size is None else str(size) for size in shape)
+        return f"{name} is {list(value.shape)}, wanted [{words}]"
+    if not torch.isfinite(value).all():
+        return f"{name} holds NaN or infinity"
+    return ""

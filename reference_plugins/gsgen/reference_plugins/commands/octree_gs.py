@@ -1,0 +1,57 @@
+"""`gsgen export octree-gs`: an Octree-GS checkpoint as a generator."""
+
+__all__ = ["PLUGIN"]
+
+from typing import TYPE_CHECKING
+
+from gsgen.reference_plugins.commands.options import (
+    AppearanceId,
+    Checkpoint,
+    Iteration,
+    Prefilter,
+    note,
+    warn_of,
+)
+from gsgen.sdk.plugin import Plugin
+
+if TYPE_CHECKING:
+    from gsgen.reference_plugins.octree_gs import OctreeGS
+
+_HONOURED = {
+    "resolution_scales": ([1.0], "levels are those of images at full resolution"),
+}
+
+
+def build(
+    checkpoint: Checkpoint,
+    iteration: Iteration = None,
+    appearance_id: AppearanceId = None,
+    prefilter: Prefilter = False,
+) -> "OctreeGS":
+    """Read a checkpoint, say what is in it, and return its generator."""
+    from gsgen.reference_plugins.checkpoints.anchors import (
+        describe_anchors,
+        read_anchors,
+        require_appearance,
+    )
+    from gsgen.reference_plugins.octree_gs import Levels, OctreeGS
+
+    read = read_anchors(checkpoint, iteration, octree=True)
+    levels = Levels.of(read)
+    note(f"{describe_anchors(read)}; {levels.mode} to whole levels, fork {levels.fork:g}")
+    warn_of(read.cfg, _HONOURED)
+    appearance = require_appearance(read, appearance_id, "--appearance-id")
+    return OctreeGS(
+        read.cloud, read.nets, levels, appearance=appearance, prefilter=prefilter
+    )
+
+
+PLUGIN = Plugin(
+    name="octree-gs",
+    summary="Anchors in levels of detail, chosen by distance (Octree-GS).",
+    reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply with levels and "
+    "the networks, opacity_mlp.pt, cov_mlp.pt, color_mlp.pt (feature_bank_mlp.pt, "
+    "embedding_appearance.pt), or all of them in checkpoints.pth.",
+    inputs=("view", "appearance_id", "projection", "viewport"),
+    build=build,
+)

@@ -1,0 +1,57 @@
+"""Options that the plugins of checkpoints share, and how they say what they found."""
+
+__all__ = ["AppearanceId", "Checkpoint", "Iteration", "Prefilter", "note", "warn_of"]
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs
+
+Checkpoint = Annotated[
+    Path,
+    typer.Option("--checkpoint", help="Folder that training wrote.", show_default=False),
+]
+Iteration = Annotated[
+    int | None,
+    typer.Option(help="Which iteration to take.", show_default="the last", min=0),
+]
+AppearanceId = Annotated[
+    int | None,
+    typer.Option(
+        help="Keep the appearance of this training camera alone.",
+        show_default="an input chooses",
+        min=0,
+    ),
+]
+Prefilter = Annotated[
+    bool,
+    typer.Option(
+        "--prefilter",
+        help="Hide anchors out of view as the published renderer does; adds the inputs "
+        "projection and viewport.",
+    ),
+]
+
+
+def note(text: str) -> None:
+    """Say something about the checkpoint, on a line of its own even while progress is shown."""
+    clear = "\r\x1b[2K" if sys.stderr.isatty() else ""
+    typer.echo(f"{clear}{text}", err=True)
+
+
+def warn_of(cfg: "CfgArgs", expected: Mapping[str, tuple[Any, str]]) -> None:
+    """Warn of options that changed the result where the checkpoint came from, but not here.
+
+    Args:
+        cfg: The options of the training run.
+        expected: Option → the one value that we honour, and what another would mean.
+    """
+    for name, (value, meaning) in expected.items():
+        seen = cfg.values.get(name, value)
+        if seen != value:
+            note(f"warning: {name}={seen!r} is not honoured: {meaning}")

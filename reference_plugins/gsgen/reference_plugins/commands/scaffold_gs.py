@@ -1,0 +1,52 @@
+"""`gsgen export scaffold-gs`: a Scaffold-GS checkpoint as a generator."""
+
+__all__ = ["PLUGIN"]
+
+from typing import TYPE_CHECKING
+
+from gsgen.reference_plugins.commands.options import (
+    AppearanceId,
+    Checkpoint,
+    Iteration,
+    Prefilter,
+    note,
+)
+from gsgen.sdk.plugin import Plugin
+
+if TYPE_CHECKING:
+    from gsgen.reference_plugins.scaffold_gs import ScaffoldGS
+
+
+def build(
+    checkpoint: Checkpoint,
+    iteration: Iteration = None,
+    appearance_id: AppearanceId = None,
+    prefilter: Prefilter = False,
+) -> "ScaffoldGS":
+    """Read a checkpoint, say what is in it, and return its generator."""
+    from gsgen.reference_plugins.checkpoints.anchors import (
+        describe_anchors,
+        read_anchors,
+        require_appearance,
+    )
+    from gsgen.reference_plugins.scaffold_gs import ScaffoldGS
+
+    read = read_anchors(checkpoint, iteration)
+    note(describe_anchors(read))
+    if not read.cfg.present:
+        note(
+            f"note: there is no {read.cfg.path}; flags are taken from the networks' shapes"
+        )
+    appearance = require_appearance(read, appearance_id, "--appearance-id")
+    return ScaffoldGS(read.cloud, read.nets, appearance=appearance, prefilter=prefilter)
+
+
+PLUGIN = Plugin(
+    name="scaffold-gs",
+    summary="Anchors whose networks make view-dependent Gaussians (Scaffold-GS).",
+    reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply and the networks, "
+    "opacity_mlp.pt, cov_mlp.pt, color_mlp.pt (feature_bank_mlp.pt, embedding_appearance.pt), "
+    "or all of them in checkpoints.pth.",
+    inputs=("view", "appearance_id", "projection", "viewport"),
+    build=build,
+)

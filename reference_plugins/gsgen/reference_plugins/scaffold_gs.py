@@ -1,0 +1,26 @@
+"""Scaffold-GS: anchors whose networks make Gaussians for the camera at hand.
+
+Lu et al. 2024, "Scaffold-GS: Structured 3D Gaussians for View-Adaptive Rendering": positions by
+equation 4, opacities by equation 5, the same form for colour, rotation and scale; the feature
+bank of section 3.2 by equation 3.
+"""
+
+__all__ = ["ScaffoldGS"]
+
+from typing import final
+
+from jaxtyping import Float
+from torch import Tensor
+
+from gsgen.reference_plugins.anchor_generator import AnchorGenerator
+
+
+@final
+class ScaffoldGS(AnchorGenerator):
+    """Every anchor is there from everywhere."""
+
+    def shown(
+        self, opacity: Float[Tensor, "n k"], centre: Float[Tensor, "1 3"]
+    ) -> Float[Tensor, "n k"]:
+        """Return ``opacity`` as it is."""
+        return opacity
