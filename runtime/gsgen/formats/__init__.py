@@ -23,6 +23,7 @@ from gsgen.formats.errors import (
 from gsgen.formats.npz import read_npz
 from gsgen.formats.open import open_splats
 from gsgen.formats.ply import read_ply, write_ply
+from gsgen.formats.ply_table import ply_properties, read_ply_columns
 from gsgen.formats.splats import PackedRows, PointCloud, Splats
 
 __all__ = [
@@ -42,7 +43,9 @@ __all__ = [
     "Splats",
     "ValueInvalid",
     "open_splats",
+    "ply_properties",
     "read_npz",
     "read_ply",
+    "read_ply_columns",
     "write_ply",
 ]
