@@ -11,6 +11,7 @@ __all__ = [
     "Goal",
     "NodeRewrite",
     "Rewrite",
+    "Substitute",
     "every_node",
     "is_op",
     "kernel_dtype",
@@ -187,6 +188,43 @@ class NodeRewrite(Rewrite):
     @abstractmethod
     def replace(self, node: ir.Node) -> None:
         """Replace ``node``."""
+
+
+class Substitute(NodeRewrite):
+    """A rewrite of operators that a release of the target does not capture.
+
+    Made without a goal, it replaces every operator that it knows.
+    """
+
+    kinds: ClassVar[frozenset[str]]
+    wanted_by: ClassVar[str] = "targets whose tables lack the operator"
+
+    def __init__(self, goal: Goal | None = None) -> None:
+        super().__init__()
+        self.goal = goal
+
+    @classmethod
+    def for_goal(cls, goal: Goal) -> Self | None:
+        """Return the pass; without tables there is nothing to suit."""
+        return cls(goal) if goal.tables else None
+
+    def matches(self, node: ir.Node) -> bool:
+        """Say whether a release does not capture ``node``, and this pass can replace it."""
+        if not is_op(node, *self.kinds):
+            return False
+        if self.goal is not None and not self.goal.lacks(
+            node, self.opset, self.variant(node)
+        ):
+            return False
+        return self.suits(node)
+
+    def suits(self, node: ir.Node) -> bool:
+        """Say whether all is known that replacing ``node`` takes."""
+        return True
+
+    def variant(self, node: ir.Node) -> str:
+        """Return which measured variant of its operator ``node`` is; empty for the usual one."""
+        return ""
 
 
 def every_node(model: ir.Model) -> Iterator[ir.Node]:

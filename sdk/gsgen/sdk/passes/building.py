@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import onnx_ir as ir
 
+Dims = Sequence[int | ir.SymbolicDim | None] | ir.Shape
+
 
 def weight(graph: ir.Graph, name: str, array: np.ndarray) -> ir.Value:
     """Add ``array`` to ``graph`` as a weight, called ``name`` or, if that is taken, a like name."""
@@ -38,7 +40,7 @@ def new_node(
     name: str,
     *,
     dtype: ir.DataType | None = None,
-    shape: Sequence[int | ir.SymbolicDim | None] | None = None,
+    shape: Dims | None = None,
     **attributes: int | float | str | Sequence[int],
 ) -> ir.Node:
     """Return a node of the ONNX domain with one result, called ``name`` like the node."""
@@ -83,7 +85,7 @@ class Before:
         kind: str,
         *inputs: ir.Value | None,
         dtype: ir.DataType | None = None,
-        shape: Sequence[int | ir.SymbolicDim | None] | None = None,
+        shape: Dims | None = None,
         **attributes: int | float | str | Sequence[int],
     ) -> ir.Value:
         """Insert a node of the ONNX domain with one result, and return the result."""
@@ -94,6 +96,22 @@ class Before:
         self.graph.insert_before(self.node, made)
         return made.outputs[0]
 
+    def ops(
+        self,
+        kind: str,
+        count: int,
+        *inputs: ir.Value | None,
+        **attributes: int | float | str | Sequence[int],
+    ) -> list[ir.Value]:
+        """Insert a node with ``count`` results of the dtype of its first input."""
+        name = self._next(kind)
+        made = ir.node(kind, inputs, attributes=attributes, name=name, num_outputs=count)
+        for index, value in enumerate(made.outputs):
+            value.name = f"{name}_result_{index}"
+            value.type = inputs[0].type if inputs[0] is not None else None
+        self.graph.insert_before(self.node, made)
+        return list(made.outputs)
+
     def constant(self, array: np.ndarray, name: str = "constant") -> ir.Value:
         """Add a weight."""
         return weight(self.graph, self._next(name), np.asarray(array))
@@ -103,8 +121,16 @@ class Before:
         return self.constant(np.array(numbers, np.int64), "numbers")
 
     def replace(self, *values: ir.Value) -> None:
-        """Remove the node; ``values`` take the places and names of what it returned."""
+        """Remove the node; ``values`` take the places and names of what it returned.
+
+        What stood before the node already (an input of the graph, say) is no output of its own:
+        there, Identity comes in between.
+        """
         for old, made in zip(self.node.outputs, values, strict=True):
+            producer = made.producer()
+            fresh = producer is not None and producer.graph is self.graph
+            if old.is_graph_output() and (not fresh or made.is_graph_output()):
+                made = self.op("Identity", made, shape=made.shape)
             remake(old, made)
         self.graph.remove(self.node, safe=True)
 
@@ -129,6 +155,8 @@ def remake(old: ir.Value, made: ir.Value) -> None:
 def known_array(value: ir.Value | None) -> np.ndarray | None:
     """Return the numbers of a weight or of a Constant; None where they are not known."""
     if value is None:
+        return None
+    if value.is_graph_input():  # a weight that may be fed anew
         return None
     tensor = ir.convenience.get_const_tensor(value)
     return None if tensor is None else tensor.numpy()

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 
 from gsgen.contract.errors import UnknownName
 from gsgen.sdk.passes.base import Goal, Rewrite
+from gsgen.sdk.passes.chunk_concat import ChunkConcat
+from gsgen.sdk.passes.chunk_split import ChunkSplit
 from gsgen.sdk.passes.end_outputs_on_compute import EndOutputsOnCompute
 from gsgen.sdk.passes.fold_shapes import FoldShapes
 from gsgen.sdk.passes.freeze_dimensions import FreezeDimensions
@@ -17,11 +19,13 @@ from gsgen.sdk.passes.multiply_matrices import MultiplyMatrices
 from gsgen.sdk.passes.round_by_floor import RoundByFloor
 from gsgen.sdk.passes.sample_by_gather import SampleByGather
 from gsgen.sdk.passes.share_weights import ShareWeights
+from gsgen.sdk.passes.unroll_control_flow import UnrollControlFlow
 
 REWRITES: tuple[type[Rewrite], ...] = (
     # -- First what makes shapes and constants known: others look at them.
     FreezeDimensions,
     FoldShapes,
+    UnrollControlFlow,
     # -- Then what gives back what an exporter or an optimiser took away.
     # -- Whole constructs that no GPU runs, written out with plain operators.
     SampleByGather,
@@ -32,6 +36,8 @@ REWRITES: tuple[type[Rewrite], ...] = (
     # -- Less work: what the result does not need, and what can be done at once.
     ShareWeights,
     # -- Widths and sizes that a target can bind, once nothing joins things any more.
+    ChunkConcat,
+    ChunkSplit,
     # -- Last: how outputs end, whatever came before.
     EndOutputsOnCompute,
 )

@@ -1,0 +1,67 @@
+"""Concats that a shader stage can bind."""
+
+__all__ = ["ChunkConcat"]
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import ClassVar, Self
+
+import onnx_ir as ir
+
+from gsgen.sdk.passes.base import Goal, NodeRewrite, is_op
+from gsgen.sdk.passes.building import Before
+
+# WebGPU guarantees eight storage buffers a stage, and one of them takes the result.
+SAFE_WIDTH = 7
+
+
+class ChunkConcat(NodeRewrite):
+    """Write a Concat of more than seven inputs as a tree of smaller ones.
+
+    WebGPU guarantees eight storage buffers a shader stage. A Concat binds one for each input and
+    one for its result; onnxruntime-web 1.22 gives garbage where there are more, with nothing but
+    an uncaptured device error::
+
+        Concat(a, …, n)   →   Concat(Concat(a, …, g), Concat(h, …, n))
+    """
+
+    name: ClassVar[str] = "chunk-concat"
+    wanted_by: ClassVar[str] = "targets with a limit `concat_inputs`: visionary, core"
+
+    def __init__(self, limit: int = SAFE_WIDTH) -> None:
+        super().__init__()
+        if limit < 2:
+            raise ValueError(f"limit is {limit}, wanted 2 or more")
+        self.limit = limit
+
+    @classmethod
+    def for_goal(cls, goal: Goal) -> Self | None:
+        """Return the pass for the target's limit; None where it has none."""
+        limit = goal.limits.get("concat_inputs")
+        return None if limit is None else cls(limit)
+
+    def matches(self, node: ir.Node) -> bool:
+        """Say whether ``node`` joins more than the limit."""
+        return is_op(node, "Concat") and len(node.inputs) > self.limit
+
+    def replace(self, node: ir.Node) -> None:
+        """Join neighbours, as many as may be, until few enough are left."""
+        axis, write = node.attributes["axis"].as_int(), Before(node)
+        parts: list[ir.Value | None] = list(node.inputs)
+        while len(parts) > 1:
+            parts = [
+                write.op("Concat", *group, axis=axis) if len(group) > 1 else group[0]
+                for group in _groups(parts, self.limit)
+            ]
+        (whole,) = parts
+        assert whole is not None
+        write.replace(whole)
+
+
+def _groups(
+    parts: Sequence[ir.Value | None], limit: int
+) -> list[Sequence[ir.Value | None]]:
+    """Cut ``parts`` into as few groups as may be, all about as large."""
+    count = -(-len(parts) // limit)
+    ends = [len(parts) * k // count for k in range(count + 1)]
+    return [parts[a:b] for a, b in pairwise(ends)]

@@ -1,0 +1,103 @@
+"""Splits that a shader stage can bind."""
+
+__all__ = ["ChunkSplit", "split_sizes"]
+
+from itertools import pairwise
+from typing import ClassVar, Self
+
+import onnx_ir as ir
+
+from gsgen.sdk.passes.base import Goal, is_op
+from gsgen.sdk.passes.building import Before
+from gsgen.sdk.passes.chunk_concat import SAFE_WIDTH
+from gsgen.sdk.passes.facts import constant_of
+from gsgen.sdk.passes.refusal import CautiousRewrite
+
+# From this operator set on, sizes are an argument; before, an attribute.
+_SIZES_ARE_INPUT = 13
+
+
+class ChunkSplit(CautiousRewrite):
+    """Write a Split with more than seven outputs as a tree of smaller ones.
+
+    A Split binds one storage buffer for its argument and one for each output, and WebGPU
+    guarantees eight. Above the adapter's number it fails at the first frame, not at loading::
+
+        a, …, n = Split(x)   →   left, right = Split(x); a, …, g = Split(left); h, …, n = Split(right)
+    """
+
+    name: ClassVar[str] = "chunk-split"
+    wanted_by: ClassVar[str] = (
+        "targets with a limit `split_outputs`: webgpu, visionary, core"
+    )
+
+    def __init__(self, limit: int = SAFE_WIDTH) -> None:
+        super().__init__()
+        if limit < 2:
+            raise ValueError(f"limit is {limit}, wanted 2 or more")
+        self.limit = limit
+
+    @classmethod
+    def for_goal(cls, goal: Goal) -> Self | None:
+        """Return the pass for the target's limit; None where it has none."""
+        limit = goal.limits.get("split_outputs")
+        return None if limit is None else cls(limit)
+
+    def rewrite(self, model: ir.Model) -> None:
+        """Split every wide Split whose sizes are known."""
+        for node in list(model.graph.all_nodes()):
+            if not is_op(node, "Split") or len(node.outputs) <= self.limit:
+                continue
+            sizes = split_sizes(node)
+            if sizes is None:
+                self.refuse(node, "the sizes of its parts are not known before the frame")
+                continue
+            self.note(node)
+            self._split(node, sizes)
+
+    def _split(self, node: ir.Node, sizes: list[int]) -> None:
+        write = Before(node)
+        axis = node.attributes["axis"].as_int() if "axis" in node.attributes else 0
+        parts = [(node.inputs[0], sizes)]
+        while any(len(inner) > 1 for _, inner in parts):
+            made: list[tuple[ir.Value | None, list[int]]] = []
+            for value, inner in parts:
+                groups = self._groups(inner)
+                outer = [sum(group) for group in groups]
+                cut = self._cut(write, value, outer, axis) if len(groups) > 1 else [value]
+                made += zip(cut, groups, strict=True)
+            parts = made
+        write.replace(*(value for value, _ in parts if value is not None))
+
+    def _groups(self, sizes: list[int]) -> list[list[int]]:
+        """Cut into as many groups as one Split may return, all about as long."""
+        count = min(self.limit, len(sizes))
+        ends = [len(sizes) * k // count for k in range(count + 1)]
+        return [sizes[a:b] for a, b in pairwise(ends)]
+
+    def _cut(
+        self, write: Before, value: ir.Value | None, sizes: list[int], axis: int
+    ) -> list[ir.Value]:
+        if self.opset >= _SIZES_ARE_INPUT:
+            return write.ops("Split", len(sizes), value, write.whole(*sizes), axis=axis)
+        return write.ops("Split", len(sizes), value, axis=axis, split=sizes)
+
+
+def split_sizes(node: ir.Node) -> list[int] | None:
+    """Return the sizes of the parts that a Split returns; None where they are not known."""
+    given = node.attributes.get("split")
+    if given is not None:
+        return list(given.as_ints())
+    if len(node.inputs) > 1 and node.inputs[1] is not None:
+        known = constant_of(node.inputs[1])
+        return None if known is None else [int(size) for size in known]
+    value = node.inputs[0]
+    if value is None or value.shape is None:
+        return None
+    axis = node.attributes["axis"].as_int() if "axis" in node.attributes else 0
+    whole, count = value.shape[axis], len(node.outputs)
+    if not isinstance(whole, int):
+        return None
+    part = -(-whole // count)
+    last = whole - part * (count - 1)
+    return None if last < 0 else [part] * (count - 1) + [last]
