@@ -2,6 +2,7 @@
 
 __all__ = ["Buffer", "DeviceBuffer", "HostBuffer", "make_buffer"]
 
+import math
 from abc import ABC, abstractmethod
 from typing import Any, final
 
@@ -13,9 +14,19 @@ class Buffer(ABC):
 
     Attributes:
         value: ONNX Runtime's handle, which says where the memory is.
+        shape: Its size along each axis.
+        dtype: Its dtype.
     """
 
     value: Any
+
+    def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        self.shape, self.dtype = shape, dtype
+
+    @property
+    def nbytes(self) -> int:
+        """Its size in bytes."""
+        return math.prod(self.shape) * self.dtype.itemsize
 
     @abstractmethod
     def write(self, array: np.ndarray) -> None:
@@ -33,6 +44,7 @@ class HostBuffer(Buffer):
     def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
         import onnxruntime
 
+        super().__init__(shape, dtype)
         self._array = np.zeros(shape, dtype)
         self._shown = _read_only(self._array)
         self.value = onnxruntime.OrtValue.ortvalue_from_numpy(self._array)
@@ -55,8 +67,8 @@ class DeviceBuffer(Buffer):
     ) -> None:
         import onnxruntime
 
+        super().__init__(shape, dtype)
         self._array: np.ndarray | None = None
-        self._dtype, self._shape = dtype, shape
         if memory == "gpu":  # WebGPU's buffers belong to a session
             make = session.create_ortvalue_from_shape_and_type
         else:
@@ -82,7 +94,7 @@ class DeviceBuffer(Buffer):
         import onnxruntime
 
         if self._array is None:
-            self._array = np.zeros(self._shape, self._dtype)
+            self._array = np.zeros(self.shape, self.dtype)
             self._shown = _read_only(self._array)
             self._mirror = onnxruntime.OrtValue.ortvalue_from_numpy(self._array)
         return self._array

@@ -2,6 +2,7 @@
 
 __all__ = ["Port", "default_tensor"]
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +36,11 @@ class Port:
     def role(self) -> str:
         """The declared role; empty where nothing is declared."""
         return self.declared.role if self.declared else ""
+
+    @property
+    def nbytes(self) -> int:
+        """Its size in bytes."""
+        return math.prod(self.shape) * self.dtype.itemsize
 
     @property
     def transposed(self) -> bool:

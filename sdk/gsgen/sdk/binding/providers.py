@@ -1,12 +1,20 @@
 """Choose an execution provider, and open ONNX Runtime sessions on it."""
 
-__all__ = ["PROVIDERS", "Choice", "Opening", "Provider", "choose", "open_session"]
+__all__ = [
+    "PROVIDERS",
+    "Choice",
+    "Opening",
+    "Provider",
+    "choose",
+    "installed",
+    "open_session",
+]
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal, cast, get_args
+from typing import Any, Literal, get_args
 
 from gsgen.contract.errors import UnknownName
 from gsgen.sdk.binding.errors import ProviderUnavailable
@@ -40,6 +48,15 @@ class Choice:
     adapter: Adapter | None = None
     asked: bool = False
 
+    @property
+    def device(self) -> str:
+        """What computes, in words."""
+        if self.adapter is None:
+            return {"cpu": "CPU", "cuda": "CUDA device 0"}[self.provider]
+        if not self.adapter.hardware:
+            return "software driver"
+        return self.adapter.name or "GPU"
+
 
 @dataclass(frozen=True, slots=True)
 class Opening:
@@ -72,6 +89,14 @@ class Opening:
         return {}
 
 
+def installed() -> list[Provider]:
+    """Return the providers that ONNX Runtime has here, whether or not there is a device."""
+    found: list[Provider] = ["cpu"]
+    if find_spec(PACKAGE) is not None:
+        found.append("webgpu")
+    return [*found, "cuda"] if _has_cuda() else found
+
+
 def choose(wanted: str = "auto") -> Choice:
     """Return the provider to use: the one named, or with ``auto`` the fastest that is here.
 
@@ -83,7 +108,7 @@ def choose(wanted: str = "auto") -> Choice:
         return _automatic()
     if wanted not in PROVIDERS:
         raise UnknownName.among("provider", wanted, ["auto", *PROVIDERS])
-    provider = cast(Provider, wanted)
+    provider: Provider = next(one for one in PROVIDERS if one == wanted)
     if provider == "cuda" and not _has_cuda():
         what = f"ONNX Runtime has no {CUDA} here"
         mend = "pip install onnxruntime-gpu in place of onnxruntime, or ask for 'auto'"

@@ -8,7 +8,7 @@ import threading
 import warnings
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Self
@@ -30,8 +30,10 @@ from gsgen.sdk.binding.errors import (
 from gsgen.sdk.binding.frame import Frame
 from gsgen.sdk.binding.names import Names
 from gsgen.sdk.binding.placed import CPU, Node
+from gsgen.sdk.binding.port import Port
 from gsgen.sdk.binding.providers import Choice, Opening, Provider, choose
-from gsgen.sdk.binding.warm_up import Ready, Sources, get_ready, read_sources
+from gsgen.sdk.binding.sources import read_sources
+from gsgen.sdk.binding.warm_up import Ready, get_ready
 
 # All sessions on WebGPU share one device, which is not made for several threads.
 _ON_WEBGPU = threading.RLock()
@@ -55,6 +57,7 @@ class FrameSession:
         manifest: What its tensors mean; None where nobody says.
         provider: ``cpu``, ``webgpu`` or ``cuda``.
         reason: Why it is this provider.
+        device: What computes, in words.
         captured: Frames are replayed from a capture that was found right at warm-up.
         cause: Why they are not; empty where they are, or where nobody asked.
         nodes: Where ONNX Runtime put each node.
@@ -86,54 +89,25 @@ class FrameSession:
             ManifestInvalid: The embedded manifest cannot be read.
             ProviderUnavailable: The provider asked for cannot be had here.
             SizeUnknown: A dimension has no size.
+            UnknownName: A provider or an open dimension of that name does not exist.
             RunFailed: ONNX Runtime cannot load or run the model.
         """
         self.path = Path(model)
         self._number = -1
-        self._lock: Any = threading.RLock()
-        sources = read_sources(self.path, manifest)
-        self.manifest = sources.manifest
-        self._ready: Ready | None = self._open(
-            sources, choose(provider), capture, sizes or {}, threads
-        )
-        self.captured, self.cause = self._ready.captured, self._ready.cause
-        self.nodes: tuple[Node, ...] = self._ready.nodes
-        self._names = Names.of(self._ready.ports.values(), str(self.path))
+        self._sources = sources = read_sources(self.path, manifest)
+        known, choice = sources.sizes(sizes or {}), choose(provider)
+        opening = Opening(choice, capture and choice.provider != "cpu", known, threads)
+        with _lock_of(choice):
+            ready = get_ready(sources, opening)
+        self._ready: Ready | None = ready
+        self._lock = _lock_of(ready.choice)
+        self._names = Names.of(ready.ports.values(), str(self.path))
+        self.manifest, self.nodes = sources.manifest, ready.nodes
+        self.provider: Provider = ready.choice.provider
+        self.reason, self.device = ready.choice.reason, ready.choice.device
+        self.captured, self.cause = ready.captured, ready.cause
         _alive.add(self)
         self._warn()
-
-    def _open(
-        self,
-        sources: Sources,
-        choice: Choice,
-        capture: bool,
-        sizes: Mapping[str, int],
-        threads: int,
-    ) -> Ready:
-        if choice.provider == "webgpu":
-            self._lock = _ON_WEBGPU
-        known = {**sources.sizes, **sizes}
-        opening = Opening(choice, capture and choice.provider != "cpu", known, threads)
-        with self._lock:
-            ready = self._attempt(sources, opening)
-        return ready
-
-    def _attempt(self, sources: Sources, opening: Opening) -> Ready:
-        """Open it; where the provider was our own choice, the CPU stands in for it."""
-        choice = opening.choice
-        self.provider: Provider = choice.provider
-        self.reason = choice.reason
-        try:
-            return get_ready(sources, opening)
-        except GsgenError as error:
-            if choice.provider == "cpu" or choice.asked:
-                raise
-            self.provider = "cpu"
-            self.reason = f"{choice.provider} failed: {error.what}"
-            chosen = Choice("cpu", self.reason)
-            return get_ready(
-                sources, Opening(chosen, sizes=opening.sizes, threads=opening.threads)
-            )
 
     def _warn(self) -> None:
         if self.cause:
@@ -161,15 +135,18 @@ class FrameSession:
         return self._ready is None
 
     @property
-    def inputs(self) -> Mapping[str, tuple[np.dtype[Any], tuple[int, ...]]]:
-        """Input name → (dtype, shape)."""
-        ports = self._open_one().ports
-        return {name: (port.dtype, port.shape) for name, port in ports.items()}
+    def inputs(self) -> Mapping[str, Port]:
+        """Input name → its dtype, shape and role."""
+        return MappingProxyType(self._open_one().ports)
 
     @property
     def outputs(self) -> Mapping[str, Buffer]:
-        """Output name → the buffer that it stays in."""
+        """Output name → the buffer that it stays in, with its dtype and shape."""
         return MappingProxyType(self._open_one().bound.outputs)
+
+    def samples(self) -> list[dict[str, np.ndarray]]:
+        """Return two sets of tensors that differ, to :meth:`write` and try the model with."""
+        return [dict(one) for one in self._sources.probes(self._open_one().ports.values())]
 
     # ---- Every frame
 
@@ -330,6 +307,10 @@ class FrameSession:
             what = "the session was closed"
             raise SessionClosed(what, where=str(self.path), mend="Open a new FrameSession.")
         return self._ready
+
+
+def _lock_of(choice: Choice) -> AbstractContextManager[object]:
+    return _ON_WEBGPU if choice.provider == "webgpu" else threading.RLock()
 
 
 @atexit.register
