@@ -20,6 +20,8 @@ from gsgen.sdk.passes.round_by_floor import RoundByFloor
 from gsgen.sdk.passes.sample_by_gather import SampleByGather
 from gsgen.sdk.passes.share_weights import ShareWeights
 from gsgen.sdk.passes.unroll_control_flow import UnrollControlFlow
+from gsgen.sdk.passes.write_out_norms import WriteOutNorms
+from gsgen.sdk.passes.write_out_reductions import WriteOutReductions
 
 REWRITES: tuple[type[Rewrite], ...] = (
     # -- First what makes shapes and constants known: others look at them.
@@ -31,6 +33,8 @@ REWRITES: tuple[type[Rewrite], ...] = (
     SampleByGather,
     # -- The operator set, before operators are looked up in tables.
     # -- Operators without a kernel, by ones that have one.
+    WriteOutNorms,
+    WriteOutReductions,
     MultiplyMatrices,
     RoundByFloor,
     # -- Less work: what the result does not need, and what can be done at once.
