@@ -16,6 +16,7 @@ from gsgen.sdk.passes.end_outputs_on_compute import EndOutputsOnCompute
 from gsgen.sdk.passes.fold_shapes import FoldShapes
 from gsgen.sdk.passes.freeze_dimensions import FreezeDimensions
 from gsgen.sdk.passes.multiply_matrices import MultiplyMatrices
+from gsgen.sdk.passes.restore_guards import RestoreGuards
 from gsgen.sdk.passes.round_by_floor import RoundByFloor
 from gsgen.sdk.passes.sample_by_gather import SampleByGather
 from gsgen.sdk.passes.share_weights import ShareWeights
@@ -29,6 +30,7 @@ REWRITES: tuple[type[Rewrite], ...] = (
     FoldShapes,
     UnrollControlFlow,
     # -- Then what gives back what an exporter or an optimiser took away.
+    RestoreGuards,
     # -- Whole constructs that no GPU runs, written out with plain operators.
     SampleByGather,
     # -- The operator set, before operators are looked up in tables.
