@@ -12,9 +12,12 @@ from gsgen.contract.errors import UnknownName
 from gsgen.sdk.passes.base import Goal, Rewrite
 from gsgen.sdk.passes.chunk_concat import ChunkConcat
 from gsgen.sdk.passes.chunk_split import ChunkSplit
+from gsgen.sdk.passes.drop_idle_operators import DropIdleOperators
 from gsgen.sdk.passes.end_outputs_on_compute import EndOutputsOnCompute
 from gsgen.sdk.passes.fold_shapes import FoldShapes
 from gsgen.sdk.passes.freeze_dimensions import FreezeDimensions
+from gsgen.sdk.passes.merge_casts import MergeCasts
+from gsgen.sdk.passes.merge_reshapes import MergeReshapes
 from gsgen.sdk.passes.multiply_matrices import MultiplyMatrices
 from gsgen.sdk.passes.restore_guards import RestoreGuards
 from gsgen.sdk.passes.round_by_floor import RoundByFloor
@@ -40,6 +43,9 @@ REWRITES: tuple[type[Rewrite], ...] = (
     MultiplyMatrices,
     RoundByFloor,
     # -- Less work: what the result does not need, and what can be done at once.
+    DropIdleOperators,
+    MergeCasts,
+    MergeReshapes,
     ShareWeights,
     # -- Widths and sizes that a target can bind, once nothing joins things any more.
     ChunkConcat,
