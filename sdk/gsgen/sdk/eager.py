@@ -1,19 +1,22 @@
 """Run a generator in eager torch, as the reference that an exported model is compared with."""
 
-__all__ = ["Reference", "measure_bounds", "run_eager"]
-
+__all__ = ["Reference", "measure_bounds", "run_eager", "run_watched"]
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from gsgen.contract import layout
+from gsgen.contract.errors import GsgenError
 from gsgen.contract.geometry import covariance_upper
 from gsgen.contract.manifest import Bounds
 from gsgen.contract.probes import Probe
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.generator import GaussianGenerator, Gaussians
+from gsgen.sdk.hazards import Watch
 from gsgen.sdk.parity import Reference
+from gsgen.sdk.user_code import line_of
 
 # Bounds are widened by this share of their size, so that times and poses between the probes
 # stay inside too.
@@ -24,11 +27,40 @@ def run_eager(generator: GaussianGenerator, probe: Probe) -> Reference:
     """Run ``generator`` once, without gradients.
 
     Raises:
-        GeneratorInvalid: ``forward`` returned something else than Gaussians.
+        GeneratorInvalid: ``forward`` raised, or returned something else than Gaussians.
     """
-    tensors = [torch.from_numpy(np.array(value)) for value in probe.inputs.values()]
-    with torch.no_grad():
-        made = generator(*tensors)
+    return _reference(generator, probe, _call(generator, _tensors(probe)))
+
+
+def run_watched(generator: GaussianGenerator, probe: Probe) -> tuple[Reference, Watch]:
+    """Run ``generator`` like :func:`run_eager`, and note what tracing could not follow.
+
+    Raises:
+        GeneratorInvalid: As there.
+    """
+    tensors = _tensors(probe)
+    with Watch(generator, tensors) as watch:
+        made = _call(generator, tensors)
+    return _reference(generator, probe, made), watch
+
+
+def _tensors(probe: Probe) -> list[Tensor]:
+    return [torch.from_numpy(np.array(value)) for value in probe.inputs.values()]
+
+
+def _call(generator: GaussianGenerator, tensors: list[Tensor]) -> Any:
+    try:
+        with torch.no_grad():
+            return generator(*tensors)
+    except GsgenError:
+        raise
+    except Exception as error:  # the user's code may raise anything
+        what = f"forward raised {type(error).__name__}: {error}"
+        where = line_of(error) or type(generator).__name__
+        raise GeneratorInvalid(what, where=where) from error
+
+
+def _reference(generator: GaussianGenerator, probe: Probe, made: Any) -> Reference:
     if not isinstance(made, Gaussians):
         what = f"forward returned {type(made).__name__}, wanted gsgen.sdk.Gaussians"
         raise GeneratorInvalid(what, where=type(generator).__name__)

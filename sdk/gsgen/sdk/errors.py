@@ -14,6 +14,7 @@ from gsgen.contract.errors import GsgenError
 
 if TYPE_CHECKING:
     from gsgen.contract.report import Report
+    from gsgen.sdk.parity import Parity
 
 
 class GeneratorInvalid(GsgenError):
@@ -25,7 +26,22 @@ class ExportFailed(GsgenError):
 
 
 class ParityFailed(GsgenError):
-    """The exported model computes something else than the torch module."""
+    """The exported model computes something else than the torch module.
+
+    Attributes:
+        parity: How far the two differ; None where the model did not run.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        where: str = "",
+        mend: str = "",
+        parity: "Parity | None" = None,
+    ) -> None:
+        super().__init__(what, where=where, mend=mend)
+        self.parity = parity
 
 
 class ExportRejected(GsgenError):

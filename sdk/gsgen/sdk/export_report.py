@@ -12,7 +12,7 @@ from typing import Any
 from gsgen.contract.commands.output import write_text
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.reporters.machine import to_dict
-from gsgen.sdk.errors import ExportRejected
+from gsgen.sdk.errors import ExportRejected, ParityFailed
 from gsgen.sdk.export_request import ExportRequest
 from gsgen.sdk.exporter import Exported
 from gsgen.sdk.parity import Parity
@@ -49,6 +49,9 @@ def _success(made: Exported) -> dict[str, Any]:
     return {
         "written": True,
         "error": None,
+        "rewrites": [
+            {"name": one.rewrite, "nodes": list(one.nodes)} for one in made.changes
+        ],
         "parity": _parity(made.parity),
         "validation": to_dict(made.report),
     }
@@ -62,10 +65,12 @@ def _failure(error: GsgenError) -> dict[str, Any]:
         "mend": error.mend,
     }
     report = error.report if isinstance(error, ExportRejected) else None
+    parity = error.parity if isinstance(error, ParityFailed) else None
     return {
         "written": False,
         "error": fault,
-        "parity": None,
+        "rewrites": None,
+        "parity": _parity(parity) if parity else None,
         "validation": to_dict(report) if report else None,
     }
 

@@ -6,7 +6,7 @@ The file appears at its place only if all of that succeeded.
 __all__ = ["Exported", "Progress", "export"]
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -16,8 +16,6 @@ import numpy as np
 import torch
 
 from gsgen.contract.config import Settings
-from gsgen.contract.engine import validate
-from gsgen.contract.finding import Level, Severity
 from gsgen.contract.manifest import (
     AppearanceOutput,
     Bounds,
@@ -31,12 +29,13 @@ from gsgen.contract.manifest import (
 from gsgen.contract.probes import Probe, default_probes
 from gsgen.contract.report import Report
 from gsgen.contract.roles import ROLES
-from gsgen.contract.sandbox import Limits, execute
 from gsgen.contract.targets import load_target
-from gsgen.sdk.eager import Reference, measure_bounds, run_eager
-from gsgen.sdk.errors import ExportRejected, GeneratorInvalid, ParityFailed
+from gsgen.sdk.diagnosis import Suspects
+from gsgen.sdk.eager import Reference, measure_bounds, run_eager, run_watched
+from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.finish import finish
 from gsgen.sdk.generator import GaussianGenerator
+from gsgen.sdk.hazards import Watch
 from gsgen.sdk.packing import (
     APPEARANCE_RGB,
     APPEARANCE_SH,
@@ -45,16 +44,19 @@ from gsgen.sdk.packing import (
     Packed,
     PackedGenerator,
 )
-from gsgen.sdk.parity import Parity, compare
+from gsgen.sdk.parity import Parity
 from gsgen.sdk.placement import draft_of
 from gsgen.sdk.rewrite import Change
 from gsgen.sdk.saving import save_model
 from gsgen.sdk.trace import trace
+from gsgen.sdk.verification import check_contract, check_memory, check_parity
 
 Dtype = Literal["float32", "float16"]
 Progress = Callable[[str], None]
 
 OPSET = 18
+# Where cameras stand in probes of our own, as a share of the distance of the contract's.
+_DISTANCES = {"close": 0.2, "far": 8.0}
 _TOLERANCES = Tolerances()
 
 
@@ -117,30 +119,52 @@ def export(
     path = Path(path)
     generator = generator.eval()
     progress("running the module in eager torch")
-    manifest, references = _describe(generator, name or path.stem, dtype, capacity)
+    described = _describe(generator, name or path.stem, dtype, capacity)
+    manifest, references = described.manifest, described.references
     gaussians = manifest.outputs.gaussians
     assert gaussians is not None
     packed = PackedGenerator(generator, Packed(getattr(torch, dtype), gaussians.capacity))
     progress("tracing the graph")
-    example = references[min(1, len(references) - 1)].probe
-    model = trace(packed, example, manifest, opset)
+    example, hazards = described.example, described.watch.hazards
+    model = trace(packed, example, manifest, opset, hazards)
     progress("rewriting the graph")
     changes = finish(model, manifest, load_target(target), rewrite=rewrite)
     with draft_of(path) as draft:
         save_model(model, draft)
-        parity = _check_parity(draft, manifest, references, progress)
-        report = _check_contract(draft, target, settings, progress)
+        suspects = Suspects(generator, example, hazards, rewrite)
+        parity = check_parity(draft, manifest, references, suspects, progress)
+        check_memory(generator, described.watch, references)
+        report = check_contract(draft, target, settings, progress)
     return Exported(path, manifest, parity, replace(report, path=str(path)), tuple(changes))
+
+
+@dataclass(frozen=True, slots=True)
+class _Described:
+    """What a module declares and does.
+
+    Attributes:
+        manifest: As it will be embedded.
+        references: What eager torch gives: at the contract's probes, and far from them.
+        example: The inputs to trace with.
+        watch: What was seen in the first run.
+    """
+
+    manifest: GeneratorManifest
+    references: list[Reference]
+    example: Probe
+    watch: Watch
 
 
 def _describe(
     generator: GaussianGenerator, name: str, dtype: Dtype, capacity: int | None
-) -> tuple[GeneratorManifest, list[Reference]]:
+) -> _Described:
     """Build the manifest from what the module declares and what it emits."""
     _check_inputs(generator)
     draft = _manifest(generator, name, dtype, None, 1, None)
-    first = [run_eager(generator, probe) for probe in _probes(draft)]
-    made = first[0].gaussians
+    one, *others = _probes(draft)
+    start, watch = run_watched(generator, one)
+    first = [start, *(run_eager(generator, probe) for probe in others)]
+    made = start.gaussians
     rows = capacity if capacity is not None else len(made)
     if rows < len(made):
         raise GeneratorInvalid(
@@ -151,11 +175,12 @@ def _describe(
     bounds = measure_bounds(first)
     draft = _manifest(generator, name, dtype, made.degree, rows, bounds)
     if not generator.inputs:
-        return draft, first
+        return _Described(draft, first, one, watch)
     # Cameras orbit the bounds, so probes are laid out again around the measured ones.
     references = [run_eager(generator, probe) for probe in _probes(draft)]
-    bounds = measure_bounds(first + references)
-    return replace(draft, bounds=bounds), references
+    manifest = replace(draft, bounds=measure_bounds(first + references))
+    far = [run_eager(generator, probe) for probe in _far_probes(manifest)]
+    return _Described(manifest, [*references, *far], references[1].probe, watch)
 
 
 def _check_inputs(generator: GaussianGenerator) -> None:
@@ -187,7 +212,9 @@ def _manifest(
         producer=generator.producer or Producer(f"gsgen {version('gsgen')}"),
         inputs=tuple(generator.inputs),
         outputs=GeneratorOutputs(
-            GaussiansOutput(GAUSSIANS, capacity, dtype), appearance, CountOutput(COUNT)
+            GaussiansOutput(GAUSSIANS, capacity, dtype),
+            appearance,
+            CountOutput(COUNT, generator.count_semantics),
         ),
         space=generator.space,
         bounds=bounds,
@@ -197,52 +224,26 @@ def _manifest(
     )
 
 
-def _probes(manifest: GeneratorManifest) -> tuple[Probe, ...]:
+def _probes(
+    manifest: GeneratorManifest, *, seed: int = 0, count: int = 8
+) -> tuple[Probe, ...]:
     shapes = {entry.name: entry.shape or () for entry in manifest.inputs}
     dtypes = {entry.name: ROLES[entry.role].dtype[0] for entry in manifest.inputs}
-    return default_probes(manifest, shapes, dtypes)
+    return default_probes(manifest, shapes, dtypes, seed, count)
 
 
-def _check_parity(
-    path: Path, manifest: GeneratorManifest, references: list[Reference], progress: Progress
-) -> Parity:
-    progress(f"comparing with eager torch at {len(references)} probes")
-    appearance = manifest.outputs.appearance
-    assert appearance is not None
-    names = (GAUSSIANS, appearance.name, COUNT)
-    probes = [reference.probe for reference in references]
-    limits = Limits().for_model(path.stat().st_size)
-    with execute(path, names, probes, limits) as execution:
-        if execution.fault is not None:
-            what = f"ONNX Runtime cannot run the exported model: {execution.fault.message}"
-            raise ParityFailed(what, where=path.name)
-        samples = [execution.samples[run.sample].outputs for run in execution.runs]
-        outputs = [(s[names[0]], s[names[1]], int(np.ravel(s[COUNT])[0])) for s in samples]
-        parity = compare(references, outputs, manifest.tolerances or _TOLERANCES)
-    if not parity.holds:
-        worst = max(parity.fields, key=lambda field: field.excess)
-        raise ParityFailed(
-            f"{worst.field} of Gaussian {worst.row} is off by {worst.error:.3g} at probe "
-            f"{worst.probe!r}, {worst.excess:.3g} times what is allowed ({parity.describe()})",
-            where=path.name,
-            mend="A value was turned into a constant while tracing: look for numpy round trips, "
-            "`.item()`, Python branches on tensors, and buffers changed in forward.",
+def _far_probes(manifest: GeneratorManifest) -> Iterator[Probe]:
+    """Yield probes far from those a model is traced with and judged by.
+
+    Cameras stand within the scene and far outside of it, and all else is sampled anew.
+    """
+    assert manifest.bounds is not None
+    for seed, (label, scale) in enumerate(_DISTANCES.items(), start=1):
+        low, high = np.array([manifest.bounds.min, manifest.bounds.max])
+        middle, half = (low + high) / 2, (high - low) / 2
+        scaled = Bounds(
+            tuple((middle - scale * half).tolist()), tuple((middle + scale * half).tolist())
         )
-    return parity
-
-
-def _check_contract(
-    path: Path, target: str, settings: Settings | None, progress: Progress
-) -> Report:
-    base = settings or Settings(level=Level.BEHAVIOUR)
-    report = validate(path, replace(base, target=load_target(target)), progress=progress)
-    if report.verdict != "conforms":
-        broken = [
-            finding for finding in report.findings if finding.severity >= Severity.ERROR
-        ]
-        listed = "; ".join(
-            f"{f.rule} {f.where}: {f.message}" for f in broken or report.findings
-        )
-        mend = (broken or report.findings)[0].mend if report.findings else ""
-        raise ExportRejected(listed, report, where=path.name, mend=mend)
-    return report
+        moved = replace(manifest, bounds=scaled)
+        for probe in _probes(moved, seed=seed, count=2)[1:]:
+            yield replace(probe, label=f"{label}, {probe.label}")

@@ -5,7 +5,6 @@ __all__ = ["Factory", "is_target", "load_factory"]
 import importlib
 import inspect
 import sys
-import traceback
 import typing
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
+from gsgen.sdk.user_code import line_of
 from gsgen.sdk.words import convert, name_of
 
 _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
@@ -216,28 +216,7 @@ def _checked(made: Any, target: str) -> Any:
 
 def _raised(error: Exception, where: str) -> GsgenError:
     """Say what the user's code raised, and in which of its lines."""
-    frames = [
-        frame
-        for frame in traceback.extract_tb(error.__traceback__)
-        if _is_users(Path(frame.filename))
-    ]
-    what = f"{type(error).__name__}: {error}"
-    if isinstance(error, SyntaxError) and error.filename:
-        what = f"{type(error).__name__}: {error.msg}"
-        return GsgenError(what, where=f"{Path(error.filename).name}:{error.lineno}")
-    if not frames:
-        return GsgenError(what, where=where)
-    last = frames[-1]
-    line = f"{Path(last.filename).name}:{last.lineno} ({last.line})"
-    return GsgenError(what, where=f"{where}, {line}")
-
-
-def _is_users(path: Path) -> bool:
-    """Say whether a source file is neither a library's nor ours."""
-    ours = Path(__file__).parent
-    return (
-        path.is_file()
-        and not path.is_relative_to(ours)
-        and not {"site-packages", "dist-packages"} & set(path.parts)
-        and not path.is_relative_to(Path(importlib.__file__).parents[1])
-    )
+    said = error.msg if isinstance(error, SyntaxError) else str(error)
+    line = line_of(error)
+    place = f"{where}, {line}" if line else where
+    return GsgenError(f"{type(error).__name__}: {said}", where=place)

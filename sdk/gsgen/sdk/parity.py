@@ -5,7 +5,14 @@ trace, opacity absolutely, and appearance as the colour seen from 64 directions.
 tolerance comes the rounding of the storage dtype, which no export can avoid.
 """
 
-__all__ = ["FieldParity", "Parity", "Reference", "compare", "fibonacci_directions"]
+__all__ = [
+    "FieldParity",
+    "Parity",
+    "Reference",
+    "compare",
+    "fibonacci_directions",
+    "same",
+]
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -113,6 +120,17 @@ def compare(
             if known is None or not one.excess <= known.excess:
                 worst[one.field] = one
     return Parity(tuple(worst.values()), len(references))
+
+
+def same(a: Reference, b: Reference) -> bool:
+    """Say whether two runs gave the same bits."""
+    pairs = (
+        (getattr(a.gaussians, name), getattr(b.gaussians, name))
+        for name in ("position", "opacity", "covariance", "sh", "rgb")
+    )
+    return a.count == b.count and all(
+        x is y or np.array_equal(x, y, equal_nan=True) for x, y in pairs
+    )
 
 
 def _all_finite(reference: Reference) -> bool:

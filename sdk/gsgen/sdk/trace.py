@@ -3,11 +3,10 @@
 __all__ = ["trace"]
 
 import logging
-import traceback
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr
+from io import StringIO
 
 import numpy as np
 import onnx_ir as ir
@@ -16,16 +15,32 @@ import torch
 from gsgen.contract.manifest import GeneratorManifest
 from gsgen.contract.probes import Probe
 from gsgen.sdk.errors import ExportFailed, GeneratorInvalid
+from gsgen.sdk.hazards import Hazard
 from gsgen.sdk.packing import COUNT, GAUSSIANS, PackedGenerator
+from gsgen.sdk.user_code import line_of
 
-# They report on operators of packages that are not installed and on weights that stay as they are.
-_CHATTY = ("torch.onnx", "torch.export", "onnxscript", "onnx_ir")
+_MOST = 3
+_MEND = (
+    "Shapes must not depend on data: use masks and torch.where instead of boolean indexing, and "
+    "keep `.item()`, numpy and Python branches on tensors out of forward."
+)
 
 
 def trace(
-    packed: PackedGenerator, example: Probe, manifest: GeneratorManifest, opset: int
+    packed: PackedGenerator,
+    example: Probe,
+    manifest: GeneratorManifest,
+    opset: int,
+    hazards: Sequence[Hazard] = (),
 ) -> ir.Model:
     """Export ``packed`` with ``torch.onnx.export(dynamo=True)`` and return the graph.
+
+    Args:
+        packed: The module.
+        example: The inputs that it is traced with.
+        manifest: Names the outputs.
+        opset: ONNX operator set.
+        hazards: What was seen while it ran, to explain a refusal.
 
     Raises:
         ExportFailed: The exporter refused the module; the message names the line of its code.
@@ -49,47 +64,43 @@ def trace(
     except GeneratorInvalid:
         raise
     except Exception as error:  # the exporter's errors share no base class
-        raise _explained(packed, error) from error
+        raise _explained(packed, error, hazards) from error
     assert program is not None
     return program.model
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    loggers = [logging.getLogger(name) for name in _CHATTY]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.ERROR)
+    """Keep torch's notes on operators, failed attempts and graphs to itself."""
+    level = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
     try:
-        with warnings.catch_warnings(), torch.no_grad():
+        # Graphs of failed attempts are printed, not logged.
+        with warnings.catch_warnings(), torch.no_grad(), redirect_stderr(StringIO()):
             warnings.simplefilter("ignore")
             yield
     finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.setLevel(level)
+        logging.disable(level)
 
 
-def _explained(packed: PackedGenerator, error: BaseException) -> ExportFailed:
+def _explained(
+    packed: PackedGenerator, error: BaseException, hazards: Sequence[Hazard]
+) -> ExportFailed:
+    """Say what torch says first, in which line of the user's, and what to write instead."""
     root: BaseException = error
     while root.__cause__ is not None:
         root = root.__cause__
     reason = next(
         (line for line in str(root).splitlines() if line.strip()), type(root).__name__
     )
+    what = f"{type(root).__name__}: {reason.strip()[:300]}"
+    line = line_of(root)
+    likely = [one for one in hazards if line and line in one.where] or list(hazards)
+    if not likely:
+        return ExportFailed(what, where=line or type(packed.generator).__name__, mend=_MEND)
+    first = likely[0]
     return ExportFailed(
-        f"{type(root).__name__}: {reason.strip()[:300]}",
-        where=_user_line(root) or type(packed.generator).__name__,
-        mend="Shapes must not depend on data: use masks and torch.where instead of boolean "
-        "indexing, and keep `.item()`, numpy and Python branches on tensors out of forward.",
+        f"{first.what}, and torch cannot export it ({what})",
+        where=line or first.where,
+        mend="\n  ".join([first.mend, *(str(one) for one in likely[1:_MOST])]),
     )
-
-
-def _user_line(error: BaseException) -> str:
-    """Return ``file:line`` of the innermost frame that is neither torch's nor ours."""
-    ours, theirs = Path(__file__).parent, Path(torch.__file__).parent
-    for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        path = Path(frame.filename)
-        is_library = path.is_relative_to(ours) or path.is_relative_to(theirs)
-        if path.is_file() and not is_library and "site-packages" not in path.parts:
-            return f"{path.name}:{frame.lineno} ({frame.line})"
-    return ""

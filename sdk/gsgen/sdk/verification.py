@@ -1,0 +1,135 @@
+"""What an exported file must stand before it is put in its place: parity, memory, the contract."""
+
+__all__ = ["check_contract", "check_memory", "check_parity"]
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gsgen.contract.config import Settings
+from gsgen.contract.engine import validate
+from gsgen.contract.finding import Level, Severity
+from gsgen.contract.manifest import GeneratorManifest, Tolerances
+from gsgen.contract.probes import Probe
+from gsgen.contract.report import Report
+from gsgen.contract.sandbox import Limits, execute
+from gsgen.contract.targets import load_target
+from gsgen.sdk.diagnosis import Suspects, explain
+from gsgen.sdk.eager import run_eager
+from gsgen.sdk.errors import ExportRejected, GeneratorInvalid, ParityFailed
+from gsgen.sdk.generator import GaussianGenerator
+from gsgen.sdk.hazards import Watch
+from gsgen.sdk.packing import COUNT, GAUSSIANS
+from gsgen.sdk.parity import Parity, Reference, compare, same
+
+Outputs = tuple[np.ndarray, np.ndarray, int]
+
+
+def check_parity(
+    path: Path,
+    manifest: GeneratorManifest,
+    references: list[Reference],
+    suspects: Suspects,
+    progress: Callable[[str], None],
+) -> Parity:
+    """Compare the file with eager torch, at the contract's probes and far from them.
+
+    Args:
+        path: The model.
+        manifest: What it declares.
+        references: What eager torch gave.
+        suspects: What may explain a difference.
+        progress: Called with a few words.
+
+    Raises:
+        ParityFailed: They differ; the error says where, and what of the module may be why.
+    """
+    progress(f"comparing with eager torch at {len(references)} probes")
+    outputs = _run(path, manifest, [reference.probe for reference in references])
+    tolerances = manifest.tolerances or Tolerances()
+    parity = compare(references, outputs, tolerances)
+    if parity.holds:
+        return parity
+
+    def run(probes: list[Probe]) -> list[Outputs]:
+        return _run(path, manifest, probes)
+
+    worst = max(parity.fields, key=lambda field: field.excess)
+    reason, mend = explain(suspects, manifest, references, run)
+    raise ParityFailed(
+        f"{worst.field} of Gaussian {worst.row} is off by {worst.error:.3g} at probe "
+        f"{worst.probe!r}, {worst.excess:.3g} times what is allowed{reason} "
+        f"({parity.describe()})",
+        where=path.name,
+        mend=mend,
+        parity=parity,
+    )
+
+
+def _run(path: Path, manifest: GeneratorManifest, probes: list[Probe]) -> list[Outputs]:
+    appearance = manifest.outputs.appearance
+    assert appearance is not None
+    names = (GAUSSIANS, appearance.name, COUNT)
+    limits = Limits().for_model(path.stat().st_size)
+    with execute(path, names, probes, limits) as execution:
+        if execution.fault is not None:
+            what = f"ONNX Runtime cannot run the exported model: {execution.fault.message}"
+            raise ParityFailed(what, where=path.name)
+        made = [execution.samples[run.sample].outputs for run in execution.runs]
+        return [
+            (np.array(one[names[0]]), np.array(one[names[1]]), int(np.ravel(one[COUNT])[0]))
+            for one in made
+        ]
+
+
+def check_memory(
+    generator: GaussianGenerator, watch: Watch, references: list[Reference]
+) -> None:
+    """Start a module that changes itself anew, and see that a frame does not depend on it.
+
+    A value that forward keeps from its first frame stays the same in the model, too, so parity
+    does not see it.
+
+    Raises:
+        GeneratorInvalid: Another result comes out.
+    """
+    if not watch.changes_module:
+        return
+    watch.undo()
+    known = references[-1]
+    if same(known, run_eager(generator, known.probe)):
+        return
+    changes = [one for one in watch.hazards if one.kind == "state"]
+    raise GeneratorInvalid(
+        f"forward remembers earlier frames: begun at probe {known.probe.label!r}, it gives "
+        "another result than when it comes there from others",
+        where="; ".join(one.where for one in changes[:3]),
+        mend=changes[0].mend if changes else "",
+    )
+
+
+def check_contract(
+    path: Path,
+    target: str,
+    settings: Settings | None,
+    progress: Callable[[str], None],
+) -> Report:
+    """Validate the file.
+
+    Raises:
+        ExportRejected: It breaks a rule; the error carries the report.
+    """
+    base = settings or Settings(level=Level.BEHAVIOUR)
+    report = validate(path, replace(base, target=load_target(target)), progress=progress)
+    if report.verdict != "conforms":
+        broken = [
+            finding for finding in report.findings if finding.severity >= Severity.ERROR
+        ]
+        listed = "; ".join(
+            f"{f.rule} {f.where}: {f.message}" for f in broken or report.findings
+        )
+        mend = (broken or report.findings)[0].mend if report.findings else ""
+        raise ExportRejected(listed, report, where=path.name, mend=mend)
+    return report
