@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-.PHONY: setup demo test check drivers bench docs wheel clean
+.PHONY: setup demo test check drivers bench fuzz docs wheel clean
 
 setup: $(READY)
 
@@ -41,6 +41,14 @@ check: setup
 # Throughput, start-up and memory, as ratios against a baseline measured in the same run.
 bench: setup
 	$(BIN)/python -m pytest tests/bench -o python_files='bench_*.py' -o python_functions='bench_*' -s -q
+
+# Mutants of models and manifests, which must not crash, hang or bloat the validator. A run that
+# was stopped goes on where it was; what failed is kept in out/fuzz, with the way to see it again.
+COUNT ?= 20000
+SEED ?= 0
+MINUTES ?= 90
+fuzz: setup
+	PYTHONPATH=tests $(BIN)/python -m fuzz --count $(COUNT) --seed $(SEED) --minutes $(MINUTES)
 
 docs: setup
 	$(PIP) --group docs

@@ -18,6 +18,7 @@ from onnx import (
     ValueInfoProto,
 )
 
+from gsgen.contract.inference import first_line, infer
 from gsgen.contract.model import STUB, ModelFile, bodies, subgraphs
 
 Dims = tuple[int | str | None, ...]
@@ -185,7 +186,7 @@ def _facts(file: ModelFile) -> _Facts:
     try:
         onnx.checker.check_model(proto)
     except (onnx.checker.ValidationError, ValueError, RuntimeError) as error:
-        facts.checker = _first_line(error)
+        facts.checker = first_line(error)
         return facts  # inference on a malformed graph would only repeat it
     declared = {
         v.name: _of_value(v) for v in (*proto.graph.output, *proto.graph.value_info)
@@ -193,15 +194,9 @@ def _facts(file: ModelFile) -> _Facts:
     for value in proto.graph.output:
         value.ClearField("type")
     del proto.graph.value_info[:]
-    infer = onnx.shape_inference.infer_shapes
-    try:
-        inferred = infer(proto, check_type=True, strict_mode=True, data_prop=True)
-    except (onnx.shape_inference.InferenceError, ValueError, RuntimeError) as error:
-        facts.inference = _first_line(error)
-        try:
-            inferred = infer(proto, data_prop=True)
-        except (onnx.shape_inference.InferenceError, ValueError, RuntimeError):
-            return facts  # the fault is already noted
+    inferred, facts.inference = infer(proto)
+    if inferred is None:
+        return facts
     values = (*inferred.graph.value_info, *inferred.graph.output)
     found = {v.name: _of_value(v) for v in values}
     facts.tensors = {
@@ -376,8 +371,3 @@ def _compatible(declared: Tensor, inferred: Tensor) -> bool:
         return False
     pairs = zip(declared.dims, inferred.dims, strict=True)
     return all(a == b or not (isinstance(a, int) and isinstance(b, int)) for a, b in pairs)
-
-
-def _first_line(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return " ".join(lines)[:300] or type(error).__name__

@@ -9,6 +9,7 @@ __all__ = [
     "open_model",
     "subgraphs",
     "write_manifest",
+    "write_manifest_text",
 ]
 
 import mmap
@@ -40,6 +41,8 @@ from gsgen.contract.wire import BYTES, STUB, Skeleton, WireFault, scan, skeleton
 MANIFEST_KEY = "gsgen.manifest"
 
 _METADATA_FIELD = 14  # ModelProto.metadata_props
+_LONGEST = (1 << 63) - 1
+_DIGITS = 100  # Python refuses to read numbers of thousands
 
 # First bytes of files that people pass by mistake.
 _LOOKALIKES = (
@@ -187,7 +190,10 @@ def _detach_external(proto: ModelProto) -> Iterator[ExternalRef]:
 
 
 def _whole(text: str | None) -> int | None:
-    return int(text) if text is not None and text.isascii() and text.isdigit() else None
+    """Return the number that ``text`` is, if it is one; no file is as long as the largest."""
+    if text is None or not (text.isascii() and text.isdigit()):
+        return None
+    return min(int(text), _LONGEST) if len(text) <= _DIGITS else _LONGEST
 
 
 def bodies(proto: ModelProto) -> Iterator[GraphProto | FunctionProto]:
@@ -269,8 +275,12 @@ def write_manifest(
         ModelUnreadable: ``source`` is not an ONNX model.
         OSError: ``target`` cannot be written.
     """
-    source, target = Path(source), Path(target)
-    entry = StringStringEntryProto(key=MANIFEST_KEY, value=dumps(manifest, indent=None))
+    write_manifest_text(Path(source), dumps(manifest, indent=None), Path(target))
+
+
+def write_manifest_text(source: Path, text: str, target: Path) -> None:
+    """Do what :func:`write_manifest` does with a manifest that is text already."""
+    entry = StringStringEntryProto(key=MANIFEST_KEY, value=text)
     appended = ModelProto(metadata_props=[entry]).SerializeToString()
     open_model(source)  # says what is wrong with it, if something is
     handle, name = tempfile.mkstemp(

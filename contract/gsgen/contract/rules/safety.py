@@ -59,13 +59,17 @@ def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None
             f"leads out of the model's folder (weight {ref.tensor!r})",
             "a relative path below it",
         )
-    path = (root / ref.location).resolve()
-    if not path.is_relative_to(root):
-        return f"is a link to {path}", "a file below the model's folder"
-    if not path.is_file():
-        return f"no such file (weight {ref.tensor!r})", "a file beside the model"
+    try:
+        path = (root / ref.location).resolve()
+        if not path.is_relative_to(root):
+            return f"is a link to {path}", "a file below the model's folder"
+        if not path.is_file():
+            return f"no such file (weight {ref.tensor!r})", "a file beside the model"
+        size = path.stat().st_size
+    except (OSError, RuntimeError) as error:  # too long a name, or links in a circle
+        why = error.strerror if isinstance(error, OSError) else "links in a circle"
+        return f"cannot be looked up: {why}", "a file beside the model"
     needed = ref.offset + (payload if ref.length is None else ref.length)
-    size = path.stat().st_size
     if needed > size:
         return f"has {size} bytes (weight {ref.tensor!r})", f"at least {needed}"
     return None

@@ -38,7 +38,7 @@ def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], judged: int) -> Itera
         Where(rows.emission.rows_place), packed, rows.packed, "finite values", judged=judged
     )
     color = rows.color
-    if color is None:
+    if color is None or not color.size:
         return
     bad = (rows.color_peak >= _INF_BITS[color.itemsize]) & among
     shown = np.zeros((len(rows), 1), color.dtype)

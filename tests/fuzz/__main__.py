@@ -1,0 +1,139 @@
+"""Fuzz the validator: thousands of mutants, judged on every core, each within limits.
+
+Run by ``make fuzz``. A run that was stopped goes on where it was; ``--only`` judges one case again.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import TimeRemainingColumn as Remaining
+
+from fuzz.case import draw
+from fuzz.corpus import bases
+from fuzz.judging import judge
+from fuzz.pool import Pool
+
+
+def main() -> int:
+    """Run as the command line says; 1 where something failed."""
+    given = _arguments()
+    if given.only is not None:
+        return _once(given.seed, given.only)
+    folder = given.folder / f"seed-{given.seed}"
+    folder.mkdir(parents=True, exist_ok=True)
+    log = folder / "cases.jsonl"
+    done = _read(log)
+    todo = [index for index in range(given.count) if index not in done]
+    deadline = time.monotonic() + 60 * given.minutes
+    with log.open("a") as out, _bar() as bar:
+        task = bar.add_task("", total=given.count, completed=given.count - len(todo))
+        pool = Pool(given.seed, given.jobs)
+        for result in pool.judged(todo, deadline):
+            done[result["case"]] = result
+            out.write(json.dumps(result) + "\n")
+            out.flush()
+            if result["failures"]:
+                _keep(given.seed, result, folder)
+                bar.console.print(f"case {result['case']}: {result['failures'][0][-300:]}")
+            failed = sum(bool(one["failures"]) for one in done.values())
+            bar.update(task, advance=1, description=f"{failed} failed")
+    return _sum_up(
+        [one for index, one in done.items() if index < given.count], given, folder
+    )
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
+    parser.add_argument("--count", type=int, default=20_000, help="how many cases")
+    parser.add_argument("--seed", type=int, default=0, help="another seed, other cases")
+    parser.add_argument("--minutes", type=float, default=90, help="stop after so long")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--folder", type=Path, default=Path("out/fuzz"))
+    parser.add_argument(
+        "--only", type=int, help="judge one case, and say what became of it"
+    )
+    return parser.parse_args()
+
+
+def _bar() -> Progress:
+    console = Console(stderr=True)
+    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), Remaining())
+    shown = [TextColumn(one) if isinstance(one, str) else one for one in columns]
+    return Progress(*shown, console=console, disable=not console.is_terminal)
+
+
+def _read(log: Path) -> dict[int, dict[str, Any]]:
+    """Return what an earlier run of the same seed judged; a half-written line is its end."""
+    done: dict[int, dict[str, Any]] = {}
+    for line in log.read_text().splitlines() if log.exists() else ():
+        try:
+            one = json.loads(line)
+        except ValueError:
+            continue
+        done[one["case"]] = one
+    return done
+
+
+def _keep(seed: int, result: dict[str, Any], folder: Path) -> None:
+    """Write what is needed to see a failure again: the model, what is beside it, the commands."""
+    kept = folder / "failures" / str(result["case"])
+    shutil.rmtree(kept, ignore_errors=True)
+    kept.mkdir(parents=True)
+    case = draw(seed, result["case"], bases(kept))
+    for one in kept.iterdir():
+        if case.base.folder is None or one != case.base.folder:
+            shutil.rmtree(one)
+    place = case.base.folder or kept
+    (place / "model.onnx").write_bytes(case.content)
+    command = (
+        f"PYTHONPATH=tests python -m fuzz --seed {seed} --only {result['case']}\n"
+        f"gsgen validate {place / 'model.onnx'} --level {case.level.word} --target {case.target}\n"
+    )
+    (kept / "reproduce.sh").write_text(command)
+    (kept / "case.json").write_text(json.dumps({"seed": seed, **result}, indent=2))
+
+
+def _once(seed: int, index: int) -> int:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as name:
+        case = draw(seed, index, bases(Path(name)))
+        path = (case.base.folder or Path(name)) / "model.onnx"
+        path.write_bytes(case.content)
+        verdict = judge(case, path)
+    sys.stdout.write(f"{case.base.name}, {', '.join(case.mutations)}: {verdict.word}\n")
+    for failure in verdict.failures:
+        sys.stdout.write(f"{failure}\n")
+    return 1 if verdict.failures else 0
+
+
+def _sum_up(done: list[dict[str, Any]], given: argparse.Namespace, folder: Path) -> int:
+    words = Counter(one["verdict"] for one in done)
+    failed = [one["case"] for one in done if one["failures"]]
+    slowest = max((one["seconds"] for one in done), default=0.0)
+    largest = max((one.get("peak", 0) for one in done), default=0)
+    parts = ", ".join(f"{count} {word}" for word, count in sorted(words.items()))
+    ran = sum(one["ran"] for one in done)
+    sys.stdout.write(
+        f"fuzz, seed {given.seed}: {len(done)} of {given.count} mutants ({parts}), "
+        f"{ran} reached ONNX Runtime; slowest {slowest:.1f} s, "
+        f"peak {largest / (1 << 20):.0f} MiB; {len(failed)} failed\n"
+    )
+    if failed:
+        sys.stdout.write(f"kept in {folder / 'failures'}: {failed[:20]}\n")
+    elif len(done) < given.count:
+        sys.stdout.write("time is up: the same command goes on where this one stopped\n")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

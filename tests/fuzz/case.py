@@ -1,0 +1,114 @@
+"""One mutant: which model, which mutations, which settings, all of it decided by two numbers."""
+
+__all__ = ["Case", "draw"]
+
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from google.protobuf.message import DecodeError, EncodeError
+from onnx import ModelProto
+
+from fuzz import mutate_bytes, mutate_manifest, mutate_model
+from fuzz.corpus import Base
+from gsgen.contract.finding import Level
+from gsgen.contract.model import MANIFEST_KEY
+
+_MANIFEST_SHARE, _BYTES_SHARE = 0.3, 0.15
+_TARGETS = ("core", "webgpu", "visionary", "gsgen")
+_COMMAND_SHARE, _SPAWN_SHARE, _BEHAVIOUR_SHARE = 0.01, 0.01, 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A mutant and how to judge it.
+
+    Attributes:
+        seed: Seed of the whole run.
+        index: Number of the case within it.
+        base: The model it was made from.
+        mutations: Names of what was done to it, in order.
+        content: Bytes of the file.
+        target: What it is judged for.
+        command: It goes through the command line in a process of its own.
+        spawn: ONNX Runtime's process is started afresh, as it is for users.
+        level: How far judging goes.
+    """
+
+    seed: int
+    index: int
+    base: Base
+    mutations: tuple[str, ...]
+    content: bytes
+    target: str
+    command: bool
+    spawn: bool
+    level: Level = Level.VALUES
+
+
+def draw(seed: int, index: int, corpus: Sequence[Base]) -> Case:
+    """Make case ``index`` of the run ``seed``; the same on every machine."""
+    rng = random.Random(f"{seed}/{index}")
+    base = rng.choice(corpus)
+    names: list[str] = []
+    content = _mutated(base.content, rng, names)
+    target = base.target if rng.random() < 0.6 else rng.choice(_TARGETS)
+    way = rng.random()
+    command, spawn = way < _COMMAND_SHARE, way < _COMMAND_SHARE + _SPAWN_SHARE
+    level = Level.BEHAVIOUR if way > 1 - _BEHAVIOUR_SHARE else Level.VALUES
+    return Case(seed, index, base, tuple(names), content, target, command, spawn, level)
+
+
+def _mutated(content: bytes, rng: random.Random, names: list[str]) -> bytes:
+    what = rng.random()
+    if what < _BYTES_SHARE:
+        return _bytes_mutated(content, rng, names)
+    model = ModelProto.FromString(content)
+    if what < _BYTES_SHARE + _MANIFEST_SHARE:
+        _mutate_manifest(model, rng, names)
+    if what >= _BYTES_SHARE + _MANIFEST_SHARE or rng.random() < 0.1:
+        for _ in range(rng.choice((1, 1, 1, 2, 3, 6))):
+            one = rng.choice(mutate_model.MUTATIONS)
+            _try(one, model, rng, names)
+    return _written(model)
+
+
+def _bytes_mutated(content: bytes, rng: random.Random, names: list[str]) -> bytes:
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        one = rng.choice(mutate_bytes.MUTATIONS)
+        content = one(content, rng) or b"\0"
+        names.append(f"bytes.{one.__name__}")
+    return content
+
+
+def _mutate_manifest(model: ModelProto, rng: random.Random, names: list[str]) -> None:
+    entry = next((one for one in model.metadata_props if one.key == MANIFEST_KEY), None)
+    if entry is None:
+        entry = model.metadata_props.add(key=MANIFEST_KEY, value='{"contract": "1.0"}')
+    text = entry.value
+    for _ in range(rng.choice((1, 1, 1, 2, 4))):
+        one = rng.choice(mutate_manifest.MUTATIONS)
+        text = one(text, rng)
+        names.append(f"manifest.{one.__name__}")
+    entry.value = text.encode(
+        "utf-8", "replace"
+    ).decode()  # protobuf has no lone surrogates
+
+
+def _try(
+    one: mutate_model.Mutation, model: ModelProto, rng: random.Random, names: list[str]
+) -> None:
+    """Mutate; where protobuf itself cannot hold what was wanted, leave the model as it is."""
+    before = ModelProto()
+    before.CopyFrom(model)
+    try:
+        one(model, rng)
+        model.SerializeToString()
+        names.append(one.__name__)
+    except (ValueError, EncodeError, DecodeError, RecursionError):
+        model.CopyFrom(before)
+        names.append(f"{one.__name__}!")
+
+
+def _written(model: ModelProto) -> bytes:
+    return model.SerializeToString() or b"\0"

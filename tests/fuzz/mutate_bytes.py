@@ -1,0 +1,129 @@
+"""Mutations of a file: bytes that no protobuf library would write."""
+
+__all__ = ["MUTATIONS", "Mutation"]
+
+import random
+from collections.abc import Callable
+
+from gsgen.contract.wire import BYTES, Field, WireFault, scan
+
+Mutation = Callable[[bytes, random.Random], bytes]
+
+# Numbers of ten bytes and more, groups, a field number of zero, a length beyond any file.
+_ODD = (
+    *(
+        b"\xff" * 10,
+        b"\xff" * 9 + b"\x01",
+        b"\x0b\x0c",
+        b"\x00\x00",
+        b"\x3a\xff\xff\xff\xff\x0f",
+    ),
+    *(b"\x3a\x00", b"\x80\x80\x80\x00", b"\xf8\xff\xff\xff\x0f\x01", b"\x72\x02\x0a\x00"),
+)
+_DEPTH = 6
+
+
+def _fields(data: bytes, rng: random.Random) -> list[Field]:
+    """Return the fields of a message somewhere in the file: of the model, or deeper."""
+    start, end = 0, len(data)
+    found: list[Field] = []
+    for _ in range(rng.randint(1, _DEPTH)):
+        try:
+            inside = list(scan(data, start, end))
+        except WireFault:
+            break
+        if not inside:
+            break
+        found = inside
+        deeper = [one for one in inside if one.wire == BYTES and one.end > one.value]
+        if not deeper:
+            break
+        one = rng.choice(deeper)
+        start, end = one.value, one.end
+    return found
+
+
+def flip(data: bytes, rng: random.Random) -> bytes:
+    """Change single bytes, near the start of the file more often than not."""
+    made = bytearray(data)
+    reach = len(made) if rng.random() < 0.4 else min(len(made), 400)
+    for _ in range(rng.choice((1, 1, 2, 8))):
+        made[rng.randrange(reach)] = rng.choice(
+            (0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256))
+        )
+    return bytes(made)
+
+
+def cut(data: bytes, rng: random.Random) -> bytes:
+    """End the file early, or let its middle be missing."""
+    at = rng.randrange(len(data))
+    return data[:at] if rng.random() < 0.5 else data[:at] + data[at + rng.randint(1, 64) :]
+
+
+def drop_a_field(data: bytes, rng: random.Random) -> bytes:
+    """Take a field out; lengths around it are left as they were."""
+    fields = _fields(data, rng)
+    if not fields:
+        return data
+    one = rng.choice(fields)
+    return data[: one.start] + data[one.end :]
+
+
+def repeat_a_field(data: bytes, rng: random.Random) -> bytes:
+    """Write a field of the model twice, or two fields in the other order."""
+    try:
+        fields = list(scan(data, 0, len(data)))
+    except WireFault:
+        return data
+    if not fields:
+        return data
+    one = rng.choice(fields)
+    part = data[one.start : one.end]
+    if rng.random() < 0.5:
+        return data + part * rng.choice((1, 1, 30))
+    return part + data[: one.start] + data[one.end :]
+
+
+def insert(data: bytes, rng: random.Random) -> bytes:
+    """Put odd bytes before a field."""
+    fields = _fields(data, rng)
+    at = rng.choice(fields).start if fields else rng.randrange(len(data))
+    return data[:at] + rng.choice(_ODD) + data[at:]
+
+
+def retag(data: bytes, rng: random.Random) -> bytes:
+    """Let a field have another number or another wire type."""
+    fields = _fields(data, rng)
+    if not fields:
+        return data
+    at = rng.choice(fields).start
+    return data[:at] + bytes([rng.randrange(256)]) + data[at + 1 :]
+
+
+def bury(data: bytes, rng: random.Random) -> bytes:
+    """Wrap a graph that is nested deeper than anybody nests graphs."""
+    body = b""
+    for _ in range(rng.choice((20, 90, 110, 400))):
+        attribute = b"\x0a\x01b" + _sized(0x32, body) + b"\xa0\x01\x05"
+        body = _sized(0x0A, b"\x22\x02If" + _sized(0x2A, attribute))
+    return data + _sized(0x3A, body)
+
+
+def _sized(tag: int, body: bytes) -> bytes:
+    size, out = len(body), bytearray([tag])
+    while size > 0x7F:
+        out.append(size & 0x7F | 0x80)
+        size >>= 7
+    return bytes(out) + bytes([size]) + body
+
+
+MUTATIONS: tuple[Mutation, ...] = (
+    flip,
+    flip,
+    cut,
+    drop_a_field,
+    repeat_a_field,
+    insert,
+    retag,
+    bury,
+)

@@ -1,0 +1,132 @@
+"""A slice of what ``make fuzz`` does, and proof that the fuzzer sees what it looks for."""
+
+import os
+import time
+from dataclasses import replace
+
+import pytest
+
+from fuzz import judging
+from fuzz.case import draw
+from fuzz.corpus import bases
+from fuzz.pool import Pool
+from gsgen.conformance.fixtures import fixtures
+from gsgen.contract.config import Settings
+from gsgen.contract.finding import Level
+from gsgen.contract.installed import installed_rules
+from gsgen.contract.rule import Registry
+from support.rules import crashing, made_up
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory):
+    return bases(tmp_path_factory.mktemp("bases"))
+
+
+def write(case, folder):
+    path = (case.base.folder or folder) / f"case_{case.index}.onnx"
+    path.write_bytes(case.content)
+    return path
+
+
+# Other threads of this process, such as a test runner's, take no lock that a child needs.
+pytestmark = pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+
+
+def registry_with(*rules):
+    kept = (
+        one
+        for one in installed_rules().rules.values()
+        if one.id not in {r.id for r in rules}
+    )
+    return Registry.of([*kept, *rules])
+
+
+def test_a_case_is_decided_by_its_numbers_alone(corpus):
+    for index in range(30):
+        assert draw(7, index, corpus) == draw(7, index, corpus)
+    assert draw(7, 0, corpus).content != draw(8, 0, corpus).content
+
+
+def test_mutants_differ_from_their_models_and_from_each_other(corpus):
+    cases = [draw(0, index, corpus) for index in range(250)]
+    changed = [case for case in cases if case.content != case.base.content]
+    assert len(changed) > 0.9 * len(cases)
+    assert len({case.content for case in changed}) > 0.98 * len(changed)
+    kinds = {name for case in cases for name in case.mutations}
+    assert len(kinds) > 30
+    assert len({case.base.name for case in cases}) > 100
+
+
+def test_the_validator_stands_the_first_mutants():
+    told = list(Pool(seed=0, jobs=1).judged(range(30), time.monotonic() + 60))
+    assert [(one["case"], one["failures"]) for one in told] == [(k, []) for k in range(30)]
+    assert {"invalid", "unreadable"} <= {one["verdict"] for one in told}
+    assert any(one["ran"] for one in told)
+
+
+@pytest.fixture
+def good(corpus, tmp_path):
+    """A model that runs, as a case without mutations."""
+    name = next(one.name for one in fixtures() if not one.rule)
+    base = next(one for one in corpus if one.name == name)
+    case = replace(draw(0, 0, corpus), base=base, content=base.content, target="core")
+    return replace(case, command=False, spawn=False, level=Level.VALUES)
+
+
+def test_a_good_model_fails_nothing_and_runs(good, tmp_path):
+    verdict = judging.judge(good, write(good, tmp_path))
+    assert verdict == judging.Verdict("conforms", True, ())
+
+
+@pytest.mark.parametrize("scope", ["model", "rows"])
+def test_a_rule_that_crashes_is_seen(good, tmp_path, scope):
+    registry = registry_with(made_up("acme/AC001", crashing, over=scope))
+    verdict = judging.judge(good, write(good, tmp_path), registry)
+    (failure,) = verdict.failures
+    assert verdict.word == "internal-error"
+    assert failure.startswith("acme/AC001 crashed: ")
+    assert "ZeroDivisionError: no luck" in failure
+
+
+def test_an_error_that_escapes_is_seen(good, tmp_path, monkeypatch):
+    def raising(*_, **__):
+        raise KeyError("no such thing")
+
+    monkeypatch.setattr(judging, "validate", raising)
+    verdict = judging.judge(good, write(good, tmp_path))
+    assert verdict.word == "raised"
+    assert "KeyError: 'no such thing'" in verdict.failures[0]
+
+
+def test_a_child_that_dies_unseen_is_seen(good, tmp_path, monkeypatch):
+    monkeypatch.setattr(judging.worker, "main", lambda _: os.kill(os.getpid(), 9))
+    path = write(good, tmp_path)
+    told = judging.judge(good, path)
+    assert (told.word, told.failures) == ("invalid", ())  # GV025 says so
+    blind = registry_with(made_up("GV025", over="execution"))
+    verdict = judging.judge(good, path, blind)
+    assert any(
+        "ended with [-9], and the report does not" in one for one in verdict.failures
+    )
+
+
+def test_a_forked_child_gives_the_same_report_as_a_fresh_one(good, tmp_path):
+    path = write(good, tmp_path)
+    ended = []
+    reports = []
+    for spawn in (False, True):
+        with judging._children(ended, spawn=spawn):
+            reports.append(judging.validate(path, Settings(level=Level.VALUES)))
+    first, second = ([(o.rule.id, o.status, o.items) for o in r.outcomes] for r in reports)
+    assert first == second
+    assert ended == [0, 0]
+
+
+def test_a_worker_that_hangs_or_dies_is_replaced_and_told_of():
+    pool = Pool(seed=0, jobs=2, worker="support.fuzz_worker", limit=0.5)
+    told = {one["case"]: one for one in pool.judged(range(5), time.monotonic() + 60)}
+    assert sorted(told) == [0, 1, 2, 3, 4]
+    assert told[1]["failures"] == ["still busy after 0.5 s"]
+    assert told[2]["failures"] == ["the validator's process ended with -6: no luck"]
+    assert [told[index]["failures"] for index in (0, 3, 4)] == [[], [], []]
