@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gsgen.sdk.binding.session import FrameSession
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """What a session computed for one set of inputs.
 

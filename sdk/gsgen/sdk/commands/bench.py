@@ -152,8 +152,8 @@ def _show(results: "list[Timed]") -> None:
         "p50 ms",
         "p95 ms",
         "first ms",
-        "in B",
-        "out MiB",
+        "in",
+        "out",
         "copies",
         "M/s",
     ):
@@ -180,7 +180,7 @@ def _cells(one: "Timed") -> list[str]:
         _bytes(facts["bytes_in"]),
         _bytes(facts["bytes_out"]),
         f"{100 * facts['copy_share']:.0f} %",
-        "–" if rate is None else f"{rate / _MILLION:.2f}",
+        "–" if rate is None else f"{rate / _MILLION:.3g}",
     ]
 
 

@@ -1,0 +1,21 @@
+"""Models that sessions run, written once; `make drivers` first, for WebGPU without a GPU."""
+
+from pathlib import Path
+
+import pytest
+
+from gsgen.conformance.fixtures.moving import drifting, looking
+from gsgen.sdk.live_fixtures import live_fixtures
+
+
+@pytest.fixture(scope="session")
+def models(tmp_path_factory) -> dict[str, Path]:
+    """Model by name: drift and look in both dtypes, and the examples that break a live rule."""
+    folder = tmp_path_factory.mktemp("models")
+    sketches = {f"drift-{dtype}": drifting(dtype=dtype) for dtype in ("float32", "float16")}
+    sketches |= {f"look-{dtype}": looking(dtype=dtype) for dtype in ("float32", "float16")}
+    sketches["look-row"] = looking(order="row")
+    for name, sketch in sketches.items():
+        sketch.write(folder / f"{name}.onnx")
+    made = {name: folder / f"{name}.onnx" for name in sketches}
+    return made | {one.name: one.write(folder) for one in live_fixtures()}

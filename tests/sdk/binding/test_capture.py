@@ -1,0 +1,106 @@
+"""A capture is trusted only after it was compared with plain runs."""
+
+import numpy as np
+import pytest
+
+from gsgen.conformance.fixtures.moving import drifting
+from gsgen.sdk.binding import CaptureOff, FrameSession, NodesOnCpu, RunFailed, warm_up
+
+
+def moves(session: FrameSession) -> None:
+    """Assert that frames are those of the CPU."""
+    with FrameSession(session.path, provider="cpu") as reference:
+        for time in (0.0, 0.5, 1.0):
+            wanted = reference.run({"time": time})["gaussians"]
+            found = session.run({"time": time})["gaussians"]
+            np.testing.assert_allclose(found, wanted, atol=1e-6)
+
+
+def test_a_stale_capture_is_given_up_and_its_operator_named(models):
+    with pytest.warns(CaptureOff) as warned:
+        session = FrameSession(models["output_from_idle_sum"], provider="webgpu")
+    cause = "output gaussians repeats frame 0 in all 1 replays; made by ReduceSum (node ReduceSum)"
+    assert [str(one.message) for one in warned] == [
+        f"output_from_idle_sum.onnx runs without capture on webgpu: {cause}"
+    ]
+    assert warned[0].filename == __file__  # it points at the caller
+    with session:
+        assert (session.captured, session.cause) == (False, cause)
+        moves(session)
+
+
+def test_without_the_check_the_stale_frame_would_be_shown(models, monkeypatch):
+    """What the check is for: ONNX Runtime itself reports nothing."""
+    monkeypatch.setattr(warm_up, "wrong_outputs", lambda *_: iter(()))
+    with FrameSession(models["output_from_idle_sum"], provider="webgpu") as session:
+        assert session.captured
+        with pytest.raises(AssertionError):
+            moves(session)
+
+
+def test_a_refused_capture_is_done_without_and_the_operator_named(models):
+    with pytest.warns(CaptureOff, match=r"control flow nodes .* \(If\)$"):
+        session = FrameSession(models["branches_by_if"], provider="webgpu")
+    with session:
+        assert not session.captured
+        moves(session)
+
+
+def test_nodes_that_fell_back_to_the_cpu_are_reported(models):
+    with (
+        pytest.warns(CaptureOff, match=r"not been partitioned .* \(Round\)$"),
+        pytest.warns(NodesOnCpu, match=r"webgpu: 1 of \d+ nodes run on the CPU \(Round\)$"),
+    ):
+        session = FrameSession(models["round_on_the_cpu"], provider="webgpu")
+    with session:
+        assert [node.operator for node in session.left_on_cpu] == ["Round"]
+        moves(session)
+
+
+def test_capture_can_be_left_off(models):
+    with FrameSession(
+        models["output_from_idle_sum"], provider="webgpu", capture=False
+    ) as one:
+        assert (one.captured, one.cause) == (False, "")
+        moves(one)
+
+
+def test_a_refusal_at_the_first_captured_run_is_a_cause_too(models, monkeypatch):
+    run = warm_up.Bound.run
+    refused = []
+
+    def refuse_once(bound):
+        if not refused:
+            refused.append(bound)
+            raise RuntimeError("[ONNXRuntimeError] : 1 : FAIL : no room for commands")
+        run(bound)
+
+    monkeypatch.setattr(warm_up.Bound, "run", refuse_once)
+    with pytest.warns(CaptureOff, match="on webgpu: no room for commands$"):
+        session = FrameSession(models["drift-float32"], provider="webgpu")
+    with session:
+        moves(session)
+
+
+def test_a_model_that_does_not_run_there_is_an_error(models):
+    with pytest.raises(RunFailed, match="Too many storage buffers in shader") as raised:
+        FrameSession(models["split_into_many"], provider="webgpu")
+    assert raised.value.mend.startswith("`gsgen validate --level live`")
+
+
+def test_an_output_that_no_manifest_declares_is_compared_too(tmp_path):
+    from dataclasses import replace
+
+    end = "gaussians = Concat <axis = 1> (moved, opacity, spread)"
+    sketch = drifting().reworded(end, f"{end} clock = Identity (time)")
+    replace(sketch, outputs=f"{sketch.outputs}, float[1] clock").write(tmp_path / "a.onnx")
+    with pytest.warns(CaptureOff, match="output clock repeats frame 0 .* made by Identity"):
+        session = FrameSession(tmp_path / "a.onnx", provider="webgpu")
+    with session:
+        assert session.run({"time": 0.5})["clock"].tolist() == [0.5]
+
+
+def test_time_that_loops_is_tried_at_two_moments_that_differ(models):
+    with FrameSession(models["drift-float32"], provider="cpu") as session:
+        first, second = session.samples()
+    assert 0 <= first["time"][0] < second["time"][0] < 1

@@ -1,0 +1,205 @@
+"""What may be fed to a model, what is refused in which words, and what is fed by default."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from onnx import parser
+
+from gsgen.conformance.fixtures.moving import driven
+from gsgen.contract.errors import (
+    ConfigInvalid,
+    GsgenError,
+    ManifestInvalid,
+    ModelUnreadable,
+)
+from gsgen.contract.manifest import Input
+from gsgen.contract.model import MANIFEST_KEY
+from gsgen.sdk.binding import FrameSession, InputInvalid, RunFailed, SizeUnknown
+from gsgen.sdk.binding.camera import camera_values
+from gsgen.sdk.binding.port import Port, default_tensor
+from support.small_models import HEAD, good_rows, moving, save
+
+WAYS = (
+    Input("a", "control", shape=(1,), range=(0, 1), default=0.25),
+    Input("b", "control", shape=(1,), range=(0, 1), default=0.5),
+    Input("index", "frame_index", shape=(1,), range=(0, 9)),
+    Input("pose", "pose", shape=(1, 3)),
+)
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    path = tmp_path_factory.mktemp("inputs") / "many.onnx"
+    shift = (
+        "whole = Cast <to = 1> (index) sum = Sum (a, b, whole) row = Squeeze (pose, zero) "
+        "shift = Add (row, sum)"
+    )
+    text = "float[1] a, float[1] b, int32[1] index, float[1,3] pose"
+    driven(text, WAYS, shift).weighing(zero=np.zeros(1, np.int64)).write(path)
+    with FrameSession(path, provider="cpu") as made:
+        yield made
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"pos": 0}, "unknown input 'pos'"),
+        ({"pose": np.zeros(3)}, "input pose: has shape [3], wanted [1, 3]"),
+        ({"pose": 1}, "input pose: has shape [], wanted [1, 3]"),
+        ({"pose": [[1, 2], [3]]}, "input pose: is no array ("),
+        ({"pose": [["x", "y", "z"]]}, "input pose: is <U1, wanted float32"),
+        ({"a": 1.5}, "input a (role control): is 1.5, wanted 0 … 1"),
+        ({"a": np.nan}, "input a (role control): is nan, wanted 0 … 1"),
+        ({"a": None}, "input a (role control): is object, wanted float32"),
+        ({"a": 1j}, "input a (role control): is complex128, wanted float32"),
+        ({"index": 0.5}, "input index (role frame_index): is float64, wanted int32"),
+        ({"index": 10}, "input index (role frame_index): is 10, wanted 0 … 9"),
+        ({"index": 1 << 40}, "is 1099511627776 … 1099511627776, which int32 cannot hold"),
+        ({"control": 0.5}, "2 inputs have role 'control', wanted one of a, b"),
+    ],
+)
+def test_what_does_not_fit_is_refused(values, said, session):
+    before = session.run(copy=True)["gaussians"]
+    with pytest.raises(GsgenError) as raised:
+        session.run({"b": 0.9} | values)
+    assert said in str(raised.value)
+    np.testing.assert_array_equal(
+        session.run()["gaussians"], before
+    )  # b is not updated either
+
+
+def test_a_role_stands_for_the_one_input_that_has_it(session):
+    one = session.run({"frame_index": 2, "a": 0, "b": 0}, copy=True)["gaussians"]
+    two = session.run({"index": np.int64(2), "pose": np.zeros((1, 3))}, copy=True)[
+        "gaussians"
+    ]
+    np.testing.assert_array_equal(one, two)
+
+
+def test_tensors_are_written_as_they_are(session):
+    session.write({"a": np.array([7.0])})  # beyond the range: nothing is asked
+    with pytest.raises(GsgenError, match="unknown input 'frame_index'"):
+        session.write({"frame_index": np.array([1])})
+    with pytest.raises(InputInvalid, match="has shape"):
+        session.write({"pose": np.zeros(3)})
+    session.update({"a": 0})
+
+
+def test_a_camera_needs_a_manifest_and_two_matrices(session, tmp_path):
+    session.run(camera=(np.eye(4), np.eye(4)))  # a model that wants no camera takes any
+    for wrong in (np.eye(3), 7, (np.eye(3), np.eye(4))):
+        with pytest.raises(InputInvalid, match="camera"):
+            session.run(camera=wrong)
+    path = save(tmp_path / "a.onnx", moving(good_rows(2)))
+    with FrameSession(path, provider="cpu") as bare:
+        with pytest.raises(InputInvalid, match="no manifest says which inputs") as raised:
+            bare.run(camera=(np.eye(4), np.eye(4)))
+        assert "gsgen inspect --emit-manifest" in raised.value.mend
+
+
+def test_a_camera_tells_its_centre_and_viewport():
+    class Camera:
+        view = np.array([[0, 1, 0, 2], [-1, 0, 0, 3], [0, 0, 1, 4], [0, 0, 0, 1.0]])
+        projection = np.eye(4)
+        width, height = 640, 480
+
+    values = camera_values(Camera())
+    centre = values["camera_position"]
+    np.testing.assert_allclose(Camera.view @ [*centre, 1], [0, 0, 0, 1], atol=1e-12)
+    assert values["viewport"].tolist() == [640, 480]
+    assert "viewport" not in camera_values((Camera.view, Camera.projection))
+
+
+@pytest.mark.parametrize(
+    ("entry", "shape", "wanted"),
+    [
+        (Input("x", "view"), (4, 4), np.eye(4)),
+        (Input("x", "control", range=(2, 3)), (2,), [2, 2]),
+        (Input("x", "time"), (1,), [0]),
+        (Input("x", "time", default=0.5), (1,), [0.5]),
+        (Input("x", "pose", default="zeros"), (2, 3), np.zeros((2, 3))),
+        (Input("x", "pose", default="identity"), (4, 4), [[1, 0, 0, 0]] * 4),
+        (Input("x", "root_rotation", default="identity"), (3,), [0, 0, 0]),
+        (Input("x", "root_rotation", default="identity"), (3, 3), np.eye(3)),
+        (Input("x", "pose", default=(1, 2, 3, 4, 5, 6)), (2, 3), [[1, 2, 3], [4, 5, 6]]),
+    ],
+)
+def test_defaults_are_those_of_the_specification(entry, shape, wanted):
+    np.testing.assert_array_equal(default_tensor(entry, shape), wanted)
+
+
+def test_a_default_that_does_not_fill_its_input_is_refused():
+    with pytest.raises(InputInvalid, match="default has 2 numbers, wanted 6"):
+        default_tensor(Input("x", "pose", default=(1, 2)), (2, 3))
+
+
+@given(
+    st.lists(st.floats(-5, 5), min_size=16, max_size=16), st.sampled_from(["row", "column"])
+)
+def test_matrices_are_transposed_for_column_order_alone(numbers, order):
+    matrix = np.array(numbers).reshape(4, 4)
+    entry = Input("m", "view")
+    tensor = Port("m", np.dtype("float32"), (4, 4), entry, order).tensor(matrix)
+    wanted = matrix.astype(np.float32)
+    np.testing.assert_array_equal(tensor, wanted.T if order == "column" else wanted)
+
+
+# ---- Sizes -----------------------------------------------------------------------------------
+
+
+def symbolic(tmp_path, text="float[J,3] pose", **metadata):
+    body = f"g ({text}, float[1] t) => (float[M,3] y, float[K] z) {{ y = Mul (pose, t) s = Constant <value_ints = [-1]> () w = Mul (y, t) z = Reshape (w, s) }}"
+    proto = parser.parse_model(HEAD + body)
+    for key, value in metadata.items():
+        proto.metadata_props.add(key=key, value=value)
+    return save(tmp_path / "a.onnx", proto)
+
+
+@pytest.mark.parametrize("provider", ["cpu", "webgpu"])
+@pytest.mark.parametrize(
+    ("text", "name"), [("float[J,3] pose", "J"), ("float[?,3] pose", "pose[0]")]
+)
+def test_open_dimensions_take_the_size_that_is_given(provider, text, name, tmp_path):
+    path = symbolic(tmp_path, text)
+    with FrameSession(path, provider=provider, sizes={name: 2}, capture=False) as session:
+        assert session.inputs["pose"].shape == (2, 3)
+        frame = session.run({"pose": np.arange(6.0).reshape(2, 3), "t": 3})
+        np.testing.assert_array_equal(frame["y"], [[0, 3, 6], [9, 12, 15]])
+        assert frame["z"].shape == (6,)
+
+
+def test_open_dimensions_need_a_size(tmp_path):
+    path = symbolic(tmp_path)
+    with pytest.raises(SizeUnknown) as raised:
+        FrameSession(path, provider="cpu")
+    assert str(raised.value) == (
+        "tensor pose: axis 0 is symbolic (J), wanted a size\n  Give one, such as sizes={'J': 24}."
+    )
+    with pytest.raises(GsgenError, match="unknown open dimension 'j'"):
+        FrameSession(path, provider="cpu", sizes={"j": 2})
+    with pytest.raises(ConfigInvalid, match="size J: is 0, wanted at least 1"):
+        FrameSession(path, provider="cpu", sizes={"J": 0})
+
+
+def test_a_size_that_is_of_no_use_is_refused(models):
+    with pytest.raises(ConfigInvalid, match="the model has no open dimension"):
+        FrameSession(models["drift-float32"], provider="cpu", sizes={"N": 2})
+
+
+# ---- Files -----------------------------------------------------------------------------------
+
+
+def test_what_is_no_model_is_refused(tmp_path):
+    with pytest.raises(ModelUnreadable):
+        FrameSession(tmp_path / "absent.onnx")
+    with pytest.raises(ManifestInvalid):
+        FrameSession(symbolic(tmp_path, **{MANIFEST_KEY: "{"}), provider="cpu")
+
+
+def test_what_onnx_runtime_cannot_load_is_said_in_its_words(tmp_path):
+    text = "g (float[1] t) => (float[1] y) { y = Nonsense (t) }"
+    path = save(tmp_path / "a.onnx", parser.parse_model(HEAD + text))
+    with pytest.raises(RunFailed, match="Nonsense") as raised:
+        FrameSession(path, provider="cpu")
+    assert "ONNXRuntimeError" not in str(raised.value)

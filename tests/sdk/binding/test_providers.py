@@ -1,0 +1,165 @@
+"""Which provider is chosen and why, and what ONNX Runtime is told; CUDA by its arguments alone."""
+
+import sys
+from types import SimpleNamespace
+
+import onnxruntime
+import pytest
+
+from gsgen.contract.errors import UnknownName
+from gsgen.sdk.binding import FrameSession, ProviderUnavailable, providers, webgpu
+from gsgen.sdk.binding.providers import Choice, Opening, choose, installed, open_session
+from gsgen.sdk.binding.webgpu import Adapter, AdapterMissing, find_adapter
+
+
+def test_without_a_gpu_the_cpu_is_chosen(models):
+    with FrameSession(models["drift-float32"]) as session:
+        assert (session.provider, session.device) == ("cpu", "CPU")
+        assert (
+            session.reason
+            == "WebGPU has only a software driver here, which the CPU outruns"
+        )
+
+
+def test_without_the_package_the_cpu_is_chosen(monkeypatch):
+    monkeypatch.setattr(providers, "find_spec", lambda name: None)
+    assert choose().reason == "neither CUDA nor onnxruntime-ep-webgpu is installed"
+    assert installed() == ["cpu"]
+
+
+def test_a_gpu_is_preferred(monkeypatch):
+    gpu = Adapter(None, "Fast Card", "0", hardware=True)
+    monkeypatch.setattr(providers, "find_adapter", lambda: gpu)
+    chosen = choose()
+    assert (chosen.provider, chosen.device, chosen.asked) == ("webgpu", "Fast Card", False)
+    assert chosen.reason == "WebGPU has a GPU here: Fast Card"
+
+
+def test_without_a_device_the_cpu_is_chosen_unless_webgpu_was_asked_for(monkeypatch):
+    def missing():
+        raise AdapterMissing("ONNX Runtime lists no device", "install a driver")
+
+    monkeypatch.setattr(providers, "find_adapter", missing)
+    assert choose().reason == "ONNX Runtime lists no device"
+    with pytest.raises(ProviderUnavailable) as raised:
+        choose("webgpu")
+    assert str(raised.value) == (
+        "provider webgpu: ONNX Runtime lists no device\n  install a driver"
+    )
+
+
+def test_a_missing_package_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime_ep_webgpu", None)
+    with pytest.raises(AdapterMissing, match="onnxruntime-ep-webgpu is not installed"):
+        find_adapter()
+
+
+def test_no_device_is_an_absence(monkeypatch):
+    monkeypatch.setattr(webgpu, "_registered", True)
+    monkeypatch.setattr(onnxruntime, "get_ep_devices", list)
+    with pytest.raises(AdapterMissing, match="lists no device for WebGPU"):
+        find_adapter()
+
+
+def test_the_provider_is_registered_once(models):
+    """ONNX Runtime dies at the session after a second registration."""
+    for _ in range(2):
+        find_adapter()
+        FrameSession(models["drift-float32"], provider="webgpu").close()
+    assert webgpu._registered
+
+
+def test_a_provider_that_does_not_exist_is_refused(models):
+    with pytest.raises(UnknownName) as raised:
+        FrameSession(models["drift-float32"], provider="wgpu")
+    assert raised.value.mend == "Did you mean 'webgpu'?"
+
+
+def test_a_provider_that_fails_gives_way_to_the_cpu_if_nobody_asked_for_it(
+    models, monkeypatch
+):
+    adapter = find_adapter()
+    monkeypatch.setattr(
+        providers,
+        "find_adapter",
+        lambda: Adapter(adapter.device, "Card", "0", hardware=True),
+    )
+    with FrameSession(models["split_into_many"]) as session:
+        assert session.provider == "cpu"
+        assert session.reason.startswith("webgpu failed: ")
+        assert "Too many storage buffers" in session.reason
+        session.run({"time": 0.5})
+
+
+def test_a_session_without_its_provider_is_no_session(models, monkeypatch):
+    class Fallen:
+        def __init__(self, *_, **__):
+            pass
+
+        def get_providers(self):
+            return ["CPUExecutionProvider"]
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", Fallen)
+    with pytest.raises(
+        ProviderUnavailable, match=r"wanted WebGpu.*, got CPUExecutionProvider"
+    ):
+        open_session(models["drift-float32"], Opening(choose("webgpu"), capture=True))
+
+
+def test_an_adapter_that_cannot_be_had_is_an_absence(models, monkeypatch):
+    def refuse(*_, **__):
+        raise RuntimeError("Failed to get a WebGPU adapter: No supported adapters")
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", refuse)
+    with pytest.raises(ProviderUnavailable, match="No supported adapters") as raised:
+        FrameSession(models["drift-float32"], provider="webgpu")
+    assert raised.value.mend.startswith("install a Vulkan driver")
+
+
+# ---- CUDA, which no test machine has ---------------------------------------------------------
+
+
+def test_cuda_that_is_absent_is_refused(models):
+    with pytest.raises(
+        ProviderUnavailable, match="no CUDAExecutionProvider here"
+    ) as raised:
+        FrameSession(models["drift-float32"], provider="cuda")
+    assert "onnxruntime-gpu" in raised.value.mend
+
+
+@pytest.fixture
+def with_cuda(monkeypatch):
+    names = ["CUDAExecutionProvider", "CPUExecutionProvider"]
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: names)
+    return names
+
+
+@pytest.mark.parametrize("capture", [True, False])
+def test_cuda_is_told_to_record_a_graph(capture, models, monkeypatch, with_cuda):
+    told = {}
+
+    def remember(model, settings, given, **options):
+        told.update(model=model, given=given, **options)
+        return SimpleNamespace(get_providers=lambda: with_cuda)
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", remember)
+    open_session(models["drift-float32"], Opening(choose(), capture))
+    options = {"device_id": "0", "enable_cuda_graph": "1" if capture else "0"}
+    assert told == {
+        "model": str(models["drift-float32"]),
+        "given": [("CUDAExecutionProvider", options)],
+        "enable_fallback": 0,
+    }
+    assert installed() == ["cpu", "webgpu", "cuda"]
+    assert Choice("cuda", "").device == "CUDA device 0"
+
+
+@pytest.mark.filterwarnings("ignore:Specified provider 'CUDA:UserWarning")
+def test_cuda_that_does_not_load_gives_way_to_the_cpu(models, with_cuda):
+    """The package may be there and its libraries not: ONNX Runtime then uses the CPU silently."""
+    with FrameSession(models["drift-float32"]) as session:
+        assert session.provider == "cpu"
+        assert session.reason == (
+            "cuda failed: wanted CUDAExecutionProvider, got CPUExecutionProvider"
+        )
+        session.run({"time": 0.5})
