@@ -9,6 +9,7 @@ from gsgen.contract.lazy import attributes
 
 if TYPE_CHECKING:
     from gsgen.sdk import inputs, math
+    from gsgen.sdk.adapter import wrap
     from gsgen.sdk.errors import (
         ExportFailed,
         ExportRejected,
@@ -29,6 +30,7 @@ __all__ = [
     "export",
     "inputs",
     "math",
+    "wrap",
 ]
 
 _HOME = {
@@ -42,6 +44,7 @@ _HOME = {
     "export": "exporter",
     "inputs": "inputs",
     "math": "math",
+    "wrap": "adapter",
 }
 
 

@@ -126,9 +126,9 @@ class Watch(TorchFunctionMode):
             setattr(one, _TAINT, True)
 
     def __enter__(self) -> Self:
-        self._plain_setattr = nn.Module.__setattr__
-        nn.Module.__setattr__ = self._setattr()  # type: ignore[method-assign]
-        super().__enter__()
+        self._plain_setattr: Any = nn.Module.__setattr__
+        setattr(nn.Module, "__setattr__", self._setattr())  # noqa: B010
+        super().__enter__()  # type: ignore[no-untyped-call]
         return self
 
     def __exit__(
@@ -137,8 +137,8 @@ class Watch(TorchFunctionMode):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        super().__exit__(kind, error, trace)
-        nn.Module.__setattr__ = self._plain_setattr  # type: ignore[method-assign]
+        super().__exit__(kind, error, trace)  # type: ignore[no-untyped-call]
+        setattr(nn.Module, "__setattr__", self._plain_setattr)  # noqa: B010
 
     @property
     def changes_module(self) -> bool:
@@ -207,7 +207,7 @@ class Watch(TorchFunctionMode):
             self._undo.append(lambda: _copy(tensor, before))
 
     def _setattr(self) -> Callable[[nn.Module, str, Any], None]:
-        plain = self._plain_setattr
+        plain: Callable[[nn.Module, str, Any], None] = self._plain_setattr
 
         def note(module: nn.Module, name: str, value: Any) -> None:
             self._note("state", f"{type(module).__name__}.{name}, ")
