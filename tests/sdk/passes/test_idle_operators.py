@@ -160,7 +160,7 @@ def test_shapes_given_one_after_the_other_become_the_last() -> None:
     (before,) = run(model, x=x)
     assert MergeReshapes()(model).modified
     chain = (
-        [node for node in model.graph if node.outputs[0].name == "y"][0]
+        next(node for node in model.graph if node.outputs[0].name == "y")
         .inputs[0]
         .producer()
     )

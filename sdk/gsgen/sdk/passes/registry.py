@@ -22,10 +22,14 @@ from gsgen.sdk.passes.multiply_matrices import MultiplyMatrices
 from gsgen.sdk.passes.restore_guards import RestoreGuards
 from gsgen.sdk.passes.round_by_floor import RoundByFloor
 from gsgen.sdk.passes.sample_by_gather import SampleByGather
+from gsgen.sdk.passes.select_extremes import SelectExtremes
 from gsgen.sdk.passes.share_weights import ShareWeights
 from gsgen.sdk.passes.unroll_control_flow import UnrollControlFlow
+from gsgen.sdk.passes.write_out_activations import WriteOutActivations
+from gsgen.sdk.passes.write_out_modulo import WriteOutModulo
 from gsgen.sdk.passes.write_out_norms import WriteOutNorms
 from gsgen.sdk.passes.write_out_reductions import WriteOutReductions
+from gsgen.sdk.passes.write_out_signs import WriteOutSigns
 
 REWRITES: tuple[type[Rewrite], ...] = (
     # -- First what makes shapes and constants known: others look at them.
@@ -38,6 +42,10 @@ REWRITES: tuple[type[Rewrite], ...] = (
     SampleByGather,
     # -- The operator set, before operators are looked up in tables.
     # -- Operators without a kernel, by ones that have one.
+    SelectExtremes,
+    WriteOutActivations,
+    WriteOutModulo,
+    WriteOutSigns,
     WriteOutNorms,
     WriteOutReductions,
     MultiplyMatrices,
