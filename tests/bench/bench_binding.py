@@ -1,0 +1,187 @@
+"""What a session adds to ONNX Runtime, each frame; baselines are measured in the same run.
+
+Printed, and asserted against the project's bars; run by ``make bench``, never by ``make test``.
+"""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+
+from gsgen.contract.manifest import (
+    AppearanceOutput,
+    GaussiansOutput,
+    GeneratorManifest,
+    GeneratorOutputs,
+    Input,
+    Space,
+)
+from gsgen.sdk.binding import FrameSession
+from support.small_models import good_rows, model, save, save_moving, weight
+
+GAUSSIANS, FEATURES, HIDDEN = 100_000, 32, 32
+FRAMES = 10_000
+
+# A decoder as neural Gaussians have them: features and time through two layers to all columns.
+_DECODER = f"""
+decoder (float[1] time) => (float[{GAUSSIANS},10] gaussians, float[{GAUSSIANS},3] color) {{
+    shift = Mul (time, phase)
+    moved = Add (features, shift)
+    hidden = MatMul (moved, first)
+    active = Relu (hidden)
+    made = MatMul (active, second)
+    bounded = Sigmoid (made)
+    gaussians, color = Split <axis = 1> (bounded, columns)
+}}
+"""
+
+
+@pytest.fixture(scope="module")
+def decoder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model that decodes 100,000 Gaussians each frame."""
+    rng = np.random.default_rng(0)
+
+    def normal(*shape: int) -> np.ndarray:
+        return rng.standard_normal(shape, np.float32)
+
+    weights = {
+        "features": normal(GAUSSIANS, FEATURES),
+        "phase": normal(FEATURES),
+        "first": normal(FEATURES, HIDDEN),
+        "second": normal(HIDDEN, 13),
+        "columns": np.array([10, 3], np.int64),
+    }
+    proto = model(_DECODER, *(weight(name, array) for name, array in weights.items()))
+    outputs = GeneratorOutputs(
+        GaussiansOutput("gaussians", GAUSSIANS), AppearanceOutput("color", "rgb")
+    )
+    inputs = (Input("time", "time", range=(0.0, 1.0), default=0.0),)
+    manifest = GeneratorManifest(
+        name="decoder", inputs=inputs, outputs=outputs, space=Space()
+    )
+    return save(tmp_path_factory.mktemp("decoder") / "decoder.onnx", proto, manifest)
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_moving(tmp_path_factory.mktemp("tiny") / "tiny.onnx", good_rows(5))
+
+
+def say(text: str) -> None:
+    sys.stdout.write(f"\n  {text}")
+
+
+def alternating(actions: list[Callable[[], object]], times: int) -> np.ndarray:
+    """Return the seconds of each action, one row a turn: load then hits all of them alike."""
+    taken = np.zeros((times, len(actions)))
+    for turn in taken:
+        for k, action in enumerate(actions):
+            began = time.perf_counter()
+            action()
+            turn[k] = time.perf_counter() - began
+    return taken
+
+
+def bare(path: Path, threads: int = 1) -> Callable[[], object]:
+    """Return what runs a frame on the CPU with ONNX Runtime alone, all buffers bound once."""
+    settings = onnxruntime.SessionOptions()
+    settings.intra_op_num_threads = threads
+    session = onnxruntime.InferenceSession(
+        str(path), settings, providers=["CPUExecutionProvider"]
+    )
+    binding, now = session.io_binding(), np.zeros(1, np.float32)
+    binding.bind_ortvalue_input("time", onnxruntime.OrtValue.ortvalue_from_numpy(now))
+    kinds = {"tensor(float)": np.float32, "tensor(int32)": np.int32}
+    for one in session.get_outputs():
+        array = np.zeros(one.shape, kinds[one.type])
+        value = onnxruntime.OrtValue.ortvalue_from_numpy(array)
+        binding.bind_ortvalue_output(one.name, value)
+
+    def frame() -> None:
+        now[0] = 0.3
+        session.run_with_iobinding(binding)
+
+    return frame
+
+
+def bench_overhead_on_a_decoder(decoder: Path) -> None:
+    with FrameSession(decoder, provider="cpu", threads=1) as session:
+        alone = bare(decoder)
+        actions = [alone, lambda: session.run({"time": 0.3})["gaussians"], alone]
+        one, ours, again = alternating(actions, 60).T
+    baseline = (one + again) / 2
+    more, noise = np.median(ours / baseline) - 1, np.median(one / again) - 1
+    bare_ms, our_ms = 1e3 * np.median(baseline), 1e3 * np.median(ours)
+    say(f"100 k Gaussians decoded on the CPU: bare {bare_ms:.2f} ms a frame, ")
+    say(f"FrameSession {our_ms:.2f} ms, {100 * more:+.2f} % (bar +3 %); ")
+    say(f"bare against itself {100 * noise:+.2f} %, the noise of this run")
+    assert more <= 0.03
+
+
+@pytest.mark.parametrize("provider", ["cpu", "webgpu"])
+def bench_overhead_on_a_tiny_model(tiny: Path, provider: str) -> None:
+    with FrameSession(tiny, provider=provider, threads=1) as session:
+        assert session._ready is not None
+        bound = session._ready.bound
+        tensor = {"time": np.array([0.3], np.float32)}
+        actions: list[Callable[[], object]] = [
+            lambda: (bound.write(tensor), bound.run()),
+            lambda: session.run({"time": 0.3}),
+        ]
+        alone, ours = 1e6 * np.median(alternating(actions, 2000), axis=0)
+    say(
+        f"5 Gaussians, {provider}: update and run bare {alone:.1f} µs, FrameSession {ours:.1f} µs"
+    )
+    say(f"so {ours - alone:.1f} µs a frame are ours")
+
+
+def bench_first_frame(decoder: Path) -> None:
+    def create() -> None:
+        bare(decoder)()
+
+    def ours() -> None:
+        with FrameSession(decoder, provider="cpu", threads=1) as session:
+            session.run()
+
+    baseline, taken = np.median(alternating([create, ours], 5), axis=0)
+    say(f"first frame, from the file: bare {1e3 * baseline:.0f} ms, ")
+    say(f"FrameSession {1e3 * taken:.0f} ms with its warm-up, ratio {taken / baseline:.2f}")
+
+
+# In a process of its own: a child of a large process would begin with its parent's peak.
+_GROWTH = """
+import sys
+from gsgen.sdk.binding import FrameSession
+
+def resident():
+    return int(open("/proc/self/statm").read().split()[1]) * 4
+
+with FrameSession(sys.argv[1], provider=sys.argv[2], threads=1) as session:
+    def frames(count):
+        for k in range(count):
+            frame = session.run({"time": (k % 100) / 100})
+            frame["gaussians"], frame.count
+    frames(1000)
+    before = resident()
+    frames(int(sys.argv[3]))
+    print(before, resident())
+"""
+
+
+@pytest.mark.parametrize("provider", ["cpu", "webgpu"])
+def bench_memory_over_ten_thousand_frames(tiny: Path, provider: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _GROWTH, str(tiny), provider, str(FRAMES)],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    before, after = map(int, done.stdout.split())
+    say(f"{provider}: resident {before / 1000:.1f} MB, and {after - before} kB more after ")
+    say(f"{FRAMES:,} frames (bar 1000 kB)")
+    assert after - before <= 1000
