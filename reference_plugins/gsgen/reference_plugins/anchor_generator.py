@@ -26,6 +26,10 @@ class AnchorGenerator(GaussianGenerator):
     family = "mlp"
     count_semantics = "upper-bound"
 
+    anchor: Tensor
+    scale: Tensor
+    position: Tensor
+
     def __init__(
         self,
         cloud: AnchorCloud,

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from gsgen.reference_plugins.checkpoints.anchors import AnchorCloud, AnchorNets, Mlp
+from gsgen.reference_plugins.layers import Dense
 
 _COVARIANCE = 7
 
@@ -36,19 +37,19 @@ class Decoded:
 
 
 class _Layers(nn.Module):
-    """Two layers, as matrices to multiply from the right."""
+    """Two layers with ReLU between them."""
 
     def __init__(self, hidden: Tensor, hidden_bias: Tensor, out: Tensor, out_bias: Tensor):
         super().__init__()
-        self.register_buffer("hidden", hidden.t().contiguous())
-        self.register_buffer("hidden_bias", hidden_bias.clone())
-        self.register_buffer("out", out.t().contiguous())
-        self.register_buffer("out_bias", out_bias.clone())
+        self.hidden = Dense(hidden, hidden_bias)
+        self.out = Dense(out, out_bias)
 
-    def forward(self, inputs: Tensor, extra: Tensor | None = None) -> Tensor:
-        """Apply both; ``extra`` takes the place of the first bias."""
-        bias = self.hidden_bias if extra is None else extra
-        return torch.relu(inputs @ self.hidden + bias) @ self.out + self.out_bias
+    def forward(self, inputs: Tensor, bias: Tensor | None = None) -> Tensor:
+        """Apply both; ``bias`` takes the place of the first one's."""
+        first = self.hidden
+        made = first(inputs) if bias is None else inputs @ first.weight + bias
+        out: Tensor = self.out(torch.relu(made))
+        return out
 
 
 class AnchorHeads(nn.Module):
@@ -59,6 +60,10 @@ class AnchorHeads(nn.Module):
     place of an input that a head does not have, and the appearance, which is the same for all
     anchors, is multiplied out beforehand: one row of bias for each training camera.
     """
+
+    feature: Tensor
+    level: Tensor | None
+    looks: Tensor | None
 
     def __init__(
         self, cloud: AnchorCloud, nets: AnchorNets, appearance: int | None = None

@@ -82,6 +82,12 @@ class OctreeGS(AnchorGenerator):
     that is one largest squared distance for each anchor, so a frame takes one comparison.
     """
 
+    middle: Tensor
+    furthest: Tensor
+    start: Tensor
+    least: Tensor
+    most: Tensor
+
     def __init__(
         self,
         cloud: AnchorCloud,

@@ -6,11 +6,12 @@ inputs, so a million Gaussians stay far below the limit of one binding, where a 
 products would not.
 """
 
-__all__ = ["covariance_planes", "rotation_columns", "stacked"]
+__all__ = ["covariance_planes", "planes_of", "rotation_columns", "stacked"]
 
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 _TINY = 1e-24
@@ -55,6 +56,12 @@ def covariance_planes(
     axes = [[s * r for r in column] for s, column in zip(scale, columns, strict=True)]
     a, b, c = axes
     return [a[i] * a[j] + b[i] * b[j] + c[i] * c[j] for i, j in _PAIRS]
+
+
+def planes_of(rows: Float[Tensor, "n k"]) -> list[Tensor]:
+    """Turn rows into k planes, [1, N] each."""
+    turned = rows.transpose(0, 1)
+    return [turned[i : i + 1] for i in range(rows.shape[1])]
 
 
 def stacked(planes: Sequence[Tensor]) -> Tensor:

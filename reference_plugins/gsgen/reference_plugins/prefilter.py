@@ -25,6 +25,9 @@ _LEAST_SPREAD = 0.1
 class Prefilter(nn.Module):
     """Tests every anchor, for a lens whose axis goes through the middle of the image."""
 
+    anchor: Tensor
+    root: Tensor
+
     def __init__(self, cloud: AnchorCloud) -> None:
         super().__init__()
         quaternion = torch.nn.functional.normalize(cloud.rotation, dim=1, eps=1e-12)

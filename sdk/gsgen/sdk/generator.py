@@ -87,6 +87,23 @@ class Gaussians:
         what = f"shape is {list(value.shape)}, wanted {wanted}"
         raise GeneratorInvalid(what, where=f"Gaussians.{name}", mend=mend)
 
+    def take(
+        self, rows: Int[Tensor, " m"], count: Int[Tensor, "1"] | None = None
+    ) -> "Gaussians":
+        """Return the Gaussians of some rows, in that order.
+
+        Args:
+            rows: Row numbers, such as :func:`gsgen.sdk.math.keep_rows` gives.
+            count: How many of them are live; all where absent.
+        """
+        fields = ("position", "opacity", "scale", "rotation", "covariance", "sh", "rgb")
+        taken = {
+            name: value.index_select(0, rows)
+            for name in fields
+            if (value := getattr(self, name)) is not None
+        }
+        return Gaussians(**taken, count=count)
+
     def covariances(self) -> Float[Tensor, "n 6"]:
         """Return the covariance's upper triangle, computed if it was not given."""
         if self.covariance is not None:
@@ -113,7 +130,7 @@ class GaussianGenerator(nn.Module, ABC):
         producer: Tool, source and licence; the SDK fills in itself where absent.
     """
 
-    inputs: ClassVar[Sequence[Input]] = ()
+    inputs: Sequence[Input] = ()
     space: Space = Space()
     color_space: Literal["srgb", "linear"] = "srgb"
     antialias: Literal["classic", "mip"] = "classic"
@@ -123,7 +140,7 @@ class GaussianGenerator(nn.Module, ABC):
     producer: Producer | None = None
 
     @abstractmethod
-    def forward(self, *inputs: Tensor) -> Any:
+    def forward(self, *inputs: Any, **_: Any) -> Any:
         """Return the :class:`Gaussians` of one frame.
 
         Args:

@@ -315,7 +315,8 @@ def _mlp(
         "2.bias": (out,),
     }
     read = checked(path, state, wanted)
-    return Mlp(*read.values(), distance=distance)
+    hidden, hidden_bias, last, last_bias = (read[name] for name in wanted)
+    return Mlp(hidden, hidden_bias, last, last_bias, distance)
 
 
 def describe_anchors(read: AnchorCheckpoint) -> str:

@@ -1,6 +1,16 @@
 """Options that the plugins of checkpoints share, and how they say what they found."""
 
-__all__ = ["AppearanceId", "Checkpoint", "Iteration", "Prefilter", "note", "warn_of"]
+__all__ = [
+    "AppearanceId",
+    "Checkpoint",
+    "Fps",
+    "Frames",
+    "Iteration",
+    "Loop",
+    "Prefilter",
+    "note",
+    "warn_of",
+]
 
 import sys
 from collections.abc import Mapping
@@ -36,6 +46,14 @@ Prefilter = Annotated[
         "projection and viewport.",
     ),
 ]
+Frames = Annotated[
+    int | None,
+    typer.Option(help="Distinct moments that training saw, for the manifest.", min=1),
+]
+Fps = Annotated[
+    float | None, typer.Option(help="Frames a second at natural speed, for the manifest.")
+]
+Loop = Annotated[bool, typer.Option("--loop", help="The end continues at the start.")]
 
 
 def note(text: str) -> None:

@@ -1,0 +1,48 @@
+"""`gsgen export hexplane-4dgs`: a checkpoint of 4DGaussians as a generator."""
+
+__all__ = ["PLUGIN"]
+
+from typing import TYPE_CHECKING
+
+from gsgen.reference_plugins.commands.options import (
+    Checkpoint,
+    Fps,
+    Frames,
+    Iteration,
+    Loop,
+    note,
+)
+from gsgen.sdk.plugin import Plugin
+
+if TYPE_CHECKING:
+    from gsgen.reference_plugins.hexplane_4dgs import HexPlane4DGS
+
+
+def build(
+    checkpoint: Checkpoint,
+    iteration: Iteration = None,
+    frames: Frames = None,
+    fps: Fps = None,
+    loop: Loop = False,
+) -> "HexPlane4DGS":
+    """Read a checkpoint, say what is in it, and return its generator."""
+    from gsgen.reference_plugins.checkpoints.hexplanes import read_hexplanes
+    from gsgen.reference_plugins.hexplane_4dgs import HexPlane4DGS
+    from gsgen.sdk import inputs
+
+    read = read_hexplanes(checkpoint, iteration)
+    note(read.describe())
+    if read.flags.mask == "empty_voxel":
+        note("warning: empty_voxel is honoured, but was never compared with the original")
+    time = inputs.time(frames=frames, fps=fps, loop=loop or None)
+    return HexPlane4DGS(read.canonical, read.nets, read.flags, time)
+
+
+PLUGIN = Plugin(
+    name="hexplane-4dgs",
+    summary="Gaussians that a hexplane and a small network move (4DGaussians).",
+    reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply and "
+    "deformation.pth. Iterations of the coarse stage are passed over.",
+    inputs=("time",),
+    build=build,
+)
