@@ -16,6 +16,8 @@ from gsgen.sdk.passes.drop_idle_operators import DropIdleOperators
 from gsgen.sdk.passes.end_outputs_on_compute import EndOutputsOnCompute
 from gsgen.sdk.passes.fold_shapes import FoldShapes
 from gsgen.sdk.passes.freeze_dimensions import FreezeDimensions
+from gsgen.sdk.passes.gather_scatters import GatherScatters
+from gsgen.sdk.passes.gather_slices import GatherSlices
 from gsgen.sdk.passes.merge_casts import MergeCasts
 from gsgen.sdk.passes.merge_reshapes import MergeReshapes
 from gsgen.sdk.passes.multiply_matrices import MultiplyMatrices
@@ -42,6 +44,8 @@ REWRITES: tuple[type[Rewrite], ...] = (
     SampleByGather,
     # -- The operator set, before operators are looked up in tables.
     # -- Operators without a kernel, by ones that have one.
+    GatherScatters,
+    GatherSlices,
     SelectExtremes,
     WriteOutActivations,
     WriteOutModulo,
