@@ -6,7 +6,13 @@ import pytest
 from gsgen.contract.baseline import Baseline, read_baseline
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.finding import Where
+from gsgen.contract.report import Gone
 from gsgen.contract.reporters.machine import to_dict, to_json
+from gsgen.contract.reporters.text import render
+
+
+def gone(name):
+    return Gone("GV003", "opacity-range", name, Where("output g"), "")
 
 
 @pytest.fixture
@@ -68,9 +74,56 @@ def test_a_baseline_of_one_model_holds_whatever_it_is_called_now(reports, saved)
 
 
 def test_a_model_that_the_baseline_does_not_list_has_no_known_findings():
-    baseline = Baseline("b.json", {"a.onnx": frozenset("x"), "b.onnx": frozenset("y")})
-    assert baseline.of("c.onnx") == frozenset()
-    assert baseline.of("folder/a.onnx") == frozenset("x")
+    one, other = ({name: gone(name)} for name in "xy")
+    baseline = Baseline("b.json", {"a.onnx": one, "b.onnx": other})
+    assert baseline.of("c.onnx") == {}
+    assert baseline.of("folder/a.onnx") == one
+
+
+def test_what_is_gone_is_listed_with_its_place_and_in_the_verdict(reports, saved):
+    broken = reports["broken"]
+    path = saved(broken)
+    first, *rest = broken.findings
+    report = read_baseline(path).applied(replace(broken, findings=tuple(rest)))
+    (listed,) = report.gone
+    assert (listed.rule, listed.where) == (first.rule, first.where)
+    assert (listed.message, listed.fingerprint) == (first.message, first.fingerprint)
+    text = [line.text for line in render(report)]
+    at = text.index(f"  {first.rule} gone: {first.slug}")
+    assert text[at + 1].startswith(f"    {first.where}: ")
+    assert f"; 1 gone since {path}" in text[-1]
+    (entry,) = to_dict(report)["gone"]
+    assert entry["rule"] == first.rule
+    assert entry["where"]["subject"] == first.where.subject
+    assert entry["fingerprint"] == first.fingerprint
+
+
+def test_nothing_is_gone_where_nothing_changed(reports, saved):
+    report = read_baseline(saved(reports["broken"])).applied(reports["broken"])
+    assert report.gone == ()
+    assert to_dict(report)["gone"] == []
+    assert "gone" not in to_dict(reports["broken"])
+    assert not any(" gone" in line.text for line in render(report))
+
+
+def test_what_was_not_judged_this_time_is_not_gone(reports, saved):
+    broken = reports["broken"]
+    first, *rest = broken.findings
+    skipped = tuple(
+        replace(one, status="skipped", reason="no time")
+        if one.rule.id == first.rule
+        else one
+        for one in broken.outcomes
+    )
+    later = replace(broken, findings=tuple(rest), outcomes=skipped)
+    assert read_baseline(saved(broken)).applied(later).gone == ()
+
+
+def test_what_is_waived_now_is_not_gone(reports, saved):
+    broken = reports["broken"]
+    waived = tuple(replace(one, waived=True) for one in broken.findings)
+    report = read_baseline(saved(broken)).applied(replace(broken, findings=waived))
+    assert report.gone == ()
 
 
 @pytest.mark.parametrize(

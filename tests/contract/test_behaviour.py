@@ -66,3 +66,23 @@ def test_every_role_is_compared_with_its_base():
     assert [(one.first, one.second) for one in made.varied["view"]] == [
         ("probe 1", "probe 2")
     ]
+
+
+def test_an_extra_run_that_no_time_was_left_for_is_noted_by_whoever_asks_for_it():
+    probes = tuple(Probe(f"probe {index}", {}, extra=index > 1) for index in range(5))
+    runs = (
+        Run(0, 0, 0.1),
+        Run(1, 0, 0.1),
+        Run(2, 0, 0.1),
+        Run(3, -1, 0),
+        Run(4, -1, 0, "bad"),
+    )
+    trials = {"edges": (2, 3), "outside": (4,)}
+    plan = Plan(probes, 1, (0, 1), trials=trials)
+    execution = Execution(runs, (Sample(0, array(1)),), None, 0.0, "")
+    behaviour = read_behaviour(Trial(None, execution, plan))
+    first, second = behaviour.for_a_rule(), behaviour.for_a_rule()
+    assert [visit.probe.label for visit in first.visits("edges")] == ["probe 2"]
+    assert first.left_out == ["probe 3"]
+    assert [visit.error for visit in second.visits("outside")] == ["bad"]  # it did run
+    assert second.left_out == behaviour.left_out == []

@@ -1,3 +1,4 @@
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ from hypothesis import strategies as st
 from onnx import TensorProto
 
 from gsgen.conformance.fixtures import find
+from gsgen.contract import engine
 from gsgen.contract.config import Settings
 from gsgen.contract.engine import validate
 from gsgen.contract.errors import ModelUnreadable
@@ -15,7 +17,7 @@ from gsgen.contract.installed import installed_rules
 from gsgen.contract.manifest import Bounds
 from gsgen.contract.report import exit_code
 from gsgen.contract.rule import Registry
-from gsgen.contract.sandbox import Limits
+from gsgen.contract.sandbox import Limits, execute
 from support.rules import breaking, crashing, made_up
 from support.small_models import (
     good_rows,
@@ -308,3 +310,69 @@ def test_a_nan_that_every_probe_has_belongs_to_gv001_and_not_to_zero_inputs(tmp_
     rules = {finding.rule for finding in validate(path).findings}
     assert "GV001" in rules
     assert "GI009" not in rules
+
+
+@pytest.fixture
+def no_time_for_extras(monkeypatch):
+    """Let every extra probe be one that no time was left for, as on a slow machine."""
+
+    @contextmanager
+    def shortened(path, names, probes, limits, *rest, **options):
+        with execute(path, names, probes, limits, *rest, **options) as execution:
+            runs = tuple(
+                replace(run, sample=-1, error="") if probes[run.probe].extra else run
+                for run in execution.runs
+            )
+            yield replace(execution, runs=runs)
+
+    monkeypatch.setattr(engine, "execute", shortened)
+
+
+def test_a_rule_whose_probes_did_not_run_is_skipped_and_not_passed(
+    good, no_time_for_extras
+):
+    report = validate(good)
+    outcome = report.outcome("GB013")
+    assert outcome.status == "skipped"
+    assert "of its probes did not run, 'time=0 with zero time' first: " in outcome.reason
+    assert outcome.reason.endswith("50% of the 120 s were gone (see --timeout)")
+    assert report.outcome("GB010").status == "skipped"
+    assert report.outcome("GI010").reason == "because GB013 was not judged"
+    assert report.outcome("GB001").status == "pass"  # needs no extra probe
+    assert report.verdict == "conforms"
+
+
+def test_a_rule_that_fails_by_the_probes_that_did_run_fails(good, no_time_for_extras):
+    def find(behaviour):
+        assert behaviour.visits("edges") == []
+        yield Breach.at("output g", "nine", "ten")
+
+    rule = made_up("acme/AC001", find, over="runs")
+    assert validate(good, registry=with_rules(rule)).outcome("acme/AC001").status == "fail"
+
+
+def test_only_the_child_is_granted_memory_for_weights(tmp_path, monkeypatch):
+    granted = []
+
+    @contextmanager
+    def noted(path, names, probes, limits, *rest, **options):
+        granted.append(limits.memory)
+        with execute(path, names, probes, limits, *rest, **options) as execution:
+            yield execution
+
+    monkeypatch.setattr(engine, "execute", noted)
+    path = save_moving(tmp_path / "a.onnx", good_rows(8))
+    limits = Limits(memory=512 << 20)
+    report = validate(path, Settings(level=Level.VALUES, limits=limits))
+    assert granted == [limits.memory + 5 * path.stat().st_size]
+    assert report.outcome("GS002").status == "pass"
+
+
+def test_a_weight_beyond_the_limit_is_a_finding_however_large_its_file_is(tmp_path):
+    path = find("huge_weight").write(tmp_path)
+    report = validate(path, Settings(level=Level.STATIC))
+    assert report.outcome("GS002").status == "fail"
+    (finding,) = (one for one in report.findings if one.rule == "GS002")
+    assert finding.message.endswith("wanted 2048 MiB at most")
+    raised = Settings(level=Level.STATIC, limits=Limits(memory=4 << 30))
+    assert validate(path, raised).outcome("GS002").status == "pass"

@@ -353,3 +353,40 @@ def test_weights_survive_bit_by_bit(tmp_path):
     path = save(tmp_path / "a.onnx", proto)
     write_manifest(path, manifest_of(1), path)
     assert ModelProto.FromString(path.read_bytes()).graph == proto.graph
+
+
+def weights_at(*ranges):
+    """A model whose weights lie at (location, offset, length), as far as given."""
+    proto = ModelProto(ir_version=8)
+    proto.opset_import.add(domain="", version=18)
+    proto.graph.name = "g"
+    for index, entries in enumerate(ranges):
+        tensor = proto.graph.initializer.add(name=f"w{index}", data_type=1, dims=[250])
+        tensor.data_location = TensorProto.EXTERNAL
+        for key, value in zip(("location", "offset", "length"), entries, strict=False):
+            if value is not None:
+                tensor.external_data.add(key=key, value=str(value))
+    return proto
+
+
+@pytest.mark.parametrize(
+    ("ranges", "beside"),
+    [
+        ([("w.bin",)], 1000),
+        ([("w.bin", None, 10**12)] * 50, 1000),
+        ([("w.bin", 0, 600), ("w.bin", 400, 300)], 700),
+        ([("w.bin", 0, 100), ("w.bin", 900, 500)], 200),
+        ([("w.bin", 0, 300), ("w.bin", 100, 50), ("w.bin", 200, 200)], 400),
+        ([("w.bin", 5000, 10)], 0),
+        ([("w.bin", 0, 100), ("v.bin", 0, 100)], 150),
+        ([("absent.bin", 0, 100), ("", 0, 1), ("x" * 5000, 0, 1), ("a\0b", 0, 1)], 0),
+    ],
+)
+def test_weights_count_as_far_as_there_are_bytes_and_each_byte_once(
+    tmp_path, ranges, beside
+):
+    (tmp_path / "w.bin").write_bytes(bytes(1000))
+    (tmp_path / "v.bin").write_bytes(bytes(50))
+    path = save(tmp_path / "m.onnx", weights_at(*ranges))
+    file = open_model(path)
+    assert file.weight_bytes == path.stat().st_size + beside

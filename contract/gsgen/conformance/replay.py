@@ -83,9 +83,7 @@ def plan_for(path: Path, settings: Settings) -> tuple[Subject, Plan]:
     Raises:
         ModelUnreadable: The file is not an ONNX model at all.
     """
-    file = open_model(path)
-    weights = file.size + sum(ref.length or 0 for ref in file.external)
-    subject = read_subject(file, settings.target, settings.limits.for_model(weights))
+    subject = read_subject(open_model(path), settings.target, settings.limits)
     level = min(max(settings.level, Level.VALUES), Level.BEHAVIOUR)
     return subject, make_plan(subject, level, settings.seed)
 
@@ -96,7 +94,7 @@ def replay(
 ) -> Iterator[Replay]:
     """Run ``probes`` once more; what came out lives as long as the block."""
     path, names = subject.file.path, fetched_outputs(subject)
-    with execute(path, names, probes, subject.limits) as execution:
+    with execute(path, names, probes, subject.granted) as execution:
         yield Replay(subject, tuple(probes), execution, settings)
 
 

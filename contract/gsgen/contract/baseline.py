@@ -1,6 +1,6 @@
 """Baselines: an earlier report, whose findings are known and do not fail a model again."""
 
-__all__ = ["Baseline", "read_baseline"]
+__all__ = ["Baseline", "KnownFindings", "read_baseline"]
 
 import json
 from collections.abc import Mapping
@@ -10,9 +10,14 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.contract.report import Report
+from gsgen.contract.finding import Where
+from gsgen.contract.report import Gone, Report
+
+# Fingerprint → what was found.
+KnownFindings = Mapping[str, Gone]
 
 _MEND = "Make one with: gsgen validate MODEL --format json -o FILE"
+_JUDGED = ("pass", "fail")
 _SCHEMA = "report-1.schema.json"
 
 
@@ -22,22 +27,32 @@ class Baseline:
 
     Attributes:
         path: The report it was read from.
-        known: A model, as it was named → fingerprints of its findings.
+        known: A model, as it was named → its findings.
     """
 
     path: str
-    known: Mapping[str, frozenset[str]]
+    known: Mapping[str, KnownFindings]
 
     def applied(self, report: Report) -> Report:
-        """Return ``report`` with the findings that are known marked so."""
+        """Return ``report`` with the findings that are known marked so, and those that are gone.
+
+        What belongs to a rule that was not judged this time may be there still: it is not gone.
+        """
         known = self.of(report.path)
         findings = tuple(
             replace(one, known=not one.waived and one.fingerprint in known)
             for one in report.findings
         )
-        return replace(report, findings=findings, baseline=self.path)
+        found = {one.fingerprint for one in findings}
+        judged = {one.rule.id for one in report.outcomes if one.status in _JUDGED}
+        gone = tuple(
+            one
+            for fingerprint, one in known.items()
+            if fingerprint not in found and one.rule in judged
+        )
+        return replace(report, findings=findings, baseline=self.path, gone=gone)
 
-    def of(self, path: str) -> frozenset[str]:
+    def of(self, path: str) -> KnownFindings:
         """Return what is known of the model at ``path``.
 
         A baseline of one model holds for any, whatever it is called now. Among several the path
@@ -49,7 +64,7 @@ class Baseline:
             return self.known[path]
         name = PurePath(path).name
         named = (found for uri, found in self.known.items() if PurePath(uri).name == name)
-        return frozenset().union(*named)
+        return {key: one for found in named for key, one in found.items()}
 
 
 def read_baseline(path: Path) -> Baseline:
@@ -66,12 +81,17 @@ def read_baseline(path: Path) -> Baseline:
     except (ValueError, RecursionError) as error:
         raise ConfigInvalid(f"is not JSON: {error}", where=where, mend=_MEND) from error
     _check_shape(document, where)
-    known: dict[str, frozenset[str]] = {}
+    known: dict[str, dict[str, Gone]] = {}
     for one in document.get("reports", [document]):
-        found = frozenset(finding["fingerprint"] for finding in one.get("findings", ()))
-        uri = one["subject"]["uri"]
-        known[uri] = known.get(uri, frozenset()) | found
+        listed = {entry["fingerprint"]: _read(entry) for entry in one.get("findings", ())}
+        known.setdefault(one["subject"]["uri"], {}).update(listed)
     return Baseline(where, known)
+
+
+def _read(entry: Mapping[str, Any]) -> Gone:
+    where = Where(entry["where"]["subject"], entry["where"].get("field", ""))
+    names = (entry["rule"], entry["slug"], entry["fingerprint"])
+    return Gone(*names, where, entry["message"])
 
 
 def _check_shape(document: Any, where: str) -> None:

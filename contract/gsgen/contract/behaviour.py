@@ -3,7 +3,7 @@
 __all__ = ["Behaviour", "Comparison", "Trial", "Visit", "difference", "read_behaviour"]
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -83,6 +83,7 @@ class Behaviour:
         revisited: The same inputs with others in between; None without inputs.
         varied: Role → runs that differ in that role's inputs alone.
         trial: The runs themselves.
+        left_out: Labels of the extra probes that were asked for, and for which no time was left.
     """
 
     subject: Subject
@@ -90,6 +91,11 @@ class Behaviour:
     revisited: Comparison | None
     varied: dict[str, tuple[Comparison, ...]]
     trial: Trial
+    left_out: list[str] = field(default_factory=list)
+
+    def for_a_rule(self) -> "Behaviour":
+        """Return the same runs, with an empty list of what was left out."""
+        return replace(self, left_out=[])
 
     @property
     def emitted(self) -> list[tuple[Probe, dict[str, np.ndarray]]]:
@@ -119,11 +125,11 @@ class Behaviour:
         return [run.seconds for run in self.trial.execution.runs[: self.trial.plan.values]]
 
     def visits(self, trial: str) -> list[Visit]:
-        """Return the extra runs of one name that took place."""
-        plan = self.trial.plan
-        return [
-            self._visit(index) for index in plan.trials.get(trial, ()) if self._ran(index)
-        ]
+        """Return the extra runs of one name that took place, and note those that did not."""
+        asked = self.trial.plan.trials.get(trial, ())
+        missed = (index for index in asked if not self._ran(index))
+        self.left_out.extend(self.trial.plan.probes[index].label for index in missed)
+        return [self._visit(index) for index in asked if self._ran(index)]
 
     def _ran(self, index: int) -> bool:
         run = self.trial.execution.runs[index]

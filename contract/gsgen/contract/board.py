@@ -51,7 +51,7 @@ class Board:
         for need in rule.needs:
             blocker = self._blocker(need)
             if blocker:
-                text = f"because {blocker} does not hold"
+                text = f"because {blocker} {self._why(blocker)}"
                 self.outcomes[rule.id] = Outcome(
                     rule, "not-applicable", text, blocked_by=blocker
                 )
@@ -75,6 +75,11 @@ class Board:
         return (
             need if outcome.status in ("fail", "crashed", "skipped") else outcome.blocked_by
         )
+
+    def _why(self, blocker: str) -> str:
+        outcome = self.outcomes.get(blocker)
+        skipped = outcome is not None and outcome.status == "skipped"
+        return "was not judged" if skipped else "does not hold"
 
     def judge(self, rule: Rule, subject: object, probe: str = "", start: int = 0) -> bool:
         """Run one check once and tally its breaches; False if it crashed."""
@@ -106,13 +111,16 @@ class Board:
             )
         places[key].add(breach, probe, start)
 
+    def fails(self, rule: Rule) -> bool:
+        """Say whether what was found so far is enough for ``rule`` to fail."""
+        return any(tally.fails for tally in self._tallies.get(rule.id, {}).values())
+
     def settle(self, rules: Iterable[Rule], items: int = 0) -> None:
         """Turn the tallies of judged rules into outcomes."""
         for rule in rules:
             if rule.id in self.outcomes:
                 continue
-            failed = any(tally.fails for tally in self._tallies.get(rule.id, {}).values())
-            status: Status = "fail" if failed else "pass"
+            status: Status = "fail" if self.fails(rule) else "pass"
             spent = 1000 * self._spent.get(rule.id, 0.0)
             self.outcomes[rule.id] = Outcome(rule, status, milliseconds=spent, items=items)
 

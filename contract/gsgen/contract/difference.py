@@ -75,7 +75,7 @@ def compare_models(
     reason = _incomparable(a, b)
     if reason:
         return facts, [], reason
-    outputs, reason = _outputs(a, b, limits)
+    outputs, reason = _outputs(a, b)
     return facts, outputs, reason
 
 
@@ -136,14 +136,13 @@ def _incomparable(a: Subject, b: Subject) -> str:
     return ""
 
 
-def _outputs(a: Subject, b: Subject, limits: Limits) -> tuple[list[OutputDifference], str]:
+def _outputs(a: Subject, b: Subject) -> tuple[list[OutputDifference], str]:
     plan = make_plan(a, Level.VALUES)
     with ExitStack() as stack:
         runs: list[Execution] = []
         for subject in (a, b):
             names = [name for name in subject.output_names if subject.graph.output(name)]
-            allowed = limits.for_model(subject.file.size)
-            job = execute(subject.file.path, names, plan.probes, allowed)
+            job = execute(subject.file.path, names, plan.probes, subject.granted)
             runs.append(stack.enter_context(job))
             fault = runs[-1].fault
             if fault is not None:

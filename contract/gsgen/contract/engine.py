@@ -25,6 +25,7 @@ from gsgen.contract.sandbox import Execution, execute
 from gsgen.contract.subject import read_subject
 from gsgen.contract.tolerances import effective_tolerances
 from gsgen.contract.waivers import Review, waive
+from gsgen.contract.worker import SHARE_FOR_EXTRAS
 
 # Called with what is being done, for progress displays.
 Progress = Callable[[str], None]
@@ -76,9 +77,7 @@ class _Validation:
         self.progress(f"reading {path.name}")
         self.registry = registry or installed_rules()
         file = open_model(path)
-        weights = file.size + sum(ref.length or 0 for ref in file.external)
-        self.limits = settings.limits.for_model(weights)
-        self.subject = read_subject(file, settings.target, self.limits)
+        self.subject = read_subject(file, settings.target, settings.limits)
         self.board = Board(self.registry, settings, self.subject.kind)
         self.levels = [LevelOutcome(Level.STATIC, ran=True)]
         self.probes: tuple[str, ...] = ()
@@ -139,7 +138,7 @@ class _Validation:
         self.probes = tuple(probe.label for probe in plan.probes[: plan.values])
         self.progress(f"running {len(plan.probes)} probes in ONNX Runtime")
         path, names = self.subject.file.path, fetched_outputs(self.subject)
-        with execute(path, names, plan.probes, self.limits) as execution:
+        with execute(path, names, plan.probes, self.subject.granted) as execution:
             self.runtime_seconds = execution.seconds
             self.environment["onnxruntime"] = execution.version
             trial = Trial(self.subject, execution, plan)
@@ -206,8 +205,18 @@ class _Validation:
         behaviour: Behaviour = read_behaviour(trial)
         for rule in _needs_first(self._of_scope("runs", upto=Level.BEHAVIOUR)):
             if self.board.is_ready(rule):
-                self.board.judge(rule, behaviour)
+                seen = behaviour.for_a_rule()
+                self.board.judge(rule, seen)
+                if seen.left_out and not self.board.fails(rule):
+                    self.board.skip([rule], self._out_of_time(seen.left_out))
                 self.board.settle([rule], items=len(trial.execution.runs))
+
+    def _out_of_time(self, probes: list[str]) -> str:
+        words = f"{len(probes)} of its probes" if len(probes) > 1 else "one of its probes"
+        share = (
+            f"{SHARE_FOR_EXTRAS:.0%} of the {self.settings.limits.seconds:g} s were gone"
+        )
+        return f"{words} did not run, {probes[0]!r} first: {share} (see --timeout)"
 
     def _judge_further(self, trial: Trial) -> None:
         """Judge the levels that other packages run, as far as they can run here."""

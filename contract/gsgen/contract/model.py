@@ -96,9 +96,37 @@ class ModelFile:
         return {entry.key: entry.value for entry in self.proto.metadata_props}
 
     @property
+    def weight_bytes(self) -> int:
+        """Bytes of the file and of what its weights take of other files, each byte counted once.
+
+        What a model says of lengths does not count beyond what there is.
+        """
+        ranges: dict[str, list[tuple[int, int]]] = {}
+        for ref in self.external:
+            end = _LONGEST if ref.length is None else ref.offset + ref.length
+            ranges.setdefault(ref.location, []).append((ref.offset, end))
+        beside = (_covered(self.path.parent, *one) for one in ranges.items())
+        return self.size + sum(beside)
+
+    @property
     def manifest_text(self) -> str | None:
         """The embedded manifest as JSON text, or None."""
         return self.metadata.get(MANIFEST_KEY)
+
+
+def _covered(folder: Path, location: str, ranges: list[tuple[int, int]]) -> int:
+    """Return how many bytes of a file lie in any of ``ranges``; none where there is no file."""
+    try:
+        entry = (folder / location).stat()
+        size = entry.st_size if stat.S_ISREG(entry.st_mode) else 0
+    except (OSError, ValueError):  # which is a finding of its own
+        return 0
+    total = reached = 0
+    for start, end in sorted(ranges):
+        start, end = max(start, reached), min(end, size)
+        total += max(0, end - start)
+        reached = max(reached, end)
+    return total
 
 
 def open_model(path: str | os.PathLike[str]) -> ModelFile:

@@ -3,6 +3,7 @@
 __all__ = [
     "Cause",
     "Entry",
+    "Gone",
     "LevelOutcome",
     "Outcome",
     "Report",
@@ -18,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from gsgen.contract.errors import GsgenError
-from gsgen.contract.finding import Finding, Level, Severity
+from gsgen.contract.finding import Finding, Level, Severity, Where
 from gsgen.contract.rule import Rule
 from gsgen.contract.targets import Target
 
@@ -82,6 +83,25 @@ class Tolerance:
 
 
 @dataclass(frozen=True, slots=True)
+class Gone:
+    """A finding that stood in the baseline, and that is not there any more.
+
+    Attributes:
+        rule: Id of its rule.
+        slug: The rule's readable name.
+        fingerprint: What it was told by.
+        where: The place.
+        message: What was seen then.
+    """
+
+    rule: str
+    slug: str
+    fingerprint: str
+    where: Where
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
     """Everything a validation found out.
 
@@ -105,6 +125,7 @@ class Report:
         sha256: Digest of the file; empty where it was not computed.
         tolerances: How closely executions must agree, field by field.
         baseline: The earlier report whose findings are known; empty without one.
+        gone: What that report lists and what does not break its rule any more.
     """
 
     path: str
@@ -127,6 +148,7 @@ class Report:
     sha256: str = ""
     tolerances: tuple[Tolerance, ...] = ()
     baseline: str = ""
+    gone: tuple[Gone, ...] = ()
 
     @property
     def verdict(self) -> Verdict:

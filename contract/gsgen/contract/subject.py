@@ -34,7 +34,7 @@ class Subject:
         parsed: What became of the embedded manifest; None where there is none.
         candidate: What was guessed in its place; None where a manifest is embedded.
         target: The consumer it is judged for.
-        limits: What running it may use.
+        limits: What running it may use, as its user set it.
     """
 
     file: ModelFile
@@ -50,6 +50,11 @@ class Subject:
         if self.parsed is not None:
             return self.parsed.manifest
         return self.candidate.manifest if self.candidate else None
+
+    @cached_property
+    def granted(self) -> Limits:
+        """What running it may use in fact: the limits, and on top what its weights take."""
+        return self.limits.for_model(self.file.weight_bytes)
 
     @property
     def kind(self) -> str:

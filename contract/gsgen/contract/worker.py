@@ -5,6 +5,7 @@ whatever stops it leaves all that was done before. Other workers are made of the
 """
 
 __all__ = [
+    "SHARE_FOR_EXTRAS",
     "Emit",
     "digest_of",
     "keep_outputs",
@@ -31,7 +32,7 @@ import numpy as np
 _OUT_OF_MEMORY = ("bad_alloc", "bad allocation", "Failed to allocate memory", "MemoryError")
 
 # Extra probes start only within this share of the time, so that they never use it up.
-_SHARE_FOR_EXTRAS = 0.5
+SHARE_FOR_EXTRAS = 0.5
 _THIN_ROWS = 1 << 14
 
 Emit = Callable[..., None]
@@ -59,7 +60,7 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
     began = time.monotonic()
     emit("started", version=onnxruntime.__version__)
     limit_memory(job["memory"])
-    deadline = began + _SHARE_FOR_EXTRAS * job["seconds"]
+    deadline = began + SHARE_FOR_EXTRAS * job["seconds"]
     known: dict[str, int] = {}
     probe: int | None = None
     optimised = True

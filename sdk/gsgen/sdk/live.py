@@ -21,30 +21,15 @@ from gsgen.contract.probes import Probe
 from gsgen.contract.runner import LevelUnavailable, Prepared
 from gsgen.contract.sandbox import Execution, Limits, execute
 from gsgen.contract.subject import Subject
+from gsgen.sdk.binding.placed import Node
+from gsgen.sdk.binding.webgpu import PACKAGE
 
-WEBGPU = "WebGpuExecutionProvider"
-_PACKAGE = "onnxruntime_ep_webgpu"
 _WORKER = "gsgen.sdk.live_worker"
 # Frames: the first is captured, the others are replayed.
 _FRAMES, _STILL_FRAMES = 6, 4
 
 Outputs = Mapping[str, np.ndarray]
 Event = Mapping[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Node:
-    """Where ONNX Runtime put one node.
-
-    Attributes:
-        provider: The execution provider that runs it.
-        operator: Its operator.
-        name: Its name; empty where the model gives none.
-    """
-
-    provider: str
-    operator: str
-    name: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +112,7 @@ def prepare_live(trial: Trial) -> Iterator[Prepared]:
     runs = _chosen_runs(trial)
     subject, probes = trial.subject, [trial.plan.probes[run] for run in runs]
     half = any(tensor.dtype == "float16" for tensor in subject.graph.tensors.values())
-    path, limits = subject.file.path, subject.limits
+    path, limits = subject.file.path, subject.granted
     with execute(path, [], probes, limits, _WORKER, half=half) as execution:
         _refuse(execution)
         live = _read(trial, execution, runs)
@@ -152,7 +137,7 @@ def survey(seconds: float = 60) -> dict[str, str]:
 
 
 def _need_package() -> None:
-    if find_spec(_PACKAGE) is None:
+    if find_spec(PACKAGE) is None:
         what = "onnxruntime-ep-webgpu is not installed"
         raise LevelUnavailable(what, mend="pip install 'gsgen[live]'")
 

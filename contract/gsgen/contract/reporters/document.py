@@ -174,6 +174,17 @@ class ToleranceEntry:
 
 
 @dataclass(frozen=True, slots=True)
+class GoneEntry:
+    """A finding of the baseline that is not there any more."""
+
+    rule: RuleId
+    slug: Annotated[str, Hint("The rule's readable name.")]
+    where: WhereEntry
+    message: Annotated[str, Hint("What was seen then.")]
+    fingerprint: Fingerprint
+
+
+@dataclass(frozen=True, slots=True)
 class Document:
     """The report of one model."""
 
@@ -196,6 +207,10 @@ class Document:
     truncated: Annotated[bool, Hint("Some finding counts more places than its own.")]
     seconds: float
     baseline: Annotated[str | None, Hint("The report whose findings are known.")] = None
+    gone: Annotated[
+        tuple[GoneEntry, ...] | None,
+        Hint("What the baseline lists and what is not there any more; absent without one."),
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)

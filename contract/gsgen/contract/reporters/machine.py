@@ -9,7 +9,7 @@ from typing import Any
 
 from gsgen.contract.digest import rules_digest
 from gsgen.contract.finding import Example, Finding, Severity
-from gsgen.contract.report import Cause, Entry, Outcome, Report, Unreadable
+from gsgen.contract.report import Cause, Entry, Gone, Outcome, Report, Unreadable
 from gsgen.contract.reporters.document import (
     SCHEMA,
     CauseEntry,
@@ -18,6 +18,7 @@ from gsgen.contract.reporters.document import (
     ExampleEntry,
     Fault,
     FindingEntry,
+    GoneEntry,
     LevelEntry,
     RuleEntry,
     Stats,
@@ -79,6 +80,7 @@ def document_of(report: Report) -> Document:
         truncated=any(finding.truncated for finding in report.findings),
         seconds=round(report.seconds, 4),
         baseline=report.baseline or None,
+        gone=tuple(_gone(one) for one in report.gone) if report.baseline else None,
     )
 
 
@@ -137,6 +139,11 @@ def _finding(finding: Finding, rule: Rule) -> FindingEntry:
         waiver=finding.waiver or None,
         evidence=rule.evidence or None,
     )
+
+
+def _gone(one: Gone) -> GoneEntry:
+    where = WhereEntry(one.where.subject, one.where.field or None)
+    return GoneEntry(one.rule, one.slug, where, one.message, one.fingerprint)
 
 
 def _word(severity: Severity) -> Any:

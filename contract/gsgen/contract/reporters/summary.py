@@ -48,7 +48,9 @@ def _uncounted(report: Report) -> list[str]:
     known = sum(one.known for one in report.findings)
     parts = [f"ignored: {', '.join(sorted(ignored))}"] if ignored else []
     parts += [f"{waived} waived"] if waived else []
-    return parts + ([f"{known} known from {report.baseline}"] if known else [])
+    parts += [f"{known} known from {report.baseline}"] if known else []
+    gone = f"{len(report.gone)} gone since {report.baseline}"
+    return parts + ([gone] if report.gone else [])
 
 
 def several(entries: Sequence[Entry]) -> str:

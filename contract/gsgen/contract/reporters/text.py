@@ -62,7 +62,7 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
         rule, status = cause.outcome.rule, cause.outcome.status
         lines.append(Line(f"  {rule.id} {status}: {rule.slug}"))
         lines += _consequence(cause)
-    lines += _not_run(report) + _waived(report)
+    lines += _not_run(report) + _waived(report) + _gone(report)
     if verbose:
         lines += _details(report)
     lines.append(_verdict(report))
@@ -145,6 +145,14 @@ def _waived(report: Report) -> list[Line]:
         if one.waiver:
             lines.append(Line(f"  {one.rule} waived: {one.slug}"))
             lines += _wrapped(f"{one.where}: {one.waiver}")
+    return lines
+
+
+def _gone(report: Report) -> list[Line]:
+    lines: list[Line] = []
+    for one in report.gone:
+        lines.append(Line(f"  {one.rule} gone: {one.slug}", "green"))
+        lines += _wrapped(f"{one.where}: {one.message}")
     return lines
 
 
