@@ -14,10 +14,10 @@ import pytest
 from gsgen.conformance.cases import Case
 from gsgen.conformance.evidence import Dumps
 from gsgen.conformance.expected import ExpectedFailure, read_expected
-from gsgen.conformance.options import make_settings
 from gsgen.conformance.run import ModelRun, run_model, suites_of
 from gsgen.conformance.suite import find_suite
 from gsgen.contract.config import Settings
+from gsgen.contract.configure import make_settings
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.installed import installed_rules
 from gsgen.contract.reporters.machine import to_dict
@@ -73,10 +73,12 @@ class Bench:
         """Return settings by the options, but for what is given here."""
         config = self.option("config")
         return make_settings(
+            installed_rules(),
             level=level or self.option("level"),
             target=target or self.option("target"),
             fail_on=self.option("fail-on"),
             config=Path(config) if config else None,
+            prefix="--gsgen-",
         )
 
     @cached_property

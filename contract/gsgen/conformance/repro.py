@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gsgen.conformance.evidence import suspects
-from gsgen.conformance.options import needed_by
+from gsgen.conformance.needed import needed_by
 from gsgen.conformance.replay import ONE_PROBE, Replay, find_probes, plan_for, replay, save
 from gsgen.contract.config import Settings
 from gsgen.contract.engine import validate

@@ -206,6 +206,7 @@ class TestVector:
 
     inputs: Annotated[str, Hint("Which probe, by its label.")]
     expected_sha256: Sha256
+    seed: Annotated[int, Hint("Seed of the probe set.", minimum=0)] = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

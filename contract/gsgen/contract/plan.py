@@ -1,7 +1,8 @@
 """Which probes to run, in which order, so that one session answers every rule."""
 
-__all__ = ["Plan", "fetched_outputs", "make_plan"]
+__all__ = ["Plan", "fetched_outputs", "make_plan", "probed_bytes"]
 
+import math
 from dataclasses import dataclass, field
 
 from gsgen.contract.candidate import static_dims
@@ -11,11 +12,14 @@ from gsgen.contract.manifest import Input
 from gsgen.contract.probes import Probe, default_probes, dependency_probes
 from gsgen.contract.subject import Subject
 from gsgen.contract.trials import trial_probes
+from gsgen.contract.vectors import vector_probes
 
 # All distinct outputs together should not fill the disk that holds temporary files.
 _BUDGET = 1 << 30
 _MOST, _FEWEST = 8, 3
 _VARIANTS = 2
+# Bytes of an element while inputs are drawn: float64.
+_WIDEST = 8
 # What an axis of open size is probed with, such as the height of an image.
 _OPEN_SIZE = 64
 # Dtypes that numpy can hold, so that ONNX Runtime can hand them over; None is not known yet.
@@ -36,6 +40,7 @@ class Plan:
         revisited: Two runs with the same inputs and others between them.
         variants: Role → (base run, runs that differ from it in that role alone).
         trials: Name → the runs that one rule asks for.
+        seed: Seed of the probes that value rules look at.
     """
 
     probes: tuple[Probe, ...]
@@ -44,6 +49,7 @@ class Plan:
     revisited: tuple[int, int] | None = None
     variants: dict[str, tuple[int, tuple[int, ...]]] = field(default_factory=dict)
     trials: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    seed: int = 0
 
 
 def make_plan(subject: Subject, level: Level, seed: int = 0) -> Plan:
@@ -56,7 +62,7 @@ def make_plan(subject: Subject, level: Level, seed: int = 0) -> Plan:
     count = _affordable(subject)
     first = default_probes(manifest, shapes, dtypes, seed, count)
     if level < Level.BEHAVIOUR:
-        return Plan(first, len(first))
+        return Plan(first, len(first), seed=seed)
     base = len(first) - 1 if len(first) == 1 else 1
     probes = [*first, first[base], first[base]]
     again = len(first)
@@ -66,12 +72,16 @@ def make_plan(subject: Subject, level: Level, seed: int = 0) -> Plan:
         variants[role] = (base, tuple(range(len(probes), len(probes) + len(changed))))
         probes.extend(changed)
     trials: dict[str, tuple[int, ...]] = {}
-    for name, made in trial_probes(manifest, first[base], first):
+    groups = [
+        *vector_probes(manifest, shapes, dtypes, seed, count),
+        *trial_probes(manifest, first[base], first),
+    ]
+    for name, made in groups:
         trials[name] = tuple(range(len(probes), len(probes) + len(made)))
         probes.extend(made)
     revisited = (base, again) if len(first) > 1 else None
     repeated = (again, again + 1)
-    return Plan(tuple(probes), len(first), repeated, revisited, variants, trials)
+    return Plan(tuple(probes), len(first), repeated, revisited, variants, trials, seed)
 
 
 def fetched_outputs(subject: Subject) -> list[str]:
@@ -92,9 +102,21 @@ def _probed_shape(entry: Input, tensor: Tensor) -> tuple[int, ...]:
     )
 
 
-def _affordable(subject: Subject) -> int:
-    """Return how many probes' outputs fit the budget."""
+def probed_bytes(subject: Subject) -> int:
+    """Return the size of the inputs of one probe, sizes that the graph leaves open included."""
     total = 0
+    for entry in subject.manifest.inputs if subject.manifest else ():
+        tensor = subject.graph.input(entry.name)
+        if tensor is not None:
+            total += _WIDEST * math.prod(
+                max(0, dim) for dim in _probed_shape(entry, tensor)
+            )
+    return total
+
+
+def _affordable(subject: Subject) -> int:
+    """Return how many probes' inputs and outputs fit the budget."""
+    total = probed_bytes(subject)
     for tensor in (subject.gaussians, subject.appearance):
         dims = static_dims(tensor) if tensor else None
         size = 4

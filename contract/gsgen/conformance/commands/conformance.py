@@ -2,13 +2,13 @@
 
 __all__ = ["conformance"]
 
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gsgen.contract.commands.options import Config, FailOn, LevelName, TargetName
 from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
 
 if TYPE_CHECKING:
@@ -32,36 +32,14 @@ def conformance(
         list[str] | None,
         typer.Option(help="Only this suite: basic, camera, time, avatar, …; repeatable."),
     ] = None,
-    target: Annotated[
-        str | None,
-        typer.Option(
-            help="Consumer to judge for: core, webgpu, visionary, gsgen.",
-            show_default="core",
-        ),
-    ] = None,
-    level: Annotated[
-        str | None,
-        typer.Option(
-            help="How far to go: static, values, behaviour, live or render.",
-            show_default="behaviour",
-        ),
-    ] = None,
+    target: TargetName = None,
+    level: LevelName = None,
     xfails: Annotated[
         Path | None,
         typer.Option(help="TOML file of expected failures, strict both ways."),
     ] = None,
-    fail_on: Annotated[
-        str | None,
-        typer.Option(
-            help="Lowest severity that fails: error, warning or info.", show_default="error"
-        ),
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            help="Configuration file.", show_default="./gsgen.toml, where there is one"
-        ),
-    ] = None,
+    fail_on: FailOn = None,
+    config: Config = None,
     dump: Annotated[
         Path | None,
         typer.Option(help="Folder for inputs and outputs of failing probes (.npz)."),
@@ -73,14 +51,17 @@ def conformance(
     Exits 0 if all pass, 1 if not, 2 for wrong options, 3 if a rule crashed, 4 if no model.
     """
     from gsgen.conformance.expected import read_expected
-    from gsgen.conformance.options import make_settings
     from gsgen.conformance.suite import find_suite
     from gsgen.conformance.summary import exit_code
+    from gsgen.contract.configure import make_settings
     from gsgen.contract.installed import installed_rules
 
-    settings = make_settings(level=level, target=target, fail_on=fail_on, config=config)
+    registry = installed_rules()
+    settings = make_settings(
+        registry, level=level, target=target, fail_on=fail_on, config=config
+    )
     suites = [find_suite(name).name for name in suite or ()]
-    expected = read_expected(xfails, installed_rules()) if xfails else ()
+    expected = read_expected(xfails, registry) if xfails else ()
     entries = [_test(model, settings, suites, expected, dump) for model in models]
     _print(entries, format)
     _refuse_strangers(entries, settings, expected)
@@ -96,6 +77,7 @@ def _test(
 ) -> "Entry":
     from gsgen.conformance.evidence import Dumps
     from gsgen.conformance.run import run_model
+    from gsgen.contract.commands.progress import progress
     from gsgen.contract.report import Unreadable
 
     try:
@@ -105,25 +87,19 @@ def _test(
             suites=suites,
             expected=expected,
             dumps=Dumps(dump) if dump else None,
-            progress=_progress,
+            progress=progress,
         )
     except ModelUnreadable as error:
         return Unreadable(str(model), error)
 
 
-def _progress(words: str) -> None:
-    """Show what is being done, where someone is watching."""
-    if sys.stderr.isatty():
-        typer.echo(f"\r\x1b[2K{words} …", err=True, nl=False)
-
-
 def _print(entries: "list[Entry]", format: Format) -> None:
     from gsgen.conformance.summary import lines_of, to_json
     from gsgen.contract.commands.output import show
+    from gsgen.contract.commands.progress import clear
     from gsgen.contract.report import Unreadable
 
-    if sys.stderr.isatty():
-        typer.echo("\r\x1b[2K", err=True, nl=False)
+    clear()
     for entry in entries:
         if isinstance(entry, Unreadable):
             typer.echo(f"gsgen: {entry.error}", err=True)

@@ -2,11 +2,12 @@
 
 __all__ = ["repro"]
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from gsgen.contract.commands.options import Config, Memory, Seed, TargetName, Timeout
 
 if TYPE_CHECKING:
     from gsgen.conformance.repro import Reproduction
@@ -23,45 +24,30 @@ def repro(
         str | None,
         typer.Option(help="The probe, by label or number; all of them where left out."),
     ] = None,
-    target: Annotated[
-        str | None, typer.Option(help="Consumer to judge for.", show_default="core")
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            help="Configuration file.", show_default="./gsgen.toml, where there is one"
-        ),
-    ] = None,
+    target: TargetName = None,
+    config: Config = None,
     dump: Annotated[
         Path | None,
         typer.Option(help="Write inputs and outputs of the failing probe here (.npz)."),
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the probe set.", min=0)] = None,
-    timeout: Annotated[
-        float | None,
-        typer.Option(help="Seconds that running may take.", show_default="120", min=0.1),
-    ] = None,
-    memory: Annotated[
-        int | None,
-        typer.Option(help="MiB that running may take.", show_default="2048", min=1),
-    ] = None,
+    seed: Seed = None,
+    timeout: Timeout = None,
+    memory: Memory = None,
 ) -> None:
     """Judge one rule of MODEL again, by one probe where that is enough.
 
     Exits 1 if the rule is broken, 0 if it holds, 2 if it cannot be judged, 4 if no model.
     """
-    from gsgen.conformance.options import make_settings
     from gsgen.conformance.repro import reproduce
+    from gsgen.contract.configure import make_settings
     from gsgen.contract.errors import ModelUnreadable
     from gsgen.contract.installed import installed_rules
 
-    wanted = installed_rules().find(rule, "--rule")
-    settings = make_settings(target=target, config=config)
-    limits = settings.limits
-    limits = replace(limits, seconds=timeout) if timeout else limits
-    limits = replace(limits, memory=memory << 20) if memory else limits
-    seed = settings.seed if seed is None else seed
-    settings = replace(settings, limits=limits, seed=seed)
+    registry = installed_rules()
+    wanted = registry.find(rule, "--rule")
+    settings = make_settings(
+        registry, target=target, config=config, timeout=timeout, memory=memory, seed=seed
+    )
     try:
         found = reproduce(model, wanted, settings, probe=probe, dump=dump)
     except ModelUnreadable as error:

@@ -1,15 +1,18 @@
 """GB and GI, robustness: edges of inputs, another optimiser, another order of runs."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from gsgen.contract.behaviour import Behaviour, Visit, difference
-from gsgen.contract.finding import Breach, Severity
+from gsgen.contract.finding import Breach, Severity, Where
 from gsgen.contract.layout import OPACITY
+from gsgen.contract.manifest import TestVector
 from gsgen.contract.roles import KINDS
 from gsgen.contract.rule import rule
 from gsgen.contract.trials import AGAIN
+from gsgen.contract.vectors import MOST_SEEDS, probed_seeds, vector_label
 
 _RUNS = ("GV025", "GB001", "GB002")
 _FINITE = ("GV001", "GV002", "GI009")
@@ -189,12 +192,31 @@ def vectors_reproduce(behaviour: Behaviour) -> Iterator[Breach]:
         Take the digest given here, if the model is right. Models without vectors are fine.
     """
     manifest = behaviour.subject.manifest
-    digests = {one.probe.label: one.digest for one in behaviour.values}
     for index, vector in enumerate(manifest.test_vectors if manifest else ()):
-        place, given = f"manifest test_vectors.{index}", digests.get(vector.inputs)
-        if given is None:
-            known = ", ".join(map(repr, digests))
-            yield Breach.at(place, f"no probe {vector.inputs!r}", f"one of {known}")
+        place, given = f"manifest test_vectors.{index}", _outcome(behaviour, vector)
+        if isinstance(given, Breach):
+            yield replace(given, where=Where(place))
         elif given != vector.expected_sha256:
             want = f"the declared {vector.expected_sha256}"
             yield Breach.at(place, f"sha256 {given}", want, certainty="possible")
+
+
+def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Breach:
+    """Return the digest of what the vector's probe gave, or why there is none."""
+    manifest, plan = behaviour.subject.manifest, behaviour.trial.plan
+    assert manifest is not None
+    label, ours = vector_label(vector.inputs, vector.seed), vector.seed == plan.seed
+    if not ours and vector.seed not in probed_seeds(manifest, plan.seed):
+        return Breach.at("", f"seed {vector.seed}", f"{MOST_SEEDS} other seeds at most")
+    visits = behaviour.values if ours else behaviour.visits("vectors")
+    digests = {one.probe.label: one.digest for one in visits}
+    given = digests.get(vector.inputs if ours else label)
+    if given:
+        return given
+    known = [one.probe.label for one in behaviour.values]
+    planned = [plan.probes[index].label for index in plan.trials.get("vectors", ())]
+    if not ours and label in planned:
+        saw = f"no outputs at {label!r}"
+        return Breach.at("", saw, "a run in time", certainty="possible")
+    saw = f"no probe {vector.inputs!r} with seed {vector.seed}"
+    return Breach.at("", saw, f"one of {', '.join(map(repr, known))}")

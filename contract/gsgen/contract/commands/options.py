@@ -1,0 +1,48 @@
+"""Options that several commands have: written once, so that they mean and say the same."""
+
+__all__ = ["Config", "FailOn", "LevelName", "Memory", "Seed", "TargetName", "Timeout"]
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+LevelName = Annotated[
+    str | None,
+    typer.Option(
+        help="How far to go: static, values, behaviour, live or render.",
+        show_default="behaviour",
+    ),
+]
+TargetName = Annotated[
+    str | None,
+    typer.Option(
+        help="Consumer to judge for: core, webgpu, visionary, gsgen.",
+        show_default="core",
+    ),
+]
+FailOn = Annotated[
+    str | None,
+    typer.Option(
+        help="Lowest severity that fails: error, warning or info.", show_default="error"
+    ),
+]
+Config = Annotated[
+    Path | None,
+    typer.Option(
+        help="Configuration file.", show_default="./gsgen.toml, where there is one"
+    ),
+]
+Timeout = Annotated[
+    float | None,
+    typer.Option(
+        help="Seconds that running a model may take.", show_default="120", min=0.1
+    ),
+]
+Memory = Annotated[
+    int | None,
+    typer.Option(
+        help="MiB of memory that running a model may take.", show_default="2048", min=64
+    ),
+]
+Seed = Annotated[int | None, typer.Option(help="Seed of the probe set.", min=0)]

@@ -1,0 +1,240 @@
+"""Record test vectors: files that ONNX's backend runner reads, and digests in the manifest.
+
+The layout is that of the ONNX model zoo: a folder with ``model.onnx`` and, for each vector,
+``test_data_set_0/input_0.pb …, output_0.pb …``, TensorProto messages in the order of the graph's
+inputs and outputs.
+"""
+
+__all__ = ["Recorded", "VectorsRefused", "record_vectors"]
+
+import json
+import re
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from onnx import numpy_helper
+
+from gsgen.contract.config import Settings
+from gsgen.contract.engine import validate
+from gsgen.contract.errors import ConfigInvalid, GsgenError
+from gsgen.contract.finding import Level, Severity
+from gsgen.contract.manifest import TestVector
+from gsgen.contract.model import ModelFile, open_model, write_manifest_text
+from gsgen.contract.plan import fetched_outputs, make_plan
+from gsgen.contract.probes import Probe
+from gsgen.contract.sandbox import Execution, execute
+from gsgen.contract.schema import to_json
+from gsgen.contract.subject import Subject, read_subject
+from gsgen.contract.worker import digest_of
+
+MODEL = "model.onnx"
+_SET = re.compile(r"^test_data_set_[0-9]+$")
+
+
+class VectorsRefused(GsgenError):
+    """The model is not one whose outputs can be promised."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What was written.
+
+    Attributes:
+        model: The copy whose manifest has the digests.
+        folder: Where the folders of inputs and outputs are.
+        vectors: What the manifest says now, in the order of the folders.
+    """
+
+    model: Path
+    folder: Path
+    vectors: tuple[TestVector, ...]
+
+
+def record_vectors(
+    source: Path,
+    folder: Path,
+    model: Path | None = None,
+    *,
+    count: int = 3,
+    seed: int = 0,
+    settings: Settings | None = None,
+    force: bool = False,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Recorded:
+    """Run ``source`` at ``count`` of its probes, and keep inputs, outputs and their digests.
+
+    Args:
+        source: A model with a manifest; it stays as it is, unless ``model`` is the same file.
+        folder: Gets a folder ``test_data_set_k`` for each vector.
+        model: The copy with the digests; ``folder/model.onnx`` where absent.
+        count: How many probes, spread over the set that validation runs, all zeros first.
+        seed: Seed of that set.
+        settings: Limits of running it.
+        force: Replace vectors that stand in ``folder`` already.
+        progress: Called with a few words whenever a new stage begins.
+
+    Raises:
+        ModelUnreadable: ``source`` is not an ONNX model.
+        VectorsRefused: It has no manifest, breaks a static rule, fails, or gives other outputs
+            when it is run again.
+        ConfigInvalid: There are fewer probes, the folder holds vectors, or cannot be written.
+    """
+    settings = settings or Settings()
+    model = model or folder / MODEL
+    standing = [path for path in _listed(folder) if _SET.match(path.name)]
+    if standing and not force:
+        mend = "Name another folder, or replace them with --force."
+        raise ConfigInvalid(
+            f"holds {standing[0].name} already", where=str(folder), mend=mend
+        )
+    progress(f"reading {source.name}")
+    subject = _subject(source, settings)
+    probes = _chosen(make_plan(subject, Level.VALUES, seed).probes, count)
+    progress(f"running {len(probes)} probes twice in ONNX Runtime")
+    with _staged(folder) as stage:
+        with _executed(subject, probes, settings) as execution:
+            vectors = tuple(
+                _write(stage / f"test_data_set_{index}", subject, probe, outputs, seed)
+                for index, (probe, outputs) in enumerate(
+                    _outputs(source, probes, execution)
+                )
+            )
+        progress(f"writing {model.name}")
+        _write_model(subject.file, vectors, model)
+        for path in standing:
+            shutil.rmtree(path)
+        for made in sorted(stage.iterdir()):
+            made.replace(folder / made.name)
+    return Recorded(model, folder, vectors)
+
+
+def _listed(folder: Path) -> list[Path]:
+    return sorted(folder.iterdir()) if folder.is_dir() else []
+
+
+def _subject(source: Path, settings: Settings) -> Subject:
+    file = open_model(source)
+    subject = read_subject(file, settings.target, settings.limits)
+    where = str(source)
+    if subject.parsed is None:
+        mend = (
+            f"`gsgen inspect {source} --emit-manifest` derives one; correct it, and embed it "
+            f"with `gsgen fix {source} --manifest FILE -o OUT.onnx`."
+        )
+        raise VectorsRefused("has no manifest that could hold them", where=where, mend=mend)
+    report = validate(source, replace(settings, level=Level.STATIC))
+    broken = [one for one in report.findings if one.severity >= Severity.ERROR]
+    if broken:
+        what = f"breaks {broken[0].rule} at {broken[0].where}: {broken[0].message}"
+        mend = (
+            f"What a broken model gives is no promise; `gsgen validate {source}` says more."
+        )
+        raise VectorsRefused(what, where=where, mend=mend)
+    # Without a manifest, all outputs that numpy can hold are fetched.
+    fetched = fetched_outputs(replace(subject, parsed=None, candidate=None))
+    unread = [one.name for one in subject.graph.outputs if one.name not in fetched]
+    if unread:
+        what = f"output {unread[0]!r} has a dtype that numpy cannot hold"
+        raise VectorsRefused(what, where=where)
+    return subject
+
+
+def _chosen(probes: tuple[Probe, ...], count: int) -> list[Probe]:
+    if count > len(probes):
+        what = f"{count} vectors, and the model has {len(probes)} probes"
+        raise ConfigInvalid(what, where="--count", mend=f"--count {len(probes)} takes all.")
+    picked = np.rint(np.linspace(0, len(probes) - 1, count)).astype(int)
+    return [probes[index] for index in picked]
+
+
+@contextmanager
+def _staged(folder: Path) -> Iterator[Path]:
+    """Yield a folder inside ``folder`` for what is not whole yet; nothing of it stays."""
+    fresh = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        stage = tempfile.TemporaryDirectory(dir=folder, prefix=".vectors.")
+    except OSError as error:
+        raise ConfigInvalid(
+            f"cannot be written: {error.strerror}", where=str(folder)
+        ) from error
+    try:
+        with stage as name:
+            yield Path(name)
+    except BaseException:
+        if fresh:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+@contextmanager
+def _executed(
+    subject: Subject, probes: list[Probe], settings: Settings
+) -> Iterator[Execution]:
+    file = subject.file
+    weights = file.size + sum(ref.length or 0 for ref in file.external)
+    names = [tensor.name for tensor in subject.graph.outputs]
+    twice = [probe for probe in probes for _ in range(2)]
+    with execute(file.path, names, twice, settings.limits.for_model(weights)) as execution:
+        if execution.fault is not None:
+            what = f"does not run: {execution.fault.message}"
+            raise VectorsRefused(what, where=str(file.path))
+        yield execution
+
+
+def _outputs(
+    source: Path, probes: list[Probe], execution: Execution
+) -> Iterator[tuple[Probe, dict[str, np.ndarray]]]:
+    runs = execution.runs
+    for probe, first, second in zip(probes, runs[::2], runs[1::2], strict=True):
+        if first.sample != second.sample:
+            what = f"gives other outputs when it is run again, at {probe.label!r}"
+            mend = "Remove random operators, and state that is kept between runs."
+            raise VectorsRefused(what, where=str(source), mend=mend)
+        yield probe, execution.samples[first.sample].outputs
+
+
+def _write(
+    folder: Path,
+    subject: Subject,
+    probe: Probe,
+    outputs: dict[str, np.ndarray],
+    seed: int,
+) -> TestVector:
+    folder.mkdir()
+    given = [tensor.name for tensor in subject.graph.inputs]
+    for number, name in enumerate(given):
+        _write_tensor(folder / f"input_{number}.pb", name, probe.inputs[name])
+    for number, (name, value) in enumerate(outputs.items()):
+        _write_tensor(folder / f"output_{number}.pb", name, value)
+    declared = {name: outputs[name] for name in fetched_outputs(subject)}
+    return TestVector(probe.label, digest_of(declared), seed)
+
+
+def _write_tensor(path: Path, name: str, value: np.ndarray) -> None:
+    tensor = numpy_helper.from_array(np.array(value, order="C"), name)
+    path.write_bytes(tensor.SerializeToString())
+
+
+def _write_model(file: ModelFile, vectors: tuple[TestVector, ...], model: Path) -> None:
+    """Write the copy; only its list of vectors is changed, fields that we do not know stay."""
+    document = json.loads(file.manifest_text or "{}")
+    document["test_vectors"] = to_json(vectors)
+    text = json.dumps(document, ensure_ascii=False)
+    try:
+        model.parent.mkdir(parents=True, exist_ok=True)
+        for location in dict.fromkeys(ref.location for ref in file.external):
+            aim = model.parent / location
+            if aim.resolve() != (file.path.parent / location).resolve():
+                aim.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(file.path.parent / location, aim)
+        write_manifest_text(file.path, text, model)
+    except OSError as error:
+        raise ConfigInvalid(
+            f"cannot be written: {error.strerror}", where=str(model)
+        ) from error
