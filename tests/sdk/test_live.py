@@ -18,6 +18,7 @@ from gsgen.contract.runner import LevelUnavailable
 from gsgen.contract.sandbox import Limits
 from gsgen.contract.subject import read_subject
 from gsgen.sdk import live, live_worker
+from gsgen.sdk.binding.webgpu import WEBGPU, AdapterMissing
 from gsgen.sdk.environment import checks
 from gsgen.sdk.live import Frame, Live, Node, survey
 from gsgen.sdk.live_comparison import disagreements, wrong_replays
@@ -112,9 +113,7 @@ def test_an_adapter_without_float16_refuses_only_models_that_need_it(half, tmp_p
         live_worker._try_adapter(lambda *_: Session(), tmp_path, emit, half=half)
 
     if half:
-        with pytest.raises(
-            live_worker._Unavailable, match="adapter Old Card no shader-f16"
-        ):
+        with pytest.raises(AdapterMissing, match="adapter Old Card no shader-f16"):
             attempt()
     else:
         attempt()
@@ -324,7 +323,7 @@ def test_a_still_output_has_nothing_to_go_stale(good):
 
 
 def test_where_nodes_went_is_known_by_name(good):
-    nodes = (Node(live.WEBGPU, "Add", "a"), Node("CPUExecutionProvider", "Round", "r"))
+    nodes = (Node(WEBGPU, "Add", "a"), Node("CPUExecutionProvider", "Round", "r"))
     assert lived(good, nodes=nodes).nodes[1].name == "r"
     assert lived(good).state == "accepted, 0 replays"
     assert lived(good, accepted=False).state == "not tried"

@@ -9,7 +9,8 @@ from gsgen.contract.finding import Breach, Level, Severity
 from gsgen.contract.roles import KINDS
 from gsgen.contract.rule import rule
 from gsgen.contract.runner import Runner
-from gsgen.sdk.live import WEBGPU, Live, prepare_live
+from gsgen.sdk.binding.webgpu import WEBGPU
+from gsgen.sdk.live import Live, prepare_live
 
 RUNNER = Runner(Level.LIVE, "replaying frames in WebGPU", prepare_live)
 

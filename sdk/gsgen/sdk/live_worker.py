@@ -11,6 +11,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -23,30 +24,20 @@ from gsgen.contract.worker import (
     read_inputs,
     serve,
 )
+from gsgen.sdk.binding.bound import Bound
+from gsgen.sdk.binding.errors import FellBack, ProviderUnavailable
+from gsgen.sdk.binding.placed import placement, words
+from gsgen.sdk.binding.providers import MEMORY, Choice, Opening, open_session
+from gsgen.sdk.binding.webgpu import DRIVER, AdapterMissing, find_adapter
 
 # What drivers and shader compilers may take beside the model.
 _DRIVER_BYTES = 2 << 30
 # The loader tells, on demand, which device was opened.
 _OPENED = re.compile(r'Using "([^"]+)" with driver')
 _SOFTWARE = re.compile("llvmpipe|swiftshader|basic render|warp", re.IGNORECASE)
-_CODES = re.compile(
-    r"\[ONNXRuntimeError\] : \d+ : \w+ : |\S+\.(?:cc|h):\d+ .*? was false\. "
-)
-_LONGEST = 500
-# Capture computes in 64-bit integers what the plain session leaves to the CPU, unless told.
-_PLAIN = {"enableInt64": "1"}
-_CAPTURING = {"enableGraphCapture": "1"}
 
-Session = Any
-Opener = Callable[..., Session]
-
-
-class _Unavailable(Exception):
-    """The provider or an adapter is missing here, which is no fault of the model."""
-
-
-class _FellBack(Exception):
-    """ONNX Runtime opened a session without the provider that it was told to use."""
+# Opens a session for a model, capturing or not.
+Opener = Callable[[Path | bytes, bool], Any]
 
 
 def main(folder: Path) -> int:
@@ -60,15 +51,16 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
         import onnxruntime
 
         emit("started", version=onnxruntime.__version__)
-        opener = _find_provider(folder, emit)
+        onnxruntime.set_default_logger_severity(3)
+        opener = _find_provider(emit)
         _try_adapter(opener, folder, emit, half=job["half"])
         limit_memory(job["memory"] + _DRIVER_BYTES)
         if job["probes"]:
             _Frames(folder, job, emit, opener).run()
-    except _Unavailable as error:
-        emit("unavailable", what=str(error.args[0]), mend=str(error.args[1]))
-    except _FellBack as error:
-        emit("fell-back", message=str(error))
+    except AdapterMissing as error:
+        emit("unavailable", what=error.what, mend=error.mend)
+    except FellBack as error:
+        emit("fell-back", message=error.what)
     emit("done")
     return 0
 
@@ -84,52 +76,28 @@ def _set_surroundings(folder: Path) -> None:
         os.environ.setdefault(name, value)
 
 
-def _find_provider(folder: Path, emit: Emit) -> Opener:
-    """Register the WebGPU provider, and return what opens sessions with it."""
-    import onnxruntime
+def _find_provider(emit: Emit) -> Opener:
+    """Say which device there is, and return what opens sessions on it, capturing or not."""
+    adapter = find_adapter()
+    emit("device", name=adapter.name, version=adapter.version)
+    choice = Choice("webgpu", "asked for", adapter, asked=True)
 
-    try:
-        import onnxruntime_ep_webgpu as provider
-    except ImportError as error:
-        what = "onnxruntime-ep-webgpu is not installed"
-        raise _Unavailable(what, "pip install 'gsgen[live]'") from error
-    onnxruntime.set_default_logger_severity(3)
-    # A name that ends in ".virtual" would abort the interpreter.
-    onnxruntime.register_execution_provider_library("webgpu", provider.get_library_path())
-    name = provider.get_ep_name()
-    devices = [one for one in onnxruntime.get_ep_devices() if one.ep_name == name]
-    if not devices:
-        what = "ONNX Runtime lists no device for WebGPU"
-        raise _Unavailable(what, "install a Vulkan driver, such as mesa-vulkan-drivers 25")
-    hardware = onnxruntime.OrtHardwareDeviceType.GPU
-    device = min(devices, key=lambda one: one.device.type != hardware)
-    described = device.device.metadata.get("Description", device.device.vendor)
-    emit("device", name=described, version=device.ep_metadata.get("version", ""))
+    def open_one(model: Path | bytes, capture: bool) -> Any:
+        return open_session(model, Opening(choice, capture))
 
-    def open_session(model: str | bytes, options: dict[str, str]) -> Session:
-        settings = onnxruntime.SessionOptions()
-        settings.log_severity_level = 3
-        settings.add_session_config_entry("session.record_ep_graph_assignment_info", "1")
-        settings.add_provider_for_devices([device], options)
-        # Without this, a missing adapter silently gives a session on the CPU.
-        session = onnxruntime.InferenceSession(model, settings, enable_fallback=0)
-        if name not in session.get_providers():
-            raise _FellBack(f"wanted {name}, got {', '.join(session.get_providers())}")
-        return session
-
-    return open_session
+    return open_one
 
 
 def _try_adapter(opener: Opener, folder: Path, emit: Emit, *, half: bool) -> None:
     """Run the smallest model, in float16 too if the model needs that; say on which adapter."""
     try:
         _run_smallest(opener, "float32")
-    except _FellBack:
+    except FellBack:
         raise
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
-        what = f"there is no usable WebGPU adapter ({_words(error)})"
-        raise _Unavailable(
-            what, "install a Vulkan driver, such as mesa-vulkan-drivers 25"
+        said = error.what if isinstance(error, ProviderUnavailable) else words(error)
+        raise AdapterMissing(
+            f"there is no usable WebGPU adapter ({said})", DRIVER
         ) from error
     log = (folder / "log").read_text(errors="replace")
     opened = _OPENED.findall(log)
@@ -140,7 +108,7 @@ def _try_adapter(opener: Opener, folder: Path, emit: Emit, *, half: bool) -> Non
         emit("adapter", name=name, software=bool(_SOFTWARE.search(name)), half=False)
         if half:
             what = f"the model has float16 tensors, and adapter {name or '?'} no shader-f16"
-            raise _Unavailable(what, "use a newer driver") from error
+            raise AdapterMissing(what, "use a newer driver") from error
     else:
         emit("adapter", name=name, software=bool(_SOFTWARE.search(name)), half=True)
 
@@ -157,7 +125,7 @@ def _run_smallest(opener: Opener, dtype: str) -> None:
         tensor = values.add(name=name).type.tensor_type
         tensor.elem_type = kind
         tensor.shape.dim.add(dim_value=4)
-    session = opener(model.SerializeToString(), {})
+    session = opener(model.SerializeToString(), False)
     (made,) = session.run(None, {"x": np.arange(4, dtype=dtype)})
     if made.tolist() != [0, 2, 4, 6]:
         raise RuntimeError(f"0..3 doubled are {made.tolist()}")
@@ -173,20 +141,20 @@ class _Frames:
         self.known: dict[str, int] = {}
 
     def run(self) -> None:
-        first = self._phase("plain", self._plain)
-        if first is not None:
-            self._phase("captured", lambda: self._captured(first))
+        if self._phase("plain", self._plain):
+            self._phase("captured", self._captured)
 
-    def _phase(self, name: str, work: Callable[[], Any]) -> Any:
-        """Do ``work``; what stops it is written down as a fact about the model."""
+    def _phase(self, name: str, work: Callable[[], None]) -> bool:
+        """Do ``work``, and say if it was done; what stops it is a fact about the model."""
         self.at = -1
         try:
-            return work()
-        except _FellBack:
+            work()
+        except FellBack:
             raise
         except Exception as error:
-            self.emit("stopped", phase=name, frame=self.at, message=_words(error))
-            return None
+            self.emit("stopped", phase=name, frame=self.at, message=words(error))
+            return False
+        return True
 
     def _frames(self, phase: str) -> Iterator[dict[str, np.ndarray]]:
         for at, names in enumerate(self.job["probes"]):
@@ -198,55 +166,26 @@ class _Frames:
         sample = keep_outputs(self.folder, outputs, self.known, self.emit)
         self.emit("frame", phase=phase, frame=self.at, sample=sample)
 
-    def _plain(self) -> dict[str, np.ndarray]:
-        """Run every frame; return the outputs of the first."""
-        session = self.opener(self.job["model"], _PLAIN)
-        self.emit("placed", nodes=_placement(session))
+    def _plain(self) -> None:
+        session = self.opener(Path(self.job["model"]), False)
+        self.emit("placed", nodes=[astuple(node) for node in placement(session)])
         names = [one.name for one in session.get_outputs()]
-        first: dict[str, np.ndarray] = {}
         for inputs in self._frames("plain"):
-            outputs = dict(zip(names, session.run(names, inputs), strict=True))
-            self._keep("plain", outputs)
-            first = first or outputs
-        return first
+            outputs = session.run(names, inputs)
+            self._keep("plain", dict(zip(names, outputs, strict=True)))
 
-    def _captured(self, like: dict[str, np.ndarray]) -> None:
+    def _captured(self) -> None:
         """Capture the first frame and replay it for the others; all buffers stay in place."""
-        session = self.opener(self.job["model"], _CAPTURING)
+        session = self.opener(Path(self.job["model"]), True)
         self.emit("accepted")
-        binding = session.io_binding()
-        outputs = {name: _buffer(session, array) for name, array in like.items()}
-        for name, buffer in outputs.items():
-            binding.bind_ortvalue_output(name, buffer)
-        bound: dict[str, Any] = {}
+        bound: Bound | None = None
         for inputs in self._frames("captured"):
-            for name, array in inputs.items():
-                if name not in bound:
-                    bound[name] = _buffer(session, array)
-                    binding.bind_ortvalue_input(name, bound[name])
-                bound[name].update_inplace(np.ascontiguousarray(array))
-            session.run_with_iobinding(binding)
-            self._keep("captured", {name: one.numpy() for name, one in outputs.items()})
-
-
-def _words(error: Exception) -> str:
-    """Return what ONNX Runtime says, without its codes, source files and conditions."""
-    return _CODES.sub("", " ".join(str(error).split()))[:_LONGEST] or type(error).__name__
-
-
-def _buffer(session: Session, like: np.ndarray) -> Any:
-    return session.create_ortvalue_from_shape_and_type(
-        list(like.shape), like.dtype.type, "gpu", 0
-    )
-
-
-def _placement(session: Session) -> list[tuple[str, str, str]]:
-    """Return (provider, operator, name) of every node."""
-    return [
-        (part.ep_name, node.op_type, node.name)
-        for part in session.get_provider_graph_assignment_info()
-        for node in part.get_nodes()
-    ]
+            if bound is None:
+                shapes = {name: array.shape for name, array in inputs.items()}
+                bound = Bound(session, shapes, inputs, MEMORY["webgpu"])
+            bound.write(inputs)
+            bound.run()
+            self._keep("captured", bound.copies())
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 __all__ = [
     "CaptureOff",
+    "FellBack",
     "FrameGone",
     "InputInvalid",
     "NodesOnCpu",
@@ -32,6 +33,10 @@ class SizeUnknown(GsgenError):
 
 class ProviderUnavailable(GsgenError):
     """The execution provider that was asked for cannot be had here."""
+
+
+class FellBack(ProviderUnavailable):
+    """ONNX Runtime opened a session without the provider that it was told to use."""
 
 
 class RunFailed(GsgenError):

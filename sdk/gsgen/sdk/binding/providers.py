@@ -17,9 +17,16 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from gsgen.contract.errors import UnknownName
-from gsgen.sdk.binding.errors import ProviderUnavailable
+from gsgen.sdk.binding.errors import FellBack, ProviderUnavailable
 from gsgen.sdk.binding.placed import CPU, words
-from gsgen.sdk.binding.webgpu import PACKAGE, WEBGPU, Adapter, AdapterMissing, find_adapter
+from gsgen.sdk.binding.webgpu import (
+    DRIVER,
+    PACKAGE,
+    WEBGPU,
+    Adapter,
+    AdapterMissing,
+    find_adapter,
+)
 
 Provider = Literal["cpu", "webgpu", "cuda"]
 PROVIDERS: tuple[Provider, ...] = get_args(Provider)
@@ -152,8 +159,8 @@ def open_session(model: Path | bytes, opening: Opening) -> Any:
     """Return an ``onnxruntime.InferenceSession`` on the chosen provider and no other.
 
     Raises:
-        ProviderUnavailable: There is no adapter, or ONNX Runtime opened the session on the CPU
-            instead, which it does silently.
+        ProviderUnavailable: There is no adapter.
+        FellBack: ONNX Runtime opened it on the CPU instead, which it does silently.
     """
     import onnxruntime
 
@@ -177,10 +184,9 @@ def open_session(model: Path | bytes, opening: Opening) -> Any:
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
         if _NO_ADAPTER not in str(error):
             raise
-        mend = "install a Vulkan driver, such as mesa-vulkan-drivers 25"
         where = f"provider {provider}"
-        raise ProviderUnavailable(words(error), where=where, mend=mend) from error
+        raise ProviderUnavailable(words(error), where=where, mend=DRIVER) from error
     if NAMES[provider] not in session.get_providers():
         what = f"wanted {NAMES[provider]}, got {', '.join(session.get_providers())}"
-        raise ProviderUnavailable(what, where=f"provider {provider}")
+        raise FellBack(what, where=f"provider {provider}")
     return session

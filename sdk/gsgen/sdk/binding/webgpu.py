@@ -3,7 +3,7 @@
 It is a plug-in (onnxruntime-ep-webgpu) that a process registers once.
 """
 
-__all__ = ["PACKAGE", "WEBGPU", "Adapter", "AdapterMissing", "find_adapter"]
+__all__ = ["DRIVER", "PACKAGE", "WEBGPU", "Adapter", "AdapterMissing", "find_adapter"]
 
 import os
 import threading
@@ -12,6 +12,7 @@ from typing import Any
 
 WEBGPU = "WebGpuExecutionProvider"
 PACKAGE = "onnxruntime_ep_webgpu"
+DRIVER = "install a Vulkan driver, such as mesa-vulkan-drivers 25"
 _SOFTWARE = "ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER"
 
 # A name of our own: a name that is registered twice kills the process at the next session, and
@@ -72,8 +73,7 @@ def find_adapter() -> Adapter:
     devices = [one for one in onnxruntime.get_ep_devices() if one.ep_name == name]
     if not devices:
         what = "ONNX Runtime lists no device for WebGPU"
-        mend = "install a Vulkan driver, such as mesa-vulkan-drivers 25"
-        raise AdapterMissing(what, mend)
+        raise AdapterMissing(what, DRIVER)
     gpu = onnxruntime.OrtHardwareDeviceType.GPU
     device = min(devices, key=lambda one: one.device.type != gpu)
     return Adapter(
