@@ -187,7 +187,7 @@ def _differences(
     allowed: Exactness,
 ) -> Iterator[Difference]:
     for name, old in before.items():
-        new = after[name]
+        new = _unpadded(old, after[name]) if allowed.pads else after[name]
         if old.shape != new.shape or old.dtype != new.dtype:
             yield Difference(name, np.inf, 0.0, probe.label)
         elif old.tobytes() != new.tobytes():
@@ -196,6 +196,13 @@ def _differences(
             worst = int(np.argmax(np.where(np.isnan(over), np.inf, over)))
             worst = worst if over[worst] != 0 else int(np.argmax(error))
             yield Difference(name, float(error[worst]), float(room[worst]), probe.label)
+
+
+def _unpadded(old: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Return ``new`` without the rows of zeros that it has behind those of ``old``."""
+    if old.ndim != new.ndim or not old.ndim or len(new) <= len(old):
+        return new
+    return new[: len(old)] if not new[len(old) :].any() else new
 
 
 def _error(

@@ -42,11 +42,13 @@ class Exactness:
         relative: Allowed error over the largest number in the output's tensor.
         absolute: Allowed error besides.
         mends: A value that was NaN or infinite before may become any number.
+        pads: Rows of zeros may stand behind the rows of an output.
     """
 
     relative: float = 0.0
     absolute: float = 0.0
     mends: bool = False
+    pads: bool = False
 
     @property
     def bits(self) -> bool:
@@ -59,13 +61,15 @@ class Exactness:
             return "every finite value keeps its bits" if self.mends else "bit for bit"
         parts = [f"{self.relative:g} of the largest value"] if self.relative else []
         parts += [f"{self.absolute:g}"] if self.absolute else []
-        return "within " + " and ".join(parts)
+        behind = ", with zeros behind" if self.pads else ""
+        return "within " + " and ".join(parts) + behind
 
     def __or__(self, other: "Exactness") -> "Exactness":
         return Exactness(
             self.relative + other.relative,
             self.absolute + other.absolute,
             self.mends or other.mends,
+            self.pads or other.pads,
         )
 
 
