@@ -29,7 +29,7 @@ from gsgen.runtime.kernels.project import (
     tiles_of,
 )
 from gsgen.runtime.kernels.sort import KEY_BITS, RadixSort, Scan, cut_for
-from gsgen.runtime.residency import Page
+from gsgen.runtime.residency import Page, stride
 from gsgen.runtime.scene import SplatSet
 
 _VEC4: Final = 16
@@ -45,7 +45,7 @@ class Kernels:
         self.sort = RadixSort(device, self.cut, self.scan)
         self.bin = BinTiles(device, self.cut)
         self.ranges = TileRanges(device)
-        self.blend = BlendTiles(device)
+        self.blend = BlendTiles(device, pick=False)
         self.project = cache(lambda *layout: ProjectKernel(device, *layout))
 
 
@@ -78,6 +78,7 @@ class Plan:
         device.write(self.counts, counting.initial(n, pair_capacity))
         self.frame = device.uniform("frame", FRAME.itemsize)
         self.slots = device.uniform("pages", PAGE.itemsize * max(1, len(pages)))
+        self.touched = storage("touched", 4 * n)
         self.shapes = storage("shapes", _VEC4 * n)
         self.weights = storage("weights", _VEC4 * n)
         self.colors = storage("colors", _VEC4 * n)
@@ -113,7 +114,7 @@ class Plan:
         run_pairs = storage("run pairs", 4 * (-(-n // kernels.cut.walk)))
         splats = (self.shapes, self.weights, self.colors)
         measure, emit = kernels.bin.steps(
-            counts, self.frame, order, *splats, run_pairs, *pairs[0]
+            counts, self.frame, order, self.touched, self.shapes, self.weights, run_pairs, *pairs[0]
         )
         add = kernels.scan.step(
             counts,
@@ -133,6 +134,7 @@ class Plan:
         )
         self.ranges = storage("ranges", 8 * across * down)
         mark = kernels.ranges.step(counts, pairs[at][0], self.ranges)
+        self.pair_splats = pairs[at][1]
         blend = kernels.blend.step(
             (across, down), self.frame, self.ranges, pairs[at][1], *splats, self.image
         )
@@ -148,13 +150,11 @@ class Plan:
         self, kernels: Kernels, pages: Sequence[tuple[SplatSet, Page]], keys: Any
     ) -> list[Step]:
         made = []
-        outputs = (self.frame, keys, self.shapes, self.weights, self.colors)
+        outputs = (self.frame, keys, self.touched, self.shapes, self.weights, self.colors)
         for slot, (placed, page) in enumerate(pages):
             data = placed.data
             one = kernels.project(
-                data.rows.dtype == np.float16,
-                data.appearance.dtype == np.float16,
-                data.appearance.shape[1],
+                data.appearance.dtype == np.float16, stride(data)
             )
             own = one.bind_page(self.slots, slot, page.rows, page.appearance)
             made.append(
@@ -175,7 +175,7 @@ class Plan:
         base = 0
         for slot, (placed, page) in enumerate(pages):
             live = min(max(placed.data.count - page.first, 0), page.capacity)
-            slots[slot] = page_uniform(placed, camera, base, live)
+            slots[slot] = page_uniform(placed, camera, base, page.capacity, live)
             base += page.capacity
         self._device.write(self.slots, slots)
         encoder = self._device.raw.create_command_encoder(label="frame")

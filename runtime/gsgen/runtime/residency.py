@@ -1,17 +1,39 @@
 """What is on the GPU: the rows of every set, in pages that no binding outgrows."""
 
-__all__ = ["PAGE_ROWS", "Page", "Residency"]
+__all__ = ["PAGE_ROWS", "Page", "Residency", "stride"]
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final, final
 from weakref import WeakKeyDictionary
 
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract import layout
 from gsgen.runtime.device import Device
 from gsgen.runtime.splat_data import SplatData
 
 PAGE_ROWS: Final = 1 << 18
 """Rows of a page: SH of degree 3 in float32 are 48 MiB, of the 128 that every device binds."""
+
+
+_WORD: Final = 16
+
+
+def stride(data: SplatData) -> int:
+    """Return how long a row of the appearance is on the GPU, in words of 16 bytes.
+
+    Shaders read it by such words, so rows are filled up to whole ones.
+    """
+    return -(-data.appearance.shape[1] * data.appearance.itemsize // _WORD)
+
+
+def _padded(appearance: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n d"]:
+    """Return the rows with zeros up to a whole word."""
+    step = _WORD // appearance.itemsize
+    missing = -appearance.shape[1] % step
+    return np.pad(appearance, ((0, 0), (0, missing))) if missing else appearance
 
 
 @final
@@ -55,16 +77,16 @@ class Residency:
         if version[0] != data.version:
             for page in pages:
                 part = slice(page.first, page.first + page.capacity)
-                self._device.write(page.rows, data.rows[part])
-                self._device.write(page.appearance, data.appearance[part])
+                self._device.write(page.rows, data.rows[part].astype(np.float32, copy=False))
+                self._device.write(page.appearance, _padded(data.appearance[part]))
             version[0] = data.version
         return pages
 
     def _allocate(self, data: SplatData) -> Iterator[Page]:
         for first in range(0, len(data), self._page_rows):
             capacity = min(self._page_rows, len(data) - first)
-            rows = capacity * data.rows.strides[0]
-            appearance = capacity * data.appearance.strides[0]
+            rows = capacity * 4 * layout.ROW
+            appearance = capacity * _WORD * stride(data)
             yield Page(
                 first,
                 capacity,

@@ -1,18 +1,16 @@
 // Bin: list the tiles that each splat touches, nearest splat first.
 //
-// `measure` and `emit` cut the sorted splats into runs, one per invocation; `emit` starts where
-// the scan of the measures tells it to. After the pairs are sorted by tile, `mark` finds where
-// each tile's begin and end.
+// `measure` and `emit` cut the sorted splats into runs, one per invocation: the first adds up the
+// tiles of each run, the second starts where the scan of these sums tells it to.
 
 //!include frame
-//!include splat
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> order: array<u32>;
-@group(0) @binding(3) var<storage, read> shapes: array<vec4f>;
-@group(0) @binding(4) var<storage, read> weights: array<vec4f>;
-@group(0) @binding(5) var<storage, read> colors: array<vec4f>;
+@group(0) @binding(3) var<storage, read> touched: array<u32>;
+@group(0) @binding(4) var<storage, read> shapes: array<vec4f>;
+@group(0) @binding(5) var<storage, read> weights: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> run_pairs: array<u32>;
 @group(0) @binding(7) var<storage, read_write> pair_tiles: array<u32>;
 @group(0) @binding(8) var<storage, read_write> pair_splats: array<u32>;
@@ -25,12 +23,7 @@ fn measure(@builtin(global_invocation_id) invocation: vec3u) {
     let end = min((invocation.x + 1u) * RUN, visible);
     var pairs = 0u;
     for (var rank = invocation.x * RUN; rank < end; rank++) {
-        let id = order[rank];
-        let made = outline(shapes[id], weights[id], colors[id].w);
-        for (var row = made.rows.x; row < made.rows.y; row++) {
-            let tiles = span(made, row);
-            pairs += tiles.y - tiles.x;
-        }
+        pairs += touched[order[rank]];
     }
     if (invocation.x * RUN < visible) {
         run_pairs[invocation.x] = pairs;
@@ -48,7 +41,9 @@ fn emit(@builtin(global_invocation_id) invocation: vec3u) {
     }
     for (var rank = invocation.x * RUN; rank < end; rank++) {
         let id = order[rank];
-        let made = outline(shapes[id], weights[id], colors[id].w);
+        let shape = shapes[id];
+        let weight = weights[id];
+        let made = outline(shape.xy, vec3f(shape.zw, weight.x), weight.y, weight.w);
         for (var row = made.rows.x; row < made.rows.y; row++) {
             let tiles = span(made, row);
             for (var column = tiles.x; column < tiles.y; column++) {

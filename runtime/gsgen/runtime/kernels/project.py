@@ -54,14 +54,15 @@ PAGE: Final = np.dtype(
             "clip_high",
             "degree",
             "mip",
+            "capacity",
         ],
         "formats": ["(3,4)f4", "(3,4)f4", "3f4", "f4", "3f4", "u4", "3f4", "u4", "3f4"]
-        + ["u4", "u4"],
-        "offsets": [0, 48, 96, 108, 112, 124, 128, 140, 144, 156, 160],
+        + ["u4", "u4", "u4"],
+        "offsets": [0, 48, 96, 108, 112, 124, 128, 140, 144, 156, 160, 164],
         "itemsize": 256,
     }
 )
-"""The bytes of ``struct Page`` in project.wgsl, in steps that any device can bind at."""
+"""The bytes of ``struct Page`` in page.wgsl, in steps that any device can bind at."""
 
 
 def tiles_of(camera: Camera) -> tuple[int, int]:
@@ -93,7 +94,7 @@ def frame_uniform(
 
 
 def page_uniform(
-    placed: SplatSet, camera: Camera, base: int, count: int
+    placed: SplatSet, camera: Camera, base: int, capacity: int, count: int
 ) -> Shaped[np.ndarray, ""]:
     """Return what all Gaussians of a page share, worked out in float64.
 
@@ -101,7 +102,8 @@ def page_uniform(
         placed: The set that the page is of.
         camera: Who looks at it.
         base: Index of the page's first Gaussian in the frame.
-        count: Live Gaussians of the page.
+        capacity: Gaussians of the page.
+        count: How many of them are live.
     """
     made = np.zeros((), PAGE)
     linear, offset = placed.transform[:3, :3], placed.transform[:3, 3]
@@ -119,6 +121,7 @@ def page_uniform(
         else (placed.clip.low, placed.clip.high)
     )
     made["clip_low"], made["clip_high"] = low, high
+    made["capacity"] = capacity
     made["mip"] = placed.antialias == "mip"
     degree = placed.data.degree
     if degree is None:
@@ -130,28 +133,23 @@ def page_uniform(
 
 @final
 class ProjectKernel:
-    """``project.wgsl`` for rows and appearance of given types.
+    """``project.wgsl`` for an appearance of a given type.
 
     Args:
         device: Where it runs.
-        half_rows: Whether rows are float16.
-        half_appearance: Whether the appearance is.
-        channels: Of the appearance.
+        half: Whether the appearance is float16.
+        stride: Of its rows, in words of 16 bytes.
     """
 
-    def __init__(
-        self, device: Device, half_rows: bool, half_appearance: bool, channels: int
-    ) -> None:
+    def __init__(self, device: Device, half: bool, stride: int) -> None:
         self.kernel = Kernel(
             device,
             "project",
             "project",
-            ("uwwww", "urr"),
+            ("uwwwww", "urr"),
             THREADS=_THREADS,
-            ROW=layout.ROW,
-            HALF_ROWS=half_rows,
-            HALF_APPEARANCE=half_appearance,
-            CHANNELS=channels,
+            HALF_APPEARANCE=half,
+            STRIDE=stride,
             NO_HARMONICS=NO_HARMONICS,
         )
 

@@ -9,6 +9,7 @@ from importlib.resources import files
 from gsgen.contract import layout
 
 _INCLUDE = re.compile(r"^//!include (\w+)$", re.MULTILINE)
+_REPEAT = re.compile(r"^//!repeat (\w+) (\w+)\n(.*?)^//!end\n", re.MULTILINE | re.DOTALL)
 
 # What every kernel may use. One truth per fact: the numbers live in gsgen.contract or here.
 DILATION = 0.3
@@ -28,6 +29,10 @@ ABSENT = 0xFFFFFFFF
 def source(name: str, **constants: int | float | bool) -> str:
     """Return the WGSL of kernel ``name``: constants first, then the file with its snippets.
 
+    Two directives stand in lines of their own. ``//!include NAME`` puts another file there.
+    ``//!repeat WORD COUNT`` to ``//!end`` writes what is between them as often as the constant
+    COUNT says, with WORD replaced by 0, 1, 2, …: drivers unroll no loop over registers.
+
     Args:
         name: Of the file in this package, without ``.wgsl``.
         constants: Declared in front as ``const NAME``; ints are u32, floats f32.
@@ -41,7 +46,8 @@ def source(name: str, **constants: int | float | bool) -> str:
         "TILE": TILE,
     }
     lines = [_declaration(key, value) for key, value in (shared | constants).items()]
-    return "\n".join(lines) + "\n" + _included(name)
+    text = _REPEAT.sub(lambda match: _repeated(match, constants), _included(name))
+    return "\n".join(lines) + "\n" + text
 
 
 @cache
@@ -49,6 +55,11 @@ def _included(name: str) -> str:
     """Return the text of a file of this package with what it includes in place."""
     text = files("gsgen.runtime.kernels").joinpath(f"{name}.wgsl").read_text("utf-8")
     return _INCLUDE.sub(lambda match: _included(match[1]), text)
+
+
+def _repeated(match: re.Match[str], constants: dict[str, int | float | bool]) -> str:
+    word, count, text = match[1], constants[match[2]], match[3]
+    return "".join(text.replace(word, str(number)) for number in range(int(count)))
 
 
 def _declaration(name: str, value: int | float | bool) -> str:
