@@ -1,0 +1,104 @@
+"""Spherical harmonics, from the layouts that methods store into the contract's [N, K, 3]."""
+
+__all__ = [
+    "sh_from_channel_major",
+    "sh_from_coefficient_major",
+    "sh_from_ply",
+    "sh_from_rgb",
+    "sh_of_degree",
+]
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from gsgen.contract.spherical_harmonics import COEFFICIENTS, MAX_DEGREE, coefficients
+from gsgen.sdk.errors import GeneratorInvalid
+
+# The constant basis function, ½ √(1/π).
+_Y0 = 0.28209479177387814
+
+
+def sh_from_channel_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 3"]:
+    """Reorder coefficients that are stored red first, then green, then blue.
+
+    Args:
+        sh: [N, 3, K], or [N, 3K] with all of red in front.
+
+    Raises:
+        GeneratorInvalid: The shape is neither, or K is not 1, 4, 9 or 16.
+    """
+    parts = sh.reshape(sh.shape[0], 3, -1) if _is_flat(sh) else sh
+    if parts.ndim != 3 or parts.shape[1] != 3 or parts.shape[2] not in COEFFICIENTS:
+        raise _misshapen("sh_from_channel_major", sh, "[N, 3, K] or [N, 3K]")
+    return parts.transpose(1, 2)
+
+
+def sh_from_coefficient_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 3"]:
+    """Return coefficients that are stored one after the other, each as red, green, blue.
+
+    Args:
+        sh: [N, K, 3], or [N, 3K] with the colour of the constant term in front.
+
+    Raises:
+        GeneratorInvalid: The shape is neither, or K is not 1, 4, 9 or 16.
+    """
+    parts = sh.reshape(sh.shape[0], -1, 3) if _is_flat(sh) else sh
+    if parts.ndim != 3 or parts.shape[2] != 3 or parts.shape[1] not in COEFFICIENTS:
+        raise _misshapen("sh_from_coefficient_major", sh, "[N, K, 3] or [N, 3K]")
+    return parts
+
+
+def sh_from_ply(
+    constant: Float[Tensor, "n 3"], rest: Float[Tensor, "n m"]
+) -> Float[Tensor, "n k 3"]:
+    """Join the columns of a 3DGS PLY.
+
+    Args:
+        constant: f_dc_0 … f_dc_2, one column a channel.
+        rest: f_rest_0 …, in the order of their numbers: all of red, then green, then blue;
+            0, 9, 24 or 45 columns.
+
+    Raises:
+        GeneratorInvalid: The columns are of another number.
+    """
+    n, columns = rest.shape
+    if constant.shape != (n, 3) or columns % 3 or columns // 3 + 1 not in COEFFICIENTS:
+        raise _misshapen("sh_from_ply, rest", rest, "[N, 0], [N, 9], [N, 24] or [N, 45]")
+    if not columns:
+        return constant[:, None, :]
+    return torch.cat([constant[:, None, :], rest.reshape(n, 3, -1).transpose(1, 2)], dim=1)
+
+
+def sh_from_rgb(rgb: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1 3"]:
+    """Return SH of degree 0 that show ``rgb`` from everywhere: ½ + Y₀ c₀ = rgb."""
+    return ((rgb - 0.5) / _Y0)[:, None, :]
+
+
+def sh_of_degree(sh: Float[Tensor, "n k 3"], degree: int) -> Float[Tensor, "n l 3"]:
+    """Cut SH to a degree, or fill up to it with zeros.
+
+    Args:
+        sh: Coefficient-major coefficients.
+        degree: From 0 to 3.
+
+    Raises:
+        GeneratorInvalid: There is no such degree.
+    """
+    if not 0 <= degree <= MAX_DEGREE:
+        what = f"degree is {degree}, wanted 0 to {MAX_DEGREE}"
+        raise GeneratorInvalid(what, where="sh_of_degree")
+    wanted = coefficients(degree)
+    missing = wanted - sh.shape[1]
+    if missing <= 0:
+        return sh[:, :wanted]
+    return torch.cat([sh, sh.new_zeros(sh.shape[0], missing, 3)], dim=1)
+
+
+def _is_flat(sh: Tensor) -> bool:
+    return sh.ndim == 2 and sh.shape[1] % 3 == 0
+
+
+def _misshapen(where: str, seen: Tensor, wanted: str) -> GeneratorInvalid:
+    what = f"shape is {list(seen.shape)}, wanted {wanted} with K = 1, 4, 9 or 16"
+    return GeneratorInvalid(what, where=where)

@@ -1,0 +1,175 @@
+"""Features that lie on planes: bilinear samples by gathers, which every runtime captures.
+
+``F.grid_sample`` becomes GridSample, which is not captured above operator set 19 and wrong in
+float16 in older browsers. Here four rows of a table are gathered and mixed.
+"""
+
+__all__ = ["hex_plane", "sample_plane", "to_unit_cube", "tri_plane"]
+
+from collections.abc import Sequence
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from gsgen.sdk.errors import GeneratorInvalid
+
+Padding = Literal["border", "zeros"]
+Combine = Literal["product", "sum", "concat"]
+
+# Which coordinates (of x, y, z, t) span each plane; the first runs along the width.
+_TRI = ((0, 1), (0, 2), (1, 2))
+_HEX = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+
+
+def to_unit_cube(
+    position: Float[Tensor, "n 3"], low: Float[Tensor, "3"], high: Float[Tensor, "3"]
+) -> Float[Tensor, "n 3"]:
+    """Map a box to [−1, 1]³, the range of plane coordinates."""
+    return (position - low) * (2 / (high - low)) - 1
+
+
+def sample_plane(
+    plane: Float[Tensor, "c h w"],
+    at: Float[Tensor, "n 2"],
+    *,
+    align_corners: bool = True,
+    padding: Padding = "border",
+) -> Float[Tensor, "n c"]:
+    """Sample ``plane`` like ``F.grid_sample(mode="bilinear")``.
+
+    Args:
+        plane: Features of H × W texels.
+        at: Coordinates in [−1, 1]: the first along the width, the second along the height.
+        align_corners: ±1 are the middles of the outer texels; else their outer edges.
+        padding: What lies outside: the nearest texel, or zeros.
+
+    Raises:
+        GeneratorInvalid: The plane has more texels than float32 can count, or another shape.
+    """
+    if plane.ndim != 3 or plane.shape[1] * plane.shape[2] > 1 << 24:
+        what = f"shape is {list(plane.shape)}, wanted [C, H, W] with H·W up to 2²⁴"
+        raise GeneratorInvalid(what, where="sample_plane")
+    _, height, width = plane.shape
+    table = plane.permute(1, 2, 0).reshape(height * width, -1)
+    x0, x1, x_low, x_high = _neighbours(at[:, 0:1], width, align_corners, padding)
+    y0, y1, y_low, y_high = _neighbours(at[:, 1:2], height, align_corners, padding)
+    corners = (
+        (y0, x0, y_low * x_low),
+        (y0, x1, y_low * x_high),
+        (y1, x0, y_high * x_low),
+        (y1, x1, y_high * x_high),
+    )
+    made = [
+        table.index_select(0, (y * width + x).reshape(-1).to(torch.int32)) * share
+        for y, x, share in corners
+    ]
+    return made[0] + made[1] + made[2] + made[3]
+
+
+def _neighbours(
+    at: Float[Tensor, "n 1"], size: int, align_corners: bool, padding: Padding
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return both neighbours of a coordinate, as float indices inside, and their shares."""
+    texel = (
+        (at + 1) * (0.5 * (size - 1)) if align_corners else (at + 1) * (0.5 * size) - 0.5
+    )
+    if padding == "border":
+        texel = texel.clamp(0, size - 1)
+    low = torch.floor(texel)
+    share = texel - low
+    if padding == "border":
+        return low, (low + 1).clamp(max=size - 1), 1 - share, share
+    low = low.clamp(-2, size)  # far outside is like just outside, and fits an integer
+    high = low + 1
+    return (
+        low.clamp(0, size - 1),
+        high.clamp(0, size - 1),
+        (1 - share) * _is_inside(low, size),
+        share * _is_inside(high, size),
+    )
+
+
+def _is_inside(index: Tensor, size: int) -> Tensor:
+    return (index >= 0).to(index.dtype) * (index <= size - 1).to(index.dtype)
+
+
+def tri_plane(
+    planes: Sequence[Float[Tensor, "c h w"]],
+    position: Float[Tensor, "n 3"],
+    *,
+    combine: Combine = "sum",
+    align_corners: bool = True,
+    padding: Padding = "border",
+) -> Float[Tensor, "n f"]:
+    """Sample three planes (Chan et al. 2022, "EG3D").
+
+    Args:
+        planes: Spanned by xy, xz and yz, the first coordinate along the width.
+        position: In [−1, 1]³; :func:`to_unit_cube` maps a box to it.
+        combine: Add, multiply or join what the planes hold.
+        align_corners: See :func:`sample_plane`.
+        padding: See :func:`sample_plane`.
+
+    Raises:
+        GeneratorInvalid: There are not three planes.
+    """
+    return _sampled(planes, _TRI, position, combine, align_corners, padding, "tri_plane")
+
+
+def hex_plane(
+    planes: Sequence[Float[Tensor, "c h w"]],
+    position: Float[Tensor, "n 3"],
+    time: Float[Tensor, "1"],
+    *,
+    combine: Combine = "product",
+    align_corners: bool = True,
+    padding: Padding = "border",
+) -> Float[Tensor, "n f"]:
+    """Sample six planes of space and time (Fridovich-Keil et al. 2023, "K-Planes", equation 2).
+
+    Args:
+        planes: Spanned by xy, xz, xt, yz, yt and zt, the first coordinate along the width; the
+            order of 4D Gaussian Splatting, whose planes are [1, C, H, W].
+        position: In [−1, 1]³; :func:`to_unit_cube` maps a box to it.
+        time: In [−1, 1], one for all positions.
+        combine: Multiply, add or join what the planes hold.
+        align_corners: See :func:`sample_plane`.
+        padding: See :func:`sample_plane`.
+
+    Raises:
+        GeneratorInvalid: There are not six planes.
+    """
+    moment = time.reshape(1, 1).expand(position.shape[0], 1)
+    at = torch.cat([position, moment], dim=1)
+    return _sampled(planes, _HEX, at, combine, align_corners, padding, "hex_plane")
+
+
+def _sampled(
+    planes: Sequence[Tensor],
+    axes: Sequence[tuple[int, int]],
+    at: Tensor,
+    combine: Combine,
+    align_corners: bool,
+    padding: Padding,
+    where: str,
+) -> Tensor:
+    if len(planes) != len(axes):
+        what = f"{len(planes)} planes, wanted {len(axes)}"
+        raise GeneratorInvalid(what, where=where)
+    made = [
+        sample_plane(
+            plane.squeeze(0) if plane.ndim == 4 else plane,
+            torch.stack([at[:, a], at[:, b]], dim=1),
+            align_corners=align_corners,
+            padding=padding,
+        )
+        for plane, (a, b) in zip(planes, axes, strict=True)
+    ]
+    if combine == "concat":
+        return torch.cat(made, dim=1)
+    first, *others = made
+    for one in others:
+        first = first * one if combine == "product" else first + one
+    return first

@@ -1,0 +1,86 @@
+"""Unit vectors, quaternions and rotation matrices."""
+
+__all__ = [
+    "axis_angle_to_matrix",
+    "quaternion_multiply",
+    "quaternion_to_matrix",
+    "safe_normalize",
+]
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+_TINY = 1e-24
+# Below this squared angle, sin(a)/a is 1 and (1 - cos(a))/a² is ½ to the last bit of float32.
+_SMALL_ANGLE = 1e-12
+
+
+def safe_normalize(
+    vector: Float[Tensor, "... k"], *, smallest: float = _TINY
+) -> Float[Tensor, "... k"]:
+    """Return ``vector`` at unit length; the zero vector stays zero instead of becoming NaN.
+
+    Args:
+        vector: Any vectors, along the last axis.
+        smallest: Lower bound of the squared length, above float32's smallest normal 1.2e-38.
+    """
+    squared = (vector * vector).sum(dim=-1, keepdim=True)
+    return vector * torch.rsqrt(squared.clamp(min=smallest))
+
+
+def quaternion_to_matrix(quaternion: Float[Tensor, "... 4"]) -> Float[Tensor, "... 3 3"]:
+    """Turn quaternions (w, x, y, z), normalised here, into rotation matrices."""
+    w, x, y, z = safe_normalize(quaternion).unbind(dim=-1)
+    entries = (
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    )
+    return torch.stack(entries, dim=-1).reshape(*quaternion.shape[:-1], 3, 3)
+
+
+def quaternion_multiply(
+    a: Float[Tensor, "... 4"], b: Float[Tensor, "... 4"]
+) -> Float[Tensor, "... 4"]:
+    """Return the Hamilton product a b of quaternions (w, x, y, z): first b turns, then a."""
+    aw, ax, ay, az = a.unbind(dim=-1)
+    bw, bx, by, bz = b.unbind(dim=-1)
+    entries = (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+    return torch.stack(entries, dim=-1)
+
+
+def axis_angle_to_matrix(vector: Float[Tensor, "... 3"]) -> Float[Tensor, "... 3 3"]:
+    """Turn rotation vectors (axis times angle, in radians) into rotation matrices.
+
+    Rodrigues' formula with the vector as it is: R = I + a K + b K² with a = sin θ / θ and
+    b = 2 (sin ½θ / θ)². It needs no unit axis, so that no rotation at all is no special case.
+    """
+    x, y, z = vector.unbind(dim=-1)
+    angle = torch.sqrt((x * x + y * y + z * z).clamp(min=_SMALL_ANGLE))
+    a = torch.sin(angle) / angle
+    half = torch.sin(0.5 * angle) / angle
+    b = 2 * half * half
+    entries = (
+        1 - b * (y * y + z * z),
+        b * x * y - a * z,
+        b * x * z + a * y,
+        b * x * y + a * z,
+        1 - b * (x * x + z * z),
+        b * y * z - a * x,
+        b * x * z - a * y,
+        b * y * z + a * x,
+        1 - b * (x * x + y * y),
+    )
+    return torch.stack(entries, dim=-1).reshape(*vector.shape[:-1], 3, 3)
