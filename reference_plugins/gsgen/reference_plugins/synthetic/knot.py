@@ -1,4 +1,4 @@
-"""Scenes made from formulas, for tests, demos and pictures where no capture is at hand."""
+"""A torus knot of splats."""
 
 __all__ = ["torus_knot"]
 

@@ -1,0 +1,231 @@
+"""Checkpoints of anchor methods, as their training code writes them, with made-up weights.
+
+Anchors lie along a torus knot. Most of a network is noise, but the first numbers of a feature
+carry a hue to the colour, and most opacities are high, so that pictures show a coloured knot.
+"""
+
+__all__ = ["AnchorOptions", "write_octree", "write_scaffold"]
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from gsgen.reference_plugins.synthetic.files import write_cfg_args, write_columns
+from gsgen.reference_plugins.synthetic.knot import torus_knot
+
+_HEADS = {"opacity_mlp": 1, "cov_mlp": 7, "color_mlp": 3}
+_HUES = 3
+
+
+@dataclass(frozen=True, slots=True)
+class AnchorOptions:
+    """What a training run may choose.
+
+    Attributes:
+        anchors: How many.
+        per_anchor: Gaussians of one anchor.
+        width: Length of a feature, at least 4 and a multiple of 4.
+        bank: Features are mixed from three resolutions.
+        distance: Which of opacity, covariance and colour know the distance.
+        level: All networks know the level (Octree-GS).
+        cameras: Training cameras, each with an appearance; 0 for none.
+        appearance: Length of an appearance; 0 for none.
+        united: Networks are in one file of state dicts.
+        iteration: Of the folder.
+        seed: Of all noise.
+    """
+
+    anchors: int = 64
+    per_anchor: int = 5
+    width: int = 16
+    bank: bool = False
+    distance: tuple[bool, bool, bool] = (False, False, False)
+    level: bool = False
+    cameras: int = 0
+    appearance: int = 0
+    united: bool = False
+    iteration: int = 30000
+    seed: int = 0
+
+
+def write_scaffold(folder: Path, options: AnchorOptions = AnchorOptions()) -> Path:
+    """Write a checkpoint of Scaffold-GS, and return ``folder``."""
+    rng = np.random.default_rng(options.seed)
+    columns = _place(options) | {
+        axis: np.zeros(options.anchors) for axis in ("nx", "ny", "nz")
+    }
+    columns |= _payload(options, rng)
+    cfg = _cfg(options) | {"voxel_size": 0.001, "lod": 0, "sh_degree": 3}
+    _write(folder, options, columns, cfg)
+    return folder
+
+
+def write_octree(
+    folder: Path,
+    options: AnchorOptions = AnchorOptions(iteration=40000),
+    *,
+    mode: str = "round",
+    fork: int = 2,
+    levels: int = 3,
+) -> Path:
+    """Write a checkpoint of Octree-GS, and return ``folder``.
+
+    Args:
+        folder: Where.
+        options: What anchor methods share.
+        mode: How a level becomes a whole number: round, floor, ceil or progressive.
+        fork: By how much a level is finer than the one before.
+        levels: How many there are.
+    """
+    rng = np.random.default_rng(options.seed)
+    n = options.anchors
+    level = rng.integers(0, levels, n)
+    level[:2] = 0, levels - 1
+    info = np.zeros(n)
+    info[:2] = 0.2, 6.0  # voxel size, and the distance at which level 0 is right
+    columns = _place(options)
+    columns |= {"level": level, "extra_level": rng.normal(0, 0.3, n), "info": info}
+    columns |= _payload(options, rng)
+    cfg = _cfg(options) | {"fork": fork, "dist2level": mode, "add_level": options.level}
+    cfg |= {"progressive": True, "resolution_scales": [1.0], "base_layer": 5}
+    _write(folder, options, columns, cfg)
+    return folder
+
+
+def _place(options: AnchorOptions) -> dict[str, Float[np.ndarray, " n"]]:
+    knot = torus_knot(options.anchors, degree=0, seed=options.seed)
+    return dict(zip("xyz", knot.position.T, strict=True))
+
+
+def _payload(
+    options: AnchorOptions, rng: np.random.Generator
+) -> dict[str, Float[np.ndarray, " n"]]:
+    """Return offsets, features, scales and rotations; offsets are stored axis by axis."""
+    n, k = options.anchors, options.per_anchor
+    offset = rng.normal(0, 1, (n, k, 3)).transpose(0, 2, 1).reshape(n, 3 * k)
+    feature = rng.normal(0, 0.5, (n, options.width))
+    hue = torus_knot(n, degree=0, seed=options.seed).sh[:, 0]
+    feature[:, :_HUES] = 1 + hue / np.abs(hue).max()
+    scale = np.concatenate(
+        [rng.normal(-3, 0.3, (n, 3)), rng.normal(-2.5, 0.3, (n, 3))], axis=1
+    )
+    rotation = rng.normal(0, 1, (n, 4))
+    named = {f"f_offset_{i}": offset[:, i] for i in range(3 * k)}
+    named |= {f"f_anchor_feat_{i}": feature[:, i] for i in range(options.width)}
+    named["opacity"] = np.full(n, 0.1)
+    named |= {f"scale_{i}": scale[:, i] for i in range(6)}
+    return named | {f"rot_{i}": rotation[:, i] for i in range(4)}
+
+
+def _cfg(options: AnchorOptions) -> dict[str, object]:
+    opacity, covariance, color = options.distance
+    return {
+        "feat_dim": options.width,
+        "n_offsets": options.per_anchor,
+        "use_feat_bank": options.bank,
+        "appearance_dim": options.appearance,
+        "add_opacity_dist": opacity,
+        "add_cov_dist": covariance,
+        "add_color_dist": color,
+    }
+
+
+def _write(
+    folder: Path,
+    options: AnchorOptions,
+    columns: Mapping[str, np.ndarray],
+    cfg: Mapping[str, object],
+) -> None:
+    place = folder / "point_cloud" / f"iteration_{options.iteration}"
+    write_cfg_args(folder, cfg)
+    write_columns(place / "point_cloud.ply", columns)
+    octree = "level" in columns
+    networks = _networks(options, octree)
+    if options.united:
+        united = {
+            {"embedding_appearance": "appearance"}.get(name, name): network.state_dict()
+            for name, network in networks.items()
+        }
+        torch.save(united, place / "checkpoints.pth")
+        return
+    for name, network in networks.items():
+        _save_script(network, place / f"{name}.pt")
+
+
+def _networks(options: AnchorOptions, octree: bool) -> dict[str, nn.Module]:
+    generator = torch.Generator().manual_seed(options.seed)
+    known = options.width + 3 + options.level
+    made: dict[str, nn.Module] = {}
+    for index, (name, outputs) in enumerate(_HEADS.items()):
+        inputs = known + options.distance[index]
+        inputs += options.appearance if name == "color_mlp" else 0
+        head = _network(inputs, options.width, outputs * options.per_anchor, generator)
+        _shape(name, head, options.per_anchor)
+        made[name] = head
+    if options.bank:
+        inputs = 3 + options.level if octree else 4
+        made["feature_bank_mlp"] = _network(inputs, options.width, 3, generator)
+    if options.appearance:
+        made["embedding_appearance"] = _Embedding(options, generator)
+    return made
+
+
+class _Embedding(nn.Module):
+    """What the published code wraps an embedding in."""
+
+    def __init__(self, options: AnchorOptions, generator: torch.Generator) -> None:
+        super().__init__()
+        self.embedding = nn.Embedding(options.cameras, options.appearance)
+        with torch.no_grad():
+            self.embedding.weight.normal_(generator=generator)
+
+    def forward(self, index: Tensor) -> Tensor:
+        made: Tensor = self.embedding(index)
+        return made
+
+
+def _network(
+    inputs: int, width: int, outputs: int, generator: torch.Generator
+) -> nn.Sequential:
+    network = nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, outputs))
+    with torch.no_grad():
+        for parameter in network.parameters():
+            spread = 1.0 / max(1, parameter.shape[-1]) ** 0.5
+            parameter.normal_(0, spread, generator=generator)
+    return network
+
+
+def _shape(name: str, head: nn.Sequential, per_anchor: int) -> None:
+    """Let hues through to the colour, and raise opacities."""
+    first, last = head[0], head[2]
+    assert isinstance(first, nn.Linear)
+    assert isinstance(last, nn.Linear)
+    with torch.no_grad():
+        if name == "opacity_mlp":
+            last.bias += 0.7
+        if name == "color_mlp":
+            first.weight[:_HUES] *= 0.1
+            first.weight[:_HUES, :_HUES] += torch.eye(_HUES)
+            last.weight[:, :_HUES] += 3 * torch.eye(_HUES).repeat(per_anchor, 1)
+            last.bias -= 3
+
+
+def _save_script(network: nn.Module, path: Path) -> None:
+    """Save as the published code does, by tracing."""
+    example: Tensor
+    if isinstance(network, nn.Sequential):
+        first = network[0]
+        assert isinstance(first, nn.Linear)
+        example = torch.zeros(1, first.in_features)
+    else:
+        example = torch.zeros(1, dtype=torch.long)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # tracing is on its way out of torch
+        traced = torch.jit.trace(network.eval(), example)  # type: ignore[no-untyped-call]
+        traced.save(str(path))

@@ -1,0 +1,155 @@
+"""Checkpoints of methods that deform Gaussians, as their training code writes them.
+
+The Gaussians are a torus knot; the networks are noise of a size that moves it visibly.
+"""
+
+__all__ = ["HexPlaneOptions", "write_deformable", "write_hexplane"]
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import combinations
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from gsgen.formats import write_ply
+from gsgen.reference_plugins.checkpoints.hexplanes import HEADS
+from gsgen.reference_plugins.synthetic.files import write_cfg_args
+from gsgen.reference_plugins.synthetic.knot import torus_knot
+
+_UNUSED = ("time_poc", "pos_poc", "rotation_scaling_poc", "opacity_poc")
+
+
+@dataclass(frozen=True, slots=True)
+class HexPlaneOptions:
+    """What a training run of 4DGaussians may choose.
+
+    Attributes:
+        count: Gaussians.
+        channels: Of each plane.
+        resolution: Cells along x, y, z and t.
+        multires: Factors of the first three, one for each set of planes.
+        width: Of the network.
+        depth: Of the layers behind the planes; 0 is the same as 1.
+        flags: Options of ``cfg_args`` over their defaults, such as ``no_dshs=False``.
+        degree: Of the spherical harmonics.
+        seed: Of all noise.
+    """
+
+    count: int = 64
+    channels: int = 4
+    resolution: tuple[int, int, int, int] = (8, 8, 8, 6)
+    multires: tuple[int, ...] = (1, 2)
+    width: int = 16
+    depth: int = 1
+    flags: Mapping[str, bool] = field(default_factory=dict)
+    degree: int = 3
+    seed: int = 0
+
+
+def write_hexplane(folder: Path, options: HexPlaneOptions = HexPlaneOptions()) -> Path:
+    """Write a checkpoint of 4DGaussians, and return ``folder``."""
+    place = folder / "point_cloud" / "iteration_30000"
+    cfg = {
+        "kplanes_config": {
+            "grid_dimensions": 2,
+            "input_coordinate_dim": 4,
+            "output_coordinate_dim": options.channels,
+            "resolution": list(options.resolution),
+        },
+        "multires": list(options.multires),
+        "defor_depth": options.depth,
+        "net_width": options.width,
+        "no_dx": False,
+        "no_ds": False,
+        "no_dr": False,
+        "no_do": True,
+        "no_dshs": True,
+        "bounds": 1.6,
+    }
+    write_cfg_args(folder, cfg | dict(options.flags))
+    place.mkdir(parents=True, exist_ok=True)
+    write_ply(
+        place / "point_cloud.ply",
+        torus_knot(options.count, degree=options.degree, seed=options.seed),
+    )
+    torch.save(_hexplane_state(options), place / "deformation.pth")
+    return folder
+
+
+def _hexplane_state(options: HexPlaneOptions) -> dict[str, Tensor]:
+    noise = torch.Generator().manual_seed(options.seed)
+    net = "deformation_net."
+    # The knot reaches beyond the box, so that its border is tried, too.
+    state = {f"{net}grid.aabb": torch.tensor([[1.2, 0.5, 1.3], [-1.1, -0.5, -1.2]])}
+    for scale, factor in enumerate(options.multires):
+        sizes = [*(factor * size for size in options.resolution[:3]), options.resolution[3]]
+        for index, (a, b) in enumerate(combinations(range(4), 2)):
+            shape = (1, options.channels, sizes[b], sizes[a])
+            cells = 0.8 + 0.4 * torch.randn(shape, generator=noise)
+            state[f"{net}grid.grids.{scale}.{index}"] = cells
+    wide = options.width
+    for layer in range(max(1, options.depth)):
+        inputs = options.channels * len(options.multires) if layer == 0 else wide
+        state |= _linear(f"{net}feature_out.{2 * layer}", inputs, wide, noise)
+    for name, outputs in HEADS.items():
+        state |= _linear(f"{net}{name}_deform.1", wide, wide, noise)
+        state |= _linear(f"{net}{name}_deform.3", wide, outputs, noise, 0.15)
+    if options.flags.get("static_mlp"):
+        state |= _linear(f"{net}static_mlp.1", wide, wide, noise)
+        state |= _linear(f"{net}static_mlp.3", wide, 1, noise)
+    if options.flags.get("empty_voxel"):
+        state[f"{net}empty_voxel.grid"] = torch.rand((1, 1, 5, 6, 7), generator=noise)
+    return state | {name: torch.ones(4) for name in _UNUSED}
+
+
+def write_deformable(
+    folder: Path,
+    *,
+    count: int = 64,
+    blender: bool = True,
+    six_degrees: bool = False,
+    width: int = 32,
+    seed: int = 0,
+) -> Path:
+    """Write a checkpoint of Deformable-3D-Gaussians, and return ``folder``.
+
+    Args:
+        folder: Where.
+        count: Gaussians.
+        blender: Time goes through a network of its own.
+        six_degrees: Points move along screws.
+        width: Of the network; 256 in the published code.
+        seed: Of all noise.
+    """
+    noise = torch.Generator().manual_seed(seed)
+    embedded = 63 + (30 if blender else 21)
+    state: dict[str, Tensor] = {}
+    for layer in range(8):
+        inputs = {0: embedded, 5: width + embedded}.get(layer, width)
+        state |= _linear(f"linear.{layer}", inputs, width, noise, 1.5)
+    if blender:
+        state |= _linear("timenet.0", 13, width, noise) | _linear(
+            "timenet.2", width, 30, noise
+        )
+    for name in ("branch_w", "branch_v") if six_degrees else ("gaussian_warp",):
+        state |= _linear(name, width, 3, noise, 0.2)
+    state |= _linear("gaussian_rotation", width, 4, noise, 0.2)
+    state |= _linear("gaussian_scaling", width, 3, noise, 0.01)
+    write_cfg_args(folder, {"is_blender": blender, "is_6dof": six_degrees, "sh_degree": 3})
+    for place in ("point_cloud/iteration_40000", "deform/iteration_40000"):
+        (folder / place).mkdir(parents=True, exist_ok=True)
+    write_ply(
+        folder / "point_cloud/iteration_40000/point_cloud.ply", torus_knot(count, seed=seed)
+    )
+    torch.save(state, folder / "deform/iteration_40000/deform.pth")
+    return folder
+
+
+def _linear(
+    name: str, inputs: int, outputs: int, noise: torch.Generator, gain: float = 1.0
+) -> dict[str, Tensor]:
+    weight = torch.randn((outputs, inputs), generator=noise) * (gain / inputs**0.5)
+    bias = 0.1 * gain * torch.randn(outputs, generator=noise)
+    return {f"{name}.weight": weight, f"{name}.bias": bias}

@@ -1,0 +1,304 @@
+import pickle
+import warnings
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gsgen.reference_plugins.checkpoints.anchors import read_anchors
+from gsgen.reference_plugins.checkpoints.cfg_args import read_cfg_args
+from gsgen.reference_plugins.checkpoints.deformations import read_deformation
+from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
+from gsgen.reference_plugins.checkpoints.folder import find_iteration
+from gsgen.reference_plugins.checkpoints.hexplanes import read_hexplanes
+from gsgen.reference_plugins.checkpoints.script_archive import read_script_state
+from gsgen.reference_plugins.synthetic import (
+    AnchorOptions,
+    HexPlaneOptions,
+    write_deformable,
+    write_hexplane,
+    write_octree,
+    write_scaffold,
+)
+from gsgen.reference_plugins.synthetic.files import write_columns
+from support.commands import shared
+
+
+def cfg(folder: Path, text: str) -> Path:
+    (folder / "cfg_args").write_text(text)
+    return folder
+
+
+def change(path: Path, edit: Callable[[dict], object]) -> None:
+    state = torch.load(path, weights_only=True)
+    edit(state)
+    torch.save(state, path)
+
+
+class Evil:
+    def __reduce__(self) -> tuple:
+        return (eval, ("__import__('pathlib').Path('ran').write_text('x')",))
+
+
+# ===== cfg_args
+
+
+def test_literals_are_read_and_unknown_ones_do_no_harm(tmp_path: Path) -> None:
+    text = "Namespace(a=1, b=-2.5, c='x', d=True, e=None, f=[1, 2], g={'k': [3]})"
+    read = read_cfg_args(cfg(tmp_path, text))
+    assert read.values == {
+        "a": 1, "b": -2.5, "c": "x", "d": True, "e": None, "f": [1, 2], "g": {"k": [3]},
+    }  # fmt: skip
+    assert (read.integer("a", 0), read.number("a", 0), read.flag("zz", True)) == (1, 1, True)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("Namespace(a=__import__('os').system('touch ran'))", "wanted a literal"),
+        ("Namespace(a=[x for x in (1,)])", "wanted a literal"),
+        ("__import__('os').system('touch ran')", "is no Namespace"),
+        ("Namespace(1, 2)", "is no Namespace"),
+        ("Namespace(**{'a': 1})", "is no Namespace"),
+        ("Namespace(a=1", "cannot be parsed"),
+        ("", "cannot be parsed"),
+        ("Namespace(a=" + "-" * 100_000 + "1)", "cannot be parsed|wanted a literal"),
+        ("Namespace(a='" + "x" * (1 << 20) + "')", "is larger"),
+    ],
+)
+def test_what_is_no_namespace_of_literals_is_refused(
+    text: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(CheckpointInvalid, match=words):
+        read_cfg_args(cfg(tmp_path, text))
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize(
+    ("take", "words"),
+    [
+        (lambda c: c.flag("a"), "a is 1, wanted True or False"),
+        (lambda c: c.integer("b", 0), "b is 'x', wanted a whole number"),
+        (lambda c: c.number("d", 0), "d is True, wanted a number"),
+        (lambda c: c.word("b", "y", ("y", "z")), "b is 'x', wanted 'y' or 'z'"),
+    ],
+)
+def test_an_option_of_another_kind_is_refused(
+    take: Callable, words: str, tmp_path: Path
+) -> None:
+    read = read_cfg_args(cfg(tmp_path, "Namespace(a=1, b='x', d=True)"))
+    with pytest.raises(CheckpointInvalid, match=words):
+        take(read)
+
+
+# ===== folders
+
+
+def test_the_last_iteration_is_taken_and_coarse_ones_are_not(tmp_path: Path) -> None:
+    for name in ("iteration_7000", "iteration_30000", "coarse_iteration_90000", "x"):
+        (tmp_path / "point_cloud" / name).mkdir(parents=True)
+    assert find_iteration(tmp_path)[0] == 30000
+    assert find_iteration(tmp_path, 7000)[1].name == "iteration_7000"
+    with pytest.raises(CheckpointInvalid) as caught:
+        find_iteration(tmp_path, 8)
+    assert caught.value.mend == "There are: 7000, 30000."
+
+
+# ===== tensors
+
+
+def test_a_script_archive_is_read_as_torch_reads_it(tmp_path: Path) -> None:
+    path = shared("data/checkpoints/scaffold_a/ckpt/point_cloud/iteration_30000/cov_mlp.pt")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        wanted = torch.jit.load(path, map_location="cpu").state_dict()
+    read = read_script_state(path)
+    assert list(read) == list(wanted)
+    for name in wanted:
+        assert torch.equal(read[name], wanted[name])
+
+
+def test_networks_in_one_file_or_in_many_are_the_same(tmp_path: Path) -> None:
+    chosen = AnchorOptions(anchors=4, bank=True, cameras=3, appearance=2)
+    many = read_anchors(write_scaffold(tmp_path / "many", chosen)).nets
+    united = AnchorOptions(anchors=4, bank=True, cameras=3, appearance=2, united=True)
+    one = read_anchors(write_scaffold(tmp_path / "one", united)).nets
+    assert many.bank is not None
+    assert one.bank is not None
+    assert torch.equal(many.bank.hidden, one.bank.hidden)
+    assert torch.equal(many.color.out, one.color.out)
+    assert torch.equal(many.embedding, one.embedding)  # type: ignore[arg-type]
+
+
+def _archive(path: Path, payload: object, order: bytes = b"little") -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("net/data.pkl", pickle.dumps(payload, 2))
+        archive.writestr("net/byteorder", order)
+
+
+@pytest.mark.parametrize("order", [b"little", b"big"])
+def test_code_in_a_script_archive_is_not_run(
+    order: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    _archive(tmp_path / "a.pt", Evil(), order)
+    words = "which is no tensor" if order == b"little" else "other byte order"
+    with pytest.raises(CheckpointInvalid, match=words):
+        read_script_state(tmp_path / "a.pt")
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_damaged_script_archive_says_so(tmp_path: Path) -> None:
+    (tmp_path / "a.pt").write_bytes(b"not a zip")
+    with pytest.raises(CheckpointInvalid, match="cannot be read"):
+        read_script_state(tmp_path / "a.pt")
+
+
+def test_code_in_a_state_dict_is_not_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_hexplane(tmp_path)
+    path = tmp_path / "point_cloud/iteration_30000/deformation.pth"
+    torch.save({"x": Evil()}, path)
+    with pytest.raises(CheckpointInvalid, match="cannot be read"):
+        read_hexplanes(tmp_path)
+    assert not (tmp_path / "ran").exists()
+
+
+NET = "deformation_net."
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (lambda s: s.pop(NET + "pos_deform.3.bias"), r"missing: deformation_net.pos_deform.3.bias"),
+        (lambda s: s.update(surprise=torch.ones(1)), "unexpected: surprise"),
+        (
+            lambda s: s.update({NET + "pos_deform.1.weight": torch.ones(16, 15)}),
+            r"pos_deform.1.weight is \[16, 15\], wanted \[16, 16\]",
+        ),
+        (lambda s: s[NET + "grid.aabb"].fill_(float("nan")), "grid.aabb holds NaN or infinity"),
+        (lambda s: s.update({NET + "pos_deform.1.bias": "no"}), "is a str, wanted a tensor"),
+        (
+            lambda s: s.update({NET + "grid.grids.1.4": torch.ones(1, 4, 7, 16)}),
+            r"grids.1.4 is \(7, 16\), wanted \(6, 16\)",
+        ),
+        (lambda s: s.pop(NET + "feature_out.0.weight"), "0 layers behind them"),
+    ],
+)
+def test_tensors_that_do_not_fit_are_named(
+    edit: Callable, words: str, tmp_path: Path
+) -> None:
+    write_hexplane(tmp_path)
+    change(tmp_path / "point_cloud/iteration_30000/deformation.pth", edit)
+    with pytest.raises(CheckpointInvalid, match=words):
+        read_hexplanes(tmp_path)
+
+
+def test_a_head_that_is_off_may_be_missing(tmp_path: Path) -> None:
+    write_hexplane(tmp_path)
+    path = tmp_path / "point_cloud/iteration_30000/deformation.pth"
+    change(path, lambda s: [s.pop(k) for k in list(s) if "shs_deform" in k])
+    assert "shs" not in read_hexplanes(tmp_path).nets.heads
+
+
+# ===== methods
+
+
+def test_columns_go_by_their_number_not_by_their_place(tmp_path: Path) -> None:
+    chosen = AnchorOptions(anchors=6, per_anchor=7, united=True)
+    wanted = read_anchors(write_scaffold(tmp_path, chosen)).cloud
+    ply = tmp_path / "point_cloud/iteration_30000/point_cloud.ply"
+    from gsgen.formats import ply_properties, read_ply_columns
+
+    names = ply_properties(ply)
+    table = read_ply_columns(ply, {"all": names})["all"]
+    write_columns(ply, {n: table[:, i] for i, n in sorted(enumerate(names), key=lambda p: p[1])})
+    assert ply_properties(ply) == tuple(sorted(names))
+    again = read_anchors(tmp_path).cloud
+    assert torch.equal(again.offset, wanted.offset)
+    assert torch.equal(again.feature, wanted.feature)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("n_offsets=9", "n_offsets is 9, but point_cloud.ply has 5"),
+        ("feat_dim=99", "feat_dim is 99, but point_cloud.ply has 16"),
+        ("appearance_dim=4", "appearance_dim is 4"),
+        ("use_feat_bank=True", "use_feat_bank is True"),
+        ("add_cov_dist=True", r"0.weight is \[16, 19\], wanted \[16, 20\]"),
+        ("appearance_dim='many'", "appearance_dim is 'many', wanted a whole number"),
+    ],
+)
+def test_options_of_another_run_are_noticed(text: str, words: str, tmp_path: Path) -> None:
+    write_scaffold(tmp_path, AnchorOptions(anchors=3, united=True))
+    with pytest.raises(CheckpointInvalid, match=words):
+        read_anchors(cfg(tmp_path, f"Namespace({text})"))
+
+
+def test_without_options_the_networks_say_what_they_take(tmp_path: Path) -> None:
+    chosen = AnchorOptions(
+        anchors=3, bank=True, distance=(True, False, True), cameras=2, appearance=3, united=True
+    )
+    write_scaffold(tmp_path, chosen)
+    (tmp_path / "cfg_args").unlink()
+    nets = read_anchors(tmp_path).nets
+    heads = (nets.opacity, nets.covariance, nets.color)
+    assert tuple(head.distance for head in heads) == chosen.distance
+    assert nets.bank is not None
+
+
+def test_a_relative_is_sent_to_its_own_plugin(tmp_path: Path) -> None:
+    write_octree(tmp_path / "octree", AnchorOptions(anchors=3, united=True))
+    write_scaffold(tmp_path / "scaffold", AnchorOptions(anchors=3, united=True))
+    with pytest.raises(CheckpointInvalid, match="Octree-GS") as caught:
+        read_anchors(tmp_path / "octree")
+    assert "gsgen export octree-gs" in caught.value.mend
+    with pytest.raises(CheckpointInvalid, match="Scaffold-GS"):
+        read_anchors(tmp_path / "scaffold", octree=True)
+
+
+@pytest.mark.parametrize("flag", ["no_grid", "all off"])
+def test_what_never_worked_or_never_moves_is_refused(flag: str, tmp_path: Path) -> None:
+    off = dict.fromkeys(("no_dx", "no_ds", "no_dr", "no_do", "no_dshs"), True)
+    chosen = {"no_grid": True} if flag == "no_grid" else off
+    write_hexplane(tmp_path, HexPlaneOptions(flags=chosen))
+    with pytest.raises(CheckpointInvalid, match="no_grid is True|nothing moves"):
+        read_hexplanes(tmp_path)
+
+
+def test_a_deformation_has_to_agree_with_its_options(tmp_path: Path) -> None:
+    write_deformable(tmp_path, blender=False)
+    with pytest.raises(CheckpointInvalid, match="is_blender is True, but the network"):
+        read_deformation(cfg(tmp_path, "Namespace(is_blender=True, is_6dof=False)"))
+    (tmp_path / "cfg_args").unlink()
+    assert read_deformation(tmp_path).net.time is None
+
+
+@pytest.mark.parametrize("missing", ["point_cloud.ply", "opacity_mlp.pt"])
+def test_a_missing_file_is_named(missing: str, tmp_path: Path) -> None:
+    case = shared("data/checkpoints/scaffold_a/ckpt/point_cloud/iteration_30000")
+    place = tmp_path / "point_cloud" / "iteration_1"
+    place.mkdir(parents=True)
+    for file in case.iterdir():
+        if file.name != missing:
+            (place / file.name).write_bytes(file.read_bytes())
+    with pytest.raises(CheckpointInvalid, match="is missing") as caught:
+        read_anchors(tmp_path)
+    assert caught.value.where.endswith(missing)
+
+
+def test_a_value_that_is_no_number_is_found(tmp_path: Path) -> None:
+    write_scaffold(tmp_path, AnchorOptions(anchors=3, united=True))
+    ply = tmp_path / "point_cloud/iteration_30000/point_cloud.ply"
+    data = bytearray(ply.read_bytes())
+    data[-4:] = np.float32(np.nan).tobytes()
+    ply.write_bytes(data)
+    with pytest.raises(CheckpointInvalid, match="property rot_3.*row 2 is nan"):
+        read_anchors(tmp_path)
