@@ -10,6 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gsgen.sdk.passes.fold_shapes import FoldShapes
 from gsgen.sdk.passes.mask_rows import MaskRows
 from support.passes import operators, parsed, run, text_of
 
@@ -148,6 +149,21 @@ def test_what_may_mix_rows_is_left_alone(name: str) -> None:
     assert not rewrite(model).modified
     assert rewrite.refusals
     assert text_of(model) == before
+
+
+@pytest.mark.parametrize("end", ["Mul (k0, onei)", "Add (k0, zeroi)", "Identity (k0)"])
+def test_a_count_is_known_however_it_ends(end: str) -> None:
+    """Outputs that Reshape makes are ended on Mul by one, which capture records."""
+    count = (
+        COUNT.replace("count =", "k0 =")
+        + f"onei = Cast <to = 6> (one)\n zeroi = Cast <to = 6> (zero)\n count = {end}"
+    )
+    model = masked(TAKEN["Compress"], "y = Neg (r)", count)
+    FoldShapes()(model)
+    given_ = inputs(0, 0.2)
+    before = run(model, **given_)
+    assert MaskRows("count")(model).modified
+    assert_same_rows(before, run(model, **given_))
 
 
 def test_the_count_must_be_the_one_that_the_manifest_names() -> None:

@@ -84,6 +84,12 @@ def linear(node: ir.Node, facts: Sequence[Fact | None]) -> Linear | None:
         sign = 1 if is_op(node, "Add") else -1
         constant, factor = np.broadcast_arrays(a + sign * c, b + sign * d)
         return Linear(known[0].mask, constant, factor, varies)
+    if is_op(node, "Mul"):
+        (a, b), (c, d) = whole
+        if b.any() and d.any():
+            return None
+        constant, factor = np.broadcast_arrays(a * c, a * d + b * c)
+        return Linear(known[0].mask, constant, factor, varies)
     joins = is_op(node, "Concat")
     if not is_op(node, *_MOVES) or not (
         joins or (len(known) == 1 and facts[0] is known[0])
