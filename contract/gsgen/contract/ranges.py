@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from onnx import NodeProto, TensorProto
 
-from gsgen.contract.graph import Graph
+from gsgen.contract.graph import Graph, Tensor
 from gsgen.contract.manifest import Manifest
 from gsgen.contract.roles import ROLES
 from gsgen.contract.small_weights import small_array
@@ -30,13 +30,22 @@ _BOUNDED: dict[str, Interval] = {
     "NonZero": (0, _INT32[1]),
     "Shape": (0, _INT32[1]),
     "Size": (0, _INT32[1]),
+    "Sign": (-1, 1),
+    # Booleans count as zero and one where they are cast.
+    **dict.fromkeys(("Equal", "Greater", "GreaterOrEqual", "Less", "LessOrEqual"), (0, 1)),
+    **dict.fromkeys(("And", "IsInf", "IsNaN", "Not", "Or", "Xor"), (0, 1)),
 }
 # What these return holds no other numbers than what they take.
 _MOVES = frozenset(
     {
         *("Identity", "Reshape", "Squeeze", "Unsqueeze", "Flatten", "Transpose", "Expand"),
         *("Slice", "Gather", "GatherElements", "GatherND", "Split", "Tile", "DepthToSpace"),
-        *("ReduceMax", "ReduceMin", "ReduceMean"),
+        *(
+            "ReduceMax",
+            "ReduceMin",
+            "ReduceMean",
+            "ReduceSum",
+        ),  # sums are counted afterwards
     }
 )
 _JOINS = frozenset({"Concat", "Where"})
@@ -53,6 +62,12 @@ def _quotients(a: Interval, b: Interval) -> Interval:
     return _products(a, (1 / b[1], 1 / b[0]))
 
 
+def _remainders(_: Interval, b: Interval) -> Interval:
+    """Return what can remain of a division by ``b``, by either rule for the sign."""
+    most = max(abs(b[0]), abs(b[1]))
+    return -most, most
+
+
 _OF_TWO: dict[str, Callable[[Interval, Interval], Interval]] = {
     "Add": lambda a, b: (a[0] + b[0], a[1] + b[1]),
     "Sub": lambda a, b: (a[0] - b[1], a[1] - b[0]),
@@ -60,6 +75,7 @@ _OF_TWO: dict[str, Callable[[Interval, Interval], Interval]] = {
     "Div": _quotients,
     "Min": lambda a, b: (min(a[0], b[0]), min(a[1], b[1])),
     "Max": lambda a, b: (max(a[0], b[0]), max(a[1], b[1])),
+    "Mod": _remainders,
 }
 _OF_ONE: dict[str, Callable[[Interval], Interval]] = {
     "Neg": lambda a: (-a[1], -a[0]),
@@ -95,11 +111,26 @@ def intervals(
     for node in graph.nodes:
         span = _of_node(node, [known.get(name) for name in node.input])
         made = graph.tensors.get(node.output[0]) if node.output else None
+        if span is not None and node.op_type == "ReduceSum":
+            span = _added(span, graph.tensors.get(node.input[0]), made)
+        if made is not None and made.dtype == "bool":
+            span = (0.0, 1.0)
         if span is None and made is not None and made.dtype == "int32":
             span = _INT32  # no other number fits
         if span is not None:
             known.update({name: span for name in node.output if name})
     return known
+
+
+def _added(span: Interval, taken: Tensor | None, made: Tensor | None) -> Interval | None:
+    """Return the interval of sums; None where nobody knows how many numbers are added."""
+    if taken is None or made is None or taken.dims is None or made.dims is None:
+        return None
+    sizes = [d for d in (*taken.dims, *made.dims) if isinstance(d, int) and d > 0]
+    if len(sizes) != len(taken.dims) + len(made.dims):
+        return None
+    count = math.prod(sizes[: len(taken.dims)]) / math.prod(sizes[len(taken.dims) :])
+    return span[0] * count, span[1] * count
 
 
 def _of_weight(weight: TensorProto) -> Interval | None:

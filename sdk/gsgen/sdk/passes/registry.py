@@ -9,23 +9,28 @@ __all__ = ["REWRITES", "find_rewrites"]
 from collections.abc import Sequence
 
 from gsgen.contract.errors import UnknownName
+from gsgen.sdk.passes.arithmetic_masks import ArithmeticMasks
 from gsgen.sdk.passes.base import Goal, Rewrite
 from gsgen.sdk.passes.chunk_concat import ChunkConcat
 from gsgen.sdk.passes.chunk_split import ChunkSplit
+from gsgen.sdk.passes.clip_before_cast import ClipBeforeCast
 from gsgen.sdk.passes.drop_idle_operators import DropIdleOperators
 from gsgen.sdk.passes.end_outputs_on_compute import EndOutputsOnCompute
 from gsgen.sdk.passes.fold_shapes import FoldShapes
 from gsgen.sdk.passes.freeze_dimensions import FreezeDimensions
 from gsgen.sdk.passes.gather_scatters import GatherScatters
 from gsgen.sdk.passes.gather_slices import GatherSlices
+from gsgen.sdk.passes.mask_rows import MaskRows
 from gsgen.sdk.passes.merge_casts import MergeCasts
 from gsgen.sdk.passes.merge_reshapes import MergeReshapes
 from gsgen.sdk.passes.multiply_matrices import MultiplyMatrices
+from gsgen.sdk.passes.narrow_integers import NarrowIntegers
 from gsgen.sdk.passes.restore_guards import RestoreGuards
 from gsgen.sdk.passes.round_by_floor import RoundByFloor
 from gsgen.sdk.passes.sample_by_gather import SampleByGather
 from gsgen.sdk.passes.select_extremes import SelectExtremes
 from gsgen.sdk.passes.share_weights import ShareWeights
+from gsgen.sdk.passes.split_large_weights import SplitLargeWeights
 from gsgen.sdk.passes.unroll_control_flow import UnrollControlFlow
 from gsgen.sdk.passes.write_out_activations import WriteOutActivations
 from gsgen.sdk.passes.write_out_modulo import WriteOutModulo
@@ -41,17 +46,22 @@ REWRITES: tuple[type[Rewrite], ...] = (
     # -- Then what gives back what an exporter or an optimiser took away.
     RestoreGuards,
     # -- Whole constructs that no GPU runs, written out with plain operators.
+    MaskRows,
     SampleByGather,
     # -- The operator set, before operators are looked up in tables.
-    # -- Operators without a kernel, by ones that have one.
+    # -- Operators without a kernel, by ones that have one. Integers first: what they become may
+    #    lack a kernel in its turn.
+    ClipBeforeCast,
+    NarrowIntegers,
+    ArithmeticMasks,
     GatherScatters,
     GatherSlices,
     SelectExtremes,
     WriteOutActivations,
     WriteOutModulo,
-    WriteOutSigns,
     WriteOutNorms,
     WriteOutReductions,
+    WriteOutSigns,
     MultiplyMatrices,
     RoundByFloor,
     # -- Less work: what the result does not need, and what can be done at once.
@@ -60,6 +70,7 @@ REWRITES: tuple[type[Rewrite], ...] = (
     MergeReshapes,
     ShareWeights,
     # -- Widths and sizes that a target can bind, once nothing joins things any more.
+    SplitLargeWeights,
     ChunkConcat,
     ChunkSplit,
     # -- Last: how outputs end, whatever came before.
