@@ -1,31 +1,69 @@
 """A frame: what a camera sees of a scene."""
 
-__all__ = ["Frame"]
+__all__ = ["NOTHING", "Frame", "Output"]
 
 from dataclasses import dataclass
-from typing import final
+from typing import Final, Literal, final
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float, Float32, Int64, UInt8
+
+Output = Literal["color", "depth", "normal"]
+"""What can be asked for; ``depth`` brings both depths and the ids."""
+
+NOTHING: Final = -1
+"""The id where no Gaussian took half of the light."""
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """An image and what belongs to it.
+    """An image and what belongs to it. What was not asked for is None.
 
     Attributes:
         rgba: Red, green, blue multiplied by alpha, and alpha, [height, width, 4], as blended:
-            neither clipped nor quantised.
+            in the colour space of the Gaussians, neither clipped nor quantised.
+        alpha: How much of the background is covered, [height, width], in [0, 1].
+        depth: Mean distance along the camera's +z, weighted as the colours are, in world
+            units; infinite where nothing is.
+        median_depth: Distance of the Gaussian that took half of the light; infinite where none
+            did.
+        ids: That Gaussian's place in the scene, or NOTHING; see ``Scene.locate``.
+        normal: Unit vectors in world space that point towards the camera, [height, width, 3];
+            zero where nothing is.
         visible: How many Gaussians were drawn.
         pairs: Of a splat and a tile it touches; what drawing costs grows with them.
+        color_space: Of ``rgba``.
     """
 
-    rgba: Float32[np.ndarray, "h w 4"]
+    rgba: Float32[np.ndarray, "h w 4"] | None
+    alpha: Float32[np.ndarray, "h w"]
+    depth: Float32[np.ndarray, "h w"] | None
+    median_depth: Float32[np.ndarray, "h w"] | None
+    ids: Int64[np.ndarray, "h w"] | None
+    normal: Float32[np.ndarray, "h w 3"] | None
     visible: int
     pairs: int
+    color_space: Literal["srgb", "linear"] = "srgb"
 
     @property
     def srgb8(self) -> UInt8[np.ndarray, "h w 4"]:
-        """The image in bytes, for files and screens; alpha is straight where it is not 1."""
-        return np.asarray(np.clip(np.rint(self.rgba * 255), 0, 255), np.uint8)
+        """The image for files and screens: sRGB in bytes, not multiplied by alpha.
+
+        Raises:
+            ValueError: Colours were not asked for.
+        """
+        if self.rgba is None:
+            raise ValueError("this frame has no colours: ask render() for 'color'")
+        alpha = np.clip(self.rgba[..., 3:], 0, 1)
+        straight = self.rgba[..., :3] / np.where(alpha > 0, alpha, 1)
+        color = np.clip(straight, 0, 1)
+        if self.color_space == "linear":
+            color = srgb_of_linear(color)
+        return np.rint(np.concatenate([color, alpha], axis=-1) * 255).astype(np.uint8)
+
+
+def srgb_of_linear(color: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+    """Encode linear light in [0, 1] as sRGB (IEC 61966-2-1)."""
+    curve = 1.055 * np.power(color, 1 / 2.4, where=color > 0, out=np.zeros_like(color)) - 0.055
+    return np.where(color <= 0.0031308, 12.92 * color, curve)

@@ -1,186 +1,244 @@
 """A plan: all buffers and dispatches of a frame, made once and run every frame."""
 
-__all__ = ["Kernels", "Plan"]
+__all__ = ["Kernels", "Placed", "Plan"]
 
 from collections.abc import Sequence
 from functools import cache
 from typing import Any, Final, final
 
 import numpy as np
+from jaxtyping import Float
 
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
+from gsgen.runtime.frame import Output
 from gsgen.runtime.kernels import counts as counting
-from gsgen.runtime.kernels.bin_tiles import (
-    RANGE_THREADS,
-    WALK_THREADS,
-    BinTiles,
-    TileRanges,
-)
+from gsgen.runtime.kernels.bin_tiles import WALK_THREADS, BinTiles
 from gsgen.runtime.kernels.blend_tiles import BlendTiles
 from gsgen.runtime.kernels.counts import Counts
 from gsgen.runtime.kernels.kernel import Step, run
+from gsgen.runtime.kernels.normals import NormalsKernel
 from gsgen.runtime.kernels.project import (
     FRAME,
     PAGE,
     ProjectKernel,
     frame_uniform,
     page_uniform,
-    tiles_of,
 )
-from gsgen.runtime.kernels.sort import KEY_BITS, RadixSort, Scan, cut_for
+from gsgen.runtime.kernels.scan import Scan
+from gsgen.runtime.kernels.shader import TILE
+from gsgen.runtime.kernels.sort import KEY_BITS, Columns, RadixSort, cut_for
+from gsgen.runtime.kernels.tile_ranges import RANGE_THREADS, TileRanges
 from gsgen.runtime.residency import Page, stride
 from gsgen.runtime.scene import SplatSet
+from gsgen.runtime.staging import Staging
 
 _VEC4: Final = 16
+
+Placed = tuple[SplatSet, Page]
+"""A page, and the set that it is drawn as a part of."""
 
 
 @final
 class Kernels:
-    """The kernels of a device; those that depend on a layout are made when one is met."""
+    """The kernels of a device, each compiled when it is first needed."""
 
     def __init__(self, device: Device) -> None:
         self.cut = cut_for(device)
-        self.scan = Scan(device, self.cut, WALK_THREADS * self.cut.walk, RANGE_THREADS)
+        self.scan = Scan(device, self.cut.block, WALK_THREADS * self.cut.walk, RANGE_THREADS)
         self.sort = RadixSort(device, self.cut, self.scan)
-        self.bin = BinTiles(device, self.cut)
+        self.bin = BinTiles(device, self.cut.walk)
         self.ranges = TileRanges(device)
-        self.blend = BlendTiles(device, pick=False)
-        self.project = cache(lambda *layout: ProjectKernel(device, *layout))
+        self.blend = cache(lambda pick: BlendTiles(device, pick))
+        self.project = cache(lambda half, words: ProjectKernel(device, half, words))
+        self.normals = cache(lambda: NormalsKernel(device))
 
 
 @final
 class Plan:
-    """The frame of a list of pages at one size of image.
+    """The frame of some pages at one size of image.
 
     Args:
         device: Where it runs.
         kernels: Of the device.
-        pages: Each page with the set that it is of; only their buffers are used here.
+        placed: The pages; nothing but their buffers and types is kept.
         size: Width and height of the image, in pixels.
+        outputs: What is asked for.
         pair_capacity: For how many pairs of a splat and a tile there is room.
+
+    Raises:
+        CapacityExceeded: A buffer would be larger than the device binds.
     """
 
     def __init__(
         self,
         device: Device,
         kernels: Kernels,
-        pages: Sequence[tuple[SplatSet, Page]],
+        placed: Sequence[Placed],
         size: tuple[int, int],
+        outputs: frozenset[Output],
         pair_capacity: int,
     ) -> None:
-        self._device = device
-        self.size = size
+        self._device, self._kernels = device, kernels
+        self._size = size
+        self._tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
         self.pair_capacity = pair_capacity
-        self.gaussians = sum(page.capacity for _, page in pages)
-        n, storage = self.gaussians, device.storage
-        self.counts = storage("counts", counting.BYTES, extra="INDIRECT")
-        device.write(self.counts, counting.initial(n, pair_capacity))
-        self.frame = device.uniform("frame", FRAME.itemsize)
-        self.slots = device.uniform("pages", PAGE.itemsize * max(1, len(pages)))
-        self.touched = storage("touched", 4 * n)
-        self.shapes = storage("shapes", _VEC4 * n)
-        self.weights = storage("weights", _VEC4 * n)
-        self.colors = storage("colors", _VEC4 * n)
-        self.image = storage("image", _VEC4 * size[0] * size[1])
-        self.steps = self._steps(kernels, pages)
+        self._gaussians = sum(page.capacity for _, page in placed)
+        self._frame = device.uniform("frame", FRAME.itemsize)
+        self._bare_frame = device.uniform("frame with nothing behind", FRAME.itemsize)
+        self._slots = device.uniform("pages", PAGE.itemsize * max(1, len(placed)))
+        n = self._gaussians
+        self._counts = device.storage("counts", counting.BYTES, extra="INDIRECT")
+        device.write(self._counts, counting.initial(n, pair_capacity))
+        self._touched = device.storage("touched", 4 * n)
+        self._splats = [device.storage(name, _VEC4 * n) for name in ("shapes", "weights")]
+        self._ranges = device.storage("ranges", 8 * self._tiles[0] * self._tiles[1])
+        self.images: dict[str, Any] = {}
+        self.stages = self._record(placed, outputs)
+        self._staging = Staging(device, {"counts": self._counts} | self.images)
 
-    def _steps(
-        self, kernels: Kernels, pages: Sequence[tuple[SplatSet, Page]]
+    def _record(
+        self, placed: Sequence[Placed], outputs: frozenset[Output]
     ) -> dict[str, list[Step]]:
         """Record the frame, stage by stage."""
-        n, storage, counts = self.gaussians, self._device.storage, self.counts
-        keys = [
-            (storage(f"keys {side}", 4 * n), storage(f"values {side}", 4 * n))
-            for side in "ab"
+        n = self._gaussians
+        columns = [self._columns("key", n), self._columns("key", n)]
+        colors = self._device.storage("colors", _VEC4 * n)
+        stages = {"project": self._project(placed, columns[0].keys, colors)}
+        stages["sort"], order = self._sort_by_depth(columns)
+        pairs = [self._columns("pair", self.pair_capacity) for _ in range(2)]
+        stages["bin"] = self._bin(order, pairs[0])
+        stages["group"], members = self._group(pairs)
+        if "color" in outputs:
+            stages["blend"] = [self._blend("color", members, colors, pick=False)]
+        if "depth" in outputs:
+            stages["depth"] = [self._blend("depth", members, colors, pick=True)]
+        if "normal" in outputs:
+            # `project` leaves which Gaussians are absent in keys that the sort overwrites:
+            # normals are found before, and blended as colours are.
+            normals = self._device.storage("normals", _VEC4 * n)
+            stages["project"] += self._normals(placed, columns[0].keys, normals)
+            stages["normal"] = [self._blend("normal", members, normals, pick=False)]
+        return stages
+
+    def _columns(self, name: str, length: int) -> Columns:
+        return Columns(
+            self._device.storage(f"{name}s", 4 * length),
+            self._device.storage(f"{name} values", 4 * length),
+        )
+
+    def _project(self, placed: Sequence[Placed], keys: Any, colors: Any) -> list[Step]:
+        made = []
+        outputs = (self._frame, keys, self._touched, *self._splats, colors)
+        for slot, (one, page) in enumerate(placed):
+            half = one.data.appearance.dtype == np.float16
+            kernel = self._kernels.project(half, stride(one.data))
+            made.append(kernel.step(outputs, self._slots, slot, page))
+        return made
+
+    def _normals(self, placed: Sequence[Placed], keys: Any, normals: Any) -> list[Step]:
+        kernel = self._kernels.normals()
+        return [
+            kernel.step(keys, normals, self._slots, slot, page)
+            for slot, (_, page) in enumerate(placed)
         ]
-        project = self._project(kernels, pages, keys[0][0])
-        by_depth, at = kernels.sort.steps(
-            counts,
-            kernels.sort.histogram(n),
-            keys,
+
+    def _sort_by_depth(self, columns: list[Columns]) -> tuple[list[Step], Any]:
+        """Return the steps, and the buffer of drawn Gaussians, nearest first."""
+        steps, at = self._kernels.sort.steps(
+            self._counts,
+            self._kernels.sort.histogram(self._gaussians),
+            columns,
             bits=KEY_BITS,
             source=Counts.VISIBLE,
             groups=Counts.SORT_VISIBLE_GROUPS,
-            capacity=n,
-            compacted=Counts.VISIBLE,
+            compacting=self._gaussians,
         )
-        order = keys[at][1]
-        room = self.pair_capacity
-        pairs = [
-            (storage(f"pair tiles {side}", 4 * room), storage(f"pair splats {side}", 4 * room))
-            for side in "ab"
-        ]
-        run_pairs = storage("run pairs", 4 * (-(-n // kernels.cut.walk)))
-        splats = (self.shapes, self.weights, self.colors)
-        measure, emit = kernels.bin.steps(
-            counts, self.frame, order, self.touched, self.shapes, self.weights, run_pairs, *pairs[0]
+        return steps, columns[at].values
+
+    def _bin(self, order: Any, pairs: Columns) -> list[Step]:
+        walk = self._kernels.cut.walk
+        run_pairs = self._device.storage("run pairs", 4 * -(-self._gaussians // walk))
+        measure, emit = self._kernels.bin.steps(
+            self._counts,
+            (
+                self._frame,
+                self._counts,
+                order,
+                self._touched,
+                *self._splats,
+                run_pairs,
+                *pairs,
+            ),
         )
-        add = kernels.scan.step(
-            counts,
-            run_pairs,
-            source=Counts.VISIBLE,
-            block=kernels.cut.walk,
-            total=Counts.PAIRS,
+        add = self._kernels.scan.step(
+            self._counts, run_pairs, source=Counts.VISIBLE, block=walk, total=Counts.PAIRS
         )
-        across, down = -(-self.size[0] // 16), -(-self.size[1] // 16)
-        by_tile, at = kernels.sort.steps(
-            counts,
-            kernels.sort.histogram(room),
+        return [measure, add, emit]
+
+    def _group(self, pairs: list[Columns]) -> tuple[list[Step], Any]:
+        """Return the steps, and the buffer of the splats of each tile after the other."""
+        last = self._tiles[0] * self._tiles[1] - 1
+        steps, at = self._kernels.sort.steps(
+            self._counts,
+            self._kernels.sort.histogram(self.pair_capacity),
             pairs,
-            bits=max(1, (across * down - 1).bit_length()),
+            bits=max(1, last.bit_length()),
             source=Counts.PAIRS,
             groups=Counts.SORT_PAIRS_GROUPS,
         )
-        self.ranges = storage("ranges", 8 * across * down)
-        mark = kernels.ranges.step(counts, pairs[at][0], self.ranges)
-        self.pair_splats = pairs[at][1]
-        blend = kernels.blend.step(
-            (across, down), self.frame, self.ranges, pairs[at][1], *splats, self.image
-        )
-        return {
-            "project": project,
-            "sort": by_depth,
-            "bin": [measure, add, emit],
-            "group": [*by_tile, mark],
-            "blend": [blend],
-        }
+        mark = self._kernels.ranges.step(self._counts, pairs[at].keys, self._ranges)
+        return [*steps, mark], pairs[at].values
 
-    def _project(
-        self, kernels: Kernels, pages: Sequence[tuple[SplatSet, Page]], keys: Any
-    ) -> list[Step]:
-        made = []
-        outputs = (self.frame, keys, self.touched, self.shapes, self.weights, self.colors)
-        for slot, (placed, page) in enumerate(pages):
-            data = placed.data
-            one = kernels.project(
-                data.appearance.dtype == np.float16, stride(data)
-            )
-            own = one.bind_page(self.slots, slot, page.rows, page.appearance)
-            made.append(
-                Step(one.kernel, (one.kernel.bind(*outputs), own), one.groups(page.capacity))
-            )
-        return made
+    def _blend(self, name: str, members: Any, colors: Any, *, pick: bool) -> Step:
+        self.images[name] = self._device.storage(
+            f"{name} image", _VEC4 * self._size[0] * self._size[1]
+        )
+        frame = self._frame if name == "color" else self._bare_frame
+        resources = (frame, self._ranges, members, *self._splats, colors)
+        return self._kernels.blend(pick).step(
+            self._tiles, (*resources, self.images[name])
+        )
 
     def submit(
         self,
-        pages: Sequence[tuple[SplatSet, Page]],
+        placed: Sequence[Placed],
         camera: Camera,
-        background: np.ndarray,
-        only: Sequence[str] = (),
+        background: Float[np.ndarray, "3"],
+        *,
+        only: Sequence[str] | None = None,
     ) -> None:
-        """Write what changes from frame to frame, and let the device draw."""
-        self._device.write(self.frame, frame_uniform(camera, background))
-        slots = np.zeros(max(1, len(pages)), PAGE)
-        base = 0
-        for slot, (placed, page) in enumerate(pages):
-            live = min(max(placed.data.count - page.first, 0), page.capacity)
-            slots[slot] = page_uniform(placed, camera, base, page.capacity, live)
+        """Write what changes from frame to frame, and let the device draw.
+
+        Args:
+            placed: The pages that the plan was made of, and how they are drawn now.
+            camera: Whose image it is; of the plan's size.
+            background: Red, green, blue behind it all, multiplied by their alpha.
+            only: Stages to run; all where absent.
+        """
+        device = self._device
+        device.write(self._frame, frame_uniform(camera, background))
+        device.write(self._bare_frame, frame_uniform(camera, np.zeros(3)))
+        slots, base = np.zeros(max(1, len(placed)), PAGE), 0
+        for slot, (one, page) in enumerate(placed):
+            live = min(max(one.data.count - page.first, 0), page.capacity)
+            slots[slot] = page_uniform(one, camera, base, page.capacity, live)
             base += page.capacity
-        self._device.write(self.slots, slots)
-        encoder = self._device.raw.create_command_encoder(label="frame")
-        encoder.clear_buffer(self.ranges)
-        for stage, steps in self.steps.items():
-            if not only or stage in only:
-                run(encoder, steps, stage)
-        self._device.raw.queue.submit([encoder.finish()])
+        device.write(self._slots, slots)
+        encoder = device.raw.create_command_encoder(label="frame")
+        encoder.clear_buffer(self._ranges)
+        for name, steps in self.stages.items():
+            if only is None or name in only:
+                run(encoder, steps, name)
+        self._staging.encode(encoder)
+        device.raw.queue.submit([encoder.finish()])
+
+    def collect(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Wait for the frame; return the counts, and each image as [height, width, 4] words."""
+        made = self._staging.read(dict.fromkeys(["counts", *self.images], np.uint32))
+        counts = made.pop("counts")
+        width, height = self._size
+        pixels = 4 * width * height
+        return counts, {
+            name: words[:pixels].reshape(height, width, 4) for name, words in made.items()
+        }

@@ -1,27 +1,34 @@
-"""The renderer: a scene and a camera in, an image out."""
+"""The renderer: a scene and a camera in, a frame out."""
 
 __all__ = ["Renderer"]
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Final, final
 
 import numpy as np
+from jaxtyping import Float32, Int64, UInt32
 
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
-from gsgen.runtime.frame import Frame
-from gsgen.runtime.kernels.counts import BYTES, Counts
-from gsgen.runtime.plan import Kernels, Plan
+from gsgen.runtime.errors import CapacityExceeded, SceneInvalid
+from gsgen.runtime.frame import NOTHING, Frame, Output
+from gsgen.runtime.kernels.counts import Counts
+from gsgen.runtime.kernels.shader import ABSENT
+from gsgen.runtime.plan import Kernels, Placed, Plan
 from gsgen.runtime.residency import Residency
 from gsgen.runtime.scene import Scene
 
 _FIRST_PAIRS: Final = 1 << 16
-_ROOM: Final = 1.25
+_ROOM: Final = 1.25  # over what a frame needed, so that the next need not grow again
+_OUTPUTS: Final = ("color", "depth", "normal")
 
 
 @final
 class Renderer:
     """Draws scenes of Gaussians on a graphics device.
+
+    What a frame needs is made once, and kept until another size, another choice of outputs or
+    other Gaussians are asked for: cameras, transforms, and values may change from frame to frame.
 
     Args:
         device: Where to draw; the fastest there is where absent.
@@ -34,6 +41,8 @@ class Renderer:
         self.device = device or Device.open()
         self._kernels = Kernels(self.device)
         self._residency = Residency(self.device)
+        self._pairs = _FIRST_PAIRS
+        self._key: object = None
         self._plan: Plan | None = None
 
     def render(
@@ -42,6 +51,7 @@ class Renderer:
         camera: Camera,
         *,
         background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+        outputs: Collection[Output] = ("color",),
     ) -> Frame:
         """Draw ``scene`` as ``camera`` sees it.
 
@@ -49,24 +59,121 @@ class Renderer:
             scene: What to draw.
             camera: From where, and how large.
             background: Red, green, blue and alpha behind it all.
+            outputs: What to make.
+
+        Raises:
+            CapacityExceeded: The scene or the image is larger than the device's buffers.
+            SceneInvalid: The background or the outputs are none.
         """
-        red, green, blue, alpha = background
-        behind = np.array([red * alpha, green * alpha, blue * alpha, alpha])
-        pages = [
+        wanted = _known(outputs)
+        behind = _premultiplied(background)
+        placed = [
             (one, page) for one in scene.sets for page in self._residency.pages(one.data)
         ]
+        plan = self.plan(placed, camera, wanted)
+        plan.submit(placed, camera, behind[:3])
+        counts, images = plan.collect()
+        while counts[Counts.WANTED_PAIRS] > plan.pair_capacity:
+            self._grow(int(counts[Counts.WANTED_PAIRS]))
+            plan = self.plan(placed, camera, wanted)
+            plan.submit(placed, camera, behind[:3])
+            counts, images = plan.collect()
+        return _frame(scene, camera, counts, images, float(behind[3]))
+
+    def plan(
+        self, placed: Sequence[Placed], camera: Camera, outputs: frozenset[Output]
+    ) -> Plan:
+        """Return the plan for such a frame: the present one if it fits."""
         size = (camera.width, camera.height)
-        pairs = _FIRST_PAIRS
-        while True:
-            plan = Plan(self.device, self._kernels, pages, size, pairs)
-            plan.submit(pages, camera, behind)
-            counts = self.device.read(plan.counts, np.uint32, BYTES // 4)
-            wanted = int(counts[Counts.WANTED_PAIRS])
-            if wanted <= plan.pair_capacity:
-                break
-            pairs = int(wanted * _ROOM)
-        pixels = self.device.read(plan.image, np.float32, 4 * size[0] * size[1])
-        self._plan = plan
-        return Frame(
-            pixels.reshape(size[1], size[0], 4), int(counts[Counts.VISIBLE]), wanted
+        key = (tuple(page for _, page in placed), size, outputs, self._pairs)
+        if self._plan is None or key != self._key:
+            self._plan, self._key = None, None  # its memory goes before the new one's comes
+            self._plan = Plan(
+                self.device, self._kernels, placed, size, outputs, self._pairs
+            )
+            self._key = key
+        return self._plan
+
+    def _grow(self, wanted: int) -> None:
+        """Make room for more pairs, or say why there can be none."""
+        most = self.device.largest_binding // 4
+        if wanted > most:
+            raise CapacityExceeded(
+                f"the image needs {wanted:,} pairs of a splat and a tile; "
+                f"{self.device.name} has room for {most:,}",
+                where="scene",
+                mend="Draw a smaller image, or step back from the largest Gaussians.",
+            )
+        self._pairs = min(int(wanted * _ROOM), most)
+
+
+def _known(outputs: Collection[Output]) -> frozenset[Output]:
+    wanted = frozenset(outputs)
+    if not wanted or wanted - set(_OUTPUTS):
+        raise SceneInvalid(
+            f"is {sorted(wanted)}, wanted some of {', '.join(_OUTPUTS)}", where="outputs"
         )
+    return wanted
+
+
+def _premultiplied(background: Sequence[float]) -> np.ndarray:
+    color = np.asarray(background, np.float64)
+    if color.shape != (4,) or not np.isfinite(color).all() or not 0 <= color[3] <= 1:
+        raise SceneInvalid(
+            f"is {list(background)}, wanted red, green, blue and an alpha from 0 to 1",
+            where="background",
+        )
+    return np.append(color[:3] * color[3], color[3])
+
+
+def _frame(
+    scene: Scene,
+    camera: Camera,
+    counts: np.ndarray,
+    images: dict[str, np.ndarray],
+    opacity_behind: float,
+) -> Frame:
+    """Turn the words of the images into what they mean."""
+    color, pick, normal = (
+        images[name].view(np.float32) if name in images else None
+        for name in ("color", "depth", "normal")
+    )
+    covered = next(image for image in (color, pick, normal) if image is not None)
+    alpha = covered[..., 3].copy()
+    if color is not None:
+        color[..., 3] += (1 - alpha) * np.float32(opacity_behind)
+    return Frame(
+        rgba=color,
+        alpha=alpha,
+        depth=None if pick is None else _mean_depth(pick),
+        median_depth=None if pick is None else _median_depth(pick),
+        ids=None if pick is None else _ids(images["depth"][..., 2]),
+        normal=None if normal is None else _in_world(normal[..., :3], camera),
+        visible=int(counts[Counts.VISIBLE]),
+        pairs=int(counts[Counts.PAIRS]),
+        color_space=scene.color_space,
+    )
+
+
+def _mean_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w"]:
+    total, alpha = pick[..., 0], pick[..., 3]
+    nothing = np.full(alpha.shape, np.inf, np.float32)
+    return np.divide(total, alpha, out=nothing, where=alpha > 0)
+
+
+def _median_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w"]:
+    median = pick[..., 1]
+    return np.where(median > 0, median, np.float32(np.inf))
+
+
+def _ids(words: UInt32[np.ndarray, "h w"]) -> Int64[np.ndarray, "h w"]:
+    return np.where(words == ABSENT, NOTHING, words.astype(np.int64))
+
+
+def _in_world(
+    normal: Float32[np.ndarray, "h w 3"], camera: Camera
+) -> Float32[np.ndarray, "h w 3"]:
+    """Return unit vectors in world space, or zeros."""
+    turned = normal @ camera.view[:3, :3].astype(np.float32)  # rows times R are Rᵀ n
+    size = np.linalg.norm(turned, axis=-1, keepdims=True)
+    return np.divide(turned, size, out=np.zeros_like(turned), where=size > 0)

@@ -102,13 +102,33 @@ class Scene:
 
     Attributes:
         sets: In any order; of Gaussians at the same depth, those of the earlier set are in front.
+        color_space: Of the colours of all sets; they are blended as they are.
     """
 
     sets: tuple[SplatSet, ...]
+    color_space: Literal["srgb", "linear"] = "srgb"
 
-    def __init__(self, sets: Iterable[SplatSet | SplatData]) -> None:
+    def __init__(
+        self,
+        sets: Iterable[SplatSet | SplatData],
+        color_space: Literal["srgb", "linear"] = "srgb",
+    ) -> None:
         made = tuple(one if isinstance(one, SplatSet) else SplatSet(one) for one in sets)
         object.__setattr__(self, "sets", made)
+        object.__setattr__(self, "color_space", color_space)
+
+    def locate(self, index: int) -> tuple[int, int]:
+        """Return the set and the row in it of the Gaussian that a frame's ids call ``index``.
+
+        Raises:
+            IndexError: The scene has fewer Gaussians.
+        """
+        rest = index
+        for number, one in enumerate(self.sets):
+            if 0 <= rest < len(one.data):
+                return number, rest
+            rest -= len(one.data)
+        raise IndexError(f"Gaussian {index} of {len(self)}")
 
     def __len__(self) -> int:
         return sum(len(one.data) for one in self.sets)

@@ -1,16 +1,14 @@
-"""Bin: list the tiles that each splat touches, and where each tile's list begins and ends."""
+"""Bin: list the tiles that each splat touches, nearest splat first."""
 
-__all__ = ["RANGE_THREADS", "WALK_THREADS", "BinTiles", "TileRanges"]
+__all__ = ["WALK_THREADS", "BinTiles"]
 
 from typing import Any, Final, final
 
 from gsgen.runtime.device import Device
 from gsgen.runtime.kernels.counts import PLACES, Counts
 from gsgen.runtime.kernels.kernel import Kernel, Step
-from gsgen.runtime.kernels.sort import Cut
 
 WALK_THREADS: Final = 64
-RANGE_THREADS: Final = 256
 _BINDINGS = "urrrrrwww"
 
 
@@ -20,36 +18,25 @@ class BinTiles:
 
     Args:
         device: Where it runs.
-        cut: How work is cut.
+        walk: How many splats an invocation walks along.
     """
 
-    def __init__(self, device: Device, cut: Cut) -> None:
-        constants = {"THREADS": WALK_THREADS, "RUN": cut.walk, **PLACES}
+    def __init__(self, device: Device, walk: int) -> None:
+        constants = {"THREADS": WALK_THREADS, "RUN": walk, **PLACES}
         self._measure, self._emit = (
             Kernel(device, "bin_tiles", entry, (_BINDINGS,), **constants)
             for entry in ("measure", "emit")
         )
 
-    def steps(self, counts: Any, *resources: Any) -> tuple[Step, Step]:
-        """Return measuring and emitting; between them the measures are to be scanned."""
+    def steps(self, counts: Any, resources: tuple[Any, ...]) -> tuple[Step, Step]:
+        """Return measuring and emitting; between them the measures are to be scanned.
+
+        Args:
+            counts: The frame's counts.
+            resources: What ``bin_tiles.wgsl`` binds, in its order.
+        """
         dispatch = (counts, 4 * Counts.WALK_VISIBLE_GROUPS)
-        frame, *rest = resources
         return (
-            Step(self._measure, (self._measure.bind(frame, counts, *rest),), dispatch),
-            Step(self._emit, (self._emit.bind(frame, counts, *rest),), dispatch),
+            Step(self._measure, (self._measure.bind(*resources),), dispatch),
+            Step(self._emit, (self._emit.bind(*resources),), dispatch),
         )
-
-
-@final
-class TileRanges:
-    """``tile_ranges.wgsl``."""
-
-    def __init__(self, device: Device) -> None:
-        self.kernel = Kernel(
-            device, "tile_ranges", "mark", ("rrw",), THREADS=RANGE_THREADS, **PLACES
-        )
-
-    def step(self, counts: Any, tiles: Any, ranges: Any) -> Step:
-        """Return the marking of where each tile's pairs begin and end."""
-        bind = self.kernel.bind(counts, tiles, ranges)
-        return Step(self.kernel, (bind,), (counts, 4 * Counts.WALK_PAIRS_GROUPS))

@@ -32,6 +32,11 @@ class BlendTiles:
             PICK=pick,
         )
 
-    def step(self, tiles: tuple[int, int], *resources: Any) -> Step:
-        """Return the blending of an image of so many tiles across and down."""
+    def step(self, tiles: tuple[int, int], resources: tuple[Any, ...]) -> Step:
+        """Return the blending of an image.
+
+        Args:
+            tiles: How many there are across and down.
+            resources: What ``blend_tiles.wgsl`` binds, in its order.
+        """
         return Step(self.kernel, (self.kernel.bind(*resources),), (*tiles, 1))

@@ -1,4 +1,4 @@
-// What all Gaussians of a frame share. Written by camera.py's `frame_bytes`.
+// What all Gaussians of a frame share. Written by project.py's `frame_uniform`.
 
 struct Frame {
     focal: vec2f,        // pixels
@@ -10,5 +10,5 @@ struct Frame {
     pair_capacity: u32,
     size: vec2u,         // pixels
     tiles: vec2u,
-    background: vec4f,
+    background: vec4f,   // red, green, blue; alpha stays that of the splats
 }

@@ -10,7 +10,7 @@ from jaxtyping import Float, Shaped
 from gsgen.contract import layout
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
-from gsgen.runtime.kernels.kernel import Kernel
+from gsgen.runtime.kernels.kernel import Kernel, Step
 from gsgen.runtime.kernels.shader import JACOBIAN_MARGIN, TILE
 from gsgen.runtime.scene import SplatSet
 
@@ -71,13 +71,13 @@ def tiles_of(camera: Camera) -> tuple[int, int]:
 
 
 def frame_uniform(
-    camera: Camera, background: Float[np.ndarray, "4"]
+    camera: Camera, background: Float[np.ndarray, "3"]
 ) -> Shaped[np.ndarray, ""]:
     """Return what all Gaussians of a frame share.
 
     Args:
         camera: Whose image it is.
-        background: Red, green, blue, multiplied by alpha, and alpha.
+        background: Red, green, blue behind it all, multiplied by their alpha.
     """
     made = np.zeros((), FRAME)
     focal = np.array([camera.fx, camera.fy])
@@ -89,7 +89,7 @@ def frame_uniform(
     made["slope_low"] = -(center + margin) / focal
     made["slope_high"] = (size - center + margin) / focal
     made["near"], made["size"], made["tiles"] = camera.near, size, tiles_of(camera)
-    made["background"] = background
+    made["background"][:3] = background
     return made
 
 
@@ -153,12 +153,18 @@ class ProjectKernel:
             NO_HARMONICS=NO_HARMONICS,
         )
 
-    def bind_page(self, uniform: Any, slot: int, rows: Any, appearance: Any) -> Any:
-        """Return the bind group of a page, whose uniform is number ``slot`` of a buffer."""
-        own = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
-        return self.kernel.bind(own, rows, appearance, group=1)
+    def step(self, outputs: tuple[Any, ...], uniform: Any, slot: int, page: Any) -> Step:
+        """Return the step for a page.
 
-    @staticmethod
-    def groups(capacity: int) -> tuple[int, int, int]:
-        """Return the workgroups for a page of ``capacity`` Gaussians."""
-        return -(-capacity // _THREADS), 1, 1
+        Args:
+            outputs: What group 0 of ``project.wgsl`` binds, in its order.
+            uniform: Uniforms of all pages.
+            slot: Which of them is this page's.
+            page: Has ``rows``, ``appearance`` and ``capacity``.
+        """
+        own = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
+        binds = (
+            self.kernel.bind(*outputs),
+            self.kernel.bind(own, page.rows, page.appearance, group=1),
+        )
+        return Step(self.kernel, binds, (-(-page.capacity // _THREADS), 1, 1))
