@@ -104,3 +104,29 @@ def test_time_that_loops_is_tried_at_two_moments_that_differ(models):
     with FrameSession(models["drift-float32"], provider="cpu") as session:
         first, second = session.samples()
     assert 0 <= first["time"][0] < second["time"][0] < 1
+
+
+@pytest.mark.parametrize("base", ["moved", "base"])
+def test_a_scatter_that_meets_its_own_leftovers_is_caught(base, tmp_path):
+    """ScatterND writes in place: what the frame before left is there still."""
+    end = "gaussians = Concat <axis = 1> (moved, opacity, spread)"
+    body = (
+        f'part = Slice (moved, low, high) some = ScatterND <reduction = "add"> ({base}, at, part) '
+        "sum = Add (moved, some) gaussians = Concat <axis = 1> (sum, opacity, spread)"
+    )
+    weights = {
+        "at": np.arange(2)[:, None],
+        "low": np.zeros(1, np.int64),
+        "high": np.full(1, 2),
+        "base": np.ones((5, 3), np.float32),
+    }
+    used = {
+        name: array
+        for name, array in weights.items()
+        if f"{name}," in body or name == "high"
+    }
+    drifting().reworded(end, body).weighing(**used).write(tmp_path / "a.onnx")
+    with pytest.warns(CaptureOff, match=r"computed from ScatterND \(node ScatterND\)$"):
+        session = FrameSession(tmp_path / "a.onnx", provider="webgpu")
+    with session:
+        moves(session)

@@ -3,11 +3,20 @@
 import sys
 from types import SimpleNamespace
 
+import numpy as np
 import onnxruntime
 import pytest
 
 from gsgen.contract.errors import UnknownName
-from gsgen.sdk.binding import FrameSession, ProviderUnavailable, providers, webgpu
+from gsgen.sdk.binding import (
+    CaptureOff,
+    FrameSession,
+    NodesOnCpu,
+    ProviderUnavailable,
+    providers,
+    warm_up,
+    webgpu,
+)
 from gsgen.sdk.binding.providers import Choice, Opening, choose, installed, open_session
 from gsgen.sdk.binding.webgpu import Adapter, AdapterMissing, find_adapter
 
@@ -52,6 +61,13 @@ def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime_ep_webgpu", None)
     with pytest.raises(AdapterMissing, match="onnxruntime-ep-webgpu is not installed"):
         find_adapter()
+
+
+def test_an_onnx_runtime_without_plug_ins_is_named(monkeypatch):
+    monkeypatch.delattr(onnxruntime, "register_execution_provider_library")
+    with pytest.raises(AdapterMissing, match="takes no plug-in providers") as raised:
+        find_adapter()
+    assert raised.value.mend == "pip install -U onnxruntime"
 
 
 def test_no_device_is_an_absence(monkeypatch):
@@ -163,3 +179,48 @@ def test_cuda_that_does_not_load_gives_way_to_the_cpu(models, with_cuda):
             "cuda failed: wanted CUDAExecutionProvider, got CPUExecutionProvider"
         )
         session.run({"time": 0.5})
+
+
+@pytest.fixture
+def stand_in(monkeypatch, with_cuda):
+    """Let the CPU stand in for CUDA: its buffers are copied to and from, its graph numbers noted."""
+    make, open_plainly = onnxruntime.OrtValue.ortvalue_from_shape_and_type, open_session
+
+    def on_the_host(shape, dtype, memory, number):
+        assert (memory, number) == ("cuda", 0)
+        return make(shape, dtype)
+
+    def as_the_cpu(path, opening):
+        opened.append(opening.capture)
+        return open_plainly(path, Opening(Choice("cpu", "")))
+
+    opened: list[bool] = []
+    monkeypatch.setattr(onnxruntime.OrtValue, "ortvalue_from_shape_and_type", on_the_host)
+    monkeypatch.setattr(warm_up, "open_session", as_the_cpu)
+    return opened
+
+
+def test_the_way_of_a_frame_through_cuda_on_a_stand_in(models, stand_in):
+    """All but the device: capture is asked for and checked, inputs and outputs are copied."""
+    with FrameSession(models["drift-float32"], provider="cpu") as reference:
+        wanted = [reference.run({"time": t}, copy=True)["gaussians"] for t in (0, 1)]
+    with pytest.warns(
+        NodesOnCpu, match=r"cuda: 3 of 3 nodes run on the CPU \(Mul, Add, Concat\)"
+    ):
+        opened = FrameSession(models["drift-float32"], provider="cuda")
+    with opened as session:
+        assert (session.provider, session.captured) == ("cuda", True)
+        for time in (0, 1):
+            found = session.run({"time": time})["gaussians"]
+            np.testing.assert_array_equal(found, wanted[time])
+    assert stand_in[-1] is True
+
+
+def test_a_stale_capture_of_cuda_is_given_up_on_a_stand_in(models, stand_in, monkeypatch):
+    monkeypatch.setattr(warm_up.Bound, "run", lambda bound: None)  # replays nothing
+    with (
+        pytest.warns(NodesOnCpu),
+        pytest.warns(CaptureOff, match=r"output gaussians .* frames differ"),
+    ):
+        FrameSession(models["drift-float32"], provider="cuda").close()
+    assert stand_in[-2:] == [True, False]

@@ -145,7 +145,8 @@ class Bound:
 
     def close(self) -> None:
         """Release the capture, the buffers and the session, in this order."""
-        self.session.release_captured_graph()
+        if self._memory == "gpu":
+            self.session.release_captured_graph()
         self._binding.clear_binding_inputs()
         self._binding.clear_binding_outputs()
         self.inputs, self.outputs = {}, {}

@@ -69,7 +69,8 @@ class DeviceBuffer(Buffer):
 
         super().__init__(shape, dtype)
         self._array: np.ndarray | None = None
-        if memory == "gpu":  # WebGPU's buffers belong to a session
+        self._of_webgpu = memory == "gpu"
+        if self._of_webgpu:  # such buffers belong to a session
             make = session.create_ortvalue_from_shape_and_type
         else:
             make = onnxruntime.OrtValue.ortvalue_from_shape_and_type
@@ -83,10 +84,13 @@ class DeviceBuffer(Buffer):
 
     def read(self) -> np.ndarray:
         """Copy the memory to the host, always to the same place."""
-        from onnxruntime import copy_tensors
+        import onnxruntime
 
-        self._host()
-        copy_tensors([self.value], [self._mirror])
+        host = self._host()
+        if self._of_webgpu:
+            onnxruntime.copy_tensors([self.value], [self._mirror])
+        else:  # built-in providers bring no transfer that copy_tensors knows
+            host[...] = self.value.numpy()
         return self._shown
 
     def _host(self) -> np.ndarray:

@@ -30,7 +30,12 @@ class Node:
 
 
 def placement(session: Any) -> tuple[Node, ...]:
-    """Return every node of a session, made with ``session.record_ep_graph_assignment_info``."""
+    """Return every node of a session, made with ``session.record_ep_graph_assignment_info``.
+
+    ONNX Runtime below 1.24 does not tell; then there is none.
+    """
+    if not hasattr(session, "get_provider_graph_assignment_info"):
+        return ()
     return tuple(
         Node(part.ep_name, node.op_type, node.name)
         for part in session.get_provider_graph_assignment_info()

@@ -59,7 +59,7 @@ def find_adapter() -> Adapter:
     ``ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER=0`` before the first call.
 
     Raises:
-        AdapterMissing: The package or a driver is missing.
+        AdapterMissing: The package or a driver is missing, or ONNX Runtime is too old.
     """
     import onnxruntime
 
@@ -68,6 +68,9 @@ def find_adapter() -> Adapter:
     except ImportError as error:
         what = "onnxruntime-ep-webgpu is not installed"
         raise AdapterMissing(what, "pip install 'gsgen[live]'") from error
+    if not hasattr(onnxruntime, "register_execution_provider_library"):
+        what = f"onnxruntime {onnxruntime.__version__} takes no plug-in providers"
+        raise AdapterMissing(what, "pip install -U onnxruntime")
     _register(provider.get_library_path())
     name = provider.get_ep_name()
     devices = [one for one in onnxruntime.get_ep_devices() if one.ep_name == name]
