@@ -13,10 +13,12 @@ from gsgen.contract.errors import (
     ManifestInvalid,
     ModelUnreadable,
 )
+from gsgen.contract.geometry import perspective
 from gsgen.contract.manifest import Input
 from gsgen.contract.model import MANIFEST_KEY
+from gsgen.runtime.camera import Camera
 from gsgen.sdk.binding import FrameSession, InputInvalid, RunFailed, SizeUnknown
-from gsgen.sdk.binding.camera import camera_values
+from gsgen.sdk.binding.camera import camera_values, pinhole_projection
 from gsgen.sdk.binding.port import Port, default_tensor
 from support.small_models import HEAD, good_rows, moving, save
 
@@ -99,16 +101,34 @@ def test_a_camera_needs_a_manifest_and_two_matrices(session, tmp_path):
 
 
 def test_a_camera_tells_its_centre_and_viewport():
-    class Camera:
+    class Matrices:
         view = np.array([[0, 1, 0, 2], [-1, 0, 0, 3], [0, 0, 1, 4], [0, 0, 0, 1.0]])
         projection = np.eye(4)
         width, height = 640, 480
 
-    values = camera_values(Camera())
+    values = camera_values(Matrices())
     centre = values["camera_position"]
-    np.testing.assert_allclose(Camera.view @ [*centre, 1], [0, 0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(Matrices.view @ [*centre, 1], [0, 0, 0, 1], atol=1e-12)
     assert values["viewport"].tolist() == [640, 480]
-    assert "viewport" not in camera_values((Camera.view, Camera.projection))
+    assert "viewport" not in camera_values((Matrices.view, Matrices.projection))
+
+
+@given(*[st.floats(0.1, 0.9)] * 2, *[st.floats(-2, 2)] * 2, st.floats(0.5, 50))
+def test_intrinsics_project_to_the_pixels_that_they_say(cx, cy, x, y, z):
+    camera = Camera(np.eye(4), 700, 650, 640 * cx, 480 * cy, 640, 480, 0.1)
+    values = camera_values(camera)
+    clip = values["projection"] @ [x, y, z, 1]
+    u, v = (clip[0] / clip[3] + 1) / 2 * 640, (1 - clip[1] / clip[3]) / 2 * 480
+    assert u == pytest.approx(700 * x / z + camera.cx, abs=1e-6)
+    assert v == pytest.approx(650 * y / z + camera.cy, abs=1e-6)
+    assert 0 <= clip[2] / clip[3] <= 1
+    assert values["viewport"].tolist() == [640, 480]
+
+
+def test_intrinsics_in_the_middle_give_the_projection_of_the_conventions():
+    camera = Camera(np.eye(4), 500, 500, 320, 240, 640, 480, 0.01)
+    wanted = perspective(2 * np.arctan(320 / 500), 640 / 480, 0.01, 1000)
+    np.testing.assert_allclose(pinhole_projection(camera), wanted, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

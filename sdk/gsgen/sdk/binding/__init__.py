@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from gsgen.contract.lazy import attributes
 
 if TYPE_CHECKING:
-    from gsgen.sdk.binding.camera import CameraLike
+    from gsgen.sdk.binding.camera import CameraLike, Pinhole
     from gsgen.sdk.binding.errors import (
         CaptureOff,
         FrameGone,
@@ -30,6 +30,7 @@ __all__ = [
     "FrameSession",
     "InputInvalid",
     "NodesOnCpu",
+    "Pinhole",
     "ProviderUnavailable",
     "RunFailed",
     "SessionClosed",
@@ -44,6 +45,7 @@ _HOME = {
     "FrameSession": "session",
     "InputInvalid": "errors",
     "NodesOnCpu": "errors",
+    "Pinhole": "camera",
     "ProviderUnavailable": "errors",
     "RunFailed": "errors",
     "SessionClosed": "errors",

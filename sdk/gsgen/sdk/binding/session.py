@@ -7,7 +7,7 @@ import os
 import threading
 import warnings
 import weakref
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from types import MappingProxyType, TracebackType
@@ -19,7 +19,7 @@ from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.contract.manifest import Manifest
 from gsgen.sdk.binding.bound import failed
 from gsgen.sdk.binding.buffers import Buffer
-from gsgen.sdk.binding.camera import CameraLike, camera_values
+from gsgen.sdk.binding.camera import Camera, camera_values
 from gsgen.sdk.binding.errors import (
     CaptureOff,
     FrameGone,
@@ -154,7 +154,7 @@ class FrameSession:
         self,
         values: Mapping[str, object] | None = None,
         *,
-        camera: CameraLike | Sequence[np.ndarray] | None = None,
+        camera: Camera | None = None,
         copy: bool = False,
     ) -> Frame:
         """Update inputs and compute a frame.
@@ -187,15 +187,15 @@ class FrameSession:
         self,
         values: Mapping[str, object] | None = None,
         *,
-        camera: CameraLike | Sequence[np.ndarray] | None = None,
+        camera: Camera | None = None,
     ) -> None:
         """Update inputs in place, for the next run; all of them or, if one does not fit, none.
 
         Args:
             values: Tensor name or role → value. A number fills an input of one element. Matrices
                 are given as in mathematics and laid out as the manifest declares.
-            camera: An object with ``view`` and ``projection``, or that pair; it updates whatever
-                the model wants to know of a camera.
+            camera: An object with ``view`` and ``projection`` or with ``view`` and intrinsics, or
+                the pair of matrices; it updates whatever the model wants to know of a camera.
 
         Raises:
             InputInvalid: A value does not fit.
@@ -229,7 +229,7 @@ class FrameSession:
                 made[name] = ready.ports[name].fitting(value)
             ready.bound.write(made)
 
-    def _of_camera(self, camera: CameraLike | Sequence[np.ndarray]) -> dict[str, object]:
+    def _of_camera(self, camera: Camera) -> dict[str, object]:
         if self.manifest is None:
             what = "no manifest says which inputs are the camera's"
             mend = "Embed one (`gsgen inspect --emit-manifest`), or pass manifest=."
