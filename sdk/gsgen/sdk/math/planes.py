@@ -53,42 +53,32 @@ def sample_plane(
         raise GeneratorInvalid(what, where="sample_plane")
     _, height, width = plane.shape
     table = plane.permute(1, 2, 0).reshape(height * width, -1)
-    x0, x1, x_low, x_high = _neighbours(at[:, 0:1], width, align_corners, padding)
-    y0, y1, y_low, y_high = _neighbours(at[:, 1:2], height, align_corners, padding)
-    corners = (
-        (y0, x0, y_low * x_low),
-        (y0, x1, y_low * x_high),
-        (y1, x0, y_high * x_low),
-        (y1, x1, y_high * x_high),
-    )
-    made = [
-        table.index_select(0, (y * width + x).reshape(-1).to(torch.int32)) * share
-        for y, x, share in corners
-    ]
-    return made[0] + made[1] + made[2] + made[3]
+    columns, across = _neighbours(at[:, 0:1], width, align_corners, padding)
+    rows, down = _neighbours(at[:, 1:2], height, align_corners, padding)
+    texels = (rows * width)[:, :, None] + columns[:, None, :]
+    shares = down[:, :, None] * across[:, None, :]
+    # One gather of all four corners: a kernel each would cost more than the arithmetic.
+    corners = table.index_select(0, texels.reshape(-1).to(torch.int32))
+    weighed = corners.reshape(-1, 4, table.shape[1]) * shares.reshape(-1, 4, 1)
+    return weighed.sum(dim=1)
 
 
 def _neighbours(
     at: Float[Tensor, "n 1"], size: int, align_corners: bool, padding: Padding
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+) -> tuple[Float[Tensor, "n 2"], Float[Tensor, "n 2"]]:
     """Return both neighbours of a coordinate, as float indices inside, and their shares."""
-    texel = (
-        (at + 1) * (0.5 * (size - 1)) if align_corners else (at + 1) * (0.5 * size) - 0.5
-    )
+    half = 0.5 * (size - 1 if align_corners else size)
+    texel = at * half + 0.5 * (size - 1)
     if padding == "border":
         texel = texel.clamp(0, size - 1)
     low = torch.floor(texel)
     share = texel - low
-    if padding == "border":
-        return low, (low + 1).clamp(max=size - 1), 1 - share, share
     low = low.clamp(-2, size)  # far outside is like just outside, and fits an integer
-    high = low + 1
-    return (
-        low.clamp(0, size - 1),
-        high.clamp(0, size - 1),
-        (1 - share) * _is_inside(low, size),
-        share * _is_inside(high, size),
-    )
+    index = torch.cat([low, low + 1], dim=1)
+    shares = torch.cat([1 - share, share], dim=1)
+    if padding == "zeros":
+        shares = shares * _is_inside(index, size)
+    return index.clamp(0, size - 1), shares
 
 
 def _is_inside(index: Tensor, size: int) -> Tensor:
