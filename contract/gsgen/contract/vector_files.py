@@ -97,7 +97,7 @@ def record_vectors(
     probes = _chosen(make_plan(subject, Level.VALUES, seed).probes, count)
     progress(f"running {len(probes)} probes twice in ONNX Runtime")
     with _staged(folder) as stage:
-        with _executed(subject, probes, settings) as execution:
+        with _executed(subject, probes) as execution:
             vectors = tuple(
                 _write(stage / f"test_data_set_{index}", subject, probe, outputs, seed)
                 for index, (probe, outputs) in enumerate(
@@ -173,14 +173,11 @@ def _staged(folder: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _executed(
-    subject: Subject, probes: list[Probe], settings: Settings
-) -> Iterator[Execution]:
+def _executed(subject: Subject, probes: list[Probe]) -> Iterator[Execution]:
     file = subject.file
-    weights = file.size + sum(ref.length or 0 for ref in file.external)
     names = [tensor.name for tensor in subject.graph.outputs]
     twice = [probe for probe in probes for _ in range(2)]
-    with execute(file.path, names, twice, settings.limits.for_model(weights)) as execution:
+    with execute(file.path, names, twice, subject.granted) as execution:
         if execution.fault is not None:
             what = f"does not run: {execution.fault.message}"
             raise VectorsRefused(what, where=str(file.path))

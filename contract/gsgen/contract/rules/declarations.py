@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from gsgen.contract.finding import Breach, Severity
 from gsgen.contract.manifest import Input
-from gsgen.contract.roles import KINDS
+from gsgen.contract.roles import KINDS, ROLES
 from gsgen.contract.rule import rule
 from gsgen.contract.subject import Subject
 
@@ -160,3 +160,32 @@ def manifest_at_model_level(subject: Subject) -> Iterator[Breach]:
         ours = [key for key in keys if key.startswith(_PREFIX)]
         if ours:
             yield Breach.at(f"tensor {name}", f"key {ours[0]!r}", "the manifest")
+
+
+@rule(
+    "GM016",
+    "dependencies-are-inputs",
+    Severity.WARNING,
+    over="model",
+    fixture="depends_on_unknown",
+    needs=("GM002", "GM003"),
+)
+def dependencies_are_inputs(subject: Subject) -> Iterator[Breach]:
+    """`depends_on` speaks of roles that some input has.
+
+    Why:
+        A misspelt role says nothing of the one that was meant, which then counts as one that the
+        outputs depend on: the model runs at every move of a camera that it does not look at.
+
+    Mend:
+        Write the role as it stands in the inputs, or remove the entry.
+    """
+    generator = subject.generator
+    if generator is None or subject.candidate is not None:
+        return
+    taken = list(dict.fromkeys(entry.role for entry in generator.inputs))
+    for role in generator.depends_on:
+        if role not in taken:
+            saw = "no such role" if role not in ROLES else "no input has it"
+            listed = ", ".join(taken) or "none: there are no inputs"
+            yield Breach.at(f"manifest depends_on {role!r}", saw, f"one of {listed}")
