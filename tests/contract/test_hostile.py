@@ -1,5 +1,6 @@
 """Models that once stopped the validator: each is judged, in time, and is no internal error."""
 
+import json
 import time
 
 import numpy as np
@@ -124,3 +125,26 @@ def test_a_function_that_calls_itself_is_a_fault():
     inferred, fault = infer(looping)
     assert inferred is None or fault
     assert "recursive" in fault or "Cycle" in fault
+
+
+@pytest.mark.parametrize(
+    ("dims", "shape", "saw"),
+    [
+        ([1, 3, "H", "W", 1 << 31], None, "inputs of a frame: 201326592 MiB in float64"),
+        ([1, 3, "H", "W"], [1, 3, 1 << 20, 1 << 20], "inputs of a frame: 25165824 MiB"),
+    ],
+)
+def test_an_input_that_no_probe_can_hold_is_a_finding(tmp_path, dims, shape, saw):
+    proto = find("post_process_any_size").draw().build()
+    sizes = proto.graph.input[0].type.tensor_type.shape
+    del sizes.dim[:]
+    for dim in dims:
+        sizes.dim.add(**{"dim_value" if isinstance(dim, int) else "dim_param": dim})
+    (entry,) = (one for one in proto.metadata_props if one.key == "gsgen.manifest")
+    document = json.loads(entry.value)
+    if shape:
+        document["inputs"][0]["shape"] = shape
+    entry.value = json.dumps(document)
+    report = validate(save(tmp_path / "a.onnx", proto), Settings(level=Level.VALUES))
+    assert any(f"{one.where}: {one.message}".startswith(saw) for one in report.findings)
+    assert report.verdict == "invalid"

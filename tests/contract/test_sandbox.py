@@ -344,3 +344,23 @@ def test_of_an_extra_probe_a_part_of_the_rows_is_kept_and_what_is_not_finite(fol
         assert sample.thin
         assert sample.not_finite == ("y",)
         np.testing.assert_array_equal(sample.outputs["y"], np.sqrt(x[::4]))
+
+
+def test_time_within_onnx_runtime_is_part_of_the_time_of_its_process(folder):
+    path = save(folder / "a.onnx", DOUBLE)
+    plain = Probe("plain", pair(1, 2).inputs, extra=True, optimise=False)
+    with execute(path, ["y"], [pair(1, 2), plain], Limits()) as execution:
+        loads = [one for one in execution.events if one["event"] == "loaded"]
+        assert len(loads) == 2  # another session for the run without optimisations
+        runs = sum(run.seconds for run in execution.runs)
+        assert 0 < runs < execution.inside < execution.seconds
+
+
+def test_what_is_lost_in_a_run_names_its_probe_after_a_new_session_too(folder):
+    (folder / "log").write_text("")
+    events = [{"event": "started"}, {"event": "loaded"}, {"event": "begin", "probe": 3}]
+    for last in ([], [{"event": "loaded"}], [{"event": "sample"}]):
+        fault = sandbox._fault([*events, *last], -9, Limits(), folder / "log")
+        assert (fault.stage, fault.probe) == ("crash", 3)
+    done = [*events, {"event": "run", "probe": 3}]
+    assert sandbox._fault(done, -9, Limits(), folder / "log").probe is None

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
@@ -38,6 +39,9 @@ _WHERE_FROM = {
 }
 # Levels that are run by what another package registers, and the scope of their rules.
 _FURTHER: dict[Level, Scope] = {Level.LIVE: "live", Level.RENDER: "render"}
+
+
+_version = cache(version)  # reads a file of text
 
 
 def _silent(_: str) -> None:
@@ -81,7 +85,7 @@ class _Validation:
         self.board = Board(self.registry, settings, self.subject.kind)
         self.levels = [LevelOutcome(Level.STATIC, ran=True)]
         self.probes: tuple[str, ...] = ()
-        self.environment = {"onnx": version("onnx")}
+        self.environment = {"onnx": _version("onnx")}
         self.runtime_seconds = 0.0
 
     def report(self) -> Report:

@@ -18,12 +18,16 @@ from onnx import (
     ValueInfoProto,
 )
 
-from gsgen.contract.inference import first_line, infer
+from gsgen.contract.inference import first_line, infer, propagate
 from gsgen.contract.model import STUB, ModelFile, bodies, subgraphs
 
 Dims = tuple[int | str | None, ...]
 
 _MAX_DEPTH = 64
+_SPELLED = {"FLOAT": "float32", "DOUBLE": "float64", "UNDEFINED": None}
+_DTYPES = {
+    code: _SPELLED.get(name, name.lower()) for name, code in TensorProto.DataType.items()
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,12 +106,17 @@ class Graph:
     def uses(self) -> dict[str, int]:
         """Tensor name → how many nodes and outputs of the main graph read it."""
         count: dict[str, int] = {}
-        for node in self.nodes:
-            for name in reads(node):
+        for names in self._reads.values():
+            for name in names:
                 count[name] = count.get(name, 0) + 1
         for output in self.outputs:
             count[output.name] = count.get(output.name, 0) + 1
         return count
+
+    @cached_property
+    def _reads(self) -> dict[int, list[str]]:
+        """Node, by its identity → what it reads."""
+        return {id(node): reads(node) for node in self.nodes}
 
     def output(self, name: str) -> Tensor | None:
         """Return the output called ``name``, or None."""
@@ -118,18 +127,32 @@ class Graph:
         return next((tensor for tensor in self.inputs if tensor.name == name), None)
 
     def ancestors(self, name: str) -> tuple[set[str], list[NodeProto]]:
-        """Return every tensor and every node that ``name`` is computed from, itself included."""
+        """Return every tensor and every node that ``name`` is computed from, itself included.
+
+        The answer is kept, and given again: it is to be read alone.
+        """
+        if name not in self._lineages:
+            self._lineages[name] = self._traced(name)
+        return self._lineages[name]
+
+    @cached_property
+    def _lineages(self) -> dict[str, tuple[set[str], list[NodeProto]]]:
+        return {}
+
+    def _traced(self, name: str) -> tuple[set[str], list[NodeProto]]:
         names, nodes, queue = {name}, [], [name]
         visited: set[int] = set()
         while queue:
             node = self.producers.get(queue.pop())
-            if node is None or id(node) in visited:
+            key = id(node)
+            if node is None or key in visited:
                 continue
-            visited.add(id(node))
+            visited.add(key)
             nodes.append(node)
-            fresh = set(reads(node)) - names
-            names |= fresh
-            queue.extend(fresh)
+            for name in self._reads[key]:
+                if name not in names:
+                    names.add(name)
+                    queue.append(name)
         return names, nodes
 
     def varies(self, name: str) -> bool:
@@ -139,13 +162,16 @@ class Graph:
 
     def all_nodes(self) -> Iterator[NodeProto]:
         """Yield every node, those inside If, Loop and Scan bodies included."""
-        for node in self.nodes:
-            yield from _nested(node, 0)
+        return iter(self._all_nodes)
+
+    @cached_property
+    def _all_nodes(self) -> list[NodeProto]:
+        return [inner for node in self.nodes for inner in _nested(node, 0)]
 
 
 def reads(node: NodeProto) -> list[str]:
     """Return the names that ``node`` reads, from inside its subgraphs too."""
-    names = [name for name in node.input if name]
+    names = list(filter(None, node.input))
     for attribute in node.attribute:
         for graph in subgraphs(attribute):
             for inner in graph.node:
@@ -197,8 +223,10 @@ def _facts(file: ModelFile) -> _Facts:
     inferred, facts.inference = infer(proto)
     if inferred is None:
         return facts
-    values = (*inferred.graph.value_info, *inferred.graph.output)
-    found = {v.name: _of_value(v) for v in values}
+    found = _values(inferred)
+    if not facts.inference and _is_open(proto, found):
+        inferred, facts.inference = propagate(proto, inferred)
+        found = _values(inferred)
     facts.tensors = {
         name: _best(declared.get(name), tensor) for name, tensor in found.items()
     }
@@ -210,6 +238,19 @@ def _facts(file: ModelFile) -> _Facts:
     return facts
 
 
+def _values(proto: ModelProto) -> dict[str, Tensor]:
+    return {v.name: _of_value(v) for v in (*proto.graph.value_info, *proto.graph.output)}
+
+
+def _is_open(proto: ModelProto, found: dict[str, Tensor]) -> bool:
+    """Say whether the size of any tensor that a node makes is still unknown."""
+    sizes = (one.dims for one in found.values())
+    if any(dims is None or any(type(d) is not int for d in dims) for dims in sizes):
+        return True
+    made = (name for node in proto.graph.node for name in node.output)
+    return any(name and name not in found for name in made)
+
+
 def _without_stubs(file: ModelFile) -> ModelProto:
     """Return a copy that ONNX's library accepts although weights were not read.
 
@@ -219,6 +260,8 @@ def _without_stubs(file: ModelFile) -> ModelProto:
     copy = ModelProto()
     copy.CopyFrom(file.proto)
     copy.ClearField("metadata_props")
+    if file.whole:
+        return copy
     taken = {value.name for value in copy.graph.input}
     for tensor in _take_stubs(copy.graph):
         if tensor.name not in taken:
@@ -320,15 +363,8 @@ def _nested(node: NodeProto, depth: int) -> Iterator[NodeProto]:
                     yield from _nested(inner, depth + 1)
 
 
-def _dtype(code: int) -> str | None:
-    if code == TensorProto.UNDEFINED or code not in TensorProto.DataType.values():
-        return None
-    name = TensorProto.DataType.Name(code).lower()
-    return {"float": "float32", "double": "float64"}.get(name, name)
-
-
 def _of_weight(tensor: TensorProto) -> Tensor:
-    return Tensor(tensor.name, _dtype(tensor.data_type), tuple(tensor.dims))
+    return Tensor(tensor.name, _DTYPES.get(tensor.data_type), tuple(tensor.dims))
 
 
 def _of_value(value: ValueInfoProto) -> Tensor:
@@ -341,7 +377,7 @@ def _of_value(value: ValueInfoProto) -> Tensor:
             d.dim_value if d.HasField("dim_value") else (d.dim_param or None)
             for d in kind.shape.dim
         )
-    return Tensor(value.name, _dtype(kind.elem_type), dims)
+    return Tensor(value.name, _DTYPES.get(kind.elem_type), dims)
 
 
 def _best(declared: Tensor | None, inferred: Tensor | None) -> Tensor:

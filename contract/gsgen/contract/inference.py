@@ -7,7 +7,7 @@ be it one of two thousand million weights. So functions are counted first; and d
 only where something is still unknown without, in a child process if vectors may be long.
 """
 
-__all__ = ["first_line", "infer"]
+__all__ = ["first_line", "infer", "propagate"]
 
 import subprocess
 import sys
@@ -33,12 +33,17 @@ _SECONDS, _MEMORY = 5.0, 1 << 30
 
 
 def infer(proto: ModelProto) -> tuple[ModelProto | None, str]:
-    """Return ``proto`` with inferred types, as far as they are, and what ONNX objects to."""
+    """Return ``proto`` with inferred types, as far as they are, and what ONNX objects to.
+
+    No data is propagated: where sizes are unknown, :func:`propagate` may find them.
+    """
     if _expanded(proto) > _MOST_EXPANDED:
         return None, f"its functions expand to more than {_MOST_EXPANDED} nodes"
-    inferred, fault = _strictly(proto)
-    if inferred is None or fault or not _is_open(inferred):
-        return inferred, fault
+    return _strictly(proto)
+
+
+def propagate(proto: ModelProto, inferred: ModelProto) -> tuple[ModelProto, str]:
+    """Infer ``proto`` again with data propagation; what it gave without it is ``inferred``."""
     if _may_be_long(inferred):
         return _propagated_elsewhere(proto) or inferred, ""
     try:
@@ -83,20 +88,6 @@ def _expanded(proto: ModelProto) -> int:
         return min(total, 2 * _MOST_EXPANDED)
 
     return size(proto.graph)
-
-
-def _is_open(proto: ModelProto) -> bool:
-    """Say whether the size of any tensor is still unknown."""
-    graph = proto.graph
-    values = {value.name: value for value in (*graph.value_info, *graph.output)}
-    made = [name for node in graph.node for name in node.output if name]
-    return any(name not in values or not _is_closed(values[name]) for name in made)
-
-
-def _is_closed(value: ValueInfoProto) -> bool:
-    kind = value.type.tensor_type
-    sized = all(dim.HasField("dim_value") for dim in kind.shape.dim)
-    return value.type.HasField("tensor_type") and kind.HasField("shape") and sized
 
 
 def _may_be_long(proto: ModelProto) -> bool:

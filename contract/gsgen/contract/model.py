@@ -38,6 +38,8 @@ from gsgen.contract.manifest import Manifest
 from gsgen.contract.manifest_json import dumps
 from gsgen.contract.wire import BYTES, STUB, Skeleton, WireFault, scan, skeleton
 
+Body = GraphProto | FunctionProto
+
 MANIFEST_KEY = "gsgen.manifest"
 
 _METADATA_FIELD = 14  # ModelProto.metadata_props
@@ -82,6 +84,7 @@ class ModelFile:
         proto: The model, with stubs in place of large payloads and of external data.
         stripped: Bytes of payload that were not read.
         external: Tensors whose payload lies in other files.
+        whole: Nothing was left out, and no weight is sparse.
     """
 
     path: Path
@@ -89,6 +92,7 @@ class ModelFile:
     proto: ModelProto
     stripped: int
     external: tuple[ExternalRef, ...]
+    whole: bool = False
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -148,8 +152,11 @@ def open_model(path: str | os.PathLike[str]) -> ModelFile:
             f"cannot be read: {error.strerror}", where=str(path)
         ) from error
     proto = _parse(path, bones.data)
-    external = tuple(_detach_external(proto))
-    return ModelFile(path, size, proto, bones.stripped, external)
+    parts = list(bodies(proto))
+    _check_texts(path, proto, parts, bones.data[:32])
+    external = tuple(_detach_external(parts))
+    whole = not (bones.stripped or external or any(map(_has_sparse, parts)))
+    return ModelFile(path, size, proto, bones.stripped, external, whole)
 
 
 def _size(path: Path) -> int:
@@ -184,10 +191,17 @@ def _parse(path: Path, data: bytes) -> ModelProto:
         raise _not_onnx(path, f"does not parse as ONNX ({error})", data[:32]) from error
     if not proto.HasField("graph") or not (proto.ir_version or proto.opset_import):
         raise _not_onnx(path, "holds no ONNX graph", data[:32])
-    for text in _texts(proto):
-        if isinstance(text, bytes):  # what protobuf gives where bytes are no UTF-8
-            raise _not_onnx(path, f"has a name that is no text ({text[:32]!r})", data[:32])
     return proto
+
+
+def _check_texts(path: Path, proto: ModelProto, parts: list[Body], head: bytes) -> None:
+    for text in _texts(proto, parts):
+        if isinstance(text, bytes):  # what protobuf gives where bytes are no UTF-8
+            raise _not_onnx(path, f"has a name that is no text ({text[:32]!r})", head)
+
+
+def _has_sparse(body: Body) -> bool:
+    return isinstance(body, GraphProto) and bool(body.sparse_initializer)
 
 
 def _not_onnx(path: Path, what: str, head: bytes) -> ModelUnreadable:
@@ -200,9 +214,9 @@ def _not_onnx(path: Path, what: str, head: bytes) -> ModelUnreadable:
     return ModelUnreadable(what, where=str(path), mend=mend)
 
 
-def _detach_external(proto: ModelProto) -> Iterator[ExternalRef]:
+def _detach_external(parts: list[Body]) -> Iterator[ExternalRef]:
     """Put a stub in place of every external payload, and say where it was."""
-    for tensor in _tensors(proto):
+    for tensor in _tensors(parts):
         if tensor.data_location != TensorProto.EXTERNAL:
             continue
         entries = {entry.key: entry.value for entry in tensor.external_data}
@@ -224,9 +238,9 @@ def _whole(text: str | None) -> int | None:
     return min(int(text), _LONGEST) if len(text) <= _DIGITS else _LONGEST
 
 
-def bodies(proto: ModelProto) -> Iterator[GraphProto | FunctionProto]:
+def bodies(proto: ModelProto) -> Iterator[Body]:
     """Yield every graph of a model: the main one, functions, and all that nodes hold."""
-    queue: list[GraphProto | FunctionProto] = [proto.graph, *proto.functions]
+    queue: list[Body] = [proto.graph, *proto.functions]
     for training in proto.training_info:
         queue += [training.initialization, training.algorithm]
     while queue:
@@ -241,16 +255,16 @@ def subgraphs(attribute: AttributeProto) -> list[GraphProto]:
     return [*([attribute.g] if attribute.HasField("g") else ()), *attribute.graphs]
 
 
-def _attributes(body: GraphProto | FunctionProto) -> Iterator[AttributeProto]:
+def _attributes(body: Body) -> Iterator[AttributeProto]:
     if isinstance(body, FunctionProto):
         yield from body.attribute_proto
     for node in body.node:
         yield from node.attribute
 
 
-def _tensors(proto: ModelProto) -> Iterator[TensorProto]:
+def _tensors(parts: list[Body]) -> Iterator[TensorProto]:
     """Yield every tensor that a file can hold, in subgraphs and functions too."""
-    for body in bodies(proto):
+    for body in parts:
         if isinstance(body, GraphProto):
             yield from body.initializer
             for sparse in body.sparse_initializer:
@@ -269,7 +283,7 @@ def _attribute_tensors(attribute: AttributeProto) -> Iterator[TensorProto]:
         yield from (sparse.values, sparse.indices)
 
 
-def _texts(proto: ModelProto) -> Iterator[str]:
+def _texts(proto: ModelProto, parts: list[Body]) -> Iterator[str]:
     """Yield every name and text that rules look at."""
     for entry in proto.metadata_props:
         yield from (entry.key, entry.value)
@@ -277,14 +291,14 @@ def _texts(proto: ModelProto) -> Iterator[str]:
         yield opset.domain
     for function in proto.functions:
         yield from (function.domain, function.name)
-    for body in bodies(proto):
+    for body in parts:
         if isinstance(body, GraphProto):
             for value in (*body.input, *body.output, *body.value_info):
                 yield value.name
                 yield from (dim.dim_param for dim in value.type.tensor_type.shape.dim)
         for node in body.node:
             yield from (node.op_type, node.domain, node.name, *node.input, *node.output)
-    for tensor in _tensors(proto):
+    for tensor in _tensors(parts):
         yield tensor.name
         for pair in tensor.external_data:
             yield from (pair.key, pair.value)

@@ -118,6 +118,12 @@ class Execution:
     version: str
     events: tuple[Mapping[str, Any], ...] = ()
 
+    @property
+    def inside(self) -> float:
+        """Seconds within ONNX Runtime itself: making sessions and running them."""
+        loading = (e["seconds"] for e in self.events if e["event"] == "loaded")
+        return sum(loading) + sum(run.seconds for run in self.runs)
+
 
 @contextmanager
 def execute(
@@ -255,7 +261,9 @@ def _fault(
     events: list[dict[str, Any]], status: int | None, limits: Limits, log: Path
 ) -> Fault | None:
     last: dict[str, Any] = events[-1] if events else {"event": "nothing"}
-    probe = last.get("probe") if last["event"] == "begin" else None
+    marks = (one for one in reversed(events) if one["event"] in ("begin", "run"))
+    begun = next(marks, last)
+    probe = begun.get("probe") if begun["event"] == "begin" else None
     if last["event"] == "done" and status == 0:
         return None
     if last["event"] == "fault":

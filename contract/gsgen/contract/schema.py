@@ -10,6 +10,7 @@ import types
 import typing
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
+from functools import cache
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from gsgen.contract.schema_hints import Hint
@@ -142,14 +143,19 @@ def from_json(hint: Any, value: Any) -> Any:
     if origin is dict:
         return {key: from_json(get_args(hint)[1], one) for key, one in value.items()}
     if is_dataclass(hint) and isinstance(hint, type):
-        hints = get_type_hints(hint, include_extras=True)
-        known = {f.name for f in fields(hint)}
-        return hint(**{k: from_json(hints[k], v) for k, v in value.items() if k in known})
+        hints = _hints_of(hint)
+        return hint(**{k: from_json(hints[k], v) for k, v in value.items() if k in hints})
     if hint is float:
         return float(value)
     if hint is int:
         return int(value)  # JSON Schema calls 3.0 an integer
     return value
+
+
+@cache
+def _hints_of(cls: type) -> dict[str, Any]:
+    hints = get_type_hints(cls, include_extras=True)
+    return {one.name: hints[one.name] for one in fields(cls)}
 
 
 def _from_union(options: tuple[Any, ...], value: Any) -> Any:

@@ -65,7 +65,7 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
     probe: int | None = None
     optimised = True
     try:
-        session = _session(job["model"])
+        session = _session(job["model"], emit)
         for probe, names in enumerate(job["probes"]):
             emit("begin", probe=probe)
             extra = job["extra"][probe]
@@ -76,7 +76,7 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
                 if job["optimise"][probe] is not optimised:
                     optimised = job["optimise"][probe]
                     del session  # first, so that two of them never need memory at once
-                    session = _session(job["model"], optimise=optimised)
+                    session = _session(job["model"], emit, optimise=optimised)
                 inputs = read_inputs(folder / f"probe_{probe}.npz", names)
                 started = time.perf_counter()
                 outputs = session.run(job["outputs"], inputs)
@@ -96,7 +96,7 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
     return 0
 
 
-def _session(model: str, *, optimise: bool = True) -> Any:
+def _session(model: str, emit: Emit, *, optimise: bool = True) -> Any:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -104,7 +104,10 @@ def _session(model: str, *, optimise: bool = True) -> Any:
     if not optimise:
         level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
         options.graph_optimization_level = level
-    return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    began = time.perf_counter()
+    made = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    emit("loaded", seconds=time.perf_counter() - began)
+    return made
 
 
 def limit_memory(limit: int) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from gsgen.contract.behaviour import Trial
 from gsgen.contract.finding import Breach, Severity
 from gsgen.contract.model import ExternalRef
+from gsgen.contract.plan import probed_bytes
 from gsgen.contract.roles import KINDS
 from gsgen.contract.rule import rule
 from gsgen.contract.rules.limits import tensor_bytes
@@ -13,6 +14,8 @@ from gsgen.contract.subject import Subject
 
 _MOST_ELEMENTS = 1 << 40
 _MIB = 1 << 20
+# Several probes are held at once.
+_PROBES = 4
 
 
 @rule(
@@ -111,6 +114,10 @@ def sizes_sane(subject: Subject) -> Iterator[Breach]:
                 yield Breach.at(
                     f"{place} {tensor.name}", saw, f"{limit // _MIB} MiB at most"
                 )
+    probed, most = probed_bytes(subject), limit // _PROBES
+    if probed > most:  # sizes that the graph leaves open included
+        saw = f"{probed / _MIB:.0f} MiB in float64, all together"
+        yield Breach.at("inputs of a frame", saw, f"{most // _MIB} MiB at most")
 
 
 @rule(
@@ -149,6 +156,6 @@ def within_limits(trial: Trial) -> Iterator[Breach]:
     """
     fault = trial.execution.fault
     if fault is not None and fault.stage in ("time", "memory"):
-        limit = trial.subject.limits
+        limit = trial.subject.granted
         want = f"at most {limit.seconds:g} s and {limit.memory // _MIB} MiB"
         yield Breach.at("ONNX Runtime", fault.message, want)

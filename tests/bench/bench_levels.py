@@ -1,0 +1,189 @@
+"""What the levels cost: static beside ``onnx.checker``, and ONNX Runtime's part of behaviour.
+
+Run by ``make bench``. Figures are ratios against a baseline of the same run, in the same process.
+"""
+
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+
+from gsgen.conformance.fixtures import find
+from gsgen.conformance.fixtures.sketch import Sketch
+from gsgen.contract import engine
+from gsgen.contract.config import Settings
+from gsgen.contract.engine import validate
+from gsgen.contract.finding import Level
+from gsgen.contract.probes import Probe
+from gsgen.contract.sandbox import Execution, Limits, execute
+
+NODES = 500
+_ROUNDS = 20
+# From so many megabytes of weights on, and from networks so wide on, there is a bar.
+_BAR_FROM = 64
+_WIDE, _SHARE = 128, 0.7
+
+
+def say(text: str) -> None:
+    sys.stdout.write(f"\n  {text}")
+
+
+def long_chain(nodes: int) -> Sketch:
+    """A generator whose centres go through a chain of ``nodes`` nodes more."""
+    base = find("swing").draw()
+    first, rest = "moved = Add (center, shift)", []
+    for k in range(0, nodes, 2):
+        source = "plain" if k == 0 else f"step_{k}"
+        rest.append(f"half_{k} = Mul ({source}, one)")
+        rest.append(f"step_{k + 2} = Add (half_{k}, nil)")
+    chain = " ".join(rest)
+    text = f"plain = Add (center, shift) {chain} moved = Identity (step_{nodes})"
+    numbers = {"one": np.ones(3, np.float32), "nil": np.zeros(3, np.float32)}
+    return base.reworded(first, text).weighing(**numbers)
+
+
+def weighing(sketch: Sketch, megabytes: int) -> Sketch:
+    """Let the model look a part of its colours up in a table of that size."""
+    if not megabytes:
+        return sketch
+    rows = megabytes * 10**6 // 12
+    table = np.random.default_rng(0).random((rows, 3), np.float32)
+    looked_up = sketch.reworded(
+        "color = Identity (colors)",
+        "some = Gather (table, places) color = Mul (some, small)",
+    )
+    places = np.arange(5, dtype=np.int32)
+    return looked_up.weighing(table=table, places=places, small=np.float32([0.1]))
+
+
+def network(rows: int, width: int) -> Sketch:
+    """A generator whose centres are moved by a small network, as anchor-based methods have one."""
+    base = find("swing").draw()
+    rng = np.random.default_rng(0)
+
+    def normal(*shape: int) -> np.ndarray:
+        return (rng.standard_normal(shape) / np.sqrt(shape[0])).astype(np.float32)
+
+    text = (
+        "wide = Add (feature, wave) a = MatMul (wide, first) b = Relu (a) "
+        "c = MatMul (b, second) d = Relu (c) e = MatMul (d, third) f = Tanh (e) "
+        "shift = Mul (f, speed) moved = Add (center, shift)"
+    )
+    rest = {
+        name: np.resize(value, (rows, *value.shape[1:]))
+        for name, value in base.weights.items()
+        if value.ndim == 2 and len(value) == 5
+    }
+    sketch = base.reworded("shift = Mul (speed, wave) moved = Add (center, shift)", text)
+    sketch = replace(sketch, outputs=sketch.outputs.replace("[5,", f"[{rows},"))
+    outputs = base.manifest.outputs
+    gaussians = replace(outputs.gaussians, capacity=rows)
+    layers = {"first": normal(width, width), "second": normal(width, width)}
+    return (
+        sketch.weighing(
+            **rest, **layers, third=normal(width, 3), feature=normal(rows, width)
+        )
+        .weighing(live=np.int32([rows]), center=rng.uniform(-1, 1, (rows, 3)).astype("f4"))
+        .declaring_outputs(gaussians=gaussians)
+    )
+
+
+def taken(action: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    action()
+    return time.perf_counter() - began
+
+
+def compared(path: Path, settings: Settings) -> dict[str, list[float]]:
+    """Time ours and theirs in turns, so that a busy machine is busy for all."""
+    loaded = onnx.load(path)
+    actions: dict[str, Callable[[], object]] = {
+        "ours": lambda: validate(path, settings),
+        "theirs": lambda: onnx.checker.check_model(onnx.load(path)),
+        "inferred": lambda: onnx.checker.check_model(onnx.load(path), full_check=True),
+        "parsed": lambda: onnx.checker.check_model(loaded),
+    }
+    times: dict[str, list[float]] = {name: [] for name in actions}
+    for _ in range(_ROUNDS):
+        for name, action in actions.items():
+            times[name].append(taken(action))
+    return times
+
+
+@pytest.mark.parametrize("megabytes", [0, 8, 64])
+def bench_static_beside_the_checker(tmp_path: Path, megabytes: int) -> None:
+    """From a file to a verdict on both sides: theirs reads, parses and checks, and so does ours.
+
+    Ours never reads weights, theirs copies them; without weights there is only Python against
+    C++, and 80 rules against one. So it is a matter of the weights, and all sizes are printed.
+    """
+    path = tmp_path / "long.onnx"
+    weighing(long_chain(NODES), megabytes).write(path)
+    settings = Settings(level=Level.STATIC)
+    report = validate(path, settings)
+    assert report.verdict == "conforms", [str(one) for one in report.findings]
+    times = compared(path, settings)
+    best = {name: 1000 * min(values) for name, values in times.items()}
+    middle = {name: statistics.median(values) for name, values in times.items()}
+    say(f"static on {NODES} nodes and {megabytes} MB of weights: {best['ours']:.1f} ms")
+    for name, words in (
+        ("theirs", "onnx.load and check_model"),
+        ("inferred", "the same with shape inference (full_check), which ours does, too"),
+        ("parsed", "check_model of what was parsed before"),
+    ):
+        ratio, usual = best["ours"] / best[name], middle["ours"] / middle[name]
+        say(f"  {ratio:.2f} × (of medians {usual:.2f} ×) {best[name]:.1f} ms, {words}")
+    if megabytes >= _BAR_FROM:
+        say("  bar 1.3 × onnx.load and check_model")
+        assert best["ours"] <= 1.3 * best["theirs"]
+
+
+@pytest.mark.parametrize(("rows", "width"), [(5, 8), (100_000, 64), (100_000, 128)])
+def bench_share_of_onnx_runtime_in_behaviour(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: int, width: int
+) -> None:
+    """How much of a validation is making sessions and running them, with and without the start."""
+    seen: list[Execution] = []
+
+    @contextmanager
+    def noted(
+        path: Path, names: Sequence[str], probes: Sequence[Probe], limits: Limits
+    ) -> Iterator[Execution]:
+        with execute(path, names, probes, limits) as execution:
+            seen.append(execution)
+            yield execution
+
+    monkeypatch.setattr(engine, "execute", noted)
+    path = tmp_path / "network.onnx"
+    network(rows, width).write(path)
+    settings = Settings(level=Level.BEHAVIOUR)
+    validate(path, settings)
+    report = validate(path, settings)
+    assert report.verdict == "conforms", [str(one) for one in report.findings]
+    inside, child = seen[-1].inside, report.runtime_seconds
+    start = empty_child_seconds()
+    say(
+        f"behaviour, {rows} rows moved by a network of width {width}: {report.seconds:.2f} s, "
+        f"{len(seen[-1].runs)} runs; ONNX Runtime {inside:.2f} s, its process {child:.2f} s"
+    )
+    bar = f" (bar {_SHARE:.0%})" if width >= _WIDE else ""
+    say(
+        f"  share of ONNX Runtime {inside / report.seconds:.0%}; "
+        f"{inside / (report.seconds - start):.0%} without the {start:.2f} s that a process takes to start{bar}"
+    )
+    if width >= _WIDE:
+        assert inside >= _SHARE * report.seconds
+
+
+def empty_child_seconds() -> float:
+    """Return how long a process takes that imports ONNX Runtime and does nothing."""
+    words = [sys.executable, "-P", "-c", "import numpy, onnxruntime, gsgen.contract.worker"]
+    return min(taken(lambda: subprocess.run(words, check=True)) for _ in range(3))
