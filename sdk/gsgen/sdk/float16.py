@@ -1,0 +1,390 @@
+"""Convert a model to float16, and keep in float32 what would show: measured, not listed by name.
+
+Every node is rounded on its own and in groups, at the contract's probes, and the outputs are
+compared with those of float32 in the contract's units: positions in standard deviations of their
+Gaussian, covariances relative to their trace, opacity absolutely, appearance from 64 directions.
+"""
+
+__all__ = ["Halved", "Kept", "to_float16", "write_float16"]
+
+import tempfile
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import onnx_ir as ir
+
+from gsgen.contract import layout
+from gsgen.contract.manifest import GeneratorManifest, Tolerances
+from gsgen.contract.manifest_json import dumps
+from gsgen.contract.model import MANIFEST_KEY, open_model
+from gsgen.contract.probes import Probe
+from gsgen.contract.sandbox import Limits, execute
+from gsgen.contract.subject import read_subject
+from gsgen.contract.targets import load_target
+from gsgen.sdk.equivalence import probes_of
+from gsgen.sdk.errors import RewriteFailed
+from gsgen.sdk.half_model import HalfModel
+from gsgen.sdk.parity import FieldParity, Parity, Reference, compare
+from gsgen.sdk.passes.base import is_op, opset_of
+from gsgen.sdk.passes.building import known_array
+from gsgen.sdk.passes.repairs import PadColor
+from gsgen.sdk.passes.to_float16 import FLOAT, Boundary, ToFloat16, halves, key_of
+from gsgen.sdk.placement import draft_of
+from gsgen.sdk.rewrite import prepare, tidy
+from gsgen.sdk.saving import has_external_weights, save_model, weight_bytes
+from gsgen.sdk.unit_search import Sensitivity, largest_harmless
+
+_BUDGET = 200
+# How much of the tolerance the search may use, from one attempt to the next: what the real kernels
+# add to the measured rounding is seen only at the end.
+_SHARES = (1.0, 0.5, 0.25)
+# A constant of more elements is a table, where an element that becomes zero is no guard.
+_GUARD_ELEMENTS = 16
+_NORMAL, _LARGEST = 2.0**-14, 65504.0
+_BEHIND_GUARDS = (
+    *("Sqrt", "Reciprocal", "Pow", "Cast", "Expand", "Reshape", "Squeeze", "Unsqueeze"),
+    *("Transpose", "Identity", "Slice", "Gather", "Where", "Clip", "Max", "Min"),
+)
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """A node that stays float32.
+
+    Attributes:
+        node: Its name, which is that of its first result.
+        why: The field that would show it, a guard, or a neighbour that saves Casts.
+        excess: The error, over what is allowed, of its group alone; 0 where that is not the reason.
+    """
+
+    node: str
+    why: str
+    excess: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Halved:
+    """A finished conversion.
+
+    Attributes:
+        path: The file; None where none was written.
+        halved: How many nodes compute in float16.
+        kept: Which do not, although they could.
+        casts: How many Casts stand between.
+        parity: The final model against the one it came from, field by field.
+        bytes_before: Of weights.
+        bytes_after: Of weights.
+        outputs_before: Bytes of outputs a frame.
+        outputs_after: Bytes of outputs a frame.
+        measured: How many choices were measured.
+    """
+
+    path: Path | None
+    halved: int
+    kept: tuple[Kept, ...]
+    casts: int
+    parity: Parity
+    bytes_before: int
+    bytes_after: int
+    outputs_before: int
+    outputs_after: int
+    measured: int
+
+
+def write_float16(
+    source: Path,
+    path: Path | None,
+    *,
+    outputs: bool = True,
+    tolerances: Tolerances | None = None,
+    budget: int = _BUDGET,
+    limits: Limits | None = None,
+    progress: Progress = lambda _: None,
+) -> Halved:
+    """Write ``source`` in float16 to ``path``.
+
+    Args:
+        source: A Gaussian Generator with a manifest, in float32.
+        path: Where the result goes; None measures, and writes nothing.
+        outputs: Whether the outputs become float16, too.
+        tolerances: What may differ; what the manifest declares, or the contract's own, where absent.
+        budget: How many choices of nodes may be measured.
+        limits: What running the result may use.
+        progress: Called with a few words whenever a new stage begins.
+
+    Raises:
+        ModelUnreadable: ``source`` is no model.
+        RewriteFailed: It has no manifest, is float16 already, or no choice keeps the tolerances.
+    """
+    limits = limits or Limits()
+    subject = read_subject(open_model(source), load_target("core"), limits)
+    manifest = subject.parsed.manifest if subject.parsed is not None else None
+    if not isinstance(manifest, GeneratorManifest) or manifest.outputs.gaussians is None:
+        raise RewriteFailed(
+            "has no manifest of a Gaussian Generator, so errors have no units",
+            where=str(source),
+            mend="Derive one with `gsgen inspect MODEL --emit-manifest` and embed it with "
+            "`gsgen fix`.",
+        )
+    model = ir.load(source)
+    beside = has_external_weights(model)
+    prepare(model)
+    probes = probes_of(subject, {})
+    converted, made = to_float16(
+        model,
+        manifest,
+        probes,
+        outputs=outputs,
+        tolerances=tolerances,
+        budget=budget,
+        limits=limits,
+        progress=progress,
+    )
+    if path is not None:
+        with draft_of(path) as draft:
+            save_model(converted, draft, beside=beside)
+    return replace(made, path=path)
+
+
+def to_float16(
+    model: ir.Model,
+    manifest: GeneratorManifest,
+    probes: Sequence[Probe],
+    *,
+    outputs: bool = True,
+    tolerances: Tolerances | None = None,
+    budget: int = _BUDGET,
+    limits: Limits | None = None,
+    progress: Progress = lambda _: None,
+) -> tuple[ir.Model, Halved]:
+    """Return ``model`` converted, and how; see :func:`write_float16`.
+
+    Raises:
+        RewriteFailed: No choice of nodes keeps the tolerances.
+    """
+    allowed = tolerances or manifest.tolerances or Tolerances()
+    progress("running the model in float32")
+    measure = _Measure(model, manifest, probes, allowed, outputs)
+    before, frame = weight_bytes(model), measure.frame_bytes
+    opset = opset_of(model)
+    nodes = [node for node in model.graph if halves(node, opset)]
+    boundary = Boundary(model.graph, opset)
+    if not nodes:
+        raise RewriteFailed("computes nothing in float32", where="model")
+    rounded = measure.parity(frozenset())
+    if not rounded.holds:
+        raise RewriteFailed(
+            f"float16 outputs alone are too coarse: {rounded.describe()}",
+            where="outputs",
+            mend="Keep them float32 with --keep-outputs, or move the scene closer to its origin.",
+        )
+    guards = _guards(nodes)
+    spent, result = 0, None
+    for share in _SHARES:
+        progress(f"measuring which of {len(nodes)} nodes may round to float16")
+        free = [k for k, node in enumerate(nodes) if node not in guards]
+        found = largest_harmless(free, measure, budget=budget, allowed=share)
+        spent += found.measured
+        kept = _explain(nodes, guards, found.kept)
+        kept += _islands(boundary, nodes, kept)
+        casts = boundary.casts({one.node for one in kept})
+        trial = model.clone()
+        _convert(trial, manifest, {one.node for one in kept}, outputs)
+        progress("comparing the float16 model with the float32 one")
+        parity = measure.of_model(trial, limits or Limits())
+        if parity.holds:
+            result = (trial, kept, casts, parity)
+            break
+    if result is None:
+        raise RewriteFailed(
+            f"its float16 kernels differ by more than rounding: {parity.describe()}",
+            where="model",
+            mend="Raise the tolerances in the manifest, or leave the model in float32.",
+        )
+    trial, kept, casts, parity = result
+    return trial, Halved(
+        None,
+        len(nodes) - len(kept),
+        tuple(kept),
+        casts,
+        parity,
+        before,
+        weight_bytes(trial),
+        frame,
+        frame // 2 if outputs else frame,
+        spent,
+    )
+
+
+class _Measure:
+    """Measures the error of rounding some nodes of a model, in the contract's units."""
+
+    def __init__(
+        self,
+        model: ir.Model,
+        manifest: GeneratorManifest,
+        probes: Sequence[Probe],
+        tolerances: Tolerances,
+        outputs: bool,
+    ) -> None:
+        declared = manifest.outputs
+        assert declared.gaussians is not None
+        if declared.appearance is None or declared.count is None:
+            raise RewriteFailed("names no appearance or count", where="manifest.outputs")
+        self.names = (
+            declared.gaussians.name,
+            declared.appearance.name,
+            declared.count.name,
+        )
+        self.space, self.tolerances = declared.appearance.space, tolerances
+        self.probes, self.storage = probes, np.float16 if outputs else np.float32
+        self._model = HalfModel(model)
+        self._references = [self._reference(probe) for probe in probes]
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of float32 rows that a frame gives."""
+        made = self._model.run(
+            self.probes[0].inputs, np.zeros(len(self._model.units), np.bool_)
+        )
+        return sum(made[name].nbytes for name in self.names[:2])
+
+    def _reference(self, probe: Probe) -> Reference:
+        nothing = np.zeros(len(self._model.units), np.bool_)
+        rows, color, count = self._read(self._model.run(probe.inputs, nothing))
+        if rows.dtype != np.float32:
+            raise RewriteFailed(f"is {rows.dtype} already", where=f"output {self.names[0]}")
+        return Reference(probe, layout.decode(rows, color, self.space), count)
+
+    def _read(self, made: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, int]:
+        rows, color, count = (made[name] for name in self.names)
+        return rows, color, int(np.ravel(count)[0])
+
+    def parity(self, chosen: Collection[int]) -> Parity:
+        """Compare the outputs with the ``chosen`` units rounded, and stored as they will be."""
+        flags = np.zeros(len(self._model.units), np.bool_)
+        flags[list(chosen)] = True
+        made = []
+        for probe in self.probes:
+            rows, color, count = self._read(self._model.run(probe.inputs, flags))
+            with np.errstate(over="ignore"):
+                made.append((rows.astype(self.storage), color.astype(self.storage), count))
+        return compare(self._references, made, self.tolerances)
+
+    def __call__(self, chosen: Collection[int]) -> tuple[float, str]:
+        """Return the largest error over what is allowed, and its field."""
+        parity = self.parity(chosen)
+        worst = max(parity.fields, key=_excess, default=FieldParity("", 0.0, 0.0, "", 0))
+        return _excess(worst), worst.field
+
+    def of_model(self, model: ir.Model, limits: Limits) -> Parity:
+        """Run a converted model in ONNX Runtime and compare it."""
+        with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
+            file = Path(folder) / "float16.onnx"
+            save_model(model, file, beside=has_external_weights(model))
+            size = sum(one.stat().st_size for one in Path(folder).iterdir())
+            with execute(
+                file, self.names, self.probes, limits.for_model(size)
+            ) as execution:
+                if execution.fault is not None:
+                    raise RewriteFailed(
+                        f"ONNX Runtime cannot run the result: {execution.fault.message}",
+                        where="float16",
+                    )
+                made = [
+                    self._read(execution.samples[run.sample].outputs)
+                    for run in execution.runs
+                ]
+                return compare(self._references, made, self.tolerances)
+
+
+def _excess(field: FieldParity) -> float:
+    return field.excess if field.excess <= np.inf else np.inf
+
+
+def _convert(
+    model: ir.Model, manifest: GeneratorManifest, keep: Collection[str], outputs: bool
+) -> None:
+    ToFloat16(keep, outputs=outputs)(model)
+    declared = manifest.outputs
+    assert declared.gaussians is not None
+    assert declared.appearance is not None
+    if outputs:
+        if declared.appearance.space == "rgb":
+            PadColor(declared.appearance.name)(model)
+        changed = replace(declared, gaussians=replace(declared.gaussians, dtype="float16"))
+        text = dumps(replace(manifest, outputs=changed), indent=None)
+        model.metadata_props[MANIFEST_KEY] = text
+    tidy(model)
+
+
+def _guards(nodes: Sequence[ir.Node]) -> dict[ir.Node, str]:
+    """Return nodes that a constant of theirs keeps from float16, whatever the probes show.
+
+    An epsilon that becomes zero guards nothing, and what it guards may only be zero in a frame that
+    no probe has; so all that follows it stays, up to the division.
+    """
+    found: dict[ir.Node, str] = {}
+    front: list[ir.Node] = []
+    for node in nodes:
+        for value in node.inputs:
+            array = (
+                known_array(value) if value is not None and value.dtype == FLOAT else None
+            )
+            if array is None:
+                continue
+            size = np.abs(array[np.isfinite(array)])
+            if (size > _LARGEST).any():
+                found[node] = "a constant beyond 65,504"
+            elif array.size <= _GUARD_ELEMENTS and ((size > 0) & (size < _NORMAL)).any():
+                found[node] = "a guard that float16 makes zero"
+                front.append(node)
+    while front:
+        for reader in (use.node for v in front.pop().outputs for use in v.uses()):
+            ends = is_op(reader, "Div", "Mul")
+            if reader in found or not (ends or is_op(reader, *_BEHIND_GUARDS)):
+                continue
+            found[reader] = "what a guard guards"
+            if not ends:
+                front.append(reader)
+    return found
+
+
+def _explain(
+    nodes: Sequence[ir.Node], guards: Mapping[ir.Node, str], costly: Sequence[Sensitivity]
+) -> list[Kept]:
+    able = set(nodes)
+    kept = [Kept(key_of(node), why) for node, why in guards.items() if node in able]
+    for group in costly:
+        kept += [Kept(key_of(nodes[k]), group.field, group.excess) for k in group.units]
+    return kept
+
+
+def _islands(
+    boundary: Boundary, nodes: Sequence[ir.Node], kept: Sequence[Kept]
+) -> list[Kept]:
+    """Return nodes among the kept ones that need fewer Casts if they are kept, too."""
+    keep = {one.node for one in kept}
+    added: list[Kept] = []
+    while True:
+        fresh = [
+            node
+            for node in nodes
+            if key_of(node) not in keep
+            and _borders(node, keep)
+            and boundary.saved(node, keep) > 0
+        ]
+        if not fresh:
+            return added
+        keep.add(key_of(fresh[0]))
+        added.append(Kept(key_of(fresh[0]), "saves Casts"))
+
+
+def _borders(node: ir.Node, keep: Collection[str]) -> bool:
+    near = [value.producer() for value in node.inputs if value is not None]
+    near += [use.node for value in node.outputs for use in value.uses()]
+    return any(one is not None and key_of(one) in keep for one in near)

@@ -1,0 +1,149 @@
+"""A model that can compute any of its nodes as if in float16, chosen anew at every run."""
+
+__all__ = ["FLAGS", "HalfModel"]
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import onnx_ir as ir
+from jaxtyping import Bool
+
+from gsgen.sdk.passes.base import is_op, opset_of
+from gsgen.sdk.passes.building import new_node, weight
+from gsgen.sdk.passes.to_float16 import FLOAT, HALF, halves, key_of, places_of
+
+FLAGS = "computed_in_float16"
+_NORMAL = np.float32(2.0**-14)
+# These hand numbers on as they are, so what a GPU does to subnormal ones does not matter yet.
+_MOVES = (
+    *(
+        "Cast",
+        "Concat",
+        "Expand",
+        "Flatten",
+        "Gather",
+        "Identity",
+        "Reshape",
+        "Slice",
+        "Split",
+    ),
+    *("Squeeze", "Transpose", "Unsqueeze", "Where"),
+)
+
+
+class HalfModel:
+    """Runs a model with some nodes rounded as float16 rounds; one session serves every choice.
+
+    A chosen node reads float32 numbers that were rounded to float16, and its result is rounded,
+    too: an error that a device may go beyond only where it also adds up in float16. What is beyond
+    65,504 is infinite. Where a node computes with a number below 2⁻¹⁴, that is zero, since a GPU may
+    flush it.
+
+    Attributes:
+        units: Name of each node that can be chosen, in the order of the graph.
+    """
+
+    def __init__(self, model: ir.Model) -> None:
+        copy = model.clone()
+        opset = opset_of(copy)
+        nodes = [node for node in copy.graph if halves(node, opset)]
+        self.units = tuple(key_of(node) for node in nodes)
+        self._names = [value.name or "" for value in copy.graph.outputs]
+        _instrument(copy, nodes, opset)
+        self._session = _session(copy)
+
+    def run(
+        self, inputs: Mapping[str, np.ndarray], chosen: Bool[np.ndarray, " n"]
+    ) -> dict[str, np.ndarray]:
+        """Return the outputs, in float32, with the ``chosen`` units rounded."""
+        fed = {**inputs, FLAGS: chosen} if self.units else dict(inputs)
+        made: Sequence[np.ndarray] = self._session.run(self._names, fed)
+        return dict(zip(self._names, made, strict=True))
+
+
+def _session(model: ir.Model) -> Any:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 4
+    # Optimisation would take the pairs of Casts away that do the rounding.
+    level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
+    options.graph_optimization_level = level
+    text = ir.serde.serialize_model(model).SerializeToString()
+    return onnxruntime.InferenceSession(text, options, providers=["CPUExecutionProvider"])
+
+
+def _instrument(model: ir.Model, nodes: Sequence[ir.Node], opset: int) -> None:
+    graph = model.graph
+    if not nodes:
+        return
+    flags = ir.Value(
+        name=FLAGS, type=ir.TensorType(ir.DataType.BOOL), shape=ir.Shape([len(nodes)])
+    )
+    graph.inputs.append(flags)
+    zero = weight(graph, "float16_zero", np.zeros((), np.float32))
+    tiny = weight(graph, "float16_tiny", np.asarray(_NORMAL))
+    for number, node in enumerate(nodes):
+        inputs, outputs = places_of(node, opset)
+        place = weight(graph, f"float16_unit_{number}", np.asarray(number))
+        flag = new_node(
+            "Gather",
+            [flags, place],
+            f"float16_flag_{number}",
+            dtype=ir.DataType.BOOL,
+            axis=0,
+        )
+        graph.insert_before(node, flag)
+        for index in inputs:
+            value = node.inputs[index]
+            assert value is not None
+            before = _rounded(value, f"float16_in_{number}_{index}")
+            if not is_op(node, *_MOVES):
+                before += _flushed(before[-1].outputs[0], tiny, zero)
+            before.append(_chosen(flag, before[-1].outputs[0], value))
+            graph.insert_before(node, before)
+            node.replace_input_with(index, before[-1].outputs[0])
+        for index in outputs:
+            _round_output(graph, node, index, flag, number)
+
+
+def _round_output(
+    graph: ir.Graph, node: ir.Node, index: int, flag: ir.Node, number: int
+) -> None:
+    value = node.outputs[index]
+    name, readers = value.name, list(value.uses())
+    value.name = f"float16_raw_{number}_{index}"
+    behind = _rounded(value, f"float16_out_{number}_{index}")
+    behind.append(_chosen(flag, behind[-1].outputs[0], value))
+    made = behind[-1].outputs[0]
+    made.name, made.shape = name, value.shape
+    graph.insert_after(node, behind)
+    for use in readers:
+        use.node.replace_input_with(use.idx, made)
+    for place, output in enumerate(graph.outputs):
+        if output is value:
+            graph.outputs[place] = made
+
+
+def _rounded(value: ir.Value, name: str) -> list[ir.Node]:
+    half = new_node("Cast", [value], f"{name}_half", dtype=HALF, to=HALF.value)
+    back = new_node("Cast", [half.outputs[0]], f"{name}_back", dtype=FLOAT, to=FLOAT.value)
+    return [half, back]
+
+
+def _flushed(value: ir.Value, tiny: ir.Value, zero: ir.Value) -> list[ir.Node]:
+    size = new_node("Abs", [value], f"{value.name}_size", dtype=FLOAT)
+    small = new_node(
+        "Less", [size.outputs[0], tiny], f"{value.name}_small", dtype=ir.DataType.BOOL
+    )
+    kept = new_node(
+        "Where", [small.outputs[0], zero, value], f"{value.name}_flushed", dtype=FLOAT
+    )
+    return [size, small, kept]
+
+
+def _chosen(flag: ir.Node, rounded: ir.Value, value: ir.Value) -> ir.Node:
+    return new_node(
+        "Where", [flag.outputs[0], rounded, value], f"{rounded.name}_chosen", dtype=FLOAT
+    )
