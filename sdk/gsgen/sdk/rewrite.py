@@ -45,7 +45,7 @@ from gsgen.contract.subject import read_subject
 from gsgen.contract.targets import Target
 from gsgen.sdk.equivalence import Difference, compare_files, probes_of
 from gsgen.sdk.errors import RewriteFailed
-from gsgen.sdk.passes.base import BITS, Exactness, Goal, Rewrite
+from gsgen.sdk.passes.base import BITS, MAIN_DOMAIN, Exactness, Goal, Rewrite
 from gsgen.sdk.passes.registry import find_rewrites
 from gsgen.sdk.placement import draft_of
 from gsgen.sdk.repair import refuse_worse
@@ -81,11 +81,13 @@ class Census:
         opset: The operator set.
         uncaptured: Nodes of the frame that a release of the target is known not to capture, each
             with what becomes of it.
+        unmeasured: Nodes of which nobody knows.
     """
 
     nodes: int
     opset: int
     uncaptured: tuple[str, ...]
+    unmeasured: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,16 +291,14 @@ def _check_form(file: Path, changes: Sequence[Change]) -> None:
 def _census(file: Path, goal: Goal) -> Census:
     opened = open_model(file)
     graph = read_graph(opened)
-    placed = [
-        one
-        for one in placements(graph, opened.proto, goal.tables)
-        if one.outcomes or one.cause
-    ]
-    opset = max(
-        (o.version for o in opened.proto.opset_import if o.domain in ("", "ai.onnx")),
-        default=0,
+    placed = placements(graph, opened.proto, goal.tables)
+    opsets = {entry.domain: entry.version for entry in opened.proto.opset_import}
+    return Census(
+        len(graph.nodes),
+        next((opsets[domain] for domain in MAIN_DOMAIN if domain in opsets), 0),
+        tuple(_told(one) for one in placed if one.cause not in ("", "unknown")),
+        tuple(_told(one) for one in placed if one.cause == "unknown"),
     )
-    return Census(len(graph.nodes), opset, tuple(_told(one) for one in placed))
 
 
 def _told(one: Placement) -> str:
