@@ -94,6 +94,12 @@ def test_multiply_matrices_reaches_graph_outputs_and_subgraphs() -> None:
         ("y = Identity(x)", True),
         ("y = Neg(x)", False),
         ("z = Reshape<allowzero = 0>(x, s)\n y = Neg(z)", False),
+        ("y = Max(x)", True),
+        (
+            "none = Constant <value = int64[0] {}> () y = ReduceSum <noop_with_empty_axes = 1> (x, none)",
+            True,
+        ),
+        ("y = ReduceMax <noop_with_empty_axes = 1> (x)", True),
     ],
 )
 def test_outputs_end_on_compute_only_where_they_did_not(body: str, modified: bool) -> None:

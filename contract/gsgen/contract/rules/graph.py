@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from onnx import NodeProto
 
 from gsgen.contract.finding import Breach, Severity
-from gsgen.contract.graph import Graph
 from gsgen.contract.roles import KINDS
 from gsgen.contract.rule import rule
 from gsgen.contract.subject import Subject
@@ -22,8 +21,6 @@ _RANDOM = frozenset(
         "RandomUniformLike",
     }
 )
-_VIEWS = frozenset({"Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"})
-_SCATTERS = frozenset({"ScatterElements", "ScatterND"})
 
 
 def _place(node: NodeProto) -> str:
@@ -187,47 +184,6 @@ def shapes_agree(subject: Subject) -> Iterator[Breach]:
 
 
 @rule(
-    "GG016",
-    "outputs-survive-replay",
-    Severity.WARNING,
-    over="model",
-    fixture="output_from_reshape",
-    kinds=KINDS,
-    needs=("GG019",),
-)
-def outputs_survive_replay(subject: Subject) -> Iterator[Breach]:
-    """Every output that varies is written by an operator that computes, not by a view of a buffer.
-
-    Why:
-        Graph capture records kernels, not buffer copies. An output made by Reshape, Flatten,
-        Squeeze, Unsqueeze or Identity repeats the first frame for ever, without any error. So does
-        an update in place by ScatterND or ScatterElements.
-
-    Mend:
-        End the output on Cast, Concat, Mul by one, or Add of zero; reshape before that. Replace
-        Scatter by Concat, Where or Gather.
-    """
-    graph = subject.graph
-    for tensor in graph.outputs:
-        place = f"output {tensor.name}"
-        if graph.input(tensor.name):
-            yield Breach.at(place, "an input passed through", "the result of an operator")
-            continue
-        if not graph.varies(tensor.name):
-            continue
-        producer = graph.producers.get(tensor.name)
-        if producer is not None and producer.op_type in _VIEWS:
-            yield Breach.at(
-                place, f"made by {producer.op_type}", "an operator that computes"
-            )
-        for node in graph.ancestors(tensor.name)[1]:
-            if node.op_type in _SCATTERS and _shares_base(graph, node):
-                yield Breach.at(
-                    _place(node), "updates a tensor that others read", "Where or Concat"
-                )
-
-
-@rule(
     "GG020",
     "no-transposed-vector-product",
     Severity.ERROR,
@@ -262,11 +218,6 @@ def no_transposed_vector_product(subject: Subject) -> Iterator[Breach]:
             yield Breach.at(
                 _place(node), f"Transpose times {right}", "a right side of two axes"
             )
-
-
-def _shares_base(graph: Graph, node: NodeProto) -> bool:
-    base = node.input[0]
-    return base not in graph.producers or graph.uses.get(base, 0) > 1
 
 
 @rule(

@@ -5,17 +5,16 @@ __all__ = ["EndOutputsOnCompute"]
 import numpy as np
 import onnx_ir as ir
 
+from gsgen.contract.buffer_copies import is_copy
 from gsgen.sdk.passes.base import Rewrite
 from gsgen.sdk.passes.building import new_node, weight
-
-_VIEWS = frozenset({"Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"})
 
 
 class EndOutputsOnCompute(Rewrite):
     """End every output on an operator that computes: Mul by one.
 
-    Graph capture records kernels, not buffer copies, so an output that Reshape or its kin makes
-    repeats the first frame for ever. An output that is a weight loses its name in some runtimes::
+    Graph capture records kernels, not buffer copies, so an output that Reshape or its kin makes,
+    or an operator with nothing to do, repeats the first frame for ever. An output that is a weight loses its name in some runtimes::
 
         Reshape → color_sh        →   Reshape → Mul(1) → color_sh
         weight (color_sh)         →   weight → Mul(1) → color_sh
@@ -30,10 +29,22 @@ class EndOutputsOnCompute(Rewrite):
         seen: set[ir.Value] = set()
         for index, value in enumerate(model.graph.outputs):
             producer = value.producer()
-            if producer is None or producer.op_type in _VIEWS or value in seen:
+            if producer is None or _copies(producer) or value in seen:
                 self.note(value)
                 _end_on_mul(model.graph, index, value)
             seen.add(value)
+
+
+def _copies(node: ir.Node) -> bool:
+    if node.domain not in ("", "ai.onnx"):
+        return False
+    idle = node.attributes.get_int("noop_with_empty_axes", 0) == 1
+    named = "axes" in node.attributes and bool(node.attributes["axes"].as_ints())
+    axes = node.inputs[1] if len(node.inputs) > 1 else None
+    empty = axes is None or (axes.shape is not None and 0 in axes.shape.dims)
+    return is_copy(
+        node.op_type, len(node.inputs), keeps_all_axes=idle and empty and not named
+    )
 
 
 def _end_on_mul(graph: ir.Graph, index: int, value: ir.Value) -> None:
