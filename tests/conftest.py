@@ -8,6 +8,8 @@ import os
 
 import pytest
 
+from support.corpus_line import corpus_line
+
 _ON = {
     name: value for name, value in os.environ.items() if name.startswith("COVERAGE_PROCESS")
 }
@@ -28,3 +30,13 @@ def _measured(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
     ):
         for name, value in _ON.items():
             monkeypatch.setenv(name, value)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say how large the corpus is that was judged, and whether any rule spoke out of turn."""
+    stats = terminalreporter.stats
+    passed = [(one.nodeid, True) for one in stats.get("passed", ())]
+    failed = [(one.nodeid, False) for one in stats.get("failed", ()) if one.when == "call"]
+    line = corpus_line([*passed, *failed])
+    if line:
+        terminalreporter.write_line(f"corpus: {line}")

@@ -122,7 +122,7 @@ class Execution:
     def inside(self) -> float:
         """Seconds within ONNX Runtime itself: making sessions and running them."""
         loading = (e["seconds"] for e in self.events if e["event"] == "loaded")
-        return sum(loading) + sum(run.seconds for run in self.runs)
+        return float(sum(loading)) + sum(run.seconds for run in self.runs)
 
 
 @contextmanager
