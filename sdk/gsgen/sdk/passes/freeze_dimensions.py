@@ -25,13 +25,13 @@ class FreezeDimensions(CautiousRewrite):
     """
 
     name: ClassVar[str] = "freeze-dimensions"
-    wanted_by: ClassVar[str] = "whoever names a size: `--dim N=1000`"
+    wanted_by: ClassVar[str] = "whoever names a size: `--freeze N=1000`"
 
     def __init__(self, sizes: Mapping[str, int]) -> None:
         super().__init__()
         for name, size in sizes.items():
             if size < 1:
-                raise ConfigInvalid(f"{name}={size}, wanted 1 or more", where="--dim")
+                raise ConfigInvalid(f"{name}={size}, wanted 1 or more", where="--freeze")
         self.sizes = dict(sizes)
         self._frozen: set[str] = set()
 
@@ -48,7 +48,7 @@ class FreezeDimensions(CautiousRewrite):
         """
         names = {dim for value in _values(model) for dim in _symbols(value)}
         for name in self.sizes.keys() - names - self._frozen:
-            raise UnknownName.among("dimension", name, names, "--dim")
+            raise UnknownName.among("dimension", name, names, "--freeze")
         self._frozen |= names & self.sizes.keys()
         ends = {*model.graph.inputs, *model.graph.outputs}
         for value in _values(model):
