@@ -52,7 +52,8 @@ class Camera:
         view = np.array(self.view, np.float64)
         if view.shape != (4, 4) or not np.isfinite(view).all():
             raise SceneInvalid(
-                f"is {view.tolist()}, wanted 4 rows of 4 finite numbers", where="camera.view"
+                f"is {view.tolist()}, wanted 4 rows of 4 finite numbers",
+                where="camera.view",
             )
         object.__setattr__(self, "view", view)
         for name in ("fx", "fy", "near"):

@@ -61,9 +61,7 @@ class Device:
         }
         limits["max-storage-buffers-per-shader-stage"] = STORAGE_BUFFERS
         try:
-            return cls(
-                adapter.request_device_sync(label="gsgen", required_limits=limits)
-            )
+            return cls(adapter.request_device_sync(label="gsgen", required_limits=limits))
         except (RuntimeError, wgpu.GPUError) as error:
             raise DeviceUnavailable(
                 f"{adapter.info['device']} refuses: {error}", mend=_MEND
@@ -87,7 +85,9 @@ class Device:
                 mend="Draw fewer Gaussians or a smaller image.",
             )
         usage = "STORAGE|COPY_DST|COPY_SRC" + (f"|{extra}" if extra else "")
-        return self.raw.create_buffer(label=label, size=max(16, -(-size // 4) * 4), usage=usage)
+        return self.raw.create_buffer(
+            label=label, size=max(16, -(-size // 4) * 4), usage=usage
+        )
 
     def uniform(self, label: str, size: int) -> Any:
         """Return a new uniform buffer of ``size`` bytes."""

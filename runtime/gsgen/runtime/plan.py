@@ -45,7 +45,9 @@ class Kernels:
 
     def __init__(self, device: Device) -> None:
         self.cut = cut_for(device)
-        self.scan = Scan(device, self.cut.block, WALK_THREADS * self.cut.walk, RANGE_THREADS)
+        self.scan = Scan(
+            device, self.cut.block, WALK_THREADS * self.cut.walk, RANGE_THREADS
+        )
         self.sort = RadixSort(device, self.cut, self.scan)
         self.bin = BinTiles(device, self.cut.walk)
         self.ranges = TileRanges(device)
@@ -196,9 +198,7 @@ class Plan:
         )
         frame = self._frame if name == "color" else self._bare_frame
         resources = (frame, self._ranges, members, *self._splats, colors)
-        return self._kernels.blend(pick).step(
-            self._tiles, (*resources, self.images[name])
-        )
+        return self._kernels.blend(pick).step(self._tiles, (*resources, self.images[name]))
 
     def submit(
         self,

@@ -15,7 +15,7 @@ from gsgen.runtime.frame import NOTHING, Frame, Output
 from gsgen.runtime.kernels.counts import Counts
 from gsgen.runtime.kernels.shader import ABSENT
 from gsgen.runtime.plan import Kernels, Placed, Plan
-from gsgen.runtime.residency import Residency
+from gsgen.runtime.residency import PAGE_ROWS, Residency
 from gsgen.runtime.scene import Scene
 
 _FIRST_PAIRS: Final = 1 << 16
@@ -32,15 +32,16 @@ class Renderer:
 
     Args:
         device: Where to draw; the fastest there is where absent.
+        page_rows: Gaussians of a page, which is what one dispatch and one binding have.
 
     Raises:
         DeviceUnavailable: There is none.
     """
 
-    def __init__(self, device: Device | None = None) -> None:
+    def __init__(self, device: Device | None = None, *, page_rows: int = PAGE_ROWS) -> None:
         self.device = device or Device.open()
         self._kernels = Kernels(self.device)
-        self._residency = Residency(self.device)
+        self._residency = Residency(self.device, page_rows)
         self._pairs = _FIRST_PAIRS
         self._key: object = None
         self._plan: Plan | None = None

@@ -77,7 +77,9 @@ class Residency:
         if version[0] != data.version:
             for page in pages:
                 part = slice(page.first, page.first + page.capacity)
-                self._device.write(page.rows, data.rows[part].astype(np.float32, copy=False))
+                self._device.write(
+                    page.rows, data.rows[part].astype(np.float32, copy=False)
+                )
                 self._device.write(page.appearance, _padded(data.appearance[part]))
             version[0] = data.version
         return pages

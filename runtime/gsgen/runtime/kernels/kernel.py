@@ -40,9 +40,7 @@ class Kernel:
         self.layouts = [_layout(raw, entry, kinds) for kinds in groups]
         self.pipeline = raw.create_compute_pipeline(
             label=entry,
-            layout=raw.create_pipeline_layout(
-                label=entry, bind_group_layouts=self.layouts
-            ),
+            layout=raw.create_pipeline_layout(label=entry, bind_group_layouts=self.layouts),
             compute={"module": module, "entry_point": entry},
         )
 

@@ -1,13 +1,19 @@
 """Project: turn Gaussians into splats, and say how far away each is."""
 
-__all__ = ["NO_HARMONICS", "FRAME", "PAGE", "ProjectKernel", "frame_uniform", "page_uniform"]
+__all__ = [
+    "FRAME",
+    "NO_HARMONICS",
+    "PAGE",
+    "ProjectKernel",
+    "frame_uniform",
+    "page_uniform",
+]
 
 from typing import Any, Final, final
 
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from gsgen.contract import layout
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
 from gsgen.runtime.kernels.kernel import Kernel, Step

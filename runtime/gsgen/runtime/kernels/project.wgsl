@@ -17,6 +17,7 @@
 @group(1) @binding(2) var<storage, read> appearance: array<vec4u>;
 
 const LARGEST = 3.4e38;
+const LARGEST_VARIANCE = 1e30;  // pixels²; the reciprocal still has all its digits
 
 //!include page
 //!include tile_span
@@ -80,8 +81,12 @@ fn project(@builtin(global_invocation_id) invocation: vec3u) {
     let sy = row.covariance * jy;
     let plain = vec3f(dot(jx, sx), dot(jx, sy), dot(jy, sy));
     let wide = vec3f(plain.x + DILATION, plain.y, plain.z + DILATION);
-    let determinant = wide.x * wide.z - wide.y * wide.y;
-    if (!(wide.x > 0.0 && wide.z > 0.0 && determinant > 0.0 && determinant <= LARGEST)) {
+    // In units of a power of two, so that nothing overflows and nothing is rounded.
+    let unit = bitcast<f32>(bitcast<u32>(max(wide.x, wide.z)) & 0x7f800000u);
+    let scaled = wide / unit;
+    let determinant = scaled.x * scaled.z - scaled.y * scaled.y;
+    let sound = wide.x > 0.0 && wide.z > 0.0 && max(wide.x, wide.z) <= LARGEST_VARIANCE;
+    if (!(sound && determinant > 0.0)) {
         return;
     }
 
@@ -91,7 +96,9 @@ fn project(@builtin(global_invocation_id) invocation: vec3u) {
     }
     opacity = min(opacity, 1.0);
     if (page.mip != 0u) {
-        opacity *= sqrt(max((plain.x * plain.z - plain.y * plain.y) / determinant, 0.0));
+        let bare = plain / unit;
+        let product = bare.x * bare.z - bare.y * bare.y;
+        opacity *= sqrt(max(product / determinant, 0.0));
         if (!(opacity >= CULL_OPACITY)) {
             return;
         }
@@ -104,7 +111,7 @@ fn project(@builtin(global_invocation_id) invocation: vec3u) {
     if (!(all(mean + half_extent >= low) && all(mean - half_extent <= high))) {
         return;
     }
-    let conic = vec3f(wide.z, -wide.y, wide.x) / determinant;
+    let conic = vec3f(scaled.z, -scaled.y, scaled.x) / determinant / unit;
     let made = outline(mean, conic, strength, wide.z);
     var tiles = 0u;
     for (var line = made.rows.x; line < made.rows.y; line++) {
@@ -117,7 +124,7 @@ fn project(@builtin(global_invocation_id) invocation: vec3u) {
     }
     shapes[index] = vec4f(mean, conic.xy);
     weights[index] = vec4f(conic.z, strength, at.z, wide.z);
-    colors[index] = vec4f(color, opacity);
+    colors[index] = vec4f(max(color, vec3f(0.0)), opacity);
     touched[index] = tiles;
     keys[index] = bitcast<u32>(at.z);
 }

@@ -1,5 +1,5 @@
 // Real spherical harmonics in the signs of 3DGS; tested against gsgen.contract.spherical_harmonics.
-// Needs `fn coefficients(quad: u32) -> array<vec3f, 4>`: four successive coefficients.
+// Not clamped yet: max() would turn NaN into a colour. Needs `fn coefficients(quad: u32) -> array<vec3f, 4>`: four successive coefficients.
 
 fn harmonics(degree: u32, direction: vec3f) -> vec3f {
     let x = direction.x;
@@ -30,5 +30,5 @@ fn harmonics(degree: u32, direction: vec3f) -> vec3f {
             color -= 0.5900435899266435 * x * (xx - 3.0 * yy) * d[3];
         }
     }
-    return max(color, vec3f(0.0));
+    return color;
 }

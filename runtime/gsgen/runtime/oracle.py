@@ -1,0 +1,252 @@
+"""What a picture must be: a renderer in float64 NumPy that shares no code with the kernels.
+
+It follows the specification's page on conventions, section "Drawing", one Gaussian after the
+other, and is slow. Two details are the reference rasterisers' (gsplat, Kerbl et al. 2023), which
+the page leaves open: the Jacobian of a centre far outside of the image is that of a centre 0.3
+half images outside, and a pixel is finished before the first Gaussian that would leave less than
+1e-4 of the light.
+"""
+
+__all__ = ["Picture", "render"]
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int64
+
+from gsgen.contract.geometry import symmetric
+from gsgen.contract.spherical_harmonics import basis, degree_of
+from gsgen.runtime.camera import Camera
+from gsgen.runtime.scene import Scene, SplatSet
+
+_DILATION: Final = 0.3
+_CULL: Final = 1 / 255
+_MOST: Final = 0.99
+_FINISHED: Final = 1e-4
+_MARGIN: Final = 0.3
+
+# Within these shares of a threshold, float32 may decide otherwise.
+_BAND: Final = 2e-3
+_TIE: Final = 1e-6
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """What :func:`render` makes; see :class:`gsgen.runtime.frame.Frame`.
+
+    Attributes:
+        rgba: Colours multiplied by alpha, and alpha.
+        depth: Mean depth, infinite where nothing is.
+        median_depth: Depth of what took half of the light.
+        ids: Its place in the scene; −1 for none.
+        normal: Unit vectors in world space; zero where nothing is.
+        fragile: Pixels where a threshold or an order is so close that float32 may decide
+            otherwise: the declared discontinuities.
+        fragile_median: The same for the median.
+        visible: How many Gaussians reach a pixel's centre.
+    """
+
+    rgba: Float[np.ndarray, "h w 4"]
+    depth: Float[np.ndarray, "h w"]
+    median_depth: Float[np.ndarray, "h w"]
+    ids: Int64[np.ndarray, "h w"]
+    normal: Float[np.ndarray, "h w 3"]
+    fragile: Bool[np.ndarray, "h w"]
+    fragile_median: Bool[np.ndarray, "h w"]
+    visible: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Splats:
+    """Projected Gaussians: mean, 2D covariance, opacity, depth, colour, normal, place."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    opacity: np.ndarray
+    depth: np.ndarray
+    color: np.ndarray
+    normal: np.ndarray
+    place: np.ndarray
+
+
+def render(
+    scene: Scene,
+    camera: Camera,
+    *,
+    background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+) -> Picture:
+    """Draw ``scene`` as ``camera`` sees it, in float64.
+
+    Args:
+        scene: What to draw.
+        camera: From where, and how large.
+        background: Red, green, blue and alpha behind it all.
+    """
+    first, parts = 0, []
+    for one in scene.sets:
+        parts.append(_project(one, camera, first))
+        first += len(one.data)
+    names = _Splats.__slots__
+    joined = [np.concatenate([getattr(part, name) for part in parts]) for name in names]
+    splats = _Splats(*joined)
+    order = np.argsort(splats.depth, kind="stable")
+    return _blend(_Splats(*(column[order] for column in joined)), camera, background)
+
+
+def _project(one: SplatSet, camera: Camera, first: int) -> _Splats:
+    data = one.data
+    rows = data.rows[: data.count].astype(np.float64)
+    linear, offset = one.transform[:3, :3], one.transform[:3, 3]
+    turn = camera.view[:3, :3]
+    with np.errstate(all="ignore"):  # rows that are not finite are dropped at the end
+        at = (rows[:, :3] @ linear.T + offset - camera.eye) @ turn.T
+        sigma = _turned(turn @ linear, symmetric(rows[:, 4:]))
+        mean, plain = _flattened(at, sigma, camera)
+        wide = plain + _DILATION * np.eye(2)
+        opacity = np.minimum(rows[:, 3] * one.opacity_scale, 1)
+        if one.antialias == "mip":
+            ratio = np.linalg.det(plain) / np.linalg.det(wide)
+            opacity = opacity * np.sqrt(np.maximum(ratio, 0))
+        color = _colors(one, camera)
+        low, high = (-np.inf, np.inf) if one.clip is None else (one.clip.low, one.clip.high)
+        kept = (at[:, 2] > camera.near) & (opacity >= _CULL) & np.isfinite(rows).all(axis=1)
+        kept &= ((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)
+        kept &= np.isfinite(color).all(axis=1) & np.isfinite(wide).all(axis=(1, 2))
+        kept &= (np.linalg.det(wide) > 0) & (wide[:, 0, 0] > 0) & (wide[:, 1, 1] > 0)
+    normal = np.zeros_like(at)
+    normal[kept] = _thinnest(sigma[kept], at[kept]) @ turn
+    place = np.arange(first, first + len(rows))
+    columns = (mean, wide, opacity, at[:, 2], np.maximum(color, 0), normal, place)
+    return _Splats(*(column[kept] for column in columns))
+
+
+def _turned(matrix: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    return np.einsum("ij,njk,lk->nil", matrix, sigma, matrix)
+
+
+def _flattened(
+    at: np.ndarray, sigma: np.ndarray, camera: Camera
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where centres are in the image, and their 2D covariances."""
+    focal = np.array([camera.fx, camera.fy])
+    center = np.array([camera.cx, camera.cy])
+    size = np.array([camera.width, camera.height])
+    slope = at[:, :2] / at[:, 2:]
+    low = -(center + _MARGIN * size / 2) / focal
+    high = (size - center + _MARGIN * size / 2) / focal
+    bent = np.clip(slope, low, high)
+    jacobian = np.zeros((len(at), 2, 3))
+    jacobian[:, [0, 1], [0, 1]] = focal / at[:, 2:]
+    jacobian[:, :, 2] = -focal * bent / at[:, 2:]
+    return focal * slope + center, np.einsum("nij,njk,nlk->nil", jacobian, sigma, jacobian)
+
+
+def _colors(one: SplatSet, camera: Camera) -> np.ndarray:
+    data = one.data
+    channels = data.appearance[: data.count].astype(np.float64)
+    if data.space == "rgb":
+        return channels[:, :3]
+    linear, offset = one.transform[:3, :3], one.transform[:3, 3]
+    left, _, right = np.linalg.svd(linear)
+    rows = data.rows[: data.count, :3].astype(np.float64)
+    toward = (rows @ linear.T + offset - camera.eye) @ (left @ right)
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    sh = channels.reshape(len(rows), -1, 3)
+    degree = degree_of(sh.shape[1])
+    degree = degree if one.degree is None else min(degree, one.degree)
+    weights = basis(toward, degree)
+    sums = np.einsum("nk,nkc->nc", weights, sh[:, : weights.shape[1]])
+    return np.asarray(0.5 + sums)
+
+
+def _thinnest(sigma: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return unit vectors along the shortest axis, towards the camera; at it from a ball."""
+    values, vectors = np.linalg.eigh(sigma)
+    ball = values[:, 1] - values[:, 0] <= 1e-5 * values[:, 2]
+    toward = -at / np.linalg.norm(at, axis=1, keepdims=True)
+    found = np.where(ball[:, None], toward, vectors[:, :, 0])
+    return np.where((np.einsum("nd,nd->n", found, at) > 0)[:, None], -found, found)
+
+
+def _blend(splats: _Splats, camera: Camera, background: Sequence[float]) -> Picture:
+    height, width = camera.height, camera.width
+    color, normal = np.zeros((height, width, 3)), np.zeros((height, width, 3))
+    through, depth = np.ones((height, width)), np.zeros((height, width))
+    median = np.full((height, width), np.inf)
+    ids = np.full((height, width), -1)
+    done = np.zeros((height, width), bool)
+    fragile, fragile_median = done.copy(), done.copy()
+    close = _ties(splats.depth)
+    nearer_hit = done.copy()
+    visible = 0
+    for i in range(len(splats.depth)):
+        window = _window(splats, i, camera)
+        if window is None:
+            nearer_hit[:] = False
+            continue
+        rows, columns = window
+        dx = np.arange(columns.start, columns.stop) + 0.5 - splats.mean[i, 0]
+        dy = np.arange(rows.start, rows.stop)[:, None] + 0.5 - splats.mean[i, 1]
+        (a, b), (_, c) = np.linalg.inv(splats.covariance[i])
+        bare = splats.opacity[i] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy)
+        alpha = np.minimum(bare, _MOST)
+        before = through[window].copy()
+        hit = (alpha >= _CULL) & ~done[window]
+        visible += bool((alpha >= _CULL).any())
+        after = before * (1 - alpha)
+        stop = hit & (after <= _FINISHED)
+        near_edge = np.abs(bare / _CULL - 1) <= _BAND
+        near_stop = hit & (np.abs(after / _FINISHED - 1) <= _BAND)
+        fragile[window] |= ~done[window] & (near_edge | near_stop)
+        if close[i]:
+            fragile[window] |= hit & nearer_hit[window]
+        nearer_hit[:] = False
+        nearer_hit[window] = hit
+        done[window] |= stop
+        drawn = hit & ~stop
+        amount = np.where(drawn, alpha * before, 0)
+        color[window] += amount[..., None] * splats.color[i]
+        normal[window] += amount[..., None] * splats.normal[i]
+        depth[window] += amount * splats.depth[i]
+        halved = hit & (before >= 0.5) & (after < 0.5)
+        median[window] = np.where(halved, splats.depth[i], median[window])
+        ids[window] = np.where(halved, splats.place[i], ids[window])
+        fragile_median[window] |= hit & (np.abs(after - 0.5) <= _BAND)
+        through[window] = np.where(drawn, after, before)
+    alpha_all = 1 - through
+    red, green, blue, opaque = background
+    color += through[..., None] * np.array([red, green, blue]) * opaque
+    rgba = np.concatenate([color, (alpha_all + through * opaque)[..., None]], axis=-1)
+    covered = alpha_all > 0
+    size = np.linalg.norm(normal, axis=-1, keepdims=True)
+    return Picture(
+        rgba,
+        np.where(covered, depth / np.where(covered, alpha_all, 1), np.inf),
+        median,
+        ids,
+        normal / np.where(size > 0, size, 1),
+        fragile,
+        fragile_median | fragile,
+        visible,
+    )
+
+
+def _ties(depth: np.ndarray) -> np.ndarray:
+    """Say which depths differ so little from the one before that rounding may swap the two."""
+    gap = np.diff(depth, prepend=-np.inf)
+    return (gap > 0) & (gap < _TIE * np.abs(depth))
+
+
+def _window(splats: _Splats, i: int, camera: Camera) -> tuple[slice, slice] | None:
+    """Return the rows and columns that Gaussian ``i`` may reach, or None if there are none."""
+    spread = 2 * np.log(splats.opacity[i] / _CULL) * np.diagonal(splats.covariance[i])
+    reach = np.sqrt(np.maximum(spread, 0)) + 0.01
+    limits = np.array([camera.width, camera.height])
+    low = np.clip(np.floor(splats.mean[i] - reach - 0.5), 0, limits).astype(int)
+    high = np.clip(np.ceil(splats.mean[i] + reach + 0.5), 0, limits).astype(int)
+    if not (low < high).all():
+        return None
+    return slice(low[1], high[1]), slice(low[0], high[0])

@@ -1,0 +1,66 @@
+"""What happens at the limits: of buffers, of the device, of what the user gives."""
+
+import numpy as np
+import pytest
+
+from gsgen.runtime.device import Device
+from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
+from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.scene import Scene
+from support.splat_scenes import camera, cloud, single
+
+
+def test_room_for_pairs_grows_by_itself(device: Device) -> None:
+    renderer = Renderer(device)
+    scene = Scene([cloud(3000, size=2.0, depth=(2, 3), opacity=(0.01, 0.05))])
+    frame = renderer.render(scene, camera(width=160, height=120))
+    assert frame.pairs > 1 << 16  # more than there was room for at first
+    again = renderer.render(scene, camera(width=160, height=120))
+    assert np.array_equal(frame.rgba, again.rgba)
+
+
+def test_more_pairs_than_a_binding_holds_is_an_error(
+    renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(renderer.device, "largest_binding", 1 << 18)
+    scene = Scene([cloud(3000, size=2.0, depth=(2, 3))])
+    with pytest.raises(CapacityExceeded, match=r"needs .* pairs .* has room for 65,536"):
+        renderer.render(scene, camera(width=120, height=120))
+
+
+def test_an_image_that_is_too_large_is_an_error(
+    renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(renderer.device, "largest_binding", 1 << 20)
+    with pytest.raises(CapacityExceeded, match="color image: would take 4,194,304 bytes"):
+        renderer.render(Scene([single()]), camera(width=512, height=512))
+
+
+def test_kernels_bind_no_more_than_every_device_has(device: Device) -> None:
+    assert device.raw.limits["max-storage-buffers-per-shader-stage"] == 8
+
+
+def test_no_adapter_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    import wgpu
+
+    def none(**_: object) -> None:
+        raise RuntimeError("Request adapter failed (Unavailable)")
+
+    monkeypatch.setattr(wgpu.gpu, "request_adapter_sync", none)
+    with pytest.raises(DeviceUnavailable, match="no graphics adapter.*\n.*gsgen doctor"):
+        Device.open()
+
+
+@pytest.mark.parametrize(
+    "background", [(0, 0, 0), (0, 0, 0, 2), (np.nan, 0, 0, 1), (0, 0, 0, -0.1)]
+)
+def test_a_background_that_is_none(
+    renderer: Renderer, background: tuple[float, ...]
+) -> None:
+    with pytest.raises(SceneInvalid, match="background: is .* alpha from 0 to 1"):
+        renderer.render(Scene([single()]), camera(), background=background)
+
+
+def test_one_pixel(renderer: Renderer) -> None:
+    frame = renderer.render(Scene([single()]), camera(width=1, height=1))
+    assert 0.85 < frame.rgba[0, 0, 3] < 0.91

@@ -1,0 +1,96 @@
+"""Depths, ids and normals, and what they are where nothing is."""
+
+import numpy as np
+import pytest
+
+from gsgen.runtime import oracle
+from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.frame import NOTHING
+from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.scene import Scene, SplatSet
+from gsgen.runtime.splat_data import SplatData
+from support.splat_scenes import SCENES, camera, cloud, single, turned
+
+EVERYTHING = ("color", "depth", "normal")
+
+
+@pytest.mark.parametrize("name", ["many", "placed", "seen_from_elsewhere", "not_finite"])
+def test_everything_is_the_oracles(renderer: Renderer, name: str) -> None:
+    scene, camera = SCENES[name]()
+    seen = renderer.render(scene, camera, outputs=EVERYTHING)
+    wanted = oracle.render(scene, camera)
+    firm, firm_median = ~wanted.fragile, ~wanted.fragile_median
+    np.testing.assert_allclose(seen.rgba[firm], wanted.rgba[firm], atol=2e-5)
+    np.testing.assert_allclose(seen.alpha[firm], wanted.rgba[..., 3][firm], atol=2e-5)
+    np.testing.assert_allclose(seen.depth[firm], wanted.depth[firm], rtol=1e-4)
+    np.testing.assert_array_equal(seen.ids[firm_median], wanted.ids[firm_median])
+    np.testing.assert_allclose(
+        seen.median_depth[firm_median], wanted.median_depth[firm_median], rtol=1e-5
+    )
+    # A Gaussian whose two short axes are nearly as long has no certain normal.
+    cosine = (seen.normal * wanted.normal).sum(axis=-1)
+    covered = firm & (wanted.rgba[..., 3] > 0)
+    assert covered.any()
+    assert (wanted.ids[firm_median] != NOTHING).any()
+    assert np.median(cosine[covered]) > 0.999999
+    assert np.quantile(cosine[covered], 0.05) > 0.9999
+    assert not seen.normal[~covered & firm].any()
+
+
+def test_where_nothing_is(renderer: Renderer) -> None:
+    frame = renderer.render(
+        Scene([]), camera(), outputs=EVERYTHING, background=(1, 1, 1, 1)
+    )
+    assert np.array_equal(frame.rgba, np.ones((47, 61, 4)))
+    assert not frame.alpha.any()
+    assert np.isposinf(frame.depth).all()
+    assert np.isposinf(frame.median_depth).all()
+    assert (frame.ids == NOTHING).all()
+    assert not frame.normal.any()
+
+
+def test_only_what_is_asked_for(renderer: Renderer) -> None:
+    scene = Scene([single()])
+    for outputs in (("depth",), ("normal",)):
+        frame = renderer.render(scene, camera(), outputs=outputs, background=(1, 1, 1, 1))
+        assert frame.rgba is None
+        assert (frame.depth is None) == ("depth" not in outputs)
+        assert 0.85 < frame.alpha.max() < 0.91  # the background does not count
+        with pytest.raises(ValueError, match="no colours"):
+            frame.srgb8  # noqa: B018
+
+
+def test_a_disk_shows_its_normal_whichever_way_it_is_turned(renderer: Renderer) -> None:
+    disk = single(variance=(0.1, 0.1, 1e-5))
+    turn = turned(0.6, (1, 0, 0))
+    turn[:3, 3] = np.array([0, 0, 3]) - turn[:3, :3] @ [0, 0, 3]
+    frame = renderer.render(Scene([SplatSet(disk, turn)]), camera(), outputs=("normal",))
+    middle = frame.normal[23, 30]
+    np.testing.assert_allclose(middle, -turn[:3, 2], atol=1e-4)
+    assert middle[2] < 0  # towards the camera
+
+
+def test_ids_name_the_set_and_the_row(renderer: Renderer) -> None:
+    near, far = single(depth=2), cloud(30, depth=(5, 8))
+    scene = Scene([far, near])
+    frame = renderer.render(scene, camera(), outputs=("depth",))
+    assert scene.locate(int(frame.ids[23, 30])) == (1, 0)
+    assert frame.median_depth[23, 30] == pytest.approx(2)
+    with pytest.raises(IndexError, match="Gaussian 31 of 31"):
+        scene.locate(31)
+
+
+@pytest.mark.parametrize("outputs", [(), ("colour",)])
+def test_unknown_outputs_are_named(renderer: Renderer, outputs: tuple[str, ...]) -> None:
+    with pytest.raises(SceneInvalid, match="wanted some of color, depth, normal"):
+        renderer.render(Scene([single()]), camera(), outputs=outputs)
+
+
+def test_bytes_are_straight_srgb(renderer: Renderer) -> None:
+    data = SplatData(single().rows, np.array([[1.0, 0.25, 0]], np.float32), "rgb")
+    frame = renderer.render(Scene([data]), camera())
+    alpha = frame.alpha[23, 30]
+    assert frame.srgb8[23, 30].tolist() == [255, 64, 0, round(255 * float(alpha))]
+    linear = renderer.render(Scene([data], color_space="linear"), camera())
+    assert linear.srgb8[23, 30, :3].tolist() == [255, 137, 0]  # IEC 61966-2-1 of 0.25
+    assert linear.srgb8[0, 0].tolist() == [0, 0, 0, 0]
