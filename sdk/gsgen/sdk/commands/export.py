@@ -49,6 +49,8 @@ def _unknown(word: str, plugins: list[str]) -> UnknownName:
     path = Path(word)
     if path.suffix.lower() in _SCENES:
         mend = f"Say which method the file belongs to: gsgen export static {word} -o …"
+    elif path.suffix == ".onnx":
+        mend = f"It is exported already: gsgen validate {word}"
     elif path.suffix == ".py" or path.with_suffix(".py").is_file():
         mend = f"Say what in it makes the generator: {word}:NAME"
     elif "." in word and "Did you mean" not in error.mend:
