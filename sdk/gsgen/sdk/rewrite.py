@@ -9,6 +9,7 @@ __all__ = [
     "Census",
     "Change",
     "Rewritten",
+    "census",
     "prepare",
     "rewrite_file",
     "rewrite_graph",
@@ -46,6 +47,7 @@ from gsgen.contract.targets import Target
 from gsgen.sdk.equivalence import Difference, compare_files, probes_of
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.passes.base import BITS, MAIN_DOMAIN, Exactness, Goal, Rewrite
+from gsgen.sdk.passes.refusal import CautiousRewrite, Refusal
 from gsgen.sdk.passes.registry import find_rewrites
 from gsgen.sdk.placement import draft_of
 from gsgen.sdk.repair import refuse_worse
@@ -101,6 +103,7 @@ class Rewritten:
         after: The graph as it was written.
         probes: At how many sets of inputs the two were compared.
         differences: The largest difference of each output; absent where bits are equal.
+        refusals: What passes left as it was, because they could not prove that they may change it.
     """
 
     path: Path | None
@@ -109,6 +112,7 @@ class Rewritten:
     after: Census
     probes: int
     differences: tuple[Difference, ...]
+    refusals: tuple[Refusal, ...] = ()
 
 
 def rewrite_graph(
@@ -197,12 +201,18 @@ def rewrite_file(
         if changes and manifest is not None:
             settings = Settings(level=Level.STATIC, target=target)
             refuse_worse(validate(source, settings), validate(known, settings), "rewritten")
-        before, after = _census(source, goal), _census(known, goal)
+        before, after = census(source, goal), census(known, goal)
     if path is not None:
         with draft_of(path) as draft:
             save_model(model, draft, beside=beside)
     return Rewritten(
-        path, tuple(_merged(changes)), before, after, len(probes), tuple(differences)
+        path,
+        tuple(_merged(changes)),
+        before,
+        after,
+        len(probes),
+        tuple(differences),
+        tuple(_refusals(chosen)),
     )
 
 
@@ -227,6 +237,11 @@ def tidy(model: ir.Model) -> None:
 
 def _infer(model: ir.Model) -> None:
     ShapeInferencePass(check_type=False, strict_mode=False, data_prop=True)(model)
+
+
+def _refusals(chosen: Sequence[Rewrite]) -> list[Refusal]:
+    """Return what passes left alone when they last ran."""
+    return [r for one in chosen if isinstance(one, CautiousRewrite) for r in one.refusals]
 
 
 def _exact(chosen: Sequence[Rewrite]) -> list[Rewrite]:
@@ -288,7 +303,8 @@ def _check_form(file: Path, changes: Sequence[Change]) -> None:
         ) from error
 
 
-def _census(file: Path, goal: Goal) -> Census:
+def census(file: Path, goal: Goal) -> Census:
+    """Count the nodes of a file, and predict by tables which of them are not captured."""
     opened = open_model(file)
     graph = read_graph(opened)
     placed = placements(graph, opened.proto, goal.tables)
