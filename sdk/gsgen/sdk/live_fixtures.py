@@ -64,7 +64,7 @@ def round_on_the_cpu() -> Sketch:
 
 @breaks("GB016", level=Level.LIVE)
 def output_from_idle_sum() -> Sketch:
-    """Rows are made by a ReduceSum over no axis, which is a mere copy."""
+    """Rows are made by a ReduceSum over no axis, a mere copy; a rule of the graph warns of it, too."""
     return drifting().reworded(
         _END,
         "packed = Concat <axis = 1> (moved, opacity, spread) "

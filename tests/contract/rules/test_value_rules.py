@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -10,7 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gsgen.conformance.fixtures.clouds import still
 from gsgen.contract.emission import Emission, Rows
+from gsgen.contract.engine import validate
 from gsgen.contract.manifest import AppearanceOutput, GaussiansOutput
 from gsgen.contract.rule import Rule
 from gsgen.contract.rules import appearance, covariance, values
@@ -19,7 +23,7 @@ from gsgen.contract.subject import Subject
 DTYPES = {16: np.float16, 32: np.float32}
 SLACK = {np.float16: 2.0**-10, np.float32: 1e-5}
 FLOOR = {np.float16: 3 * 2.0**-25, np.float32: 0.0}
-NAMES = SimpleNamespace(declared_gaussians=GaussiansOutput("gaussians", 1))
+NAMES = SimpleNamespace(declared_gaussians=GaussiansOutput("gaussians", 1), candidate=None)
 RGB = AppearanceOutput("color", "rgb")
 
 Row = list[float]
@@ -245,3 +249,19 @@ def test_rows_beyond_the_first_chunk_are_counted_from_the_start():
     emission = Emission("a probe", False, {}, packed, None, 3, RGB, cast(Subject, NAMES))
     assert Rows(emission, 2, packed[2:], None).counted.tolist() == [True, False]
     assert Rows(emission, 4, packed[:0], None).live_rows == 0
+
+
+@pytest.mark.parametrize(
+    ("guessed", "certainty"), [(True, "possible"), (False, "confirmed")]
+)
+def test_three_channels_without_a_manifest_may_be_sh(
+    guessed: bool, certainty: str, tmp_path: Path
+):
+    scene = still(degree=0).altered("colors", np.s_[0], -0.4)
+    bare = replace(scene, manifest=None if guessed else scene.manifest)
+    rgb = AppearanceOutput("color", "rgb")
+    told = bare if guessed else bare.declaring_outputs(appearance=rgb)
+    told.write(tmp_path / "m.onnx")
+    report = validate(tmp_path / "m.onnx")
+    (found,) = (one for one in report.findings if one.rule == "GV012")
+    assert found.certainty == certainty

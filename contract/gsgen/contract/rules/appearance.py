@@ -37,7 +37,8 @@ def rgb_range(rows: Rows) -> Iterator[Breach]:
 
     Why:
         Values up to 255 are bytes that were not divided, and show as white. Values around zero
-        are SH coefficients passed as colours, and show as black.
+        are SH coefficients passed as colours, and show as black. Where no manifest says that three
+        channels are RGB, they may be SH of degree 0, so the finding is possible then.
 
     Mend:
         Divide bytes by 255; turn the SH constant term into colour as 0.5 + 0.28209479 · f_dc.
@@ -47,6 +48,7 @@ def rgb_range(rows: Rows) -> Iterator[Breach]:
         return
     shown = color[:, :3].astype(np.float32)
     kept = ((shown >= -_COLOR_SLACK) & (shown <= 1 + _COLOR_SLACK)).all(axis=1)
+    guessed = rows.emission.subject.candidate is not None
     yield Breach.rows(
         Where(rows.emission.color_place, "rgb"),
         rows.drawn & ~kept,
@@ -54,6 +56,7 @@ def rgb_range(rows: Rows) -> Iterator[Breach]:
         "0 <= rgb <= 1",
         judged=rows.drawn_count,
         badness=np.nan_to_num(np.abs(shown - 0.5).max(axis=1)),
+        certainty="possible" if guessed else "confirmed",
     )
 
 
