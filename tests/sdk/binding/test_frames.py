@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from gsgen.conformance.fixtures.images import darken
 from gsgen.conformance.fixtures.moving import drifting, looking
 from gsgen.contract.errors import LayoutMismatch, UnknownName
 from gsgen.contract.geometry import look_at, perspective
@@ -175,3 +176,13 @@ def test_a_session_that_nobody_closes_ends_well(models):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, "5\n"), done.stderr
+
+
+@BOTH
+def test_models_of_other_kinds_run_too(provider, tmp_path):
+    darken().write(tmp_path / "a.onnx")
+    image = np.random.default_rng(1).random((1, 3, 8, 12), np.float32)
+    with FrameSession(tmp_path / "a.onnx", provider=provider) as session:
+        np.testing.assert_array_equal(session.run({"image": image})["out"], image / 2)
+        with pytest.raises(LayoutMismatch, match="no manifest says"):
+            session.run().gaussians()

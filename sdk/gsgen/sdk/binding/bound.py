@@ -2,6 +2,9 @@
 
 __all__ = ["Bound", "Spec", "failed", "specs"]
 
+import math
+import os
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +18,8 @@ from gsgen.sdk.binding.placed import words
 
 # A run with this graph number is neither captured nor replayed.
 _NO_GRAPH = ("gpu_graph_id", "-1")
+# Drivers have no larger ones, and hang rather than say so.
+_BUFFER_BYTES = (4 << 30) - 1
 _DTYPES = {
     "tensor(bool)": "bool",
     "tensor(double)": "float64",
@@ -110,7 +115,8 @@ class Bound:
             memory: Where buffers are: ``cpu``, ``gpu`` or ``cuda``.
 
         Raises:
-            RunFailed: The session cannot be run even to learn its outputs' shapes.
+            RunFailed: An output is too large to hold, or the session cannot be run even to learn
+                its outputs' shapes.
         """
         import onnxruntime
 
@@ -161,6 +167,7 @@ class Bound:
         known = {one.name: one.shape({}) for one in wanted if one.static}
         if len(known) < len(wanted):
             known = self._learn_shapes(wanted)
+        _refuse_giants(wanted, known, self._memory)
         made = {
             one.name: make_buffer(self.session, known[one.name], one.dtype, self._memory)
             for one in wanted
@@ -183,6 +190,26 @@ class Bound:
         }
         self._binding.clear_binding_outputs()
         return shapes
+
+
+def _refuse_giants(
+    wanted: tuple[Spec, ...], shapes: Mapping[str, tuple[int, ...]], memory: str
+) -> None:
+    """Raise where outputs cannot be held; allocating them might hang a driver or a machine."""
+    limit, whose = _host_bytes(), "this machine's memory"
+    if memory == "gpu" and limit > _BUFFER_BYTES:
+        limit, whose = _BUFFER_BYTES, "the largest buffer of WebGPU"
+    for one in wanted:
+        size = math.prod(shapes[one.name]) * one.dtype.itemsize
+        if size > limit:
+            what = f"shape {list(shapes[one.name])} takes {size / 1e9:.1f} GB"
+            raise RunFailed(f"{what}, more than {whose}", where=f"output {one.name}")
+
+
+def _host_bytes() -> int:
+    if hasattr(os, "sysconf"):
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return sys.maxsize  # no such question on Windows
 
 
 def failed(error: Exception) -> GsgenError:
