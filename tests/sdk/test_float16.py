@@ -8,16 +8,19 @@ import onnx
 import onnx_ir as ir
 import onnxruntime
 import pytest
+import typer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsgen.contract.engine import validate
 from gsgen.contract.manifest import Bounds, Tolerances
+from gsgen.sdk.commands.float16 import float16
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.float16 import write_float16
 from gsgen.sdk.half_model import HalfModel
 from gsgen.sdk.passes.to_float16 import Boundary, ToFloat16, key_of
 from gsgen.sdk.unit_search import largest_harmless
+from support.commands import gsgen
 from support.passes import parsed, run
 from support.small_models import manifest_of, model, save, weight
 
@@ -280,3 +283,35 @@ def test_the_search_gives_up_only_what_fits(costs: list[float], budget: int) -> 
     if budget >= 300:
         spare = [costs[unit] for unit in kept]
         assert all(given_up + cost > 1 for cost in spare)
+
+
+# -- The command
+
+
+def test_the_command_says_what_stays_and_why(tmp_path: Path) -> None:
+    source = saved(tmp_path, cloud(origin=500))
+    ran = gsgen("float16", source, "-o", tmp_path / "half.onnx")
+    assert ran.code == 0, ran.err
+    assert "float32 for position: " in ran.out
+    assert "largest errors: position" in ran.out
+    assert (tmp_path / "half.onnx").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "said"),
+    [
+        ("bare.onnx", 1, "no manifest"),
+        ("text.onnx", 4, "text.onnx"),
+        ("none.onnx", 4, "none"),
+    ],
+)
+def test_what_cannot_be_converted_is_said(
+    tmp_path: Path, name: str, code: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save(tmp_path / "bare.onnx", cloud())
+    (tmp_path / "text.onnx").write_text("no model")
+    with pytest.raises(typer.Exit) as stopped:
+        float16(tmp_path / name, tmp_path / "half.onnx", budget=200, timeout=120.0)
+    assert stopped.value.exit_code == code
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "half.onnx").exists()

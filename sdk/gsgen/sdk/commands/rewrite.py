@@ -158,6 +158,10 @@ def _report(done: "Rewritten") -> "Iterator[str]":
     yield f"not captured: {len(before.uncaptured)} nodes → {len(after.uncaptured)}"
     for line in after.uncaptured:
         yield f"  {line}"
+    for one in done.refusals[:_SHOWN]:
+        yield f"left by {one.rewrite}: {one.where}: {one.why}"
+    if len(done.refusals) > _SHOWN:
+        yield f"… and {len(done.refusals) - _SHOWN} more were left, which --json lists"
     if done.changes:
         yield f"outputs were compared at {done.probes} probes: {_compared(done)}"
     if done.path is not None:
@@ -188,4 +192,5 @@ def _document(done: "Rewritten") -> dict[str, object]:
         "after": asdict(done.after),
         "probes": done.probes,
         "differences": [asdict(one) for one in done.differences],
+        "left": [asdict(one) for one in done.refusals],
     }

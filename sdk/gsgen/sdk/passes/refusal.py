@@ -15,10 +15,12 @@ class Refusal:
     """A place that a rewrite left untouched because it could not prove that it may change it.
 
     Attributes:
+        rewrite: Name of the pass.
         where: The node, weight or output, as a person would look for it.
         why: What stood against it.
     """
 
+    rewrite: str
     where: str
     why: str
 
@@ -42,7 +44,7 @@ class CautiousRewrite(Rewrite):
     def refuse(self, what: ir.Node | ir.Value, why: str) -> None:
         """Remember that a node (or an output, or a weight) stays as it is."""
         if isinstance(what, ir.Value):
-            self.refusals.append(Refusal(what.name or "", why))
+            self.refusals.append(Refusal(self.name, what.name or "", why))
             return
         made = what.outputs[0].name if what.outputs else ""
-        self.refusals.append(Refusal(f"{what.name or made} ({what.op_type})", why))
+        self.refusals.append(Refusal(self.name, f"{what.name or made} ({what.op_type})", why))
