@@ -10,6 +10,7 @@ import shutil
 import sys
 import time
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -34,17 +35,17 @@ def main() -> int:
     done = _read(log)
     todo = [index for index in range(given.count) if index not in done]
     deadline = time.monotonic() + 60 * given.minutes
-    with log.open("a") as out, _bar() as bar:
+    failed = sum(bool(one["failures"]) for one in done.values())
+    with log.open("a") as out, _bar() as bar, suppress(KeyboardInterrupt):
         task = bar.add_task("", total=given.count, completed=given.count - len(todo))
-        pool = Pool(given.seed, given.jobs)
-        for result in pool.judged(todo, deadline):
+        for result in Pool(given.seed, given.jobs).judged(todo, deadline):
             done[result["case"]] = result
             out.write(json.dumps(result) + "\n")
             out.flush()
             if result["failures"]:
+                failed += 1
                 _keep(given.seed, result, folder)
                 bar.console.print(f"case {result['case']}: {result['failures'][0][-300:]}")
-            failed = sum(bool(one["failures"]) for one in done.values())
             bar.update(task, advance=1, description=f"{failed} failed")
     return _sum_up(
         [one for index, one in done.items() if index < given.count], given, folder
@@ -131,7 +132,7 @@ def _sum_up(done: list[dict[str, Any]], given: argparse.Namespace, folder: Path)
     if failed:
         sys.stdout.write(f"kept in {folder / 'failures'}: {failed[:20]}\n")
     elif len(done) < given.count:
-        sys.stdout.write("time is up: the same command goes on where this one stopped\n")
+        sys.stdout.write("not all were judged: the same command goes on from here\n")
     return 1 if failed else 0
 
 

@@ -61,7 +61,7 @@ class Pool:
     def judged(self, todo: Sequence[int], deadline: float) -> Iterator[dict[str, Any]]:
         """Judge the cases ``todo`` and yield what became of each, until ``deadline``."""
         self._todo, self._deadline = list(reversed(todo)), deadline
-        hands = [self._hire() for _ in range(min(self.jobs, max(1, len(todo))))]
+        hands = [self._hire() for _ in range(min(self.jobs, len(todo)))]
         try:
             while hands:
                 for key, _ in self._ready.select(timeout=0.5):

@@ -1,11 +1,13 @@
 """A slice of what ``make fuzz`` does, and proof that the fuzzer sees what it looks for."""
 
+import json
 import os
 import time
 from dataclasses import replace
 
 import pytest
 
+from fuzz import __main__ as command
 from fuzz import judging
 from fuzz.case import draw
 from fuzz.corpus import bases
@@ -58,11 +60,38 @@ def test_mutants_differ_from_their_models_and_from_each_other(corpus):
     assert len({case.base.name for case in cases}) > 100
 
 
-def test_the_validator_stands_the_first_mutants():
-    told = list(Pool(seed=0, jobs=1).judged(range(30), time.monotonic() + 60))
-    assert [(one["case"], one["failures"]) for one in told] == [(k, []) for k in range(30)]
+def test_the_validator_stands_the_first_mutants_and_a_run_goes_on(
+    tmp_path, monkeypatch, capsys
+):
+    words = ["fuzz", "--count", "25", "--jobs", "1", "--folder", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", words)
+    assert command.main() == 0
+    said = capsys.readouterr().out
+    assert said.startswith("fuzz, seed 0: 25 of 25 mutants (")
+    assert said.endswith("; 0 failed\n")
+    log = tmp_path / "seed-0" / "cases.jsonl"
+    told = [json.loads(line) for line in log.read_text().splitlines()]
+    assert [one["case"] for one in told] == list(range(25))
     assert {"invalid", "unreadable"} <= {one["verdict"] for one in told}
     assert any(one["ran"] for one in told)
+    assert command.main() == 0  # nothing is left to judge
+    assert capsys.readouterr().out == said
+    assert log.read_text().count("\n") == 25
+
+
+def test_what_failed_is_kept_with_the_way_to_see_it_again(corpus, tmp_path):
+    beside = next(k for k in range(500) if draw(0, k, corpus).base.folder is not None)
+    for index in (0, beside):
+        command._keep(0, {"case": index, "failures": ["it crashed"]}, tmp_path)
+        kept = tmp_path / "failures" / str(index)
+        case = draw(0, index, corpus)
+        (model,) = kept.rglob("model.onnx")
+        assert model.read_bytes() == case.content
+        again = (kept / "reproduce.sh").read_text()
+        assert f"gsgen validate {model} --level {case.level.word}" in again
+        assert f"python -m fuzz --seed 0 --only {index}\n" in again
+        assert json.loads((kept / "case.json").read_text())["failures"] == ["it crashed"]
+        assert len(list(kept.iterdir())) == 3
 
 
 @pytest.fixture
