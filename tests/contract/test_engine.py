@@ -16,6 +16,7 @@ from gsgen.contract.finding import Breach, Level, Severity
 from gsgen.contract.installed import installed_rules
 from gsgen.contract.manifest import Bounds
 from gsgen.contract.report import exit_code
+from gsgen.contract.reporters.text import render
 from gsgen.contract.rule import Registry
 from gsgen.contract.sandbox import Limits, execute
 from support.rules import breaking, crashing, made_up
@@ -339,6 +340,7 @@ def test_a_rule_whose_probes_did_not_run_is_skipped_and_not_passed(
     assert report.outcome("GB010").status == "skipped"
     assert report.outcome("GI010").reason == "because GB013 was not judged"
     assert report.outcome("GB001").status == "pass"  # needs no extra probe
+    assert "  GB013 skipped: edges-finite" in [line.text for line in render(report)]
     assert report.verdict == "conforms"
 
 

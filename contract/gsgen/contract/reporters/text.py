@@ -62,7 +62,7 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
         rule, status = cause.outcome.rule, cause.outcome.status
         lines.append(Line(f"  {rule.id} {status}: {rule.slug}"))
         lines += _consequence(cause)
-    lines += _not_run(report) + _waived(report) + _gone(report)
+    lines += _not_run(report) + _left_out(report) + _waived(report) + _gone(report)
     if verbose:
         lines += _details(report)
     lines.append(_verdict(report))
@@ -137,6 +137,17 @@ def _not_run(report: Report) -> list[Line]:
         for outcome in report.levels
         if not outcome.ran
     ]
+
+
+def _left_out(report: Report) -> list[Line]:
+    """Name the rules that were skipped although their level ran."""
+    ran = {outcome.level for outcome in report.levels if outcome.ran}
+    lines: list[Line] = []
+    for one in report.outcomes:
+        if one.status == "skipped" and one.rule.level in ran:
+            lines.append(Line(f"  {one.rule.id} skipped: {one.rule.slug}", "yellow"))
+            lines += _wrapped(one.reason)
+    return lines
 
 
 def _waived(report: Report) -> list[Line]:
