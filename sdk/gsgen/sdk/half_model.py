@@ -2,7 +2,9 @@
 
 __all__ = ["FLAGS", "HalfModel"]
 
+import tempfile
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from jaxtyping import Bool
 from gsgen.sdk.passes.base import is_op, opset_of
 from gsgen.sdk.passes.building import new_node, weight
 from gsgen.sdk.passes.to_float16 import FLOAT, HALF, halves, key_of, places_of
+from gsgen.sdk.saving import save_model
 
 FLAGS = "computed_in_float16"
 _NORMAL = np.float32(2.0**-14)
@@ -70,8 +73,12 @@ def _session(model: ir.Model) -> Any:
     # Optimisation would take the pairs of Casts away that do the rounding.
     level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
     options.graph_optimization_level = level
-    text = ir.serde.serialize_model(model).SerializeToString()
-    return onnxruntime.InferenceSession(text, options, providers=["CPUExecutionProvider"])
+    with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
+        file = Path(folder) / "measured.onnx"
+        save_model(model, file)
+        return onnxruntime.InferenceSession(
+            file, options, providers=["CPUExecutionProvider"]
+        )
 
 
 def _instrument(model: ir.Model, nodes: Sequence[ir.Node], opset: int) -> None:

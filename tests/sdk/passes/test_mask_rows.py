@@ -35,6 +35,7 @@ THEN = {
     "a product": "y = MatMul (r, square)",
     "sums along columns": "s = ReduceSum <keepdims = 1> (r, one)\n y = Div (r, s)",
     "axes": "s = Unsqueeze (r, one)\n u = Transpose <perm = [1, 0, 2]> (s)\n v = Squeeze (u, zero)\n y = Reshape (v, wide)",
+    "a width that is a shape": "s = Shape <start = 1> (r)\n o = Expand (two, s)\n y = Mul (r, o)",
     "softmax": "y = Softmax <axis = 1> (r)",
 }
 

@@ -124,9 +124,9 @@ class _Attempt:
 
     def finish(self, outputs: Sequence[ir.Value | None]) -> None:
         """Put the draft into the graph."""
-        self.draft.join(self.graph)
         for node, place, value in self.draft.fed:
             node.replace_input_with(place, value)
+        self.draft.join(self.graph)
         for old, made in self.draft.results.items():
             remake(old, made)
         for old, new in zip(list(self.graph.outputs), outputs, strict=True):
@@ -219,9 +219,14 @@ class _Attempt:
         return linear(node, facts)
 
     def _feed(self, node: ir.Node, facts: Sequence[Fact | None]) -> bool:
-        """Let a node that computes with a count, and not a shape, read the count drafted anew."""
-        numbers = all(fact is None or isinstance(fact, Linear) for fact in facts)
-        if not numbers or not is_op(node, *_READS_NUMBERS):
+        """Let a node that computes with a count, and not a shape, read the count drafted anew.
+
+        Numbers that are taken from a shape but do not hang on the count may be read by any node.
+        """
+        if not all(fact is None or isinstance(fact, Linear) for fact in facts):
+            return False
+        numbers = [fact for fact in facts if isinstance(fact, Linear) and fact.varies]
+        if any(fact.factor.any() for fact in numbers) and not is_op(node, *_READS_NUMBERS):
             return False
         for place, (value, fact) in enumerate(zip(node.inputs, facts, strict=True)):
             if isinstance(fact, Linear) and fact.varies and value is not None:

@@ -66,6 +66,8 @@ class RowDraft(Detached):
             return like
         kind, shape = like.dtype, list(fact.constant.shape)
         assert kind is not None
+        if not fact.factor.any():
+            return self.constant(fact.constant, kind.numpy())
         count = self.order(fact.mask).count
         if kind != count.dtype:
             count = self.op("Cast", count, dtype=kind, shape=[1], to=kind.value)
