@@ -127,8 +127,12 @@ def test_the_prefilter_is_that_of_the_published_renderer(case: str) -> None:
         view = torch.from_numpy(golden["in_world_view_transform"][index])
         shown = test(view, lens, torch.from_numpy(golden["in_size"][index]).float())
         wanted = golden[f"out{index}_prefilter"]
-        looked_at = golden[f"out{index}_anchor_mask"] if is_octree else np.full(len(wanted), True)
-        np.testing.assert_array_equal(shown.numpy().ravel()[looked_at] > 0, wanted[looked_at])
+        looked_at = (
+            golden[f"out{index}_anchor_mask"] if is_octree else np.full(len(wanted), True)
+        )
+        np.testing.assert_array_equal(
+            shown.numpy().ravel()[looked_at] > 0, wanted[looked_at]
+        )
 
 
 def test_a_filtered_anchor_has_no_opacity_and_others_keep_theirs(tmp_path: Path) -> None:

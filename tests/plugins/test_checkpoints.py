@@ -52,7 +52,11 @@ def test_literals_are_read_and_unknown_ones_do_no_harm(tmp_path: Path) -> None:
     assert read.values == {
         "a": 1, "b": -2.5, "c": "x", "d": True, "e": None, "f": [1, 2], "g": {"k": [3]},
     }  # fmt: skip
-    assert (read.integer("a", 0), read.number("a", 0), read.flag("zz", True)) == (1, 1, True)
+    assert (read.integer("a", 0), read.number("a", 0), read.flag("zz", True)) == (
+        1,
+        1,
+        True,
+    )
 
 
 @pytest.mark.parametrize(
@@ -176,14 +180,23 @@ NET = "deformation_net."
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
-        (lambda s: s.pop(NET + "pos_deform.3.bias"), r"missing: deformation_net.pos_deform.3.bias"),
+        (
+            lambda s: s.pop(NET + "pos_deform.3.bias"),
+            r"missing: deformation_net.pos_deform.3.bias",
+        ),
         (lambda s: s.update(surprise=torch.ones(1)), "unexpected: surprise"),
         (
             lambda s: s.update({NET + "pos_deform.1.weight": torch.ones(16, 15)}),
             r"pos_deform.1.weight is \[16, 15\], wanted \[16, 16\]",
         ),
-        (lambda s: s[NET + "grid.aabb"].fill_(float("nan")), "grid.aabb holds NaN or infinity"),
-        (lambda s: s.update({NET + "pos_deform.1.bias": "no"}), "is a str, wanted a tensor"),
+        (
+            lambda s: s[NET + "grid.aabb"].fill_(float("nan")),
+            "grid.aabb holds NaN or infinity",
+        ),
+        (
+            lambda s: s.update({NET + "pos_deform.1.bias": "no"}),
+            "is a str, wanted a tensor",
+        ),
         (
             lambda s: s.update({NET + "grid.grids.1.4": torch.ones(1, 4, 7, 16)}),
             r"grids.1.4 is \(7, 16\), wanted \(6, 16\)",
@@ -218,7 +231,9 @@ def test_columns_go_by_their_number_not_by_their_place(tmp_path: Path) -> None:
 
     names = ply_properties(ply)
     table = read_ply_columns(ply, {"all": names})["all"]
-    write_columns(ply, {n: table[:, i] for i, n in sorted(enumerate(names), key=lambda p: p[1])})
+    write_columns(
+        ply, {n: table[:, i] for i, n in sorted(enumerate(names), key=lambda p: p[1])}
+    )
     assert ply_properties(ply) == tuple(sorted(names))
     again = read_anchors(tmp_path).cloud
     assert torch.equal(again.offset, wanted.offset)
@@ -244,7 +259,12 @@ def test_options_of_another_run_are_noticed(text: str, words: str, tmp_path: Pat
 
 def test_without_options_the_networks_say_what_they_take(tmp_path: Path) -> None:
     chosen = AnchorOptions(
-        anchors=3, bank=True, distance=(True, False, True), cameras=2, appearance=3, united=True
+        anchors=3,
+        bank=True,
+        distance=(True, False, True),
+        cameras=2,
+        appearance=3,
+        united=True,
     )
     write_scaffold(tmp_path, chosen)
     (tmp_path / "cfg_args").unlink()
@@ -269,7 +289,7 @@ def test_what_never_worked_or_never_moves_is_refused(flag: str, tmp_path: Path) 
     off = dict.fromkeys(("no_dx", "no_ds", "no_dr", "no_do", "no_dshs"), True)
     chosen = {"no_grid": True} if flag == "no_grid" else off
     write_hexplane(tmp_path, HexPlaneOptions(flags=chosen))
-    with pytest.raises(CheckpointInvalid, match="no_grid is True|nothing moves"):
+    with pytest.raises(CheckpointInvalid, match=r"no_grid is True|nothing moves"):
         read_hexplanes(tmp_path)
 
 
@@ -300,5 +320,5 @@ def test_a_value_that_is_no_number_is_found(tmp_path: Path) -> None:
     data = bytearray(ply.read_bytes())
     data[-4:] = np.float32(np.nan).tobytes()
     ply.write_bytes(data)
-    with pytest.raises(CheckpointInvalid, match="property rot_3.*row 2 is nan"):
+    with pytest.raises(CheckpointInvalid, match=r"property rot_3.*row 2 is nan"):
         read_anchors(tmp_path)

@@ -37,19 +37,27 @@ class Decoded:
 
 
 class _Layers(nn.Module):
-    """Two layers with ReLU between them."""
+    """Two layers with ReLU between them; the outputs of the second come in equal parts.
 
-    def __init__(self, hidden: Tensor, hidden_bias: Tensor, out: Tensor, out_bias: Tensor):
+    Each part is a product of its own, as columns of one wide product would have to be copied.
+    """
+
+    def __init__(self, hidden: Tensor, mlp: Mlp, per_anchor: int, parts: int = 1) -> None:
         super().__init__()
-        self.hidden = Dense(hidden, hidden_bias)
-        self.out = Dense(out, out_bias)
+        self.hidden = Dense(hidden, mlp.hidden_bias)
+        columns = mlp.out.shape[0] // (per_anchor * parts)
+        shaped = mlp.out.reshape(per_anchor, parts, columns, -1)
+        biases = mlp.out_bias.reshape(per_anchor, parts, columns)
+        self.outs = nn.ModuleList(
+            Dense(shaped[:, part].flatten(0, 1), biases[:, part].flatten())
+            for part in range(parts)
+        )
 
-    def forward(self, inputs: Tensor, bias: Tensor | None = None) -> Tensor:
+    def forward(self, inputs: Tensor, bias: Tensor | None = None) -> list[Tensor]:
         """Apply both; ``bias`` takes the place of the first one's."""
         first = self.hidden
-        made = first(inputs) if bias is None else inputs @ first.weight + bias
-        out: Tensor = self.out(torch.relu(made))
-        return out
+        made = torch.relu(first(inputs) if bias is None else inputs @ first.weight + bias)
+        return [out(made) for out in self.outs]
 
 
 class AnchorHeads(nn.Module):
@@ -85,12 +93,10 @@ class AnchorHeads(nn.Module):
         level = cloud.level[:, None] if nets.level and cloud.level is not None else None
         self.register_buffer("level", level)
         self.opacity = self._layers(nets.opacity)
-        self.covariance = self._layers(nets.covariance, by_component=True)
+        self.covariance = self._layers(nets.covariance, _COVARIANCE)
         self.color = self._layers(nets.color)
         bank = nets.bank
-        self.bank = None
-        if bank is not None:
-            self.bank = _Layers(bank.hidden, bank.hidden_bias, bank.out, bank.out_bias)
+        self.bank = _Layers(bank.hidden, bank, 1) if bank is not None else None
         self.register_buffer("looks", self._looks(nets, appearance))
 
     @property
@@ -99,21 +105,16 @@ class AnchorHeads(nn.Module):
         looks = self.looks
         return 0 if looks is None or looks.shape[0] == 1 else int(looks.shape[0])
 
-    def _layers(self, mlp: Mlp, by_component: bool = False) -> _Layers:
-        parts = [mlp.hidden[:, : self.width + 3]]
+    def _layers(self, mlp: Mlp, parts: int = 1) -> _Layers:
+        hidden = [mlp.hidden[:, : self.width + 3]]
         at = self.width + 3
         if self.distance:
             column = mlp.hidden[:, at : at + 1] if mlp.distance else 0 * mlp.hidden[:, :1]
-            parts.append(column)
+            hidden.append(column)
         at += mlp.distance
         if self.level is not None:
-            parts.append(mlp.hidden[:, at : at + 1])
-        out, out_bias = mlp.out, mlp.out_bias
-        if by_component:
-            order = torch.arange(_COVARIANCE * self.per_anchor)
-            order = order.reshape(self.per_anchor, _COVARIANCE).t().reshape(-1)
-            out, out_bias = out[order], out_bias[order]
-        return _Layers(torch.cat(parts, dim=1), mlp.hidden_bias, out, out_bias)
+            hidden.append(mlp.hidden[:, at : at + 1])
+        return _Layers(torch.cat(hidden, dim=1), mlp, self.per_anchor, parts)
 
     def _looks(self, nets: AnchorNets, appearance: int | None) -> Tensor | None:
         """Return the colour head's first bias for each appearance, or None without any."""
@@ -137,11 +138,10 @@ class AnchorHeads(nn.Module):
         looks = self.looks
         if looks is not None and appearance_id is not None:
             looks = torch.index_select(looks, 0, appearance_id)
-        k = self.per_anchor
-        shape = self.covariance(inputs)
-        planes = tuple(shape[:, i * k : (i + 1) * k] for i in range(_COVARIANCE))
-        color = self.color(inputs, looks).reshape(-1, 3)
-        return Decoded(torch.tanh(self.opacity(inputs)), planes[:3], planes[3:], color)
+        (opacity,) = self.opacity(inputs)
+        planes = tuple(self.covariance(inputs))
+        (color,) = self.color(inputs, looks)
+        return Decoded(torch.tanh(opacity), planes[:3], planes[3:], color.reshape(-1, 3))
 
     def _feature(self, direction: Tensor, distance: Tensor) -> Tensor:
         """Mix three resolutions of a feature: every fourth number, every second, all.
@@ -153,7 +153,7 @@ class AnchorHeads(nn.Module):
         asked = [direction]
         asked += [distance] if self.bank_distance else []
         asked += [self.level] if self.level is not None and not self.bank_distance else []
-        weight = torch.softmax(self.bank(torch.cat(asked, dim=1)), dim=1)
+        weight = torch.softmax(self.bank(torch.cat(asked, dim=1))[0], dim=1)
         coarse = self.feature[:, ::4].repeat(1, 4)
         middle = self.feature[:, ::2].repeat(1, 2)
         mixed = coarse * weight[:, 0:1] + middle * weight[:, 1:2]

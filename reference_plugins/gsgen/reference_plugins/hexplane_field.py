@@ -65,9 +65,10 @@ class _Moving(nn.Module):
         at = (time + 1) * (0.5 * (self.moments - 1)) - float(self.start)
         weight = torch.relu(1 - (self.ticks - at.clamp(0.0, last).reshape(1, 1)).abs())
         row = (weight @ self.table).reshape(self.cells, self.channels)
-        low = torch.index_select(row[:-1], 0, self.below)
-        high = torch.index_select(row[1:], 0, self.below)
-        return low + (high - low) * self.share
+        # Differences of cells, of which there are few, and not of what points find there.
+        slope = row[1:] - row[:-1]
+        low = torch.index_select(row, 0, self.below)
+        return low + torch.index_select(slope, 0, self.below) * self.share
 
 
 class _Resolution(nn.Module):

@@ -1,0 +1,145 @@
+"""What a frame of the reference plugins costs, against eager torch of the same module.
+
+One thread for both. The floor is the time in which the frame's outputs can be written and the
+multiplications of its networks be done, both measured in the same run. Run by ``make bench``.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+
+from gsgen.contract.config import Settings
+from gsgen.contract.finding import Level
+from gsgen.contract.geometry import look_at
+from gsgen.reference_plugins.checkpoints.anchors import read_anchors
+from gsgen.reference_plugins.checkpoints.hexplanes import read_hexplanes
+from gsgen.reference_plugins.hexplane_4dgs import HexPlane4DGS
+from gsgen.reference_plugins.octree_gs import Levels, OctreeGS
+from gsgen.reference_plugins.scaffold_gs import ScaffoldGS
+from gsgen.reference_plugins.synthetic import (
+    AnchorOptions,
+    HexPlaneOptions,
+    write_hexplane,
+    write_octree,
+    write_scaffold,
+)
+from gsgen.sdk import GaussianGenerator, export
+from gsgen.sdk.packing import Packed, PackedGenerator
+
+BAR = 1.0
+ROUNDS = 7
+
+
+def say(text: str) -> None:
+    sys.stdout.write(f"\n  {text}")
+
+
+def taken(action: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    action()
+    return time.perf_counter() - began
+
+
+def measure(
+    generator: GaussianGenerator, feeds: dict[str, np.ndarray], folder: Path
+) -> None:
+    """Export, run both by turns, print, and hold the ratio against the bar."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        _measure(generator, feeds, folder)
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _measure(
+    generator: GaussianGenerator, feeds: dict[str, np.ndarray], folder: Path
+) -> None:
+    path = folder / "model.onnx"
+    export(generator, path, settings=Settings(level=Level.STATIC))
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(path, options)
+    tensors = [torch.from_numpy(value) for value in feeds.values()]
+    with torch.no_grad():
+        rows = generator(*tensors).position.shape[0]
+        packed = PackedGenerator(generator, Packed(torch.float32, rows))
+        packed(*tensors)
+        session.run(None, feeds)
+        eager, graph = [], []
+        for _ in range(ROUNDS):  # by turns, so that both meet the same machine
+            eager.append(taken(lambda: packed(*tensors)))
+            graph.append(taken(lambda: session.run(None, feeds)))
+    outputs = session.run(None, feeds)
+    ratio, each = min(graph) / min(eager), 1e9 / rows
+    floor = _floor(path, sum(value.nbytes for value in outputs))
+    size, weights = path.stat().st_size, _weights(path)
+    say(
+        f"{rows:,} Gaussians: graph {1e3 * min(graph):.1f} ms, eager {1e3 * min(eager):.1f} ms, "
+    )
+    say(f"ratio {ratio:.2f} (bar {BAR}); {min(graph) * each:.0f} ns a Gaussian, ")
+    say(f"{min(graph) / floor:.1f} × the floor of {floor * each:.0f} ns")
+    say(f"file {size / 1e6:.1f} MB, {size / weights:.3f} × its weights (bar 1.05)")
+    assert ratio <= BAR
+    assert size <= 1.05 * weights
+
+
+def _weights(path: Path) -> int:
+    graph = onnx.load(path).graph
+    return sum(len(tensor.raw_data) for tensor in graph.initializer)
+
+
+def _floor(path: Path, written: int) -> float:
+    """Return the time of writing the outputs and of the graph's large multiplications."""
+    model = onnx.shape_inference.infer_shapes(onnx.load(path), data_prop=True)
+    shapes = {tensor.name: list(tensor.dims) for tensor in model.graph.initializer}
+    for value in model.graph.value_info:
+        dims = value.type.tensor_type.shape.dim
+        shapes.setdefault(value.name, [dim.dim_value for dim in dims])
+    target = np.empty(written // 4, np.float32)
+    total = min(taken(lambda: target.fill(1)) for _ in range(ROUNDS))
+    for node in model.graph.node:
+        if node.op_type not in ("MatMul", "Gemm"):
+            continue
+        a, b = (shapes.get(name) for name in node.input[:2])
+        if not a or not b or len(a) != 2 or a[0] < 1000:
+            continue
+        left, right = torch.rand(a), torch.rand(b)
+        out = torch.empty(a[0], b[1])
+        total += min(
+            taken(lambda x=left, y=right, z=out: torch.mm(x, y, out=z)) for _ in range(3)
+        )
+    return total
+
+
+def view() -> np.ndarray:
+    matrix = look_at(np.array([3.0, -1.0, 2.0]), np.zeros(3), np.array([0.0, -1.0, 0.0]))
+    return np.ascontiguousarray(matrix.T, np.float32)
+
+
+def bench_scaffold_gs(tmp_path: Path) -> None:
+    options = AnchorOptions(anchors=100_000, per_anchor=10, width=32, united=True)
+    read = read_anchors(write_scaffold(tmp_path / "run", options))
+    measure(ScaffoldGS(read.cloud, read.nets), {"camera": view()}, tmp_path)
+
+
+def bench_octree_gs(tmp_path: Path) -> None:
+    options = AnchorOptions(anchors=20_000, per_anchor=10, width=32, united=True)
+    read = read_anchors(write_octree(tmp_path / "run", options), octree=True)
+    generator = OctreeGS(read.cloud, read.nets, Levels.of(read))
+    measure(generator, {"camera": view()}, tmp_path)
+
+
+def bench_hexplane_4dgs(tmp_path: Path) -> None:
+    options = HexPlaneOptions(
+        count=60_000, channels=32, resolution=(64, 64, 64, 100), multires=(1, 2), width=64
+    )
+    read = read_hexplanes(write_hexplane(tmp_path / "run", options))
+    generator = HexPlane4DGS(read.canonical, read.nets, read.flags)
+    measure(generator, {"time": np.array([0.37], np.float32)}, tmp_path)

@@ -1,0 +1,154 @@
+"""Models that `gsgen export` writes, against what the methods' own code gave."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import onnx
+import pytest
+import torch
+
+from gsgen.contract.config import Settings
+from gsgen.contract.engine import validate
+from gsgen.contract.finding import Level
+from gsgen.contract.targets import load_target
+from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
+from gsgen.reference_plugins.commands import (
+    deformable_3dgs,
+    hexplane_4dgs,
+    octree_gs,
+    scaffold_gs,
+)
+from gsgen.reference_plugins.synthetic import AnchorOptions, write_octree, write_scaffold
+from gsgen.sdk import GaussianGenerator, export
+from gsgen.sdk.exporter import Exported
+from gsgen.sdk.packing import Packed, PackedGenerator
+from support.commands import gsgen, shared
+from support.plugin_checks import MARGIN, acceptance, judge
+
+BUILD: dict[str, Callable[..., GaussianGenerator]] = {
+    "scaffold_a": scaffold_gs.build,
+    "octree_a": octree_gs.build,
+    "hexplane_dnerf": hexplane_4dgs.build,
+    "deform_blender": deformable_3dgs.build,
+}
+EXPECTED = {  # what a float32 model of each method may be off by, as the acceptance tool has it
+    "xyz": 2e-5, "op": 2e-5, "cov": 5e-5, "col": 2e-5, "leak": 1 / 512,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Case:
+    name: str
+    generator: GaussianGenerator
+    made: Exported
+
+
+@pytest.fixture(scope="module", params=BUILD)
+def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Case:
+    name = request.param
+    generator = BUILD[name](shared(f"data/checkpoints/{name}/ckpt"))
+    path = tmp_path_factory.mktemp(name) / f"{name}.onnx"
+    settings = Settings(level=Level.LIVE)
+    return Case(
+        name, generator, export(generator, path, target="webgpu", settings=settings)
+    )
+
+
+def test_the_model_agrees_with_the_method_three_times_better_than_asked(case: Case) -> None:
+    for agrees, errors in judge(case.name, case.made.path):
+        assert agrees
+        for field, error in errors.items():
+            assert error <= EXPECTED[field] / MARGIN, (field, error)
+
+
+def test_it_runs_in_webgpu_and_no_replay_is_stale(case: Case) -> None:
+    report = case.made.report
+    (live,) = (one for one in report.levels if one.level is Level.LIVE)
+    if not live.ran:
+        pytest.skip(live.reason)
+    for rule in ("GB011", "GB014", "GB015", "GB016", "GB017"):
+        assert report.outcome(rule).status == "pass"
+
+
+def test_half_precision_agrees_as_well_as_asked(case: Case) -> None:
+    tool = acceptance()
+    names = [one.name for one in case.generator.inputs]
+    outputs = case.made.manifest.outputs.gaussians
+    assert outputs is not None
+    packed = PackedGenerator(case.generator, Packed(torch.float16, outputs.capacity))
+    for index, (feeds, target) in enumerate(tool.targets(case.name)):
+        with torch.no_grad():
+            rows, color, _ = packed(*(torch.from_numpy(feeds[name]) for name in names))
+        agrees, errors = tool.check(
+            case.name, index, rows.numpy(), color.numpy(), "f16", target
+        )
+        assert agrees, errors
+
+
+def test_the_file_holds_weights_and_little_else(case: Case) -> None:
+    model = onnx.load(case.made.path)
+    weights = sum(len(tensor.raw_data) for tensor in model.graph.initializer)
+    graph = 40_000  # nodes, names and the manifest: the same for any number of Gaussians
+    assert case.made.path.stat().st_size <= weights + graph
+
+
+def test_nothing_in_the_graph_keeps_it_from_being_captured(case: Case) -> None:
+    model = onnx.load(case.made.path, load_external_data=False)
+    nodes = model.graph.node
+    kinds = {node.op_type for node in nodes}
+    assert not kinds & {"NonZero", "GridSample", "ScatterND", "Loop", "If", "Compress"}
+    assert all(len(node.input) <= 7 for node in nodes if node.op_type == "Concat")
+
+
+def test_a_user_exports_for_a_viewer_and_is_told_what_was_found(tmp_path: Path) -> None:
+    chosen = AnchorOptions(anchors=20, cameras=3, appearance=4, bank=True, iteration=40000)
+    write_octree(tmp_path / "run", chosen, mode="progressive")
+    ran = gsgen(
+        *("export", "octree-gs", "--checkpoint", tmp_path / "run", "--appearance-id", "1"),
+        *("-o", tmp_path / "tree.onnx", "--target", "visionary", "--dtype", "float16"),
+        *("--level", "static"),
+    )
+    assert ran.code == 0, ran.err
+    for words in (
+        "iteration 40000",
+        "20 anchors × 5 Gaussians",
+        "feature bank",
+        "progressive",
+    ):
+        assert words in ran.err
+    assert "3 appearances of 4" in ran.err
+    settings = Settings(level=Level.STATIC, target=load_target("visionary"))
+    assert validate(tmp_path / "tree.onnx", settings).verdict == "conforms"
+
+
+def test_a_mistake_is_explained(tmp_path: Path) -> None:
+    write_octree(tmp_path / "run", AnchorOptions(anchors=3, iteration=40000, united=True))
+    words = ("--checkpoint", "run", "--iteration", "7", "-o", "x.onnx")
+    ran = gsgen("export", "octree-gs", *words, cwd=tmp_path)
+    assert ran.code == 2, ran.err
+    assert "There are: 40000." in ran.err
+    assert "Traceback" not in ran.err
+    assert not (tmp_path / "x.onnx").exists()
+
+
+def test_an_appearance_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    chosen = AnchorOptions(anchors=3, cameras=2, appearance=4, united=True)
+    write_scaffold(tmp_path / "two", chosen)
+    with pytest.raises(CheckpointInvalid, match="2 is not one of the 2 training cameras"):
+        scaffold_gs.build(tmp_path / "two", appearance_id=2)
+    write_scaffold(tmp_path / "none", AnchorOptions(anchors=3, united=True))
+    with pytest.raises(CheckpointInvalid, match="no appearance embedding"):
+        scaffold_gs.build(tmp_path / "none", appearance_id=0)
+
+
+def test_a_flag_that_is_not_honoured_is_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_octree(tmp_path, AnchorOptions(anchors=3, iteration=40000, united=True))
+    text = (tmp_path / "cfg_args").read_text()
+    octree_gs.build(tmp_path)
+    assert "warning" not in capsys.readouterr().err
+    (tmp_path / "cfg_args").write_text(text.replace("[1.0]", "[2.0]"))
+    octree_gs.build(tmp_path)
+    assert "warning: resolution_scales=[2.0] is not honoured" in capsys.readouterr().err
