@@ -1,6 +1,6 @@
 """What stops the runtime: errors that a user can meet, each with the next thing to do."""
 
-__all__ = ["CapacityExceeded", "DeviceUnavailable", "SceneInvalid"]
+__all__ = ["CapacityExceeded", "DeviceUnavailable", "SceneInvalid", "SceneUnreadable"]
 
 from gsgen.contract.errors import GsgenError
 
@@ -15,3 +15,7 @@ class CapacityExceeded(GsgenError):
 
 class SceneInvalid(GsgenError):
     """A camera, a transform or an array cannot be drawn, whatever the device."""
+
+
+class SceneUnreadable(GsgenError):
+    """A file holds no Gaussians that can be read (exit code 4)."""

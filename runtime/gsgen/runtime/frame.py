@@ -60,7 +60,8 @@ class Frame:
         color = np.clip(straight, 0, 1)
         if self.color_space == "linear":
             color = srgb_of_linear(color)
-        return np.rint(np.concatenate([color, alpha], axis=-1) * 255).astype(np.uint8)
+        straight8 = np.rint(np.concatenate([color, alpha], axis=-1) * 255)
+        return np.asarray(straight8, np.uint8)
 
 
 def srgb_of_linear(color: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
@@ -68,4 +69,4 @@ def srgb_of_linear(color: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 
     curve = (
         1.055 * np.power(color, 1 / 2.4, where=color > 0, out=np.zeros_like(color)) - 0.055
     )
-    return np.where(color <= 0.0031308, 12.92 * color, curve)
+    return np.asarray(np.where(color <= 0.0031308, 12.92 * color, curve))

@@ -124,7 +124,7 @@ def _project(one: SplatSet, camera: Camera, first: int) -> _Splats:
 
 
 def _turned(matrix: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    return np.einsum("ij,njk,lk->nil", matrix, sigma, matrix)
+    return np.asarray(np.einsum("ij,njk,lk->nil", matrix, sigma, matrix))
 
 
 def _flattened(
@@ -148,7 +148,7 @@ def _colors(one: SplatSet, camera: Camera) -> np.ndarray:
     data = one.data
     channels = data.appearance[: data.count].astype(np.float64)
     if data.space == "rgb":
-        return channels[:, :3]
+        return np.asarray(channels[:, :3])
     linear, offset = one.transform[:3, :3], one.transform[:3, 3]
     left, _, right = np.linalg.svd(linear)
     rows = data.rows[: data.count, :3].astype(np.float64)
@@ -168,7 +168,8 @@ def _thinnest(sigma: np.ndarray, at: np.ndarray) -> np.ndarray:
     ball = values[:, 1] - values[:, 0] <= 1e-5 * values[:, 2]
     toward = -at / np.linalg.norm(at, axis=1, keepdims=True)
     found = np.where(ball[:, None], toward, vectors[:, :, 0])
-    return np.where((np.einsum("nd,nd->n", found, at) > 0)[:, None], -found, found)
+    away = np.einsum("nd,nd->n", found, at) > 0
+    return np.asarray(np.where(away[:, None], -found, found))
 
 
 def _blend(splats: _Splats, camera: Camera, background: Sequence[float]) -> Picture:
@@ -237,7 +238,7 @@ def _blend(splats: _Splats, camera: Camera, background: Sequence[float]) -> Pict
 def _ties(depth: np.ndarray) -> np.ndarray:
     """Say which depths differ so little from the one before that rounding may swap the two."""
     gap = np.diff(depth, prepend=-np.inf)
-    return (gap > 0) & (gap < _TIE * np.abs(depth))
+    return np.asarray((gap > 0) & (gap < _TIE * np.abs(depth)))
 
 
 def _window(splats: _Splats, i: int, camera: Camera) -> tuple[slice, slice] | None:

@@ -21,6 +21,7 @@ from gsgen.runtime.scene import Scene
 _FIRST_PAIRS: Final = 1 << 16
 _ROOM: Final = 1.25  # over what a frame needed, so that the next need not grow again
 _OUTPUTS: Final = ("color", "depth", "normal")
+_COLOR: Final[tuple[Output, ...]] = ("color",)
 
 
 @final
@@ -52,7 +53,7 @@ class Renderer:
         camera: Camera,
         *,
         background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
-        outputs: Collection[Output] = ("color",),
+        outputs: Collection[Output] = _COLOR,
     ) -> Frame:
         """Draw ``scene`` as ``camera`` sees it.
 
@@ -159,16 +160,16 @@ def _frame(
 def _mean_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w"]:
     total, alpha = pick[..., 0], pick[..., 3]
     nothing = np.full(alpha.shape, np.inf, np.float32)
-    return np.divide(total, alpha, out=nothing, where=alpha > 0)
+    return np.asarray(np.divide(total, alpha, out=nothing, where=alpha > 0))
 
 
 def _median_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w"]:
     median = pick[..., 1]
-    return np.where(median > 0, median, np.float32(np.inf))
+    return np.asarray(np.where(median > 0, median, np.float32(np.inf)))
 
 
 def _ids(words: UInt32[np.ndarray, "h w"]) -> Int64[np.ndarray, "h w"]:
-    return np.where(words == ABSENT, NOTHING, words.astype(np.int64))
+    return np.asarray(np.where(words == ABSENT, NOTHING, words.astype(np.int64)))
 
 
 def _in_world(
@@ -177,4 +178,4 @@ def _in_world(
     """Return unit vectors in world space, or zeros."""
     turned = normal @ camera.view[:3, :3].astype(np.float32)  # rows times R are Rᵀ n
     size = np.linalg.norm(turned, axis=-1, keepdims=True)
-    return np.divide(turned, size, out=np.zeros_like(turned), where=size > 0)
+    return np.asarray(np.divide(turned, size, out=np.zeros_like(turned), where=size > 0))

@@ -26,7 +26,7 @@ def stride(data: SplatData) -> int:
 
     Shaders read it by such words, so rows are filled up to whole ones.
     """
-    return -(-data.appearance.shape[1] * data.appearance.itemsize // _WORD)
+    return -(-int(data.appearance.shape[1]) * data.appearance.itemsize // _WORD)
 
 
 def _padded(appearance: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n d"]:

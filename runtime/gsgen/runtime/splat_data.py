@@ -5,12 +5,12 @@ __all__ = ["SplatData"]
 from typing import Literal, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32, Float64
 
 from gsgen.contract import layout
 from gsgen.contract.geometry import covariance_upper
 from gsgen.contract.spherical_harmonics import MAX_DEGREE, coefficients, degree_of
-from gsgen.formats import PackedRows, Splats
+from gsgen.formats import PackedRows, PointCloud, Splats
 from gsgen.runtime.errors import SceneInvalid
 
 _HALVES = (np.dtype(np.float16), np.dtype(np.float32))
@@ -71,6 +71,20 @@ class SplatData:
         three = packed.appearance.shape[1] in (3, 4)
         return cls(packed.gaussians, packed.appearance, space or ("rgb" if three else "sh"))
 
+    @classmethod
+    def from_points(cls, points: PointCloud, opacity: float = 0.8) -> "SplatData":
+        """Draw bare points as balls, each half as large as its three nearest neighbours are far.
+
+        Raises:
+            SceneInvalid: SciPy, whose search tree is used, is not installed.
+        """
+        variance = (0.5 * _spacing(points.position)) ** 2
+        rows = np.zeros((len(points), layout.ROW), np.float32)
+        rows[:, layout.POSITION] = points.position
+        rows[:, layout.OPACITY] = opacity
+        rows[:, layout.COVARIANCE] = variance[:, None] * [1, 0, 0, 1, 0, 1]
+        return cls(rows, points.color, "rgb")
+
     def update(
         self,
         rows: Float[np.ndarray, "n 10"],
@@ -102,6 +116,23 @@ class SplatData:
 
     def __len__(self) -> int:
         return len(self.rows)
+
+
+def _spacing(points: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+    """Return the root mean square distance of each point to its three nearest neighbours."""
+    try:
+        from scipy.spatial import KDTree
+    except ImportError as error:
+        raise SceneInvalid(
+            "sizes of bare points need scipy, which is not installed",
+            mend="pip install 'gsgen[runtime]'",
+        ) from error
+    wide = points.astype(np.float64)
+    k = min(3, len(wide) - 1)
+    if k < 1:
+        return np.full(len(wide), 1e-2)
+    distances, _ = KDTree(wide).query(wide, k=k + 1, workers=-1)
+    return np.asarray(np.sqrt(np.square(distances[:, 1:]).mean(axis=1)))
 
 
 def _checked(

@@ -7,7 +7,7 @@ struct Frame {
     slope_high: vec2f,
     origin: vec2f,       // whole pixels; image coordinates are relative to it, so that they stay exact
     near: f32,
-    pair_capacity: u32,
+    unused: u32,
     size: vec2u,         // pixels
     tiles: vec2u,
     background: vec4f,   // red, green, blue; alpha stays that of the splats

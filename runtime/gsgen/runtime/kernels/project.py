@@ -25,50 +25,54 @@ NO_HARMONICS: Final = 0xFF
 
 _THREADS = 64
 
-FRAME: Final = np.dtype(
+
+def _bytes(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
+    """Return the dtype of a WGSL struct: for each field its format and its offset."""
+    formats, offsets = zip(*fields.values(), strict=True)
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": list(formats),
+            "offsets": list(offsets),
+            "itemsize": size,
+        }
+    )
+
+
+FRAME: Final = _bytes(
+    80,
     {
-        "names": [
-            "focal",
-            "center",
-            "slope_low",
-            "slope_high",
-            "origin",
-            "near",
-            "pair_capacity",
-            "size",
-            "tiles",
-            "background",
-        ],
-        "formats": ["2f4"] * 5 + ["f4", "u4", "2u4", "2u4", "4f4"],
-        "offsets": [0, 8, 16, 24, 32, 40, 44, 48, 56, 64],
-        "itemsize": 80,
-    }
+        "focal": ("2f4", 0),
+        "center": ("2f4", 8),
+        "slope_low": ("2f4", 16),
+        "slope_high": ("2f4", 24),
+        "origin": ("2f4", 32),
+        "near": ("f4", 40),
+        "size": ("2u4", 48),
+        "tiles": ("2u4", 56),
+        "background": ("4f4", 64),
+    },
 )
 """The bytes of ``struct Frame`` in frame.wgsl."""
 
-PAGE: Final = np.dtype(
+PAGE: Final = _bytes(
+    256,  # a step that every device can bind at
     {
-        "names": [
-            "linear",
-            "local_to_sh",
-            "eye",
-            "opacity_scale",
-            "eye_rest",
-            "base",
-            "clip_low",
-            "count",
-            "clip_high",
-            "degree",
-            "mip",
-            "capacity",
-        ],
-        "formats": ["(3,4)f4", "(3,4)f4", "3f4", "f4", "3f4", "u4", "3f4", "u4", "3f4"]
-        + ["u4", "u4", "u4"],
-        "offsets": [0, 48, 96, 108, 112, 124, 128, 140, 144, 156, 160, 164],
-        "itemsize": 256,
-    }
+        "linear": ("(3,4)f4", 0),
+        "local_to_sh": ("(3,4)f4", 48),
+        "eye": ("3f4", 96),
+        "opacity_scale": ("f4", 108),
+        "eye_rest": ("3f4", 112),
+        "base": ("u4", 124),
+        "clip_low": ("3f4", 128),
+        "count": ("u4", 140),
+        "clip_high": ("3f4", 144),
+        "degree": ("u4", 156),
+        "mip": ("u4", 160),
+        "capacity": ("u4", 164),
+    },
 )
-"""The bytes of ``struct Page`` in page.wgsl, in steps that any device can bind at."""
+"""The bytes of ``struct Page`` in page.wgsl."""
 
 
 def tiles_of(camera: Camera) -> tuple[int, int]:

@@ -71,4 +71,4 @@ class Scan:
 def scan_reference(numbers: UInt32[np.ndarray, " n"]) -> UInt32[np.ndarray, " n"]:
     """What ``scan.wgsl`` must leave: sums stop at 2³¹ − 1 instead of wrapping around."""
     before = np.cumsum(numbers, dtype=np.uint64) - numbers
-    return np.minimum(before, 0x7FFFFFFF).astype(np.uint32)
+    return np.asarray(np.minimum(before, 0x7FFFFFFF), np.uint32)

@@ -1,0 +1,149 @@
+"""Pictures: what a frame becomes on disk."""
+
+__all__ = [
+    "MODES",
+    "SUFFIXES",
+    "Mode",
+    "array_of",
+    "depth_range",
+    "picture_of",
+    "save_array",
+    "save_film",
+    "save_picture",
+]
+
+from collections.abc import Iterable
+from pathlib import Path
+from types import ModuleType
+from typing import Final, Literal
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.frame import Frame, Output
+from gsgen.sdk.placement import draft_of
+
+Mode = Literal["color", "depth", "median-depth", "normal", "alpha"]
+
+MODES: Final[dict[Mode, Output]] = {
+    "color": "color",
+    "depth": "depth",
+    "median-depth": "depth",
+    "normal": "normal",
+    "alpha": "color",
+}
+"""What each mode has to ask the renderer for."""
+
+SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
+"""The suffixes that one picture can have."""
+
+_MILLISECONDS: Final = 1000
+_SHARE: Final = 2.0  # percent of the depths, at each end, that the grey scale leaves out
+
+
+def array_of(frame: Frame, mode: Mode) -> Float32[np.ndarray, "h w *c"]:
+    """Return what ``mode`` shows, as it is: no clipping, no rounding, no colour curve."""
+    arrays = {
+        "color": frame.rgba,
+        "depth": frame.depth,
+        "median-depth": frame.median_depth,
+        "normal": frame.normal,
+        "alpha": frame.alpha,
+    }
+    found = arrays[mode]
+    if found is None:
+        raise ValueError(f"the frame was drawn without {MODES[mode]}")
+    return found
+
+
+def picture_of(
+    frame: Frame, mode: Mode, depths: tuple[float, float] | None = None
+) -> UInt8[np.ndarray, "h w *c"]:
+    """Return what ``mode`` shows as bytes.
+
+    Colours are sRGB with alpha. Depths are grey, near is bright and nothing is black. Normals
+    are (n + 1) / 2 in world space. Alpha is grey.
+
+    Args:
+        frame: What to show.
+        mode: How.
+        depths: The depths that are white and nearly black; of most of the pixels where absent.
+    """
+    if mode == "color":
+        return frame.srgb8
+    made = array_of(frame, mode)
+    if mode == "normal":
+        return _bytes((made + 1) / 2 * made.any(axis=-1, keepdims=True))
+    if mode == "alpha":
+        return _bytes(made)
+    near, far = depths or depth_range(made)
+    share = (np.where(np.isfinite(made), made, far) - near) / max(far - near, 1e-12)
+    return _bytes(np.where(np.isfinite(made), 1 - 0.9 * np.clip(share, 0, 1), 0))
+
+
+def depth_range(depth: Float32[np.ndarray, "h w"]) -> tuple[float, float]:
+    """Return the depths between which most of the pixels lie."""
+    finite = depth[np.isfinite(depth)]
+    if not finite.size:
+        return 0.0, 1.0
+    near, far = np.percentile(finite, [_SHARE, 100 - _SHARE])
+    return float(near), float(far)
+
+
+def _bytes(made: np.ndarray) -> UInt8[np.ndarray, "..."]:
+    return np.asarray(np.rint(np.clip(made, 0, 1) * 255), np.uint8)
+
+
+def save_picture(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> None:
+    """Write an image file, of the format that the suffix names; whole or not at all.
+
+    Raises:
+        SceneInvalid: The image library is missing or cannot write such a file.
+    """
+    image = _image()
+    with draft_of(path) as draft:
+        try:
+            image.fromarray(_fitting(path, picture)).save(draft)
+        except (ValueError, OSError) as error:
+            raise SceneInvalid(f"cannot be written: {error}", where=str(path)) from error
+
+
+def save_array(path: Path, made: Float32[np.ndarray, "h w *c"]) -> None:
+    """Write a NumPy file, whole or not at all."""
+    with draft_of(path) as draft:
+        np.save(draft, made)
+
+
+def save_film(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: float) -> None:
+    """Write an animated GIF that repeats for ever."""
+    image = _image()
+    frames = [image.fromarray(_fitting(path, one)) for one in pictures]
+    with draft_of(path) as draft:
+        frames[0].save(
+            draft,
+            save_all=True,
+            append_images=frames[1:],
+            duration=round(_MILLISECONDS / fps),
+            loop=0,
+        )
+
+
+def _fitting(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> np.ndarray:
+    """Return the picture without alpha where the format has none."""
+    opaque = path.suffix.lower() in (".jpg", ".jpeg", ".gif", ".bmp", ".ppm")
+    if picture.ndim == 3 and picture.shape[2] == 4 and opaque:
+        alpha = picture[..., 3:] / 255
+        return np.asarray(np.rint(picture[..., :3] * alpha), np.uint8)
+    return picture
+
+
+def _image() -> ModuleType:
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise SceneInvalid(
+            "image files need pillow, which is not installed",
+            mend="pip install 'gsgen[runtime]'",
+        ) from error
+    return Image
