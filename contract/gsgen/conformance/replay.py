@@ -83,7 +83,9 @@ def plan_for(path: Path, settings: Settings) -> tuple[Subject, Plan]:
     Raises:
         ModelUnreadable: The file is not an ONNX model at all.
     """
-    subject = read_subject(open_model(path), settings.target, settings.limits)
+    subject = read_subject(
+        open_model(path), settings.target, settings.limits, settings.tolerances
+    )
     level = min(max(settings.level, Level.VALUES), Level.BEHAVIOUR)
     return subject, make_plan(subject, level, settings.seed)
 

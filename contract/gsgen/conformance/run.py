@@ -65,7 +65,9 @@ def suites_of(path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
     Raises:
         ModelUnreadable: The file is not an ONNX model at all.
     """
-    subject = read_subject(open_model(path), settings.target, settings.limits)
+    subject = read_subject(
+        open_model(path), settings.target, settings.limits, settings.tolerances
+    )
     rules = installed_rules().rules.values()
     return plan_suites(rules, Declared.by(subject), settings.target)
 

@@ -14,9 +14,10 @@ from typing import Any
 
 from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.finding import Level, Severity
+from gsgen.contract.manifest import Tolerances
 from gsgen.contract.rule import Registry, Rule
 from gsgen.contract.sandbox import Limits
-from gsgen.contract.schema import DIALECT
+from gsgen.contract.schema import DIALECT, schema_of
 from gsgen.contract.targets import Target, known_targets, load_target
 from gsgen.contract.waivers import Waiver
 
@@ -38,6 +39,7 @@ class Settings:
         strict: A missing manifest is an error.
         seed: Seed of the probe set.
         source: Where the settings came from, for the report.
+        tolerances: Field → how far executions may differ, over what the manifest says.
         waivers: Faults that are accepted, and why.
         today: The day on which waivers are judged.
     """
@@ -51,6 +53,7 @@ class Settings:
     strict: bool = False
     seed: int = 0
     source: str = "defaults"
+    tolerances: Mapping[str, float] = field(default_factory=dict)
     waivers: tuple[Waiver, ...] = ()
     today: date = field(default_factory=date.today)
 
@@ -115,6 +118,7 @@ def _apply(
         strict=section.get("strict", base.strict),
         seed=section.get("seed", base.seed),
         source=where,
+        tolerances={**base.tolerances, **data.get("tolerances", {})},
         waivers=base.waivers + _waivers(data, registry, where),
     )
 
@@ -210,6 +214,11 @@ def config_schema(registry: Registry) -> dict[str, object]:
             "validate": {
                 "type": "object",
                 "properties": section,
+                "additionalProperties": False,
+            },
+            "tolerances": {
+                "type": "object",
+                "properties": schema_of(Tolerances, title="tolerances")["properties"],
                 "additionalProperties": False,
             },
             "severity": {

@@ -81,7 +81,9 @@ class _Validation:
         self.progress(f"reading {path.name}")
         self.registry = registry or installed_rules()
         file = open_model(path)
-        self.subject = read_subject(file, settings.target, settings.limits)
+        self.subject = read_subject(
+            file, settings.target, settings.limits, settings.tolerances
+        )
         self.board = Board(self.registry, settings, self.subject.kind)
         self.levels = [LevelOutcome(Level.STATIC, ran=True)]
         self.probes: tuple[str, ...] = ()

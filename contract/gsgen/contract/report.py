@@ -73,13 +73,13 @@ class Tolerance:
         field: Such as ``position``.
         value: The largest difference.
         unit: What it is measured in.
-        source: ``manifest``, or ``default`` where the manifest does not say.
+        source: ``config`` where settings say so, else ``manifest``, else ``default``.
     """
 
     field: str
     value: float
     unit: str
-    source: Literal["default", "manifest"]
+    source: Literal["default", "manifest", "config"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,8 @@
 
 __all__ = ["Subject", "read_subject"]
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -35,6 +36,7 @@ class Subject:
         candidate: What was guessed in its place; None where a manifest is embedded.
         target: The consumer it is judged for.
         limits: What running it may use, as its user set it.
+        tolerances: Those that its user set, by field, over what the manifest says.
     """
 
     file: ModelFile
@@ -43,6 +45,7 @@ class Subject:
     candidate: Candidate | None
     target: Target
     limits: Limits
+    tolerances: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def manifest(self) -> Manifest | None:
@@ -130,10 +133,15 @@ def _output_fields(manifest: Manifest) -> tuple[str, ...]:
     return tuple(type(manifest.outputs).__dataclass_fields__)
 
 
-def read_subject(file: ModelFile, target: Target, limits: Limits) -> Subject:
+def read_subject(
+    file: ModelFile,
+    target: Target,
+    limits: Limits,
+    tolerances: Mapping[str, float] | None = None,
+) -> Subject:
     """Read everything that static rules need; a missing manifest is guessed and marked so."""
     graph = read_graph(file)
     text = file.manifest_text
     parsed = parse(text) if text is not None else None
     candidate = derive(graph, file.path.stem) if parsed is None else None
-    return Subject(file, graph, parsed, candidate, target, limits)
+    return Subject(file, graph, parsed, candidate, target, limits, tolerances or {})

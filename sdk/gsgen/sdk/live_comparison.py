@@ -9,7 +9,7 @@ import numpy as np
 from gsgen.contract import layout
 from gsgen.contract.emission import Emission, read_emission
 from gsgen.contract.errors import LayoutMismatch
-from gsgen.contract.manifest import Tolerances
+from gsgen.contract.tolerances import as_tolerances
 from gsgen.sdk.binding.replay import (
     WrongReplay,
     agree,
@@ -73,7 +73,7 @@ def _packed(live: Live, frames: list[Frame]) -> Parity | None:
         count = len(rows) if gpu.count == cpu.count else gpu.count
         references.append(Reference(frame.probe, wanted, len(rows)))
         outputs.append((gpu.gaussians[rows], gpu.appearance[rows], count))
-    return compare(references, outputs, generator.tolerances or Tolerances(), roundings=2)
+    return compare(references, outputs, as_tolerances(live.subject), roundings=2)
 
 
 def _emission(live: Live, frame: Frame, outputs: Outputs | None) -> Emission:

@@ -170,7 +170,7 @@ class ToleranceEntry:
     field: str
     value: float
     unit: str
-    source: Literal["default", "manifest"]
+    source: Literal["default", "manifest", "config"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,7 @@ def _shape(subject: Subject, entry: Input) -> tuple[int, ...] | None:
     """Return the size of every axis, from the graph or else from the manifest."""
     tensor = subject.graph.input(entry.name)
     dims = static_dims(tensor) if tensor else None
-    return tuple(dims) if dims is not None else entry.shape
+    return entry.shape if dims is None else tuple(int(dim) for dim in dims)
 
 
 @rule(

@@ -1,0 +1,125 @@
+"""How far two executions of a generator are apart, field by field, in the units of tolerances."""
+
+__all__ = ["Apart", "apart", "comparable"]
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.emission import Emission
+from gsgen.contract.layout import (
+    APPEARANCE_CHANNELS,
+    COVARIANCE,
+    CULL_OPACITY,
+    OPACITY,
+    POSITION,
+)
+from gsgen.contract.report import Tolerance
+from gsgen.contract.spherical_harmonics import basis, degree_of
+
+# Relative errors that the storage of both may add, and kernels that sum in another order.
+_ROUNDING = {"float16": 2.0**-10, "float32": 2.0**-20}
+# What float16 and float32 cannot tell from nothing, once for each of both.
+_TINY = {"float16": 2.0**-23, "float32": 2.0**-148}
+_TRACE_COLUMNS = [4, 7, 9]
+_NOTHING = 1e-30
+_AXES = np.concatenate([np.eye(3), -np.eye(3)])
+
+
+@dataclass(frozen=True, slots=True)
+class Apart:
+    """A field in which two executions differ by more than is allowed.
+
+    Attributes:
+        tolerance: The field, and what is allowed.
+        row: The worst row.
+        error: How far it is apart, in the tolerance's unit.
+    """
+
+    tolerance: Tolerance
+    row: int
+    error: float
+
+
+def apart(
+    first: Emission, second: Emission, tolerances: Sequence[Tolerance]
+) -> Iterator[Apart]:
+    """Yield the fields that differ by more than their tolerance and what storage rounds.
+
+    Rows that neither draws are compared by their opacity alone. Nothing comes of outputs that are
+    no packed rows, or of another size; other rules say so.
+    """
+    if not comparable(first, second)[0] or first.gaussians is None:
+        return
+    measured = dict(_measured(first, second))
+    for tolerance in tolerances:
+        if tolerance.field not in measured:
+            continue
+        error, rounding = measured[tolerance.field]
+        excess = np.where(np.isfinite(error), error - rounding, np.inf)
+        if len(excess) and excess.max() > tolerance.value:
+            row = int(np.argmax(excess))
+            yield Apart(tolerance, row, float(error[row]))
+
+
+def comparable(first: Emission, second: Emission) -> tuple[bool, bool]:
+    """Say whether the packed rows, and whether the colours, can be compared field by field."""
+    rows, others = first.gaussians, second.gaussians
+    if rows is None or others is None or rows.shape != others.shape:
+        return False, False
+    color, other = first.appearance, second.appearance
+    if color is None or other is None or color.shape != other.shape:
+        return True, False
+    return True, color.shape[1] in APPEARANCE_CHANNELS["sh" if first.is_sh else "rgb"]
+
+
+Measured = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
+
+
+def _measured(first: Emission, second: Emission) -> Iterator[tuple[str, Measured]]:
+    """Yield each field's error and what rounding explains of it, row by row."""
+    assert first.gaussians is not None
+    assert second.gaussians is not None
+    a, b = (one.astype(np.float64) for one in (first.gaussians, second.gaussians))
+    dtype = first.gaussians.dtype.name
+    rounding, tiny = _ROUNDING[dtype], _TINY[dtype]
+    yield "opacity", (_distance(a, b, OPACITY), np.full(len(a), rounding))
+    shown = (a[:, OPACITY] >= CULL_OPACITY) | (b[:, OPACITY] >= CULL_OPACITY)
+    trace = np.maximum(a[:, _TRACE_COLUMNS].sum(axis=1), _NOTHING)
+    sigma = np.sqrt(trace / 3)
+    reach = np.abs(a[:, POSITION]).max(axis=1)
+    place = _distance(a, b, POSITION) / sigma
+    yield "position", _where(shown, place, (rounding * reach + tiny) / sigma)
+    spread = _distance(a, b, COVARIANCE) / trace
+    yield "covariance", _where(shown, spread, rounding + tiny / trace)
+    color, other = first.appearance, second.appearance
+    if color is not None and other is not None and comparable(first, second)[1]:
+        c, d = color.astype(np.float64), other.astype(np.float64)
+        error, largest = _colors_apart(first.is_sh, c, d)
+        yield "appearance", _where(shown, error, _ROUNDING[color.dtype.name] * largest)
+
+
+def _where(shown: np.ndarray, error: np.ndarray, rounding: np.ndarray) -> Measured:
+    return np.where(shown, error, 0.0), rounding
+
+
+def _distance(a: np.ndarray, b: np.ndarray, columns: int | slice) -> np.ndarray:
+    """Return the largest difference of a row; zero where both are equal, NaN included."""
+    x, y = a[:, columns].reshape(len(a), -1), b[:, columns].reshape(len(b), -1)
+    same = (x == y) | (np.isnan(x) & np.isnan(y))
+    return np.asarray(np.where(same, 0.0, np.abs(x - y)).max(axis=1))
+
+
+def _colors_apart(is_sh: bool, a: np.ndarray, b: np.ndarray) -> Measured:
+    """Return how far the colours are apart, seen along the axes, and how large they are."""
+    if not is_sh:
+        part = slice(0, 3)
+        return _distance(a, b, part), np.abs(a[:, part]).max(axis=1)
+    shape = (len(a), a.shape[1] // 3, 3)
+    weights = basis(_AXES, degree_of(shape[1]))
+    x, y = a.reshape(shape), b.reshape(shape)
+    error = np.abs(np.einsum("dk,nkc->ndc", weights, x - y)).max(axis=(1, 2))
+    largest = np.einsum("dk,nkc->ndc", np.abs(weights), np.abs(x)).max(axis=(1, 2))
+    return error, largest

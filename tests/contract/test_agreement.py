@@ -1,0 +1,107 @@
+"""How far executions are apart, against an oracle that looks at one number after another."""
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from gsgen.conformance.fixtures.clouds import cloud
+from gsgen.contract.agreement import apart, comparable
+from gsgen.contract.emission import Emission
+from gsgen.contract.layout import encode
+from gsgen.contract.manifest import AppearanceOutput
+from gsgen.contract.report import Tolerance
+from gsgen.contract.spherical_harmonics import evaluate
+from gsgen.contract.subject import Subject
+
+FIELDS = ("position", "covariance", "opacity", "appearance")
+AXES = np.concatenate([np.eye(3), -np.eye(3)])
+NAMES = cast(Subject, SimpleNamespace())
+
+
+def emission(rows: np.ndarray, color: np.ndarray, degree: int | None) -> Emission:
+    declared = AppearanceOutput("c", "rgb" if degree is None else "sh", degree)
+    return Emission("p", False, {}, rows, color, len(rows), declared, NAMES)
+
+
+def tolerances(value: float) -> list[Tolerance]:
+    return [Tolerance(field, value, "", "default") for field in FIELDS]
+
+
+def oracle(
+    a: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
+    d: np.ndarray,
+    degree: int | None,
+    field: str,
+) -> list[float]:
+    """Return the error of each row."""
+    errors = []
+    for x, y, p, q in zip(*(one.astype(np.float64) for one in (a, b, c, d)), strict=True):
+        trace = x[4] + x[7] + x[9]
+        sh = p.reshape(-1, 3) - q.reshape(-1, 3)
+        seen = (
+            max(abs(v) for v in (p - q)[:3])
+            if degree is None
+            else max(
+                abs(
+                    evaluate(sh[None], axis[None]) - 0.5
+                ).max()  # 0.5 + Σ Y c, unclamped here
+                for axis in AXES
+            )
+        )
+        one = {
+            "opacity": abs(x[3] - y[3]),
+            "position": max(abs(x[:3] - y[:3])) / (trace / 3) ** 0.5,
+            "covariance": max(abs(x[4:] - y[4:])) / trace,
+            "appearance": seen,
+        }
+        drawn = max(x[3], y[3]) >= 1 / 255 or field == "opacity"
+        errors.append(one[field] if drawn else 0.0)
+    return errors
+
+
+@pytest.mark.parametrize("field", FIELDS)
+@pytest.mark.parametrize("degree", [0, 1, 3, None])
+def test_the_worst_row_is_the_oracle_s(field: str, degree: int | None) -> None:
+    rng = np.random.default_rng([3, degree or 9])
+    a, c = encode(cloud(30, degree), np.float32)
+    b, d = a.copy(), c.copy()
+    part = {"position": np.s_[:, :3], "opacity": np.s_[:, 3], "covariance": np.s_[:, 4:]}
+    changed, place = (d, np.s_[:]) if field == "appearance" else (b, part[field])
+    changed[place] += rng.uniform(0.01, 0.1, changed[place].shape)
+    a[4, 3] = b[4, 3] = 0 if field != "opacity" else a[4, 3]  # not drawn, not compared
+    found = list(apart(emission(a, c, degree), emission(b, d, degree), tolerances(1e-3)))
+    assert [one.tolerance.field for one in found] == [field]
+    wanted = oracle(a, b, c, d, degree, field)
+    assert found[0].error == pytest.approx(max(wanted), rel=1e-6)
+    assert found[0].row == int(np.argmax(wanted))
+    assert not list(
+        apart(emission(a, c, degree), emission(b, d, degree), tolerances(max(wanted)))
+    )
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32])
+def test_one_rounding_of_storage_is_no_difference(dtype: type) -> None:
+    a, c = encode(cloud(500, 3), dtype)
+    b, d = (np.nextafter(one, dtype(np.inf)) for one in (a, c))
+    assert not list(apart(emission(a, c, 3), emission(b, d, 3), tolerances(0.0)))
+
+
+def test_what_is_not_finite_on_one_side_is_infinitely_far() -> None:
+    a, c = encode(cloud(5, 0), np.float32)
+    b = a.copy()
+    a[1, 0] = b[1, 0] = np.nan  # on both sides: the same
+    b[3, 4] = np.inf
+    (found,) = apart(emission(a, c, 0), emission(b, c, 0), tolerances(1.0))
+    assert (found.tolerance.field, found.row) == ("covariance", 3)
+
+
+def test_other_sizes_are_not_compared() -> None:
+    a, c = encode(cloud(5, 1), np.float32)
+    assert comparable(emission(a, c, 1), emission(a[:4], c[:4], 1)) == (False, False)
+    assert comparable(emission(a, c[:, :7], 1), emission(a, c[:, :7], 1)) == (True, False)
+    assert comparable(emission(a, c, 1), emission(a, c, 1)) == (True, True)
+    assert not list(apart(emission(a, c, 1), emission(a[:4], c[:4], 1), tolerances(0)))
