@@ -9,6 +9,7 @@ from gsgen.contract.rules import (
     capture,
     census,
     companions,
+    count_output,
     covariance,
     declarations,
     extent,
@@ -24,9 +25,11 @@ from gsgen.contract.rules import (
     outputs,
     replay,
     robustness,
+    running,
     safety,
     values,
     visionary,
+    visionary_drawing,
     waivers,
 )
 
@@ -36,6 +39,7 @@ FAMILIES = (
     inputs,
     input_facts,
     outputs,
+    count_output,
     companions,
     graph_outputs,
     graph,
@@ -44,6 +48,7 @@ FAMILIES = (
     integers,
     hygiene,
     values,
+    running,
     covariance,
     extent,
     appearance,
@@ -55,5 +60,6 @@ FAMILIES = (
     census,
     safety,
     visionary,
+    visionary_drawing,
     waivers,
 )

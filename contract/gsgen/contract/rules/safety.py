@@ -9,6 +9,7 @@ from gsgen.contract.model import ExternalRef
 from gsgen.contract.plan import probed_bytes
 from gsgen.contract.roles import KINDS
 from gsgen.contract.rule import rule
+from gsgen.contract.rules.gates import RUNNABLE
 from gsgen.contract.rules.limits import tensor_bytes
 from gsgen.contract.subject import Subject
 
@@ -127,22 +128,7 @@ def sizes_sane(subject: Subject) -> Iterator[Breach]:
     over="execution",
     fixture="never_ends",
     kinds=KINDS,
-    needs=(
-        "GM002",
-        "GM003",
-        "GM004",
-        "GI001",
-        "GI002",
-        "GI003",
-        "GI004",
-        "GI005",
-        "GG001",
-        "GG002",
-        "GG012",
-        "GG019",
-        "GS001",
-        "GS002",
-    ),
+    needs=RUNNABLE,
 )
 def within_limits(trial: Trial) -> Iterator[Breach]:
     """The model runs within the limits on time and memory.
