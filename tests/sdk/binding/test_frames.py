@@ -10,7 +10,9 @@ from gsgen.conformance.fixtures.images import darken
 from gsgen.conformance.fixtures.moving import drifting, looking
 from gsgen.contract.errors import LayoutMismatch, UnknownName
 from gsgen.contract.geometry import look_at, perspective
-from gsgen.sdk.binding import FrameGone, FrameSession
+from gsgen.sdk.binding import FrameGone, FrameSession, RunFailed
+from gsgen.sdk.binding.bound import Bound
+from gsgen.sdk.binding.buffers import DeviceBuffer
 from support.small_models import good_rows, moving, save, save_moving
 
 BOTH = pytest.mark.parametrize("provider", ["cpu", "webgpu"])
@@ -126,6 +128,21 @@ def test_outputs_lie_where_they_always_do(provider, models):
         assert session.outputs["gaussians"].nbytes == array.nbytes == 200
 
 
+def test_an_output_is_copied_from_the_device_once_a_frame(models, monkeypatch):
+    read, copied = DeviceBuffer.read, []
+    monkeypatch.setattr(
+        DeviceBuffer, "read", lambda one: (copied.append(one), read(one))[1]
+    )
+    with FrameSession(models["drift-float32"], provider="webgpu") as session:
+        copied.clear()
+        for time in (0, 1):
+            frame = session.run({"time": time})
+            assert frame.count == len(frame.rows) == len(frame.gaussians()) == 5
+        assert copied == 2 * [
+            session.outputs[name] for name in ("num_points", "gaussians", "color")
+        ]
+
+
 def test_a_model_without_a_manifest_is_run_by_the_names_of_its_tensors(tmp_path):
     rows = good_rows(4)
     path = save(tmp_path / "a.onnx", moving(rows))
@@ -186,3 +203,19 @@ def test_models_of_other_kinds_run_too(provider, tmp_path):
         np.testing.assert_array_equal(session.run({"image": image})["out"], image / 2)
         with pytest.raises(LayoutMismatch, match="no manifest says"):
             session.run().gaussians()
+
+
+def test_a_run_that_fails_says_so_and_spoils_the_frame_before(models, monkeypatch):
+    with FrameSession(models["drift-float32"], provider="webgpu") as session:
+        frame = session.run({"time": 0})
+
+        def lose(bound):
+            raise RuntimeError("[ONNXRuntimeError] : 1 : FAIL : device is lost")
+
+        with monkeypatch.context() as patched:
+            patched.setattr(Bound, "run", lose)
+            with pytest.raises(RunFailed, match="ONNX Runtime: device is lost"):
+                session.run()
+        with pytest.raises(FrameGone):
+            frame["gaussians"]
+        assert session.run().count == 5

@@ -122,6 +122,7 @@ class Bound:
 
         self.session = session
         self._memory = memory
+        self._read: dict[str, np.ndarray] = {}
         self._binding = session.io_binding()
         self._plainly = onnxruntime.RunOptions()
         self._plainly.add_run_config_entry(*_NO_GRAPH)
@@ -139,15 +140,23 @@ class Bound:
 
     def run(self) -> None:
         """Compute a frame; a session that captures records the first and replays the others."""
+        self._read.clear()
         self.session.run_with_iobinding(self._binding)
 
     def run_plainly(self) -> None:
         """Compute a frame by launching every kernel anew, whatever the session does else."""
+        self._read.clear()
         self.session.run_with_iobinding(self._binding, self._plainly)
+
+    def read(self, name: str) -> np.ndarray:
+        """Return an output, read-only; a frame's is copied from the device once."""
+        if name not in self._read:
+            self._read[name] = self.outputs[name].read()
+        return self._read[name]
 
     def copies(self) -> dict[str, np.ndarray]:
         """Return all outputs as arrays of their own."""
-        return {name: buffer.read().copy() for name, buffer in self.outputs.items()}
+        return {name: self.read(name).copy() for name in self.outputs}
 
     def close(self) -> None:
         """Release the capture, the buffers and the session, in this order."""
@@ -155,7 +164,7 @@ class Bound:
             self.session.release_captured_graph()
         self._binding.clear_binding_inputs()
         self._binding.clear_binding_outputs()
-        self.inputs, self.outputs = {}, {}
+        self.inputs, self.outputs, self._read = {}, {}, {}
         del self._binding, self.session
 
     def _bind_input(self, spec: Spec, shape: tuple[int, ...]) -> Buffer:

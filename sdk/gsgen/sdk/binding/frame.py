@@ -65,7 +65,7 @@ class Frame:
             LayoutMismatch: The manifest declares no packed rows.
         """
         outputs = self._declared()
-        rows = self[outputs.gaussians.name].shape[0] if outputs.gaussians else 0
+        rows = self._capacity(outputs.gaussians.name) if outputs.gaussians else 0
         if outputs.count is None:
             return rows
         return int(min(max(self[outputs.count.name].reshape(-1)[0], 0), rows))
@@ -97,6 +97,11 @@ class Frame:
             raise _undeclared("appearance")
         with self.session.still(self.number) if self.kept is None else nullcontext():
             return decode(self.rows, self.appearance, appearance.space)
+
+    def _capacity(self, name: str) -> int:
+        """Return how many rows an output has, without copying it from the device."""
+        held = self.session.outputs if self.kept is None else self.kept
+        return held[name].shape[0]
 
     def _declared(self) -> GeneratorOutputs:
         manifest = self.session.manifest

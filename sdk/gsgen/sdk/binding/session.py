@@ -15,7 +15,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from gsgen.contract.errors import GsgenError, UnknownName
+from gsgen.contract.errors import UnknownName
 from gsgen.contract.manifest import Manifest
 from gsgen.sdk.binding.bound import failed
 from gsgen.sdk.binding.buffers import Buffer
@@ -175,9 +175,11 @@ class FrameSession:
             if values or camera is not None:
                 self.update(values, camera=camera)
             ready = self._open_one()
+            self._number += (
+                1  # before it runs: a run that fails spoils the frame before, too
+            )
             try:
                 ready.bound.run()
-                self._number += 1
                 kept = ready.bound.copies() if copy else None
             except Exception as error:
                 raise failed(error) from error
@@ -243,11 +245,12 @@ class FrameSession:
     def read(self, name: str, number: int) -> np.ndarray:
         """Return an output of frame ``number``; see :class:`gsgen.sdk.binding.Frame`."""
         with self.still(number):
+            self._output(name)
             try:
-                return self._output(name).read()
-            except GsgenError:
-                raise
-            except Exception as error:
+                return self._open_one().bound.read(name)
+            except (
+                Exception
+            ) as error:  # ONNX Runtime's errors share no base class of their own
                 raise failed(error) from error
 
     def handle(self, name: str, number: int) -> Any:
