@@ -69,8 +69,8 @@ def wrap(
             what = f"{name!r} is not said, and every Gaussian has one"
             raise GeneratorInvalid(what, where="wrap, outputs")
     made = _Wrapped(module, outputs, by_name)
-    made.inputs = tuple(inputs)  # type: ignore[misc]
-    made.depends_on = dict(depends_on or {})
+    made.inputs = tuple(inputs)
+    made.depends_on = dict(depends_on or {})  # type: ignore[misc]
     made.space = space or Space()
     made.color_space, made.antialias = color_space, antialias
     made.family, made.producer = family, producer

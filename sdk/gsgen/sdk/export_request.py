@@ -71,7 +71,7 @@ def _request(
     ] = 18,
     target: Annotated[
         str,
-        typer.Option(help="Consumer to validate for: core, webgpu, visionary, gsgen."),
+        typer.Option(help="Consumer to rewrite and validate for: core, webgpu, visionary, gsgen."),
     ] = "core",
     level: Annotated[
         str,
