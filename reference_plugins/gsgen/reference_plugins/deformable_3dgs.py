@@ -1,8 +1,8 @@
 """Deformable 3D Gaussians: canonical Gaussians that a network of eight layers moves.
 
 Yang et al. 2024, "Deformable 3D Gaussians for High-Fidelity Monocular Dynamic Scene
-Reconstruction": the deformation by equation 4, the embedding of points and of time by equation 5.
-Only time is asked for.
+Reconstruction": (δx, δr, δs) = F(γ(x), γ(t)) with the positional encoding γ. Only time is asked
+for.
 """
 
 __all__ = ["Deformable3DGS"]

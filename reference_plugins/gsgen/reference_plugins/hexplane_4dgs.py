@@ -1,8 +1,8 @@
 """4DGaussians: canonical Gaussians that a hexplane and a small network move.
 
-Wu et al. 2024, "4D Gaussian Splatting for Real-Time Dynamic Scene Rendering": features of the
-spatial-temporal structure encoder by equation 5, heads of the deformation decoder by equations 6
-and 7. Only time is asked for.
+Wu et al. 2024, "4D Gaussian Splatting for Real-Time Dynamic Scene Rendering": the
+features are those of its spatial-temporal structure encoder, the heads those of its multi-head
+Gaussian deformation decoder. Only time is asked for.
 """
 
 __all__ = ["HexPlane4DGS"]

@@ -1,6 +1,6 @@
 """Features of points in a hexplane, where the points stay and only time goes by.
 
-A hexplane (4DGaussians, ``scene/hexplane.py``; Cao and Johnson 2023, "HexPlane", equation 2)
+A hexplane (4DGaussians, ``scene/hexplane.py``; Cao and Johnson 2023, "HexPlane")
 multiplies what six planes say, three of which know no time. Their product is a constant of each
 point. Of the other three, a moment picks one row of cells, between whose two nearest cells each
 point always lies with the same weights: Gather takes the place of GridSample.

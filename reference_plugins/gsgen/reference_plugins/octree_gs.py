@@ -1,8 +1,8 @@
 """Octree-GS: anchors in levels of detail, of which a camera sees those that its distance asks for.
 
 Ren et al. 2024, "Octree-GS: Towards Consistent Real-time Rendering with LOD-Structured 3D
-Gaussians": the level by equation 5, the shift that each anchor learns by equation 6. Decoding is
-that of Scaffold-GS.
+Gaussians": the level that a distance asks for is log(d_max / d) to the base of the fork, plus a
+shift that each anchor learns. Decoding is that of Scaffold-GS.
 """
 
 __all__ = ["MODES", "Levels", "OctreeGS"]

@@ -1,8 +1,8 @@
 """Scaffold-GS: anchors whose networks make Gaussians for the camera at hand.
 
-Lu et al. 2024, "Scaffold-GS: Structured 3D Gaussians for View-Adaptive Rendering": positions by
-equation 4, opacities by equation 5, the same form for colour, rotation and scale; the feature
-bank of section 3.2 by equation 3.
+Lu et al. 2024, "Scaffold-GS: Structured 3D Gaussians for View-Adaptive Rendering", section 3.2:
+centres μ_k = x + O_k · l, opacities α = F_α(f, δ, d), the same form for colour, rotation and
+scale, and the feature bank, whose weights are softmax(F_w(δ, d)).
 """
 
 __all__ = ["ScaffoldGS"]
