@@ -79,7 +79,8 @@ def anchors(
     base = log_scale.exp().repeat_interleave(k, 0)[visible]
     scale = base[:, 3:] * torch.sigmoid(shape[:, :3])
     position = (
-        anchor.repeat_interleave(k, 0)[visible] + offset.reshape(-1, 3)[visible] * base[:, :3]
+        anchor.repeat_interleave(k, 0)[visible]
+        + offset.reshape(-1, 3)[visible] * base[:, :3]
     )
     kept = torch.zeros(n, k, dtype=torch.bool)
     kept[seen] = visible.reshape(-1, k)
@@ -135,7 +136,9 @@ def hexplane(read: HexPlaneCheckpoint, time: float) -> Wanted:
         features.append(product)
     hidden = torch.cat(features, 1)
     for index, (weight, bias) in enumerate(nets.feature):
-        hidden = F.linear(torch.relu(hidden) if index else hidden, weight.double(), bias.double())
+        hidden = F.linear(
+            torch.relu(hidden) if index else hidden, weight.double(), bias.double()
+        )
 
     def head(pair: tuple) -> torch.Tensor:
         (a, b), (c, d) = pair
@@ -148,7 +151,9 @@ def hexplane(read: HexPlaneCheckpoint, time: float) -> Wanted:
     if flags.mask == "empty_voxel":
         grid, low, high = nets.voxels
         at = ((rest.position.double() - low) / (high - low)).flip(-1) * 2 - 1
-        cells = F.grid_sample(grid.double()[None, None], at[None, None, None], align_corners=True)
+        cells = F.grid_sample(
+            grid.double()[None, None], at[None, None, None], align_corners=True
+        )
         mask = cells.reshape(-1, 1)
     made = {name: head(pair) for name, pair in nets.heads.items()}
     position, log_scale = rest.position.double(), rest.log_scale.double()
@@ -224,7 +229,9 @@ def deformation(read: DeformationCheckpoint, time: float) -> Wanted:
         w, v = _skew(axis / theta + 1e-5), v / theta + 1e-5
         angle, eye = theta[:, :, None], torch.eye(3, dtype=torch.float64)
         turn = eye + torch.sin(angle) * w + (1 - torch.cos(angle)) * w @ w
-        carry = angle * eye + (1 - torch.cos(angle)) * w + (angle - torch.sin(angle)) * w @ w
+        carry = (
+            angle * eye + (1 - torch.cos(angle)) * w + (angle - torch.sin(angle)) * w @ w
+        )
         position = (turn @ x[:, :, None] + carry @ v[:, :, None])[:, :, 0]
     scale = rest.log_scale.double().exp() + last(net.scaling)
     q = F.normalize(rest.rotation.double(), dim=1) + last(net.rotation)
