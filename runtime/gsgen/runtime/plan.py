@@ -68,6 +68,11 @@ class Plan:
         outputs: What is asked for.
         pair_capacity: For how many pairs of a splat and a tile there is room.
 
+    Attributes:
+        stages: What a frame does, stage by stage.
+        buffers: What it does it with, by name.
+        images: The buffers that :meth:`collect` reads, by output.
+
     Raises:
         CapacityExceeded: A buffer would be larger than the device binds.
     """
@@ -89,26 +94,31 @@ class Plan:
         self._frame = device.uniform("frame", FRAME.itemsize)
         self._bare_frame = device.uniform("frame with nothing behind", FRAME.itemsize)
         self._slots = device.uniform("pages", PAGE.itemsize * max(1, len(placed)))
+        self.buffers: dict[str, Any] = {}
         n = self._gaussians
-        self._counts = device.storage("counts", counting.BYTES, extra="INDIRECT")
+        self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
         device.write(self._counts, counting.initial(n, pair_capacity))
-        self._touched = device.storage("touched", 4 * n)
-        self._splats = [device.storage(name, _VEC4 * n) for name in ("shapes", "weights")]
-        self._ranges = device.storage("ranges", 8 * self._tiles[0] * self._tiles[1])
+        self._touched = self._storage("touched", 4 * n)
+        self._splats = [self._storage(name, _VEC4 * n) for name in ("shapes", "weights")]
+        self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.images: dict[str, Any] = {}
         self.stages = self._record(placed, outputs)
         self._staging = Staging(device, {"counts": self._counts} | self.images)
+
+    def _storage(self, name: str, size: int, *, extra: str = "") -> Any:
+        self.buffers[name] = self._device.storage(name, size, extra=extra)
+        return self.buffers[name]
 
     def _record(
         self, placed: Sequence[Placed], outputs: frozenset[Output]
     ) -> dict[str, list[Step]]:
         """Record the frame, stage by stage."""
         n = self._gaussians
-        columns = [self._columns("key", n), self._columns("key", n)]
-        colors = self._device.storage("colors", _VEC4 * n)
+        columns = [self._columns(f"Gaussians {side}", n) for side in "ab"]
+        colors = self._storage("colors", _VEC4 * n)
         stages = {"project": self._project(placed, columns[0].keys, colors)}
         stages["sort"], order = self._sort_by_depth(columns)
-        pairs = [self._columns("pair", self.pair_capacity) for _ in range(2)]
+        pairs = [self._columns(f"pairs {side}", self.pair_capacity) for side in "ab"]
         stages["bin"] = self._bin(order, pairs[0])
         stages["group"], members = self._group(pairs)
         if "color" in outputs:
@@ -118,15 +128,15 @@ class Plan:
         if "normal" in outputs:
             # `project` leaves which Gaussians are absent in keys that the sort overwrites:
             # normals are found before, and blended as colours are.
-            normals = self._device.storage("normals", _VEC4 * n)
+            normals = self._storage("normals", _VEC4 * n)
             stages["project"] += self._normals(placed, columns[0].keys, normals)
             stages["normal"] = [self._blend("normal", members, normals, pick=False)]
         return stages
 
     def _columns(self, name: str, length: int) -> Columns:
         return Columns(
-            self._device.storage(f"{name}s", 4 * length),
-            self._device.storage(f"{name} values", 4 * length),
+            self._storage(f"keys of {name}", 4 * length),
+            self._storage(f"values of {name}", 4 * length),
         )
 
     def _project(self, placed: Sequence[Placed], keys: Any, colors: Any) -> list[Step]:
@@ -160,7 +170,7 @@ class Plan:
 
     def _bin(self, order: Any, pairs: Columns) -> list[Step]:
         walk = self._kernels.cut.walk
-        run_pairs = self._device.storage("run pairs", 4 * -(-self._gaussians // walk))
+        run_pairs = self._storage("run pairs", 4 * -(-self._gaussians // walk))
         measure, emit = self._kernels.bin.steps(
             self._counts,
             (
@@ -193,9 +203,8 @@ class Plan:
         return [*steps, mark], pairs[at].values
 
     def _blend(self, name: str, members: Any, colors: Any, *, pick: bool) -> Step:
-        self.images[name] = self._device.storage(
-            f"{name} image", _VEC4 * self._size[0] * self._size[1]
-        )
+        pixels = self._size[0] * self._size[1]
+        self.images[name] = self._storage(f"{name} image", _VEC4 * pixels)
         frame = self._frame if name == "color" else self._bare_frame
         resources = (frame, self._ranges, members, *self._splats, colors)
         return self._kernels.blend(pick).step(self._tiles, (*resources, self.images[name]))

@@ -1,6 +1,6 @@
 """Where Gaussians come from: a file that holds them, or a generator that makes them every frame."""
 
-__all__ = ["Source", "StillSource", "open_source"]
+__all__ = ["GeneratorSource", "Source", "StillSource", "direction", "open_source"]
 
 from abc import ABC, abstractmethod
 from pathlib import Path
@@ -96,7 +96,7 @@ class GeneratorSource(Source):
         provider: What ONNX Runtime runs it on: cpu, webgpu, cuda or auto.
     """
 
-    def __init__(self, path: Path, provider: str = "auto") -> None:
+    def __init__(self, path: Path, provider: str = "cpu") -> None:
         from gsgen.sdk.binding import FrameSession
 
         self.name = str(path)
@@ -111,7 +111,7 @@ class GeneratorSource(Source):
                 mend="`gsgen inspect --emit-manifest` derives a manifest from names and shapes.",
             )
         self._manifest = manifest
-        self.up = _direction(manifest.space)
+        self.up = direction((manifest.space or Space()).up)
         self.antialias = manifest.antialias
         appearance = manifest.outputs.appearance
         self._space: Literal["sh", "rgb"] = appearance.space if appearance else "rgb"
@@ -146,7 +146,7 @@ class GeneratorSource(Source):
         self._session.close()
 
 
-def open_source(path: Path, provider: str = "auto") -> Source:
+def open_source(path: Path, provider: str = "cpu") -> Source:
     """Open a file of Gaussians or a generator, which the suffix ``.onnx`` tells.
 
     Args:
@@ -171,9 +171,8 @@ def _drawable(content: Splats | PointCloud | PackedRows) -> SplatData:
     return SplatData.from_packed(content)
 
 
-def _direction(space: Space | None) -> tuple[float, float, float]:
-    """Return the unit vector of the upward axis, such as ``-y``."""
-    space = space or Space()
-    sign = -1.0 if space.up[0] == "-" else 1.0
-    x, y, z = (sign * (name == space.up[1]) for name in "xyz")
+def direction(axis: str) -> tuple[float, float, float]:
+    """Return the unit vector of an axis such as ``-y``."""
+    sign = -1.0 if axis[0] == "-" else 1.0
+    x, y, z = (sign * (name == axis[1]) for name in "xyz")
     return x, y, z

@@ -75,10 +75,13 @@ class SplatData:
     def from_points(cls, points: PointCloud, opacity: float = 0.8) -> "SplatData":
         """Draw bare points as balls, each half as large as its three nearest neighbours are far.
 
+        Lonely points would hide the others: none is larger than four times the median.
+
         Raises:
             SceneInvalid: SciPy, whose search tree is used, is not installed.
         """
-        variance = (0.5 * _spacing(points.position)) ** 2
+        spacing = _spacing(points.position)
+        variance = (0.5 * np.minimum(spacing, 4 * np.median(spacing))) ** 2
         rows = np.zeros((len(points), layout.ROW), np.float32)
         rows[:, layout.POSITION] = points.position
         rows[:, layout.OPACITY] = opacity

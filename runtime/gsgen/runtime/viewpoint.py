@@ -10,7 +10,7 @@ from typing import Final, final
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera import Camera
-from gsgen.runtime.sources import Source
+from gsgen.runtime.sources import Source, direction
 
 _FORMS: Final = (
     "Give orbit[:AZIMUTH,ELEVATION[,RADIUS]], look-at:EX,EY,EZ,TX,TY,TZ or a JSON file."
@@ -31,6 +31,7 @@ class Viewpoint:
         width: Of the image; None for the camera's own, or 1280.
         height: Of the image; None for the camera's own, or 720.
         fov: Vertical field of view, in degrees.
+        up: The upward direction; None for what the source says.
     """
 
     orbit: tuple[float, float, float | None] | None
@@ -39,6 +40,7 @@ class Viewpoint:
     width: int | None
     height: int | None
     fov: float
+    up: tuple[float, float, float] | None = None
 
     def camera(self, source: Source, number: int, turn: float) -> Camera:
         """Return the camera of frame ``number``.
@@ -54,7 +56,9 @@ class Viewpoint:
         size = {"width": self.width or 1280, "height": self.height or 720}
         if self.look_at is not None:
             eye, target = self.look_at[:3], self.look_at[3:]
-            return Camera.look_at(eye, target, up=source.up, fov_y=self.fov, **size)
+            return Camera.look_at(
+                eye, target, up=self.up or source.up, fov_y=self.fov, **size
+            )
         azimuth, elevation, radius = self.orbit or (_AZIMUTH, _ELEVATION, None)
         center, reach = source.extent()
         if radius is None:
@@ -65,7 +69,7 @@ class Viewpoint:
             radius,
             azimuth=azimuth + turn,
             elevation=elevation,
-            up=source.up,
+            up=self.up or source.up,
             fov_y=self.fov,
             near=min(0.01, radius / 100),
             **size,
@@ -73,7 +77,11 @@ class Viewpoint:
 
 
 def viewpoint(
-    text: str | None, width: int | None, height: int | None, fov: float
+    text: str | None,
+    width: int | None = None,
+    height: int | None = None,
+    fov: float = 50.0,
+    up: str | None = None,
 ) -> Viewpoint:
     """Read what a user typed for ``--camera``.
 
@@ -82,6 +90,7 @@ def viewpoint(
         width: See :class:`Viewpoint`.
         height: See :class:`Viewpoint`.
         fov: See :class:`Viewpoint`.
+        up: An axis such as ``-y``; None for what the source says.
 
     Raises:
         ConfigInvalid: It is none of the forms.
@@ -89,14 +98,16 @@ def viewpoint(
     """
     if not 0 < fov < 180:
         raise ConfigInvalid(f"{fov} degrees, wanted 0 to 180", where="--fov")
+    upward = None if up is None else direction(up)
     head, _, rest = (text or "orbit").partition(":")
     if head == "orbit":
         numbers = _numbers(text or "", rest, (0, 2, 3)) if rest else ()
         azimuth, elevation = numbers[:2] or (_AZIMUTH, _ELEVATION)
         radius = numbers[2] if len(numbers) > 2 else None
-        return Viewpoint((azimuth, elevation, radius), None, (), width, height, fov)
+        return Viewpoint((azimuth, elevation, radius), None, (), width, height, fov, upward)
     if head == "look-at":
-        return Viewpoint(None, _numbers(text or "", rest, (6,)), (), width, height, fov)
+        eye_and_target = _numbers(text or "", rest, (6,))
+        return Viewpoint(None, eye_and_target, (), width, height, fov, upward)
     return Viewpoint(None, None, _cameras(Path(text or "")), width, height, fov)
 
 

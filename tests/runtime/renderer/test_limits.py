@@ -47,7 +47,7 @@ def test_no_adapter_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> Non
         raise RuntimeError("Request adapter failed (Unavailable)")
 
     monkeypatch.setattr(wgpu.gpu, "request_adapter_sync", none)
-    with pytest.raises(DeviceUnavailable, match="no graphics adapter.*\n.*gsgen doctor"):
+    with pytest.raises(DeviceUnavailable, match=r"no graphics adapter.*\n.*gsgen doctor"):
         Device.open()
 
 
@@ -57,7 +57,7 @@ def test_no_adapter_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_a_background_that_is_none(
     renderer: Renderer, background: tuple[float, ...]
 ) -> None:
-    with pytest.raises(SceneInvalid, match="background: is .* alpha from 0 to 1"):
+    with pytest.raises(SceneInvalid, match=r"background: is .* alpha from 0 to 1"):
         renderer.render(Scene([single()]), camera(), background=background)
 
 

@@ -70,6 +70,10 @@ def render(
         int | None, typer.Option(help="Pixels. [default: the camera's, or 720]", min=1)
     ] = None,
     fov: Annotated[float, typer.Option(help="Vertical field of view, in degrees.")] = 50.0,
+    up: Annotated[
+        Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None,
+        typer.Option(help="Which axis points up. [default: the manifest's, or -y]"),
+    ] = None,
     mode: Annotated[
         ModeName, typer.Option(help="What to show.", case_sensitive=False)
     ] = ModeName.COLOR,
@@ -114,7 +118,7 @@ def render(
     provider: Annotated[
         Literal["auto", "cpu", "webgpu", "cuda"],
         typer.Option(help="What ONNX Runtime runs generators on."),
-    ] = "auto",
+    ] = "cpu",
     as_json: Annotated[
         bool, typer.Option("--json", help="Print what was drawn as JSON.")
     ] = False,
@@ -127,14 +131,15 @@ def render(
     from gsgen.runtime.film import Film
     from gsgen.runtime.viewpoint import viewpoint
 
-    view = viewpoint(camera, width, height, fov)
+    view = viewpoint(camera, width, height, fov, up)
+    behind = _background(background, output)
     sources = _opened(scenes, provider)
     try:
         film = Film(
             sources,
             view,
             mode.shown,
-            background=_background(background, output),
+            background=behind,
             sh_degree=sh_degree,
             antialias=antialias,
             time=time,

@@ -1,12 +1,16 @@
 """Bin: list the tiles that each splat touches, nearest splat first."""
 
-__all__ = ["WALK_THREADS", "BinTiles"]
+__all__ = ["WALK_THREADS", "BinTiles", "touched_reference"]
 
 from typing import Any, Final, final
+
+import numpy as np
+from jaxtyping import Bool, Float
 
 from gsgen.runtime.device import Device
 from gsgen.runtime.kernels.counts import PLACES, Counts
 from gsgen.runtime.kernels.kernel import Kernel, Step
+from gsgen.runtime.kernels.shader import TILE
 
 WALK_THREADS: Final = 64
 _BINDINGS = "urrrrrwww"
@@ -40,3 +44,26 @@ class BinTiles:
             Step(self._measure, (self._measure.bind(*resources),), dispatch),
             Step(self._emit, (self._emit.bind(*resources),), dispatch),
         )
+
+
+def touched_reference(
+    mean: Float[np.ndarray, "2"],
+    conic: Float[np.ndarray, "3"],
+    strength: float,
+    size: tuple[int, int],
+) -> Bool[np.ndarray, "rows columns"]:
+    """Say which tiles have a pixel that a splat reaches: those that must be listed.
+
+    Args:
+        mean: In pixels of the image.
+        conic: Inverse 2D covariance: xx, xy, yy.
+        strength: Logarithm of the opacity over CULL_OPACITY.
+        size: Width and height of the image.
+    """
+    across, down = (-(-side // TILE) for side in size)
+    dx = np.arange(size[0]) + 0.5 - mean[0]
+    dy = np.arange(size[1])[:, None] + 0.5 - mean[1]
+    power = 0.5 * (conic[0] * dx**2 + conic[2] * dy**2) + conic[1] * dx * dy
+    reached = np.zeros((down * TILE, across * TILE), bool)
+    reached[: size[1], : size[0]] = power <= strength
+    return np.asarray(reached.reshape(down, TILE, across, TILE).any(axis=(1, 3)))

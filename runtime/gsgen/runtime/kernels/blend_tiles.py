@@ -1,11 +1,17 @@
 """Blend: composite each tile's splats, front to back."""
 
-__all__ = ["BlendTiles"]
+__all__ = ["BlendTiles", "blend_reference"]
 
 from typing import Any, final
 
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract import layout
 from gsgen.runtime.device import Device
 from gsgen.runtime.kernels.kernel import Kernel, Step
+from gsgen.runtime.kernels.project import Projected
+from gsgen.runtime.kernels.shader import MAX_ALPHA, MIN_TRANSMITTANCE
 
 
 @final
@@ -40,3 +46,32 @@ class BlendTiles:
             resources: What ``blend_tiles.wgsl`` binds, in its order.
         """
         return Step(self.kernel, (self.kernel.bind(*resources),), (*tiles, 1))
+
+
+def blend_reference(
+    splats: Projected, origin: Float[np.ndarray, "2"], size: tuple[int, int]
+) -> Float[np.ndarray, "h w 4"]:
+    """What ``blend_tiles.wgsl`` must make of splats that are sorted, nearest first.
+
+    Args:
+        splats: All of them drawn.
+        origin: Of their means, in pixels of the image.
+        size: Width and height of the image.
+    """
+    width, height = size
+    x = np.arange(width) + 0.5 - origin[0]
+    y = np.arange(height)[:, None] + 0.5 - origin[1]
+    through, live = np.ones((height, width)), np.ones((height, width), bool)
+    color = np.zeros((height, width, 3))
+    for mean, conic, strength, own in zip(
+        splats.mean, splats.conic, splats.strength, splats.color, strict=True
+    ):
+        dx, dy = x - mean[0], y - mean[1]
+        above = strength - 0.5 * (conic[0] * dx**2 + conic[2] * dy**2) - conic[1] * dx * dy
+        alpha = np.minimum(layout.CULL_OPACITY * np.exp(above), MAX_ALPHA)
+        after = through * (1 - alpha)
+        live &= ~((above >= 0) & (after <= MIN_TRANSMITTANCE))
+        drawn = live & (above >= 0)
+        color += np.where(drawn, alpha * through, 0)[..., None] * own
+        through = np.where(drawn, after, through)
+    return np.concatenate([color, 1 - through[..., None]], axis=-1)

@@ -9,16 +9,21 @@ __all__ = [
     "page_uniform",
 ]
 
+from dataclasses import dataclass
 from typing import Any, Final, final
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Shaped
 
+from gsgen.contract import layout
+from gsgen.contract.geometry import symmetric
+from gsgen.contract.spherical_harmonics import basis
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
 from gsgen.runtime.kernels.kernel import Kernel, Step
-from gsgen.runtime.kernels.shader import JACOBIAN_MARGIN, TILE
+from gsgen.runtime.kernels.shader import DILATION, JACOBIAN_MARGIN, TILE
 from gsgen.runtime.scene import SplatSet
+from gsgen.runtime.splat_data import SplatData
 
 NO_HARMONICS: Final = 0xFF
 """The degree of raw colours."""
@@ -178,3 +183,69 @@ class ProjectKernel:
             self.kernel.bind(own, page.rows, page.appearance, group=1),
         )
         return Step(self.kernel, binds, (-(-page.capacity // _THREADS), 1, 1))
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Projected:
+    """Splats in float64.
+
+    Attributes:
+        drawn: Which Gaussians are; of the others nothing else holds.
+        mean: Pixels, relative to the frame's origin.
+        conic: Inverse 2D covariance: xx, xy, yy.
+        strength: Logarithm of the opacity over CULL_OPACITY.
+        depth: Along the camera's +z.
+        color: Red, green, blue.
+    """
+
+    drawn: Bool[np.ndarray, " n"]
+    mean: Float[np.ndarray, "n 2"]
+    conic: Float[np.ndarray, "n 3"]
+    strength: Float[np.ndarray, " n"]
+    depth: Float[np.ndarray, " n"]
+    color: Float[np.ndarray, "n 3"]
+
+
+def project_reference(
+    data: SplatData, frame: Shaped[np.ndarray, ""], page: Shaped[np.ndarray, ""]
+) -> Projected:
+    """What ``project.wgsl`` must make of ``data`` and the two uniforms."""
+    rows = data.rows.astype(np.float64)
+    linear, to_sh = (
+        np.asarray(page[name], np.float64)[:, :3].T for name in ("linear", "local_to_sh")
+    )
+    offset = rows[:, :3] - np.float64(page["eye"]) - np.float64(page["eye_rest"])
+    with np.errstate(all="ignore"):
+        at = offset @ linear.T
+        slope = at[:, :2] / at[:, 2:]
+        bent = np.clip(slope, frame["slope_low"], frame["slope_high"])
+        ahead = np.stack([np.ones(len(at))] * 2, axis=1) / at[:, 2:] * frame["focal"]
+        jacobian = ahead[:, :, None] * (linear[:2] - bent[:, :, None] * linear[2])
+        plain = (
+            jacobian @ symmetric(rows[:, layout.COVARIANCE]) @ jacobian.transpose(0, 2, 1)
+        )
+        wide = plain + DILATION * np.eye(2)
+        opacity = np.minimum(rows[:, layout.OPACITY] * page["opacity_scale"], 1)
+        if page["mip"]:
+            share = np.linalg.det(plain) / np.linalg.det(wide)
+            opacity = opacity * np.sqrt(np.maximum(share, 0))
+        color = data.appearance[:, :3].astype(np.float64)
+        if page["degree"] != NO_HARMONICS:
+            toward = offset @ to_sh.T
+            weights = basis(
+                toward / np.linalg.norm(toward, axis=1, keepdims=True), int(page["degree"])
+            )
+            sh = data.appearance.reshape(len(rows), -1, 3)[:, : weights.shape[1]]
+            color = 0.5 + np.einsum("nk,nkc->nc", weights, sh.astype(np.float64))
+        drawn = (at[:, 2] > frame["near"]) & (opacity >= layout.CULL_OPACITY)
+        drawn &= np.isfinite(rows).all(axis=1) & np.isfinite(color).all(axis=1)
+        drawn &= (rows[:, :3] >= page["clip_low"]).all(axis=1)
+        drawn &= (rows[:, :3] <= page["clip_high"]).all(axis=1)
+        drawn &= (np.linalg.det(wide) > 0) & (wide[:, 0, 0] > 0) & (wide[:, 1, 1] > 0)
+        drawn &= np.arange(len(rows)) < page["count"]
+        strength = np.log(opacity / layout.CULL_OPACITY)
+        conic = np.full((len(rows), 3), np.nan)
+        conic[drawn] = np.linalg.inv(wide[drawn])[:, [0, 0, 1], [0, 1, 1]]
+        mean = frame["focal"] * slope + frame["center"]
+    return Projected(drawn, mean, conic, strength, at[:, 2], np.maximum(color, 0))
