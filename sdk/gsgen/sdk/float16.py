@@ -37,6 +37,7 @@ from gsgen.sdk.saving import has_external_weights, save_model, weight_bytes
 from gsgen.sdk.unit_search import Sensitivity, largest_harmless
 
 _BUDGET = 200
+_LEAST_ROOM = 1e-3
 # How much of the tolerance the search may use, from one attempt to the next: what the real kernels
 # add to the measured rounding is seen only at the end.
 _SHARES = (1.0, 0.5, 0.25)
@@ -58,7 +59,8 @@ class Kept:
     Attributes:
         node: Its name, which is that of its first result.
         why: The field that would show it, a guard, or a neighbour that saves Casts.
-        excess: The error, over what is allowed, of its group alone; 0 where that is not the reason.
+        excess: How much of what is allowed, beyond the rounding of outputs, its group alone would
+            use up; 0 where that is not the reason.
     """
 
     node: str
@@ -175,10 +177,9 @@ def to_float16(
     boundary = Boundary(model.graph, opset)
     if not nodes:
         raise RewriteFailed("computes nothing in float32", where="model")
-    rounded = measure.parity(frozenset())
-    if not rounded.holds:
+    if not measure.rounded.holds:
         raise RewriteFailed(
-            f"float16 outputs alone are too coarse: {rounded.describe()}",
+            f"float16 outputs alone are too coarse: {measure.rounded.describe()}",
             where="outputs",
             mend="Keep them float32 with --keep-outputs, or move the scene closer to its origin.",
         )
@@ -244,6 +245,8 @@ class _Measure:
         self.probes, self.storage = probes, np.float16 if outputs else np.float32
         self._model = HalfModel(model)
         self._references = [self._reference(probe) for probe in probes]
+        self.rounded = self.parity(frozenset())
+        self._stored = {one.field: _excess(one) for one in self.rounded.fields}
 
     @property
     def frame_bytes(self) -> int:
@@ -276,10 +279,15 @@ class _Measure:
         return compare(self._references, made, self.tolerances)
 
     def __call__(self, chosen: Collection[int]) -> tuple[float, str]:
-        """Return the largest error over what is allowed, and its field."""
-        parity = self.parity(chosen)
-        worst = max(parity.fields, key=_excess, default=FieldParity("", 0.0, 0.0, "", 0))
-        return _excess(worst), worst.field
+        """Return how much of the room that storage leaves is used up, and in which field."""
+        used = {one.field: self._used(one) for one in self.parity(chosen).fields}
+        worst = max(used, key=lambda field: used[field], default="")
+        return used.get(worst, 0.0), worst
+
+    def _used(self, field: FieldParity) -> float:
+        """Return the share of a field's tolerance that is used, storage in float16 left out."""
+        base = self._stored.get(field.field, 0.0)
+        return float((_excess(field) - base) / max(1 - base, _LEAST_ROOM))
 
     def of_model(self, model: ir.Model, limits: Limits) -> Parity:
         """Run a converted model in ONNX Runtime and compare it."""

@@ -122,9 +122,28 @@ def test_what_rows_that_are_not_kept_hold_does_not_reach_the_output() -> None:
     assert_same_rows(before, after)
 
 
+@pytest.mark.parametrize("op", ["ReduceSum", "ReduceMean", "ReduceMax", "ReduceMin"])
+@pytest.mark.parametrize(("axes", "keep"), [("zero", 1), ("zero", 0), ("both", 0)])
+@pytest.mark.parametrize("t", [-9.0, 0.1, 9.0])
+def test_rows_that_are_not_kept_take_no_part_in_sums(
+    op: str, axes: str, keep: int, t: float
+) -> None:
+    text = f"g (float[{N},4] x, float[1] t) => (float z) <int64[1] zero = {{0}}, int64[2] both = {{0, 1}}, int64 first = {{0}}> {{ {MASK} r = Compress <axis = 0> (x, m)\n z = {op} <keepdims = {keep}> (r, {axes}) }}"
+    text = text.replace(
+        "(float z)",
+        "(float[A,B] z)" if keep else "(float[A] z)" if axes == "zero" else "(float z)",
+    )
+    model = parsed(text)
+    given_ = inputs(4, t)
+    (before,) = run(model, **given_)
+    assert MaskRows()(model).modified
+    assert not operators(model) & DYNAMIC
+    np.testing.assert_allclose(run(model, **given_)[0], before, rtol=1e-5, atol=1e-6)
+
+
 REFUSED = {
-    "a sum over the rows": (
-        "s = ReduceSum <keepdims = 1> (r, zero)\n y = Add (r, s)",
+    "a product over the rows": (
+        "s = ReduceProd <keepdims = 1> (r, zero)\n y = Add (r, s)",
         COUNT,
     ),
     "rows in another order": ("y = CumSum (r, first)", COUNT),
@@ -178,7 +197,7 @@ def test_a_mask_that_cannot_be_does_not_keep_another_from_being_rewritten() -> N
         y = Compress <axis = 0> (x, m)
         count = Shape <end = 1> (y)
         r = Compress <axis = 0> (x, q)
-        z = ReduceSum <keepdims = 0> (r, zero) }}"""
+        z = ReduceProd <keepdims = 0> (r, zero) }}"""
     model = parsed(text)
     rng = np.random.default_rng(0)
     given_ = {

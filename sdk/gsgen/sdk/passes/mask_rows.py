@@ -13,6 +13,7 @@ from gsgen.sdk.passes.base import Exactness, Goal, is_op
 from gsgen.sdk.passes.building import append_output, remake
 from gsgen.sdk.passes.refusal import CautiousRewrite
 from gsgen.sdk.passes.row_draft import RowDraft
+from gsgen.sdk.passes.row_ends import padded, reduced, scattered
 from gsgen.sdk.passes.row_facts import (
     Blocked,
     Fact,
@@ -24,7 +25,7 @@ from gsgen.sdk.passes.row_facts import (
     read_mask,
 )
 from gsgen.sdk.passes.row_indices import compressed, index_of, moved_index, taken_rows
-from gsgen.sdk.passes.row_moves import moved_rows, padded, scattered, split_rows
+from gsgen.sdk.passes.row_moves import moved_rows, split_rows
 from gsgen.sdk.passes.row_numbers import count_of, filled, linear, shape_fact
 
 _READS_NUMBERS = (
@@ -51,15 +52,16 @@ class MaskRows(CautiousRewrite):
         x[mask] → f → y [K, 10]     →   x → f → Gather(order) → Where(row < K) → y [N, 10]
         x[mask] = f(x[mask])        →   Where(mask, f(x), x)
         cat(x[mask], zeros(C − K))  →   as above, C rows, the same in every bit
+        sum(x[mask])                →   sum(Where(mask, x, 0))
 
     The order comes from the mask's prefix sum (CumSum) by binary search; K is its last element.
     An output of K rows becomes one of N rows, whose first K are the same and whose others are zero.
     By the contract that is the same model, as long as ``num_points`` is K; so it is done only where
     some output is provably K (and ``num_points``, where the manifest names it, is that one).
 
-    Products of N rows may round otherwise than those of K; nothing else changes a bit.
+    Products and sums of N rows may round otherwise than those of K; nothing else changes a bit.
 
-    A mask is left alone if a node on the way might mix rows or shapes (a sum over rows, a second
+    A mask is left alone if a node on the way might mix rows or shapes (a running sum, a second
     mask, an index computed from rows): then nothing that hangs on it is touched.
     """
 
@@ -157,19 +159,9 @@ class _Attempt:
                 raise Blocked(node, "it may split rows apart", _masks(facts))
             self.facts.update(zip(node.outputs, parts or (), strict=False))
             return
-        elif is_op(node, "ScatterND") or (
-            is_op(node, "Concat", "Pad") and _fills_up(facts)
-        ):
-            fixed = scattered(node, facts, self.draft) if is_op(node, "ScatterND") else None
-            fixed = fixed or padded(node, facts, self.draft)
-            if fixed is not None:
-                self.draft.results[node.outputs[0]] = fixed
-                return
-            made = (
-                moved_rows(node, facts, self.draft)
-                if is_op(node, "Concat", "Pad")
-                else None
-            )
+        elif (fixed := self._fixed(node, facts)) is not None:
+            self.draft.results[node.outputs[0]] = fixed
+            return
         else:
             made = self._made(node, facts)
         if made is not None:
@@ -178,6 +170,14 @@ class _Attempt:
             raise Blocked(
                 node, "it may mix rows, or its shape hangs on the count", _masks(facts)
             )
+
+    def _fixed(self, node: ir.Node, facts: Sequence[Fact | None]) -> ir.Value | None:
+        """Draft what has a fixed shape again, where ``node`` gives such."""
+        if is_op(node, "ScatterND"):
+            return scattered(node, facts, self.draft)
+        if is_op(node, "Concat", "Pad") and _fills_up(facts):
+            return padded(node, facts, self.draft)
+        return reduced(node, facts, self.draft)
 
     def _born(self, node: ir.Node) -> Fact | None:
         if is_op(node, "NonZero"):

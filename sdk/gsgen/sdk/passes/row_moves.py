@@ -3,7 +3,7 @@
 Each function returns the rows that a node gives, or None where it may mix rows.
 """
 
-__all__ = ["moved_rows", "padded", "scattered", "split_rows"]
+__all__ = ["axes_of", "moved_rows", "split_rows"]
 
 from collections.abc import Callable, Sequence
 from math import prod
@@ -226,7 +226,8 @@ def _picked(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | 
     return _relay(node, [rows.value, *node.inputs[1:]], place, rows, draft)
 
 
-def _axes_of(node: ir.Node) -> list[int] | None:
+def axes_of(node: ir.Node) -> list[int] | None:
+    """Return the axes of a node that has them as an attribute or as its second input."""
     if "axes" in node.attributes:
         return [int(axis) for axis in node.attributes["axes"].as_ints()]
     known = constant_of(node.inputs[1]) if len(node.inputs) > 1 else None
@@ -234,7 +235,7 @@ def _axes_of(node: ir.Node) -> list[int] | None:
 
 
 def _reduced(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    axes, rank = _axes_of(node), rank_of(rows.value) or 1
+    axes, rank = axes_of(node), rank_of(rows.value) or 1
     if not axes:
         return None
     places = {axis % rank for axis in axes}
@@ -261,7 +262,7 @@ def _along(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | N
 
 
 def _squeezed(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    axes, rank = _axes_of(node), rank_of(rows.value) or 1
+    axes, rank = axes_of(node), rank_of(rows.value) or 1
     if axes is None or rows.axis in {axis % rank for axis in axes}:
         return None
     place = rows.axis - sum(axis % rank < rows.axis for axis in axes)
@@ -269,7 +270,7 @@ def _squeezed(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows 
 
 
 def _unsqueezed(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    axes, rank = _axes_of(node), rank_of(node.outputs[0])
+    axes, rank = axes_of(node), rank_of(node.outputs[0])
     if axes is None or rank is None:
         return None
     added = {axis % rank for axis in axes}
@@ -388,85 +389,3 @@ def split_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> list[Rows] | Non
     for value, shape in zip(made, shapes, strict=True):
         value.shape = ir.Shape(shape or ())
     return [Rows(rows.mask, value, rows.axis) for value in made]
-
-
-# -- Where the number of rows is fixed again
-
-
-def scattered(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | None:
-    """Draft what ScatterND gives when rows of a mask go back to where they came from."""
-    data, shape = node.inputs[0], fixed_shape(node.inputs[0])
-    _, index, rows = facts
-    plain = node.attributes.get("reduction")
-    if data is None or shape is None or facts[0] is not None:
-        return None
-    if not isinstance(index, Index) or not isinstance(rows, Rows) or rows.axis != 0:
-        return None
-    mask = index.mask
-    dims = (*mask.dims, *mask.behind)
-    if index.form != "rows" or (plain is not None and plain.as_string() != "none"):
-        return None
-    rest = [*mask.behind] if mask.behind else list(shape[len(dims) :])
-    updates = fixed_shape(rows.value)
-    if shape[: len(dims)] != dims or rows.flat != bool(mask.behind) or updates is None:
-        return None
-    if list(updates) != [mask.size, *rest]:
-        return None
-    all_rows = draft.reshaped(rows.value, shape)
-    kept = draft.truth(mask)
-    kept = draft.reshaped(kept, [*mask.dims, *[1] * (len(shape) - len(mask.dims))])
-    return draft.op("Where", kept, all_rows, data, dtype=data.dtype, shape=shape)
-
-
-def padded(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | None:
-    """Draft what Concat or Pad gives when rows are filled up to a capacity."""
-    rows = facts[0]
-    if not isinstance(rows, Rows) or rows.axis != 0 or rows.flat:
-        return None
-    found = _concatenated(node, facts) if is_op(node, "Concat") else _pads(node, facts)
-    shape = fixed_shape(rows.value)
-    if found is None or shape is None:
-        return None
-    capacity, row = found
-    missing = capacity - rows.mask.size
-    if missing < 0:  # more rows may be kept than there is room for: then the model fails
-        return None
-    made = draft.compact(rows, row)
-    if not missing:
-        return made
-    behind = np.broadcast_to(row, (missing, *shape[1:]))
-    more = draft.constant(behind, row.dtype)
-    return draft.op("Concat", made, more, shape=[capacity, *shape[1:]], axis=0)
-
-
-def _concatenated(node: ir.Node, facts: Facts) -> tuple[int, np.ndarray] | None:
-    if len(facts) != 2 or not isinstance(facts[1], Filler):
-        return None
-    rank = rank_of(node.outputs[0])
-    if rank is None or node.attributes["axis"].as_int() % rank != 0:
-        return None
-    return facts[1].capacity, facts[1].row
-
-
-def _pads(node: ir.Node, facts: Facts) -> tuple[int, np.ndarray] | None:
-    mode, amounts = node.attributes.get("mode"), facts[1] if len(facts) > 1 else None
-    rank = rank_of(node.inputs[0]) or 0
-    if (mode is not None and mode.as_string() != "constant") or len(facts) > 3:
-        return None
-    if not isinstance(amounts, Linear) or amounts.factor.shape != (2 * rank,):
-        return None
-    factor, constant = amounts.factor.copy(), amounts.constant.copy()
-    if factor[rank] != -1:
-        return None
-    capacity, factor[rank], constant[rank] = int(constant[rank]), 0, 0
-    given = node.inputs[2] if len(node.inputs) > 2 else None
-    known = constant_of(given)
-    kind = node.outputs[0].dtype
-    if (
-        factor.any()
-        or constant.any()
-        or (given is not None and known is None)
-        or kind is None
-    ):
-        return None
-    return capacity, np.asarray(0 if known is None else known.reshape(()), kind.numpy())
