@@ -47,4 +47,6 @@ class CautiousRewrite(Rewrite):
             self.refusals.append(Refusal(self.name, what.name or "", why))
             return
         made = what.outputs[0].name if what.outputs else ""
-        self.refusals.append(Refusal(self.name, f"{what.name or made} ({what.op_type})", why))
+        self.refusals.append(
+            Refusal(self.name, f"{what.name or made} ({what.op_type})", why)
+        )
