@@ -177,7 +177,8 @@ def _must_run(run: Execution, probes: Sequence[Probe], where: str, which: str) -
 
 def _excess(one: Difference) -> float:
     """Return how far a difference goes beyond what is allowed; NaN counts as very far."""
-    return one.largest / one.allowed if one.largest <= one.allowed else np.inf
+    within = one.largest <= one.allowed
+    return one.largest / one.allowed if within and one.allowed > 0 else np.inf
 
 
 def _differences(
@@ -195,7 +196,10 @@ def _differences(
             over = np.where(error <= room, 0.0, error)  # so that NaN is over
             worst = int(np.argmax(np.where(np.isnan(over), np.inf, over)))
             worst = worst if over[worst] != 0 else int(np.argmax(error))
-            yield Difference(name, float(error[worst]), float(room[worst]), probe.label)
+            if (
+                error[worst] != 0
+            ):  # zeros of either sign, and NaNs of other bits, are the same
+                yield Difference(name, float(error[worst]), float(room[worst]), probe.label)
 
 
 def _unpadded(old: np.ndarray, new: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from gsgen.contract.manifest import Manifest
 from gsgen.contract.manifest_json import dumps
 from gsgen.contract.model import MANIFEST_KEY
 from gsgen.contract.targets import Target
-from gsgen.sdk.passes.base import Goal
+from gsgen.sdk.passes.base import Goal, opset_of
 from gsgen.sdk.rewrite import Change, rewrite_graph
 
 
@@ -27,7 +27,9 @@ def finish(
     NameFixPass()(
         model
     )  # the exporter may call a tensor `view` although an input is called so
-    changes = rewrite_graph(model, Goal.of(target, manifest)) if rewrite else []
+    # The operator set is the one that was asked for when the graph was made.
+    goal = Goal.of(target, manifest, opset_of(model))
+    changes = rewrite_graph(model, goal) if rewrite else []
     model.metadata_props.clear()  # the exporter's notes name files of the author's machine
     for node in model.graph.all_nodes():
         node.metadata_props.clear()

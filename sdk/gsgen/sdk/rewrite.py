@@ -35,7 +35,7 @@ from onnx_ir.passes.common import (
 
 from gsgen.contract.config import Settings
 from gsgen.contract.engine import validate
-from gsgen.contract.errors import ModelUnreadable
+from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
 from gsgen.contract.finding import Level
 from gsgen.contract.graph import read_graph
 from gsgen.contract.model import open_model
@@ -46,7 +46,7 @@ from gsgen.contract.subject import read_subject
 from gsgen.contract.targets import Target
 from gsgen.sdk.equivalence import Difference, compare_files, probes_of
 from gsgen.sdk.errors import RewriteFailed
-from gsgen.sdk.passes.base import BITS, MAIN_DOMAIN, Exactness, Goal, Rewrite
+from gsgen.sdk.passes.base import BITS, MAIN_DOMAIN, Exactness, Goal, Rewrite, opset_of
 from gsgen.sdk.passes.refusal import CautiousRewrite, Refusal
 from gsgen.sdk.passes.registry import find_rewrites
 from gsgen.sdk.placement import draft_of
@@ -163,6 +163,7 @@ def rewrite_file(
     Raises:
         ModelUnreadable: ``source`` is no model.
         UnknownName: A name is no pass.
+        ConfigInvalid: ``opset`` is above that of the model.
         RewriteFailed: The result is no valid model, breaks a rule that was kept, or computes
             something else.
     """
@@ -173,6 +174,7 @@ def rewrite_file(
     goal = Goal.of(target, manifest, opset, sizes)
     chosen = find_rewrites(goal, only, skip)
     model = _load(source)
+    _refuse_higher(model, opset)
     beside = has_external_weights(model)
     probes = probes_of(subject, sizes)
     prepare(model)
@@ -216,6 +218,16 @@ def rewrite_file(
     )
 
 
+def _refuse_higher(model: ir.Model, opset: int | None) -> None:
+    now = opset_of(model)
+    if opset is not None and opset > now:
+        raise ConfigInvalid(
+            f"{opset} is above the model's operator set {now}",
+            where="--opset",
+            mend="Rewrites only lower it; export the model again with a higher one.",
+        )
+
+
 def prepare(model: ir.Model) -> None:
     """Bring ``model`` into the form that passes expect, without changing what it computes.
 
@@ -225,6 +237,9 @@ def prepare(model: ir.Model) -> None:
     InlinePass()(model)
     RemoveUnusedFunctionsPass()(model)
     LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0)(model)
+    for node in model.graph.all_nodes():
+        if not node.name and node.outputs:
+            node.name = node.outputs[0].name  # reports name what was changed
     NameFixPass()(model)
     _infer(model)
 

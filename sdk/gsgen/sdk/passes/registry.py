@@ -20,6 +20,7 @@ from gsgen.sdk.passes.fold_shapes import FoldShapes
 from gsgen.sdk.passes.freeze_dimensions import FreezeDimensions
 from gsgen.sdk.passes.gather_scatters import GatherScatters
 from gsgen.sdk.passes.gather_slices import GatherSlices
+from gsgen.sdk.passes.lower_opset import LowerOpset
 from gsgen.sdk.passes.mask_rows import MaskRows
 from gsgen.sdk.passes.merge_casts import MergeCasts
 from gsgen.sdk.passes.merge_reshapes import MergeReshapes
@@ -49,6 +50,7 @@ REWRITES: tuple[type[Rewrite], ...] = (
     MaskRows,
     SampleByGather,
     # -- The operator set, before operators are looked up in tables.
+    LowerOpset,
     # -- Operators without a kernel, by ones that have one. Integers first: what they become may
     #    lack a kernel in its turn.
     ClipBeforeCast,

@@ -5,8 +5,9 @@ __all__ = ["fits_int32", "spans_of"]
 import math
 from collections.abc import Mapping
 
+import numpy as np
 import onnx_ir as ir
-from onnx import TensorProto
+from onnx import TensorProto, numpy_helper
 
 from gsgen.contract.graph import Graph, Tensor
 from gsgen.contract.manifest import Manifest
@@ -58,9 +59,8 @@ def _weight(value: ir.Value) -> TensorProto | None:
         return None
     if tensor.dtype.is_string():
         return None
-    proto: TensorProto = ir.serde.serialize_tensor(tensor)
-    proto.name = value.name or ""
-    return proto
+    # Read, not referred to: it may lie in another file.
+    return numpy_helper.from_array(np.asarray(tensor.numpy()), value.name or "")
 
 
 Spans = Mapping[str, Interval]
