@@ -2,6 +2,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 
 from gsgen.contract.installed import installed_rules
@@ -150,3 +151,20 @@ def test_export_static_of_a_bad_file_exits_2_and_writes_nothing(
     assert words in ran.err
     assert "Traceback" not in ran.err
     assert {entry.name for entry in tmp_path.iterdir()} <= {"in.ply"}
+
+
+def test_export_static_takes_the_options_of_every_export(tmp_path: Path) -> None:
+    rows = np.zeros((4, 10), np.float32)
+    rows[:, 3], rows[:, [4, 7, 9]] = 0.5, 0.01
+    np.savez(tmp_path / "rows.npz", gaussians=rows, appearance=np.zeros((4, 48), "f4"))
+    words = ("--opset", "17", "--target", "visionary", "--no-rewrite", "--capacity", "256")
+    ran = gsgen(
+        *("export", "static", "rows.npz", "-o", "m.onnx", "--report", "r.json", *words),
+        cwd=tmp_path,
+    )
+    assert ran.code == 0, ran.err
+    told = json.loads((tmp_path / "r.json").read_text())
+    assert (told["schema"], told["source"]) == ("gsgen-export/1", "static")
+    assert (told["written"], told["options"]["opset"]) == (True, 17)
+    assert told["validation"]["target"].startswith("visionary")
+    assert onnx.load(tmp_path / "m.onnx").opset_import[0].version == 17

@@ -216,6 +216,7 @@ def write_scene(
     capacity: int | None = None,
     color_space: Literal["srgb", "linear"] = "srgb",
     antialias: Literal["classic", "mip"] = "classic",
+    opset: int = 18,
     accept: Callable[[Path], None] | None = None,
 ) -> GeneratorManifest:
     """Write ``scene`` as a generator, and return the manifest that it carries.
@@ -227,6 +228,7 @@ def write_scene(
         capacity: Rows of the outputs; the rows behind the scene are zero.
         color_space: Of the colours.
         antialias: How the scene was trained.
+        opset: ONNX operator set.
         accept: Called with the finished draft; what it raises keeps the draft from its place.
 
     Raises:
@@ -257,7 +259,7 @@ def write_scene(
     )
     rows, color = _padded(scene.rows, total), _padded(scene.appearance, total)
     with draft_of(path) as draft:
-        write_constant(rows, color, manifest, draft, count=count)
+        write_constant(rows, color, manifest, draft, count=count, opset=opset)
         if accept is not None:
             accept(draft)
     return manifest

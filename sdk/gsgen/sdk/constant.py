@@ -35,6 +35,7 @@ def write_constant(
     path: Path,
     *,
     count: int | None = None,
+    opset: int = _OPSET,
 ) -> None:
     """Write a generator that emits ``rows`` and ``appearance``, bit for bit, at every frame.
 
@@ -44,13 +45,14 @@ def write_constant(
         manifest: Names the outputs; embedded.
         path: Where the model goes; write to :func:`gsgen.sdk.placement.draft_of` another.
         count: How many of the first rows are live; all where absent.
+        opset: ONNX operator set.
 
     Raises:
         GeneratorInvalid: The arrays do not fit each other or the manifest.
         ParityFailed: ONNX Runtime does not give back the same bits.
     """
     outputs = _outputs(rows, appearance, manifest, len(rows) if count is None else count)
-    model = _model(outputs, manifest)
+    model = _model(outputs, manifest, opset)
     _save(model, path)
     _check(path, outputs)
 
@@ -75,9 +77,11 @@ def _outputs(
     }
 
 
-def _model(outputs: dict[str, np.ndarray], manifest: GeneratorManifest) -> ModelProto:
+def _model(
+    outputs: dict[str, np.ndarray], manifest: GeneratorManifest, opset: int
+) -> ModelProto:
     model = ModelProto(ir_version=_IR_VERSION, producer_name="gsgen")
-    model.opset_import.add(domain="", version=_OPSET)
+    model.opset_import.add(domain="", version=opset)
     model.metadata_props.add(key=MANIFEST_KEY, value=dumps(manifest, indent=None))
     graph = model.graph
     graph.name = "static"

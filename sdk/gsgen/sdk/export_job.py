@@ -37,20 +37,24 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
         GeneratorInvalid,
         ParityFailed,
     )
-    from gsgen.sdk.export_report import write_report
+    from gsgen.sdk.export_report import Outcome, write_report
 
     try:
         made = _export(build, request)
     except (ExportFailed, ExportRejected, GeneratorInvalid, ParityFailed) as error:
         _clear_line()
         if request.report is not None:
-            write_report(request.report, request, source, error)
+            report = error.report if isinstance(error, ExportRejected) else None
+            parity = error.parity if isinstance(error, ParityFailed) else None
+            outcome = Outcome(False, report, parity, error=error)
+            write_report(request.report, request, source, outcome)
         _show_failure(error)
         typer.echo(f"gsgen: {request.output} was not written", err=True)
         raise typer.Exit(1) from error
     _clear_line()
     if request.report is not None:
-        write_report(request.report, request, source, made)
+        outcome = Outcome(True, made.report, made.parity, made.changes)
+        write_report(request.report, request, source, outcome)
     _show(made)
 
 

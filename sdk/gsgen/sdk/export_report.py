@@ -1,81 +1,84 @@
 """The JSON document that `gsgen export --report` writes."""
 
-__all__ = ["write_report"]
+__all__ = ["Outcome", "write_report"]
 
 import json
 import math
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gsgen.contract.commands.output import write_text
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.reporters.machine import to_dict
-from gsgen.sdk.errors import ExportRejected, ParityFailed
 from gsgen.sdk.export_request import ExportRequest
-from gsgen.sdk.exporter import Exported
-from gsgen.sdk.parity import Parity
+
+if TYPE_CHECKING:
+    from gsgen.contract.report import Report
+    from gsgen.sdk.parity import Parity
+    from gsgen.sdk.rewrite import Change
 
 _SCHEMA = "gsgen-export/1"
 
 
-def write_report(
-    path: Path, request: ExportRequest, source: str, outcome: Exported | GsgenError
-) -> None:
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of an export.
+
+    Attributes:
+        written: A model stands in its place.
+        report: What the validator found, if it came so far.
+        parity: How closely the model agrees with torch, if it was compared.
+        changes: What rewrites did to the graph.
+        error: Why there is no model.
+    """
+
+    written: bool
+    report: "Report | None" = None
+    parity: "Parity | None" = None
+    changes: "tuple[Change, ...]" = ()
+    error: GsgenError | None = None
+
+
+def write_report(path: Path, request: ExportRequest, source: str, outcome: Outcome) -> None:
     """Write what was asked for and what came of it.
 
     Args:
         path: The file.
         request: What was asked for.
         source: What was exported: a plugin's name or ``module:factory``.
-        outcome: The finished export, or why there is none.
+        outcome: What came of it.
 
     Raises:
         ConfigInvalid: The file cannot be written.
     """
-    options = {key: _plain(value) for key, value in asdict(request).items()}
     document = {
         "schema": _SCHEMA,
         "tool": f"gsgen {version('gsgen')}",
         "source": source,
-        "options": options,
-        **(_failure(outcome) if isinstance(outcome, GsgenError) else _success(outcome)),
+        "options": {key: _plain(value) for key, value in asdict(request).items()},
+        "written": outcome.written,
+        "error": _error(outcome.error) if outcome.error else None,
+        "rewrites": [
+            {"name": one.rewrite, "nodes": list(one.nodes)} for one in outcome.changes
+        ],
+        "parity": _parity(outcome.parity) if outcome.parity else None,
+        "validation": to_dict(outcome.report) if outcome.report else None,
     }
     write_text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
 
-def _success(made: Exported) -> dict[str, Any]:
+def _error(error: GsgenError) -> dict[str, Any]:
     return {
-        "written": True,
-        "error": None,
-        "rewrites": [
-            {"name": one.rewrite, "nodes": list(one.nodes)} for one in made.changes
-        ],
-        "parity": _parity(made.parity),
-        "validation": to_dict(made.report),
-    }
-
-
-def _failure(error: GsgenError) -> dict[str, Any]:
-    fault = {
         "kind": type(error).__name__,
         "what": error.what,
         "where": error.where,
         "mend": error.mend,
     }
-    report = error.report if isinstance(error, ExportRejected) else None
-    parity = error.parity if isinstance(error, ParityFailed) else None
-    return {
-        "written": False,
-        "error": fault,
-        "rewrites": None,
-        "parity": _parity(parity) if parity else None,
-        "validation": to_dict(report) if report else None,
-    }
 
 
-def _parity(parity: Parity) -> dict[str, Any]:
+def _parity(parity: "Parity") -> dict[str, Any]:
     fields = [
         {
             "field": one.field,

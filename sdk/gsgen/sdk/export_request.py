@@ -1,6 +1,6 @@
 """What every `gsgen export` can be told, whatever makes the generator."""
 
-__all__ = ["Build", "ExportRequest", "with_common_options"]
+__all__ = ["OPSETS", "Build", "ExportRequest", "with_common_options"]
 
 import inspect
 from collections.abc import Callable
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 # Returns the generator; called with the options that its signature declares.
 Build = Callable[..., "GaussianGenerator"]
 
+# Operator sets that torch exports to, and that runtimes know.
 OPSETS = (16, 23)
 
 
@@ -71,7 +72,9 @@ def _request(
     ] = 18,
     target: Annotated[
         str,
-        typer.Option(help="Consumer to rewrite and validate for: core, webgpu, visionary, gsgen."),
+        typer.Option(
+            help="Consumer to rewrite and validate for: core, webgpu, visionary, gsgen."
+        ),
     ] = "core",
     level: Annotated[
         str,

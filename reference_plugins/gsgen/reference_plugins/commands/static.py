@@ -2,15 +2,18 @@
 
 __all__ = ["PLUGIN", "static"]
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from gsgen.contract.errors import GsgenError
+from gsgen.sdk.export_request import OPSETS, ExportRequest
 from gsgen.sdk.plugin import Plugin
 
 if TYPE_CHECKING:
+    from gsgen.contract.config import Settings
     from gsgen.contract.report import Report
     from gsgen.formats import PackedRows, PointCloud, Splats
 
@@ -56,11 +59,37 @@ def static(
     antialias: Annotated[
         Literal["classic", "mip"], typer.Option(help="How the scene was trained.")
     ] = "classic",
+    opset: Annotated[
+        int,
+        typer.Option(
+            help="ONNX operator set; every runtime has kernels for 18.",
+            min=OPSETS[0],
+            max=OPSETS[1],
+        ),
+    ] = 18,
+    target: Annotated[
+        str, typer.Option(help="Consumer to validate for: core, webgpu, visionary, gsgen.")
+    ] = "core",
+    level: Annotated[
+        str,
+        typer.Option(
+            help="How far to validate: static, values, behaviour, live or render."
+        ),
+    ] = "behaviour",
+    no_rewrite: Annotated[
+        bool,
+        typer.Option("--no-rewrite", help="Changes nothing: this graph needs no rewrites."),
+    ] = False,
+    report: Annotated[
+        Path | None,
+        typer.Option(help="Write what was done and found to this file, as JSON."),
+    ] = None,
 ) -> None:
     """Export FILE as a generator without inputs."""
     from gsgen.formats import PackedRows
     from gsgen.reference_plugins.static import from_content, write_scene
 
+    settings = _settings(target, level)
     content = _read(file)
     typer.echo(f"{file}: {_describe(content)}", err=True)
     scene = from_content(
@@ -69,11 +98,25 @@ def static(
     for note in scene.notes:
         typer.echo(f"note: {note}", err=True)
     passing_through = isinstance(content, PackedRows)
-    verdicts: list[bool] = []
+    reports: list[Report] = []
+    request = ExportRequest(
+        output,
+        name=name,
+        dtype="float16" if scene.rows.dtype == "float16" else "float32",
+        capacity=capacity,
+        opset=opset,
+        target=target,
+        level=level,
+        rewrite=not no_rewrite,
+        report=report,
+    )
 
     def accept(draft: Path) -> None:
-        verdicts.append(_judge(draft))
-        if not (verdicts[0] or passing_through):
+        reports.append(_judge(draft, settings))
+        written = reports[0].verdict == "conforms" or passing_through
+        if report is not None:
+            _write_report(report, request, replace(reports[0], path=str(output)), written)
+        if not written:
             typer.echo(f"gsgen: {output} was not written", err=True)
             raise typer.Exit(1)
 
@@ -84,12 +127,13 @@ def static(
         capacity=capacity,
         color_space=color_space,
         antialias=antialias,
+        opset=opset,
         accept=accept,
     )
     size = output.stat().st_size / (1 << 20)
     verdict = (
         "conforms"
-        if verdicts[0]
+        if reports[0].verdict == "conforms"
         else "does NOT conform; the rows were passed through unchanged"
     )
     typer.echo(f"{output}: {scene.source}, {scene.rows.dtype}, {size:.1f} MiB; {verdict}")
@@ -113,16 +157,33 @@ def _describe(content: "Splats | PointCloud | PackedRows") -> str:
     return f"{len(content):,} {kind}"
 
 
-def _judge(draft: Path) -> bool:
+def _settings(target: str, level: str) -> "Settings":
+    """Return how far and for whom to validate; a wrong word ends the command."""
+    from gsgen.contract.config import Settings
+    from gsgen.contract.finding import Level
+    from gsgen.contract.targets import load_target
+
+    return Settings(level=Level.parse(level, "--level"), target=load_target(target))
+
+
+def _judge(draft: Path, settings: "Settings") -> "Report":
     """Validate what was written; show the findings if it does not conform."""
     from gsgen.contract.commands.output import show
     from gsgen.contract.engine import validate
     from gsgen.contract.reporters.text import render
 
-    report: Report = validate(draft)
+    report = validate(draft, settings)
     if report.verdict != "conforms":
         show(render(report))
-    return report.verdict == "conforms"
+    return report
+
+
+def _write_report(
+    path: Path, request: ExportRequest, report: "Report", written: bool
+) -> None:
+    from gsgen.sdk.export_report import Outcome, write_report
+
+    write_report(path, request, "static", Outcome(written, report))
 
 
 PLUGIN = Plugin(
