@@ -105,3 +105,5 @@ def test_other_sizes_are_not_compared() -> None:
     assert comparable(emission(a, c[:, :7], 1), emission(a, c[:, :7], 1)) == (True, False)
     assert comparable(emission(a, c, 1), emission(a, c, 1)) == (True, True)
     assert not list(apart(emission(a, c, 1), emission(a[:4], c[:4], 1), tolerances(0)))
+    none = emission(a[:0], c[:0], 1)
+    assert not list(apart(none, none, tolerances(0)))

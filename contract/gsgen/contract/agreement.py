@@ -51,7 +51,8 @@ def apart(
     Rows that neither draws are compared by their opacity alone. Nothing comes of outputs that are
     no packed rows, or of another size; other rules say so.
     """
-    if not comparable(first, second)[0] or first.gaussians is None:
+    rows = first.gaussians
+    if not comparable(first, second)[0] or rows is None or not len(rows):
         return
     measured = dict(_measured(first, second))
     for tolerance in tolerances:
@@ -59,7 +60,7 @@ def apart(
             continue
         error, rounding = measured[tolerance.field]
         excess = np.where(np.isfinite(error), error - rounding, np.inf)
-        if len(excess) and excess.max() > tolerance.value:
+        if excess.max() > tolerance.value:
             row = int(np.argmax(excess))
             yield Apart(tolerance, row, float(error[row]))
 
