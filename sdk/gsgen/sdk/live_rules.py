@@ -27,7 +27,7 @@ _MOST_FRAMES = "every frame of several, with inputs that change"
     kinds=KINDS,
 )
 def ep_agreement(live: Live) -> Iterator[Breach]:
-    """The WebGPU provider gives what the CPU gives, within the manifest's tolerances.
+    """The WebGPU provider gives what the CPU gives, within the tolerances that hold for the model.
 
     Why:
         The model is checked on the CPU and shown by a GPU, whose kernels round otherwise, cut

@@ -100,7 +100,8 @@ def input_default_fits(subject: Subject) -> Iterator[Breach]:
 def _misfit(entry: Input, shape: tuple[int, ...]) -> tuple[str, str] | None:
     """Say what is wrong with a default, and what was wanted; None where it fits."""
     default = entry.default
-    if default == "identity" and not (shape in _SQUARE or shape[-1:] == (_QUATERNION,)):
+    turns = entry.role == "pose" and shape[-1:] == (_QUATERNION,)
+    if default == "identity" and not (shape in _SQUARE or turns):
         return f"default identity for shape {list(shape)}", "a matrix or quaternions"
     if isinstance(default, tuple) and len(default) != prod(shape):
         saw = f"default of {len(default)} numbers for shape {list(shape)}"
