@@ -158,6 +158,17 @@ def test_tolerances_decide(tmp_path: Path) -> None:
     }
 
 
+def test_what_decides_stays(tmp_path: Path) -> None:
+    """Which rows are opaque must not flip between two probes."""
+    text = TEXT.replace(
+        "opacity = Sigmoid (logit)",
+        "shown = Greater (logit, time)\n opacity = Where (shown, half, tenth)",
+    )
+    weights = [w for w in cloud().graph.initializer if w.name in _WEIGHTS]
+    made = write_float16(saved(tmp_path, model(text, *weights)), None)
+    assert {one.node: one.why for one in made.kept}["shown"] == "it decides"
+
+
 def test_outputs_that_float16_cannot_hold_are_refused(tmp_path: Path) -> None:
     source = saved(tmp_path, cloud(scale=1e7))
     with pytest.raises(RewriteFailed, match="float16 outputs alone"):

@@ -19,7 +19,7 @@ from gsgen.contract import layout
 from gsgen.contract.manifest import GeneratorManifest, Tolerances
 from gsgen.contract.manifest_json import dumps
 from gsgen.contract.model import MANIFEST_KEY, open_model
-from gsgen.contract.probes import Probe
+from gsgen.contract.probes import Probe, default_probes
 from gsgen.contract.sandbox import Limits, execute
 from gsgen.contract.subject import read_subject
 from gsgen.contract.targets import load_target
@@ -30,7 +30,14 @@ from gsgen.sdk.parity import FieldParity, Parity, Reference, compare
 from gsgen.sdk.passes.base import is_op, opset_of
 from gsgen.sdk.passes.building import known_array
 from gsgen.sdk.passes.repairs import PadColor
-from gsgen.sdk.passes.to_float16 import FLOAT, Boundary, ToFloat16, halves, key_of
+from gsgen.sdk.passes.to_float16 import (
+    FLOAT,
+    Boundary,
+    ToFloat16,
+    halves,
+    key_of,
+    places_of,
+)
 from gsgen.sdk.placement import draft_of
 from gsgen.sdk.rewrite import prepare, tidy
 from gsgen.sdk.saving import has_external_weights, save_model, weight_bytes
@@ -38,6 +45,8 @@ from gsgen.sdk.unit_search import Sensitivity, largest_harmless
 
 _BUDGET = 200
 _LEAST_ROOM = 1e-3
+# A number that has no divisor with that of the probes searched at, so that times differ.
+_UNSEEN = 12
 # How much of the tolerance the search may use, from one attempt to the next: what the real kernels
 # add to the measured rounding is seen only at the end.
 _SHARES = (1.0, 0.5, 0.25)
@@ -58,7 +67,7 @@ class Kept:
 
     Attributes:
         node: Its name, which is that of its first result.
-        why: The field that would show it, a guard, or a neighbour that saves Casts.
+        why: The field that would show it, a guard, a decision, or a neighbour that saves Casts.
         excess: How much of what is allowed, beyond the rounding of outputs, its group alone would
             use up; 0 where that is not the reason.
     """
@@ -183,7 +192,7 @@ def to_float16(
             where="outputs",
             mend="Keep them float32 with --keep-outputs, or move the scene closer to its origin.",
         )
-    guards = _guards(nodes)
+    guards = _guards(nodes, opset)
     spent, result = 0, None
     for share in _SHARES:
         progress(f"measuring which of {len(nodes)} nodes may round to float16")
@@ -245,6 +254,7 @@ class _Measure:
         self.probes, self.storage = probes, np.float16 if outputs else np.float32
         self._model = HalfModel(model)
         self._references = [self._reference(probe) for probe in probes]
+        self._unseen = [self._reference(probe) for probe in _unseen(manifest, probes)]
         self.rounded = self.parity(frozenset())
         self._stored = {one.field: _excess(one) for one in self.rounded.fields}
 
@@ -290,14 +300,14 @@ class _Measure:
         return float((_excess(field) - base) / max(1 - base, _LEAST_ROOM))
 
     def of_model(self, model: ir.Model, limits: Limits) -> Parity:
-        """Run a converted model in ONNX Runtime and compare it."""
+        """Run a converted model in ONNX Runtime, at probes that the search did not see, too."""
+        references = [*self._references, *self._unseen]
+        probes = [one.probe for one in references]
         with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
             file = Path(folder) / "float16.onnx"
             save_model(model, file, beside=has_external_weights(model))
             size = sum(one.stat().st_size for one in Path(folder).iterdir())
-            with execute(
-                file, self.names, self.probes, limits.for_model(size)
-            ) as execution:
+            with execute(file, self.names, probes, limits.for_model(size)) as execution:
                 if execution.fault is not None:
                     raise RewriteFailed(
                         f"ONNX Runtime cannot run the result: {execution.fault.message}",
@@ -307,7 +317,15 @@ class _Measure:
                     self._read(execution.samples[run.sample].outputs)
                     for run in execution.runs
                 ]
-                return compare(self._references, made, self.tolerances)
+                return compare(references, made, self.tolerances)
+
+
+def _unseen(manifest: GeneratorManifest, probes: Sequence[Probe]) -> tuple[Probe, ...]:
+    """Return probes of other cameras, times and poses than those that nodes were chosen at."""
+    inputs = probes[0].inputs
+    shapes = {name: array.shape for name, array in inputs.items()}
+    dtypes = {name: array.dtype.name for name, array in inputs.items()}
+    return default_probes(manifest, shapes, dtypes, seed=1, count=_UNSEEN) if inputs else ()
 
 
 def _excess(field: FieldParity) -> float:
@@ -330,15 +348,18 @@ def _convert(
     tidy(model)
 
 
-def _guards(nodes: Sequence[ir.Node]) -> dict[ir.Node, str]:
-    """Return nodes that a constant of theirs keeps from float16, whatever the probes show.
+def _guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
+    """Return nodes that are kept from float16 whatever the probes show.
 
     An epsilon that becomes zero guards nothing, and what it guards may only be zero in a frame that
-    no probe has; so all that follows it stays, up to the division.
+    no probe has; so all that follows it stays, up to the division. And a comparison turns a small
+    error into a large one, at some time between the probes.
     """
     found: dict[ir.Node, str] = {}
     front: list[ir.Node] = []
     for node in nodes:
+        if not places_of(node, opset)[1]:
+            found[node] = "it decides"
         for value in node.inputs:
             array = (
                 known_array(value) if value is not None and value.dtype == FLOAT else None
