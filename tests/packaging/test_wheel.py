@@ -189,6 +189,9 @@ def test_a_third_party_s_tests_run_by_pytest_alone(acme: Acme) -> None:
     (known,) = [line for line in own.stdout.splitlines() if line.startswith("XFAIL")]
     assert "test_a_long_row[long-basic-acme/AC001-small-enough]" in known
     assert "acme/AC001 (Acme draws three.)" in known
+    assert (
+        "PASSED check_acme.py::test_the_rule_s_example_breaks_it_and_no_other" in own.stdout
+    )
     assert "FAILED" not in own.stdout
     model = acme("pytest", "--gsgen", "long.onnx", "--gsgen-target", "acme", *quiet)
     assert model.returncode == 1

@@ -30,7 +30,7 @@ def target() -> Target:
     "small-enough",
     Severity.ERROR,
     over="model",
-    fixture="",
+    fixture="five_in_a_cloud",
     limit="acme_rows",
 )
 def small_enough(subject: Subject) -> Iterator[Breach]:

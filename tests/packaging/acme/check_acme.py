@@ -4,10 +4,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from acme_gsgen import write_row
+from acme_gsgen import small_enough, write_row
 
 from gsgen.conformance import GeneratorConformance, parametrize_with_rules
 from gsgen.conformance.expected import ExpectedFailure
+from gsgen.conformance.fixtures import find
+from gsgen.contract import validate
 
 HERE = Path(__file__).parent
 
@@ -39,6 +41,12 @@ def _long() -> list[Path]:
 )
 def test_a_long_row(check):
     check()
+
+
+def test_the_rule_s_example_breaks_it_and_no_other(tmp_path):
+    fixture = find(small_enough.fixture)
+    report = validate(fixture.write(tmp_path), fixture.settings)
+    assert {finding.rule for finding in report.findings} == {small_enough.id}
 
 
 def test_nothing_needed_torch():
