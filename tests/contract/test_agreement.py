@@ -90,13 +90,26 @@ def test_one_rounding_of_storage_is_no_difference(dtype: type) -> None:
     assert not list(apart(emission(a, c, 3), emission(b, d, 3), tolerances(0.0)))
 
 
-def test_what_is_not_finite_on_one_side_is_infinitely_far() -> None:
-    a, c = encode(cloud(5, 0), np.float32)
-    b = a.copy()
-    a[1, 0] = b[1, 0] = np.nan  # on both sides: the same
-    b[3, 4] = np.inf
-    (found,) = apart(emission(a, c, 0), emission(b, c, 0), tolerances(1.0))
-    assert (found.tolerance.field, found.row) == ("covariance", 3)
+@pytest.mark.filterwarnings("ignore:invalid value")  # the engine judges so
+@pytest.mark.parametrize("degree", [0, 1, None])
+@pytest.mark.parametrize("field", FIELDS)
+def test_what_is_not_finite_counts_where_it_is_on_one_side(
+    field: str, degree: int | None
+) -> None:
+    a, c = encode(cloud(9, degree), np.float32)
+    a[1, 0], a[2, 4], c[5, 0], c[6, 1] = np.nan, np.inf, np.inf, np.nan
+    b, d = a.copy(), c.copy()
+    assert not list(apart(emission(a, c, degree), emission(b, d, degree), tolerances(0)))
+    changed, column = {
+        "position": (b, 1),
+        "opacity": (b, 3),
+        "covariance": (b, 5),
+        "appearance": (d, 2),
+    }[field]
+    for value in (np.inf, np.nan, changed[3, column] + 2):
+        changed[3, column] = value
+        found = list(apart(emission(a, c, degree), emission(b, d, degree), tolerances(0.5)))
+        assert [(one.tolerance.field, one.row) for one in found] == [(field, 3)]
 
 
 def test_other_sizes_are_not_compared() -> None:

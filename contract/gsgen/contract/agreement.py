@@ -59,7 +59,10 @@ def apart(
         if tolerance.field not in measured:
             continue
         error, rounding = measured[tolerance.field]
-        excess = np.where(np.isfinite(error), error - rounding, np.inf)
+        explained = np.nan_to_num(
+            rounding, posinf=0.0
+        )  # the same NaN on both sides is no error
+        excess = np.where(np.isfinite(error), error - explained, np.inf)
         if excess.max() > tolerance.value:
             row = int(np.argmax(excess))
             yield Apart(tolerance, row, float(error[row]))
@@ -91,9 +94,9 @@ def _measured(first: Emission, second: Emission) -> Iterator[tuple[str, Measured
     trace = np.maximum(a[:, _TRACE_COLUMNS].sum(axis=1), _NOTHING)
     sigma = np.sqrt(trace / 3)
     reach = np.abs(a[:, POSITION]).max(axis=1)
-    place = _distance(a, b, POSITION) / sigma
+    place = _ratio(_distance(a, b, POSITION), sigma)
     yield "position", _where(shown, place, (rounding * reach + tiny) / sigma)
-    spread = _distance(a, b, COVARIANCE) / trace
+    spread = _ratio(_distance(a, b, COVARIANCE), trace)
     yield "covariance", _where(shown, spread, rounding + tiny / trace)
     color, other = first.appearance, second.appearance
     if color is not None and other is not None and comparable(first, second)[1]:
@@ -106,11 +109,21 @@ def _where(shown: np.ndarray, error: np.ndarray, rounding: np.ndarray) -> Measur
     return np.where(shown, error, 0.0), rounding
 
 
+def _ratio(distance: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """Return distances in ``unit``; none is none, whatever the unit."""
+    return np.asarray(np.where(distance == 0, 0.0, distance / unit))
+
+
 def _distance(a: np.ndarray, b: np.ndarray, columns: int | slice) -> np.ndarray:
     """Return the largest difference of a row; zero where both are equal, NaN included."""
     x, y = a[:, columns].reshape(len(a), -1), b[:, columns].reshape(len(b), -1)
+    return np.asarray(np.abs(_difference(x, y)).max(axis=1))
+
+
+def _difference(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return x − y, zero where both are the same, infinity and NaN included."""
     same = (x == y) | (np.isnan(x) & np.isnan(y))
-    return np.asarray(np.where(same, 0.0, np.abs(x - y)).max(axis=1))
+    return np.asarray(np.where(same, 0.0, x - y))
 
 
 def _colors_apart(is_sh: bool, a: np.ndarray, b: np.ndarray) -> Measured:
@@ -121,6 +134,7 @@ def _colors_apart(is_sh: bool, a: np.ndarray, b: np.ndarray) -> Measured:
     shape = (len(a), a.shape[1] // 3, 3)
     weights = basis(_AXES, degree_of(shape[1]))
     x, y = a.reshape(shape), b.reshape(shape)
-    error = np.abs(np.einsum("dk,nkc->ndc", weights, x - y)).max(axis=(1, 2))
+    between = _difference(x, y)
+    error = np.abs(np.einsum("dk,nkc->ndc", weights, between)).max(axis=(1, 2))
     largest = np.einsum("dk,nkc->ndc", np.abs(weights), np.abs(x)).max(axis=(1, 2))
     return error, largest
