@@ -1,6 +1,6 @@
 """Repair a model: only what has one right answer, each repair validated and listed."""
 
-__all__ = ["Repair", "Repaired", "Request", "refuse_worse", "repair"]
+__all__ = ["Repair", "Repaired", "Request", "repair"]
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -12,7 +12,6 @@ from onnx_ir import passes
 from gsgen.contract.config import Settings
 from gsgen.contract.engine import validate
 from gsgen.contract.errors import GsgenError
-from gsgen.contract.finding import Severity
 from gsgen.contract.manifest import GeneratorManifest
 from gsgen.contract.manifest_json import dumps
 from gsgen.contract.model import MANIFEST_KEY, open_model
@@ -28,6 +27,7 @@ from gsgen.sdk.passes import (
     SilencePadding,
 )
 from gsgen.sdk.placement import draft_of
+from gsgen.sdk.regression import refuse_worse
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,28 +171,3 @@ def _steps(
                 count=replace(count, name=COUNT),
             )
     return steps, replace(manifest, outputs=outputs)
-
-
-def refuse_worse(before: Report, after: Report, how: str) -> None:
-    """Refuse a result that breaks a rule the model kept.
-
-    Args:
-        before: The report of the model.
-        after: The report of the result.
-        how: What was done to it: ``repaired``.
-
-    Raises:
-        GsgenError: It does.
-    """
-
-    def errors(report: Report) -> set[str]:
-        return {f.rule for f in report.findings if f.severity is Severity.ERROR}
-
-    # A repair lets rules be judged that could not be before; what they find is no damage.
-    judged = {o.rule.id for o in before.outcomes if o.status in ("pass", "fail")}
-    fresh = (errors(after) - errors(before)) & judged
-    if fresh:
-        listed = ", ".join(sorted(fresh))
-        raise GsgenError(
-            f"the {how} model would break {listed}, which it kept", where=after.path
-        )

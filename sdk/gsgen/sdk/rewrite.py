@@ -50,7 +50,7 @@ from gsgen.sdk.passes.base import BITS, MAIN_DOMAIN, Exactness, Goal, Rewrite, o
 from gsgen.sdk.passes.refusal import CautiousRewrite, Refusal
 from gsgen.sdk.passes.registry import find_rewrites
 from gsgen.sdk.placement import draft_of
-from gsgen.sdk.repair import refuse_worse
+from gsgen.sdk.regression import refuse_worse
 from gsgen.sdk.saving import has_external_weights, save_model
 
 # Passes feed each other a few times at most; two that undo each other are a mistake of ours.
@@ -251,7 +251,9 @@ def tidy(model: ir.Model) -> None:
 
 
 def _infer(model: ir.Model) -> None:
-    ShapeInferencePass(check_type=False, strict_mode=False, data_prop=True)(model)
+    # Without data propagation: for tables of a million rows it takes minutes, and what it would
+    # find out, the pass fold-shapes does.
+    ShapeInferencePass(check_type=False, strict_mode=False, data_prop=False)(model)
 
 
 def _refusals(chosen: Sequence[Rewrite]) -> list[Refusal]:

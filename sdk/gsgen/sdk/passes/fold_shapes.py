@@ -40,7 +40,7 @@ class FoldShapes(CautiousRewrite):
     def rewrite(self, model: ir.Model) -> None:
         """Fold until nothing more is known; shapes are inferred in between."""
         while self._sweep(model):
-            ShapeInferencePass(check_type=False, strict_mode=False, data_prop=True)(model)
+            ShapeInferencePass(check_type=False, strict_mode=False, data_prop=False)(model)
 
     def _sweep(self, model: ir.Model) -> bool:
         before = len(self.changed)

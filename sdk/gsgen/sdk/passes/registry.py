@@ -24,11 +24,14 @@ from gsgen.sdk.passes.lower_opset import LowerOpset
 from gsgen.sdk.passes.mask_rows import MaskRows
 from gsgen.sdk.passes.merge_casts import MergeCasts
 from gsgen.sdk.passes.merge_reshapes import MergeReshapes
+from gsgen.sdk.passes.merge_transposes import MergeTransposes
 from gsgen.sdk.passes.multiply_matrices import MultiplyMatrices
 from gsgen.sdk.passes.narrow_integers import NarrowIntegers
+from gsgen.sdk.passes.pick_parts import PickParts
 from gsgen.sdk.passes.restore_guards import RestoreGuards
 from gsgen.sdk.passes.round_by_floor import RoundByFloor
 from gsgen.sdk.passes.sample_by_gather import SampleByGather
+from gsgen.sdk.passes.sample_by_product import SampleByProduct
 from gsgen.sdk.passes.select_extremes import SelectExtremes
 from gsgen.sdk.passes.share_weights import ShareWeights
 from gsgen.sdk.passes.split_large_weights import SplitLargeWeights
@@ -67,6 +70,9 @@ REWRITES: tuple[type[Rewrite], ...] = (
     MultiplyMatrices,
     RoundByFloor,
     # -- Less work: what the result does not need, and what can be done at once.
+    SampleByProduct,
+    PickParts,
+    MergeTransposes,
     DropIdleOperators,
     MergeCasts,
     MergeReshapes,
