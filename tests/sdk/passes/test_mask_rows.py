@@ -18,7 +18,7 @@ DYNAMIC = {"NonZero", "Compress", "ScatterND", "Shape", "ConstantOfShape", "Rang
 N = 11
 
 HEAD = f"g (float[{N},4] x, float[1] t) => (float[K,4] y, int32[1] count)"
-WEIGHTS = "<int64[1] one = {1}, int64[1] zero = {0}, int64 first = {0}, int64[1] flat = {-1}, float two = {2}, int64[2] wide = {-1, 4}>"
+WEIGHTS = "<int64[1] one = {1}, int64[1] zero = {0}, int64 first = {0}, int64 second = {1}, int64[3] cube = {-1, 2, 2}, float[2,2] pair = {1, 2, 3, 4}, int64[1] flat = {-1}, float two = {2}, int64[2] wide = {-1, 4}>"
 MASK = "a = Gather <axis = 1> (x, first)\n m = Greater (a, t)\n"
 COUNT = "mi = Cast <to = 6> (m)\n ks = ReduceSum <keepdims = 0> (mi)\n count = Reshape (ks, flat)\n"
 TAKEN = {
@@ -139,6 +139,64 @@ def test_rows_that_are_not_kept_take_no_part_in_sums(
     assert MaskRows()(model).modified
     assert not operators(model) & DYNAMIC
     np.testing.assert_allclose(run(model, **given_)[0], before, rtol=1e-5, atol=1e-6)
+
+
+NESTED = {
+    "NonZero and GatherND": "i = NonZero (m2)\n j = Transpose <perm = [1, 0]> (i)\n r = GatherND (r1, j)",
+    "Compress": "r = Compress <axis = 0> (r1, m2)",
+}
+
+
+@pytest.mark.parametrize("taken", NESTED)
+def test_a_mask_among_kept_rows_is_a_mask_of_both(taken: str) -> None:
+    nested = f"r1 = Compress <axis = 0> (x, m)\n b = Gather <axis = 1> (r1, second)\n m2 = Greater (b, t)\n {NESTED[taken]}"
+    model = masked(
+        nested, "y = Neg (r)", "s = Shape <end = 1> (r)\n count = Cast <to = 6> (s)"
+    )
+    given_ = inputs(5, -0.3)
+    before = run(model, **given_)
+    assert 0 < before[1] < N
+    rewrite = MaskRows()
+    assert rewrite(model).modified, rewrite.refusals
+    assert not operators(model) & DYNAMIC
+    assert_same_rows(before, run(model, **given_))
+
+
+MIXED = {
+    "places among kept rows looked up in a table": "r1 = Compress <axis = 0> (x, m)\n b = Gather <axis = 1> (r1, second)\n m2 = Less (b, t)\n i = NonZero (m2)\n j = Transpose <perm = [1, 0]> (i)\n y = GatherND (x, j)",
+    "rows of one mask at the places of another": "b = Gather <axis = 1> (x, second)\n m2 = Greater (b, t)\n r1 = Compress <axis = 0> (x, m2)\n i = NonZero (m)\n j = Transpose <perm = [1, 0]> (i)\n y = ScatterND (x, j, r1)",
+    "rows of two masks added": "b = Gather <axis = 1> (x, second)\n m2 = Greater (b, t)\n r1 = Compress <axis = 0> (x, m2)\n r2 = Compress <axis = 0> (x, m)\n y = Add (r1, r2)",
+}
+
+
+@pytest.mark.parametrize("name", MIXED)
+def test_rows_of_two_masks_are_not_mixed_up(name: str) -> None:
+    model = masked(MIXED[name], "")
+    before = text_of(model)
+    rewrite = MaskRows()
+    assert not rewrite(model).modified
+    assert rewrite.refusals
+    assert text_of(model) == before
+
+
+PRODUCTS = {
+    "of matrices of each row": "a1 = Reshape (r, cube)\n y1 = MatMul (a1, a1)\n y = Reshape (y1, wide)",
+    "by Einsum": "a1 = Reshape (r, cube)\n y1 = Einsum <equation = 'nij,nkj->nik'> (a1, a1)\n y = Reshape (y1, wide)",
+    "with one matrix for all": "a1 = Reshape (r, cube)\n y1 = MatMul (a1, pair)\n y = Reshape (y1, wide)",
+}
+
+
+@pytest.mark.parametrize("name", PRODUCTS)
+def test_products_of_each_row_s_own_matrices(name: str) -> None:
+    model = masked(TAKEN["Compress"], PRODUCTS[name].replace("'", '"'))
+    given_ = inputs(6, 0.0)
+    before = run(model, **given_)
+    rewrite = MaskRows()
+    assert rewrite(model).modified, rewrite.refusals
+    after = run(model, **given_)
+    (k,) = before[1]
+    np.testing.assert_allclose(after[0][:k], before[0], rtol=1e-5, atol=1e-6)
+    assert not after[0][k:].any()
 
 
 REFUSED = {

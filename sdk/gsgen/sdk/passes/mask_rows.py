@@ -11,6 +11,7 @@ from onnx_ir.passes.common import RemoveUnusedNodesPass
 from gsgen.contract.manifest import GeneratorManifest
 from gsgen.sdk.passes.base import Exactness, Goal, is_op
 from gsgen.sdk.passes.building import append_output, remake
+from gsgen.sdk.passes.facts import fixed_shape
 from gsgen.sdk.passes.refusal import CautiousRewrite
 from gsgen.sdk.passes.row_draft import RowDraft
 from gsgen.sdk.passes.row_ends import padded, reduced, scattered
@@ -24,7 +25,14 @@ from gsgen.sdk.passes.row_facts import (
     Rows,
     read_mask,
 )
-from gsgen.sdk.passes.row_indices import compressed, index_of, moved_index, taken_rows
+from gsgen.sdk.passes.row_indices import (
+    compressed,
+    index_of,
+    moved_index,
+    nested_mask,
+    taken_again,
+    taken_rows,
+)
 from gsgen.sdk.passes.row_moves import moved_rows, split_rows
 from gsgen.sdk.passes.row_numbers import count_of, filled, linear, shape_fact
 
@@ -90,7 +98,7 @@ class MaskRows(CautiousRewrite):
             except Blocked as blocked:
                 attempt.draft.discard()
                 self.refuse(blocked.node, blocked.why)
-                left |= blocked.masks
+                left |= {outer for mask in blocked.masks for outer in mask.chain}
                 continue
             break
         if not attempt.born:
@@ -173,6 +181,8 @@ class _Attempt:
 
     def _fixed(self, node: ir.Node, facts: Sequence[Fact | None]) -> ir.Value | None:
         """Draft what has a fixed shape again, where ``node`` gives such."""
+        if len(_masks(facts)) != 1:
+            return None
         if is_op(node, "ScatterND"):
             return scattered(node, facts, self.draft)
         if is_op(node, "Concat", "Pad") and _fills_up(facts):
@@ -196,7 +206,11 @@ class _Attempt:
         return made
 
     def _made(self, node: ir.Node, facts: Sequence[Fact | None]) -> Fact | None:
-        if len({fact.mask.bare for fact in facts if fact is not None}) != 1:
+        if is_op(node, "NonZero", "Compress", "Gather", "GatherND"):
+            again = self._nested(node, facts)
+            if again is not None:
+                return again
+        if len(_masks(facts)) != 1:
             return None
         first, kinds = facts[0], {type(fact) for fact in facts if fact is not None}
         if is_op(node, "Shape") and first is not None:
@@ -217,6 +231,27 @@ class _Attempt:
         if is_op(node, "ConstantOfShape", "Expand") and isinstance(shape, Linear):
             return filled(node, shape, self.draft)
         return linear(node, facts)
+
+    def _nested(self, node: ir.Node, facts: Sequence[Fact | None]) -> Fact | None:
+        """Return what a second mask keeps of rows that a first one kept."""
+        rows, chosen = facts[0], facts[-1]
+        if not isinstance(rows, Rows):
+            return None
+        if is_op(node, "NonZero"):
+            mask = nested_mask(rows, self.draft)
+            return None if mask is None else Index(mask, "columns")
+        if is_op(node, "Compress"):
+            axis = node.attributes.get("axis")
+            if not isinstance(chosen, Rows) or chosen is rows or axis is None or rows.flat:
+                return None
+            mask = (
+                nested_mask(chosen, self.draft)
+                if chosen.mask.bare == rows.mask.bare
+                else None
+            )
+            along = axis.as_int() % len(fixed_shape(rows.value) or (1,)) == rows.axis
+            return Rows(mask, rows.value, rows.axis) if mask is not None and along else None
+        return taken_again(node, rows, chosen) if isinstance(chosen, Index) else None
 
     def _feed(self, node: ir.Node, facts: Sequence[Fact | None]) -> bool:
         """Let a node that computes with a count, and not a shape, read the count drafted anew.

@@ -34,6 +34,8 @@ def scattered(node: ir.Node, facts: Facts, draft: RowDraft) -> ir.Value | None:
     if not isinstance(index, Index) or not isinstance(rows, Rows) or rows.axis != 0:
         return None
     mask = index.mask
+    if mask.within is not None:  # its places are counted among kept rows
+        return None
     dims = (*mask.dims, *mask.behind)
     if index.form != "rows" or (plain is not None and plain.as_string() != "none"):
         return None

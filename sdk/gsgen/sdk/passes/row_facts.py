@@ -28,16 +28,23 @@ class Mask:
         root: The tensor, of any numeric dtype: what is not zero is true.
         dims: Its shape.
         behind: Sizes along which it is repeated: Expand(Unsqueeze(root), …).
+        within: The mask that kept the rows among which this one chooses.
     """
 
     root: ir.Value
     dims: tuple[int, ...]
     behind: tuple[int, ...] = ()
+    within: "Mask | None" = None
 
     @property
     def bare(self) -> "Mask":
         """The mask without repetition: it keeps the same rows."""
-        return Mask(self.root, self.dims)
+        return Mask(self.root, self.dims, within=self.within)
+
+    @property
+    def chain(self) -> "tuple[Mask, ...]":
+        """The mask, and those among whose rows it chooses."""
+        return (self.bare, *(self.within.chain if self.within is not None else ()))
 
     @property
     def size(self) -> int:

@@ -1,6 +1,13 @@
 """Where rows come from: the forms in which exporters and people write "the rows of this mask"."""
 
-__all__ = ["compressed", "index_of", "moved_index", "taken_rows"]
+__all__ = [
+    "compressed",
+    "index_of",
+    "moved_index",
+    "nested_mask",
+    "taken_again",
+    "taken_rows",
+]
 
 import numpy as np
 import onnx_ir as ir
@@ -15,6 +22,19 @@ def index_of(node: ir.Node) -> Index | None:
     """Return what NonZero gives."""
     mask = read_mask(node.inputs[0])
     return None if mask is None or not mask.size else Index(mask, "columns")
+
+
+def nested_mask(rows: Rows, draft: RowDraft) -> Mask | None:
+    """Return the mask of what a mask keeps of the rows that another one kept: both say so."""
+    shape = fixed_shape(rows.value)
+    if rows.flat or shape != (rows.mask.size,):
+        return None
+    kind = ir.DataType.BOOL
+    inner = rows.value
+    if inner.dtype != kind:
+        inner = draft.op("Cast", inner, dtype=kind, shape=shape, to=kind.value)
+    both = draft.op("And", draft.truth(rows.mask), inner, dtype=kind, shape=shape)
+    return Mask(both, shape, within=rows.mask.bare)
 
 
 def compressed(node: ir.Node, mask: Mask, draft: RowDraft) -> Rows | None:
@@ -46,6 +66,14 @@ def moved_index(node: ir.Node, index: Index) -> Index | None:
         zero, axis = constant_of(node.inputs[1]), int_attribute(node, "axis", 0) % 2
         picks = zero is not None and zero.ndim == 0 and zero == 0
         return Index(index.mask, "flat") if picks and _single(index) == axis else None
+    if is_op(node, "Slice") and index.form != "flat":
+        # Its only column (or row): torch takes indices apart by axes in this way.
+        axes = (
+            constant_of(node.inputs[3]) if len(node.inputs) > 3 else np.zeros(1, np.int64)
+        )
+        start = constant_of(node.inputs[1])
+        single = axes is not None and axes.size == 1 and int(axes[0]) % 2 == _single(index)
+        return index if single and start is not None and not start.any() else None
     rank = rank_of(node.outputs[0])
     if is_op(node, "Squeeze", "Reshape", "Expand") and rank == 1:
         return Index(index.mask, "flat")  # K numbers, whatever they were laid out as
@@ -66,7 +94,7 @@ def _single(index: Index) -> int:
 def taken_rows(node: ir.Node, index: Index, draft: RowDraft) -> Rows | None:
     """Return the rows that Gather or GatherND takes at the places of a mask."""
     value, shape, mask = node.inputs[0], fixed_shape(node.inputs[0]), index.mask
-    if value is None or shape is None or mask.behind:
+    if value is None or shape is None or mask.behind or mask.within is not None:
         return None
     if is_op(node, "Gather"):
         axis = int_attribute(node, "axis", 0) % len(shape)
@@ -80,3 +108,17 @@ def taken_rows(node: ir.Node, index: Index, draft: RowDraft) -> Rows | None:
     ):
         return None
     return Rows(mask, draft.reshaped(value, [mask.size, *shape[axes:]]), 0)
+
+
+def taken_again(node: ir.Node, rows: Rows, index: Index) -> Rows | None:
+    """Return the rows that a Gather or GatherND takes of rows that another mask took."""
+    if rows.flat or index.mask.within != rows.mask.bare:
+        return None
+    rank = rank_of(rows.value) or 1
+    if is_op(node, "Gather"):
+        along = int_attribute(node, "axis", 0) % rank
+        fits = index.form == "flat" and along == rows.axis
+    else:
+        fits = index.form == "rows" and rows.axis == 0
+        fits = fits and not int_attribute(node, "batch_dims", 0)
+    return Rows(index.mask, rows.value, rows.axis) if fits else None

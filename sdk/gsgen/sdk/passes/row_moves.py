@@ -98,6 +98,8 @@ def moved_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
         return _joined(node, facts, draft)
     if is_op(node, "MatMul", "Gemm"):
         return _product(node, facts, draft)
+    if is_op(node, "Einsum"):
+        return _summed(node, facts, draft)
     rows = facts[0]
     if not isinstance(rows, Rows) or any(isinstance(fact, Rows) for fact in facts[1:]):
         return None
@@ -178,24 +180,82 @@ def _joined(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
 
 
 def _product(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Products whose left factor has the rows, and whose other factors are the same for all."""
-    rows, rank = facts[0], rank_of(node.inputs[1])
-    if (
-        not isinstance(rows, Rows)
-        or any(fact is not None for fact in facts[1:])
-        or rank is None
-    ):
+    """Products that contract along other axes than that of the rows."""
+    given = [fact for fact in facts if isinstance(fact, Rows)]
+    if len(given) != sum(fact is not None for fact in facts) or not given:
         return None
-    last = (rank_of(rows.value) or 0) - 1
-    if is_op(node, "Gemm"):
-        added = node.inputs[2] if len(node.inputs) > 2 else None
-        same = added is None or rank_of(added) in (0, 1) or (added.shape or [0])[0] == 1
-        if rows.axis != 0 or int_attribute(node, "transA", 0) or not same:
+    place = _gemm_place(node, facts) if is_op(node, "Gemm") else _matmul_place(node, facts)
+    return (
+        None
+        if place is None
+        else _relay(node, _inputs(node, facts), place, given[0], draft)
+    )
+
+
+def _gemm_place(node: ir.Node, facts: Facts) -> int | None:
+    rows = facts[0]
+    added = node.inputs[2] if len(node.inputs) > 2 else None
+    same = added is None or rank_of(added) in (0, 1) or (added.shape or [0])[0] == 1
+    if not isinstance(rows, Rows) or any(facts[1:]) or rows.axis != 0 or not same:
+        return None
+    return None if int_attribute(node, "transA", 0) else 0
+
+
+def _matmul_place(node: ir.Node, facts: Facts) -> int | None:
+    """Return the rows' axis in a product; stacks of matrices must be stacked by the same rows."""
+    values = _inputs(node, facts)
+    ranks, made = [rank_of(value) for value in values], rank_of(node.outputs[0])
+    if None in ranks or made is None or 1 in ranks:
+        rows = facts[0]
+        plain = isinstance(rows, Rows) and facts[1] is None and ranks[1] == 1
+        return (
+            rows.axis
+            if plain and isinstance(rows, Rows) and rows.axis + 1 < (ranks[0] or 0)
+            else None
+        )
+    behind = {
+        fact.axis - (rank or 0)
+        for fact, rank in zip(facts, ranks, strict=True)
+        if isinstance(fact, Rows)
+    }
+    if len(behind) != 1:
+        return None
+    (axis,) = behind
+    if axis > -3:  # rows of the left matrix, or columns of the right one
+        side = 0 if axis == -2 else 1
+        alone = isinstance(facts[side], Rows) and facts[1 - side] is None
+        return made + axis if alone else None
+    for value, fact in zip(values, facts, strict=True):
+        shape = value.shape if value is not None else None
+        if fact is None and (shape is None or (len(shape) >= -axis and shape[axis] != 1)):
             return None
-        return _relay(node, _inputs(node, facts), 0, rows, draft)
-    if rows.axis == last or rank > 2:
+    return made + axis
+
+
+def _summed(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
+    """Einsum, where the rows have a letter of their own that the result keeps."""
+    given = [fact for fact in facts if isinstance(fact, Rows)]
+    left, arrow, right = (
+        node.attributes["equation"].as_string().replace(" ", "").partition("->")
+    )
+    terms = left.split(",")
+    if not arrow or "." in left + right or len(terms) != len(facts) or not given:
         return None
-    return _relay(node, _inputs(node, facts), rows.axis, rows, draft)
+    letters = {
+        term[fact.axis]
+        for term, fact in zip(terms, facts, strict=True)
+        if isinstance(fact, Rows)
+    }
+    others = "".join(
+        t for t, fact in zip(terms, facts, strict=True) if not isinstance(fact, Rows)
+    )
+    if len(letters) != 1 or any(fact is not None and fact not in given for fact in facts):
+        return None
+    (letter,) = letters
+    once = all(term.count(letter) <= 1 for term in terms) and right.count(letter) == 1
+    if not once or letter in others:
+        return None
+    return _relay(node, _inputs(node, facts), right.index(letter), given[0], draft)
 
 
 # -- Operators of one tensor of rows
