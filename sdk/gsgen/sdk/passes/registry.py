@@ -36,6 +36,7 @@ from gsgen.sdk.passes.select_extremes import SelectExtremes
 from gsgen.sdk.passes.share_weights import ShareWeights
 from gsgen.sdk.passes.split_large_weights import SplitLargeWeights
 from gsgen.sdk.passes.unroll_control_flow import UnrollControlFlow
+from gsgen.sdk.passes.work_in_columns import WorkInColumns
 from gsgen.sdk.passes.write_out_activations import WriteOutActivations
 from gsgen.sdk.passes.write_out_modulo import WriteOutModulo
 from gsgen.sdk.passes.write_out_norms import WriteOutNorms
@@ -70,6 +71,7 @@ REWRITES: tuple[type[Rewrite], ...] = (
     MultiplyMatrices,
     RoundByFloor,
     # -- Less work: what the result does not need, and what can be done at once.
+    WorkInColumns,
     SampleByProduct,
     PickParts,
     MergeTransposes,
