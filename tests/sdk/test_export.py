@@ -76,6 +76,21 @@ def test_the_opset_is_what_every_runtime_has_kernels_for(tmp_path: Path) -> None
     assert [(entry.domain, entry.version) for entry in proto.opset_import] == [("", 18)]
 
 
+class Wide(Drift):
+    """ReduceMean takes its axes as an input from operator set 18 on, and torch finds no way back."""
+
+    def forward(self, time: torch.Tensor) -> Gaussians:
+        made = super().forward(time)
+        scale = made.position.mean(dim=1, keepdim=True).abs().expand(50, 3)
+        return Gaussians(made.position, made.opacity, scale, made.rotation, sh=made.sh)
+
+
+def test_an_opset_that_torch_silently_does_not_reach_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ExportFailed, match="operator set 16; it has 18") as caught:
+        export(Wide(), tmp_path / "m.onnx", opset=16)
+    assert caught.value.mend == "Export at operator set 18."
+
+
 def test_the_file_says_nothing_of_the_author_s_machine(tmp_path: Path) -> None:
     export(Lit(), tmp_path / "m.onnx")
     data = (tmp_path / "m.onnx").read_bytes()

@@ -1,6 +1,7 @@
 """`gsgen export package.module:factory`, as a user types it."""
 
 import json
+import math
 import sys
 from pathlib import Path
 
@@ -12,10 +13,12 @@ from gsgen.conformance.fixtures import find
 from gsgen.contract.engine import validate
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
 from gsgen.contract.model import open_model
-from gsgen.sdk import GeneratorInvalid
+from gsgen.sdk import GeneratorInvalid, ParityFailed
 from gsgen.sdk.commands.export import app
-from gsgen.sdk.export_request import with_common_options
+from gsgen.sdk.export_report import Outcome, write_report
+from gsgen.sdk.export_request import ExportRequest, with_common_options
 from gsgen.sdk.factory import load_factory
+from gsgen.sdk.parity import FieldParity, Parity
 from gsgen.sdk.plugin import Plugin
 from support.commands import gsgen
 
@@ -56,9 +59,9 @@ class Tall(Dots):
         )
 
 
-class Shaky(Dots):
+class Choosy(Dots):
     def forward(self, time):
-        return super().forward(time + torch.rand(1))
+        return super().forward(time if time > 0.5 else -time)
 
 
 def from_file(path: Path, n: int):
@@ -143,16 +146,38 @@ def test_what_does_not_conform_is_reported_and_not_written(folder: Path) -> None
     assert told["validation"]["counts"]["error"] == 1
 
 
-def test_what_differs_from_torch_is_reported_with_its_line(folder: Path) -> None:
-    ran = run("dots:Shaky", "-o", "m.onnx", "--report", "r.json", "--no-rewrite")
+def test_what_torch_cannot_export_is_reported_with_its_line(folder: Path) -> None:
+    ran = run("dots:Choosy", "-o", "m.onnx", "--report", "r.json", "--no-rewrite")
     assert ran.exit_code == 1
-    assert "dots.py:" in ran.output
-    assert "random numbers are drawn in forward" in ran.output
+    assert "super().forward(time if time > 0.5 else -time)" in ran.output
+    assert "torch.where" in ran.output
     told = json.loads((folder / "r.json").read_text())
-    assert told["error"]["kind"] == "ParityFailed"
-    assert any(field["share_of_allowed"] > 1 for field in told["parity"]["fields"])
+    assert told["error"]["kind"] == "ExportFailed"
+    assert "dots.py:" in told["error"]["where"]
     assert told["options"]["rewrite"] is False
+    assert (told["parity"], told["validation"]) == (None, None)
     assert not (folder / "m.onnx").exists()
+
+
+def test_how_far_a_model_is_off_stands_in_the_report() -> None:
+    worst = FieldParity("position", math.inf, math.inf, "time=1", 3)
+    error = ParityFailed("off", where="m.onnx", parity=Parity((worst,), 13))
+    outcome = Outcome(False, parity=error.parity, error=error)
+    write_report(Path("r.json"), ExportRequest(Path("m.onnx")), "dots:Dots", outcome)
+    told = json.loads(Path("r.json").read_text())
+    assert told["error"]["kind"] == "ParityFailed"
+    assert told["parity"] == {
+        "probes": 13,
+        "fields": [
+            {
+                "field": "position",
+                "probe": "time=1",
+                "row": 3,
+                "error": None,
+                "share_of_allowed": None,  # JSON has no infinity
+            }
+        ],
+    }
 
 
 @pytest.mark.parametrize(

@@ -66,6 +66,10 @@ def trace(
     except Exception as error:  # the exporter's errors share no base class
         raise _explained(packed, error, hazards) from error
     assert program is not None
+    made = program.model.opset_imports.get("", opset)
+    if made != opset:  # torch leaves it at that, with a note in its log
+        what = f"torch cannot convert the graph to operator set {opset}; it has {made}"
+        raise ExportFailed(what, where="opset", mend=f"Export at operator set {made}.")
     return program.model
 
 

@@ -133,7 +133,7 @@ class Ensemble(GaussianGenerator):
         self.register_buffer("weights", torch.softmax(3 * seeded(N, JOINTS), dim=1))
         self.register_buffer("joints", 0.3 * seeded(JOINTS, 3))
         self.register_buffer("rotation", seeded(N, 4))
-        self.planes = torch.nn.ParameterList(PLANES)
+        self.plane = torch.nn.Parameter(PLANES[0])
 
     def forward(
         self, view: torch.Tensor, proj: torch.Tensor, time: torch.Tensor, pose: torch.Tensor
@@ -141,7 +141,7 @@ class Ensemble(GaussianGenerator):
         transforms = math.skinning_transforms(
             math.axis_angle_to_matrix(pose), self.joints, PARENTS
         )
-        feature = math.hex_plane(list(self.planes), self.rest, time)
+        feature = math.sample_plane(self.plane, self.rest[:, :2] + 0.3 * time)
         position, turn = math.skin(self.rest + 0.05 * feature, self.weights, transforms)
         scale = torch.full((N, 3), 0.05) * torch.tensor([1.0, 0.5, 0.2])
         covariance = math.rotate_covariance(
