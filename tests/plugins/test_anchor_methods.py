@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from gsgen.contract.errors import GsgenError
 from gsgen.reference_plugins.checkpoints.anchors import (
     AnchorCheckpoint,
     read_anchors,
@@ -11,6 +12,7 @@ from gsgen.reference_plugins.checkpoints.anchors import (
 from gsgen.reference_plugins.octree_gs import MODES, Levels, OctreeGS
 from gsgen.reference_plugins.prefilter import Prefilter
 from gsgen.reference_plugins.scaffold_gs import ScaffoldGS
+from gsgen.reference_plugins.selection import Frustum, Selection
 from gsgen.reference_plugins.synthetic import AnchorOptions, write_octree, write_scaffold
 from gsgen.sdk import GaussianGenerator
 from support.commands import shared
@@ -18,6 +20,7 @@ from support.plugin_checks import assert_like, camera, eager
 from support.plugin_oracles import anchors
 
 ROUNDS = 12
+PUBLISHED = Selection("published")
 
 
 def options(rng: np.random.Generator, **fixed: object) -> AnchorOptions:
@@ -102,10 +105,12 @@ def test_no_camera_gives_anything_but_numbers(kind: str, tmp_path: Path) -> None
     chosen = AnchorOptions(bank=True, distance=(True, True, True), united=True)
     if kind == "scaffold":
         read = read_anchors(write_scaffold(tmp_path, chosen))
-        generator: GaussianGenerator = ScaffoldGS(read.cloud, read.nets, prefilter=True)
+        generator: GaussianGenerator = ScaffoldGS(
+            read.cloud, read.nets, selection=PUBLISHED
+        )
     else:
         read = read_anchors(write_octree(tmp_path, chosen, mode="progressive"), octree=True)
-        generator = octree(read, prefilter=True)
+        generator = octree(read, selection=PUBLISHED)
     lens, size = np.eye(4, dtype=np.float32), np.array([64, 48], np.float32)
     inside = np.eye(4, dtype=np.float32)
     inside[3, :3] = -read.cloud.position[5].numpy()  # the camera stands on an anchor
@@ -140,9 +145,81 @@ def test_a_filtered_anchor_has_no_opacity_and_others_keep_theirs(tmp_path: Path)
     view = camera(np.random.default_rng(3), 1.0)
     lens, size = 2 * np.eye(4, dtype=np.float32), np.array([64, 48], np.float32)
     plain, _ = eager(ScaffoldGS(read.cloud, read.nets), view)
-    filtered, _ = eager(ScaffoldGS(read.cloud, read.nets, prefilter=True), view, lens, size)
+    filtered, _ = eager(
+        ScaffoldGS(read.cloud, read.nets, selection=PUBLISHED), view, lens, size
+    )
     shown = Prefilter(read.cloud)(*map(torch.from_numpy, (view, lens, size)))
     mask = np.repeat(shown.numpy().ravel(), read.cloud.per_anchor)
     assert 0 < mask.sum() < len(mask)
     np.testing.assert_array_equal(filtered[:, 3], plain[:, 3] * mask)
     np.testing.assert_array_equal(filtered[:, 4:], plain[:, 4:])
+
+
+def lens(width: float, height: float, focal: float) -> tuple[np.ndarray, np.ndarray]:
+    matrix = np.zeros((4, 4), np.float32)
+    matrix[0, 0], matrix[1, 1] = focal, -focal * width / height
+    matrix[2, 2:] = 1.0, 1.0  # column order: z' = z - 0.1, w' = z
+    matrix[3, 2] = -0.1
+    return matrix, np.array([width, height], np.float32)
+
+
+def test_no_gaussian_in_the_image_is_culled(tmp_path: Path) -> None:
+    read = read_anchors(write_scaffold(tmp_path, AnchorOptions(anchors=500, united=True)))
+    projection, _ = lens(64, 48, 1.5)
+    rng, culled = np.random.default_rng(5), 0
+    for distance in (0.3, 1.0, 2.0):
+        view = camera(rng, distance)
+        kept = Frustum(read.cloud)(torch.from_numpy(view), torch.from_numpy(projection))
+        rows, _ = eager(ScaffoldGS(read.cloud, read.nets), view)
+        clip = np.c_[rows[:, :3], np.ones(len(rows))] @ view @ projection
+        inside = (np.abs(clip[:, :2]) <= clip[:, 3:]).all(axis=1) & (clip[:, 2] > 0)
+        hidden = np.repeat(kept.numpy().ravel() == 0, read.cloud.per_anchor)
+        assert not (inside & hidden).any()
+        culled += int(hidden.sum())
+    assert culled > 500
+
+
+@pytest.mark.parametrize("kind", ["scaffold", "octree"])
+def test_decoding_fewer_anchors_gives_the_same_rows_in_front(
+    kind: str, tmp_path: Path
+) -> None:
+    chosen = AnchorOptions(
+        anchors=300, bank=True, distance=(True, True, True), cameras=2, appearance=3,
+        level=kind == "octree", united=True,
+    )  # fmt: skip
+    write = write_scaffold if kind == "scaffold" else write_octree
+    read = read_anchors(write(tmp_path, chosen), octree=kind == "octree")
+
+    def make(selection: Selection) -> GaussianGenerator:
+        if kind == "octree":
+            return octree(read, selection=selection)
+        return ScaffoldGS(read.cloud, read.nets, selection=selection)
+
+    rng, k = np.random.default_rng(7), read.cloud.per_anchor
+    given = (camera(rng, 1.5), lens(64, 48, 1.2)[0], np.array([1], np.int32))
+    tensors = [torch.from_numpy(one) for one in given]
+    with torch.no_grad():
+        everything = make(Selection("frustum"))(*tensors)
+        hidden = everything.opacity.reshape(-1, k).amax(dim=1) == 0
+        for most in (250, 40):
+            some = make(Selection("frustum", most))(*tensors)
+            count = int(some.count)
+            assert count % k == 0
+            assert some.position.shape == (most * k, 3)
+            # Anchors that are decoded, found again by where their Gaussians are.
+            where = {tuple(p): i for i, p in enumerate(everything.position[::k].tolist())}
+            order = [where[tuple(p)] for p in some.position[:count:k].tolist()]
+            assert order == sorted(order)
+            left_out = set(range(len(hidden))) - set(order)
+            assert all(hidden[i] or i > order[-1] for i in left_out)
+            assert len(order) == most or all(hidden[i] for i in left_out)
+            rows = (torch.tensor(order)[:, None] * k + torch.arange(k)).reshape(-1)
+            for name in ("opacity", "covariance", "rgb"):
+                a, b = getattr(some, name)[:count], getattr(everything, name)[rows]
+                torch.testing.assert_close(a, b, atol=1e-6, rtol=1e-5)
+
+
+def test_fewer_anchors_need_something_that_says_which(tmp_path: Path) -> None:
+    read = read_anchors(write_scaffold(tmp_path, AnchorOptions(united=True)))
+    with pytest.raises(GsgenError, match="nothing says which are not needed"):
+        ScaffoldGS(read.cloud, read.nets, selection=Selection(anchors=10))

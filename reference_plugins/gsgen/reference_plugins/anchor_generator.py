@@ -8,19 +8,23 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gsgen.reference_plugins.anchor_heads import AnchorHeads
-from gsgen.reference_plugins.camera import camera_centre, directions
+from gsgen.contract.errors import GsgenError
+from gsgen.reference_plugins.anchor_heads import AnchorHeads, Asked
 from gsgen.reference_plugins.checkpoints.anchors import AnchorCloud, AnchorNets
 from gsgen.reference_plugins.planes import covariance_planes, stacked
-from gsgen.reference_plugins.prefilter import Prefilter
+from gsgen.reference_plugins.selection import Selection, culling
 from gsgen.sdk import GaussianGenerator, Gaussians, inputs
+from gsgen.sdk.math import camera_centre, keep_rows
+
+_SMALLEST_SQUARE = 1e-12
 
 
 class AnchorGenerator(GaussianGenerator):
     """N anchors with K Gaussians each; row a K + k is Gaussian k of anchor a.
 
-    Inputs are the view, projection and viewport if there is a prefilter, and the appearance if
-    there is a choice, in this order.
+    Inputs are the view, those of the culling, and the appearance if there is a choice. Where a
+    frame may only decode so many anchors, rows are those of the anchors to be seen, in order, and
+    the count says how many there are.
     """
 
     family = "mlp"
@@ -36,7 +40,7 @@ class AnchorGenerator(GaussianGenerator):
         nets: AnchorNets,
         *,
         appearance: int | None = None,
-        prefilter: bool = False,
+        selection: Selection = Selection(),  # noqa: B008
     ) -> None:
         """Fold what the camera does not change.
 
@@ -44,45 +48,84 @@ class AnchorGenerator(GaussianGenerator):
             cloud: The anchors.
             nets: Their networks.
             appearance: Which appearance to keep; an input chooses where absent.
-            prefilter: Hide anchors that are out of view, as the published renderer does.
+            selection: Which anchors are decoded.
+
+        Raises:
+            GsgenError: Only some anchors may be decoded, and nothing says which.
         """
         super().__init__()
+        self.per_anchor = cloud.per_anchor
         self.heads = AnchorHeads(cloud, nets, appearance)
-        self.prefilter = Prefilter(cloud) if prefilter else None
-        declared = [inputs.view()]
-        declared += [inputs.projection(), inputs.viewport()] if prefilter else []
+        self.cull, declared = culling(cloud, selection.cull)
         choices = self.heads.appearances
-        declared += [inputs.appearance_id(choices)] if choices else []
-        self.inputs = tuple(declared)
+        declared += (inputs.appearance_id(choices),) if choices else ()
+        self.inputs = (inputs.view(), *declared)
+        self.most = selection.anchors
+        if self.most is not None and self.cull is None and not self.hides:
+            what = f"{self.most} anchors at most, but nothing says which are not needed"
+            mend = "Give --cull frustum, too."
+            raise GsgenError(what, where="--max-anchors", mend=mend)
+        if self.most is not None and self.most >= len(cloud):
+            self.most = None
         self.register_buffer("anchor", cloud.position)
         self.register_buffer("scale", torch.exp(cloud.log_scale[:, 3:]))
         reach = torch.exp(cloud.log_scale[:, None, :3])
         position = cloud.position[:, None] + cloud.offset * reach
-        self.register_buffer("position", position.reshape(-1, 3))
+        self.register_buffer("position", position.flatten(1))
+
+    @property
+    def hides(self) -> bool:
+        """Whether the method itself hides anchors from some cameras."""
+        return False
 
     def forward(self, camera: Float[Tensor, "4 4"], *others: Tensor) -> Gaussians:
-        """Decode all anchors for ``camera``, the world→camera matrix in column order."""
-        centre = camera_centre(camera)
-        direction, distance = directions(self.anchor, centre)
-        made = self.heads(
-            direction, distance, others[-1] if self.heads.appearances else None
+        """Decode anchors for ``camera``, the world→camera matrix in column order."""
+        centre = camera_centre(camera).reshape(1, 3)
+        shown = self._shown(camera, centre, others)
+        rows = count = None
+        if self.most is not None and shown is not None:
+            rows, count = keep_rows(shown.reshape(-1), self.most)
+            shown = torch.index_select(shown, 0, rows)
+        anchor, base, position = (
+            one if rows is None else torch.index_select(one, 0, rows)
+            for one in (self.anchor, self.scale, self.position)
         )
-        opacity = self.shown(torch.relu(made.opacity), centre)
-        if self.prefilter is not None:
-            opacity = opacity * self.prefilter(camera, others[0], others[1])
+        made = self.heads(_asked(anchor, centre, others, self.heads.appearances), rows)
+        opacity = torch.relu(made.opacity)
         scale = [
-            torch.sigmoid(factor) * self.scale[:, axis : axis + 1]
+            torch.sigmoid(factor) * base[:, axis : axis + 1]
             for axis, factor in enumerate(made.scale)
         ]
         return Gaussians(
-            position=self.position,
-            opacity=opacity.reshape(-1),
+            position=position.reshape(-1, 3),
+            opacity=(opacity if shown is None else opacity * shown).reshape(-1),
             covariance=stacked(covariance_planes(scale, made.rotation)),
             rgb=torch.sigmoid(made.color),
+            count=None if count is None else count * self.per_anchor,
         )
 
+    def _shown(
+        self, camera: Tensor, centre: Tensor, others: tuple[Tensor, ...]
+    ) -> Float[Tensor, "n 1"] | None:
+        shown = self.shown(centre)
+        if self.cull is None:
+            return shown
+        seen: Tensor = self.cull(camera, *others[: len(self.cull.takes)])
+        return seen if shown is None else shown * seen
+
     @abstractmethod
-    def shown(
-        self, opacity: Float[Tensor, "n k"], centre: Float[Tensor, "1 3"]
-    ) -> Float[Tensor, "n k"]:
-        """Return the opacity that anchors have from ``centre``: zero where not to be seen."""
+    def shown(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"] | None:
+        """Return how much of each anchor is seen from ``centre``, 0 to 1; all where None."""
+
+
+def _asked(
+    anchor: Float[Tensor, "n 3"],
+    centre: Float[Tensor, "1 3"],
+    others: tuple[Tensor, ...],
+    appearances: int,
+) -> Asked:
+    """Return from where anchors are seen; a camera on an anchor gives numbers, too."""
+    offset = anchor - centre
+    square = (offset * offset).sum(dim=1, keepdim=True)
+    distance = torch.sqrt(square.clamp(min=_SMALLEST_SQUARE))
+    return Asked(offset / distance, distance, others[-1] if appearances else None)

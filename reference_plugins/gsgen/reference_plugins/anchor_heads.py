@@ -5,7 +5,7 @@ depend on the camera. Here every anchor is decoded; what would not have been sel
 opacity zero.
 """
 
-__all__ = ["AnchorHeads", "Decoded"]
+__all__ = ["AnchorHeads", "Asked", "Decoded"]
 
 from dataclasses import dataclass
 
@@ -34,6 +34,21 @@ class Decoded:
     scale: tuple[Tensor, ...]
     rotation: tuple[Tensor, ...]
     color: Float[Tensor, "m 3"]
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """From where N anchors are seen, and in which appearance.
+
+    Attributes:
+        direction: Unit vectors from the camera, [N, 3].
+        distance: From the camera, [N, 1].
+        appearance_id: Which appearance, where there is a choice.
+    """
+
+    direction: Float[Tensor, "n 3"]
+    distance: Float[Tensor, "n 1"]
+    appearance_id: Int[Tensor, "1"] | None = None
 
 
 class _Layers(nn.Module):
@@ -124,37 +139,39 @@ class AnchorHeads(nn.Module):
         weight = nets.color.hidden[:, -nets.embedding.shape[1] :]
         return rows @ weight.t() + nets.color.hidden_bias
 
-    def forward(
-        self,
-        direction: Float[Tensor, "n 3"],
-        distance: Float[Tensor, "n 1"],
-        appearance_id: Int[Tensor, "1"] | None = None,
-    ) -> Decoded:
-        """Decode all anchors for one camera."""
-        parts = [self._feature(direction, distance), direction]
-        parts += [distance] if self.distance else []
-        parts += [self.level] if self.level is not None else []
-        inputs = torch.cat(parts, dim=1)
+    def forward(self, asked: Asked, rows: Int[Tensor, " n"] | None = None) -> Decoded:
+        """Decode anchors for one camera.
+
+        Args:
+            asked: From where each is seen.
+            rows: Which anchors they are; all, in order, where absent.
+        """
+        feature = self.feature
+        levels = [] if self.level is None else [self.level]
+        if rows is not None:
+            feature = torch.index_select(feature, 0, rows)
+            levels = [torch.index_select(one, 0, rows) for one in levels]
+        parts = [self._mixed(feature, levels, asked), asked.direction]
+        parts += [asked.distance] if self.distance else []
+        inputs = torch.cat([*parts, *levels], dim=1)
         looks = self.looks
-        if looks is not None and appearance_id is not None:
-            looks = torch.index_select(looks, 0, appearance_id)
+        if looks is not None and asked.appearance_id is not None:
+            looks = torch.index_select(looks, 0, asked.appearance_id)
         (opacity,) = self.opacity(inputs)
         planes = tuple(self.covariance(inputs))
         (color,) = self.color(inputs, looks)
         return Decoded(torch.tanh(opacity), planes[:3], planes[3:], color.reshape(-1, 3))
 
-    def _feature(self, direction: Tensor, distance: Tensor) -> Tensor:
+    def _mixed(self, feature: Tensor, levels: list[Tensor], asked: Asked) -> Tensor:
         """Mix three resolutions of a feature: every fourth number, every second, all.
 
         A coarse one is laid side by side (a b a b), not stretched (a a b b).
         """
         if self.bank is None:
-            return self.feature
-        asked = [direction]
-        asked += [distance] if self.bank_distance else []
-        asked += [self.level] if self.level is not None and not self.bank_distance else []
-        weight = torch.softmax(self.bank(torch.cat(asked, dim=1))[0], dim=1)
-        coarse = self.feature[:, ::4].repeat(1, 4)
-        middle = self.feature[:, ::2].repeat(1, 2)
-        mixed = coarse * weight[:, 0:1] + middle * weight[:, 1:2]
-        return mixed + self.feature * weight[:, 2:3]
+            return feature
+        more = [asked.distance] if self.bank_distance else levels
+        (weight,) = self.bank(torch.cat([asked.direction, *more], dim=1))
+        share = torch.softmax(weight, dim=1)
+        mixed = feature[:, ::4].repeat(1, 4) * share[:, 0:1]
+        mixed = mixed + feature[:, ::2].repeat(1, 2) * share[:, 1:2]
+        return mixed + feature * share[:, 2:3]

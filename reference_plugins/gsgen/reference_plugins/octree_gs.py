@@ -22,6 +22,7 @@ from gsgen.reference_plugins.checkpoints.anchors import (
     AnchorNets,
 )
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
+from gsgen.reference_plugins.selection import Selection
 
 # How a level becomes a whole number → by how much it may fall short of that number.
 MODES = {"round": 0.5, "floor": 0.0, "ceil": 1.0, "progressive": 1.0}
@@ -86,7 +87,7 @@ class OctreeGS(AnchorGenerator):
     furthest: Tensor
     start: Tensor
     least: Tensor
-    most: Tensor
+    most_share: Tensor
 
     def __init__(
         self,
@@ -95,7 +96,7 @@ class OctreeGS(AnchorGenerator):
         levels: Levels,
         *,
         appearance: int | None = None,
-        prefilter: bool = False,
+        selection: Selection = Selection(),  # noqa: B008
     ) -> None:
         """Fold what the camera does not change.
 
@@ -104,9 +105,9 @@ class OctreeGS(AnchorGenerator):
             nets: Their networks.
             levels: How levels follow from distances.
             appearance: Which appearance to keep; an input chooses where absent.
-            prefilter: Hide anchors that are out of view, as the published renderer does.
+            selection: Which anchors are decoded.
         """
-        super().__init__(cloud, nets, appearance=appearance, prefilter=prefilter)
+        super().__init__(cloud, nets, appearance=appearance, selection=selection)
         assert cloud.level is not None
         assert cloud.extra_level is not None
         level, extra = cloud.level[:, None].double(), cloud.extra_level[:, None].double()
@@ -122,18 +123,21 @@ class OctreeGS(AnchorGenerator):
             self.register_buffer("start", start.float())
             self.register_buffer("least", _ALMOST * (level <= 0).float())
             most = torch.where(level >= levels.top, _ALMOST, 1.0)
-            self.register_buffer("most", most.float())
+            self.register_buffer("most_share", most.float())
 
-    def shown(
-        self, opacity: Float[Tensor, "n k"], centre: Float[Tensor, "1 3"]
-    ) -> Float[Tensor, "n k"]:
+    @property
+    def hides(self) -> bool:
+        """Whether the method itself hides anchors from some cameras: it does."""
+        return True
+
+    def shown(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
         """Hide anchors finer than their distance asks for; the last level fades in."""
         offset = self.anchor + self.middle - centre  # of the middle of the cell
         square = (offset * offset).sum(dim=1, keepdim=True)
-        visible = (square <= self.furthest).to(opacity.dtype)
-        if self.fading:
-            logarithm = torch.log(square.clamp(min=_SMALLEST_SQUARE))
-            fraction = self.start - (0.5 * self.per_level) * logarithm
-            bounded = torch.minimum(torch.maximum(fraction, self.least), self.most)
-            visible = visible * bounded
-        return opacity * visible
+        visible = (square <= self.furthest).to(square.dtype)
+        if not self.fading:
+            return visible
+        logarithm = torch.log(square.clamp(min=_SMALLEST_SQUARE))
+        fraction = self.start - (0.5 * self.per_level) * logarithm
+        bounded = torch.minimum(torch.maximum(fraction, self.least), self.most_share)
+        return visible * bounded

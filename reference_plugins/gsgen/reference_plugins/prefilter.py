@@ -25,6 +25,8 @@ _LEAST_SPREAD = 0.1
 class Prefilter(nn.Module):
     """Tests every anchor, for a lens whose axis goes through the middle of the image."""
 
+    takes = ("projection", "viewport")
+
     anchor: Tensor
     root: Tensor
 
@@ -57,7 +59,9 @@ class Prefilter(nn.Module):
         pixel = ((slope * focal + 1) * viewport.reshape(1, 2) - 1) * 0.5
         radius = self._radius(slope, depth, focal, viewport, camera[:3, :3])
         beyond = torch.ceil(viewport.reshape(1, 2) / _TILE) * _TILE
-        touches = (pixel + radius >= 1).float() * (pixel - radius < beyond).float()
+        # An image without pixels, or a lens that was not set, shows nothing.
+        usable = (beyond > 0).float() * (focal > 0).float()
+        touches = (pixel + radius >= 1).float() * (pixel - radius < beyond).float() * usable
         return touches[:, 0:1] * touches[:, 1:2] * (depth > _NEAR).float()
 
     def _radius(

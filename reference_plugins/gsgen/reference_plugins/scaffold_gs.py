@@ -19,8 +19,6 @@ from gsgen.reference_plugins.anchor_generator import AnchorGenerator
 class ScaffoldGS(AnchorGenerator):
     """Every anchor is there from everywhere."""
 
-    def shown(
-        self, opacity: Float[Tensor, "n k"], centre: Float[Tensor, "1 3"]
-    ) -> Float[Tensor, "n k"]:
-        """Return ``opacity`` as it is."""
-        return opacity
+    def shown(self, centre: Float[Tensor, "1 3"]) -> None:
+        """Return None: there is nothing to hide."""
+        return

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 from gsgen.reference_plugins.commands.options import (
     AppearanceId,
     Checkpoint,
+    CullOption,
     Iteration,
-    Prefilter,
+    MaxAnchors,
     note,
     warn_of,
 )
@@ -26,7 +27,8 @@ def build(
     checkpoint: Checkpoint,
     iteration: Iteration = None,
     appearance_id: AppearanceId = None,
-    prefilter: Prefilter = False,
+    cull: CullOption = "none",
+    max_anchors: MaxAnchors = None,
 ) -> "OctreeGS":
     """Read a checkpoint, say what is in it, and return its generator."""
     from gsgen.reference_plugins.checkpoints.anchors import (
@@ -35,14 +37,16 @@ def build(
         require_appearance,
     )
     from gsgen.reference_plugins.octree_gs import Levels, OctreeGS
+    from gsgen.reference_plugins.selection import Selection
 
     read = read_anchors(checkpoint, iteration, octree=True)
     levels = Levels.of(read)
     note(f"{describe_anchors(read)}; {levels.mode} to whole levels, fork {levels.fork:g}")
     warn_of(read.cfg, _HONOURED)
+    selection = Selection(cull, max_anchors)
     appearance = require_appearance(read, appearance_id, "--appearance-id")
     return OctreeGS(
-        read.cloud, read.nets, levels, appearance=appearance, prefilter=prefilter
+        read.cloud, read.nets, levels, appearance=appearance, selection=selection
     )
 
 
@@ -52,6 +56,6 @@ PLUGIN = Plugin(
     reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply with levels and "
     "the networks, opacity_mlp.pt, cov_mlp.pt, color_mlp.pt (feature_bank_mlp.pt, "
     "embedding_appearance.pt), or all of them in checkpoints.pth.",
-    inputs=("view", "appearance_id", "projection", "viewport"),
+    inputs=("view", "projection", "viewport", "appearance_id"),
     build=build,
 )

@@ -3,11 +3,12 @@
 __all__ = [
     "AppearanceId",
     "Checkpoint",
+    "CullOption",
     "Fps",
     "Frames",
     "Iteration",
     "Loop",
-    "Prefilter",
+    "MaxAnchors",
     "note",
     "warn_of",
 ]
@@ -15,7 +16,7 @@ __all__ = [
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -38,12 +39,20 @@ AppearanceId = Annotated[
         min=0,
     ),
 ]
-Prefilter = Annotated[
-    bool,
+CullOption = Annotated[
+    Literal["none", "frustum", "published"],
     typer.Option(
-        "--prefilter",
-        help="Hide anchors out of view as the published renderer does; adds the inputs "
-        "projection and viewport.",
+        "--cull",
+        help="Hide anchors out of view: frustum surely so (adds the input projection), published "
+        "as the method's renderer does (adds projection and viewport).",
+    ),
+]
+MaxAnchors = Annotated[
+    int | None,
+    typer.Option(
+        help="Decode no more anchors a frame than this; the count says how many rows there are.",
+        show_default="all",
+        min=1,
     ),
 ]
 Frames = Annotated[
@@ -51,7 +60,8 @@ Frames = Annotated[
     typer.Option(help="Distinct moments that training saw, for the manifest.", min=1),
 ]
 Fps = Annotated[
-    float | None, typer.Option(help="Frames a second at natural speed, for the manifest.")
+    float | None,
+    typer.Option(help="Frames a second at natural speed, for the manifest.", min=0.01),
 ]
 Loop = Annotated[bool, typer.Option("--loop", help="The end continues at the start.")]
 

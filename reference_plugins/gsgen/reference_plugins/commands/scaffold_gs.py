@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 from gsgen.reference_plugins.commands.options import (
     AppearanceId,
     Checkpoint,
+    CullOption,
     Iteration,
-    Prefilter,
+    MaxAnchors,
     note,
 )
 from gsgen.sdk.plugin import Plugin
@@ -21,7 +22,8 @@ def build(
     checkpoint: Checkpoint,
     iteration: Iteration = None,
     appearance_id: AppearanceId = None,
-    prefilter: Prefilter = False,
+    cull: CullOption = "none",
+    max_anchors: MaxAnchors = None,
 ) -> "ScaffoldGS":
     """Read a checkpoint, say what is in it, and return its generator."""
     from gsgen.reference_plugins.checkpoints.anchors import (
@@ -30,6 +32,7 @@ def build(
         require_appearance,
     )
     from gsgen.reference_plugins.scaffold_gs import ScaffoldGS
+    from gsgen.reference_plugins.selection import Selection
 
     read = read_anchors(checkpoint, iteration)
     note(describe_anchors(read))
@@ -37,8 +40,9 @@ def build(
         note(
             f"note: there is no {read.cfg.path}; flags are taken from the networks' shapes"
         )
+    selection = Selection(cull, max_anchors)
     appearance = require_appearance(read, appearance_id, "--appearance-id")
-    return ScaffoldGS(read.cloud, read.nets, appearance=appearance, prefilter=prefilter)
+    return ScaffoldGS(read.cloud, read.nets, appearance=appearance, selection=selection)
 
 
 PLUGIN = Plugin(
@@ -47,6 +51,6 @@ PLUGIN = Plugin(
     reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply and the networks, "
     "opacity_mlp.pt, cov_mlp.pt, color_mlp.pt (feature_bank_mlp.pt, embedding_appearance.pt), "
     "or all of them in checkpoints.pth.",
-    inputs=("view", "appearance_id", "projection", "viewport"),
+    inputs=("view", "projection", "viewport", "appearance_id"),
     build=build,
 )

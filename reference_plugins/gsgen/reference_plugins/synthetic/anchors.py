@@ -208,12 +208,12 @@ def _shape(name: str, head: nn.Sequential, per_anchor: int) -> None:
     assert isinstance(last, nn.Linear)
     with torch.no_grad():
         if name == "opacity_mlp":
-            last.bias += 0.7
+            last.bias.add_(0.7)
         if name == "color_mlp":
             first.weight[:_HUES] *= 0.1
             first.weight[:_HUES, :_HUES] += torch.eye(_HUES)
             last.weight[:, :_HUES] += 3 * torch.eye(_HUES).repeat(per_anchor, 1)
-            last.bias -= 3
+            last.bias.sub_(3)
 
 
 def _save_script(network: nn.Module, path: Path) -> None:
