@@ -1,0 +1,1 @@
+"""What the plugins of people share: bodies at rest, joints in motion, Gaussians that follow."""

@@ -1,0 +1,54 @@
+"""The rotation nearest to a blended matrix, as a quaternion's best of four formulas.
+
+Each component of a quaternion can be had from the matrix's diagonal and the others by division
+(Shepperd 1978). Which component is divided by is chosen per Gaussian, by comparing; and as the
+quaternion is normalised afterwards, nothing needs to be divided, and no sign be taken of what may
+be zero.
+"""
+
+__all__ = ["nearest_rotation"]
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from gsgen.reference_plugins.planes import rotation_columns
+
+
+def nearest_rotation(
+    matrix: Float[Tensor, "k 3 3 n"], stiff: Float[Tensor, "1 n"]
+) -> Float[Tensor, "k 3 3 n"]:
+    """Return rotations; the identity where ``stiff`` is 1.
+
+    Args:
+        matrix: Nearly rotations, such as means of several.
+        stiff: 1 for what does not turn, 0 for the rest.
+    """
+    rows = [row.unbind(dim=1) for row in matrix.unbind(dim=1)]
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rows
+    squares = (1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz)
+    wx, wy, wz = zy - yz, xz - zx, yx - xy
+    bxy, bxz, byz = yx + xy, xz + zx, yz + zy
+    candidates = [
+        (squares[0], wx, wy, wz),
+        (wx, squares[1], bxy, bxz),
+        (wy, bxy, squares[2], byz),
+        (wz, bxz, byz, squares[3]),
+    ]
+    stacked = [torch.stack(one, dim=1) for one in candidates]
+    best, first = _better(squares[0], squares[1], stacked[0], stacked[1])
+    other, second = _better(squares[2], squares[3], stacked[2], stacked[3])
+    _, chosen = _better(best, other, first, second)
+    w, x, y, z = chosen.unbind(dim=1)
+    free = 1 - stiff
+    columns = rotation_columns((w * free + stiff, x * free, y * free, z * free))
+    return torch.stack([torch.stack(column, dim=1) for column in columns], dim=2)
+
+
+def _better(
+    a: Tensor, b: Tensor, quaternion_a: Tensor, quaternion_b: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return the larger of two, and what belongs to it; the first where they are equal."""
+    first = a >= b
+    chosen = torch.where(first[:, None], quaternion_a, quaternion_b)
+    return torch.maximum(a, b), chosen

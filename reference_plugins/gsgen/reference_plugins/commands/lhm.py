@@ -1,0 +1,68 @@
+"""`gsgen export lhm`: an avatar of LHM as a generator."""
+
+__all__ = ["PLUGIN"]
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.reference_plugins.commands.avatar_options import BodyFile, Instances
+from gsgen.reference_plugins.commands.options import Checkpoint, note
+from gsgen.sdk.plugin import Plugin
+
+if TYPE_CHECKING:
+    from gsgen.reference_plugins.lhm import LHM
+
+Flame = Annotated[
+    Path | None,
+    typer.Option(
+        "--flame", help="FLAME_NEUTRAL.pkl, whose expressions LHM uses.", show_default="none"
+    ),
+]
+FlameIds = Annotated[
+    Path | None,
+    typer.Option(
+        "--flame-ids", help="SMPL-X__FLAME_vertex_ids.npy, with --flame.", show_default="none"
+    ),
+]
+NoExpression = Annotated[
+    bool, typer.Option("--no-expression", help="Leave the face as it is: no such input.")
+]
+
+
+def build(
+    checkpoint: Checkpoint,
+    body: BodyFile = None,
+    flame: Flame = None,
+    flame_ids: FlameIds = None,
+    no_expression: NoExpression = False,
+    instances: Instances = 1,
+) -> "LHM":
+    """Read an avatar, say what is in it, and return its generator."""
+    from gsgen.reference_plugins.checkpoints.lhm import read_face, read_lhm
+    from gsgen.reference_plugins.lhm import LHM
+
+    if (flame is None) != (flame_ids is None):
+        what = "--flame and --flame-ids go together"
+        raise ConfigInvalid(what, where="--flame", mend="Give both, or neither.")
+    read = read_lhm(checkpoint, body)
+    note(read.describe())
+    face = read_face(flame, flame_ids, read.body) if flame and flame_ids else None
+    if face is None and not no_expression:
+        note(
+            "warning: expressions are those of SMPL-X; LHM has FLAME's in the face: "
+            "give --flame and --flame-ids, or --no-expression"
+        )
+    return LHM(read, face, expression=not no_expression, bodies=instances)
+
+
+PLUGIN = Plugin(
+    name="lhm",
+    summary="A person from one picture, whom SMPL-X moves (LHM).",
+    reads="Reads the avatar's .pth in DIR, DIR/pretrained_models/dense_sample_points/*.ply and "
+    "voxel_grid/human_prior_constrain.npz, and the SMPL-X model that --body names or DIR holds.",
+    inputs=("pose", "root_translation", "expression"),
+    build=build,
+)
