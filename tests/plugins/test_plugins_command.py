@@ -1,0 +1,60 @@
+import json
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+
+import pytest
+from typer.testing import CliRunner
+
+from gsgen.cli.app import build
+from gsgen.cli.commands import Command, find_commands
+from gsgen.contract.errors import UnknownName
+from gsgen.contract.roles import ROLES
+from gsgen.sdk.commands import plugins as command
+
+OURS = {"deformable-3dgs", "hexplane-4dgs", "octree-gs", "scaffold-gs", "static"}
+
+
+def listed(*words: str) -> list[dict]:
+    app = build([find_commands()["plugins"]])
+    ran = CliRunner().invoke(app, ["plugins", "--json", *words])
+    assert ran.exit_code == 0, ran.output
+    found: list[dict] = json.loads(ran.output)
+    return found
+
+
+def test_every_plugin_says_what_it_reads_and_what_its_models_take() -> None:
+    found = {one["name"]: one for one in listed()}
+    assert set(found) >= OURS
+    for one in found.values():
+        assert one["usable"]
+        assert one["summary"]
+        assert one["reads"].startswith("Reads ")
+        assert set(one["inputs"]) <= set(ROLES)
+        assert one["package"].startswith("gsgen ")
+    assert found["hexplane-4dgs"]["inputs"] == ["time"]
+
+
+def test_some_can_be_asked_for() -> None:
+    assert [one["name"] for one in listed("static", "octree-gs")] == ["octree-gs", "static"]
+    with pytest.raises(UnknownName, match="unknown plugin 'octree'"):
+        command.plugins(["octree"])
+
+
+def test_one_that_lacks_something_says_what(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    point = EntryPoint("ghost", "no.such.module:PLUGIN", "gsgen.generators")
+    monkeypatch.setattr(
+        command, "find_plugins", lambda: {"ghost": Command("ghost", point, ("x",))}
+    )
+    command.plugins()
+    assert "lacks x: pip install" in capsys.readouterr().out
+
+
+def test_listing_imports_no_torch() -> None:
+    script = (
+        "import sys; from gsgen.sdk.commands.plugins import plugins; plugins(None, True); "
+        "sys.exit('torch' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
