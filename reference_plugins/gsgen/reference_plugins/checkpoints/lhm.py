@@ -20,7 +20,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from gsgen.formats import FormatError, PointCloud, read_ply
+from gsgen.formats import FormatError, read_ply_columns
 from gsgen.reference_plugins.checkpoints.array_pickles import read_array_pickle
 from gsgen.reference_plugins.checkpoints.bodies import Body, read_body, required_body
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
@@ -239,13 +239,11 @@ def _samples(folder: Path, count: int) -> Float[np.ndarray, "n 3"]:
 
 def _points(path: Path) -> Float[np.ndarray, "n 3"]:
     try:
-        read = read_ply(path)
+        read = read_ply_columns(path, {"position": ("x", "y", "z")})
     except FormatError as error:
         what = str(error).replace(f"{path}: ", "")
         raise CheckpointInvalid(what, where=str(path)) from error
-    if not isinstance(read, PointCloud):
-        raise CheckpointInvalid("holds splats, wanted points", where=str(path))
-    return read.position.astype(np.float64)
+    return read["position"].astype(np.float64)
 
 
 def _stiff(path: Path, vertices: int) -> Bool[np.ndarray, " v"]:
