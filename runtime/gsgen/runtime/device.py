@@ -12,6 +12,7 @@ from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable
 STORAGE_BUFFERS: Final = 8
 """How many storage buffers a kernel may bind: what every WebGPU device has."""
 
+_SUBGROUPS: Final = "subgroup"
 _MEND = "Install a Vulkan driver; without a GPU, Mesa's lavapipe 25 or newer. See `gsgen doctor`."
 
 
@@ -24,6 +25,7 @@ class Device:
         name: What the adapter calls itself.
         software: Whether the driver runs on the CPU; kernels are cut differently then.
         largest_binding: Bytes that one binding may have.
+        subgroups: Whether shaders may use operations of subgroups; none has to.
     """
 
     def __init__(self, raw: Any) -> None:
@@ -31,6 +33,7 @@ class Device:
         self.raw = raw
         self.name: str = info["device"]
         self.software: bool = info["adapter_type"] == "CPU"
+        self.subgroups = _SUBGROUPS in raw.features
         self.largest_binding = min(
             int(raw.limits["max-storage-buffer-binding-size"]),
             int(raw.limits["max-buffer-size"]),
@@ -61,7 +64,13 @@ class Device:
         }
         limits["max-storage-buffers-per-shader-stage"] = STORAGE_BUFFERS
         try:
-            return cls(adapter.request_device_sync(label="gsgen", required_limits=limits))
+            return cls(
+                adapter.request_device_sync(
+                    label="gsgen",
+                    required_limits=limits,
+                    required_features=sorted({_SUBGROUPS} & set(adapter.features)),
+                )
+            )
         except (RuntimeError, wgpu.GPUError) as error:
             raise DeviceUnavailable(
                 f"{adapter.info['device']} refuses: {error}", mend=_MEND

@@ -98,7 +98,6 @@ class Plan:
         n = self._gaussians
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
         device.write(self._counts, counting.initial(n, pair_capacity))
-        self._touched = self._storage("touched", 4 * n)
         self._splats = [self._storage(name, _VEC4 * n) for name in ("shapes", "weights")]
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.images: dict[str, Any] = {}
@@ -119,7 +118,7 @@ class Plan:
         stages = {"project": self._project(placed, columns[0].keys, colors)}
         stages["sort"], order = self._sort_by_depth(columns)
         pairs = [self._columns(f"pairs {side}", self.pair_capacity) for side in "ab"]
-        stages["bin"] = self._bin(order, pairs[0])
+        stages["bin"] = self._bin(order, colors, pairs[0])
         stages["group"], members = self._group(pairs)
         if "color" in outputs:
             stages["blend"] = [self._blend("color", members, colors, pick=False)]
@@ -141,7 +140,7 @@ class Plan:
 
     def _project(self, placed: Sequence[Placed], keys: Any, colors: Any) -> list[Step]:
         made = []
-        outputs = (self._frame, keys, self._touched, *self._splats, colors)
+        outputs = (self._frame, keys, *self._splats, colors)
         for slot, (one, page) in enumerate(placed):
             half = one.data.appearance.dtype == np.float16
             kernel = self._kernels.project(half, stride(one.data))
@@ -168,7 +167,7 @@ class Plan:
         )
         return steps, columns[at].values
 
-    def _bin(self, order: Any, pairs: Columns) -> list[Step]:
+    def _bin(self, order: Any, colors: Any, pairs: Columns) -> list[Step]:
         walk = self._kernels.cut.walk
         run_pairs = self._storage("run pairs", 4 * -(-self._gaussians // walk))
         measure, emit = self._kernels.bin.steps(
@@ -177,7 +176,7 @@ class Plan:
                 self._frame,
                 self._counts,
                 order,
-                self._touched,
+                colors,
                 *self._splats,
                 run_pairs,
                 *pairs,

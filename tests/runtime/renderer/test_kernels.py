@@ -104,7 +104,7 @@ def test_bins_hold_every_tile_that_a_splat_reaches(renderer: Renderer, name: str
     assert pairs == counts[Counts.WANTED_PAIRS] > 0
     tiles = words(renderer, plan, "keys of pairs a", pairs)
     members = words(renderer, plan, "values of pairs a", pairs)
-    touched = words(renderer, plan, "touched", n)
+    touched = floats(renderer, plan, "colors", n)[:, 3]
     keys = words(renderer, plan, "keys of Gaussians a", visible)
     # As many were listed as were counted, nearest splat first.
     np.testing.assert_array_equal(

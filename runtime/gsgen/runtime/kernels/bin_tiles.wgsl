@@ -8,7 +8,7 @@
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> order: array<u32>;
-@group(0) @binding(3) var<storage, read> touched: array<u32>;
+@group(0) @binding(3) var<storage, read> colors: array<vec4f>;  // the last: how many tiles
 @group(0) @binding(4) var<storage, read> shapes: array<vec4f>;
 @group(0) @binding(5) var<storage, read> weights: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> run_pairs: array<u32>;
@@ -23,7 +23,7 @@ fn measure(@builtin(global_invocation_id) invocation: vec3u) {
     let end = min((invocation.x + 1u) * RUN, visible);
     var pairs = 0u;
     for (var rank = invocation.x * RUN; rank < end; rank++) {
-        pairs += touched[order[rank]];
+        pairs += u32(colors[order[rank]].w);
     }
     if (invocation.x * RUN < visible) {
         run_pairs[invocation.x] = pairs;

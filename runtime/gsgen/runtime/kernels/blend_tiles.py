@@ -11,12 +11,13 @@ from gsgen.contract import layout
 from gsgen.runtime.device import Device
 from gsgen.runtime.kernels.kernel import Kernel, Step
 from gsgen.runtime.kernels.project import Projected
-from gsgen.runtime.kernels.shader import MAX_ALPHA, MIN_TRANSMITTANCE
+from gsgen.runtime.kernels.shader import MAX_ALPHA, MIN_TRANSMITTANCE, TILE
+from gsgen.runtime.kernels.subgroups import lanes
 
 
 @final
 class BlendTiles:
-    """``blend_tiles.wgsl``.
+    """``blend_tiles.wgsl``, or ``blend_subgroups.wgsl`` where that is faster.
 
     Args:
         device: Where it runs.
@@ -27,14 +28,16 @@ class BlendTiles:
         # A CPU's vector is as wide as half a tile: one invocation takes two columns, top to
         # bottom. A GPU wants many invocations.
         columns, quads = (2, 4) if device.software else (1, 1)
+        together = device.software and lanes(device) == TILE // columns
         self.kernel = Kernel(
             device,
-            "blend_tiles",
+            "blend_subgroups" if together else "blend_tiles",
             "blend",
             ("urrrrrw",),
             COLUMNS=columns,
             QUADS=quads,
             CELLS=columns * quads,
+            LANES=TILE // columns,
             PICK=pick,
         )
 

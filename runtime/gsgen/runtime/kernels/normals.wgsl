@@ -47,9 +47,8 @@ fn find_normals(@builtin(global_invocation_id) invocation: vec3u) {
     if (own >= page.count || keys[page.base + own] == ABSENT) {
         return;
     }
-    let row = read_row(own);
-    let at = page.linear * ((row.position - page.eye) - page.eye_rest);
-    let found = thinnest(page.linear * row.covariance * transpose(page.linear));
+    let at = page.linear * ((read_center(own).position - page.eye) - page.eye_rest);
+    let found = thinnest(page.linear * read_covariance(own) * transpose(page.linear));
     let towards = select(found, -found, dot(found, at) > 0.0);
     let normal = select(-normalize(at), towards, dot(found, found) > 0.5);
     normals[page.base + own] = vec4f(normal, 0.0);

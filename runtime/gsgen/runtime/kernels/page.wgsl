@@ -16,25 +16,25 @@ struct Page {
     capacity: u32,        // Gaussians that there is room for
 }
 
-struct Row {
+struct Center {
     position: vec3f,
     opacity: f32,
-    covariance: mat3x3f,
 }
 
-// Two columns, or four channels, are read at once: drivers on CPUs pay by the read, however short.
-fn read_row(index: u32) -> Row {
-    var pairs: array<vec2f, 5>;
-    for (var i = 0u; i < 5u; i++) {
-        pairs[i] = bitcast<vec2f>(rows[index * 5u + i]);
-    }
-    return Row(
-        vec3f(pairs[0], pairs[1].x),
-        pairs[1].y,
-        mat3x3f(
-            vec3f(pairs[2], pairs[3].x),
-            vec3f(pairs[2].y, pairs[3].y, pairs[4].x),
-            vec3f(pairs[3].x, pairs[4]),
-        ),
-    );
+// Two columns are read at once: drivers on CPUs pay by the read, however short.
+fn columns(index: u32, pair: u32) -> vec2f {
+    return bitcast<vec2f>(rows[index * 5u + pair]);
+}
+
+fn read_center(index: u32) -> Center {
+    let xy = columns(index, 0u);
+    let z_opacity = columns(index, 1u);
+    return Center(vec3f(xy, z_opacity.x), z_opacity.y);
+}
+
+fn read_covariance(index: u32) -> mat3x3f {
+    let a = columns(index, 2u);  // xx xy
+    let b = columns(index, 3u);  // xz yy
+    let c = columns(index, 4u);  // yz zz
+    return mat3x3f(vec3f(a, b.x), vec3f(a.y, b.y, c.x), vec3f(b.x, c));
 }

@@ -161,7 +161,7 @@ class ProjectKernel:
             device,
             "project",
             "project",
-            ("uwwwww", "urr"),
+            ("uwwww", "urr"),
             THREADS=_THREADS,
             HALF_APPEARANCE=half,
             STRIDE=stride,

@@ -7,10 +7,9 @@
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read_write> keys: array<u32>;
-@group(0) @binding(2) var<storage, read_write> touched: array<u32>;    // how many tiles
-@group(0) @binding(3) var<storage, read_write> shapes: array<vec4f>;   // mean, conic xx xy
-@group(0) @binding(4) var<storage, read_write> weights: array<vec4f>;  // conic yy, strength, depth, variance yy
-@group(0) @binding(5) var<storage, read_write> colors: array<vec4f>;   // red, green, blue, opacity
+@group(0) @binding(2) var<storage, read_write> shapes: array<vec4f>;   // mean, conic xx xy
+@group(0) @binding(3) var<storage, read_write> weights: array<vec4f>;  // conic yy, strength, depth, variance yy
+@group(0) @binding(4) var<storage, read_write> colors: array<vec4f>;   // red, green, blue, and how many tiles
 
 @group(1) @binding(0) var<uniform> page: Page;
 @group(1) @binding(1) var<storage, read> rows: array<vec2u>;
@@ -50,25 +49,21 @@ fn color_of(offset: vec3f) -> vec3f {
     return harmonics(page.degree, direction / length(direction));
 }
 
-@compute @workgroup_size(THREADS)
-fn project(@builtin(global_invocation_id) invocation: vec3u) {
-    own = invocation.x;
-    if (own >= page.capacity) {
-        return;
-    }
-    let index = page.base + own;
-    keys[index] = ABSENT;
-    if (own >= page.count) {
-        return;
-    }
-
-    let row = read_row(own);
-    let offset = (row.position - page.eye) - page.eye_rest;
+// Write the splat of this invocation's Gaussian, and return its key.
+fn splat_key(index: u32) -> u32 {
+    let center = read_center(own);
+    let offset = (center.position - page.eye) - page.eye_rest;
     let at = page.linear * offset;
-    let inside = all(row.position >= page.clip_low) && all(row.position <= page.clip_high);
+    let inside = all(center.position >= page.clip_low) && all(center.position <= page.clip_high);
     if (!(at.z > frame.near && at.z <= LARGEST && inside)) {
-        return;
+        return ABSENT;
     }
+    var opacity = center.opacity * page.opacity_scale;
+    if (!(opacity >= CULL_OPACITY && opacity <= LARGEST)) {
+        return ABSENT;
+    }
+    opacity = min(opacity, 1.0);
+
     let inverse = 1.0 / at.z;
     let slope = at.xy * inverse;
     let bent = clamp(slope, frame.slope_low, frame.slope_high);
@@ -77,8 +72,9 @@ fn project(@builtin(global_invocation_id) invocation: vec3u) {
     let turned = transpose(page.linear);
     let jx = frame.focal.x * inverse * (turned[0] - bent.x * turned[2]);
     let jy = frame.focal.y * inverse * (turned[1] - bent.y * turned[2]);
-    let sx = row.covariance * jx;
-    let sy = row.covariance * jy;
+    let sigma = read_covariance(own);
+    let sx = sigma * jx;
+    let sy = sigma * jy;
     let plain = vec3f(dot(jx, sx), dot(jx, sy), dot(jy, sy));
     let wide = vec3f(plain.x + DILATION, plain.y, plain.z + DILATION);
     // In units of a power of two, so that nothing overflows and nothing is rounded.
@@ -87,20 +83,15 @@ fn project(@builtin(global_invocation_id) invocation: vec3u) {
     let determinant = scaled.x * scaled.z - scaled.y * scaled.y;
     let sound = wide.x > 0.0 && wide.z > 0.0 && max(wide.x, wide.z) <= LARGEST_VARIANCE;
     if (!(sound && determinant > 0.0)) {
-        return;
+        return ABSENT;
     }
 
-    var opacity = row.opacity * page.opacity_scale;
-    if (!(opacity >= CULL_OPACITY && opacity <= LARGEST)) {
-        return;
-    }
-    opacity = min(opacity, 1.0);
     if (page.mip != 0u) {
         let bare = plain / unit;
         let product = bare.x * bare.z - bare.y * bare.y;
         opacity *= sqrt(max(product / determinant, 0.0));
         if (!(opacity >= CULL_OPACITY)) {
-            return;
+            return ABSENT;
         }
     }
     let strength = log(opacity / CULL_OPACITY);
@@ -109,7 +100,7 @@ fn project(@builtin(global_invocation_id) invocation: vec3u) {
     let low = 0.5 - frame.origin;
     let high = vec2f(frame.size) - 0.5 - frame.origin;
     if (!(all(mean + half_extent >= low) && all(mean - half_extent <= high))) {
-        return;
+        return ABSENT;
     }
     let conic = vec3f(scaled.z, -scaled.y, scaled.x) / determinant / unit;
     let made = outline(mean, conic, strength, wide.z);
@@ -120,11 +111,24 @@ fn project(@builtin(global_invocation_id) invocation: vec3u) {
     }
     let color = color_of(offset);
     if (!all(abs(color) <= vec3f(LARGEST)) || tiles == 0u) {
-        return;
+        return ABSENT;
     }
     shapes[index] = vec4f(mean, conic.xy);
     weights[index] = vec4f(conic.z, strength, at.z, wide.z);
-    colors[index] = vec4f(max(color, vec3f(0.0)), opacity);
-    touched[index] = tiles;
-    keys[index] = bitcast<u32>(at.z);
+    colors[index] = vec4f(max(color, vec3f(0.0)), f32(tiles));
+    return bitcast<u32>(at.z);
+}
+
+@compute @workgroup_size(THREADS)
+fn project(@builtin(global_invocation_id) invocation: vec3u) {
+    own = invocation.x;
+    if (own >= page.capacity) {
+        return;
+    }
+    let index = page.base + own;
+    if (own < page.count) {
+        keys[index] = splat_key(index);
+    } else {
+        keys[index] = ABSENT;
+    }
 }

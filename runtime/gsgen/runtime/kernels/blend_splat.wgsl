@@ -1,0 +1,29 @@
+        // One splat into all cells of an invocation: `id`, `shape`, `weight` and `color` are its.
+        // Drivers keep an array of cells in memory, so `repeat` writes them out.
+        let bend = 0.5 * weight.x;
+//!repeat CELL CELLS
+        {
+            let dx = x + f32(CELLu / QUADS * (TILE / COLUMNS)) - shape.x;
+            let dy = y + f32(CELLu % QUADS * 4u) - shape.y;
+            let above = weight.y - 0.5 * shape.z * dx * dx - (bend * dy + shape.w * dx) * dy;
+            if (any(above >= ZERO)) {
+                let before = through_CELL;
+                let alpha = min(CULL_OPACITY * exp(above), vec4f(MAX_ALPHA));
+                let after = before * (1.0 - alpha);
+                let hit = (above >= ZERO) & (before > ZERO);
+                let enough = after > vec4f(MIN_TRANSMITTANCE);
+                let amount = select(ZERO, alpha * before, hit & enough);
+                if (PICK) {
+                    red_CELL += amount * weight.z;
+                    let halved = hit & (before >= vec4f(0.5)) & (after < vec4f(0.5));
+                    green_CELL = select(green_CELL, vec4f(weight.z), halved);
+                    taker_CELL = select(taker_CELL, vec4u(id), halved);
+                } else {
+                    red_CELL += amount * color.x;
+                    green_CELL += amount * color.y;
+                    blue_CELL += amount * color.z;
+                }
+                through_CELL = select(before, select(-before, after, enough), hit);
+            }
+        }
+//!end

@@ -1,0 +1,232 @@
+"""What a frame costs: CPU seconds on a software driver, stage by stage, beside the floor.
+
+CPU seconds are those of the whole process, the driver's threads included, so that other load on
+the machine counts less; the least of several frames is printed. The floor is what the least bytes
+and operations of the same frame would take on the same cores, by rates measured in the same run.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from gsgen.contract.geometry import covariance_upper
+from gsgen.runtime.camera import Camera
+from gsgen.runtime.device import Device
+from gsgen.runtime.kernels import counts as counting
+from gsgen.runtime.kernels.counts import Counts
+from gsgen.runtime.kernels.kernel import run
+from gsgen.runtime.kernels.scan import Scan
+from gsgen.runtime.kernels.sort import Columns, RadixSort, cut_for, sort_reference
+from gsgen.runtime.plan import Placed, Plan
+from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.residency import PAGE_ROWS, Residency
+from gsgen.runtime.scene import Scene, SplatSet
+from gsgen.runtime.splat_data import SplatData
+
+MILLION = 1_000_000
+SIZES = {(1280, 720): 0.40, (640, 360): 0.30}  # CPU seconds to aim at
+NOTHING_BEHIND = np.zeros(3)
+
+
+def say(text: str) -> None:
+    sys.stdout.write(f"\n  {text}")
+
+
+def cpu(action: Callable[[], object], times: int = 5) -> float:
+    """Return the least CPU seconds of several runs."""
+    taken = []
+    for _ in range(times):
+        began = time.process_time()
+        action()
+        taken.append(time.process_time() - began)
+    return min(taken)
+
+
+def room(n: int = MILLION) -> SplatData:
+    """A room whose walls, floor and furniture are covered by small flat Gaussians."""
+    rng = np.random.default_rng(0)
+    center = rng.uniform(-1, 1, (n, 3)) * (4, 2, 4)
+    wall = rng.integers(0, 3, n)
+    side = np.where(rng.random(n) < 0.5, -1.0, 1.0)
+    center[np.arange(n), wall] = side * np.array([4, 2, 4])[wall]
+    ball = rng.random(n) < 0.4
+    around = rng.normal(size=(n, 3))
+    around /= np.linalg.norm(around, axis=1, keepdims=True)
+    middle = rng.integers(0, 12, n)
+    middles = np.random.default_rng(1).uniform(-1, 1, (12, 3)) * (3, 1.5, 3)
+    center[ball] = (middles[middle] + 0.5 * around)[ball]
+    scale = 0.008 * np.exp(0.6 * rng.normal(size=(n, 3)))
+    scale[:, 2] *= 0.2
+    rows = np.zeros((n, 10), np.float32)
+    rows[:, :3], rows[:, 3] = center, rng.beta(1.2, 0.8, n)
+    rows[:, 4:] = covariance_upper(scale, rng.normal(size=(n, 4)))
+    color = (0.15 * rng.standard_normal((n, 48))).astype(np.float32)
+    return SplatData(rows, color, "sh")
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Renderer:
+    return Renderer()
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene([room()])
+
+
+def planned(
+    renderer: Renderer, scene: Scene, camera: Camera
+) -> tuple[Plan, list[Placed], int]:
+    """Draw once, so that there is room for all pairs; return the plan, its pages, the pairs."""
+    pairs = renderer.render(scene, camera).pairs
+    held = Residency(renderer.device)
+    placed = [(one, page) for one in scene.sets for page in held.pages(one.data)]
+    return renderer.plan(placed, camera, frozenset(["color"])), placed, pairs
+
+
+def floor(gaussians: int, visible: int, pairs: int, pixels: int) -> dict[str, float]:
+    """Return the least bytes of each stage, as the renderer is built."""
+    return {
+        "project": gaussians * (40 + 4) + visible * (192 + 3 * 16 + 4),
+        "sort": gaussians * 4 * 2 + visible * (8 + 3 * (4 + 8 + 8)),
+        "bin": visible * (4 + 4) + visible * (4 + 32) + pairs * 8,
+        "group": pairs * 2 * (4 + 8 + 8) + pairs * 4,
+        "blend": pairs * (4 + 48) + pixels * 16,
+    }
+
+
+def copy_rate() -> float:
+    """Return bytes read and written in a second of one core, by copying 256 MB."""
+    source, target = np.ones(1 << 25), np.empty(1 << 25)
+    return 2 * source.nbytes / cpu(lambda: np.copyto(target, source))
+
+
+@pytest.mark.parametrize("size", SIZES)
+def bench_a_million(renderer: Renderer, scene: Scene, size: tuple[int, int]) -> None:
+    camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=size[0], height=size[1])
+    plan, placed, pairs = planned(renderer, scene, camera)
+
+    def frame(*stages: str) -> None:
+        plan.submit(placed, camera, NOTHING_BEHIND, only=stages or None)
+        plan.collect()
+
+    frame()
+    counts = renderer.device.read(plan.buffers["counts"], np.uint32, 4)
+    visible = int(counts[Counts.VISIBLE])
+    say(f"1 M Gaussians, degree 3, {size[0]}×{size[1]}, {renderer.device.name}: ")
+    say(f"{visible:,} visible, {pairs:,} pairs")
+    rate = copy_rate()
+    least = floor(MILLION, visible, pairs, size[0] * size[1])
+    idle = cpu(lambda: frame("none"))  # uniforms, clearing, and copying the image back
+    names = list(plan.stages)
+    # What a stage adds to those before it: each needs what they made.
+    sums = [idle, *(cpu(lambda n=n: frame(*names[: n + 1])) for n in range(len(names)))]
+    for number, name in enumerate(names):
+        bytes_ = least[name]
+        say(
+            f"{name:8} {sums[number + 1] - sums[number]:.3f} CPU-s; "
+            f"{bytes_ / 1e6:5.0f} MB, at one core's copying rate {bytes_ / rate:.3f} s"
+        )
+    say(f"uniforms and reading back {idle:.3f} CPU-s")
+    say(f"frame {sums[-1]:.3f} CPU-s (goal {SIZES[size]})")
+    began = time.perf_counter()
+    frame()
+    say(f"frame {time.perf_counter() - began:.3f} s of wall clock")
+
+
+def bench_encoding(renderer: Renderer) -> None:
+    small = Scene([room(1000)])
+    camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=64, height=48)
+    plan, placed, _ = planned(renderer, small, camera)
+
+    def encode() -> None:
+        for _ in range(20):
+            plan.submit(placed, camera, NOTHING_BEHIND, only=())
+        plan.collect()
+
+    def both() -> None:
+        for _ in range(20):
+            began.append(time.thread_time())
+            plan.submit(placed, camera, NOTHING_BEHIND)
+            taken.append(time.thread_time() - began[-1])
+            plan.collect()
+
+    began: list[float] = []
+    taken: list[float] = []
+    encode()
+    both()
+    steps = sum(map(len, plan.stages.values()))
+    say(f"encode and submit {steps} dispatches: {1000 * min(taken):.2f} ms of one thread")
+
+
+def bench_memory(renderer: Renderer, scene: Scene) -> None:
+    camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=640, height=360)
+    plan, placed, _ = planned(renderer, scene, camera)
+    resident = sum(page.rows.size + page.appearance.size for _, page in placed) / MILLION
+    of_gaussians = ("keys of G", "values of G", "shapes", "weights", "colors")
+    splats = sum(
+        buffer.size
+        for name, buffer in plan.buffers.items()
+        if name.startswith(of_gaussians)
+    )
+    rest = sum(buffer.size for buffer in plan.buffers.values()) - splats
+    say(f"per Gaussian: {resident:.0f} bytes of rows and harmonics (float32, degree 3), ")
+    say(
+        f"{splats / MILLION:.0f} of the plan; besides {rest / 1e6:.0f} MB for pairs and image"
+    )
+    say(f"largest binding: {max(b.size for b in plan.buffers.values()) / 2**20:.0f} MiB, ")
+    say(f"a page of {PAGE_ROWS:,} rows {PAGE_ROWS * 192 / 2**20:.0f} MiB")
+
+
+def bench_sorting_four_million(renderer: Renderer) -> None:
+    """The long test of the sort: compared with NumPy, too."""
+    device: Device = renderer.device
+    n, cut = 4 * MILLION, cut_for(device)
+    keys = np.random.default_rng(0).uniform(0.01, 100, n).astype(np.float32).view(np.uint32)
+    sort = RadixSort(device, cut, Scan(device, cut.block, 64, 256))
+    counts = device.storage("counts", counting.BYTES, extra="INDIRECT")
+    columns = [
+        Columns(device.storage("keys", 4 * n), device.storage("values", 4 * n))
+        for _ in range(2)
+    ]
+    steps, at = sort.steps(
+        counts,
+        sort.histogram(n),
+        columns,
+        bits=32,
+        source=Counts.VISIBLE,
+        groups=Counts.SORT_VISIBLE_GROUPS,
+        compacting=n,
+    )
+    device.write(counts, counting.initial(n, 0))
+
+    def once() -> None:
+        device.write(columns[0].keys, keys)
+        encoder = device.raw.create_command_encoder()
+        run(encoder, steps, "sort")
+        device.raw.queue.submit([encoder.finish()])
+        device.read(counts, np.uint32, 1)
+
+    seconds = cpu(once, 3)
+    wanted = sort_reference(keys, 32)
+    np.testing.assert_array_equal(device.read(columns[at].values, np.uint32, n), wanted)
+    numpys = cpu(lambda: np.argsort(keys, kind="stable"), 2)
+    say(f"sort of 4 M keys: {seconds:.3f} CPU-s, numpy's stable argsort {numpys:.3f}")
+
+
+def bench_two_hundred_still_frames(renderer: Renderer, scene: Scene) -> None:
+    """Memory stays where it is from frame to frame."""
+    import resource
+
+    camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=160, height=90)
+    small = Scene([SplatSet(room(10_000))])
+    renderer.render(small, camera)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for _ in range(200):
+        renderer.render(small, camera)
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    say(f"200 frames: peak memory grew by {grown / 1024:.1f} MiB")
+    assert grown < 20 * 1024
