@@ -82,6 +82,7 @@ def test_the_wheel_holds_every_room_and_its_data(wheel: Path) -> None:
         "gsgen/contract/targets_data/webgpu.json",
         "gsgen/conformance/fixtures/__init__.py",
         "gsgen/sdk/py.typed",
+        "gsgen/sdk/templates/plugin/pyproject.toml.in",
         "gsgen/formats/py.typed",
         "gsgen/runtime/py.typed",
         "gsgen/reference_plugins/py.typed",

@@ -113,11 +113,15 @@ def test_a_factory_is_exported_with_typed_arguments(folder: Path) -> None:
         *("export", "-o", "out/dots.onnx", "dots:Dots", "--arg", "n=12", "--arg"),
         *("color=blue", "--arg", "size=0.1", "--dtype", "float16", "--capacity", "16"),
         *("--name", "my dots", "--opset", "19", "--target", "webgpu", "--report", "r.json"),
+        *("--level", "live"),
         cwd=folder,
+        env={"VK_DRIVER_FILES": "/nonexistent"},
     )
     assert ran.code == 0, ran.err
     assert "out/dots.onnx: 16 rows, float16" in ran.out
-    assert "conforms at level behaviour" in ran.out
+    assert "conforms at level behaviour, live skipped" in ran.out
+    assert "no usable WebGPU adapter" in ran.out
+    assert "rewritten: end-on-compute (" in ran.out
     assert "agrees with torch at 13 probes: position" in ran.out
     opened = open_model(folder / "out" / "dots.onnx")
     assert opened.proto.opset_import[0].version == 19
@@ -126,6 +130,7 @@ def test_a_factory_is_exported_with_typed_arguments(folder: Path) -> None:
     assert (told["source"], told["written"], told["error"]) == ("dots:Dots", True, None)
     assert told["options"]["capacity"] == 16
     assert told["options"]["opset"] == 19
+    assert "end-on-compute" in [one["name"] for one in told["rewrites"]]
     assert {field["field"] for field in told["parity"]["fields"]} == {
         *("position", "covariance", "opacity", "appearance"),
     }

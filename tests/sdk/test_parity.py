@@ -7,7 +7,7 @@ from gsgen.contract import layout
 from gsgen.contract.manifest import Tolerances
 from gsgen.contract.probes import Probe
 from gsgen.sdk.eager import Reference
-from gsgen.sdk.parity import Parity, compare, fibonacci_directions
+from gsgen.sdk.parity import Parity, compare, fibonacci_directions, same
 
 
 @pytest.fixture
@@ -88,3 +88,21 @@ def test_directions_are_unit_and_spread() -> None:
     np.testing.assert_allclose(made.mean(axis=0), 0, atol=0.02)
     closest = (made @ made.T - 2 * np.eye(64)).max(axis=1)
     assert np.rad2deg(np.arccos(closest)).min() > 15
+
+
+def test_two_runs_are_the_same_to_the_bit_or_within_a_tolerance() -> None:
+    def reference(position: np.ndarray, count: int = 3) -> Reference:
+        made = layout.Gaussians(
+            position, np.ones(3), np.ones((3, 6)), rgb=np.full((3, 3), 0.5)
+        )
+        return Reference(Probe("p", {}), made, count)
+
+    points = np.arange(9.0).reshape(3, 3)
+    points[0, 0] = np.nan
+    known = reference(points)
+    assert same(known, reference(points.copy()))
+    assert not same(known, reference(points * (1 + 1e-6)))
+    assert same(known, reference(points * (1 + 1e-6)), 1e-5)
+    assert not same(known, reference(points * (1 + 1e-4)), 1e-5)
+    assert not same(known, reference(points, count=2))
+    assert not same(known, reference(np.concatenate([points, points])), 1e-5)

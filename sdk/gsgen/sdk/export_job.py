@@ -115,7 +115,13 @@ def _show(made: "Exported") -> None:
     kib = made.path.stat().st_size / 1024
     size = f"{kib:.1f} KiB" if kib < 1024 else f"{kib / 1024:.1f} MiB"
     rows = f"{gaussians.capacity:,} rows, {gaussians.dtype}, {size}"
-    typer.echo(f"{made.path}: {rows}; conforms at level {made.report.level.word}")
+    ran = [level.level.word for level in made.report.levels if level.ran]
+    skipped = [level.level.word for level in made.report.levels if not level.ran]
+    lacking = f", {' and '.join(skipped)} skipped" if skipped else ""
+    typer.echo(f"{made.path}: {rows}; conforms at level {ran[-1]}{lacking}")
+    if made.changes:
+        listed = ", ".join(f"{one.rewrite} ({len(one.nodes)})" for one in made.changes)
+        typer.echo(f"rewritten: {listed}")
     typer.echo(
         f"agrees with torch at {made.parity.probes} probes: {made.parity.describe()}"
     )

@@ -99,7 +99,7 @@ def export(
     """Write ``generator`` as an ONNX Gaussian Generator that conforms and agrees with torch.
 
     Args:
-        generator: The module; it is put into evaluation mode.
+        generator: The module; it is put into evaluation mode and moved to the CPU.
         path: Where the model goes; it is replaced only by a model that passed every check.
         name: What people call it; the file's stem where absent.
         dtype: Of both outputs.
@@ -117,7 +117,7 @@ def export(
         ExportRejected: The model breaks a rule; the error carries the report.
     """
     path = Path(path)
-    generator = generator.eval()
+    generator = generator.eval().cpu()
     progress("running the module in eager torch")
     described = _describe(generator, name or path.stem, dtype, capacity)
     manifest, references = described.manifest, described.references

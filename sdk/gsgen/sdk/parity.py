@@ -33,6 +33,8 @@ _ULPS = 16
 _EPSILON = {"float32": 2.0**-24, "float16": 2.0**-11}
 _SUBNORMAL = {"float32": 2.0**-149, "float16": 2.0**-24}
 _CHUNK = 8192
+# Below this size, numbers of a run are compared absolutely.
+_TYPICAL = 1e-2
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,15 +124,20 @@ def compare(
     return Parity(tuple(worst.values()), len(references))
 
 
-def same(a: Reference, b: Reference) -> bool:
-    """Say whether two runs gave the same bits."""
+def same(a: Reference, b: Reference, tolerance: float = 0.0) -> bool:
+    """Say whether two runs gave the same bits, or numbers within a relative tolerance."""
     pairs = (
         (getattr(a.gaussians, name), getattr(b.gaussians, name))
         for name in ("position", "opacity", "covariance", "sh", "rgb")
     )
-    return a.count == b.count and all(
-        x is y or np.array_equal(x, y, equal_nan=True) for x, y in pairs
-    )
+    return a.count == b.count and all(_alike(x, y, tolerance) for x, y in pairs)
+
+
+def _alike(a: np.ndarray | None, b: np.ndarray | None, tolerance: float) -> bool:
+    if a is None or b is None or a.shape != b.shape:
+        return a is b
+    floor = tolerance * _TYPICAL
+    return np.allclose(a, b, rtol=tolerance, atol=floor, equal_nan=True)
 
 
 def _all_finite(reference: Reference) -> bool:
