@@ -93,7 +93,10 @@ def test_directions_are_unit_and_spread() -> None:
 def test_two_runs_are_the_same_to_the_bit_or_within_a_tolerance() -> None:
     def reference(position: np.ndarray, count: int = 3) -> Reference:
         made = layout.Gaussians(
-            position, np.ones(3), np.ones((3, 6)), rgb=np.full((3, 3), 0.5)
+            position,
+            np.ones(len(position)),
+            np.ones((len(position), 6)),
+            rgb=np.full((len(position), 3), 0.5),
         )
         return Reference(Probe("p", {}), made, count)
 
