@@ -16,7 +16,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from docs_parts import commands, contract, corpus, manifest, report, rules, runs
+from docs_parts import commands, contract, corpus, manifest, passes, report, rules, runs
 
 from gsgen.contract.manifest_json import schemas
 from gsgen.contract.reporters.document import SCHEMA_FILE, schema
@@ -77,6 +77,8 @@ def generated() -> dict[Path, str]:
         for rule in registry.rules.values()
     }
     made[DOCS / "rules" / "index.md"] = index(registry)
+    made |= {DOCS / "passes" / f"{one.name}.md": passes.page(one) for one in passes.REWRITES}
+    made[DOCS / "passes" / "index.md"] = passes.index()
     published = schemas() | {SCHEMA_FILE: schema()}
     for name, document in published.items():
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
@@ -88,8 +90,9 @@ def generated() -> dict[Path, str]:
 
 
 def orphans(made: dict[Path, str]) -> list[Path]:
-    """Return pages of rules that no longer exist."""
-    return sorted(path for path in (DOCS / "rules").glob("*.md") if path not in made)
+    """Return pages of rules and of passes that no longer exist."""
+    pages = [*(DOCS / "rules").glob("*.md"), *(DOCS / "passes").glob("*.md")]
+    return sorted(path for path in pages if path not in made)
 
 
 def main(arguments: list[str]) -> int:
