@@ -1,0 +1,96 @@
+"""`gsgen export r3-avatar`: a checkpoint of R3-Avatar as a generator."""
+
+__all__ = ["PLUGIN"]
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.reference_plugins.commands.avatar_options import (
+    BodyFile,
+    Instances,
+    RootRotation,
+    Shape,
+    numbers_of,
+)
+from gsgen.reference_plugins.commands.options import Checkpoint, Iteration, note
+from gsgen.sdk.plugin import Plugin
+
+if TYPE_CHECKING:
+    from gsgen.reference_plugins.r3_avatar import R3Avatar
+
+Dataset = Annotated[
+    Literal["dna", "zju", "hifi4g", "mvhuman"] | None,
+    typer.Option(
+        help="Whose data it was trained on: that says how poses are timed.",
+        show_default="as source_path in cfg_args says",
+    ),
+]
+PoseIds = Annotated[
+    str | None,
+    typer.Option(
+        "--pose-ids",
+        help="Which poses of training can be asked for, such as 0-99 or 0,17,50; frame_index "
+        "counts them.",
+        show_default="all of which time knows",
+    ),
+]
+
+
+def build(
+    checkpoint: Checkpoint,
+    body: BodyFile = None,
+    iteration: Iteration = None,
+    dataset: Dataset = None,
+    pose_ids: PoseIds = None,
+    shape: Shape = None,
+    root_rotation: RootRotation = "matrix",
+    instances: Instances = 1,
+) -> "R3Avatar":
+    """Read a checkpoint, say what is in it, and return its generator."""
+    from gsgen.reference_plugins.checkpoints.r3_avatar import read_r3
+    from gsgen.reference_plugins.r3_avatar import R3Avatar
+
+    read = read_r3(checkpoint, iteration, body, dataset)
+    note(read.describe())
+    poses = ids_of(pose_ids) if pose_ids else list(range(2 * read.origin))
+    table = 4 * len(poses) * len(read.canonical) / 2**20
+    note(f"{len(poses)} frames; which vertices are nearest takes {table:.1f} MiB")
+    return R3Avatar(
+        read,
+        poses,
+        shape=numbers_of(shape, read.body.shape_dirs.shape[2], "--shape"),
+        rotation=root_rotation,
+        bodies=instances,
+    )
+
+
+def ids_of(text: str) -> list[int]:
+    """Return the numbers that a list such as ``0-9,17`` means.
+
+    Raises:
+        ConfigInvalid: It is no such list.
+    """
+    made: list[int] = []
+    for word in text.split(","):
+        first, dash, last = word.strip().partition("-")
+        if not (first.isdecimal() and (last.isdecimal() if dash else True)):
+            mend = "Write it as 0-99 or 0,17,50."
+            raise ConfigInvalid(f"{word!r} is no pose", where="--pose-ids", mend=mend)
+        made += range(int(first), int(last or first) + 1)
+        if len(made) > 100_000:
+            raise ConfigInvalid("lists more than 100,000 poses", where="--pose-ids")
+    if not made:
+        raise ConfigInvalid(f"{text!r} lists no pose", where="--pose-ids")
+    return made
+
+
+PLUGIN = Plugin(
+    name="r3-avatar",
+    summary="A person whose look changes from frame to frame (R3-Avatar).",
+    reads="Reads DIR/cfg_args, DIR/chkpntN.pth and the body model that --body names or "
+    "DIR/assets holds.",
+    inputs=("pose", "root_rotation", "root_translation", "frame_index", "shape"),
+    build=build,
+)
