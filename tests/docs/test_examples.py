@@ -44,6 +44,9 @@ def test_the_guide_s_command_exports_a_model_that_is_captured(
     assert "conforms at level live" in ran.output
     assert "skipped" not in ran.output
     assert "warning" not in ran.output
+    rewritten = re.search(r"^rewritten: (.*)$", ran.output, re.MULTILINE)
+    assert rewritten is not None
+    assert "end-on-compute (" in rewritten[1]
     shown = re.search(r"agrees with torch at 13 probes: (.*)", ran.output)
     assert shown is not None
     shares = [float(one) for one in re.findall(r"\(([\d.e+-]+) % of allowed\)", shown[1])]

@@ -36,12 +36,14 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
         ExportRejected,
         GeneratorInvalid,
         ParityFailed,
+        RewriteFailed,
     )
     from gsgen.sdk.export_report import Outcome, write_report
 
+    faults = (ExportFailed, ExportRejected, GeneratorInvalid, ParityFailed, RewriteFailed)
     try:
         made = _export(build, request)
-    except (ExportFailed, ExportRejected, GeneratorInvalid, ParityFailed) as error:
+    except faults as error:
         _clear_line()
         if request.report is not None:
             report = error.report if isinstance(error, ExportRejected) else None

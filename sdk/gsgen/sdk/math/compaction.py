@@ -1,4 +1,8 @@
-"""Choose rows without a shape that depends on data: a fixed number of them, and a count."""
+"""Choose rows without a shape that depends on data: a fixed number of them, and a count.
+
+Rows are sorted by TopK, which ONNX Runtime's WebGPU provider captures; onnxruntime-web 1.22 has no
+kernel for it. Where that matters, multiply opacity by the mask instead.
+"""
 
 __all__ = ["keep_rows", "top_rows"]
 
