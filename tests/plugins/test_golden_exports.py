@@ -1,5 +1,6 @@
 """Models that `gsgen export` writes, against what the methods' own code gave."""
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +8,10 @@ from pathlib import Path
 import onnx
 import pytest
 import torch
+from typer.testing import CliRunner
 
+from gsgen.cli.app import build
+from gsgen.cli.commands import find_commands
 from gsgen.contract.config import Settings
 from gsgen.contract.engine import validate
 from gsgen.contract.finding import Level
@@ -71,6 +75,21 @@ def test_it_runs_in_webgpu_and_no_replay_is_stale(case: Case) -> None:
         assert report.outcome(rule).status == "pass"
 
 
+def test_the_manifest_says_which_weights_it_was_made_of(case: Case) -> None:
+    place = shared(f"data/checkpoints/{case.name}/ckpt")
+    files = [
+        path
+        for path in place.rglob("iteration_*/*")
+        if path.suffix in (".ply", ".pt", ".pth")
+    ]
+    contents = b"".join(path.read_bytes() for path in sorted(files))
+    producer = case.made.manifest.producer
+    assert producer is not None
+    assert producer.weights_sha256 == hashlib.sha256(contents).hexdigest()
+    assert producer.source is not None
+    assert producer.source.startswith("https://")
+
+
 def test_half_precision_agrees_as_well_as_asked(case: Case) -> None:
     tool = acceptance()
     names = [one.name for one in case.generator.inputs]
@@ -103,21 +122,20 @@ def test_nothing_in_the_graph_keeps_it_from_being_captured(case: Case) -> None:
 
 def test_a_user_exports_for_a_viewer_and_is_told_what_was_found(tmp_path: Path) -> None:
     chosen = AnchorOptions(anchors=20, cameras=3, appearance=4, bank=True, iteration=40000)
-    write_octree(tmp_path / "run", chosen, mode="progressive")
-    ran = gsgen(
-        *("export", "octree-gs", "--checkpoint", tmp_path / "run", "--appearance-id", "1"),
-        *("-o", tmp_path / "tree.onnx", "--target", "visionary", "--dtype", "float16"),
-        *("--level", "static"),
-    )
-    assert ran.code == 0, ran.err
-    for words in (
+    run = write_octree(tmp_path / "run", chosen, mode="progressive")
+    words = ["export", "octree-gs", "--checkpoint", str(run), "--appearance-id", "1"]
+    words += ["-o", str(tmp_path / "tree.onnx"), "--target", "visionary"]
+    words += ["--dtype", "float16", "--level", "static"]
+    ran = CliRunner().invoke(build([find_commands()["export"]]), words)
+    assert ran.exit_code == 0, ran.output
+    for said in (
         "iteration 40000",
         "20 anchors × 5 Gaussians",
         "feature bank",
         "progressive",
     ):
-        assert words in ran.err
-    assert "3 appearances of 4" in ran.err
+        assert said in ran.stderr
+    assert "3 appearances of 4" in ran.stderr
     settings = Settings(level=Level.STATIC, target=load_target("visionary"))
     assert validate(tmp_path / "tree.onnx", settings).verdict == "conforms"
 

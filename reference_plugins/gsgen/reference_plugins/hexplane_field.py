@@ -6,7 +6,7 @@ point. Of the other three, a moment picks one row of cells, between whose two ne
 point always lies with the same weights: Gather takes the place of GridSample.
 """
 
-__all__ = ["HexPlaneField", "sample_plane"]
+__all__ = ["HexPlaneField"]
 
 from collections.abc import Sequence
 
@@ -15,27 +15,11 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from gsgen.reference_plugins.checkpoints.hexplanes import HexPlaneNets
+from gsgen.sdk.math import sample_plane
 
 # Planes of two directions of space, and for x, y and z the plane with time.
 _SPACE = {0: (0, 1), 1: (0, 2), 3: (1, 2)}
 _TIME = (2, 4, 5)
-
-
-def sample_plane(
-    plane: Float[Tensor, "c h w"], first: Tensor, second: Tensor
-) -> Float[Tensor, "n c"]:
-    """Interpolate between the four nearest cells; outside, the border goes on for ever.
-
-    Args:
-        plane: Cells; ``first`` runs along the width.
-        first: Coordinates from −1 (middle of the first cell) to 1 (of the last), [N].
-        second: The same along the height.
-    """
-    grid = torch.stack([first, second], dim=1)[None, :, None].to(plane.dtype)
-    sampled = torch.nn.functional.grid_sample(
-        plane[None], grid, mode="bilinear", padding_mode="border", align_corners=True
-    )
-    return sampled[0, :, :, 0].t()
 
 
 class _Moving(nn.Module):
@@ -79,7 +63,7 @@ class _Resolution(nn.Module):
     def __init__(self, planes: Sequence[Tensor], place: Float[Tensor, "n 3"]) -> None:
         super().__init__()
         parts = [
-            sample_plane(planes[index].double(), place[:, a], place[:, b])
+            sample_plane(planes[index].double(), place[:, [a, b]])
             for index, (a, b) in _SPACE.items()
         ]
         self.register_buffer("still", (parts[0] * parts[1] * parts[2]).float().contiguous())

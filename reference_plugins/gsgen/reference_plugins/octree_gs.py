@@ -5,7 +5,7 @@ Gaussians": the level that a distance asks for is log(d_max / d) to the base of 
 shift that each anchor learns. Decoding is that of Scaffold-GS.
 """
 
-__all__ = ["MODES", "Levels", "OctreeGS"]
+__all__ = ["MODES", "LevelGate", "Levels", "OctreeGS"]
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from typing import final
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from gsgen.reference_plugins.anchor_generator import AnchorGenerator
 from gsgen.reference_plugins.checkpoints.anchors import (
@@ -75,8 +75,7 @@ class Levels:
         return cls(mode, fork, float(cloud.info[0]), float(cloud.info[1]), top)
 
 
-@final
-class OctreeGS(AnchorGenerator):
+class LevelGate(nn.Module):
     """An anchor of level L is seen where a whole number made of the level asked for reaches L.
 
     The level that a distance d asks for is log(standard / d) / log(fork) + extra. Solved for d,
@@ -88,6 +87,50 @@ class OctreeGS(AnchorGenerator):
     start: Tensor
     least: Tensor
     most_share: Tensor
+
+    def __init__(self, cloud: AnchorCloud, levels: Levels, *, half_cell: bool = True) -> None:
+        """Solve for distances, in float64.
+
+        Args:
+            cloud: The anchors, with levels.
+            levels: How levels follow from distances.
+            half_cell: Distances reach to the middle of an anchor's cell, not to its corner.
+        """
+        super().__init__()
+        assert cloud.level is not None
+        assert cloud.extra_level is not None
+        level, extra = cloud.level[:, None].double(), cloud.extra_level[:, None].double()
+        self.fading = levels.mode == "progressive"
+        self.per_level = 1 / math.log(levels.fork)
+        shift = levels.voxel / 2 * levels.fork**-level if half_cell else 0.0
+        self.register_buffer("middle", (cloud.position + shift).float())
+        furthest = levels.standard * levels.fork ** (extra - level + MODES[levels.mode])
+        square = torch.where(level <= 0, _ALWAYS, furthest.square().clamp(max=_ALWAYS))
+        square = torch.where(level > levels.top, _NEVER, square)
+        self.register_buffer("furthest", square.float())
+        if self.fading:
+            start = extra - level + 1 + math.log(levels.standard) * self.per_level
+            self.register_buffer("start", start.float())
+            self.register_buffer("least", _ALMOST * (level <= 0).float())
+            most = torch.where(level >= levels.top, _ALMOST, 1.0)
+            self.register_buffer("most_share", most.float())
+
+    def forward(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
+        """Return 0 for anchors finer than their distance asks for; the last level fades in."""
+        offset = self.middle - centre
+        square = (offset * offset).sum(dim=1, keepdim=True)
+        visible = (square <= self.furthest).to(square.dtype)
+        if not self.fading:
+            return visible
+        logarithm = torch.log(square.clamp(min=_SMALLEST_SQUARE))
+        fraction = self.start - (0.5 * self.per_level) * logarithm
+        bounded = torch.minimum(torch.maximum(fraction, self.least), self.most_share)
+        return visible * bounded
+
+
+@final
+class OctreeGS(AnchorGenerator):
+    """Anchors of which a camera sees those that its distance asks for."""
 
     def __init__(
         self,
@@ -108,22 +151,7 @@ class OctreeGS(AnchorGenerator):
             selection: Which anchors are decoded.
         """
         super().__init__(cloud, nets, appearance=appearance, selection=selection)
-        assert cloud.level is not None
-        assert cloud.extra_level is not None
-        level, extra = cloud.level[:, None].double(), cloud.extra_level[:, None].double()
-        self.fading = levels.mode == "progressive"
-        self.per_level = 1 / math.log(levels.fork)
-        self.register_buffer("middle", (levels.voxel / 2 * levels.fork**-level).float())
-        furthest = levels.standard * levels.fork ** (extra - level + MODES[levels.mode])
-        square = torch.where(level <= 0, _ALWAYS, furthest.square().clamp(max=_ALWAYS))
-        square = torch.where(level > levels.top, _NEVER, square)
-        self.register_buffer("furthest", square.float())
-        if self.fading:
-            start = extra - level + 1 + math.log(levels.standard) * self.per_level
-            self.register_buffer("start", start.float())
-            self.register_buffer("least", _ALMOST * (level <= 0).float())
-            most = torch.where(level >= levels.top, _ALMOST, 1.0)
-            self.register_buffer("most_share", most.float())
+        self.gate = LevelGate(cloud, levels)
 
     @property
     def hides(self) -> bool:
@@ -132,12 +160,5 @@ class OctreeGS(AnchorGenerator):
 
     def shown(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
         """Hide anchors finer than their distance asks for; the last level fades in."""
-        offset = self.anchor + self.middle - centre  # of the middle of the cell
-        square = (offset * offset).sum(dim=1, keepdim=True)
-        visible = (square <= self.furthest).to(square.dtype)
-        if not self.fading:
-            return visible
-        logarithm = torch.log(square.clamp(min=_SMALLEST_SQUARE))
-        fraction = self.start - (0.5 * self.per_level) * logarithm
-        bounded = torch.minimum(torch.maximum(fraction, self.least), self.most_share)
-        return visible * bounded
+        seen: Tensor = self.gate(centre)
+        return seen

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 # What a good graphics card does in a sixtieth of a second, at a tenth of its peak.
 _HEAVY = 60e9
+_SOURCE = "https://github.com/ingra14m/Deformable-3D-Gaussians"
 
 
 def build(
@@ -30,6 +31,7 @@ def build(
 ) -> "Deformable3DGS":
     """Read a checkpoint, say what is in it, and return its generator."""
     from gsgen.reference_plugins.checkpoints.deformations import read_deformation
+    from gsgen.reference_plugins.checkpoints.provenance import producer_of
     from gsgen.reference_plugins.deformable_3dgs import Deformable3DGS
     from gsgen.sdk import inputs
 
@@ -40,7 +42,9 @@ def build(
     if read.operations > _HEAVY:
         note(f"warning: {read.operations / 1e9:.0f} GFLOP a frame is slow on most machines")
     time = inputs.time(frames=frames, fps=fps, loop=loop or None)
-    return Deformable3DGS(read.canonical, read.net, time)
+    made = Deformable3DGS(read.canonical, read.net, time)
+    made.producer = producer_of(_SOURCE, checkpoint, read.iteration)
+    return made
 
 
 PLUGIN = Plugin(

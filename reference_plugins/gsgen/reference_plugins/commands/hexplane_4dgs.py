@@ -17,6 +17,8 @@ from gsgen.sdk.plugin import Plugin
 if TYPE_CHECKING:
     from gsgen.reference_plugins.hexplane_4dgs import HexPlane4DGS
 
+_SOURCE = "https://github.com/hustvl/4DGaussians"
+
 
 def build(
     checkpoint: Checkpoint,
@@ -27,6 +29,7 @@ def build(
 ) -> "HexPlane4DGS":
     """Read a checkpoint, say what is in it, and return its generator."""
     from gsgen.reference_plugins.checkpoints.hexplanes import read_hexplanes
+    from gsgen.reference_plugins.checkpoints.provenance import producer_of
     from gsgen.reference_plugins.hexplane_4dgs import HexPlane4DGS
     from gsgen.sdk import inputs
 
@@ -35,7 +38,9 @@ def build(
     if read.flags.mask == "empty_voxel":
         note("warning: empty_voxel is honoured, but was never compared with the original")
     time = inputs.time(frames=frames, fps=fps, loop=loop or None)
-    return HexPlane4DGS(read.canonical, read.nets, read.flags, time)
+    made = HexPlane4DGS(read.canonical, read.nets, read.flags, time)
+    made.producer = producer_of(_SOURCE, checkpoint, read.iteration)
+    return made
 
 
 PLUGIN = Plugin(

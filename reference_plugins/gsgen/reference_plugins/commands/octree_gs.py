@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _HONOURED = {
     "resolution_scales": ([1.0], "levels are those of images at full resolution"),
 }
+_SOURCE = "https://github.com/city-super/Octree-GS"
 
 
 def build(
@@ -36,6 +37,7 @@ def build(
         read_anchors,
         require_appearance,
     )
+    from gsgen.reference_plugins.checkpoints.provenance import producer_of
     from gsgen.reference_plugins.octree_gs import Levels, OctreeGS
     from gsgen.reference_plugins.selection import Selection
 
@@ -45,9 +47,11 @@ def build(
     warn_of(read.cfg, _HONOURED)
     selection = Selection(cull, max_anchors)
     appearance = require_appearance(read, appearance_id, "--appearance-id")
-    return OctreeGS(
+    made = OctreeGS(
         read.cloud, read.nets, levels, appearance=appearance, selection=selection
     )
+    made.producer = producer_of(_SOURCE, checkpoint, read.iteration)
+    return made
 
 
 PLUGIN = Plugin(

@@ -17,6 +17,8 @@ from gsgen.sdk.plugin import Plugin
 if TYPE_CHECKING:
     from gsgen.reference_plugins.scaffold_gs import ScaffoldGS
 
+_SOURCE = "https://github.com/city-super/Scaffold-GS"
+
 
 def build(
     checkpoint: Checkpoint,
@@ -31,6 +33,7 @@ def build(
         read_anchors,
         require_appearance,
     )
+    from gsgen.reference_plugins.checkpoints.provenance import producer_of
     from gsgen.reference_plugins.scaffold_gs import ScaffoldGS
     from gsgen.reference_plugins.selection import Selection
 
@@ -42,7 +45,9 @@ def build(
         )
     selection = Selection(cull, max_anchors)
     appearance = require_appearance(read, appearance_id, "--appearance-id")
-    return ScaffoldGS(read.cloud, read.nets, appearance=appearance, selection=selection)
+    made = ScaffoldGS(read.cloud, read.nets, appearance=appearance, selection=selection)
+    made.producer = producer_of(_SOURCE, checkpoint, read.iteration)
+    return made
 
 
 PLUGIN = Plugin(
