@@ -21,7 +21,7 @@ from gsgen.sdk.half_model import HalfModel
 from gsgen.sdk.passes.to_float16 import Boundary, ToFloat16, key_of
 from gsgen.sdk.unit_search import largest_harmless
 from support.commands import gsgen
-from support.passes import parsed, run
+from support.passes import HEAD, parsed, run
 from support.small_models import manifest_of, model, save, weight
 
 N = 40
@@ -230,6 +230,31 @@ def test_what_knows_no_float16_stays() -> None:
     (after,) = run(model_, x=x)
     np.testing.assert_array_equal(after, before)
     assert model_.graph.initializers["s"].dtype == ir.DataType.FLOAT
+
+
+def test_results_whose_dtype_hangs_on_an_input_s_stay_as_they_are_declared() -> None:
+    text = """g (float[3] x) => (float[3] y) <float two = {2}> {
+        n = RandomUniformLike <seed = 1.0> (x)
+        m = Mul (n, two)
+        y = Sub (m, m) }"""
+    model_ = parsed(text)
+    ToFloat16()(model_)
+    (seen,) = run(model_, x=np.ones(3, np.float32))
+    np.testing.assert_array_equal(seen, np.zeros(3, np.float16))
+
+
+def test_outputs_that_are_inputs_or_weights() -> None:
+    text = """g (float[2] x) => (float[2] w, float[2] y, float[2] x) <float[2] w = {0.5, 2}> {
+        y = Mul (x, w) }"""
+    model_ = ir.serde.deserialize_model(onnx.parser.parse_model(HEAD + text))
+    rewrite = ToFloat16()
+    rewrite(model_)
+    assert [one.where for one in rewrite.refusals] == ["x"]
+    assert [value.name for value in model_.graph.inputs] == ["x"]
+    w, y, x = run(model_, x=np.array([3, 4], np.float32))
+    np.testing.assert_array_equal(w, np.array([0.5, 2], np.float16))
+    np.testing.assert_array_equal(y, np.array([1.5, 8], np.float16))
+    np.testing.assert_array_equal(x, np.array([3, 4], np.float32))
 
 
 def test_bodies_stay_and_what_they_read_is_cast_for_them() -> None:

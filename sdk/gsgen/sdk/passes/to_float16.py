@@ -70,7 +70,9 @@ class ToFloat16(CautiousRewrite):
             else:
                 _convert_value(graph, value, wants, is_half=value in native)
         for index, value in enumerate(list(graph.outputs)):
-            if value in ends or value in native:
+            if value.is_graph_input() and value in ends:
+                self.refuse(value, "it is an input, too, and inputs stay float32")
+            elif value in ends or value in native:
                 _convert_output(graph, index, value, is_half=value in ends)
 
 
@@ -100,7 +102,7 @@ def places_of(node: ir.Node, opset: int) -> tuple[list[int], list[int]]:
         formal.type_str for _, formal in given
     }
     if free and not is_op(node, "Cast"):
-        made = [one for one in made if one[1].type_str not in free]
+        return [], []
     stiff = {
         formal.type_str for _, formal in (*given, *made) if _ALLOWED not in formal.types
     }
@@ -192,7 +194,10 @@ def _convert_output(graph: ir.Graph, index: int, value: ir.Value, *, is_half: bo
     if value.dtype == wanted:
         return
     name = value.name
+    weight = graph.initializers.pop(name or "", None)
     value.name = f"{name}_{'float32' if is_half else 'float16'}"
+    if weight is not None:
+        graph.register_initializer(weight)
     cast = _cast(value, wanted)
     cast.outputs[0].name = name
     graph.append(cast)
