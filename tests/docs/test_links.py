@@ -9,6 +9,7 @@ import yaml
 
 from gsgen.cli.commands import find_commands
 from gsgen.contract.installed import installed_rules
+from gsgen.sdk.passes.registry import REWRITES
 from support.commands import ROOT, gsgen
 from support.pages import DOCS, README, anchors, links, name_of, pages
 
@@ -41,7 +42,7 @@ def test_every_command_is_described(page):
 
 
 def test_every_page_can_be_reached():
-    """From README, by following links; rules are reached through their index."""
+    """From README, by following links; rules and passes are reached through their index."""
     reached, todo = set(), [README, DOCS / "index.md"]
     while todo:
         page = todo.pop()
@@ -61,7 +62,8 @@ def test_every_page_of_the_navigation_exists():
     rules = {
         f"rules/{rule.id}.md" for rule in installed_rules().rules.values()
     }  # found through their index
-    assert set(named) == on_site - rules
+    passes = {f"passes/{one.name}.md" for one in REWRITES}
+    assert set(named) == on_site - rules - passes
 
 
 def _files(entry: object) -> list[str]:

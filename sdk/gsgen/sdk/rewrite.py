@@ -235,7 +235,7 @@ def prepare(model: ir.Model) -> None:
     and shapes are inferred.
     """
     InlinePass()(model)
-    RemoveUnusedFunctionsPass()(model)
+    RemoveUnusedFunctionsPass()(model)  # type: ignore[no-untyped-call]  # of onnx-ir
     LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0)(model)
     for node in model.graph.all_nodes():
         if not node.name and node.outputs:

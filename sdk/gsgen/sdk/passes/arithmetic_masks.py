@@ -113,8 +113,9 @@ def _logic(write: Before, kind: str, *numbers: ir.Value) -> ir.Value:
 
 def _undoes(node: ir.Node) -> bool:
     """Say whether ``node`` casts a mask to numbers that this pass has cast to booleans."""
-    maker = node.inputs[0].producer() if is_op(node, "Cast") and node.inputs[0] else None
-    if maker is None or not is_op(maker, "Cast") or node.inputs[0].dtype != _BOOL:
+    value = node.inputs[0] if is_op(node, "Cast") else None
+    maker = value.producer() if value is not None else None
+    if value is None or maker is None or not is_op(maker, "Cast") or value.dtype != _BOOL:
         return False
     inner = maker.inputs[0]
     return inner is not None and bool(inner.meta.get(_MARK))

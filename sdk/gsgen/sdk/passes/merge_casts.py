@@ -24,12 +24,16 @@ class MergeCasts(NodeRewrite):
 
     def matches(self, node: ir.Node) -> bool:
         """Say whether ``node`` casts what was cast without loss."""
-        inner = (
-            node.inputs[0].producer() if is_op(node, "Cast") and node.inputs[0] else None
-        )
-        if inner is None or not is_op(inner, "Cast") or inner.inputs[0] is None:
+        value = node.inputs[0] if is_op(node, "Cast") else None
+        inner = value.producer() if value is not None else None
+        if (
+            value is None
+            or inner is None
+            or not is_op(inner, "Cast")
+            or not inner.inputs[0]
+        ):
             return False
-        first, between = inner.inputs[0].dtype, node.inputs[0].dtype
+        first, between = inner.inputs[0].dtype, value.dtype
         last = node.outputs[0].dtype
         if (
             first is None

@@ -232,7 +232,7 @@ def _written(
     write: Before, kind: str, operands: Sequence[Any], attributes: dict[str, Any]
 ) -> ir.Value:
     values = [
-        write.constant(one, "number") if isinstance(one, np.generic) else one
+        write.constant(np.asarray(one), "number") if isinstance(one, np.generic) else one
         for one in operands
     ]
     tests = kind in (

@@ -11,7 +11,7 @@ import onnx_ir as ir
 
 from gsgen.sdk.passes.base import Exactness, Substitute
 from gsgen.sdk.passes.building import Before
-from gsgen.sdk.passes.facts import int_attribute, rank_of
+from gsgen.sdk.passes.facts import fixed_shape, int_attribute, rank_of
 
 # From these operator sets on, axes of a reduction are an argument; before, an attribute.
 _AXES_ARE_INPUT = 18
@@ -154,15 +154,9 @@ def _instance(norm: _Norm) -> None:
 
 def _group(norm: _Norm) -> None:
     groups = norm.node.attributes["num_groups"].as_int()
-    shape = norm.x.shape
-    assert shape is not None
-    known = all(isinstance(size, int) for size in shape)
-    size = (
-        norm.write.whole(*(int(size) for size in shape))
-        if known
-        else norm.op("Shape", norm.x)
-    )
-    if not known:
+    sizes = fixed_shape(norm.x)
+    size = norm.op("Shape", norm.x) if sizes is None else norm.write.whole(*sizes)
+    if sizes is None:
         size.type = ir.TensorType(ir.DataType.INT64)
     grouped = norm.op("Reshape", norm.x, norm.write.whole(0, groups, -1))
     centred = norm.op("Sub", grouped, norm.reduced("ReduceMean", grouped, [2]))

@@ -82,7 +82,8 @@ def _minus_one(write: Before, kind: np.dtype, zero: ir.Value) -> ir.Value:
 def _endless(write: Before, node: ir.Node, x: ir.Value) -> ir.Value:
     """Write IsInf: of either sign, or of the one that is asked for."""
     assert x.dtype is not None
-    end = write.constant(np.asarray(np.inf, x.dtype.numpy()), "number")
+    kind = x.dtype.numpy()
+    end = write.constant(np.asarray(np.inf, kind), "number")
     up, down = (
         int_attribute(node, f"detect_{sign}", 1) for sign in ("positive", "negative")
     )
@@ -91,5 +92,5 @@ def _endless(write: Before, node: ir.Node, x: ir.Value) -> ir.Value:
     elif down:
         x = write.op("Neg", x)
     elif not up:  # neither is asked for
-        end = write.constant(np.asarray(np.nan, x.dtype.numpy()), "number")
+        end = write.constant(np.asarray(np.nan, kind), "number")
     return write.op("Equal", x, end, dtype=ir.DataType.BOOL)
