@@ -59,6 +59,7 @@ class GauHuman(GaussianGenerator):
         shape: Sequence[float] | None = None,
         rotation: Rotation = "matrix",
         bodies: int = 1,
+        add_hands: bool = False,
     ) -> None:
         """Take the Gaussians out of the big pose.
 
@@ -69,6 +70,7 @@ class GauHuman(GaussianGenerator):
             shape: Shape coefficients to bake; an input where absent.
             rotation: How the rotation of a body as a whole is given.
             bodies: How many there are.
+            add_hands: Poses come without the mean pose of SMPL-X's hands.
         """
         super().__init__()
         free = body.shape_dirs.shape[2] if shape is None else 0
@@ -85,7 +87,7 @@ class GauHuman(GaussianGenerator):
         scale = np.exp(canonical.log_scale.double().numpy())
         turn = rest.rotation_of(canonical.rotation.double().numpy())
         baked = None if shape is None else np.asarray(shape)
-        self.limbs = Limbs(body, used, baked, nets)
+        self.limbs = Limbs(body, used, baked, nets, add_hands=add_hands)
         self.register_buffer("which", torch.from_numpy(which.astype(np.int32)))
         self.register_buffer("weights", planes_from(weights))
         self.register_buffer("place", planes_from(place)[None])

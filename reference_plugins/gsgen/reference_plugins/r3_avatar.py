@@ -55,6 +55,7 @@ class R3Avatar(GaussianGenerator):
         shape: Sequence[float] | None = None,
         rotation: Rotation = "matrix",
         bodies: int = 1,
+        add_hands: bool = False,
     ) -> None:
         """Find the nearest vertices of every frame.
 
@@ -64,6 +65,7 @@ class R3Avatar(GaussianGenerator):
             shape: Shape coefficients to bake; an input where absent.
             rotation: How the rotation of a body as a whole is given.
             bodies: How many there are.
+            add_hands: Poses come without the mean pose of SMPL-X's hands.
         """
         super().__init__()
         body = read.body
@@ -77,7 +79,7 @@ class R3Avatar(GaussianGenerator):
         vertex = self._nearest(xyz.double().numpy(), read, len(poses))
         used, which = np.unique(vertex, return_inverse=True)
         baked = None if shape is None else np.asarray(shape)
-        self.limbs = Limbs(body, used, baked, read.nets)
+        self.limbs = Limbs(body, used, baked, read.nets, add_hands=add_hands)
         offsets = weight_offsets(read.nets, xyz)
         # softmax(log w + b) is w eᵇ over its sum: logarithms are not taken every frame.
         factor = torch.exp(offsets - offsets.max(dim=1, keepdim=True).values)

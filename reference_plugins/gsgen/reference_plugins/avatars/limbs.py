@@ -32,6 +32,7 @@ class Limbs(nn.Module):
     shape_dirs: Tensor
     still: Tensor
     unit: Tensor
+    hands: Tensor | None
 
     def __init__(
         self,
@@ -39,6 +40,8 @@ class Limbs(nn.Module):
         vertices: Int[np.ndarray, " u"],
         shape: Float[np.ndarray, " s"] | None,
         nets: PoseNets | None,
+        *,
+        add_hands: bool = False,
     ) -> None:
         """Keep what concerns ``vertices``.
 
@@ -47,8 +50,13 @@ class Limbs(nn.Module):
             vertices: Which of its vertices are in use.
             shape: Shape coefficients to bake; an input where absent.
             nets: What corrects the turns of joints.
+            add_hands: Poses come without the mean pose of the hands.
         """
         super().__init__()
+        mean = body.hand_mean if add_hands else None
+        before = np.zeros(3 * body.joints - (0 if mean is None else len(mean)))
+        hands = None if mean is None else np.concatenate([before, mean]).reshape(1, -1, 3)
+        self.register_buffer("hands", None if hands is None else _float(hands))
         self.parents = body.parents
         self.free = shape is None
         fixed = np.zeros(0) if shape is None else np.asarray(shape, np.float64)
@@ -72,7 +80,8 @@ class Limbs(nn.Module):
         self, actor: Actor
     ) -> tuple[Float[Tensor, "k j 3 4"], Float[Tensor, "k 3 u"]]:
         """Return the joints' transforms and what is added to each vertex at rest."""
-        turns = self._turns(actor.pose)
+        pose = actor.pose if self.hands is None else actor.pose + self.hands
+        turns = self._turns(pose)
         bodies = turns.shape[0]
         feature = (turns[:, 1:] - self.unit).reshape(bodies, -1)
         added = (feature @ self.pose_dirs).reshape(bodies, 3, -1) + self.still

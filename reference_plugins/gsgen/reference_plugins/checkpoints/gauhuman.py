@@ -90,7 +90,9 @@ def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:
     gender = cfg.word("actor_gender", "neutral", _GENDERS).upper()
     file = f"SMPL_{gender}.pkl" if kind == "smpl" else f"models/smplx/SMPLX_{gender}.npz"
     joints = JOINTS[kind]
-    return read_body(required_body(body, {"assets": folder / "assets" / file}, joints), joints)
+    return read_body(
+        required_body(body, {"assets": folder / "assets" / file}, joints), joints
+    )
 
 
 def _read_nets(path: Path, joints: int) -> PoseNets:

@@ -1,13 +1,31 @@
 """Options that the plugins of people share."""
 
-__all__ = ["BodyFile", "Instances", "RootRotation", "Shape", "numbers_of"]
+__all__ = [
+    "BodyFile",
+    "Hands",
+    "Instances",
+    "MotionFile",
+    "RootRotation",
+    "Shape",
+    "Spacing",
+    "numbers_of",
+    "played",
+    "read_shape",
+]
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.reference_plugins.commands.options import note
+
+if TYPE_CHECKING:
+    from gsgen.reference_plugins.avatars.actors import ActorInputs
+    from gsgen.reference_plugins.checkpoints.motions import Motion
+    from gsgen.sdk import GaussianGenerator
 
 BodyFile = Annotated[
     Path | None,
@@ -32,6 +50,71 @@ Shape = Annotated[
         show_default="an input",
     ),
 ]
+MotionFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--motion",
+        help="Bake a motion, so that time moves the body: an .npz of AMASS, a folder of .npz "
+        "with R, Th and poses, or LHM's .json files.",
+        show_default="poses are inputs",
+    ),
+]
+Spacing = Annotated[
+    float, typer.Option(help="How far instances that play a motion stand apart, along x.")
+]
+Hands = Annotated[
+    Literal["full", "raw"],
+    typer.Option(
+        help="Whether poses of SMPL-X have the mean pose of the hands in them (full) or not (raw)."
+    ),
+]
+
+
+def read_shape(text: str | None, motion: "Motion | None", most: int) -> list[float] | None:
+    """Return the shape to bake: the one given, else that of the motion; none if it is an input.
+
+    Raises:
+        ConfigInvalid: ``text`` is no list of numbers.
+    """
+    given = numbers_of(text, most, "--shape")
+    if given is not None or motion is None:
+        return given
+    if motion.shape is None:
+        note("note: the motion names no shape: it is zero; --shape gives another")
+        return [0.0] * most
+    taken: Sequence[float] = motion.shape[:most].tolist()
+    note("note: the shape is that of who was recorded; --shape gives another")
+    return [*taken, *[0.0] * (most - len(taken))]
+
+
+def played(
+    avatar: "GaussianGenerator",
+    actors: "ActorInputs",
+    motion: "Motion | None",
+    *,
+    fps: float | None,
+    loop: bool,
+    spacing: float,
+) -> "GaussianGenerator":
+    """Return ``avatar``, or what plays ``motion`` with it, and say so.
+
+    Raises:
+        ConfigInvalid: An option needs a motion.
+        CheckpointInvalid: The motion is of another body.
+    """
+    from gsgen.reference_plugins.avatars.played import Played
+    from gsgen.sdk import inputs
+
+    if motion is None:
+        if fps is not None or loop:
+            what = "only a motion has a speed and an end"
+            raise ConfigInvalid(
+                what, where="--fps, --loop", mend="Give --motion FILE, too."
+            )
+        return avatar
+    note(motion.describe())
+    time = inputs.time(frames=len(motion), fps=fps or motion.fps, loop=loop or None)
+    return Played(avatar, actors, motion, time, spacing=spacing)
 
 
 def numbers_of(text: str | None, most: int, option: str) -> list[float] | None:
@@ -46,7 +129,9 @@ def numbers_of(text: str | None, most: int, option: str) -> list[float] | None:
         made = [float(word) for word in text.split(",")]
     except ValueError as error:
         mend = f"Write it as {option} 0.4,-1.2."
-        raise ConfigInvalid(f"{text!r} is no list of numbers", where=option, mend=mend) from error
+        raise ConfigInvalid(
+            f"{text!r} is no list of numbers", where=option, mend=mend
+        ) from error
     if len(made) > most or not all(abs(one) < 1e6 for one in made):
         what = f"gives {len(made)} numbers, wanted up to {most}, all finite"
         raise ConfigInvalid(what, where=option)

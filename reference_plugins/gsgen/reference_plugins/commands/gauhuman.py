@@ -6,16 +6,26 @@ from typing import TYPE_CHECKING
 
 from gsgen.reference_plugins.commands.avatar_options import (
     BodyFile,
+    Hands,
     Instances,
+    MotionFile,
     RootRotation,
     Shape,
-    numbers_of,
+    Spacing,
+    played,
+    read_shape,
 )
-from gsgen.reference_plugins.commands.options import Checkpoint, Iteration, note
+from gsgen.reference_plugins.commands.options import (
+    Checkpoint,
+    Fps,
+    Iteration,
+    Loop,
+    note,
+)
 from gsgen.sdk.plugin import Plugin
 
 if TYPE_CHECKING:
-    from gsgen.reference_plugins.gauhuman import GauHuman
+    from gsgen.sdk import GaussianGenerator
 
 
 def build(
@@ -24,23 +34,31 @@ def build(
     iteration: Iteration = None,
     shape: Shape = None,
     root_rotation: RootRotation = "matrix",
+    hands: Hands = "full",
     instances: Instances = 1,
-) -> "GauHuman":
+    motion: MotionFile = None,
+    fps: Fps = None,
+    loop: Loop = False,
+    spacing: Spacing = 1.0,
+) -> "GaussianGenerator":
     """Read a checkpoint, say what is in it, and return its generator."""
     from gsgen.reference_plugins.checkpoints.gauhuman import read_gauhuman
+    from gsgen.reference_plugins.checkpoints.motions import read_motion
     from gsgen.reference_plugins.gauhuman import GauHuman
 
     read = read_gauhuman(checkpoint, iteration, body)
     note(read.describe())
-    baked = numbers_of(shape, read.body.shape_dirs.shape[2], "--shape")
-    return GauHuman(
+    told = read_motion(motion, read.body.joints) if motion else None
+    avatar = GauHuman(
         read.canonical,
         read.body,
         read.nets,
-        shape=baked,
-        rotation=root_rotation,
+        shape=read_shape(shape, told, read.body.shape_dirs.shape[2]),
+        rotation="matrix" if told else root_rotation,
         bodies=instances,
+        add_hands=hands == "raw",
     )
+    return played(avatar, avatar.actors, told, fps=fps, loop=loop, spacing=spacing)
 
 
 PLUGIN = Plugin(
@@ -49,6 +67,6 @@ PLUGIN = Plugin(
     reads="Reads DIR/cfg_args, DIR/point_cloud/iteration_N/point_cloud.ply, the networks in "
     "DIR/mlp_ckpt/iteration_N/ckpt.pth where they were trained, and the body model that --body "
     "names or DIR/assets holds.",
-    inputs=("pose", "root_rotation", "root_translation", "shape"),
+    inputs=("pose", "root_rotation", "root_translation", "shape", "time"),
     build=build,
 )

@@ -8,23 +8,33 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.reference_plugins.commands.avatar_options import BodyFile, Instances
-from gsgen.reference_plugins.commands.options import Checkpoint, note
+from gsgen.reference_plugins.commands.avatar_options import (
+    BodyFile,
+    Instances,
+    MotionFile,
+    Spacing,
+    played,
+)
+from gsgen.reference_plugins.commands.options import Checkpoint, Fps, Loop, note
 from gsgen.sdk.plugin import Plugin
 
 if TYPE_CHECKING:
-    from gsgen.reference_plugins.lhm import LHM
+    from gsgen.sdk import GaussianGenerator
 
 Flame = Annotated[
     Path | None,
     typer.Option(
-        "--flame", help="FLAME_NEUTRAL.pkl, whose expressions LHM uses.", show_default="none"
+        "--flame",
+        help="FLAME_NEUTRAL.pkl, whose expressions LHM uses.",
+        show_default="none",
     ),
 ]
 FlameIds = Annotated[
     Path | None,
     typer.Option(
-        "--flame-ids", help="SMPL-X__FLAME_vertex_ids.npy, with --flame.", show_default="none"
+        "--flame-ids",
+        help="SMPL-X__FLAME_vertex_ids.npy, with --flame.",
+        show_default="none",
     ),
 ]
 NoExpression = Annotated[
@@ -39,9 +49,14 @@ def build(
     flame_ids: FlameIds = None,
     no_expression: NoExpression = False,
     instances: Instances = 1,
-) -> "LHM":
+    motion: MotionFile = None,
+    fps: Fps = None,
+    loop: Loop = False,
+    spacing: Spacing = 1.0,
+) -> "GaussianGenerator":
     """Read an avatar, say what is in it, and return its generator."""
     from gsgen.reference_plugins.checkpoints.lhm import read_face, read_lhm
+    from gsgen.reference_plugins.checkpoints.motions import read_motion
     from gsgen.reference_plugins.lhm import LHM
 
     if (flame is None) != (flame_ids is None):
@@ -55,7 +70,9 @@ def build(
             "warning: expressions are those of SMPL-X; LHM has FLAME's in the face: "
             "give --flame and --flame-ids, or --no-expression"
         )
-    return LHM(read, face, expression=not no_expression, bodies=instances)
+    told = read_motion(motion, read.body.joints) if motion else None
+    avatar = LHM(read, face, expression=not no_expression, bodies=instances)
+    return played(avatar, avatar.actors, told, fps=fps, loop=loop, spacing=spacing)
 
 
 PLUGIN = Plugin(
@@ -63,6 +80,6 @@ PLUGIN = Plugin(
     summary="A person from one picture, whom SMPL-X moves (LHM).",
     reads="Reads the avatar's .pth in DIR, DIR/pretrained_models/dense_sample_points/*.ply and "
     "voxel_grid/human_prior_constrain.npz, and the SMPL-X model that --body names or DIR holds.",
-    inputs=("pose", "root_translation", "expression"),
+    inputs=("pose", "root_translation", "expression", "time"),
     build=build,
 )

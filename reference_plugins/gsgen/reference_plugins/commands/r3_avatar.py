@@ -9,16 +9,26 @@ import typer
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.reference_plugins.commands.avatar_options import (
     BodyFile,
+    Hands,
     Instances,
+    MotionFile,
     RootRotation,
     Shape,
-    numbers_of,
+    Spacing,
+    played,
+    read_shape,
 )
-from gsgen.reference_plugins.commands.options import Checkpoint, Iteration, note
+from gsgen.reference_plugins.commands.options import (
+    Checkpoint,
+    Fps,
+    Iteration,
+    Loop,
+    note,
+)
 from gsgen.sdk.plugin import Plugin
 
 if TYPE_CHECKING:
-    from gsgen.reference_plugins.r3_avatar import R3Avatar
+    from gsgen.sdk import GaussianGenerator
 
 Dataset = Annotated[
     Literal["dna", "zju", "hifi4g", "mvhuman"] | None,
@@ -46,24 +56,35 @@ def build(
     pose_ids: PoseIds = None,
     shape: Shape = None,
     root_rotation: RootRotation = "matrix",
+    hands: Hands = "full",
     instances: Instances = 1,
-) -> "R3Avatar":
+    motion: MotionFile = None,
+    fps: Fps = None,
+    loop: Loop = False,
+    spacing: Spacing = 1.0,
+) -> "GaussianGenerator":
     """Read a checkpoint, say what is in it, and return its generator."""
+    from gsgen.reference_plugins.checkpoints.motions import read_motion
     from gsgen.reference_plugins.checkpoints.r3_avatar import read_r3
     from gsgen.reference_plugins.r3_avatar import R3Avatar
 
     read = read_r3(checkpoint, iteration, body, dataset)
     note(read.describe())
-    poses = ids_of(pose_ids) if pose_ids else list(range(2 * read.origin))
+    told = read_motion(motion, read.body.joints) if motion else None
+    # A motion shows a frame of training with each of its own, so it needs no more.
+    known = min(2 * read.origin, len(told)) if told else 2 * read.origin
+    poses = ids_of(pose_ids) if pose_ids else list(range(known))
     table = 4 * len(poses) * len(read.canonical) / 2**20
     note(f"{len(poses)} frames; which vertices are nearest takes {table:.1f} MiB")
-    return R3Avatar(
+    avatar = R3Avatar(
         read,
         poses,
-        shape=numbers_of(shape, read.body.shape_dirs.shape[2], "--shape"),
-        rotation=root_rotation,
+        shape=read_shape(shape, told, read.body.shape_dirs.shape[2]),
+        rotation="matrix" if told else root_rotation,
         bodies=instances,
+        add_hands=hands == "raw",
     )
+    return played(avatar, avatar.actors, told, fps=fps, loop=loop, spacing=spacing)
 
 
 def ids_of(text: str) -> list[int]:
@@ -91,6 +112,6 @@ PLUGIN = Plugin(
     summary="A person whose look changes from frame to frame (R3-Avatar).",
     reads="Reads DIR/cfg_args, DIR/chkpntN.pth and the body model that --body names or "
     "DIR/assets holds.",
-    inputs=("pose", "root_rotation", "root_translation", "frame_index", "shape"),
+    inputs=("pose", "root_rotation", "root_translation", "frame_index", "shape", "time"),
     build=build,
 )
