@@ -1,0 +1,84 @@
+"""GB, render: what the model emits can be seen.
+
+Registered under the entry point group ``gsgen.rules``; importing this costs little.
+"""
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING
+
+from gsgen.contract.behaviour import Trial
+from gsgen.contract.finding import Breach, Level, Severity
+from gsgen.contract.layout import CULL_OPACITY
+from gsgen.contract.rule import rule
+from gsgen.contract.runner import Prepared, Runner
+
+if TYPE_CHECKING:
+    from gsgen.runtime.showing import Showing
+
+
+def _prepare(trial: Trial) -> AbstractContextManager[Prepared]:
+    from gsgen.runtime.showing import prepare_render
+
+    return prepare_render(trial)
+
+
+RUNNER = Runner(Level.RENDER, "drawing frames", _prepare)
+
+_NEEDS = ("GV025", "GO001", "GO002", "GO005", "GO008")
+
+
+@rule(
+    "GB018",
+    "picture-not-empty",
+    Severity.ERROR,
+    over="render",
+    fixture="too_fine_to_be_seen",
+    needs=_NEEDS,
+)
+def picture_not_empty(showing: "Showing") -> Iterator[Breach]:
+    """A camera that looks at the model sees it in at least one of the frames that are drawn.
+
+    Why:
+        Every tensor may keep the contract, and yet nothing is on the screen: Gaussians of the
+        wrong unit, behind the camera that they are culled for, or so fine that antialiasing
+        leaves nothing of them.
+
+    Mend:
+        Draw the model with `gsgen render`, and compare the scale of positions and covariances with
+        "bounds". With antialias "mip", Gaussians must be about a pixel wide to be seen.
+    """
+    frames = [frame for frame in showing.frames if frame.live]
+    if frames and not any(_is_seen(frame.covered) for frame in frames):
+        most = max(frame.covered for frame in frames)
+        saw = f"no pixel is covered by more than {most:.2g} in any of {len(frames)} frames"
+        yield Breach.at("picture", saw, f"at least {CULL_OPACITY:.2g} somewhere")
+
+
+@rule(
+    "GB019",
+    "every-frame-shows",
+    Severity.WARNING,
+    over="render",
+    fixture="grows_out_of_nothing",
+    needs=(*_NEEDS, "GB018"),
+)
+def every_frame_shows(showing: "Showing") -> Iterator[Breach]:
+    """Every frame that is drawn, and that has live rows, shows something.
+
+    Why:
+        A model that is empty for some cameras or times flickers, and most often culls by a matrix
+        that it reads in the wrong order.
+
+    Mend:
+        Draw the frame that is named with `gsgen render`. If nothing is to be seen there, give a
+        count of zero; else check what depends on the camera and the time.
+    """
+    for frame in showing.frames:
+        if frame.live and not _is_seen(frame.covered):
+            saw = f"{frame.visible} of {frame.live} rows are drawn at {frame.probe!r}, none visibly"
+            yield Breach.at("picture", saw, "a pixel that something covers")
+
+
+def _is_seen(covered: float) -> bool:
+    return covered >= CULL_OPACITY

@@ -1,0 +1,172 @@
+"""Draw a model's outputs as a viewer would: what the rules of level ``render`` look at."""
+
+__all__ = ["Showing", "Shown", "prepare_render"]
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Final
+
+import numpy as np
+
+from gsgen.contract.behaviour import Trial
+from gsgen.contract.manifest import GeneratorManifest
+from gsgen.contract.probes import Probe, as_tensor
+from gsgen.contract.runner import LevelUnavailable, Prepared
+from gsgen.runtime.camera import Camera
+from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable
+from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.scene import Scene, SplatSet
+from gsgen.runtime.sources import direction
+from gsgen.runtime.splat_data import SplatData
+
+_WIDTH: Final = 640
+_HEIGHT: Final = 360
+_FRAMES: Final = 5
+_FOV_Y: Final = 50.0
+_DISTANCE: Final = 2.2  # half diagonals of the bounds, as the probes' own cameras have it
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """One frame that was drawn.
+
+    Attributes:
+        probe: Label of its inputs.
+        live: How many rows are live.
+        visible: How many Gaussians were drawn.
+        covered: The most that any pixel is covered, in [0, 1].
+    """
+
+    probe: str
+    live: int
+    visible: int
+    covered: float
+
+
+@dataclass(frozen=True, slots=True)
+class Showing:
+    """The frames of a model, drawn.
+
+    Attributes:
+        frames: In the order of the probes.
+        device: What drew them.
+    """
+
+    frames: tuple[Shown, ...]
+    device: str
+
+
+@contextmanager
+def prepare_render(trial: Trial) -> Iterator[Prepared]:
+    """Draw what the model of ``trial`` gave for some of its probes.
+
+    Raises:
+        LevelUnavailable: A package, an adapter or its memory is missing here.
+    """
+    if find_spec("wgpu") is None:
+        raise LevelUnavailable("wgpu is not installed", mend="pip install 'gsgen[runtime]'")
+    began = time.monotonic()
+    try:
+        renderer = Renderer()
+        frames = tuple(_drawn(trial, renderer))
+    except (DeviceUnavailable, CapacityExceeded) as error:
+        raise LevelUnavailable(error.what, mend=error.mend) from error
+    yield Prepared(
+        context=Showing(frames, renderer.device.name),
+        items=len(frames),
+        environment={"renderer": renderer.device.name},
+        seconds=time.monotonic() - began,
+    )
+
+
+def _drawn(trial: Trial, renderer: Renderer) -> Iterator[Shown]:
+    manifest = trial.subject.generator
+    assert manifest is not None  # the rules are of generators alone
+    outputs, runs = manifest.outputs, trial.execution.runs
+    assert outputs.gaussians is not None
+    assert outputs.appearance is not None
+    for number in _chosen(trial):
+        probe = trial.plan.probes[number]
+        tensors = trial.execution.samples[runs[number].sample].outputs
+        rows = np.asarray(tensors[outputs.gaussians.name])
+        count = len(rows)
+        if outputs.count is not None:
+            count = int(np.clip(tensors[outputs.count.name].reshape(-1)[0], 0, len(rows)))
+        color = np.asarray(tensors[outputs.appearance.name])
+        data = SplatData(rows, color, outputs.appearance.space, count=count)
+        scene = Scene([SplatSet(data, antialias=manifest.antialias)])
+        frame = renderer.render(scene, _camera(manifest, probe))
+        yield Shown(probe.label, count, frame.visible, float(frame.alpha.max()))
+
+
+def _chosen(trial: Trial) -> list[int]:
+    """Choose runs that are spread over the probes; all inputs zero is no camera."""
+    every = [
+        number for number in range(trial.plan.values) if not trial.plan.probes[number].zeros
+    ]
+    return [
+        every[i]
+        for i in np.linspace(0, len(every) - 1, min(len(every), _FRAMES))
+        .round()
+        .astype(int)
+    ]
+
+
+def _camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
+    """Return the camera that the inputs describe, or one that looks at the bounds."""
+    given = {one.role: probe.inputs[one.name] for one in manifest.inputs}
+    order = manifest.space.matrix_order if manifest.space else "column"
+    plain = _looking(manifest, given.get("camera_position"))
+    if "view" not in given:
+        return plain
+    view = as_tensor(np.asarray(given["view"], np.float64), order).astype(np.float64)
+    if "projection" not in given:
+        return Camera(
+            view, plain.fx, plain.fy, plain.cx, plain.cy, plain.width, plain.height
+        )
+    lens = as_tensor(np.asarray(given["projection"], np.float64), order).astype(np.float64)
+    height = max(1, round(_WIDTH * lens[0, 0] / -lens[1, 1]))
+    focal = _WIDTH / 2 * float(lens[0, 0])
+    return Camera(
+        view,
+        focal,
+        height / 2 * float(-lens[1, 1]),
+        _WIDTH / 2 * float(lens[0, 2] + 1),
+        height / 2 * float(1 - lens[1, 2]),
+        _WIDTH,
+        height,
+    )
+
+
+def _looking(manifest: GeneratorManifest, eye: np.ndarray | None) -> Camera:
+    """Return a camera that looks at the middle of the bounds, from ``eye`` if it is given."""
+    bounds = manifest.bounds
+    low, high = (
+        (np.array(bounds.min), np.array(bounds.max))
+        if bounds is not None
+        else (-np.ones(3), np.ones(3))
+    )
+    center, reach = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+    up = direction(manifest.space.up if manifest.space else "-y")
+    if eye is None or np.allclose(eye, center):
+        return Camera.orbit(
+            center.tolist(),
+            _DISTANCE * reach,
+            azimuth=30,
+            elevation=20,
+            up=up,
+            width=_WIDTH,
+            height=_HEIGHT,
+            fov_y=_FOV_Y,
+        )
+    return Camera.look_at(
+        eye.reshape(-1).tolist(),
+        center.tolist(),
+        up=up,
+        width=_WIDTH,
+        height=_HEIGHT,
+        fov_y=_FOV_Y,
+    )
