@@ -1,11 +1,12 @@
 """What Scaffold-GS and its descendants share: anchors decoded for the camera at hand."""
 
-__all__ = ["AnchorGenerator"]
+__all__ = ["AnchorGenerator", "Decoding"]
 
 from abc import abstractmethod
+from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from gsgen.contract.errors import GsgenError
@@ -17,6 +18,23 @@ from gsgen.sdk import GaussianGenerator, Gaussians, inputs
 from gsgen.sdk.math import camera_centre, keep_rows
 
 _SMALLEST_SQUARE = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Decoding:
+    """The anchors of one frame, and from where they are seen.
+
+    Attributes:
+        camera: World→camera matrix in column order.
+        asked: Direction and distance of each anchor.
+        position: Centres of their Gaussians, x y z after each other.
+        rows: Which anchors they are; all, in order, where absent.
+    """
+
+    camera: Float[Tensor, "4 4"]
+    asked: Asked
+    position: Float[Tensor, "n k3"]
+    rows: Int[Tensor, " n"] | None = None
 
 
 class AnchorGenerator(GaussianGenerator):
@@ -90,11 +108,14 @@ class AnchorGenerator(GaussianGenerator):
             one if rows is None else torch.index_select(one, 0, rows)
             for one in (self.anchor, self.scale, self.position)
         )
-        made = self.heads(_asked(anchor, centre, others, self.heads.appearances), rows)
-        opacity = torch.relu(made.opacity)
+        asked = _asked(anchor, centre, others, self.heads.appearances)
+        made = self.heads(asked, rows)
+        opacity = self.weighed(
+            torch.relu(made.opacity), Decoding(camera, asked, position, rows)
+        )
         scale = [
-            torch.sigmoid(factor) * base[:, axis : axis + 1]
-            for axis, factor in enumerate(made.scale)
+            factor * base[:, axis : axis + 1]
+            for axis, factor in enumerate(self.shares(made.scale, rows))
         ]
         return Gaussians(
             position=position.reshape(-1, 3),
@@ -103,6 +124,16 @@ class AnchorGenerator(GaussianGenerator):
             rgb=torch.sigmoid(made.color),
             count=None if count is None else count * self.per_anchor,
         )
+
+    def shares(
+        self, factors: tuple[Tensor, ...], rows: Int[Tensor, " n"] | None
+    ) -> list[Float[Tensor, "n k"]]:
+        """Return how large Gaussians are along each axis, as a share of their anchor's scale."""
+        return [torch.sigmoid(factor) for factor in factors]
+
+    def weighed(self, opacity: Float[Tensor, "n k"], now: Decoding) -> Float[Tensor, "n k"]:
+        """Return what a renderer takes as opacity, of what the network says."""
+        return opacity
 
     def _shown(
         self, camera: Tensor, centre: Tensor, others: tuple[Tensor, ...]

@@ -88,7 +88,9 @@ class LevelGate(nn.Module):
     least: Tensor
     most_share: Tensor
 
-    def __init__(self, cloud: AnchorCloud, levels: Levels, *, half_cell: bool = True) -> None:
+    def __init__(
+        self, cloud: AnchorCloud, levels: Levels, *, half_cell: bool = True
+    ) -> None:
         """Solve for distances, in float64.
 
         Args:

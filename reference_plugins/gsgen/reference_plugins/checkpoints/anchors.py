@@ -10,9 +10,13 @@ __all__ = [
     "AnchorCloud",
     "AnchorNets",
     "Mlp",
+    "States",
     "describe_anchors",
+    "numbered",
     "read_anchors",
+    "read_nets",
     "require_appearance",
+    "require_sizes",
 ]
 
 import re
@@ -157,20 +161,29 @@ def read_anchors(
     cfg = read_cfg_args(folder, required=octree)
     ply = required_file(place / "point_cloud.ply", "the anchors")
     cloud = _read_cloud(ply, octree)
+    require_sizes(cfg, cloud, ply)
+    return AnchorCheckpoint(
+        folder, number, cfg, cloud, read_nets(place, cfg, cloud, octree)
+    )
+
+
+def require_sizes(cfg: CfgArgs, cloud: AnchorCloud, ply: Path) -> None:
+    """Refuse anchors of other sizes than the options say.
+
+    Raises:
+        CheckpointInvalid: They are of another run.
+    """
     for option, seen in (("n_offsets", cloud.per_anchor), ("feat_dim", cloud.width)):
         if cfg.integer(option, seen) != seen:
             what = f"{option} is {cfg.values[option]}, but {ply.name} has {seen}"
             raise CheckpointInvalid(what, where=str(cfg.path))
-    return AnchorCheckpoint(
-        folder, number, cfg, cloud, _read_nets(place, cfg, cloud, octree)
-    )
 
 
 def _read_cloud(path: Path, octree: bool) -> AnchorCloud:
     try:
         names = ply_properties(path)
         _require_method(path, names, octree)
-        offsets, features = _numbered(_OFFSET, names), _numbered(_FEATURE, names)
+        offsets, features = numbered(_OFFSET, names), numbered(_FEATURE, names)
         groups = {"position": _XYZ, "scale": _SCALES, "rotation": _ROTATION}
         groups |= {"offset": offsets, "feature": features}
         groups |= {name: (name,) for name in _LEVELS} if octree else {}
@@ -203,11 +216,11 @@ def _require_method(path: Path, names: tuple[str, ...], octree: bool) -> None:
     if not duplex and (seen == "octree-gs") == octree:
         return
     made = "Duplex-GS" if duplex else "Octree-GS" if seen == "octree-gs" else "Scaffold-GS"
-    mend = "" if duplex else f"Export it with `gsgen export {seen}`."
+    mend = f"Export it with `gsgen export {'duplex-gs' if duplex else seen}`."
     raise CheckpointInvalid(f"is a checkpoint of {made}", where=str(path), mend=mend)
 
 
-def _numbered(pattern: re.Pattern[str], names: tuple[str, ...]) -> tuple[str, ...]:
+def numbered(pattern: re.Pattern[str], names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names that fit, by number: files may list them in the order of text."""
     found = [(int(match[1]), name) for name in names if (match := pattern.fullmatch(name))]
     return tuple(name for _, name in sorted(found))
@@ -224,7 +237,18 @@ class _Sizes:
     octree: bool
 
 
-def _read_nets(place: Path, cfg: CfgArgs, cloud: AnchorCloud, octree: bool) -> AnchorNets:
+def read_nets(place: Path, cfg: CfgArgs, cloud: AnchorCloud, octree: bool) -> AnchorNets:
+    """Read the networks beside the anchors.
+
+    Args:
+        place: The folder of the iteration.
+        cfg: The options of the run.
+        cloud: The anchors, whose sizes the networks' shapes follow from.
+        octree: Networks may know the level.
+
+    Raises:
+        CheckpointInvalid: One is missing, or does not fit.
+    """
     states = _states(place)
     path, state = states.get("embedding", (place, {}))
     embedding = _embedding(path, state, cfg) if state else None

@@ -10,6 +10,7 @@ from gsgen.contract.lazy import attributes
 if TYPE_CHECKING:
     from gsgen.reference_plugins.synthetic.anchors import (
         AnchorOptions,
+        write_duplex,
         write_octree,
         write_scaffold,
     )
@@ -25,6 +26,7 @@ __all__ = [
     "HexPlaneOptions",
     "torus_knot",
     "write_deformable",
+    "write_duplex",
     "write_hexplane",
     "write_octree",
     "write_scaffold",
@@ -35,6 +37,7 @@ _HOME = {
     "HexPlaneOptions": "moving",
     "torus_knot": "knot",
     "write_deformable": "moving",
+    "write_duplex": "anchors",
     "write_hexplane": "moving",
     "write_octree": "anchors",
     "write_scaffold": "anchors",

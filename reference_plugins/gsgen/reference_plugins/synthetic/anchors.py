@@ -4,7 +4,7 @@ Anchors lie along a torus knot. Most of a network is noise, but the first number
 carry a hue to the colour, and most opacities are high, so that pictures show a coloured knot.
 """
 
-__all__ = ["AnchorOptions", "write_octree", "write_scaffold"]
+__all__ = ["AnchorOptions", "write_duplex", "write_octree", "write_scaffold"]
 
 import warnings
 from collections.abc import Mapping
@@ -84,18 +84,66 @@ def write_octree(
         levels: How many there are.
     """
     rng = np.random.default_rng(options.seed)
+    columns = _place(options) | _levels(options, levels, rng) | _payload(options, rng)
+    _write(folder, options, columns, _cfg(options) | _level_cfg(options, mode, fork))
+    return folder
+
+
+def write_duplex(
+    folder: Path,
+    options: AnchorOptions = AnchorOptions(iteration=40000),
+    *,
+    mode: str = "round",
+    fork: int = 2,
+    levels: int = 3,
+    degree: int = 3,
+    sigma: float = 9.0,
+    depth: bool = True,
+) -> Path:
+    """Write a checkpoint of Duplex-GS, and return ``folder``.
+
+    Args:
+        folder: Where.
+        options: What anchor methods share.
+        mode: How a level becomes a whole number: round, floor, ceil or progressive.
+        fork: By how much a level is finer than the one before.
+        levels: How many there are.
+        degree: Of the spherical harmonics of visibility.
+        sigma: The depth at which weights fall to 0.
+        depth: Whether they fall with depth at all.
+    """
+    rng = np.random.default_rng(options.seed)
+    n = options.anchors
+    columns = _place(options) | _levels(options, levels, rng)
+    columns["info"][2:5] = sigma, 0.05, 1.0  # sigma, background weight, transmittance grade
+    dropped = ("opacity", "scale_", "rot_")
+    made = _payload(options, rng)
+    columns |= {name: made[name] for name in made if not name.startswith(dropped)}
+    columns |= {f"anchor_size_{i}": rng.normal(-1.7, 0.3, n) for i in range(3)}
+    columns |= {f"anchor_rot_{i}": rng.normal(0, 1, n) for i in range(4)}
+    columns["anchor_shd_0"] = rng.normal(6, 1, n)
+    rest = range((degree + 1) ** 2 - 1)
+    columns |= {f"anchor_shv_{i}": rng.normal(0, 0.5, n) for i in rest}
+    cfg = _cfg(options) | _level_cfg(options, mode, fork)
+    cfg |= {"max_sh_degree": degree, "depth_correct": depth, "add_vi_dist": False}
+    _write(folder, options, columns, cfg | {"ET_grade": 2.0, "ET_grade_final": 1.0})
+    return folder
+
+
+def _levels(
+    options: AnchorOptions, levels: int, rng: np.random.Generator
+) -> dict[str, Float[np.ndarray, " n"]]:
     n = options.anchors
     level = rng.integers(0, levels, n)
     level[:2] = 0, levels - 1
     info = np.zeros(n)
     info[:2] = 0.2, 6.0  # voxel size, and the distance at which level 0 is right
-    columns = _place(options)
-    columns |= {"level": level, "extra_level": rng.normal(0, 0.3, n), "info": info}
-    columns |= _payload(options, rng)
-    cfg = _cfg(options) | {"fork": fork, "dist2level": mode, "add_level": options.level}
-    cfg |= {"progressive": True, "resolution_scales": [1.0], "base_layer": 5}
-    _write(folder, options, columns, cfg)
-    return folder
+    return {"level": level, "extra_level": rng.normal(0, 0.3, n), "info": info}
+
+
+def _level_cfg(options: AnchorOptions, mode: str, fork: int) -> dict[str, object]:
+    cfg = {"fork": fork, "dist2level": mode, "add_level": options.level}
+    return cfg | {"progressive": True, "resolution_scales": [1.0], "base_layer": 5}
 
 
 def _place(options: AnchorOptions) -> dict[str, Float[np.ndarray, " n"]]:

@@ -1,0 +1,130 @@
+"""Duplex-GS: ellipsoidal cells whose networks make Gaussians that stay within them.
+
+Liu et al. 2025, "Duplex-GS: Proxy-Guided Weighted Blending for Real-Time Order-Independent
+Gaussian Splatting". Levels and networks are those of Octree-GS. A Gaussian's scale is bounded by
+(2 − ‖o‖) / 3 of its cell's, o being its offset in units of the cell; the paper's equation 13 says
+1 − ‖o‖, the published code (``gaussian_renderer/__init__.py``) what stands here.
+
+The method's renderer sums Gaussians by weights, cell after cell. Contract 1.0 has no field for
+cells, so the model is one for renderers that sort.
+"""
+
+__all__ = ["OPACITIES", "DuplexGS"]
+
+from collections.abc import Iterator
+from typing import Literal, final
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from gsgen.reference_plugins.anchor_generator import AnchorGenerator, Decoding
+from gsgen.reference_plugins.checkpoints.cells import CellCheckpoint
+from gsgen.reference_plugins.octree_gs import LevelGate, Levels
+from gsgen.reference_plugins.selection import Selection
+
+Opacity = Literal["decoded", "weighted"]
+OPACITIES: tuple[Opacity, ...] = ("decoded", "weighted")
+
+
+@final
+class DuplexGS(AnchorGenerator):
+    """N cells with K Gaussians each; row a K + k is Gaussian k of cell a.
+
+    Opacity is what the network says, or, ``weighted``, what the method's renderer makes of it:
+    multiplied by the cell's visibility from the camera, and by 1 − depth / σ.
+    """
+
+    limit: Tensor
+    visibility: Tensor
+
+    def __init__(
+        self,
+        read: CellCheckpoint,
+        levels: Levels,
+        *,
+        opacity: Opacity = "decoded",
+        appearance: int | None = None,
+        selection: Selection = Selection(),  # noqa: B008
+    ) -> None:
+        """Fold what the camera does not change.
+
+        Args:
+            read: Cells and networks.
+            levels: How levels follow from distances.
+            opacity: As the network says, or weighted as the method's renderer does.
+            appearance: Which appearance to keep; an input chooses where absent.
+            selection: Which cells are decoded.
+        """
+        cloud, nets = read.anchors.cloud, read.anchors.nets
+        super().__init__(cloud, nets, appearance=appearance, selection=selection)
+        self.gate = LevelGate(cloud, levels, half_cell=False)
+        self.weighted = opacity == "weighted"
+        self.sigma = read.weighting.sigma if read.weighting.depth else None
+        self.register_buffer("limit", (2 - cloud.offset.norm(dim=2)) / 3)
+        if self.weighted:
+            self.register_buffer("visibility", read.visibility)
+
+    @property
+    def hides(self) -> bool:
+        """Whether the method itself hides cells from some cameras: it does."""
+        return True
+
+    def shown(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
+        """Hide cells finer than their distance asks for; the last level fades in."""
+        seen: Tensor = self.gate(centre)
+        return seen
+
+    def shares(
+        self, factors: tuple[Tensor, ...], rows: Int[Tensor, " n"] | None
+    ) -> list[Float[Tensor, "n k"]]:
+        """Keep Gaussians within their cell."""
+        limit = self.limit if rows is None else torch.index_select(self.limit, 0, rows)
+        return [torch.minimum(torch.sigmoid(factor), limit) for factor in factors]
+
+    def weighed(self, opacity: Float[Tensor, "n k"], now: Decoding) -> Float[Tensor, "n k"]:
+        """Weigh opacities, where that was asked for."""
+        if not self.weighted:
+            return opacity
+        sh = self.visibility
+        if now.rows is not None:
+            sh = torch.index_select(sh, 0, now.rows)
+        opacity = opacity * torch.sigmoid(_evaluated(sh, now.asked.direction))
+        if self.sigma is None:
+            return opacity
+        cells = now.position.reshape(-1, self.per_anchor, 3)
+        depth = (cells * now.camera[:3, 2]).sum(dim=2) + now.camera[3, 2]
+        return opacity * (1 - depth / self.sigma).clamp(0.0, 1.0)
+
+
+def _evaluated(
+    sh: Float[Tensor, "n k"], direction: Float[Tensor, "n 3"]
+) -> Float[Tensor, "n 1"]:
+    """Sum one channel of spherical harmonics (degree 0 to 3, signs as in 3DGS)."""
+    x, y, z = direction[:, 0:1], direction[:, 1:2], direction[:, 2:3]
+    total: Tensor | float = 0.0
+    for index, function in zip(range(sh.shape[1]), _basis(x, y, z), strict=False):
+        total = total + sh[:, index : index + 1] * function
+    assert isinstance(total, Tensor)
+    return total
+
+
+def _basis(x: Tensor, y: Tensor, z: Tensor) -> Iterator[Tensor | float]:
+    """Yield the real functions in the order of 3DGS (Kerbl et al. 2023, constants of its code)."""
+    xx, yy, zz = x * x, y * y, z * z
+    yield 0.28209479177387814
+    yield -0.4886025119029199 * y
+    yield 0.4886025119029199 * z
+    yield -0.4886025119029199 * x
+    yield 1.0925484305920792 * (x * y)
+    yield -1.0925484305920792 * (y * z)
+    yield 0.31539156525252005 * (2 * zz - xx - yy)
+    yield -1.0925484305920792 * (x * z)
+    yield 0.5462742152960396 * (xx - yy)
+    yield -0.5900435899266435 * (y * (3 * xx - yy))
+    yield 2.890611442640554 * (x * y * z)
+    yield -0.4570457994644658 * (y * (4 * zz - xx - yy))
+    yield 0.3731763325901154 * (z * (2 * zz - 3 * xx - 3 * yy))
+    yield -0.4570457994644658 * (x * (4 * zz - xx - yy))
+    yield 1.445305721320277 * (z * (xx - yy))
+    yield -0.5900435899266435 * (x * (xx - 3 * yy))
