@@ -118,9 +118,11 @@ def test_configuration_is_found_in_the_folder_and_the_command_line_wins(dim: Pat
 
 
 def test_levels_that_cannot_run_are_named_and_do_not_pass_in_silence(good: Path) -> None:
-    ran = gsgen("validate", good, "--level", "render")
+    none = {"WGPUPY_WGPU_ADAPTER_NAME": "an adapter that is not here"}
+    ran = gsgen("validate", good, "--level", "render", env=none)
     assert ran.code == 0
     assert "level render did not run" in ran.out
+    assert "no graphics adapter" in ran.out
 
 
 def test_a_model_without_manifest_is_judged_all_the_same(good: Path) -> None:

@@ -41,7 +41,7 @@ class Device:
 
     @classmethod
     def open(cls) -> Self:
-        """Open the fastest adapter; the environment variable WGPU_ADAPTER_NAME picks another.
+        """Open the fastest adapter; the environment variable WGPUPY_WGPU_ADAPTER_NAME picks another.
 
         Raises:
             DeviceUnavailable: wgpu is not installed, no adapter is there, or it refuses.
@@ -54,7 +54,7 @@ class Device:
             ) from error
         try:
             adapter = wgpu.gpu.request_adapter_sync(power_preference="high-performance")
-        except (RuntimeError, OSError) as error:
+        except (RuntimeError, OSError, ValueError) as error:
             raise DeviceUnavailable(f"no graphics adapter: {error}", mend=_MEND) from error
         if adapter is None:
             raise DeviceUnavailable("no graphics adapter", mend=_MEND)
