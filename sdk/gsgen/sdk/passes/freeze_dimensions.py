@@ -47,10 +47,11 @@ class FreezeDimensions(CautiousRewrite):
             UnknownName: A name is that of no dimension.
         """
         names = {dim for value in _values(model) for dim in _symbols(value)}
-        for name in self.sizes.keys() - names - self._frozen:
-            raise UnknownName.among("dimension", name, names, "--freeze")
-        self._frozen |= names & self.sizes.keys()
         ends = {*model.graph.inputs, *model.graph.outputs}
+        for name in self.sizes.keys() - names - self._frozen:
+            declared = {dim for value in ends for dim in _symbols(value)}
+            raise UnknownName.among("dimension", name, declared, "--freeze")
+        self._frozen |= names & self.sizes.keys()
         for value in _values(model):
             if value.shape is None:
                 continue
