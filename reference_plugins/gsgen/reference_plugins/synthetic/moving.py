@@ -136,7 +136,7 @@ def write_deformable(
     for name in ("branch_w", "branch_v") if six_degrees else ("gaussian_warp",):
         state |= _linear(name, width, 3, noise, 0.2)
     state |= _linear("gaussian_rotation", width, 4, noise, 0.2)
-    state |= _linear("gaussian_scaling", width, 3, noise, 0.01)
+    state |= _linear("gaussian_scaling", width, 3, noise, 0.004)
     write_cfg_args(folder, {"is_blender": blender, "is_6dof": six_degrees, "sh_degree": 3})
     for place in ("point_cloud/iteration_40000", "deform/iteration_40000"):
         (folder / place).mkdir(parents=True, exist_ok=True)
