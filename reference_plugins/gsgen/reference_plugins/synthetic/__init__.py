@@ -20,26 +20,46 @@ if TYPE_CHECKING:
         write_deformable,
         write_hexplane,
     )
+    from gsgen.reference_plugins.synthetic.people import (
+        PersonOptions,
+        write_body,
+        write_gauhuman,
+        write_lhm,
+        write_motion,
+        write_r3,
+    )
 
 __all__ = [
     "AnchorOptions",
     "HexPlaneOptions",
+    "PersonOptions",
     "torus_knot",
+    "write_body",
     "write_deformable",
     "write_duplex",
+    "write_gauhuman",
     "write_hexplane",
+    "write_lhm",
+    "write_motion",
     "write_octree",
+    "write_r3",
     "write_scaffold",
 ]
 
 _HOME = {
     "AnchorOptions": "anchors",
     "HexPlaneOptions": "moving",
+    "PersonOptions": "people",
     "torus_knot": "knot",
+    "write_body": "people",
     "write_deformable": "moving",
     "write_duplex": "anchors",
+    "write_gauhuman": "people",
     "write_hexplane": "moving",
+    "write_lhm": "people",
+    "write_motion": "people",
     "write_octree": "anchors",
+    "write_r3": "people",
     "write_scaffold": "anchors",
 }
 
