@@ -172,6 +172,7 @@ def test_how_far_a_model_is_off_stands_in_the_report() -> None:
     assert told["error"]["kind"] == "ParityFailed"
     assert told["parity"] == {
         "probes": 13,
+        "rows_at_a_threshold": 0,
         "fields": [
             {
                 "field": "position",

@@ -89,7 +89,7 @@ def _parity(parity: "Parity") -> dict[str, Any]:
         }
         for one in parity.fields
     ]
-    return {"probes": parity.probes, "fields": fields}
+    return {"probes": parity.probes, "rows_at_a_threshold": parity.jumped, "fields": fields}
 
 
 def _plain(value: Any) -> Any:
