@@ -24,14 +24,12 @@ from gsgen.contract.config import Settings
 from gsgen.contract.finding import Level
 from gsgen.contract.targets import load_target
 from gsgen.sdk import GaussianGenerator, export
-from gsgen.sdk.exporter import _manifest, _probes
 from gsgen.sdk.finish import finish
-from gsgen.sdk.packing import Packed, PackedGenerator
 from gsgen.sdk.passes.base import Goal
 from gsgen.sdk.rewrite import census
 from gsgen.sdk.saving import save_model
-from gsgen.sdk.trace import trace
 from support.reference_models import Avatar, HexPlane, ScaffoldDecoder
+from support.traced import traced
 
 TURNS = 9
 # Ours over the plain export, and over eager torch.
@@ -62,21 +60,18 @@ class Case:
 
 def built(name: str, folder: Path) -> Case:
     """Export a module as torch does, and as we do."""
-    make, capacity, degree = CASES[name]
-    generator = make().eval()
-    manifest = _manifest(generator, name, "float32", degree, capacity, None)
-    probes = _probes(manifest)
-    module = PackedGenerator(generator, Packed(torch.float32, capacity))
-    model = trace(module, probes[1], manifest, 18)
+    make, rows, degree = CASES[name]
+    made = traced(make(), name, rows, degree)
+    model, probes = made.model, made.probes
     before, after = folder / f"{name}.onnx", folder / f"{name}_rewritten.onnx"
     save_model(model, before)
     plain = copy.copy(ir.load(before))
     began = time.process_time()
-    finish(model, manifest, load_target("core"))
+    finish(model, made.manifest, load_target("core"))
     say(f"{name}: rewritten in {time.process_time() - began:.1f} s of CPU time")
     save_model(model, after)
     inputs = [torch.from_numpy(np.array(one)) for one in probes[3].inputs.values()]
-    return Case(module, inputs, list(probes[3].inputs), before, after, plain)
+    return Case(made.module, inputs, list(probes[3].inputs), before, after, plain)
 
 
 def session(path: Path) -> onnxruntime.InferenceSession:

@@ -9,7 +9,7 @@ import torch
 from gsgen.contract.config import Settings
 from gsgen.contract.engine import validate
 from gsgen.contract.errors import GsgenError
-from gsgen.contract.finding import Severity
+from gsgen.contract.finding import Level, Severity
 from gsgen.contract.model import open_model
 from gsgen.contract.targets import load_target
 from gsgen.sdk import (
@@ -22,6 +22,8 @@ from gsgen.sdk import (
     export,
     inputs,
 )
+from gsgen.sdk.passes.base import Goal
+from gsgen.sdk.rewrite import census
 from support.generators import Drift, Growing, Lit, Skinned
 
 KINDS = {"drift": Drift, "lit": Lit, "growing": Growing, "skinned": Skinned}
@@ -68,6 +70,19 @@ def test_rows_behind_the_count_are_inert(tmp_path: Path) -> None:
         assert seen.tolist() == [count]
         assert (rows[:count, 3] > 0.6).all()
         assert (rows[count:, 3] == 0).all()
+
+
+@pytest.mark.parametrize("make", [Growing, Skinned])
+def test_an_export_is_captured_by_every_release_that_is_known(
+    make: type[GaussianGenerator], tmp_path: Path
+) -> None:
+    """Growing computes in int64 and with masks; Skinned joins nine columns."""
+    path = export(make(), tmp_path / "m.onnx", settings=Settings(level=Level.STATIC)).path
+    goal = Goal.of(load_target("core"))
+    assert "onnxruntime-web 1.22.0 (JSEP)" in {table.runtime for table in goal.tables}
+    assert census(path, goal).uncaptured == ()
+    joins = [node for node in onnx.load(path).graph.node if node.op_type == "Concat"]
+    assert max(len(node.input) for node in joins) <= 7
 
 
 def test_the_opset_is_what_every_runtime_has_kernels_for(tmp_path: Path) -> None:
