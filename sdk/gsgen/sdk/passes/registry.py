@@ -34,6 +34,7 @@ from gsgen.sdk.passes.sample_by_gather import SampleByGather
 from gsgen.sdk.passes.sample_by_product import SampleByProduct
 from gsgen.sdk.passes.select_extremes import SelectExtremes
 from gsgen.sdk.passes.share_weights import ShareWeights
+from gsgen.sdk.passes.spell_out_defaults import SpellOutDefaults
 from gsgen.sdk.passes.split_large_weights import SplitLargeWeights
 from gsgen.sdk.passes.unroll_control_flow import UnrollControlFlow
 from gsgen.sdk.passes.work_in_columns import WorkInColumns
@@ -57,6 +58,7 @@ REWRITES: tuple[type[Rewrite], ...] = (
     LowerOpset,
     # -- Operators without a kernel, by ones that have one. Integers first: what they become may
     #    lack a kernel in its turn.
+    SpellOutDefaults,
     ClipBeforeCast,
     NarrowIntegers,
     ArithmeticMasks,
