@@ -22,7 +22,7 @@ from gsgen.runtime.kernels.scan import Scan
 from gsgen.runtime.kernels.sort import Columns, RadixSort, cut_for, sort_reference
 from gsgen.runtime.plan import Placed, Plan
 from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.residency import PAGE_ROWS, Residency
+from gsgen.runtime.residency import PAGE_ROWS
 from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
 
@@ -68,8 +68,13 @@ def room(n: int = MILLION) -> SplatData:
 
 
 @pytest.fixture(scope="module")
-def renderer() -> Renderer:
-    return Renderer()
+def device() -> Device:
+    return Device.open()
+
+
+@pytest.fixture(scope="module")
+def renderer(device: Device) -> Renderer:
+    return Renderer(device)
 
 
 @pytest.fixture(scope="module")
@@ -82,17 +87,18 @@ def planned(
 ) -> tuple[Plan, list[Placed], int]:
     """Draw once, so that there is room for all pairs; return the plan, its pages, the pairs."""
     pairs = renderer.render(scene, camera).pairs
-    held = Residency(renderer.device)
-    placed = [(one, page) for one in scene.sets for page in held.pages(one.data)]
+    placed = renderer.placed(scene)
     return renderer.plan(placed, camera, frozenset(["color"])), placed, pairs
 
 
-def floor(gaussians: int, visible: int, pairs: int, pixels: int) -> dict[str, float]:
+def floor(
+    gaussians: int, visible: int, pairs: int, pixels: int, harmonics: int
+) -> dict[str, float]:
     """Return the least bytes of each stage, as the renderer is built."""
     return {
-        "project": gaussians * (40 + 4) + visible * (192 + 3 * 16 + 4),
+        "project": gaussians * (40 + 4) + visible * (harmonics + 3 * 16 + 4),
         "sort": gaussians * 4 * 2 + visible * (8 + 3 * (4 + 8 + 8)),
-        "bin": visible * (4 + 4) + visible * (4 + 32) + pairs * 8,
+        "bin": visible * (4 + 16) + visible * (4 + 32) + pairs * 8,
         "group": pairs * 2 * (4 + 8 + 8) + pairs * 4,
         "blend": pairs * (4 + 48) + pixels * 16,
     }
@@ -104,8 +110,12 @@ def copy_rate() -> float:
     return 2 * source.nbytes / cpu(lambda: np.copyto(target, source))
 
 
+@pytest.mark.parametrize("compact", [False, True], ids=["exact", "compact"])
 @pytest.mark.parametrize("size", SIZES)
-def bench_a_million(renderer: Renderer, scene: Scene, size: tuple[int, int]) -> None:
+def bench_a_million(
+    device: Device, scene: Scene, size: tuple[int, int], compact: bool
+) -> None:
+    renderer = Renderer(device, compact=compact)
     camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=size[0], height=size[1])
     plan, placed, pairs = planned(renderer, scene, camera)
 
@@ -116,10 +126,11 @@ def bench_a_million(renderer: Renderer, scene: Scene, size: tuple[int, int]) -> 
     frame()
     counts = renderer.device.read(plan.buffers["counts"], np.uint32, 4)
     visible = int(counts[Counts.VISIBLE])
-    say(f"1 M Gaussians, degree 3, {size[0]}×{size[1]}, {renderer.device.name}: ")
+    kind = "float16" if compact else "float32"
+    say(f"1 M Gaussians, degree 3 in {kind}, {size[0]}×{size[1]}, {renderer.device.name}: ")
     say(f"{visible:,} visible, {pairs:,} pairs")
     rate = copy_rate()
-    least = floor(MILLION, visible, pairs, size[0] * size[1])
+    least = floor(MILLION, visible, pairs, size[0] * size[1], 96 if compact else 192)
     idle = cpu(lambda: frame("none"))  # uniforms, clearing, and copying the image back
     names = list(plan.stages)
     # What a stage adds to those before it: each needs what they made.

@@ -28,8 +28,8 @@ from gsgen.runtime.kernels.project import (
 from gsgen.runtime.kernels.scan import Scan
 from gsgen.runtime.kernels.shader import TILE
 from gsgen.runtime.kernels.sort import KEY_BITS, Columns, RadixSort, cut_for
-from gsgen.runtime.kernels.tile_ranges import RANGE_THREADS, TileRanges
-from gsgen.runtime.residency import Page, stride
+from gsgen.runtime.kernels.tile_ranges import RANGE_BLOCK, TileRanges
+from gsgen.runtime.residency import Page
 from gsgen.runtime.scene import SplatSet
 from gsgen.runtime.staging import Staging
 
@@ -45,9 +45,7 @@ class Kernels:
 
     def __init__(self, device: Device) -> None:
         self.cut = cut_for(device)
-        self.scan = Scan(
-            device, self.cut.block, WALK_THREADS * self.cut.walk, RANGE_THREADS
-        )
+        self.scan = Scan(device, self.cut.block, WALK_THREADS * self.cut.walk, RANGE_BLOCK)
         self.sort = RadixSort(device, self.cut, self.scan)
         self.bin = BinTiles(device, self.cut.walk)
         self.ranges = TileRanges(device)
@@ -141,9 +139,8 @@ class Plan:
     def _project(self, placed: Sequence[Placed], keys: Any, colors: Any) -> list[Step]:
         made = []
         outputs = (self._frame, keys, *self._splats, colors)
-        for slot, (one, page) in enumerate(placed):
-            half = one.data.appearance.dtype == np.float16
-            kernel = self._kernels.project(half, stride(one.data))
+        for slot, (_, page) in enumerate(placed):
+            kernel = self._kernels.project(page.half, page.stride)
             made.append(kernel.step(outputs, self._slots, slot, page))
         return made
 

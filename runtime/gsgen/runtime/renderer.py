@@ -33,16 +33,24 @@ class Renderer:
 
     Args:
         device: Where to draw; the fastest there is where absent.
+        compact: Keep harmonics and colours in float16: 136 bytes a Gaussian of degree 3 instead
+            of 232, and less to read; pictures differ by less than 1e-3.
         page_rows: Gaussians of a page, which is what one dispatch and one binding have.
 
     Raises:
         DeviceUnavailable: There is none.
     """
 
-    def __init__(self, device: Device | None = None, *, page_rows: int = PAGE_ROWS) -> None:
+    def __init__(
+        self,
+        device: Device | None = None,
+        *,
+        compact: bool = False,
+        page_rows: int = PAGE_ROWS,
+    ) -> None:
         self.device = device or Device.open()
         self._kernels = Kernels(self.device)
-        self._residency = Residency(self.device, page_rows)
+        self._residency = Residency(self.device, page_rows, compact=compact)
         self._pairs = _FIRST_PAIRS
         self._key: object = None
         self._plan: Plan | None = None
@@ -69,9 +77,7 @@ class Renderer:
         """
         wanted = _known(outputs)
         behind = _premultiplied(background)
-        placed = [
-            (one, page) for one in scene.sets for page in self._residency.pages(one.data)
-        ]
+        placed = self.placed(scene)
         plan = self.plan(placed, camera, wanted)
         plan.submit(placed, camera, behind[:3])
         counts, images = plan.collect()
@@ -81,6 +87,12 @@ class Renderer:
             plan.submit(placed, camera, behind[:3])
             counts, images = plan.collect()
         return _frame(scene, camera, counts, images, float(behind[3]))
+
+    def placed(self, scene: Scene) -> list[Placed]:
+        """Return each page of the scene with its set, uploaded where it is new or has changed."""
+        return [
+            (one, page) for one in scene.sets for page in self._residency.pages(one.data)
+        ]
 
     def plan(
         self, placed: Sequence[Placed], camera: Camera, outputs: frozenset[Output]

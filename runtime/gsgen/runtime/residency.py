@@ -21,12 +21,12 @@ PAGE_ROWS: Final = 1 << 18
 _WORD: Final = 16
 
 
-def stride(data: SplatData) -> int:
+def stride(channels: int, half: bool) -> int:
     """Return how long a row of the appearance is on the GPU, in words of 16 bytes.
 
     Shaders read it by such words, so rows are filled up to whole ones.
     """
-    return -(-int(data.appearance.shape[1]) * data.appearance.itemsize // _WORD)
+    return -(-channels * (2 if half else 4) // _WORD)
 
 
 def _padded(appearance: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n d"]:
@@ -46,12 +46,16 @@ class Page:
         capacity: Rows of the page.
         rows: Buffer of packed rows.
         appearance: Buffer of their appearance.
+        half: Whether the appearance is float16 there.
+        stride: Of the appearance, in words of 16 bytes.
     """
 
     first: int
     capacity: int
     rows: Any
     appearance: Any
+    half: bool
+    stride: int
 
 
 @final
@@ -61,9 +65,13 @@ class Residency:
     Args:
         device: Where the buffers are.
         page_rows: Rows of a page.
+        compact: Keep every appearance in float16.
     """
 
-    def __init__(self, device: Device, page_rows: int = PAGE_ROWS) -> None:
+    def __init__(
+        self, device: Device, page_rows: int = PAGE_ROWS, *, compact: bool = False
+    ) -> None:
+        self._compact = compact
         self._device = device
         self._page_rows = page_rows
         self._held: WeakKeyDictionary[SplatData, tuple[list[int], list[Page]]]
@@ -80,18 +88,32 @@ class Residency:
                 self._device.write(
                     page.rows, data.rows[part].astype(np.float32, copy=False)
                 )
-                self._device.write(page.appearance, _padded(data.appearance[part]))
+                self._device.write(page.appearance, self._appearance(data, page))
             version[0] = data.version
         return pages
 
+    def _is_half(self, data: SplatData) -> bool:
+        return self._compact or data.appearance.dtype == np.float16
+
+    def _appearance(self, data: SplatData, page: Page) -> Float[np.ndarray, "n d"]:
+        """Return what of the appearance is on ``page``, as the page has it."""
+        part = data.appearance[page.first : page.first + page.capacity]
+        with np.errstate(
+            over="ignore"
+        ):  # what float16 cannot hold is infinite, and not drawn
+            typed = part.astype(np.float16 if page.half else np.float32, copy=False)
+        return _padded(typed)
+
     def _allocate(self, data: SplatData) -> Iterator[Page]:
+        half = self._is_half(data)
+        words = stride(data.appearance.shape[1], half)
         for first in range(0, len(data), self._page_rows):
             capacity = min(self._page_rows, len(data) - first)
-            rows = capacity * 4 * layout.ROW
-            appearance = capacity * _WORD * stride(data)
             yield Page(
                 first,
                 capacity,
-                self._device.storage("rows", rows),
-                self._device.storage("appearance", appearance),
+                self._device.storage("rows", capacity * 4 * layout.ROW),
+                self._device.storage("appearance", capacity * _WORD * words),
+                half,
+                words,
             )

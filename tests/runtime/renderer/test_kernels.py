@@ -15,7 +15,6 @@ from gsgen.runtime.kernels.shader import ABSENT, TILE, source
 from gsgen.runtime.kernels.tile_ranges import ranges_reference
 from gsgen.runtime.plan import Plan
 from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.residency import Residency
 from gsgen.runtime.scene import Scene, SplatSet
 from support.splat_scenes import SCENES, camera, cloud
 
@@ -24,8 +23,7 @@ NOTHING_BEHIND = np.zeros(3)
 
 def run(renderer: Renderer, scene: Scene, camera: Camera, *stages: str) -> Plan:
     """Run some stages of a frame, and return the plan whose buffers have what they made."""
-    held = Residency(renderer.device)
-    placed = [(one, page) for one in scene.sets for page in held.pages(one.data)]
+    placed = renderer.placed(scene)
     plan = renderer.plan(placed, camera, frozenset(["color"]))
     plan.submit(placed, camera, NOTHING_BEHIND, only=stages or None)
     plan.collect()
@@ -162,8 +160,7 @@ def test_normals(renderer: Renderer) -> None:
     scene, seen_by = SCENES["seen_from_elsewhere"]()
     data, n = scene.sets[0].data, len(scene)
     renderer.render(scene, seen_by, outputs=("normal",))
-    held = Residency(renderer.device)
-    placed = [(scene.sets[0], page) for page in held.pages(data)]
+    placed = renderer.placed(scene)
     plan = renderer.plan(placed, seen_by, frozenset(["normal"]))
     plan.submit(placed, seen_by, NOTHING_BEHIND, only=["project"])
     plan.collect()

@@ -74,6 +74,14 @@ def test_pages_do_not_show(device: Device, renderer: Renderer) -> None:
     assert np.array_equal(one.rgba, two.rgba)
 
 
+def test_compact_colours_are_nearly_the_same(device: Device, renderer: Renderer) -> None:
+    small = Renderer(device, compact=True)
+    for degree in (None, 1, 2, 3):
+        scene = Scene([cloud(200, 50, degree=degree)])
+        exact, compact = (each.render(scene, camera()).rgba for each in (renderer, small))
+        assert 0 < np.abs(exact - compact).max() < 1e-3
+
+
 def test_values_may_change_and_buffers_stay(renderer: Renderer) -> None:
     first, second = cloud(100, 7), cloud(100, 8)
     data = SplatData(first.rows, first.appearance, "rgb")

@@ -1,6 +1,6 @@
 """Ranges: find where each tile's pairs begin and end."""
 
-__all__ = ["RANGE_THREADS", "TileRanges", "ranges_reference"]
+__all__ = ["RANGE_BLOCK", "TileRanges", "ranges_reference"]
 
 from typing import Any, Final, final
 
@@ -11,7 +11,10 @@ from gsgen.runtime.device import Device
 from gsgen.runtime.kernels.counts import PLACES, Counts
 from gsgen.runtime.kernels.kernel import Kernel, Step
 
-RANGE_THREADS: Final = 256
+_THREADS: Final = 128
+_RUN: Final = 16
+RANGE_BLOCK: Final = _THREADS * _RUN
+"""Pairs of a workgroup: as many as a device may dispatch look at more than a binding holds."""
 
 
 @final
@@ -20,7 +23,7 @@ class TileRanges:
 
     def __init__(self, device: Device) -> None:
         self.kernel = Kernel(
-            device, "tile_ranges", "mark", ("rrw",), THREADS=RANGE_THREADS, **PLACES
+            device, "tile_ranges", "mark", ("rrw",), THREADS=_THREADS, RUN=_RUN, **PLACES
         )
 
     def step(self, counts: Any, tiles: Any, ranges: Any) -> Step:

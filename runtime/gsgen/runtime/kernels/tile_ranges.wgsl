@@ -1,6 +1,7 @@
 // Ranges: find where each tile's pairs begin and end.
 //
-// One invocation per pair, sorted by tile. Tiles without pairs keep the zeros that they start with.
+// Each invocation looks at RUN pairs, which are sorted by tile. Tiles without pairs keep the zeros
+// that they start with.
 
 @group(0) @binding(0) var<storage, read> counts: array<u32>;
 @group(0) @binding(1) var<storage, read> pair_tiles: array<u32>;
@@ -8,16 +9,27 @@
 
 @compute @workgroup_size(THREADS)
 fn mark(@builtin(global_invocation_id) invocation: vec3u) {
-    let pair = invocation.x;
     let pairs = counts[PAIRS];
-    if (pair >= pairs) {
+    let start = invocation.x * RUN;
+    let end = min(start + RUN, pairs);
+    if (start >= end) {
         return;
     }
-    let tile = pair_tiles[pair];
-    if (pair == 0u || pair_tiles[pair - 1u] != tile) {
-        ranges[tile].x = pair;
+    var before = ABSENT;
+    if (start > 0u) {
+        before = pair_tiles[start - 1u];
     }
-    if (pair + 1u == pairs || pair_tiles[pair + 1u] != tile) {
-        ranges[tile].y = pair + 1u;
+    for (var pair = start; pair < end; pair++) {
+        let tile = pair_tiles[pair];
+        if (tile != before) {
+            ranges[tile].x = pair;
+            if (pair > 0u) {
+                ranges[before].y = pair;
+            }
+        }
+        before = tile;
+    }
+    if (end == pairs) {
+        ranges[before].y = pairs;
     }
 }
