@@ -26,7 +26,7 @@ from gsgen.reference_plugins.avatars.follow import (
     repeated,
     rows_of,
 )
-from gsgen.reference_plugins.avatars.turns import nearest_rotation
+from gsgen.reference_plugins.avatars.turns import nearest_rotation, turned
 from gsgen.reference_plugins.checkpoints.lhm import (
     EXPRESSIONS,
     FIRST_EXPRESSION,
@@ -34,7 +34,6 @@ from gsgen.reference_plugins.checkpoints.lhm import (
     LHMCheckpoint,
 )
 from gsgen.sdk import GaussianGenerator, Gaussians
-from gsgen.sdk.math import axis_angle_to_matrix
 
 
 @final
@@ -123,8 +122,7 @@ class LHM(GaussianGenerator):
             given: The declared inputs, in order.
         """
         actor, bodies = self.actors.taken(given), self.actors.bodies
-        turns = axis_angle_to_matrix(actor.pose)
-        joints = chained(turns, self.joints, self.parents, None, actor.shift)
+        joints = chained(turned(actor.pose), self.joints, self.parents, None, actor.shift)
         made, place = blended(joints, self.weights), self.place
         if actor.expression is not None:
             moved = (actor.expression @ self.face).reshape(bodies, 3, -1)

@@ -11,8 +11,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from gsgen.contract.manifest import Input
+from gsgen.reference_plugins.avatars.turns import turned
 from gsgen.sdk import inputs
-from gsgen.sdk.math import axis_angle_to_matrix
 
 Rotation = Literal["matrix", "axis-angle"]
 
@@ -102,7 +102,7 @@ class ActorInputs:
             # Runtimes feed zeros before they know better; a body that is a point is no picture.
             length = (turn * turn).sum(dim=(1, 2), keepdim=True)
             return turn + torch.relu(1 - length) * torch.eye(3)
-        return axis_angle_to_matrix(_stacked(given, 3))
+        return turned(_stacked(given, 3)[:, None])[:, 0]
 
 
 def _stacked(given: Sequence[Tensor], *shape: int) -> Tensor:

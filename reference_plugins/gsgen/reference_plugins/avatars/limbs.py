@@ -14,13 +14,10 @@ from torch import Tensor, nn
 from gsgen.reference_plugins.avatars import rest
 from gsgen.reference_plugins.avatars.actors import Actor
 from gsgen.reference_plugins.avatars.follow import chained
+from gsgen.reference_plugins.avatars.turns import nearly_turned, turned
 from gsgen.reference_plugins.checkpoints.bodies import Body
 from gsgen.reference_plugins.checkpoints.pose_nets import PoseNets
 from gsgen.reference_plugins.layers import Dense
-from gsgen.sdk.math import axis_angle_to_matrix
-
-# Under the root of the published RodriguesModule; its axes are therefore not of unit length.
-_UNDER_ROOT = 1e-5
 
 
 class Limbs(nn.Module):
@@ -93,35 +90,14 @@ class Limbs(nn.Module):
         return chained(turns, joints, self.parents, actor.turn, actor.shift), added
 
     def _turns(self, pose: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
-        turns = axis_angle_to_matrix(pose)
+        turns = turned(pose)
         if not len(self.refiner):
             return turns
         hidden = pose[:, 1:].reshape(pose.shape[0], -1)
         for index, layer in enumerate(self.refiner):
             hidden = layer(torch.relu(hidden) if index else hidden)
-        more = _turned(hidden.reshape(pose.shape[0], -1, 3))
+        more = nearly_turned(hidden.reshape(pose.shape[0], -1, 3))
         return torch.cat([turns[:, :1], turns[:, 1:] @ more], dim=1)
-
-
-def _turned(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
-    """Turn rotation vectors into matrices as the published RodriguesModule does."""
-    square = (vector * vector).sum(dim=2, keepdim=True)
-    angle = torch.sqrt(square + _UNDER_ROOT)
-    x, y, z = (vector / angle).unbind(dim=2)
-    cosine, sine = torch.cos(angle)[:, :, 0], torch.sin(angle)[:, :, 0]
-    rest_of = 1 - cosine
-    entries = (
-        x * x + (1 - x * x) * cosine,
-        x * y * rest_of - z * sine,
-        x * z * rest_of + y * sine,
-        x * y * rest_of + z * sine,
-        y * y + (1 - y * y) * cosine,
-        y * z * rest_of - x * sine,
-        x * z * rest_of - y * sine,
-        y * z * rest_of + x * sine,
-        z * z + (1 - z * z) * cosine,
-    )
-    return torch.stack(entries, dim=2).reshape(*vector.shape[:2], 3, 3)
 
 
 def _float(array: Float[np.ndarray, "..."]) -> Tensor:

@@ -1,18 +1,60 @@
-"""The rotation nearest to a blended matrix, as a quaternion's best of four formulas.
+"""Rotations: from axis-angles, and the one nearest to a blended matrix.
 
-Each component of a quaternion can be had from the matrix's diagonal and the others by division
+The latter is a quaternion, by the best of four formulas. Each component of a quaternion can be had from the matrix's diagonal and the others by division
 (Shepperd 1978). Which component is divided by is chosen per Gaussian, by comparing; and as the
 quaternion is normalised afterwards, nothing needs to be divided, and no sign be taken of what may
 be zero.
 """
 
-__all__ = ["nearest_rotation"]
+__all__ = ["nearest_rotation", "nearly_turned", "turned"]
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.reference_plugins.planes import rotation_columns
+
+# Below this squared angle, sin(a)/a is 1 and (1 − cos(a))/a² is ½ to the last bit of float32.
+_SMALL_ANGLE = 1e-12
+# Under the root of the published RodriguesModule; its axes are therefore not of unit length.
+_UNDER_ROOT = 1e-5
+# x, y and z as the matrices of their cross products.
+_CROSS = (
+    (0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0),
+    (0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0),
+    (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+)
+
+
+def turned(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
+    """Turn rotation vectors into matrices: I + a K + b K², a = sin θ/θ and b = 2 (sin ½θ/θ)².
+
+    By products of small matrices: of a few dozen joints each operator costs its launch alone.
+    """
+    square = (vector * vector).sum(dim=2, keepdim=True)
+    angle = torch.sqrt(square.clamp(min=_SMALL_ANGLE))[:, :, :, None]
+    cross = _cross(vector)
+    half = torch.sin(0.5 * angle) / angle
+    whole = torch.sin(angle) / angle * cross + (2 * half * half) * (cross @ cross)
+    return torch.eye(3) + whole
+
+
+def nearly_turned(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
+    """Turn rotation vectors into matrices as GauHuman's RodriguesModule does.
+
+    With θ = √(r² + 1e-5) and u = r/θ, which is not quite of unit length, it is
+    cos θ I + (1 − cos θ) u uᵀ + sin θ [u]×.
+    """
+    square = (vector * vector).sum(dim=2, keepdim=True)
+    angle = torch.sqrt(square + _UNDER_ROOT)
+    axis = vector / angle
+    cosine, sine = torch.cos(angle)[:, :, :, None], torch.sin(angle)[:, :, :, None]
+    outer = axis[:, :, :, None] * axis[:, :, None, :]
+    return cosine * torch.eye(3) + (1 - cosine) * outer + sine * _cross(axis)
+
+
+def _cross(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
+    return (vector @ torch.tensor(_CROSS)).reshape(*vector.shape[:2], 3, 3)
 
 
 def nearest_rotation(

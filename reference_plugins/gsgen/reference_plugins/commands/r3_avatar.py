@@ -30,6 +30,8 @@ from gsgen.sdk.plugin import Plugin
 if TYPE_CHECKING:
     from gsgen.sdk import GaussianGenerator
 
+_MOST_POSES = 100_000
+
 Dataset = Annotated[
     Literal["dna", "zju", "hifi4g", "mvhuman"] | None,
     typer.Option(
@@ -99,11 +101,11 @@ def ids_of(text: str) -> list[int]:
         if not (first.isdecimal() and (last.isdecimal() if dash else True)):
             mend = "Write it as 0-99 or 0,17,50."
             raise ConfigInvalid(f"{word!r} is no pose", where="--pose-ids", mend=mend)
-        made += range(int(first), int(last or first) + 1)
-        if len(made) > 100_000:
-            raise ConfigInvalid("lists more than 100,000 poses", where="--pose-ids")
-    if not made:
-        raise ConfigInvalid(f"{text!r} lists no pose", where="--pose-ids")
+        listed = range(int(first), int(last or first) + 1)
+        if not listed or listed.stop > _MOST_POSES:
+            what = f"{word!r} is no range of poses below {_MOST_POSES:,}"
+            raise ConfigInvalid(what, where="--pose-ids")
+        made += listed
     return made
 
 
