@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from gsgen.formats import ply_properties, read_ply_columns
 from gsgen.reference_plugins.checkpoints.anchors import read_anchors
 from gsgen.reference_plugins.checkpoints.cfg_args import read_cfg_args
 from gsgen.reference_plugins.checkpoints.deformations import read_deformation
@@ -227,8 +228,6 @@ def test_columns_go_by_their_number_not_by_their_place(tmp_path: Path) -> None:
     chosen = AnchorOptions(anchors=6, per_anchor=7, united=True)
     wanted = read_anchors(write_scaffold(tmp_path, chosen)).cloud
     ply = tmp_path / "point_cloud/iteration_30000/point_cloud.ply"
-    from gsgen.formats import ply_properties, read_ply_columns
-
     names = ply_properties(ply)
     table = read_ply_columns(ply, {"all": names})["all"]
     write_columns(
@@ -322,3 +321,13 @@ def test_a_value_that_is_no_number_is_found(tmp_path: Path) -> None:
     ply.write_bytes(data)
     with pytest.raises(CheckpointInvalid, match=r"property rot_3.*row 2 is nan"):
         read_anchors(tmp_path)
+
+
+def test_offsets_are_stored_axis_by_axis(tmp_path: Path) -> None:
+    chosen = AnchorOptions(anchors=4, per_anchor=3, united=True)
+    cloud = read_anchors(write_scaffold(tmp_path, chosen)).cloud
+    ply = tmp_path / "point_cloud/iteration_30000/point_cloud.ply"
+    for k in range(3):
+        for axis in range(3):
+            column = read_ply_columns(ply, {"one": (f"f_offset_{axis * 3 + k}",)})["one"]
+            np.testing.assert_array_equal(cloud.offset[:, k, axis], column[:, 0])
