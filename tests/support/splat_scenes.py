@@ -227,6 +227,16 @@ def seen_from_elsewhere() -> tuple[Scene, Camera]:
 
 
 @named
+def flat_cameras() -> tuple[Scene, Camera]:
+    """An orthographic camera; harmonics see one direction, in a set that is turned and sheared."""
+    there = Camera.look_at((3, -2, -1), (0.2, 0.1, 4.5), width=61, height=47, fov_y=55)
+    sheared = turned(0.4, (1, 2, 3), (1, 1.4, 0.8))
+    sheared[:3, 3] = 0.5, 0.2, 0.3
+    sets = [SplatSet(cloud(200, 48, degree=3), sheared), cloud(100, 49, size=0.2)]
+    return Scene(sets), there.flattened(6.0)
+
+
+@named
 def far_from_the_origin() -> tuple[Scene, Camera]:
     """A model placed a hundred kilometres away: only differences to the camera count."""
     away = np.eye(4)

@@ -1,21 +1,23 @@
-"""Cameras: pinholes in the OpenCV convention, as JSON, looking at a point, or in orbit around it."""
+"""Cameras in the OpenCV convention: as JSON, looking at a point, in orbit around it, or flat."""
 
 __all__ = ["Camera"]
 
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, final
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract import geometry
 from gsgen.runtime.errors import SceneInvalid
+from gsgen.sdk.binding.camera import pinhole_projection
 
 _NEAR = 0.01
 _LARGEST_SIDE = 16_384
+_FAR = 1e5  # near planes to the far plane, which nothing but clip space needs
 _ROTATION_TOLERANCE = 1e-3
 _UP = (0.0, -1.0, 0.0)  # +y is down in the worlds that COLMAP makes
 
@@ -23,7 +25,10 @@ _UP = (0.0, -1.0, 0.0)  # +y is down in the worlds that COLMAP makes
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
-    """A pinhole camera: +x right, +y down, +z forward; the first pixel's centre is (0.5, 0.5).
+    """A camera: +x right, +y down, +z forward; the first pixel's centre is (0.5, 0.5).
+
+    A pinhole sees a point at (fx x/z + cx, fy y/z + cy), an orthographic camera at
+    (fx x + cx, fy y + cy): its focal lengths are pixels for each world unit.
 
     Attributes:
         view: World → camera, [4, 4], acting on column vectors; a rotation and a translation.
@@ -34,6 +39,7 @@ class Camera:
         width: Of the image, in pixels.
         height: Of the image, in pixels.
         near: What is nearer along +z than this, in world units, is not drawn.
+        kind: ``pinhole`` or ``orthographic``.
 
     Raises:
         SceneInvalid: A number is not finite or out of range, or ``view`` is no rigid motion.
@@ -47,6 +53,7 @@ class Camera:
     width: int
     height: int
     near: float = _NEAR
+    kind: Literal["pinhole", "orthographic"] = "pinhole"
 
     def __post_init__(self) -> None:
         view = np.array(self.view, np.float64)
@@ -62,6 +69,10 @@ class Camera:
             _require_number(name, getattr(self, name))
         for name in ("width", "height"):
             _require_side(name, getattr(self, name))
+        if self.kind not in ("pinhole", "orthographic"):
+            raise SceneInvalid(
+                f"is {self.kind!r}, wanted pinhole or orthographic", where="camera.kind"
+            )
         turn = view[:3, :3]
         off = np.abs(turn @ turn.T - np.eye(3)).max()
         rigid = off <= _ROTATION_TOLERANCE and np.linalg.det(turn) > 0
@@ -193,7 +204,9 @@ class Camera:
                 f"is a {type(made).__name__}, wanted an object with {', '.join(known)}",
                 where="camera",
             )
-        missing = [name for name in known if name not in made and name != "near"]
+        missing = [
+            name for name in known if name not in made and name not in ("near", "kind")
+        ]
         unknown = [name for name in made if name not in known]
         if missing or unknown:
             parts = [f"lacks {', '.join(missing)}"] if missing else []
@@ -218,18 +231,39 @@ class Camera:
         """The camera centre, in world units: −Rᵀt."""
         return np.asarray(-self.view[:3, :3].T @ self.view[:3, 3])
 
+    @property
+    def projection(self) -> Float[np.ndarray, "4 4"]:
+        """Camera → clip, depth 0..1, as generators get it."""
+        if self.kind == "pinhole":
+            return np.asarray(pinhole_projection(self))
+        made = np.eye(4)
+        made[0, [0, 3]] = 2 * self.fx / self.width, 2 * self.cx / self.width - 1
+        made[1, [1, 3]] = -2 * self.fy / self.height, 1 - 2 * self.cy / self.height
+        depth = _FAR * self.near - self.near
+        made[2, 2:] = 1 / depth, -self.near / depth
+        return made
+
+    def flattened(self, distance: float) -> "Camera":
+        """Return the orthographic camera that shows what is at ``distance`` as large as this one.
+
+        Raises:
+            SceneInvalid: The distance is no positive number.
+        """
+        _require_number("distance", distance, positive=True)
+        scale = distance if self.kind == "pinhole" else 1.0
+        return replace(self, fx=self.fx / scale, fy=self.fy / scale, kind="orthographic")
+
     def scaled(self, width: int, height: int) -> "Camera":
         """Return the camera with the same view in an image of another size."""
         across, down = width / self.width, height / self.height
-        return Camera(
-            self.view,
-            self.fx * across,
-            self.fy * down,
-            self.cx * across,
-            self.cy * down,
-            width,
-            height,
-            self.near,
+        return replace(
+            self,
+            fx=self.fx * across,
+            fy=self.fy * down,
+            cx=self.cx * across,
+            cy=self.cy * down,
+            width=width,
+            height=height,
         )
 
 

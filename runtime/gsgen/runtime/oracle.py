@@ -117,7 +117,9 @@ def _project(one: SplatSet, camera: Camera, first: int) -> _Splats:
         kept &= np.isfinite(color).all(axis=1) & np.isfinite(wide).all(axis=(1, 2))
         kept &= (np.linalg.det(wide) > 0) & (wide[:, 0, 0] > 0) & (wide[:, 1, 1] > 0)
     normal = np.zeros_like(at)
-    normal[kept] = _thinnest(sigma[kept], at[kept]) @ turn
+    flat = np.tile([0.0, 0.0, 1.0], (len(at), 1))
+    sight = flat if camera.kind == "orthographic" else at
+    normal[kept] = _thinnest(sigma[kept], sight[kept]) @ turn
     place = np.arange(first, first + len(rows))
     columns = (mean, wide, opacity, at[:, 2], np.maximum(color, 0), normal, place)
     return _Splats(*(column[kept] for column in columns))
@@ -134,6 +136,9 @@ def _flattened(
     focal = np.array([camera.fx, camera.fy])
     center = np.array([camera.cx, camera.cy])
     size = np.array([camera.width, camera.height])
+    if camera.kind == "orthographic":
+        ahead = np.diag(focal) @ np.eye(2, 3)
+        return focal * at[:, :2] + center, ahead @ sigma @ ahead.T
     slope = at[:, :2] / at[:, 2:]
     low = -(center + _MARGIN * size / 2) / focal
     high = (size - center + _MARGIN * size / 2) / focal
@@ -152,7 +157,10 @@ def _colors(one: SplatSet, camera: Camera) -> np.ndarray:
     linear, offset = one.transform[:3, :3], one.transform[:3, 3]
     left, _, right = np.linalg.svd(linear)
     rows = data.rows[: data.count, :3].astype(np.float64)
-    toward = (rows @ linear.T + offset - camera.eye) @ (left @ right)
+    away = rows @ linear.T + offset - camera.eye
+    if camera.kind == "orthographic":
+        away = np.tile(camera.view[2, :3], (len(rows), 1))
+    toward = away @ (left @ right)
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
     sh = channels.reshape(len(rows), -1, 3)
     degree = degree_of(sh.shape[1])

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
+import numpy as np
+from jaxtyping import Float
+
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.sources import Source, direction
@@ -32,6 +35,7 @@ class Viewpoint:
         height: Of the image; None for the camera's own, or 720.
         fov: Vertical field of view, in degrees.
         up: The upward direction; None for what the source says.
+        flat: Whether the camera is orthographic; what it looks at is as large as without.
     """
 
     orbit: tuple[float, float, float | None] | None
@@ -41,6 +45,7 @@ class Viewpoint:
     height: int | None
     fov: float
     up: tuple[float, float, float] | None = None
+    flat: bool = False
 
     def camera(self, source: Source, number: int, turn: float) -> Camera:
         """Return the camera of frame ``number``.
@@ -50,17 +55,30 @@ class Viewpoint:
             number: From 0; the cameras of a file are gone through, and then again.
             turn: Degrees that an orbit has gone on since the first frame.
         """
+        center, reach = source.extent()
+        made = self._placed(source, center, reach, number, turn)
+        if not self.flat:
+            return made
+        ahead = float(made.view[2, :3] @ center + made.view[2, 3])
+        return made.flattened(ahead if ahead > made.near else reach)
+
+    def _placed(
+        self,
+        source: Source,
+        center: Float[np.ndarray, "3"],
+        reach: float,
+        number: int,
+        turn: float,
+    ) -> Camera:
         if self.cameras:
             own = self.cameras[number % len(self.cameras)]
             return own.scaled(self.width or own.width, self.height or own.height)
         size = {"width": self.width or 1280, "height": self.height or 720}
+        up = self.up or source.up
         if self.look_at is not None:
             eye, target = self.look_at[:3], self.look_at[3:]
-            return Camera.look_at(
-                eye, target, up=self.up or source.up, fov_y=self.fov, **size
-            )
+            return Camera.look_at(eye, target, up=up, fov_y=self.fov, **size)
         azimuth, elevation, radius = self.orbit or (_AZIMUTH, _ELEVATION, None)
-        center, reach = source.extent()
         if radius is None:
             narrow = self.fov * min(1.0, size["width"] / size["height"])
             radius = reach / math.sin(math.radians(narrow) / 2)
@@ -69,7 +87,7 @@ class Viewpoint:
             radius,
             azimuth=azimuth + turn,
             elevation=elevation,
-            up=self.up or source.up,
+            up=up,
             fov_y=self.fov,
             near=min(0.01, radius / 100),
             **size,
@@ -82,6 +100,7 @@ def viewpoint(
     height: int | None = None,
     fov: float = 50.0,
     up: str | None = None,
+    flat: bool = False,
 ) -> Viewpoint:
     """Read what a user typed for ``--camera``.
 
@@ -91,6 +110,7 @@ def viewpoint(
         height: See :class:`Viewpoint`.
         fov: See :class:`Viewpoint`.
         up: An axis such as ``-y``; None for what the source says.
+        flat: See :class:`Viewpoint`.
 
     Raises:
         ConfigInvalid: It is none of the forms.
@@ -104,11 +124,13 @@ def viewpoint(
         numbers = _numbers(text or "", rest, (0, 2, 3)) if rest else ()
         azimuth, elevation = numbers[:2] or (_AZIMUTH, _ELEVATION)
         radius = numbers[2] if len(numbers) > 2 else None
-        return Viewpoint((azimuth, elevation, radius), None, (), width, height, fov, upward)
+        return Viewpoint(
+            (azimuth, elevation, radius), None, (), width, height, fov, upward, flat
+        )
     if head == "look-at":
         eye_and_target = _numbers(text or "", rest, (6,))
-        return Viewpoint(None, eye_and_target, (), width, height, fov, upward)
-    return Viewpoint(None, None, _cameras(Path(text or "")), width, height, fov)
+        return Viewpoint(None, eye_and_target, (), width, height, fov, upward, flat)
+    return Viewpoint(None, None, _cameras(Path(text or "")), width, height, fov, flat=flat)
 
 
 def _numbers(text: str, part: str, counts: tuple[int, ...]) -> tuple[float, ...]:

@@ -56,6 +56,21 @@ def test_json_gives_the_same_camera_back() -> None:
         assert getattr(again, name) == getattr(camera, name)
 
 
+def test_a_flat_camera_shows_the_same_at_its_distance() -> None:
+    camera = Camera.look_at((0, 0, -4), (0, 0, 0), width=80, height=60)
+    flat = camera.flattened(4)
+    for kind, made in (("pinhole", camera), ("orthographic", flat)):
+        x, y, z, w = made.projection @ [1, 0.5, 4, 1]
+        wanted = [camera.fx / 4 + 40, camera.fy * 0.5 / 4 + 30]
+        seen = [(x / w + 1) / 2 * 80, (1 - y / w) / 2 * 60]
+        np.testing.assert_allclose(seen, wanted, err_msg=kind)
+        assert 0 < z / w < 1
+    assert Camera.from_json(flat.to_json()).kind == "orthographic"
+    assert flat.flattened(9).fx == flat.fx
+    with pytest.raises(SceneInvalid, match=r"camera\.kind: is 'fisheye'"):
+        Camera.from_dict(GOOD | {"kind": "fisheye"})
+
+
 GOOD = {
     "view": np.eye(4).tolist(),
     "fx": 10,
@@ -116,6 +131,8 @@ def test_words_for_cameras(tmp_path: Path) -> None:
     assert distance == pytest.approx(2 / np.sin(np.radians(25)))
     placed = viewpoint("orbit:0,90,7", up="+z").camera(source, 0, 0)
     np.testing.assert_allclose(placed.eye, [1, 2, 10], atol=1e-9)
+    flat = viewpoint(None, width=60, height=60, flat=True).camera(source, 0, 0)
+    assert (flat.kind, flat.fx) == ("orthographic", pytest.approx(fitting.fx / distance))
     looking = viewpoint("look-at:0,0,0,0,0,9", fov=30).camera(source, 0, 0)
     np.testing.assert_allclose(looking.view[2], [0, 0, 1, 0], atol=1e-12)
     file = tmp_path / "cameras.json"

@@ -74,6 +74,12 @@ def render(
         Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None,
         typer.Option(help="Which axis points up. [default: the manifest's, or -y]"),
     ] = None,
+    orthographic: Annotated[
+        bool,
+        typer.Option(
+            "--orthographic", help="No perspective; the middle is as large as with."
+        ),
+    ] = False,
     mode: Annotated[
         ModeName, typer.Option(help="What to show.", case_sensitive=False)
     ] = ModeName.COLOR,
@@ -131,7 +137,7 @@ def render(
     from gsgen.runtime.film import Film
     from gsgen.runtime.viewpoint import viewpoint
 
-    view = viewpoint(camera, width, height, fov, up)
+    view = viewpoint(camera, width, height, fov, up, orthographic)
     behind = _background(background, output)
     sources = _opened(scenes, provider)
     try:

@@ -47,7 +47,8 @@ fn find_normals(@builtin(global_invocation_id) invocation: vec3u) {
     if (own >= page.count || keys[page.base + own] == ABSENT) {
         return;
     }
-    let at = page.linear * ((read_center(own).position - page.eye) - page.eye_rest);
+    let offset = (read_center(own).position - page.eye) - page.eye_rest;
+    let at = page.linear * select(offset, page.forward, is_flat());
     let found = thinnest(page.linear * read_covariance(own) * transpose(page.linear));
     let towards = select(found, -found, dot(found, at) > 0.0);
     let normal = select(-normalize(at), towards, dot(found, found) > 0.5);

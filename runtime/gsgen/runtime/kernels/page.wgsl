@@ -14,11 +14,16 @@ struct Page {
     degree: u32,          // of the harmonics; RGB where it is NO_HARMONICS
     mip: u32,
     capacity: u32,        // Gaussians that there is room for
+    forward: vec3f,       // local: where an orthographic camera looks; zero for a pinhole
 }
 
 struct Center {
     position: vec3f,
     opacity: f32,
+}
+
+fn is_flat() -> bool {
+    return any(page.forward != vec3f(0.0));
 }
 
 // Two columns are read at once: drivers on CPUs pay by the read, however short.

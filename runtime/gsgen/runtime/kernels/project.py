@@ -75,6 +75,7 @@ PAGE: Final = _bytes(
         "degree": ("u4", 156),
         "mip": ("u4", 160),
         "capacity": ("u4", 164),
+        "forward": ("3f4", 176),
     },
 )
 """The bytes of ``struct Page`` in page.wgsl."""
@@ -127,6 +128,8 @@ def page_uniform(
     # The polar decomposition A = Q S: directions of the harmonics are Qᵀ(A d) = S d.
     _, stretch, axes = np.linalg.svd(linear)
     made["local_to_sh"][:, :3] = axes.T @ np.diag(stretch / stretch[0]) @ axes
+    if camera.kind == "orthographic":
+        made["forward"] = np.linalg.solve(linear, camera.view[2, :3])
     made["eye"] = eye
     made["eye_rest"] = eye - made["eye"].astype(np.float64)
     made["opacity_scale"], made["base"], made["count"] = placed.opacity_scale, base, count
@@ -218,9 +221,11 @@ def project_reference(
     offset = rows[:, :3] - np.float64(page["eye"]) - np.float64(page["eye_rest"])
     with np.errstate(all="ignore"):
         at = offset @ linear.T
-        slope = at[:, :2] / at[:, 2:]
-        bent = np.clip(slope, frame["slope_low"], frame["slope_high"])
-        ahead = np.stack([np.ones(len(at))] * 2, axis=1) / at[:, 2:] * frame["focal"]
+        flat = bool(np.any(page["forward"]))
+        away = np.ones((len(at), 1)) if flat else at[:, 2:]
+        slope = at[:, :2] / away
+        bent = np.clip(slope, frame["slope_low"], frame["slope_high"]) * (not flat)
+        ahead = np.ones((len(at), 2)) / away * frame["focal"]
         jacobian = ahead[:, :, None] * (linear[:2] - bent[:, :, None] * linear[2])
         plain = (
             jacobian @ symmetric(rows[:, layout.COVARIANCE]) @ jacobian.transpose(0, 2, 1)
@@ -232,7 +237,7 @@ def project_reference(
             opacity = opacity * np.sqrt(np.maximum(share, 0))
         color = data.appearance[:, :3].astype(np.float64)
         if page["degree"] != NO_HARMONICS:
-            toward = offset @ to_sh.T
+            toward = (np.tile(page["forward"], (len(at), 1)) if flat else offset) @ to_sh.T
             weights = basis(
                 toward / np.linalg.norm(toward, axis=1, keepdims=True), int(page["degree"])
             )

@@ -45,7 +45,7 @@ fn color_of(offset: vec3f) -> vec3f {
     if (page.degree == NO_HARMONICS) {
         return channels(0u).xyz;
     }
-    let direction = page.local_to_sh * offset;
+    let direction = page.local_to_sh * select(offset, page.forward, is_flat());
     return harmonics(page.degree, direction / length(direction));
 }
 
@@ -64,9 +64,9 @@ fn splat_key(index: u32) -> u32 {
     }
     opacity = min(opacity, 1.0);
 
-    let inverse = 1.0 / at.z;
+    let inverse = select(1.0 / at.z, 1.0, is_flat());
     let slope = at.xy * inverse;
-    let bent = clamp(slope, frame.slope_low, frame.slope_high);
+    let bent = select(clamp(slope, frame.slope_low, frame.slope_high), vec2f(0.0), is_flat());
 
     // Rows of the Jacobian times the rotation: how the pixel moves with the local position.
     let turned = transpose(page.linear);
