@@ -1,4 +1,6 @@
-"""Files of Gaussian splats: read and write them, with NumPy alone.
+"""Files of Gaussian splats: read and write them, with NumPy.
+
+Two formats need a package more: SOG Pillow, and version 4 of SPZ zstandard.
 
     >>> from gsgen.formats import open_splats
     >>> splats = open_splats("garden.ply")
@@ -6,6 +8,8 @@
 What is wrong with a file is a ``FormatError`` that says where and what to do about it.
 """
 
+from gsgen.formats.codecs import CODECS, Codec, codec_named, codec_of_suffix
+from gsgen.formats.compressed_ply import compressed_order, write_compressed_ply
 from gsgen.formats.errors import (
     ArchiveDamaged,
     BodyMalformed,
@@ -20,19 +24,28 @@ from gsgen.formats.errors import (
     SizeExceeded,
     ValueInvalid,
 )
+from gsgen.formats.glb import read_glb, write_glb
+from gsgen.formats.ksplat import read_ksplat
+from gsgen.formats.notices import FormatWarning
 from gsgen.formats.npz import read_npz
 from gsgen.formats.open import open_splats
 from gsgen.formats.ply import read_ply, write_ply
 from gsgen.formats.ply_table import ply_properties, read_ply_columns
+from gsgen.formats.sog import read_sog
+from gsgen.formats.splat import read_splat, write_splat
 from gsgen.formats.splats import PackedRows, PointCloud, Splats
+from gsgen.formats.spz import read_spz, write_spz
 
 __all__ = [
+    "CODECS",
     "ArchiveDamaged",
     "BodyMalformed",
+    "Codec",
     "FileTruncated",
     "FileUnreadable",
     "FileUnwritable",
     "FormatError",
+    "FormatWarning",
     "HeaderMalformed",
     "NotRecognised",
     "NotSupported",
@@ -42,10 +55,22 @@ __all__ = [
     "SizeExceeded",
     "Splats",
     "ValueInvalid",
+    "codec_named",
+    "codec_of_suffix",
+    "compressed_order",
     "open_splats",
     "ply_properties",
+    "read_glb",
+    "read_ksplat",
     "read_npz",
     "read_ply",
     "read_ply_columns",
+    "read_sog",
+    "read_splat",
+    "read_spz",
+    "write_compressed_ply",
+    "write_glb",
     "write_ply",
+    "write_splat",
+    "write_spz",
 ]

@@ -72,7 +72,7 @@ def find_vertex(header: Header) -> Element:
             "a compressed PLY",
             where="element 'vertex', property packed_position",
             expected="a plain 3DGS PLY",
-            mend="unpack it, for example with `splat-transform packed.ply plain.ply`",
+            mend="unpack it: `gsgen convert packed.ply plain.ply`",
         )
     lists = [item.name for item in vertex.properties if item.count_type]
     if lists:

@@ -1,14 +1,11 @@
 """Refuse splats and points that cannot be drawn, in the words of a PLY file."""
 
-import math
 from collections.abc import Sequence
 
 from gsgen.formats._ply_layout import COLORS, XYZ, splat_groups
+from gsgen.formats._splat_values import INFINITE
 from gsgen.formats._values import require_colors, require_finite, require_rows
 from gsgen.formats.splats import PointCloud, Splats
-
-_INFINITE = {"logit_opacity": (math.inf, -math.inf), "log_scale": (-math.inf,)}
-"""Infinities with a meaning: opaque, invisible, and flat along an axis."""
 
 
 def require_splats(splats: Splats) -> None:
@@ -16,7 +13,7 @@ def require_splats(splats: Splats) -> None:
     require_rows(len(splats), "element 'vertex'")
     for array, names in splat_groups(splats.degree).items():
         table = getattr(splats, array).reshape(len(splats), len(names))
-        require_finite(table, _labels(names), _INFINITE.get(array, ()))
+        require_finite(table, _labels(names), INFINITE.get(array, ()))
 
 
 def require_cloud(cloud: PointCloud, colors: Sequence[str] = COLORS[0]) -> None:

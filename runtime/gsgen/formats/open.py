@@ -1,33 +1,37 @@
 """Open a file of splats, whatever its format."""
 
-from gsgen.formats._files import FilePath, opened
+from gsgen.formats._bytes import contents
+from gsgen.formats._files import FilePath
+from gsgen.formats.codecs import codec_of_suffix, recognised
 from gsgen.formats.errors import NotRecognised
-from gsgen.formats.npz import read_npz
-from gsgen.formats.ply import read_ply
 from gsgen.formats.splats import PackedRows, PointCloud, Splats
 
 __all__ = ["open_splats"]
 
 
 def open_splats(path: FilePath) -> Splats | PointCloud | PackedRows:
-    """Read the file at ``path``, whose format its first bytes tell and not its name.
+    """Read the file at ``path``, whose format its content tells and not its name.
+
+    It is a PLY file (plain or compressed), SPZ, GLB, SOG (an archive or its meta.json),
+    KSPLAT, SPLAT or NPZ. SPLAT has no header: it is what else is a number of plausible
+    records. Only if nothing fits, the name says which reader explains what is wrong.
 
     Returns:
-        ``Splats`` or ``PointCloud`` of a PLY file, ``PackedRows`` or ``PointCloud`` of
-        an NPZ archive; see ``read_ply`` and ``read_npz``.
+        ``Splats``; or ``PointCloud`` where a PLY or NPZ file holds points, or
+        ``PackedRows`` where an NPZ archive does.
 
     Raises:
         FormatError: The file cannot be read; the subclass says what happened.
     """
-    with opened(path) as file:
-        first = file.read(5)
-        if first.startswith(b"PK\x03\x04"):
-            return read_npz(path)
-        if first.startswith((b"ply\n", b"ply\r\n")):
-            return read_ply(path)
+    with contents(path) as data:
+        codec, first = recognised(path, data), bytes(data[:5])
+    codec = codec or codec_of_suffix(path)
+    if codec is None:
         raise NotRecognised(
             first.hex(" "),
             where="first bytes",
-            expected="70 6c 79 0a (a PLY file) or 50 4b 03 04 (an NPZ archive)",
-            mend="convert it first, for example with `splat-transform scene.spz scene.ply`",
+            expected="a file of splats: PLY, SPZ, GLB, SOG, KSPLAT, SPLAT or NPZ",
+            mend="if it is of another format, convert it to one of these first",
+            path=str(path),
         )
+    return codec.read(path)

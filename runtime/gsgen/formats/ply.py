@@ -15,6 +15,7 @@ from gsgen.formats._ply_layout import (
     splat_degree,
     splat_groups,
 )
+from gsgen.formats._ply_packed import is_packed, read_packed
 from gsgen.formats._ply_values import require_cloud, require_splats
 from gsgen.formats._ply_write import write_ply
 from gsgen.formats._values import require_rows
@@ -30,7 +31,7 @@ def read_ply(path: FilePath) -> Splats | PointCloud:
     ``rot_0``, …), and then all have to be there. Otherwise it is points: x, y, z and a
     colour in bytes or in floats from 0 to 1. Properties are found by name. Numbers may
     be text or binary, of either byte order and any type; all become float32. Other
-    properties and elements are passed over.
+    properties and elements are passed over. A compressed PLY file is unpacked.
 
     Raises:
         FileUnreadable: The file is missing, empty or closed to us.
@@ -45,6 +46,8 @@ def read_ply(path: FilePath) -> Splats | PointCloud:
     """
     with mapped(path) as data:
         header = parse_header(data)
+        if is_packed(header):
+            return read_packed(data, header)
         vertex = find_vertex(header)
         read = _read_splats if is_splat(vertex.types) else _read_cloud
         return read(data, header, vertex)

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import final
+from typing import Literal, final
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -30,6 +30,9 @@ class Splats:
         log_scale: Natural logarithms of the standard deviations along the three axes.
         logit_opacity: Opacity before the sigmoid; +inf is opaque, -inf invisible.
         sh: Spherical harmonics, coefficient-major; colour = max(0, 0.5 + Σ Y_k sh_k).
+        antialiased: Trained with the filter of Mip-Splatting (Yu et al. 2023), which takes
+            opacity from what it widens; few formats say so.
+        color_space: Of the colours; few formats say that they are linear.
 
     Raises:
         ValueInvalid: An array has another shape or data type.
@@ -40,6 +43,8 @@ class Splats:
     log_scale: Float32[np.ndarray, "n 3"]
     logit_opacity: Float32[np.ndarray, " n"]
     sh: Float32[np.ndarray, "n k 3"]
+    antialiased: bool = False
+    color_space: Literal["srgb", "linear"] = "srgb"
 
     def __post_init__(self) -> None:
         _require("position", self.position, ("float32",), ("n", 3))

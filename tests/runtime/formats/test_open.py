@@ -1,23 +1,31 @@
 import os
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gsgen.formats import (
+    FileTruncated,
     FileUnreadable,
     NotRecognised,
     PackedRows,
     PointCloud,
     Splats,
     ValueInvalid,
+    codec_named,
+    codec_of_suffix,
     open_splats,
     read_npz,
     read_ply,
     write_ply,
 )
+from gsgen.formats.codecs import recognised
+from support.splat_files import samples
 
 SHARED = Path(os.environ.get("GSGEN_SHARED", Path(__file__).parents[4] / "shared"))
+with tempfile.TemporaryDirectory() as _folder:
+    SAMPLES = samples(Path(_folder))
 READERS = [open_splats, read_ply, read_npz]
 
 shared_only = pytest.mark.skipif(
@@ -46,19 +54,66 @@ def test_carriage_returns_are_no_other_format(tmp_path):
         open_splats(file)
 
 
+@pytest.mark.parametrize("name", [*SAMPLES])
+def test_every_format_is_told_by_its_content(tmp_path, name):
+    for content in SAMPLES[name]:
+        file = tmp_path / "a.bin"
+        file.write_bytes(content)
+        codec = recognised(file, content)
+        assert codec is not None
+        # A compressed PLY file begins like any other; its reader sees the difference.
+        assert codec.name == name.removeprefix("compressed-")
+        here, there = open_splats(file), codec_named(name).read(file)
+        assert type(here) is type(there)
+        assert len(here) == len(there)
+
+
+def test_a_json_file_that_is_no_sog_is_refused(tmp_path):
+    file = tmp_path / "scene.gltf"
+    file.write_text('{"asset": {"version": "2.0"}}')
+    with pytest.raises(NotRecognised, match="JSON without means"):
+        open_splats(file)
+
+
 @pytest.mark.parametrize(
-    ("content", "seen"), [(b"\x1f\x8b\x08\x00\x00\x00", "1f 8b 08 00 00"), (b"p", "70")]
+    ("content", "seen"), [(b"\x93NUMPY\x01\x00", "93 4e 55 4d 50"), (b"p", "70")]
 )
 def test_other_content_is_refused_by_its_first_bytes(tmp_path, content, seen):
-    file = tmp_path / "scene.spz"
+    file = tmp_path / "scene.abc"
     file.write_bytes(content)
     with pytest.raises(NotRecognised) as caught:
         open_splats(file)
     assert str(caught.value) == (
         f"{file}: first bytes: {seen}\n"
-        "wanted 70 6c 79 0a (a PLY file) or 50 4b 03 04 (an NPZ archive)\n"
-        "convert it first, for example with `splat-transform scene.spz scene.ply`"
+        "wanted a file of splats: PLY, SPZ, GLB, SOG, KSPLAT, SPLAT or NPZ\n"
+        "if it is of another format, convert it to one of these first"
     )
+
+
+@pytest.mark.parametrize(
+    ("suffix", "kind"),
+    [("splat", FileTruncated), ("ksplat", FileTruncated), ("ply", NotRecognised)],
+)
+def test_where_nothing_fits_the_name_says_who_explains(tmp_path, suffix, kind):
+    file = tmp_path / f"scene.{suffix}"
+    file.write_bytes(bytes(33))
+    with pytest.raises(kind):
+        open_splats(file)
+
+
+@pytest.mark.parametrize(
+    ("name", "codec"),
+    [
+        ("a.ply", "ply"),
+        ("a.compressed.ply", "compressed-ply"),
+        ("A.SPZ", "spz"),
+        ("meta.json", "sog"),
+        ("a.tar", None),
+    ],
+)
+def test_the_longest_suffix_names_the_format(name, codec):
+    found = codec_of_suffix(name)
+    assert (found.name if found else None) == codec
 
 
 def unreadable(path: Path, read: object) -> str:

@@ -15,6 +15,7 @@ from gsgen.formats import (
     NotSupported,
     PropertyMissing,
     ValueInvalid,
+    ply_properties,
     read_ply,
 )
 
@@ -220,12 +221,15 @@ def test_a_file_without_points_says_what_it_holds(tmp_path):
     )
 
 
-def test_a_compressed_file_is_named_as_such(tmp_path):
-    content = ply(["uint packed_position", "uint packed_rotation", "uint packed_scale"])
-    assert refusal(tmp_path, content, NotSupported) == (
-        "element 'vertex', property packed_position: a compressed PLY\n"
+def test_columns_of_a_compressed_file_mean_nothing_alone(tmp_path):
+    file = tmp_path / "packed.ply"
+    file.write_bytes(ply(["uint packed_position", "uint packed_rotation"]))
+    with pytest.raises(NotSupported) as caught:
+        ply_properties(file)
+    assert str(caught.value) == (
+        f"{file}: element 'vertex', property packed_position: a compressed PLY\n"
         "wanted a plain 3DGS PLY\n"
-        "unpack it, for example with `splat-transform packed.ply plain.ply`"
+        "unpack it: `gsgen convert packed.ply plain.ply`"
     )
 
 

@@ -1,0 +1,80 @@
+"""The arithmetic that formats share: activations, unit quaternions, rounded numbers."""
+
+import math
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, Float32, Integer, UInt8
+
+SH_C0: Final = 0.5 / math.sqrt(math.pi)
+"""The harmonic of degree 0: colour = 0.5 + SH_C0 · coefficient."""
+
+
+def sigmoid(logit: Float[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
+    """Return 1 / (1 + e^-logit)."""
+    with np.errstate(over="ignore"):  # e^inf is inf, and 1 / inf the 0 that it means
+        return np.asarray(1 / (1 + np.exp(-logit.astype(np.float64))), np.float32)
+
+
+def logit(opacity: Float[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
+    """Undo ``sigmoid``: 0 becomes -inf and 1 becomes inf."""
+    wide = opacity.astype(np.float64)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(wide) - np.log1p(-wide), np.float32)
+
+
+def log(scale: Float[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
+    """Return the natural logarithm; 0 becomes -inf."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(scale.astype(np.float64)), np.float32)
+
+
+def unit(rotation: Float[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:
+    """Return unit quaternions; one of length zero becomes the identity (1, 0, 0, 0)."""
+    wide = rotation.astype(np.float64)
+    wide /= np.maximum(np.abs(wide).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    length = np.linalg.norm(wide, axis=1, keepdims=True)
+    turned = np.where(length > 0, wide / np.maximum(length, 0.5), [1.0, 0, 0, 0])
+    return np.asarray(turned, np.float32)
+
+
+def rounded(
+    values: Float[np.ndarray, "..."], low: int, high: int
+) -> Integer[np.ndarray, "..."]:
+    """Return ``values`` as the nearest whole numbers from ``low`` to ``high``."""
+    return np.asarray(np.clip(np.rint(values), low, high), np.int64)
+
+
+def to_bytes(values: Float[np.ndarray, "..."]) -> UInt8[np.ndarray, "..."]:
+    """Return ``values`` as the nearest bytes."""
+    return rounded(values, 0, 255).astype(np.uint8)
+
+
+def from_largest(
+    largest: Integer[np.ndarray, " n"], rest: Float[np.ndarray, "n 3"]
+) -> Float32[np.ndarray, "n 4"]:
+    """Return unit quaternions of which the three components beside the largest are stored.
+
+    Args:
+        largest: The index of the component that is left out, which is positive.
+        rest: The others, in order of their indices.
+    """
+    rows = np.arange(len(largest))
+    whole = np.empty((len(largest), 4), np.float64)
+    for place in range(3):
+        whole[rows, place + (place >= largest)] = rest[:, place]
+    squares = np.square(rest.astype(np.float64)).sum(axis=1)
+    whole[rows, largest] = np.sqrt(np.maximum(1 - squares, 0))
+    return whole.astype(np.float32)
+
+
+def without_largest(
+    rotation: Float[np.ndarray, "n 4"],
+) -> tuple[Integer[np.ndarray, " n"], Float32[np.ndarray, "n 3"]]:
+    """Undo ``from_largest``; a quaternion and its negative are one rotation."""
+    largest = np.abs(rotation).argmax(axis=1)
+    rows = np.arange(len(rotation))
+    positive = rotation * np.where(rotation[rows, largest] < 0, -1, 1)[:, None]
+    places = np.arange(3)
+    others = places + (places >= largest[:, None])
+    return largest, np.asarray(np.take_along_axis(positive, others, axis=1), np.float32)

@@ -1,0 +1,172 @@
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsgen.formats import (
+    FileTruncated,
+    FormatError,
+    HeaderMalformed,
+    NotRecognised,
+    NotSupported,
+    ValueInvalid,
+    read_ksplat,
+    read_ply,
+    read_splat,
+)
+from support.commands import shared
+from support.splat_files import GOLDENS, assert_near, ksplat, opacity, scene, turn_between
+
+C0 = 0.28209479177387814
+LEVELS = [0, 1, 2]
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    level=st.sampled_from(LEVELS),
+    degree=st.integers(0, 2),
+    count=st.integers(1, 20),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_what_was_written_value_by_value_is_read(
+    tmp_path_factory, level, degree, count, seed
+):
+    splats = scene(count, degree, seed)
+    file = tmp_path_factory.getbasetemp() / "a.ksplat"
+    file.write_bytes(ksplat(splats, level))
+    back = read_ksplat(file)
+    assert (len(back), back.degree) == (count, degree)
+    half = 50 / 2 / 32767 / 2 * 1.01 if level else 0  # half a step of the buckets
+    assert np.abs(back.position - splats.position).max() <= half
+    relative = 1 / 1024 if level else 1e-6  # of a float16
+    np.testing.assert_allclose(
+        np.exp(back.log_scale), np.exp(splats.log_scale), rtol=relative
+    )
+    assert turn_between(back.rotation, splats.rotation) <= relative
+    assert np.abs(opacity(back) - opacity(splats)).max() <= 1 / 509
+    cut = np.clip(splats.sh[:, 0], -0.5 / C0, 0.5 / C0)
+    assert np.abs(back.sh[:, 0] - cut).max() <= 1 / 509 / C0
+    higher = np.clip(splats.sh[:, 1:], -1.5, 1.5)
+    loss = {0: 0, 1: 1 / 1024, 2: 3 / 509}[level]
+    assert np.abs(back.sh[:, 1:] - higher).max(initial=0) <= loss
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_splat_transform_reads_it_alike(level):
+    here = read_ksplat(GOLDENS / f"level-{level}.ksplat")
+    there = read_ply(GOLDENS / f"level-{level}.ksplat.decoded.ply")
+    assert_near(here, there, rotation=1e-7, opacities=1e-7, sh=2e-7)
+
+
+def test_twins_of_four_splats():
+    here = read_ksplat(shared("data/twins/minimal.ksplat"))
+    assert_near(here, read_splat(shared("data/twins/minimal.splat")))
+
+
+def test_sections_of_several_degrees_become_the_highest(tmp_path):
+    first, second = scene(4, 2), scene(3, 0, seed=1)
+    one, other = ksplat(first, 1), ksplat(second, 1)
+    head = bytearray(one[:4096])
+    head[4:8] = struct.pack("<I", 3)  # a third section is empty
+    sections = one[4096:5120] + other[4096:5120] + bytes(1024)
+    file = tmp_path / "two.ksplat"
+    file.write_bytes(bytes(head) + sections + one[5120:] + other[5120:])
+    both = read_ksplat(file)
+    assert (len(both), both.degree) == (7, 2)
+    (tmp_path / "one.ksplat").write_bytes(one)
+    alone = read_ksplat(tmp_path / "one.ksplat")
+    np.testing.assert_array_equal(both.position[:4], alone.position)
+    np.testing.assert_array_equal(both.sh[:4], alone.sh)
+    np.testing.assert_allclose(both.position[4:], second.position, atol=1e-3)
+    assert not both.sh[4:, 1:].any()
+
+
+def test_the_range_of_harmonics_is_in_the_header(tmp_path):
+    file = tmp_path / "a.ksplat"
+    content = bytearray(ksplat(scene(4, 1), 2))
+    file.write_bytes(content)
+    narrow = read_ksplat(file).sh[:, 1:]
+    content[36:44] = struct.pack("<2f", -3, 3)
+    file.write_bytes(content)
+    np.testing.assert_allclose(read_ksplat(file).sh[:, 1:], 2 * narrow, atol=1e-6)
+    content[36:44] = bytes(8)  # writers before it leave both 0, and mean 1.5
+    file.write_bytes(content)
+    np.testing.assert_array_equal(read_ksplat(file).sh[:, 1:], narrow)
+
+
+FULL, PARTIAL, COUNT, MOST, BLOCK = 4096 + 32, 4096 + 36, 4096, 4100, 4096 + 16
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "kind", "text"),
+    [
+        (0, b"\x01", NotRecognised, "first bytes: 01 01 00 00\n"),
+        (1, b"\x02", NotSupported, "byte 1: version 0.2\nwanted 0.1"),
+        (20, b"\x03", HeaderMalformed, "byte 20: compression level 3\nwanted 0, 1 or 2"),
+        (
+            4,
+            b"\xff\xff\xff\xff",
+            FileTruncated,
+            "section headers: 4398046510080 bytes needed",
+        ),
+        (COUNT, b"\x00", ValueInvalid, "sections: 0 splats\nwanted at least one"),
+        (
+            COUNT,
+            b"\x0d",
+            HeaderMalformed,
+            "section 0, byte 4096: 13 of 12 splats\nwanted no",
+        ),
+        (MOST, b"\xff\xff\xff\x7f", FileTruncated, "section 0, byte 4096: 90194313218"),
+        (
+            PARTIAL,
+            b"\xff\xff\xff\x7f",
+            HeaderMalformed,
+            "section 0, byte 4096: 3 buckets of",
+        ),
+        (
+            PARTIAL,
+            b"\x00",
+            HeaderMalformed,
+            "section 0, byte 4096: 12 splats in 1 full and 0",
+        ),
+        (4096 + 40, b"\x03", HeaderMalformed, "section 0, byte 4096: SH degree 3\n"),
+        (
+            BLOCK,
+            b"\0\0\xc0\x7f",
+            HeaderMalformed,
+            "section 0, byte 4096: 3 buckets of 12 byt",
+        ),
+        (
+            5120,
+            b"\x09",
+            HeaderMalformed,
+            "bucket lengths, byte 5120: a bucket of 9 splats\n",
+        ),
+        (
+            5120,
+            b"\x01",
+            HeaderMalformed,
+            "bucket lengths, byte 5120: 12 splats, 11 in buckets",
+        ),
+    ],
+)
+def test_a_file_that_cannot_be_is_refused(tmp_path, at, value, kind, text):
+    content = bytearray(ksplat(scene(12, 1), 1))
+    content[at : at + len(value)] = value
+    file = tmp_path / "bad.ksplat"
+    file.write_bytes(content)
+    with pytest.raises(FormatError) as caught:
+        read_ksplat(file)
+    assert str(caught.value).removeprefix(f"{file}: ").startswith(text)
+    assert type(caught.value) is kind
+
+
+def test_every_truncated_file_is_refused(tmp_path):
+    content = ksplat(scene(12, 1), 1)
+    file = tmp_path / "short.ksplat"
+    for size in (1, 4095, 4097, 5119, 5121, 5160, len(content) - 1):
+        file.write_bytes(content[:size])
+        with pytest.raises(FileTruncated):
+            read_ksplat(file)

@@ -1,0 +1,267 @@
+import json
+import math
+import sys
+import zipfile
+from io import BytesIO
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsgen.formats import (
+    ArchiveDamaged,
+    FileTruncated,
+    FileUnreadable,
+    FormatError,
+    HeaderMalformed,
+    NotRecognised,
+    NotSupported,
+    PropertyMissing,
+    SizeExceeded,
+    Splats,
+    open_splats,
+    read_ply,
+    read_sog,
+)
+from support.splat_files import GOLDENS, assert_near, sog_files, webp, zipped
+
+
+def naive_read(files: dict[str, bytes]) -> Splats:
+    """One pixel at a time, as the format describes it."""
+    meta = json.loads(files["meta.json"])
+
+    def pixels(name: str) -> list[tuple[int, ...]]:
+        image = Image.open(BytesIO(files[name])).convert("RGBA")
+        return [
+            image.getpixel((x, y)) for y in range(image.height) for x in range(image.width)
+        ]
+
+    low, high = (pixels(name) for name in meta["means"]["files"])
+    turns, sizes = pixels("quats.webp"), pixels("scales.webp")
+    colors = pixels("sh0.webp")
+    ends = zip(meta["means"]["mins"], meta["means"]["maxs"], strict=True)
+    ends = list(ends)
+    made = {"position": [], "rotation": [], "log_scale": [], "logit_opacity": [], "sh": []}
+    for row in range(meta["count"]):
+        place = []
+        for axis, (a, b) in enumerate(ends):
+            share = (low[row][axis] | high[row][axis] << 8) / 65535
+            value = a + (b - a) * share
+            place.append(math.copysign(math.exp(abs(value)) - 1, value))
+        made["position"].append(place)
+        quaternion, largest = [0.0] * 4, turns[row][3] - 252
+        others = [k for k in range(4) if k != largest]
+        for k, byte in zip(others, turns[row], strict=False):
+            quaternion[k] = (byte / 255 * 2 - 1) / math.sqrt(2)
+        quaternion[largest] = math.sqrt(max(0, 1 - sum(v * v for v in quaternion)))
+        made["rotation"].append(quaternion)
+        made["log_scale"].append([meta["scales"]["codebook"][b] for b in sizes[row][:3]])
+        alpha = colors[row][3] / 255
+        logit = {0: -math.inf, 1: math.inf}.get(alpha) or math.log(alpha / (1 - alpha))
+        made["logit_opacity"].append(logit)
+        made["sh"].append([[meta["sh0"]["codebook"][b] for b in colors[row][:3]]])
+    if "shN" in meta:
+        rest = (meta["shN"]["bands"] + 1) ** 2 - 1
+        palette = Image.open(BytesIO(files["centroids.webp"])).convert("RGBA")
+        labels = pixels("labels.webp")
+        for row in range(meta["count"]):
+            label = labels[row][0] | labels[row][1] << 8
+            for j in range(rest):
+                texel = palette.getpixel(((label % 64) * rest + j, label // 64))
+                made["sh"][row].append([meta["shN"]["codebook"][b] for b in texel[:3]])
+    return Splats(**{name: np.array(values, np.float32) for name, values in made.items()})
+
+
+@pytest.mark.parametrize(("bands", "count"), [(0, 1), (1, 10), (2, 17), (3, 5)])
+def test_it_is_read_as_a_slow_decoder_reads_it(tmp_path, bands, count):
+    files = sog_files(count, bands)
+    file = tmp_path / "a.sog"
+    file.write_bytes(zipped(files))
+    assert_near(read_sog(file), naive_read(files), position=1e-5, rotation=1e-6)
+
+
+def test_splat_transform_reads_its_file_alike():
+    here = read_sog(GOLDENS / "scene.sog")
+    there = read_ply(GOLDENS / "scene.sog.decoded.ply")
+    assert_near(here, there, position=1e-6, opacities=1e-5)
+
+
+def test_an_unpacked_sog_is_read_through_its_meta(tmp_path):
+    for name, content in sog_files().items():
+        (tmp_path / name).write_bytes(content)
+    file = tmp_path / "a.sog"
+    file.write_bytes(zipped(sog_files(), zipfile.ZIP_DEFLATED))
+    one, other = open_splats(tmp_path / "meta.json"), open_splats(file)
+    assert isinstance(one, Splats)
+    assert isinstance(other, Splats)
+    assert_near(one, other)
+
+
+def test_a_tag_that_is_none_means_no_rotation(tmp_path):
+    files = sog_files(4)
+    pixels = np.full((4, 4), 251, np.uint8)
+    file = tmp_path / "a.sog"
+    file.write_bytes(zipped(files | {"quats.webp": webp(pixels, 4)}))
+    np.testing.assert_array_equal(read_sog(file).rotation, [[1, 0, 0, 0]] * 4)
+
+
+def refusal(
+    tmp_path, files: dict[str, bytes], kind: type[FormatError], **meta: object
+) -> str:
+    """The text of the error over a SOG of ``files``, with ``meta`` changed."""
+    if meta:
+        files = files | {
+            "meta.json": json.dumps(json.loads(files["meta.json"]) | meta).encode()
+        }
+    file = tmp_path / "bad.sog"
+    file.write_bytes(zipped(files))
+    with pytest.raises(FormatError) as caught:
+        read_sog(file)
+    assert caught.value.path == str(file)
+    assert type(caught.value) is kind, str(caught.value)
+    return str(caught.value).removeprefix(f"{file}: ")
+
+
+MEANS = {"mins": [-1, -2, -3], "maxs": [1, 2, 3], "files": ["l.webp", "u.webp"]}
+
+
+@pytest.mark.parametrize(
+    ("meta", "kind", "text"),
+    [
+        ({"version": 1}, NotSupported, "meta.json: version '1'\nwanted 2"),
+        ({"lodLevels": 3}, NotSupported, "meta.json: a streamed SOG of several levels"),
+        (
+            {"count": 0},
+            HeaderMalformed,
+            "meta.json, count: '0'\nwanted a whole number from 1",
+        ),
+        ({"count": "x"}, HeaderMalformed, "meta.json, count: 'x'\n"),
+        ({"count": True}, HeaderMalformed, "meta.json, count: 'True'\n"),
+        ({"count": 10**30}, HeaderMalformed, "meta.json, count: "),
+        ({"count": 10**9}, SizeExceeded, "1000000000 splats of some 236 bytes\n"),
+        ({"count": 10**7}, FileTruncated, "meta.json, count: 10000000 splats, whose posi"),
+        (
+            {"count": 1000},
+            FileTruncated,
+            "means: an image of 4 × 3 pixels\nwanted 1000 pix",
+        ),
+        ({"means": 3}, HeaderMalformed, "meta.json: no means\nwanted an object"),
+        (
+            {"means": MEANS | {"files": ["l.webp"]}},
+            HeaderMalformed,
+            "meta.json, means.files",
+        ),
+        ({"means": MEANS | {"files": [1, 2]}}, HeaderMalformed, "meta.json, means.files: "),
+        ({"means": MEANS | {"files": ["x", "y"]}}, PropertyMissing, "archive: no 'x'"),
+        ({"means": MEANS | {"mins": [0, 0]}}, HeaderMalformed, "meta.json, means.mins: "),
+        (
+            {"means": MEANS | {"mins": [0, 0, "a"]}},
+            HeaderMalformed,
+            "meta.json, means.mins:",
+        ),
+        ({"shN": {"count": 70000}}, HeaderMalformed, "meta.json, shN.count: '70000'\n"),
+        ({"shN": {"count": 1, "bands": 4}}, HeaderMalformed, "meta.json, shN.bands: '4'\n"),
+        (
+            {"sh0": {"codebook": [1], "files": ["sh0.webp"]}},
+            HeaderMalformed,
+            "meta.json, sh0.",
+        ),
+    ],
+)
+def test_a_meta_that_cannot_be_is_refused(tmp_path, meta, kind, text):
+    assert refusal(tmp_path, sog_files(), kind, **meta).startswith(text)
+
+
+@pytest.mark.parametrize(
+    ("content", "kind", "text"),
+    [
+        (b"{", NotRecognised, "meta.json: no JSON (Expecting property name"),
+        (b"[1]", NotRecognised, "meta.json: a list\n"),
+        (b"{}", NotRecognised, "meta.json: JSON without means\n"),
+        (b"\xff\xfe", NotRecognised, "meta.json: no JSON ("),
+        (b"[" * 100_000, NotRecognised, "meta.json: no JSON (maximum recursion depth"),
+    ],
+)
+def test_a_meta_that_is_none_is_not_recognised(tmp_path, content, kind, text):
+    files = sog_files() | {"meta.json": content}
+    assert refusal(tmp_path, files, kind).startswith(text)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "kind", "text"),
+    [
+        (
+            "quats.webp",
+            b"RIFF....WEBPVP8L",
+            ArchiveDamaged,
+            "quats: an image cannot be unp",
+        ),
+        ("quats.webp", b"", ArchiveDamaged, "quats: an image cannot be unpacked (Unident"),
+        (
+            "sh0.webp",
+            webp(np.zeros((9, 4)), 3),
+            FileTruncated,
+            "sh0: an image of 3 × 3 pix",
+        ),
+        (
+            "sh0.webp",
+            webp(np.zeros((90_000, 4)), 300),
+            HeaderMalformed,
+            "sh0: an image of 300",
+        ),
+        (
+            "centroids.webp",
+            webp(np.zeros((640, 4)), 64),
+            HeaderMalformed,
+            "shN: an image of 64",
+        ),
+        (
+            "labels.webp",
+            webp(np.full((10, 4), 255), 4),
+            HeaderMalformed,
+            "shN: label 65535\nwanted 0 to 64",
+        ),
+    ],
+)
+def test_an_image_that_cannot_be_is_refused(tmp_path, name, content, kind, text):
+    files = sog_files() | {name: content}
+    assert refusal(tmp_path, files, kind).startswith(text)
+
+
+def test_a_zip_bomb_is_not_unpacked(tmp_path):
+    file = tmp_path / "bomb.sog"
+    files = sog_files() | {"l.webp": bytes(5_000_000)}
+    file.write_bytes(zipped(files, zipfile.ZIP_DEFLATED))
+    assert file.stat().st_size < 100_000
+    with pytest.raises(SizeExceeded, match=r"file 'l\.webp': more than 524448 bytes"):
+        read_sog(file)
+
+
+def test_a_meta_that_names_files_elsewhere_is_refused(tmp_path):
+    folder = tmp_path / "inner"
+    folder.mkdir()
+    files = sog_files()
+    (tmp_path / "l.webp").write_bytes(files["l.webp"])
+    meta = json.loads(files["meta.json"])
+    meta["means"]["files"] = ["../l.webp", "u.webp"]
+    (folder / "meta.json").write_text(json.dumps(meta))
+    with pytest.raises(HeaderMalformed, match="the name of a file beside it"):
+        read_sog(folder / "meta.json")
+    meta["means"]["files"] = ["l.webp", "u.webp"]
+    (folder / "meta.json").write_text(json.dumps(meta))
+    with pytest.raises(FileUnreadable):
+        read_sog(folder / "meta.json")
+
+
+def test_a_sog_needs_pillow(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    with pytest.raises(NotSupported) as caught:
+        read_sog(GOLDENS / "scene.sog")
+    assert str(caught.value).endswith("pip install 'gsgen[formats]'")
+
+
+def test_a_zip_of_other_files_has_no_meta(tmp_path):
+    file = tmp_path / "a.sog"
+    file.write_bytes(zipped({"a.txt": b"a"}))
+    with pytest.raises(PropertyMissing, match=r"no 'meta\.json'"):
+        read_sog(file)

@@ -1,0 +1,129 @@
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsgen.formats import (
+    FileTruncated,
+    FormatError,
+    Splats,
+    ValueInvalid,
+    read_ply,
+    read_splat,
+    write_splat,
+)
+from support.commands import shared
+from support.splat_files import assert_near, opacity, scene, turn_between, unit
+
+C0 = 0.28209479177387814
+
+
+def test_records_are_what_the_format_says(tmp_path):
+    splats = scene(3, 2)
+    write_splat(tmp_path / "a.splat", splats)
+    records = [*struct.iter_unpack("<6f8B", (tmp_path / "a.splat").read_bytes())]
+    assert len(records) == 3
+    for row, record in enumerate(records):
+        np.testing.assert_array_equal(np.float32(record[:3]), splats.position[row])
+        np.testing.assert_allclose(record[3:6], np.exp(splats.log_scale[row]), rtol=1e-6)
+        shown = np.clip((0.5 + C0 * splats.sh[row, 0]) * 255, 0, 255)
+        np.testing.assert_allclose(record[6:9], shown, atol=0.51)
+        np.testing.assert_allclose(record[9], opacity(splats)[row] * 255, atol=0.51)
+        turn = np.clip(unit(splats.rotation[row : row + 1])[0] * 128 + 128, 0, 255)
+        np.testing.assert_allclose(record[10:], turn, atol=0.51)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), degree=st.integers(0, 4))
+def test_what_comes_back_is_within_half_a_step(tmp_path_factory, seed, degree):
+    splats = scene(8, degree, seed)
+    file = tmp_path_factory.getbasetemp() / "round.splat"
+    write_splat(file, splats)
+    back = read_splat(file)
+    np.testing.assert_array_equal(back.position, splats.position)
+    assert np.abs(back.log_scale - splats.log_scale).max() <= 1e-6
+    assert np.abs(opacity(back) - opacity(splats)).max() <= 1 / 509
+    cut = np.clip(splats.sh[:, :1], -0.5 / C0, 0.5 / C0)
+    assert np.abs(back.sh - cut).max() <= 1 / 509 / C0
+    assert turn_between(back.rotation, splats.rotation) <= 1.5 / 128  # 1 is cut to 127/128
+
+
+def test_what_is_written_again_is_the_same_file(tmp_path):
+    one, other = tmp_path / "one", tmp_path / "other"
+    write_splat(one, scene(50, 0))
+    write_splat(other, read_splat(one))
+    a, b = (
+        np.frombuffer(file.read_bytes(), np.uint8).reshape(-1, 32) for file in (one, other)
+    )
+    np.testing.assert_array_equal(a[:, :12], b[:, :12])
+    np.testing.assert_array_equal(a[:, 24:28], b[:, 24:28])
+    assert np.abs(a[:, 28:].astype(int) - b[:, 28:]).max() <= 1
+
+
+def test_twins_of_a_real_training():
+    name = "data/twins/test-splat.3-points-from-train"
+    real, twin = read_ply(shared(f"{name}.ply")), read_splat(shared(f"{name}.splat"))
+    plain = Splats(
+        real.position, real.rotation, real.log_scale, real.logit_opacity, real.sh[:, :1]
+    )
+    assert_near(plain, twin, rotation=0.02, log_scale=1e-6, opacities=1 / 255, sh=1 / 70)
+
+
+def test_ends_of_the_ranges(tmp_path):
+    plain = scene(2, 0)
+    odd = Splats(
+        plain.position,
+        np.float32([[0, 0, 0, 0], [-1, 0, 0, 0]]),
+        np.float32([[-np.inf, -100, 80]] * 2),
+        np.float32([np.inf, -np.inf]),
+        np.float32([[[9, -9, 0]]] * 2),
+    )
+    write_splat(tmp_path / "odd.splat", odd)
+    back = read_splat(tmp_path / "odd.splat")
+    np.testing.assert_allclose(back.log_scale, odd.log_scale, rtol=1e-2)
+    np.testing.assert_array_equal(back.logit_opacity, odd.logit_opacity)
+    np.testing.assert_array_equal(back.rotation, [[1, 0, 0, 0], [-1, 0, 0, 0]])
+    np.testing.assert_allclose(back.sh[0, 0], [0.5 / C0, -0.5 / C0, 0], atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "text"),
+    [
+        (0, np.nan, "position[:, 0]: 1 of 2 rows, row 0 is nan\nwanted a finite number"),
+        (9, np.inf, "position[:, 1]: 1 of 2 rows, row 1 is inf\nwanted a finite number"),
+        (3, -1.0, "log_scale[:, 0]: 1 of 2 rows, row 0 is nan\n"
+         "wanted a finite number or -inf"),
+    ],
+)  # fmt: skip
+def test_values_that_cannot_be_drawn_are_refused(tmp_path, at, value, text):
+    file = tmp_path / "bad.splat"
+    write_splat(file, scene(2, 0))
+    numbers = np.frombuffer(file.read_bytes(), "<f4").copy()
+    numbers[at] = value
+    file.write_bytes(numbers.tobytes())
+    with pytest.raises(ValueInvalid) as caught:
+        read_splat(file)
+    assert str(caught.value) == f"{file}: {text}"
+
+
+def test_a_part_of_a_record_is_refused(tmp_path):
+    file = tmp_path / "short.splat"
+    file.write_bytes(bytes(77))
+    with pytest.raises(FileTruncated) as caught:
+        read_splat(file)
+    assert str(caught.value) == (
+        f"{file}: byte 64: 77 bytes are 2 records of 32 and 13 bytes more\n"
+        "wanted a multiple of 32 bytes, as of a SPLAT file\ncopy or download the file again"
+    )
+
+
+def test_a_scale_beyond_float32_is_not_written(tmp_path):
+    plain = scene(1, 0)
+    huge = Splats(
+        plain.position, plain.rotation, plain.log_scale + 100, plain.logit_opacity, plain.sh
+    )
+    with pytest.raises(FormatError, match="row 0 is inf"):
+        write_splat(tmp_path / "a.splat", huge)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,236 @@
+"""Splats and files of them: random scenes, and writers of formats that are only read."""
+
+import json
+import struct
+import zipfile
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+
+from gsgen.formats import Splats, write_compressed_ply, write_glb, write_ply, write_spz
+from gsgen.formats import write_splat as write_splat_file
+
+GOLDENS = Path(__file__).parents[1] / "runtime" / "formats" / "goldens"
+FIELDS = ("position", "rotation", "log_scale", "logit_opacity", "sh")
+
+
+def scene(count: int, degree: int, seed: int = 0, **flags: object) -> Splats:
+    """Splats as a training leaves them: small, of all turns and opacities."""
+    rng = np.random.default_rng(seed)
+
+    def draw(*shape: int, size: float = 1.0, middle: float = 0.0) -> np.ndarray:
+        values = middle + size * rng.standard_normal((count, *shape))
+        return values.astype(np.float32)
+
+    return Splats(
+        draw(3, size=3.0),
+        draw(4),
+        draw(3, size=0.7, middle=-4.0),
+        draw(size=2.0),
+        draw((degree + 1) ** 2, 3, size=0.25),
+        **flags,  # type: ignore[arg-type]
+    )
+
+
+def unit(rotation: np.ndarray) -> np.ndarray:
+    wide = rotation.astype(np.float64)
+    return wide / np.linalg.norm(wide, axis=1, keepdims=True)
+
+
+def opacity(splats: Splats) -> np.ndarray:
+    with np.errstate(over="ignore"):
+        return 1 / (1 + np.exp(-splats.logit_opacity.astype(np.float64)))
+
+
+def turn_between(one: np.ndarray, other: np.ndarray) -> float:
+    """The largest difference of unit quaternions, of which q and −q are one rotation."""
+    a, b = unit(one), unit(other)
+    apart = np.minimum(np.abs(a - b).max(axis=1), np.abs(a + b).max(axis=1))
+    return float(apart.max())
+
+
+def assert_near(
+    one: Splats,
+    other: Splats,
+    *,
+    position: float = 0.0,
+    rotation: float = 1e-6,
+    log_scale: float = 0.0,
+    opacities: float = 1e-6,
+    sh: float = 0.0,
+) -> None:
+    """Compare splats row by row; each number is the largest difference that there may be."""
+    assert len(one) == len(other)
+    assert one.degree == other.degree
+    close(one.position, other.position, position)
+    assert turn_between(one.rotation, other.rotation) <= rotation
+    close(one.log_scale, other.log_scale, log_scale)
+    close(opacity(one), opacity(other), opacities)
+    close(one.sh, other.sh, sh)
+
+
+def close(one: np.ndarray, other: np.ndarray, most: float) -> None:
+    assert float(np.abs(one.astype(np.float64) - other).max(initial=0)) <= most
+
+
+KSPLAT_RECORDS = ("<f4", "<f2", "<f2"), ("<f4", "<f2", "u1")
+
+
+def ksplat(
+    splats: Splats, level: int, *, bucket_size: int = 8, block: float = 50.0
+) -> bytes:
+    """A KSPLAT file of one section, written value by value.
+
+    Above level 0 the first splats fill a bucket; the others are in buckets of one or two.
+    """
+    count, degree = len(splats), min(splats.degree, 2)
+    full = 1 if level and count >= bucket_size else 0
+    lengths = []
+    while level and bucket_size * full + sum(lengths) < count:
+        lengths.append(min(2, count - bucket_size * full - sum(lengths)))
+    sizes = [bucket_size] * full + lengths
+    starts = np.cumsum([0, *sizes])[:-1]
+    middles = [
+        splats.position[at : at + size].mean(axis=0)
+        for at, size in zip(starts, sizes, strict=True)
+    ]
+    body = b"".join(struct.pack("<I", length) for length in lengths)
+    body += b"".join(struct.pack("<3f", *middle) for middle in middles)
+    bucket = np.repeat(np.arange(len(sizes)), sizes)
+    for row in range(count):
+        middle = middles[bucket[row]] if level else np.zeros(3)
+        body += _ksplat_record(splats, row, middle, level, degree, block)
+    header = struct.pack("<BBHIIIIHH", 0, 1, 0, 1, 1, count, count, level, 0)
+    header += struct.pack("<3f2f", 0, 0, 0, -1.5, 1.5)
+    section = struct.pack("<4If", count, count, bucket_size, len(sizes), block)
+    section += struct.pack(
+        "<HHIIII", 12, 0, 32767 if level else 1, len(body), full, len(lengths)
+    )
+    section += struct.pack("<H", degree)
+    return header.ljust(4096, b"\0") + section.ljust(1024, b"\0") + body
+
+
+def _ksplat_record(
+    splats: Splats, row: int, middle: np.ndarray, level: int, degree: int, block: float
+) -> bytes:
+    scale = np.exp(splats.log_scale[row].astype(np.float64))
+    turn = unit(splats.rotation[row : row + 1])[0]
+    if level:
+        steps = (splats.position[row] - middle) / (block / 2 / 32767) + 32767
+        out = struct.pack("<3H", *np.rint(np.clip(steps, 0, 65535)).astype(int))
+        out += struct.pack("<7e", *scale, *turn)
+    else:
+        out = struct.pack("<10f", *splats.position[row], *scale, *turn)
+    shown = 0.5 + 0.28209479177387814 * splats.sh[row, 0]
+    rgba = [*shown, opacity(splats)[row]]
+    out += bytes(np.rint(np.clip(rgba, 0, 1) * 255).astype(int).tolist())
+    for first, last in [(1, 4), (4, 9)][:degree]:
+        values = splats.sh[row, first:last].T.ravel()  # all of red, then green, then blue
+        if level == 0:
+            out += struct.pack(f"<{len(values)}f", *values)
+        elif level == 1:
+            out += struct.pack(f"<{len(values)}e", *values)
+        else:
+            share = np.clip((values + 1.5) / 3, 0, 1)
+            out += bytes(np.rint(share * 255).astype(int).tolist())
+    return out
+
+
+def webp(pixels: np.ndarray, width: int) -> bytes:
+    """A lossless WebP of rows of RGBA, the last one filled up."""
+    from PIL import Image
+
+    rows = -(-len(pixels) // width)
+    full = np.zeros((rows * width, 4), np.uint8)
+    full[: len(pixels)] = pixels
+    stream = BytesIO()
+    image = Image.fromarray(full.reshape(rows, width, 4))
+    image.save(stream, "WEBP", lossless=True, exact=True, method=0)
+    return stream.getvalue()
+
+
+def sog_files(count: int = 10, bands: int = 1, seed: int = 0) -> dict[str, bytes]:
+    """The files of a SOG of random bytes, whose harmonics come from a palette of 65."""
+    rng = np.random.default_rng(seed)
+
+    def image(name: str, rows: int = count, width: int = 4) -> bytes:
+        pixels = rng.integers(0, 256, (rows, 4))
+        if name == "quats":
+            pixels[:, 3] = rng.integers(252, 256, rows)
+        if name == "labels":
+            label = rng.integers(0, 65, rows)
+            pixels = np.stack([label & 255, label >> 8, 0 * label, 0 * label + 255], 1)
+        if name != "sh0" and name not in ("quats", "labels"):
+            pixels[:, 3] = 255
+        return webp(pixels, width)
+
+    def book() -> list[float]:
+        return np.sort(rng.standard_normal(256)).tolist()
+
+    rest = (bands + 1) ** 2 - 1
+    meta = {
+        "version": 2,
+        "count": count,
+        "means": {"mins": [-1, -2, -3], "maxs": [1, 2, 3], "files": ["l.webp", "u.webp"]},
+        "scales": {"codebook": book(), "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {"codebook": book(), "files": ["sh0.webp"]},
+    }
+    files = {f"{n}.webp": image(n) for n in ("l", "u", "scales", "quats", "sh0")}
+    if bands:
+        meta["shN"] = {
+            "count": 65,
+            "bands": bands,
+            "codebook": book(),
+            "files": ["centroids.webp", "labels.webp"],
+        }
+        files["centroids.webp"] = image("centroids", 64 * rest * 2, 64 * rest)
+        files["labels.webp"] = image("labels")
+    return {"meta.json": json.dumps(meta).encode(), **files}
+
+
+def zipped(files: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> bytes:
+    stream = BytesIO()
+    with zipfile.ZipFile(stream, "w", method) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return stream.getvalue()
+
+
+def samples(folder: Path, formats: Sequence[str] = ()) -> dict[str, list[bytes]]:
+    """A few whole files of every format, for what mutates them."""
+    splats, plain = scene(12, 1, antialiased=True), scene(5, 0, seed=1)
+    file = folder / "sample"
+
+    def written(write: object, *args: object, **options: object) -> bytes:
+        write(file, *args, **options)  # type: ignore[operator]
+        return file.read_bytes()
+
+    encodings = ("ascii", "binary_little_endian", "binary_big_endian")
+    made = {
+        "ply": [written(write_ply, splats, format=name) for name in encodings],
+        "compressed-ply": [written(write_compressed_ply, one) for one in (splats, plain)],
+        "splat": [written(write_splat_file, splats)],
+        "spz": [
+            *(written(write_spz, splats, version=version) for version in (1, 2, 3, 4)),
+            written(write_spz, plain, version=4),
+        ],
+        "glb": [written(write_glb, splats)],
+        "ksplat": [ksplat(splats, level) for level in (0, 1, 2)],
+        "sog": [zipped(sog_files()), zipped(sog_files(bands=0), zipfile.ZIP_DEFLATED)],
+        "npz": [_npz()],
+    }
+    file.unlink()
+    return {name: made[name] for name in formats or made}
+
+
+def _npz() -> bytes:
+    stream = BytesIO()
+    np.savez_compressed(
+        stream,
+        gaussians=np.ones((4, 10), np.float32),
+        appearance=np.ones((4, 3), np.float32),
+    )
+    return stream.getvalue()
