@@ -3,17 +3,20 @@
 import json
 import math
 import sys
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
+from gsgen.cli.commands import Command
 from gsgen.conformance.fixtures import find
 from gsgen.contract.engine import validate
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
 from gsgen.contract.model import open_model
 from gsgen.sdk import GeneratorInvalid, ParityFailed
+from gsgen.sdk.commands import export as export_command
 from gsgen.sdk.commands.export import app
 from gsgen.sdk.export_report import Outcome, write_report
 from gsgen.sdk.export_request import ExportRequest, with_common_options
@@ -286,3 +289,32 @@ def test_a_plugin_s_own_options_stand_beside_the_common_ones() -> None:
 
     with pytest.raises(TypeError, match="every export has the option 'dtype'"):
         with_common_options(clashing, run_it)
+
+
+def clashing(dtype: str) -> object:
+    return dtype
+
+
+CLASHING = Plugin("clashing", "It clashes.", "Reads nothing.", (), build=clashing)
+
+
+def test_a_plugin_that_cannot_be_used_spoils_only_itself(
+    monkeypatch: pytest.MonkeyPatch, folder: Path
+) -> None:
+    values = {
+        "absent": "no_such_module:PLUGIN",
+        "clashing": f"{__name__}:CLASHING",
+    }
+    points = {
+        name: Command(name, EntryPoint(name, value, "gsgen.generators"), ())
+        for name, value in values.items()
+    }
+    monkeypatch.setitem(sys.modules, __name__, sys.modules[clashing.__module__])
+    monkeypatch.setattr(export_command, "find_plugins", lambda: points)
+    built = export_command._build()
+    assert "It clashes." in CliRunner().invoke(built, ["--help"]).output
+    ran = CliRunner().invoke(built, ["absent", "file", "-o", "m.onnx"])
+    assert (ran.exit_code, "No module named 'no_such_module'" in ran.output) == (3, True)
+    ran = CliRunner().invoke(built, ["clashing", "file", "-o", "m.onnx"])
+    assert isinstance(ran.exception, GsgenError)
+    assert "every export has the option 'dtype'" in str(ran.exception)

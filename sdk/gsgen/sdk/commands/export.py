@@ -2,6 +2,7 @@
 
 __all__ = ["app"]
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,7 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from gsgen.cli.commands import escaped
-from gsgen.contract.errors import UnknownName
+from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.sdk.export_request import with_common_options
 from gsgen.sdk.factory import is_target
 from gsgen.sdk.plugin import Plugin, find_plugins
@@ -19,6 +20,8 @@ _HELP = """Export a Gaussian Generator from your torch module, or from the files
 TARGET is package.module:factory, a callable of yours that returns a GaussianGenerator (modules
 of the current folder can be imported), or one of the methods below.
 """
+# A command that only says why it cannot run takes whatever was typed behind it.
+_ANY_WORDS = {"ignore_unknown_options": True, "allow_extra_args": True}
 _SCENES = (".ply", ".npz", ".splat", ".spz", ".ksplat")
 
 
@@ -99,6 +102,19 @@ def _described(target: str) -> str:
     return f"It takes --arg {', --arg '.join(str(one) for one in parameters)}."
 
 
+def _function_of(plugin: Plugin) -> tuple[Callable[..., Any], dict[str, Any]]:
+    """Return a plugin's function; one that cannot be made spoils only that plugin."""
+    try:
+        return plugin.function, {}
+    except TypeError as error:
+        what = f"plugin {plugin.name!r} cannot be used: {error}"
+
+    def refuse() -> None:
+        raise GsgenError(what)
+
+    return refuse, _ANY_WORDS
+
+
 def _build() -> typer.Typer:
     made = typer.Typer(
         cls=_Targets,
@@ -115,11 +131,12 @@ def _build() -> typer.Typer:
         loaded = command.load()
         if isinstance(loaded, Plugin):
             help = f"{loaded.summary}\n\n{loaded.reads}"
-            made.command(name, help=help)(loaded.function)
+            function, context = _function_of(loaded)
+            made.command(name, help=help, context_settings=context)(function)
         elif isinstance(loaded, typer.Typer):
             made.add_typer(loaded, name=name)
         else:  # a plugin that cannot be used here says so itself
-            made.command(name, context_settings=command.context)(loaded)
+            made.command(name, context_settings=_ANY_WORDS)(loaded)
     return made
 
 
