@@ -8,6 +8,7 @@ products would not.
 
 __all__ = ["covariance_planes", "planes_of", "rotation_columns", "stacked"]
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -28,17 +29,20 @@ def rotation_columns(
         normalise: Divide by |q|²; without, R is I − 2(…) as the rasteriser of 3DGS computes it
             from whatever quaternion it is given.
     """
-    w, x, y, z = rotation
-    xx, yy, zz = x * x, y * y, z * z
-    twice: Tensor | float = 2.0
+    factor: Tensor | float = math.sqrt(2.0)
     if normalise:
-        twice = 2.0 / (w * w + xx + yy + zz).clamp(min=_TINY)
+        w, x, y, z = rotation
+        square = w * w + x * x + y * y + z * z
+        factor = torch.sqrt(2.0 / square.clamp(min=_TINY))
+    # Products of these are what R holds twice; so no product has to be doubled.
+    w, x, y, z = (factor * part for part in rotation)
+    xx, yy, zz = x * x, y * y, z * z
     xy, xz, yz = x * y, x * z, y * z
     wx, wy, wz = w * x, w * y, w * z
     return [
-        (1 - twice * (yy + zz), twice * (xy + wz), twice * (xz - wy)),
-        (twice * (xy - wz), 1 - twice * (xx + zz), twice * (yz + wx)),
-        (twice * (xz + wy), twice * (yz - wx), 1 - twice * (xx + yy)),
+        (1 - (yy + zz), xy + wz, xz - wy),
+        (xy - wz, 1 - (xx + zz), yz + wx),
+        (xz + wy, yz - wx, 1 - (xx + yy)),
     ]
 
 
