@@ -13,14 +13,18 @@ from typer.testing import CliRunner
 
 from gsgen.cli.app import build
 from gsgen.cli.commands import find_commands
+from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid, ModelUnreadable, UnknownName
+from gsgen.contract.manifest_json import parse
+from gsgen.contract.model import MANIFEST_KEY
 from gsgen.contract.targets import known_targets, load_target
 from gsgen.sdk import rewrite as pipeline
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.passes.base import BITS, Exactness, Goal, NodeRewrite, is_op
 from gsgen.sdk.passes.building import Before
 from gsgen.sdk.passes.registry import REWRITES
-from gsgen.sdk.rewrite import rewrite_file, rewrite_graph
+from gsgen.sdk.rewrite import census, rewrite_file, rewrite_graph
+from gsgen.sdk.saving import save_model
 from support.passes import HEAD, operators, parsed
 from support.small_models import good_rows, save_moving
 
@@ -223,6 +227,60 @@ def test_a_model_that_does_not_run_cannot_be_compared(tmp_path: Path) -> None:
         RewriteFailed, match="as it came does not run in ONNX Runtime at probe"
     ):
         rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("external_data_outside", "GS001"),
+        ("external_data_missing", "GS001"),
+        ("cyclic_graph", "GG019"),
+        ("shape_conflict", "GG015"),
+        ("unseeded_random", "other outputs for the same inputs"),
+        ("custom_operator", "does not run in ONNX Runtime"),
+    ],
+)
+def test_a_model_that_is_broken_is_refused_for_that(
+    name: str, told: str, tmp_path: Path
+) -> None:
+    source = find(name).write(tmp_path)
+    with pytest.raises(RewriteFailed, match=told):
+        rewrite_file(source, tmp_path / "out.onnx", CORE)
+    assert not (tmp_path / "out.onnx").exists()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("stepped_frames", "output_scattered_in_place", "int64_on_jsep", "modulo_of_time"),
+        *("group_normalised", "lp_normalised_on_jsep", "sine_of_opset_22_on_jsep"),
+        *("vector_product_on_jsep", "largest_of_two_on_jsep", "split_in_eight"),
+    ],
+)
+def test_examples_that_no_release_captures_are_captured_afterwards(
+    name: str, tmp_path: Path
+) -> None:
+    model = ir.load(find(name).write(tmp_path))
+    goal = Goal.of(CORE, parse(model.metadata_props[MANIFEST_KEY]).manifest)
+    rewrite_graph(model, goal)
+    save_model(model, tmp_path / "out.onnx")
+    assert census(tmp_path / "out.onnx", goal).uncaptured == ()
+
+
+def test_an_input_that_is_an_output_keeps_its_name(tmp_path: Path) -> None:
+    """It cannot be mended without another name; rule GG016 tells of it."""
+    source = find("output_is_input").write(tmp_path)
+    done = rewrite_file(source, tmp_path / "out.onnx", CORE)
+    made = onnx.load(tmp_path / "out.onnx")
+    assert done.path is not None
+    assert {v.name for v in made.graph.output} == {
+        v.name for v in onnx.load(source).graph.output
+    }
+
+
+def test_a_manifest_about_other_shapes_gives_way_to_the_graph(tmp_path: Path) -> None:
+    source = find("view_flattened").write(tmp_path)
+    assert rewrite_file(source, None, CORE).probes == 5
 
 
 def test_wrong_words_are_said(tmp_path: Path) -> None:

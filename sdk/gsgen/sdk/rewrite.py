@@ -36,11 +36,12 @@ from onnx_ir.passes.common import (
 from gsgen.contract.config import Settings
 from gsgen.contract.engine import validate
 from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
-from gsgen.contract.finding import Level
+from gsgen.contract.finding import Level, Severity
 from gsgen.contract.graph import read_graph
 from gsgen.contract.model import open_model
 from gsgen.contract.operators import FAILURES
 from gsgen.contract.placement import Placement, placements
+from gsgen.contract.report import Report
 from gsgen.contract.sandbox import Limits
 from gsgen.contract.subject import read_subject
 from gsgen.contract.targets import Target
@@ -55,6 +56,9 @@ from gsgen.sdk.saving import has_external_weights, save_model
 
 # Passes feed each other a few times at most; two that undo each other are a mistake of ours.
 _MOST_ROUNDS = 20
+
+# A graph that these do not hold of has no meaning that a rewrite could keep.
+_GRAPH_RULES = ("GG015", "GG019")
 
 Progress = Callable[[str], None]
 
@@ -164,12 +168,15 @@ def rewrite_file(
         ModelUnreadable: ``source`` is no model.
         UnknownName: A name is no pass.
         ConfigInvalid: ``opset`` is above that of the model.
-        RewriteFailed: The result is no valid model, breaks a rule that was kept, or computes
+        RewriteFailed: The model is unsafe or ill-formed, or the result is no valid model, breaks a rule that was kept, or computes
             something else.
     """
     limits, sizes = limits or Limits(), sizes or {}
     progress("reading the model")
     subject = read_subject(open_model(source), target, limits)
+    settings = Settings(level=Level.STATIC, target=target)
+    judged = validate(source, settings)
+    _refuse_broken(judged)
     manifest = subject.parsed.manifest if subject.parsed is not None else None
     goal = Goal.of(target, manifest, opset, sizes)
     chosen = find_rewrites(goal, only, skip)
@@ -201,8 +208,7 @@ def rewrite_file(
             known = draft
         progress("judging the result by the rules")
         if changes and manifest is not None:
-            settings = Settings(level=Level.STATIC, target=target)
-            refuse_worse(validate(source, settings), validate(known, settings), "rewritten")
+            refuse_worse(judged, validate(known, settings), "rewritten")
         before, after = census(source, goal), census(known, goal)
     if path is not None:
         with draft_of(path) as draft:
@@ -216,6 +222,18 @@ def rewrite_file(
         tuple(differences),
         tuple(_refusals(chosen)),
     )
+
+
+def _refuse_broken(report: Report) -> None:
+    """Refuse a model whose weights are not safe to read, or whose graph is none."""
+    for finding in report.findings:
+        unsafe = finding.rule.startswith("GS") or finding.rule in _GRAPH_RULES
+        if unsafe and finding.severity >= Severity.ERROR:
+            raise RewriteFailed(
+                f"{finding.rule}: {finding.where}: {finding.message}",
+                where=report.path,
+                mend=finding.mend,
+            )
 
 
 def _refuse_higher(model: ir.Model, opset: int | None) -> None:

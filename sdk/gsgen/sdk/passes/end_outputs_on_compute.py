@@ -28,6 +28,8 @@ class EndOutputsOnCompute(Rewrite):
         """Mend every output that needs it."""
         seen: set[ir.Value] = set()
         for index, value in enumerate(model.graph.outputs):
+            if value.is_graph_input():
+                continue  # two tensors of one name cannot be: the output would need another
             producer = value.producer()
             if producer is None or _copies(producer) or value in seen:
                 self.note(value)
