@@ -167,15 +167,16 @@ def _turned(
 def _inverse(matrix: Float[Tensor, "1 3 4 n"]) -> Float[Tensor, "1 3 3 n"]:
     """Return the inverse of the first three columns, by cofactors.
 
-    Its rows are the cross products of the columns, over the determinant.
+    With rows and columns counted in a circle, C[i, j] = M[i+1, j+1] M[i+2, j+2] −
+    M[i+1, j+2] M[i+2, j+1]; the inverse is Cᵀ over the determinant.
     """
-    a, b, c = (matrix[:, :, index] for index in range(3))
-    rows = [_cross(b, c), _cross(c, a), _cross(a, b)]
-    determinant = (a * rows[0]).sum(dim=1, keepdim=True)
-    return torch.stack([row / determinant for row in rows], dim=1)
-
-
-def _cross(a: Float[Tensor, "1 3 n"], b: Float[Tensor, "1 3 n"]) -> Float[Tensor, "1 3 n"]:
-    ax, ay, az = (a[:, index : index + 1] for index in range(3))
-    bx, by, bz = (b[:, index : index + 1] for index in range(3))
-    return torch.cat([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], dim=1)
+    second, third = (
+        torch.cat([matrix[:, shift:, :3], matrix[:, :shift, :3]], dim=1) for shift in (1, 2)
+    )
+    one, two = (
+        [torch.cat([rows[:, :, shift:], rows[:, :, :shift]], dim=2) for shift in (1, 2)]
+        for rows in (second, third)
+    )
+    cofactors = one[0] * two[1] - one[1] * two[0]
+    determinant = (matrix[:, 0, :3] * cofactors[:, 0]).sum(dim=1)[:, None, None]
+    return cofactors.transpose(1, 2) / determinant

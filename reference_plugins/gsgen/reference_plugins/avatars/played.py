@@ -76,7 +76,7 @@ class Played(GaussianGenerator):
     def _told(self, one: Input, frame: Int[Tensor, "1"]) -> Tensor:
         """Return what an input is told in a frame."""
         table: Any = getattr(self, f"table_{one.role}")
-        value = torch.index_select(table, 0, frame).reshape(one.shape)
+        value: Tensor = torch.index_select(table, 0, frame).reshape(one.shape or (-1,))
         body = int(one.name.rpartition("_")[2]) if one.name[-1].isdecimal() else 0
         if one.role != "root_translation" or not body:
             return value

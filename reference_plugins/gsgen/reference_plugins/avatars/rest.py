@@ -89,7 +89,8 @@ def posed_vertices(
     rest = body.template + used @ shape + body.pose_dirs @ pose_feature(turns)
     transforms = joint_transforms(turns, joints_of(body, shape), body.parents)
     blended = np.einsum("vj,jab->vab", body.weights, transforms)
-    return np.einsum("vab,vb->va", blended[:, :, :3], rest) + blended[:, :, 3]
+    made: np.ndarray = np.einsum("vab,vb->va", blended[:, :, :3], rest) + blended[:, :, 3]
+    return made
 
 
 def big_pose(body: Body) -> Float[np.ndarray, "j 3"]:

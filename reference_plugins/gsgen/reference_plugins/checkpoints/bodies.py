@@ -139,7 +139,7 @@ def _arrays(path: Path) -> dict[str, Any]:
     if not zipped:
         return read_array_pickle(path)
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             # Only what is needed: the published files hold pickled objects besides.
             return {n: archive[n] for n in (*_NEEDED, *_HANDS) if n in archive.files}
     except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:

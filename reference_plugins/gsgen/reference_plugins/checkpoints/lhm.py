@@ -25,6 +25,7 @@ from gsgen.reference_plugins.checkpoints.array_pickles import read_array_pickle
 from gsgen.reference_plugins.checkpoints.bodies import Body, read_body, required_body
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 from gsgen.reference_plugins.checkpoints.folder import required_file
+from gsgen.reference_plugins.checkpoints.reasons import reason_of
 
 JOINTS = 55
 BETAS = 10
@@ -120,7 +121,10 @@ def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
     return LHMCheckpoint(
         path,
         tensors["query_points"] + tensors["offset_xyz"],
-        *(tensors[name] for name in ("rgb", "opacity", "scaling", "rotation")),
+        tensors["rgb"],
+        tensors["opacity"],
+        tensors["scaling"],
+        tensors["rotation"],
         tensors["transform_mat_neutral_pose"],
         tensors["betas"],
         _samples(home / _POINTS, count),
@@ -164,7 +168,7 @@ def _face_dirs(path: Path) -> Any:
         read = read_array_pickle(path)
     else:
         try:
-            with np.load(path, allow_pickle=False) as archive:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 read = {n: archive[n] for n in ("shapedirs",) if n in archive.files}
         except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
             raise CheckpointInvalid(f"cannot be read: {error}", where=str(path)) from error
@@ -190,8 +194,7 @@ def _tensors(path: Path) -> dict[str, Tensor]:
     try:
         read = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
-        what = f"cannot be read: {reason}"
+        what = f"cannot be read: {reason_of(error)}"
         raise CheckpointInvalid(what, where=str(path), mend=mend) from error
     if not isinstance(read, list | tuple) or len(read) != len(_FIELDS):
         seen = f"a {type(read).__name__}"
@@ -249,7 +252,7 @@ def _points(path: Path) -> Float[np.ndarray, "n 3"]:
 def _stiff(path: Path, vertices: int) -> Bool[np.ndarray, " v"]:
     required_file(path, "which vertices do not turn; it comes with LHM's weights")
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             masks = archive["masks"] if "masks" in archive.files else np.zeros(0)
     except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise CheckpointInvalid(f"cannot be read: {error}", where=str(path)) from error

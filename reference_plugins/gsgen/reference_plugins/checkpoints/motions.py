@@ -126,7 +126,7 @@ def _number(path: Path) -> tuple[int, str]:
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             read = {
                 name: np.asarray(archive[name]) for name in _KNOWN if name in archive.files
             }

@@ -56,7 +56,7 @@ def read_pose_nets(
     read = checked(path, pose, wanted)
     first = tuple((read[f"{n}.weight"], read[f"{n}.bias"]) for n in names)
     wide = _width(weights.get("bw_linears.0.weight"))
-    inputs_of = [_EMBEDDED, wide, wide, _EMBEDDED + wide]
+    inputs_of = [_EMBEDDED, wide, wide, wide and _EMBEDDED + wide]
     names = [f"bw_linears.{index}" for index in range(4)] + ["bw_fc"]
     wanted = {}
     for name, inputs in zip(names, [*inputs_of, wide], strict=True):

@@ -24,6 +24,7 @@ from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 from gsgen.reference_plugins.checkpoints.gauhuman import read_body_of
 from gsgen.reference_plugins.checkpoints.pose_nets import PoseNets, read_pose_nets
+from gsgen.reference_plugins.checkpoints.reasons import reason_of
 from gsgen.reference_plugins.checkpoints.states import Shape, checked
 
 # Data set → the pose id at which time is 0 (R3-Avatar, gaussian_renderer/__init__.py).
@@ -177,13 +178,12 @@ def _guessed(cfg: CfgArgs) -> str:
 
 def _fields(path: Path) -> Any:
     mend = "Wanted what R3-Avatar's training saves; code in files is not run."
-    inert = [(_Shell, name) for name in _CLASSES]
+    inert: list[Any] = [(_Shell, name) for name in _CLASSES]
     try:
         with torch.serialization.safe_globals(inert):
             read = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:300]
-        what = f"cannot be read: {reason}"
+        what = f"cannot be read: {reason_of(error)}"
         raise CheckpointInvalid(what, where=str(path), mend=mend) from error
     fields = read[0] if isinstance(read, tuple) and len(read) == 2 else None
     if not isinstance(fields, tuple) or len(fields) != _FIELDS:

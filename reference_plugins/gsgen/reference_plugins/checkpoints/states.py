@@ -12,6 +12,7 @@ from torch import Tensor
 
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 from gsgen.reference_plugins.checkpoints.folder import required_file
+from gsgen.reference_plugins.checkpoints.reasons import reason_of
 
 # None stands for any size.
 Shape = tuple[int | None, ...]
@@ -33,12 +34,11 @@ def load_state(path: Path, what: str) -> dict[str, Any]:
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
         mend = (
             "Wanted a file of tensors, as torch.save writes it; code in files is not run."
         )
         raise CheckpointInvalid(
-            f"cannot be read: {reason}", where=str(path), mend=mend
+            f"cannot be read: {reason_of(error)}", where=str(path), mend=mend
         ) from error
     if not isinstance(state, dict):
         raise CheckpointInvalid(

@@ -1,0 +1,128 @@
+"""What a frame of the avatar plugins costs, against eager torch of the same module.
+
+One thread for both, bodies of the size of SMPL and SMPL-X. Run by ``make bench``.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+
+from gsgen.contract.config import Settings
+from gsgen.contract.finding import Level
+from gsgen.reference_plugins.checkpoints.gauhuman import read_gauhuman
+from gsgen.reference_plugins.checkpoints.lhm import read_lhm
+from gsgen.reference_plugins.checkpoints.r3_avatar import read_r3
+from gsgen.reference_plugins.gauhuman import GauHuman
+from gsgen.reference_plugins.lhm import LHM
+from gsgen.reference_plugins.r3_avatar import R3Avatar
+from gsgen.reference_plugins.synthetic import (
+    PersonOptions,
+    write_gauhuman,
+    write_lhm,
+    write_r3,
+)
+from gsgen.sdk import GaussianGenerator, export
+from gsgen.sdk.packing import Packed, PackedGenerator
+
+BAR = 1.0
+SIZE_BAR = 1.05
+ROUNDS = 31
+SMPL, SMPLX = 6_890, 10_475
+
+
+def say(text: str) -> None:
+    sys.stdout.write(f"\n  {text}")
+
+
+def taken(action: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    action()
+    return time.perf_counter() - began
+
+
+def feeds(generator: GaussianGenerator) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    made: dict[str, np.ndarray] = {}
+    for one in generator.inputs:
+        assert one.shape is not None
+        value = rng.normal(0, 0.3, one.shape).astype(np.float32)
+        if one.role == "root_rotation":
+            value = np.eye(3, dtype=np.float32)
+        made[one.name] = np.zeros(1, np.int32) if one.role == "frame_index" else value
+    return made
+
+
+def measure(generator: GaussianGenerator, folder: Path) -> float:
+    """Export, run both by turns, print, hold both against their bars; return seconds a frame."""
+    path = folder / "model.onnx"
+    export(generator, path, settings=Settings(level=Level.STATIC))
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(path, options)
+    given = feeds(generator)
+    tensors = [torch.from_numpy(value) for value in given.values()]
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with torch.no_grad():
+            rows = generator(*tensors).position.shape[0]
+            packed = PackedGenerator(generator, Packed(torch.float32, rows))
+            packed(*tensors)
+            session.run(None, given)
+            eager, graph = [], []
+            for _ in range(ROUNDS):  # by turns, so that both meet the same machine
+                eager.append(taken(lambda: packed(*tensors)))
+                graph.append(taken(lambda: session.run(None, given)))
+    finally:
+        torch.set_num_threads(threads)
+    outputs = session.run(None, given)
+    target = np.empty(sum(one.nbytes for one in outputs) // 4, np.float32)
+    floor = min(taken(lambda: target.fill(1)) for _ in range(ROUNDS))
+    weights = sum(len(one.raw_data) for one in onnx.load(path).graph.initializer)
+    needed = sum(one.numel() * one.element_size() for one in generator.buffers())
+    ratio, size = min(graph) / min(eager), path.stat().st_size
+    say(
+        f"{rows:,} Gaussians: graph {1e3 * min(graph):.2f} ms, eager {1e3 * min(eager):.2f} ms, "
+    )
+    say(f"ratio {ratio:.2f} (bar {BAR}); {min(graph) / floor:.1f} × writing the outputs, ")
+    say(f"{1e9 * min(graph) / rows:.0f} ns a Gaussian; file {size / 1e6:.1f} MB, ")
+    say(
+        f"{size / needed:.3f} × the tensors that it needs (bar {SIZE_BAR}), {weights} B stored"
+    )
+    assert ratio <= BAR
+    assert size <= SIZE_BAR * needed
+    return min(graph)
+
+
+def bench_gauhuman(tmp_path: Path) -> None:
+    options = PersonOptions(count=40_000, vertices=SMPL, nets=True, width=128)
+    read = read_gauhuman(write_gauhuman(tmp_path / "run", options))
+    one = measure(GauHuman(read.canonical, read.body, read.nets), tmp_path)
+    few = measure(GauHuman(read.canonical, read.body, read.nets, bodies=5), tmp_path)
+    say(f"5 instances cost {few / one:.2f} × one")
+
+
+def bench_lhm(tmp_path: Path) -> None:
+    read = read_lhm(
+        write_lhm(tmp_path / "run", PersonOptions(count=40_000, vertices=SMPLX))
+    )
+    measure(LHM(read), tmp_path)
+
+
+def bench_r3_avatar(tmp_path: Path) -> None:
+    options = PersonOptions(
+        count=23_000,
+        vertices=SMPL,
+        nets=True,
+        width=128,
+        channels=32,
+        resolution=(64, 64, 64, 50),
+    )
+    read = read_r3(write_r3(tmp_path / "run", options))
+    measure(R3Avatar(read, range(4)), tmp_path)
