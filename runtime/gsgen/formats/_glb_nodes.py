@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from gsgen.contract.geometry import rotation_matrix
 from gsgen.formats._glb_container import Container, Json, members, numbers, whole
 from gsgen.formats._harmonics import rotate_sh
-from gsgen.formats._quantities import log, unit
+from gsgen.formats._quantities import log, rotations
 from gsgen.formats.errors import HeaderMalformed, NotSupported
 from gsgen.formats.splats import Splats
 
@@ -104,7 +104,7 @@ def moved(splats: Splats, matrix: Matrix) -> Splats:
     return replace(
         splats,
         position=position.astype(np.float32),
-        rotation=_quaternions(rotation),
+        rotation=rotations(rotation),
         log_scale=log_scale.astype(np.float32),
         sh=rotate_sh(splats.sh, turn),
     )
@@ -117,25 +117,3 @@ def _axes(
     left, sizes, _ = np.linalg.svd(spread)
     left[:, :, 2] *= np.sign(np.linalg.det(left))[:, None]
     return left, sizes
-
-
-def _quaternions(rotation: Float64[np.ndarray, "n 3 3"]) -> Any:
-    """Return unit quaternions (w, x, y, z), each from the component that is safest to divide by.
-
-    The four rows below are 4 times the quaternion times one of its components (Shepperd 1978).
-    """
-    m = rotation
-    xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
-    wx, wy, wz = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
-    xy, xz, yz = m[:, 1, 0] + m[:, 0, 1], m[:, 0, 2] + m[:, 2, 0], m[:, 2, 1] + m[:, 1, 2]
-    table = np.stack(
-        [
-            np.stack([1 + xx + yy + zz, wx, wy, wz], axis=-1),
-            np.stack([wx, 1 + xx - yy - zz, xy, xz], axis=-1),
-            np.stack([wy, xy, 1 - xx + yy - zz, yz], axis=-1),
-            np.stack([wz, xz, yz, 1 - xx - yy + zz], axis=-1),
-        ],
-        axis=1,
-    )
-    best = np.argmax(table[:, range(4), range(4)], axis=1)
-    return unit(table[np.arange(len(table)), best])

@@ -4,7 +4,7 @@ import math
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float, Float32, Integer, UInt8
+from jaxtyping import Float, Float32, Float64, Integer, UInt8
 
 SH_C0: Final = 0.5 / math.sqrt(math.pi)
 """The harmonic of degree 0: colour = 0.5 + SH_C0 · coefficient."""
@@ -78,3 +78,25 @@ def without_largest(
     places = np.arange(3)
     others = places + (places >= largest[:, None])
     return largest, np.asarray(np.take_along_axis(positive, others, axis=1), np.float32)
+
+
+def rotations(matrices: Float64[np.ndarray, "n 3 3"]) -> Float32[np.ndarray, "n 4"]:
+    """Return unit quaternions (w, x, y, z), each from the component that is safest to divide by.
+
+    The four rows below are 4 times the quaternion times one of its components (Shepperd 1978).
+    """
+    m = matrices
+    xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
+    wx, wy, wz = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
+    xy, xz, yz = m[:, 1, 0] + m[:, 0, 1], m[:, 0, 2] + m[:, 2, 0], m[:, 2, 1] + m[:, 1, 2]
+    table = np.stack(
+        [
+            np.stack([1 + xx + yy + zz, wx, wy, wz], axis=-1),
+            np.stack([wx, 1 + xx - yy - zz, xy, xz], axis=-1),
+            np.stack([wy, xy, 1 - xx + yy - zz, yz], axis=-1),
+            np.stack([wz, xz, yz, 1 - xx - yy + zz], axis=-1),
+        ],
+        axis=1,
+    )
+    best = np.argmax(table[:, range(4), range(4)], axis=1)
+    return unit(table[np.arange(len(table)), best])

@@ -71,9 +71,13 @@ class StillSource(Source):
     def __init__(self, path: Path) -> None:
         self.name = str(path)
         try:
-            self.data = _drawable(open_splats(path))
+            content = open_splats(path)
         except FormatError as error:
             raise SceneUnreadable(str(error)) from error
+        self.data = _drawable(content)
+        if isinstance(content, Splats):
+            self.antialias = "mip" if content.antialiased else "classic"
+            self.color_space = content.color_space
 
     def update(self, camera: Camera, time: float | None) -> None:
         """Do nothing: a file stays as it is."""

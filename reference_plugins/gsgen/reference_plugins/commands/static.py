@@ -2,6 +2,7 @@
 
 __all__ = ["PLUGIN", "static"]
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -19,7 +20,13 @@ if TYPE_CHECKING:
 
 
 def static(
-    file: Annotated[Path, typer.Argument(help="PLY or npz file.", show_default=False)],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="PLY, compressed PLY, SPZ, SPLAT, KSPLAT, GLB, SOG or npz file.",
+            show_default=False,
+        ),
+    ],
     output: Annotated[
         Path,
         typer.Option("-o", "--output", help="The ONNX file to write.", show_default=False),
@@ -54,11 +61,15 @@ def static(
         str | None, typer.Option(help="Name in the manifest.", show_default="the file's")
     ] = None,
     color_space: Annotated[
-        Literal["srgb", "linear"], typer.Option(help="Of the colours.")
-    ] = "srgb",
+        Literal["srgb", "linear"] | None,
+        typer.Option(help="Of the colours.", show_default="what the file says, or srgb"),
+    ] = None,
     antialias: Annotated[
-        Literal["classic", "mip"], typer.Option(help="How the scene was trained.")
-    ] = "classic",
+        Literal["classic", "mip"] | None,
+        typer.Option(
+            help="How the scene was trained.", show_default="what the file says, or classic"
+        ),
+    ] = None,
     opset: Annotated[
         int,
         typer.Option(
@@ -125,8 +136,8 @@ def static(
         output,
         name=name,
         capacity=capacity,
-        color_space=color_space,
-        antialias=antialias,
+        color_space=color_space or _color_space(content),
+        antialias=antialias or _antialias(content),
         opset=opset,
         accept=accept,
     )
@@ -140,12 +151,32 @@ def static(
 
 
 def _read(file: Path) -> "Splats | PointCloud | PackedRows":
-    from gsgen.formats import FormatError, open_splats
+    from gsgen.formats import FormatError, FormatWarning, open_splats
 
-    try:
-        return open_splats(file)
-    except FormatError as error:
-        raise GsgenError(str(error)) from error
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", FormatWarning)
+        try:
+            content = open_splats(file)
+        except FormatError as error:
+            raise GsgenError(str(error)) from error
+    for warning in caught:
+        typer.echo(f"note: {warning.message}", err=True)
+    return content
+
+
+def _color_space(
+    content: "Splats | PointCloud | PackedRows",
+) -> Literal["srgb", "linear"]:
+    from gsgen.formats import Splats
+
+    return content.color_space if isinstance(content, Splats) else "srgb"
+
+
+def _antialias(content: "Splats | PointCloud | PackedRows") -> Literal["classic", "mip"]:
+    from gsgen.formats import Splats
+
+    filtered = isinstance(content, Splats) and content.antialiased
+    return "mip" if filtered else "classic"
 
 
 def _describe(content: "Splats | PointCloud | PackedRows") -> str:
@@ -189,9 +220,9 @@ def _write_report(
 PLUGIN = Plugin(
     name="static",
     summary="A splat file or a coloured point cloud, unchanging.",
-    reads="Reads a 3DGS PLY (SH degree 0 to 3), a point cloud (PLY with red, green, blue; npz with "
-    "points, xyz or means3d and colors), or an npz of packed rows (gaussians and appearance), "
-    "which passes through unchanged.",
+    reads="Reads splats (PLY, compressed PLY, SPZ, SPLAT, KSPLAT, GLB or SOG; SH degree 0 to 4), a "
+    "point cloud (PLY with red, green, blue; npz with points, xyz or means3d and colors), or an "
+    "npz of packed rows (gaussians and appearance), which passes through unchanged.",
     inputs=(),
     command=static,
 )

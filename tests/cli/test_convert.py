@@ -1,0 +1,94 @@
+"""`gsgen convert`, as a user gets it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.formats import open_splats, write_ply
+from support.commands import gsgen
+from support.splat_files import scene
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory) -> Path:
+    file = tmp_path_factory.mktemp("convert") / "scene.ply"
+    write_ply(file, scene(50, 2))
+    return file
+
+
+def test_a_conversion_says_what_was_lost(source, tmp_path):
+    target = tmp_path / "scene.spz"
+    ran = gsgen("convert", source, target, "--sh-degree", "1")
+    assert (ran.code, ran.err) == (0, "")
+    lines = ran.out.splitlines()
+    assert lines[0].startswith(
+        f"{target}: 50 splats of SH degree 1, spz, 0.01 MiB → 0.00 MiB"
+    )
+    assert lines[1] == "lost: harmonics above degree 1"
+    assert [line.split()[0] for line in lines[3:]] == [
+        *("position", "rotation", "scale", "opacity", "color", "harmonics")
+    ]
+    assert open_splats(target).degree == 1
+
+
+def test_nothing_lost_is_said_too(source, tmp_path):
+    ran = gsgen("convert", source, tmp_path / "a.ply", "--encoding", "ascii")
+    assert ran.code == 0
+    assert ran.out.splitlines()[1:] == ["nothing was lost"]
+
+
+def test_programs_read_json(source, tmp_path):
+    ran = gsgen("convert", source, tmp_path / "a", "--format", "splat", "--json")
+    assert ran.code == 0
+    told = json.loads(ran.out)
+    assert told["degree"] == [2, 0]
+    assert told["lost"] == ["harmonics above degree 0"]
+    assert {one["name"] for one in told["differences"]} >= {"position", "opacity"}
+
+
+def test_a_frame_of_a_generator_becomes_splats(tmp_path):
+    rows = np.zeros((2, 10), np.float32)
+    rows[:, [3, 4, 7, 9]] = 0.5
+    np.savez(tmp_path / "a.npz", gaussians=rows, appearance=np.ones((2, 3), np.float32))
+    assert gsgen("convert", tmp_path / "a.npz", tmp_path / "a.ply").code == 0
+    assert len(open_splats(tmp_path / "a.ply")) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("a.sog",), 2, "a.sog: SOG is only read\n  Let it end in .ply, .compressed.ply, "),
+        (("a",), 2, "a: ends in no known suffix\n"),
+        (
+            ("a", "--format", "splt"),
+            2,
+            "--format: unknown format 'splt'\n  Did you mean 'splat'?",
+        ),
+        (
+            ("a.ply", "--spz-version", "4"),
+            2,
+            "--spz-version: is for spz, and ply is written\n",
+        ),
+        (
+            ("a.spz", "--encoding", "ascii"),
+            2,
+            "--encoding: is for ply, and spz is written\n",
+        ),
+        (("no/a.ply",), 1, "no/a.ply: cannot be written: No such file or directory\n"),
+    ],
+)
+def test_what_cannot_be_done_is_said_with_a_code(source, tmp_path, words, code, said):
+    ran = gsgen("convert", source, *words, cwd=tmp_path)
+    assert ran.code == code
+    assert ran.err.startswith(f"gsgen: {said}")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_source_that_cannot_be_read_exits_4(tmp_path):
+    bad = tmp_path / "bad.ply"
+    bad.write_bytes(b"ply\nnonsense\nend_header\n")
+    ran = gsgen("convert", bad, tmp_path / "a.spz")
+    assert ran.code == 4
+    assert ran.err.startswith(f"gsgen: {bad}: header line 2: 'nonsense'\nwanted format, ")

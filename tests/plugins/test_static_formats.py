@@ -1,0 +1,47 @@
+"""`gsgen export static` of splats in formats other than PLY."""
+
+import json
+from pathlib import Path
+
+import onnx
+import pytest
+
+from gsgen.formats import write_glb
+from support.commands import gsgen
+from support.splat_files import GOLDENS, scene
+
+
+def manifest_of(path: Path) -> dict:
+    found = {one.key: one.value for one in onnx.load(path).metadata_props}
+    (text,) = [value for key, value in found.items() if "manifest" in key.lower()]
+    return dict(json.loads(text))
+
+
+@pytest.mark.parametrize(
+    ("options", "kept"), [((), "mip"), (("--antialias", "classic"), "classic")]
+)
+def test_what_an_spz_says_of_its_training_is_kept(tmp_path, options, kept):
+    model = tmp_path / "m.onnx"
+    ran = gsgen(
+        *(
+            "export",
+            "static",
+            GOLDENS / "degree-4.v4.spz",
+            "-o",
+            model,
+            "--level",
+            "static",
+        ),
+        *options,
+    )
+    assert ran.code == 0, ran.err
+    assert "note: SH degree 4 is cut to 3" in ran.err
+    assert manifest_of(model).get("antialias", "classic") == kept
+
+
+def test_what_a_glb_says_of_its_colours_is_kept(tmp_path):
+    write_glb(tmp_path / "a.glb", scene(3, 1, color_space="linear"))
+    model = tmp_path / "m.onnx"
+    ran = gsgen("export", "static", tmp_path / "a.glb", "-o", model, "--level", "static")
+    assert ran.code == 0, ran.err
+    assert '"linear"' in json.dumps(manifest_of(model)["outputs"])
