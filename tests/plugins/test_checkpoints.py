@@ -203,6 +203,7 @@ NET = "deformation_net."
             r"grids.1.4 is \(7, 16\), wanted \(6, 16\)",
         ),
         (lambda s: s.pop(NET + "feature_out.0.weight"), "0 layers behind them"),
+        (lambda s: s[NET + "grid.aabb"].fill_(1.0), "wanted a box with a volume"),
     ],
 )
 def test_tensors_that_do_not_fit_are_named(

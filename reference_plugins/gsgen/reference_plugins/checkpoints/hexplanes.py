@@ -193,6 +193,11 @@ def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
         tuple(read[f"grid.grids.{s}.{p}"][0] for p in range(_PLANES)) for s in range(scales)
     )
     _require_sizes(path, grids)
+    if (read["grid.aabb"][0] == read["grid.aabb"][1]).any():
+        what = (
+            f"{_NET}grid.aabb is {read['grid.aabb'].tolist()}, wanted a box with a volume"
+        )
+        raise CheckpointInvalid(what, where=str(path))
     static = _pair(read, "static_mlp") if flags.mask == "static_mlp" else None
     return HexPlaneNets(
         aabb=read["grid.aabb"],
