@@ -19,6 +19,7 @@ from gsgen.runtime.kernels import counts as counting
 from gsgen.runtime.kernels.counts import Counts
 from gsgen.runtime.kernels.kernel import run
 from gsgen.runtime.kernels.scan import Scan
+from gsgen.runtime.kernels.shader import TILE
 from gsgen.runtime.kernels.sort import Columns, RadixSort, cut_for, sort_reference
 from gsgen.runtime.plan import Placed, Plan
 from gsgen.runtime.renderer import Renderer
@@ -110,6 +111,17 @@ def copy_rate() -> float:
     return 2 * source.nbytes / cpu(lambda: np.copyto(target, source))
 
 
+def flops() -> float:
+    """Return float32 operations in a second of one core, by NumPy on numbers in its cache."""
+    numbers, times = np.ones(4096, np.float32), 2000
+
+    def multiply() -> None:
+        for _ in range(times):
+            np.multiply(numbers, numbers, out=numbers)
+
+    return numbers.size * times / cpu(multiply)
+
+
 @pytest.mark.parametrize("compact", [False, True], ids=["exact", "compact"])
 @pytest.mark.parametrize("size", SIZES)
 def bench_a_million(
@@ -141,11 +153,30 @@ def bench_a_million(
             f"{name:8} {sums[number + 1] - sums[number]:.3f} CPU-s; "
             f"{bytes_ / 1e6:5.0f} MB, at one core's copying rate {bytes_ / rate:.3f} s"
         )
+    work = (
+        14 * pairs * TILE**2
+    )  # of a tile's pixels with a splat, each takes about 14 operations
+    say(
+        f"blend at most {work / 1e9:.1f} G operations, one core's rate {work / flops():.3f} s"
+    )
     say(f"uniforms and reading back {idle:.3f} CPU-s")
     say(f"frame {sums[-1]:.3f} CPU-s (goal {SIZES[size]})")
     began = time.perf_counter()
     frame()
     say(f"frame {time.perf_counter() - began:.3f} s of wall clock")
+
+
+@pytest.mark.parametrize("size", SIZES)
+def bench_quads(device: Device, scene: Scene, size: tuple[int, int]) -> None:
+    """The hardware's rasteriser beside the tiles; a software driver has none."""
+    camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=size[0], height=size[1])
+    taken = {}
+    for rasteriser in ("tiles", "quads"):
+        one = Renderer(device, rasteriser=rasteriser)
+        one.render(scene, camera)
+        taken[rasteriser] = cpu(lambda one=one: one.render(scene, camera), 3)
+    say(f"{size[0]}×{size[1]}, frame by tiles {taken['tiles']:.3f} CPU-s, ")
+    say(f"by quads {taken['quads']:.3f}")
 
 
 def bench_encoding(renderer: Renderer) -> None:

@@ -13,6 +13,7 @@ STORAGE_BUFFERS: Final = 8
 """How many storage buffers a kernel may bind: what every WebGPU device has."""
 
 _SUBGROUPS: Final = "subgroup"
+_BLENDING: Final = "float32-blendable"
 _MEND = "Install a Vulkan driver; without a GPU, Mesa's lavapipe 25 or newer. See `gsgen doctor`."
 
 
@@ -26,6 +27,7 @@ class Device:
         software: Whether the driver runs on the CPU; kernels are cut differently then.
         largest_binding: Bytes that one binding may have.
         subgroups: Whether shaders may use operations of subgroups; none has to.
+        blends_floats: Whether its rasteriser can blend 32-bit floats.
     """
 
     def __init__(self, raw: Any) -> None:
@@ -34,6 +36,7 @@ class Device:
         self.name: str = info["device"]
         self.software: bool = info["adapter_type"] == "CPU"
         self.subgroups = _SUBGROUPS in raw.features
+        self.blends_floats = _BLENDING in raw.features
         self.largest_binding = min(
             int(raw.limits["max-storage-buffer-binding-size"]),
             int(raw.limits["max-buffer-size"]),
@@ -68,7 +71,9 @@ class Device:
                 adapter.request_device_sync(
                     label="gsgen",
                     required_limits=limits,
-                    required_features=sorted({_SUBGROUPS} & set(adapter.features)),
+                    required_features=sorted(
+                        {_SUBGROUPS, _BLENDING} & set(adapter.features)
+                    ),
                 )
             )
         except (RuntimeError, wgpu.GPUError) as error:

@@ -16,6 +16,7 @@ from gsgen.runtime.kernels import counts as counting
 from gsgen.runtime.kernels.bin_tiles import WALK_THREADS, BinTiles
 from gsgen.runtime.kernels.blend_tiles import BlendTiles
 from gsgen.runtime.kernels.counts import Counts
+from gsgen.runtime.kernels.draw_quads import DrawQuads, QuadsStep
 from gsgen.runtime.kernels.kernel import Step, run
 from gsgen.runtime.kernels.normals import NormalsKernel
 from gsgen.runtime.kernels.project import (
@@ -52,6 +53,7 @@ class Kernels:
         self.blend = cache(lambda pick: BlendTiles(device, pick))
         self.project = cache(lambda half, words: ProjectKernel(device, half, words))
         self.normals = cache(lambda: NormalsKernel(device))
+        self.quads = cache(lambda: DrawQuads(device))
 
 
 @final
@@ -65,6 +67,7 @@ class Plan:
         size: Width and height of the image, in pixels.
         outputs: What is asked for.
         pair_capacity: For how many pairs of a splat and a tile there is room.
+        quads: Whether colours come from the hardware's rasteriser.
 
     Attributes:
         stages: What a frame does, stage by stage.
@@ -83,7 +86,9 @@ class Plan:
         size: tuple[int, int],
         outputs: frozenset[Output],
         pair_capacity: int,
+        quads: bool = False,
     ) -> None:
+        self._quads: QuadsStep | None = None
         self._device, self._kernels = device, kernels
         self._size = size
         self._tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
@@ -99,7 +104,7 @@ class Plan:
         self._splats = [self._storage(name, _VEC4 * n) for name in ("shapes", "weights")]
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.images: dict[str, Any] = {}
-        self.stages = self._record(placed, outputs)
+        self.stages = self._record(placed, outputs, quads)
         self._staging = Staging(device, {"counts": self._counts} | self.images)
 
     def _storage(self, name: str, size: int, *, extra: str = "") -> Any:
@@ -107,7 +112,7 @@ class Plan:
         return self.buffers[name]
 
     def _record(
-        self, placed: Sequence[Placed], outputs: frozenset[Output]
+        self, placed: Sequence[Placed], outputs: frozenset[Output], quads: bool
     ) -> dict[str, list[Step]]:
         """Record the frame, stage by stage."""
         n = self._gaussians
@@ -115,6 +120,11 @@ class Plan:
         colors = self._storage("colors", _VEC4 * n)
         stages = {"project": self._project(placed, columns[0].keys, colors)}
         stages["sort"], order = self._sort_by_depth(columns)
+        if quads and "color" in outputs:
+            self._quads = self._draw_quads(order, colors)
+            outputs = outputs - {"color"}
+        if not outputs:
+            return stages
         pairs = [self._columns(f"pairs {side}", self.pair_capacity) for side in "ab"]
         stages["bin"] = self._bin(order, colors, pairs[0])
         stages["group"], members = self._group(pairs)
@@ -129,6 +139,13 @@ class Plan:
             stages["project"] += self._normals(placed, columns[0].keys, normals)
             stages["normal"] = [self._blend("normal", members, normals, pick=False)]
         return stages
+
+    def _draw_quads(self, order: Any, colors: Any) -> QuadsStep:
+        kernel = self._kernels.quads()
+        size = kernel.row_bytes(self._size[0]) * self._size[1]
+        self.images["color"] = self._storage("color image", size)
+        resources = (self._frame, self._counts, order, *self._splats, colors)
+        return kernel.step(self._size, resources, self._counts, self.images["color"])
 
     def _columns(self, name: str, length: int) -> Columns:
         return Columns(
@@ -235,6 +252,8 @@ class Plan:
         for name, steps in self.stages.items():
             if only is None or name in only:
                 run(encoder, steps, name)
+        if self._quads is not None:
+            self._quads.encode(encoder, background)
         self._staging.encode(encoder)
         device.raw.queue.submit([encoder.finish()])
 
@@ -243,7 +262,8 @@ class Plan:
         made = self._staging.read(dict.fromkeys(["counts", *self.images], np.uint32))
         counts = made.pop("counts")
         width, height = self._size
-        pixels = 4 * width * height
         return counts, {
-            name: words[:pixels].reshape(height, width, 4) for name, words in made.items()
+            # Rows that a texture was copied to are longer than the image is wide.
+            name: words[: words.size // height * height].reshape(height, -1, 4)[:, :width]
+            for name, words in made.items()
         }

@@ -3,14 +3,14 @@
 __all__ = ["Renderer"]
 
 from collections.abc import Collection, Sequence
-from typing import Final, final
+from typing import Final, Literal, final
 
 import numpy as np
 from jaxtyping import Float32, Int64, UInt32
 
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
-from gsgen.runtime.errors import CapacityExceeded, SceneInvalid
+from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
 from gsgen.runtime.frame import NOTHING, Frame, Output
 from gsgen.runtime.kernels.counts import Counts
 from gsgen.runtime.kernels.shader import ABSENT
@@ -33,18 +33,21 @@ class Renderer:
 
     Args:
         device: Where to draw; the fastest there is where absent.
+        rasteriser: What blends colours: compute shaders, tile by tile, or the hardware, a quad a
+            splat. The hardware cannot stop at pixels that are finished.
         compact: Keep harmonics and colours in float16: 136 bytes a Gaussian of degree 3 instead
             of 232, and less to read; pictures differ by less than 1e-3.
         page_rows: Gaussians of a page, which is what one dispatch and one binding have.
 
     Raises:
-        DeviceUnavailable: There is none.
+        DeviceUnavailable: There is none, or it cannot blend what ``rasteriser`` asks for.
     """
 
     def __init__(
         self,
         device: Device | None = None,
         *,
+        rasteriser: Literal["tiles", "quads"] = "tiles",
         compact: bool = False,
         page_rows: int = PAGE_ROWS,
     ) -> None:
@@ -52,6 +55,12 @@ class Renderer:
         self._kernels = Kernels(self.device)
         self._residency = Residency(self.device, page_rows, compact=compact)
         self._pairs = _FIRST_PAIRS
+        self._quads = rasteriser == "quads"
+        if self._quads and not self.device.blends_floats:
+            raise DeviceUnavailable(
+                f"{self.device.name} cannot blend 32-bit floats",
+                mend="Use rasteriser='tiles'.",
+            )
         self._key: object = None
         self._plan: Plan | None = None
 
@@ -103,7 +112,13 @@ class Renderer:
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
             self._plan = Plan(
-                self.device, self._kernels, placed, size, outputs, self._pairs
+                self.device,
+                self._kernels,
+                placed,
+                size,
+                outputs,
+                self._pairs,
+                self._quads,
             )
             self._key = key
         return self._plan

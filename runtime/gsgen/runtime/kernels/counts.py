@@ -31,14 +31,16 @@ class Counts(IntEnum):
     WALK_VISIBLE_GROUPS = 12
     SORT_PAIRS_GROUPS = 16
     WALK_PAIRS_GROUPS = 20
+    DRAW_ARGUMENTS = 24
+    """Four words: vertices, instances, and the first of each."""
 
 
-BYTES: Final = 4 * 24
+BYTES: Final = 4 * 28
 PLACES: Final = {member.name: int(member) for member in Counts}
 """The same as constants for a shader."""
 
 
-def initial(gaussians: int, pair_capacity: int) -> UInt32[np.ndarray, " 24"]:
+def initial(gaussians: int, pair_capacity: int) -> UInt32[np.ndarray, " 28"]:
     """Return the counts as they are before the first frame."""
     counts = np.zeros(BYTES // 4, np.uint32)
     counts[Counts.GAUSSIANS] = gaussians
@@ -46,4 +48,5 @@ def initial(gaussians: int, pair_capacity: int) -> UInt32[np.ndarray, " 24"]:
     for member in Counts:
         if member.name.endswith("_GROUPS"):
             counts[member + 1 : member + 3] = 1
+    counts[Counts.DRAW_ARGUMENTS] = 4  # a quad is a strip of two triangles
     return counts

@@ -60,6 +60,7 @@ fn scan(@builtin(local_invocation_id) local: vec3u) {
     if (local.x == THREADS - 1u) {
         if (scan_of.effect == 1u) {
             announce(VISIBLE, place, SORT_VISIBLE_GROUPS, WALK_VISIBLE_GROUPS, WALK_BLOCK);
+            counts[DRAW_ARGUMENTS + 1u] = place;
         }
         if (scan_of.effect == 2u) {
             counts[WANTED_PAIRS] = place;

@@ -1,0 +1,62 @@
+// Draw quads: the hardware's rasteriser blends one quad a splat, the farthest first.
+//
+// The quad is as long and wide as the ellipse within which the splat is drawn. Blending cannot
+// stop at a pixel that is finished, so light that blend_tiles.wgsl would leave out is drawn here.
+
+//!include frame
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var<storage, read> counts: array<u32>;
+@group(0) @binding(2) var<storage, read> order: array<u32>;
+@group(0) @binding(3) var<storage, read> shapes: array<vec4f>;
+@group(0) @binding(4) var<storage, read> weights: array<vec4f>;
+@group(0) @binding(5) var<storage, read> colors: array<vec4f>;
+
+struct Corner {
+    @builtin(position) clip: vec4f,
+    @location(0) @interpolate(flat) shape: vec4f,     // mean, conic xx xy
+    @location(1) @interpolate(flat) weight: vec2f,    // conic yy, strength
+    @location(2) @interpolate(flat) color: vec3f,
+}
+
+const SLACK = 1.0001;  // of the axes: rounding must not lose a pixel
+const EDGE = 0.51;     // pixels: a quad has the pixels whose centres it covers
+
+@vertex
+fn corner_of(@builtin(vertex_index) corner: u32, @builtin(instance_index) instance: u32) -> Corner {
+    let id = order[counts[VISIBLE] - 1u - instance];
+    let shape = shapes[id];
+    let weight = weights[id];
+    // The covariance from what is kept: its yy, and the conic.
+    let yy = weight.w;
+    let xy = -shape.w / shape.z * yy;
+    let xx = weight.x / shape.z * yy;
+    let middle = 0.5 * (xx + yy);
+    let apart = sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy);
+    var long_axis = vec2f(1.0, 0.0);
+    if (apart > 0.0) {
+        // The longer of two forms of the eigenvector: the other may vanish.
+        long_axis = normalize(select(vec2f(xy, middle + apart - xx), vec2f(middle + apart - yy, xy), xx > yy));
+    }
+    let reach = 2.0 * weight.y * SLACK;
+    let length = sqrt(reach * (middle + apart)) + EDGE;
+    let width = sqrt(reach * max(middle - apart, 0.0)) + EDGE;
+    let side = vec2f(f32(corner & 1u), f32(corner >> 1u)) * 2.0 - 1.0;
+    let offset = side.x * length * long_axis + side.y * width * vec2f(-long_axis.y, long_axis.x);
+    let pixel = (shape.xy + frame.origin + offset) / vec2f(frame.size);
+    let clip = vec4f(2.0 * pixel.x - 1.0, 1.0 - 2.0 * pixel.y, 0.5, 1.0);
+    return Corner(clip, shape, weight.xy, colors[id].xyz);
+}
+
+@fragment
+fn color_at(corner: Corner) -> @location(0) vec4f {
+    let d = corner.clip.xy - frame.origin - corner.shape.xy;
+    let above = corner.weight.y
+        - 0.5 * (corner.shape.z * d.x * d.x + corner.weight.x * d.y * d.y)
+        - corner.shape.w * d.x * d.y;
+    if (!(above >= 0.0)) {
+        discard;
+    }
+    let alpha = min(CULL_OPACITY * exp(above), MAX_ALPHA);
+    return vec4f(alpha * corner.color, alpha);
+}
