@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from gsgen.contract.config import Settings
-from gsgen.contract.engine import validate
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.finding import Level
 from gsgen.contract.targets import load_target
@@ -27,7 +26,7 @@ from gsgen.reference_plugins.synthetic import (
 from gsgen.sdk import GaussianGenerator, export
 from gsgen.sdk.exporter import Exported
 from gsgen.sdk.packing import Packed, PackedGenerator
-from support.commands import gsgen, shared
+from support.commands import shared
 from support.plugin_checks import MARGIN, acceptance, eager, run
 
 BUILD: dict[str, Callable[[Path], GaussianGenerator]] = {
@@ -121,19 +120,30 @@ def test_nothing_in_the_graph_keeps_it_from_being_captured(case: Case) -> None:
     assert all(len(node.input) <= 7 for node in nodes if node.op_type == "Concat")
 
 
-def test_a_user_plays_a_motion_in_a_viewer_that_knows_no_poses(tmp_path: Path) -> None:
-    write_gauhuman(tmp_path / "run", PersonOptions(count=20, nets=True))
+def test_a_motion_plays_in_a_viewer_that_knows_no_poses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_gauhuman(tmp_path / "run", PersonOptions(count=20))
     motion = write_motion(tmp_path / "sway.npz")
-    ran = gsgen(
-        *("export", "gauhuman", "--checkpoint", tmp_path / "run", "--motion", motion),
-        *("--loop", "--instances", "2", "-o", tmp_path / "sway.onnx"),
-        *("--target", "visionary", "--dtype", "float16", "--level", "static"),
-    )
-    assert ran.code == 0, ran.err
-    for words in ("20 Gaussians", "SMPL of 150 vertices", "8 frames at 30 frames a second"):
-        assert words in ran.err
-    settings = Settings(level=Level.STATIC, target=load_target("visionary"))
-    assert validate(tmp_path / "sway.onnx", settings).verdict == "conforms"
+    generator = gauhuman.build(folder, motion=motion, loop=True, instances=2)
+    said = capsys.readouterr().err
+    for words in (
+        "20 Gaussians",
+        "SMPL of 150 vertices",
+        "8 frames at 30 frames a second",
+        "the person's shape: it is zero without --shape",
+        "parts of SMPL, whose licence forbids to pass it on",
+    ):
+        assert words in said
+    path, target = tmp_path / "sway.onnx", "visionary"
+    settings = Settings(level=Level.STATIC, target=load_target(target))
+    made = export(generator, path, target=target, dtype="float16", settings=settings)
+    assert made.report.verdict == "conforms"
+    assert [(one.role, one.frames, one.loop) for one in made.manifest.inputs] == [
+        ("time", 8, True)
+    ]
+    assert made.manifest.producer is not None
+    assert made.manifest.producer.license == "LicenseRef-SMPL-derived-no-redistribution"
 
 
 def test_a_body_that_is_not_there_is_explained(tmp_path: Path) -> None:
@@ -196,18 +206,33 @@ def test_every_frame_of_a_motion_is_reached(method: str, tmp_path: Path) -> None
 def test_a_motion_shows_what_its_poses_would(tmp_path: Path) -> None:
     folder = write_gauhuman(tmp_path / "run", PersonOptions(nets=True))
     path = write_motion(tmp_path / "sway.npz", frames=5)
-    played = gauhuman.build(folder, motion=path, instances=2, spacing=0.5)
+    played = gauhuman.build(folder, motion=path, shape="0.5,-1", instances=2, spacing=0.5)
     rows, _ = eager(played, np.array([0.5], np.float32))
     with np.load(path) as read:
-        poses, place, betas = read["poses"][2], read["trans"][2], read["betas"]
+        poses, place = read["poses"][2], read["trans"][2]
     pose = np.zeros(72)
     pose[:66] = poses[:66]  # the hands of SMPL are no hands of SMPL+H
-    told = (pose.reshape(24, 3), np.eye(3), place, betas[:10])
+    told = (pose.reshape(24, 3), np.eye(3), place, np.array([0.5, -1.0] + [0.0] * 8))
     live = gauhuman.build(folder)
     wanted, _ = eager(live, *(value.astype(np.float32) for value in told))
     half = len(rows) // 2
     np.testing.assert_allclose(rows[:half], wanted, atol=1e-6)
     np.testing.assert_allclose(rows[half:, :3], wanted[:, :3] + [0.5, 0, 0], atol=1e-6)
+
+
+def test_another_gender_is_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_gauhuman(tmp_path / "run", PersonOptions(count=3))
+    gauhuman.build(folder)
+    assert "warning" not in capsys.readouterr().err
+    cfg = folder / "cfg_args"
+    cfg.write_text(cfg.read_text().replace("'neutral'", "'male'"))
+    gauhuman.build(folder, body=folder / "assets/SMPL_NEUTRAL.pkl")
+    assert "warning: actor_gender='male' is not honoured" in capsys.readouterr().err
+    cfg.unlink()
+    gauhuman.build(folder)
+    assert "a neutral SMPL body is assumed" in capsys.readouterr().err
 
 
 def test_speed_needs_a_motion(tmp_path: Path) -> None:

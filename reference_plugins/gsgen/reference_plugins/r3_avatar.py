@@ -8,7 +8,7 @@ from frame to frame; frames are counted, so a table says which.
 
 __all__ = ["R3Avatar"]
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import final
 
 import numpy as np
@@ -56,6 +56,7 @@ class R3Avatar(GaussianGenerator):
         rotation: Rotation = "matrix",
         bodies: int = 1,
         add_hands: bool = False,
+        progress: Callable[[int], None] | None = None,
     ) -> None:
         """Find the nearest vertices of every frame.
 
@@ -66,6 +67,7 @@ class R3Avatar(GaussianGenerator):
             rotation: How the rotation of a body as a whole is given.
             bodies: How many there are.
             add_hands: Poses come without the mean pose of SMPL-X's hands.
+            progress: Told after each frame how many are done.
         """
         super().__init__()
         body = read.body
@@ -76,7 +78,7 @@ class R3Avatar(GaussianGenerator):
         self.inputs = self.actors.declared()
         self.appearance = Appearance(read, poses)
         xyz = read.canonical.position
-        vertex = self._nearest(xyz.double().numpy(), read, len(poses))
+        vertex = self._nearest(xyz.double().numpy(), read, len(poses), progress)
         used, which = np.unique(vertex, return_inverse=True)
         baked = None if shape is None else np.asarray(shape)
         self.limbs = Limbs(body, used, baked, read.nets, add_hands=add_hands)
@@ -97,7 +99,11 @@ class R3Avatar(GaussianGenerator):
 
     @torch.no_grad()
     def _nearest(
-        self, xyz: Float[np.ndarray, "n 3"], read: R3Checkpoint, frames: int
+        self,
+        xyz: Float[np.ndarray, "n 3"],
+        read: R3Checkpoint,
+        frames: int,
+        progress: Callable[[int], None] | None,
     ) -> Int[np.ndarray, "f n"]:
         """Return the vertex nearest to each Gaussian where it is in each frame."""
         from scipy.spatial import cKDTree
@@ -108,6 +114,8 @@ class R3Avatar(GaussianGenerator):
         for frame in range(frames):
             shift = self.appearance(torch.tensor([frame], dtype=torch.int32))[:3]
             made.append(tree.query(xyz + shift.t().double().numpy())[1])
+            if progress is not None:
+                progress(frame + 1)
         return np.stack(made).astype(np.int64)
 
     def forward(self, *given: Tensor) -> Gaussians:

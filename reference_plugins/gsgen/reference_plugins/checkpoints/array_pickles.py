@@ -60,7 +60,7 @@ class _Sparse(_Inert):
 
     def dense(self) -> np.ndarray:
         """Return it as an array."""
-        shape = self.state.get("_shape", self.state.get("shape"))
+        shape: Any = self.state.get("_shape", self.state.get("shape"))
         starts, minor, data = (self.state[k] for k in ("indptr", "indices", "data"))
         rows, columns = (int(size) for size in shape)
         major = columns if self.by_columns else rows
@@ -95,10 +95,10 @@ def _plain(value: Any) -> Any:
     return value.dense() if isinstance(value, _Sparse | _SparseRows | _Wrapped) else value
 
 
-def _empty_array(kind: Any, shape: Any, code: Any) -> np.ndarray:
+def _empty_array(kind: Any, shape: Any, code: Any) -> Any:
     if kind is not np.ndarray:
         raise pickle.UnpicklingError("an array is of an unknown class")
-    made: np.ndarray = _reconstruct(kind, shape, code)
+    made: Any = _reconstruct(kind, shape, code)
     return made
 
 

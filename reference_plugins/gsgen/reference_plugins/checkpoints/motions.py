@@ -1,6 +1,6 @@
 """Motion files: poses of a body, frame after frame.
 
-- an ``.npz`` as AMASS has them (``poses``, ``trans``, ``betas``, ``mocap_framerate``),
+- an ``.npz`` as AMASS has them (``poses``, ``trans``, ``mocap_framerate``),
 - a folder of ``.npz``, one a frame, as R3-Avatar caches its data sets (``poses``, ``R``, ``Th``,
   ``shapes``), or one ``.npz`` of the same arrays for all frames,
 - a ``.json`` or a folder of them, as LHM estimates from videos (``root_pose``, ``body_pose``, …).
@@ -39,7 +39,7 @@ _JSON = {
     "rhand_pose": 45,
 }
 _KNOWN = (
-    *("poses", "trans", "betas", "mocap_framerate", "mocap_frame_rate"),
+    *("poses", "trans", "mocap_framerate", "mocap_frame_rate"),
     *("R", "Rh", "Th", "shapes"),
 )
 
@@ -53,7 +53,8 @@ class Motion:
         pose: Axis-angles of J joints.
         shift: Where the body is moved.
         turn: Rotation of the body as a whole; none if the pose's root is all.
-        shape: Shape coefficients of who was recorded, where they are given.
+        shape: Shape coefficients of the person whose data set it is, where they are given. The
+            betas of AMASS and LHM are of somebody else.
         expression: Expression coefficients, where they are given.
         fps: Frames a second, where it is given.
     """
@@ -156,10 +157,9 @@ def _from_arrays(path: Path, read: Mapping[str, np.ndarray], joints: int) -> Mot
         from scipy.spatial.transform import Rotation
 
         turn = Rotation.from_rotvec(_rows(path, "Rh", read["Rh"], frames, 3)).as_matrix()
-    shape = read.get("shapes", read.get("betas"))
+    shape = read.get("shapes")
     if shape is not None:  # one person, however often it is told
-        whole = shape.size % frames == 0 and (shape.ndim > 1 or "shapes" in read)
-        shape = shape.reshape(frames, -1)[0] if whole and shape.ndim > 1 else shape.ravel()
+        shape = shape.reshape(len(shape), -1)[0] if shape.ndim > 1 else shape
     speed = read.get("mocap_framerate", read.get("mocap_frame_rate"))
     fps = float(speed.ravel()[0]) if speed is not None and speed.size else None
     return Motion(path, pose, shift, turn, shape, None, fps)
@@ -215,7 +215,6 @@ def _from_json(path: Path, frames: Sequence[Any], joints: int) -> Motion:
     expression = None
     if len({len(one) for one in expressions}) == 1 and len(expressions[0]):
         expression = np.stack(expressions)
-    # Its betas are of who was filmed, and not of the avatar.
     return Motion(path, pose, np.stack(shifts), None, None, expression, None)
 
 

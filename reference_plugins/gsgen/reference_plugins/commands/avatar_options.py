@@ -11,6 +11,7 @@ __all__ = [
     "numbers_of",
     "played",
     "read_shape",
+    "warn_of_body",
 ]
 
 from collections.abc import Sequence
@@ -20,10 +21,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.reference_plugins.commands.options import note
+from gsgen.reference_plugins.commands.options import note, warn_of
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.avatars.actors import ActorInputs
+    from gsgen.reference_plugins.checkpoints.bodies import Body
+    from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs
     from gsgen.reference_plugins.checkpoints.motions import Motion
     from gsgen.sdk import GaussianGenerator
 
@@ -70,6 +73,18 @@ Hands = Annotated[
 ]
 
 
+def warn_of_body(cfg: "CfgArgs") -> None:
+    """Say where the published code takes another body model than the one that is given."""
+    if not cfg.present:
+        note(f"note: there is no {cfg.path}; a neutral SMPL body is assumed")
+    if cfg.values.get("smpl_type", "smpl") == "smpl":
+        meaning = (
+            "the published code takes the pose of training from SMPL_NEUTRAL.pkl whatever it "
+            "says; here all is taken from the body model that was read"
+        )
+        warn_of(cfg, {"actor_gender": ("neutral", meaning)})
+
+
 def read_shape(text: str | None, motion: "Motion | None", most: int) -> list[float] | None:
     """Return the shape to bake: the one given, else that of the motion; none if it is an input.
 
@@ -80,10 +95,11 @@ def read_shape(text: str | None, motion: "Motion | None", most: int) -> list[flo
     if given is not None or motion is None:
         return given
     if motion.shape is None:
-        note("note: the motion names no shape: it is zero; --shape gives another")
+        note(
+            "note: the motion does not name the person's shape: it is zero without --shape"
+        )
         return [0.0] * most
     taken: Sequence[float] = motion.shape[:most].tolist()
-    note("note: the shape is that of who was recorded; --shape gives another")
     return [*taken, *[0.0] * (most - len(taken))]
 
 
@@ -91,30 +107,35 @@ def played(
     avatar: "GaussianGenerator",
     actors: "ActorInputs",
     motion: "Motion | None",
+    body: "Body",
     *,
     fps: float | None,
     loop: bool,
     spacing: float,
 ) -> "GaussianGenerator":
-    """Return ``avatar``, or what plays ``motion`` with it, and say so.
+    """Return ``avatar``, or what plays ``motion`` with it; say so, and whose licence it is under.
 
     Raises:
         ConfigInvalid: An option needs a motion.
         CheckpointInvalid: The motion is of another body.
     """
+    from importlib.metadata import version
+
+    from gsgen.contract.manifest import Producer
     from gsgen.reference_plugins.avatars.played import Played
     from gsgen.sdk import inputs
 
-    if motion is None:
-        if fps is not None or loop:
-            what = "only a motion has a speed and an end"
-            raise ConfigInvalid(
-                what, where="--fps, --loop", mend="Give --motion FILE, too."
-            )
-        return avatar
-    note(motion.describe())
-    time = inputs.time(frames=len(motion), fps=fps or motion.fps, loop=loop or None)
-    return Played(avatar, actors, motion, time, spacing=spacing)
+    if motion is None and (fps is not None or loop):
+        what = "only a motion has a speed and an end"
+        raise ConfigInvalid(what, where="--fps, --loop", mend="Give --motion FILE, too.")
+    if motion is not None:
+        note(motion.describe())
+        time = inputs.time(frames=len(motion), fps=fps or motion.fps, loop=loop or None)
+        avatar = Played(avatar, actors, motion, time, spacing=spacing)
+    note(f"note: the model holds parts of {body.kind}, whose licence forbids to pass it on")
+    license_name = f"LicenseRef-{body.kind}-derived-no-redistribution"
+    avatar.producer = Producer(f"gsgen {version('gsgen')}", license=license_name)
+    return avatar
 
 
 def numbers_of(text: str | None, most: int, option: str) -> list[float] | None:

@@ -14,6 +14,7 @@ from gsgen.reference_plugins.commands.avatar_options import (
     Spacing,
     played,
     read_shape,
+    warn_of_body,
 )
 from gsgen.reference_plugins.commands.options import (
     Checkpoint,
@@ -48,6 +49,7 @@ def build(
 
     read = read_gauhuman(checkpoint, iteration, body)
     note(read.describe())
+    warn_of_body(read.cfg)
     told = read_motion(motion, read.body.joints) if motion else None
     avatar = GauHuman(
         read.canonical,
@@ -58,7 +60,9 @@ def build(
         bodies=instances,
         add_hands=hands == "raw",
     )
-    return played(avatar, avatar.actors, told, fps=fps, loop=loop, spacing=spacing)
+    return played(
+        avatar, avatar.actors, told, read.body, fps=fps, loop=loop, spacing=spacing
+    )
 
 
 PLUGIN = Plugin(

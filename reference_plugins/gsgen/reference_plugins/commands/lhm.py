@@ -72,7 +72,9 @@ def build(
         )
     told = read_motion(motion, read.body.joints) if motion else None
     avatar = LHM(read, face, expression=not no_expression, bodies=instances)
-    return played(avatar, avatar.actors, told, fps=fps, loop=loop, spacing=spacing)
+    return played(
+        avatar, avatar.actors, told, read.body, fps=fps, loop=loop, spacing=spacing
+    )
 
 
 PLUGIN = Plugin(

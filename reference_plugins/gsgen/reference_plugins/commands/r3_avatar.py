@@ -2,6 +2,7 @@
 
 __all__ = ["PLUGIN"]
 
+import sys
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -17,6 +18,7 @@ from gsgen.reference_plugins.commands.avatar_options import (
     Spacing,
     played,
     read_shape,
+    warn_of_body,
 )
 from gsgen.reference_plugins.commands.options import (
     Checkpoint,
@@ -72,6 +74,7 @@ def build(
 
     read = read_r3(checkpoint, iteration, body, dataset)
     note(read.describe())
+    warn_of_body(read.cfg)
     told = read_motion(motion, read.body.joints) if motion else None
     # A motion shows a frame of training with each of its own, so it needs no more.
     known = min(2 * read.origin, len(told)) if told else 2 * read.origin
@@ -85,8 +88,19 @@ def build(
         rotation="matrix" if told else root_rotation,
         bodies=instances,
         add_hands=hands == "raw",
+        progress=lambda frame: _say(frame, len(poses)),
     )
-    return played(avatar, avatar.actors, told, fps=fps, loop=loop, spacing=spacing)
+    return played(
+        avatar, avatar.actors, told, read.body, fps=fps, loop=loop, spacing=spacing
+    )
+
+
+def _say(frame: int, frames: int) -> None:
+    """Show how far the search for nearest vertices is, where someone is watching."""
+    if sys.stderr.isatty():
+        typer.echo(f"\r\x1b[2Knearest vertices: {frame} of {frames} …", err=True, nl=False)
+        if frame == frames:
+            typer.echo("\r\x1b[2K", err=True, nl=False)
 
 
 def ids_of(text: str) -> list[int]:
