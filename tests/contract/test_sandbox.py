@@ -244,6 +244,51 @@ def test_an_interrupt_leaves_no_child_and_no_files(folder, monkeypatch):
     assert seen[0].poll() == -signal.SIGKILL
 
 
+_ENDLESSLY = """
+import sys
+from pathlib import Path
+import numpy as np
+from gsgen.contract.probes import Probe
+from gsgen.contract.sandbox import Limits, execute
+with execute(Path(sys.argv[1]), ["y"], [Probe("a", {"turns": np.int64(2**62)})], Limits()):
+    pass
+"""
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are looked up in /proc")
+def test_a_child_ends_soon_after_a_parent_that_was_killed(folder):
+    path = save(folder / "a.onnx", ENDLESS)
+    own = folder / "own"
+    own.mkdir()
+    environment = os.environ | {"TMPDIR": str(own)}
+    parent = subprocess.Popen([sys.executable, "-c", _ENDLESSLY, path], env=environment)
+    while not list(own.iterdir()):
+        assert parent.poll() is None
+        time.sleep(0.02)
+    (where,) = own.iterdir()
+    until_it_runs(where)
+    assert running(where)
+    parent.kill()
+    parent.wait()
+    deadline = time.monotonic() + 20
+    while running(where):
+        assert time.monotonic() < deadline, "the child outlives its parent"
+        time.sleep(0.05)
+
+
+def running(folder):
+    """Return the processes that have ``folder`` as an argument."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = entry.read_bytes().split(b"\0")
+        except OSError:  # it ended in the meantime
+            continue
+        if str(folder).encode() in words:
+            found.append(entry.parent.name)
+    return found
+
+
 def test_a_signal_without_a_name_is_told_by_its_number():
     assert sandbox._signal_name(9) == "SIGKILL"
     assert sandbox._signal_name(250) == "250"

@@ -16,6 +16,7 @@ import onnx
 from google.protobuf.message import DecodeError
 from onnx import FunctionProto, GraphProto, ModelProto, ValueInfoProto
 
+from gsgen.contract.lifeline import end_with_parent
 from gsgen.contract.model import subgraphs
 
 # What ONNX's library raises besides its own error.
@@ -149,4 +150,5 @@ def first_line(error: Exception) -> str:
 
 
 if __name__ == "__main__":
+    end_with_parent()
     sys.exit(_be_the_child())

@@ -29,6 +29,8 @@ from typing import Any
 
 import numpy as np
 
+from gsgen.contract.lifeline import end_with_parent
+
 _OUT_OF_MEMORY = ("bad_alloc", "bad allocation", "Failed to allocate memory", "MemoryError")
 
 # Extra probes start only within this share of the time, so that they never use it up.
@@ -190,4 +192,5 @@ def one_line(error: Exception) -> str:
 
 
 if __name__ == "__main__":
+    end_with_parent()
     sys.exit(main(Path(sys.argv[1])))

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from gsgen.contract.lifeline import end_with_parent
 from gsgen.contract.worker import (
     Emit,
     keep_outputs,
@@ -189,4 +190,5 @@ class _Frames:
 
 
 if __name__ == "__main__":
+    end_with_parent()
     sys.exit(main(Path(sys.argv[1])))

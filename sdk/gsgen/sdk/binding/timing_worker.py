@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from gsgen.contract.errors import GsgenError
+from gsgen.contract.lifeline import end_with_parent
 from gsgen.contract.manifest import GeneratorManifest
 from gsgen.contract.worker import Emit, serve
 from gsgen.sdk.binding.errors import ProviderUnavailable
@@ -113,4 +114,5 @@ def _count(session: FrameSession) -> int | None:
 
 
 if __name__ == "__main__":
+    end_with_parent()
     sys.exit(main(Path(sys.argv[1])))
