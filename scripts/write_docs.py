@@ -77,7 +77,9 @@ def generated() -> dict[Path, str]:
         for rule in registry.rules.values()
     }
     made[DOCS / "rules" / "index.md"] = index(registry)
-    made |= {DOCS / "passes" / f"{one.name}.md": passes.page(one) for one in passes.REWRITES}
+    made |= {
+        DOCS / "passes" / f"{one.name}.md": passes.page(one) for one in passes.REWRITES
+    }
     made[DOCS / "passes" / "index.md"] = passes.index()
     published = schemas() | {SCHEMA_FILE: schema()}
     for name, document in published.items():
