@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     )
     from gsgen.sdk.exporter import Exported, export
     from gsgen.sdk.generator import GaussianGenerator, Gaussians
+    from gsgen.sdk.post_export import export_post_process
+    from gsgen.sdk.post_process import PostProcess
 
 __all__ = [
     "ExportFailed",
@@ -27,7 +29,9 @@ __all__ = [
     "Gaussians",
     "GeneratorInvalid",
     "ParityFailed",
+    "PostProcess",
     "export",
+    "export_post_process",
     "inputs",
     "math",
     "wrap",
@@ -41,7 +45,9 @@ _HOME = {
     "Gaussians": "generator",
     "GeneratorInvalid": "errors",
     "ParityFailed": "errors",
+    "PostProcess": "post_process",
     "export": "exporter",
+    "export_post_process": "post_export",
     "inputs": "inputs",
     "math": "math",
     "wrap": "adapter",

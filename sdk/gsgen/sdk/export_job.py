@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from gsgen.contract.errors import GsgenError
+from gsgen.contract.errors import ConfigInvalid, GsgenError
 
 if TYPE_CHECKING:
     from gsgen.sdk.export_request import ExportRequest
     from gsgen.sdk.exporter import Exported
+    from gsgen.sdk.post_export import ExportedImage
 
 
 def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) -> None:
@@ -60,18 +61,38 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
     _show(made)
 
 
-def _export(build: Callable[[], Any], request: "ExportRequest") -> "Exported":
+def _export(
+    build: Callable[[], Any], request: "ExportRequest"
+) -> "Exported | ExportedImage":
     from gsgen.contract.config import Settings
     from gsgen.contract.finding import Level
     from gsgen.contract.targets import load_target
     from gsgen.sdk.exporter import export
+    from gsgen.sdk.post_export import export_post_process
+    from gsgen.sdk.post_process import PostProcess
 
     # Options are judged before anything slow begins.
     settings = Settings(level=Level.parse(request.level, "--level"))
     load_target(request.target)
     _progress("building the generator")
+    made = build()
+    if isinstance(made, PostProcess):
+        if request.capacity is not None:
+            what = "a post-process model has an image, and no rows"
+            raise ConfigInvalid(what, where="--capacity", mend="Leave the option out.")
+        return export_post_process(
+            made,
+            request.output,
+            name=request.name,
+            dtype=request.dtype,
+            opset=request.opset,
+            target=request.target,
+            rewrite=request.rewrite,
+            settings=settings,
+            progress=_progress,
+        )
     return export(
-        build(),
+        made,
         request.output,
         name=request.name,
         dtype=request.dtype,
@@ -106,21 +127,20 @@ def _show_failure(error: GsgenError) -> None:
         typer.echo(f"gsgen: {error}", err=True)
 
 
-def _show(made: "Exported") -> None:
+def _show(made: "Exported | ExportedImage") -> None:
     from gsgen.contract.commands.output import show
     from gsgen.contract.reporters.text import render
 
     if made.report.findings or any(not level.ran for level in made.report.levels):
         show(render(made.report))
-    gaussians = made.manifest.outputs.gaussians
-    assert gaussians is not None
     kib = made.path.stat().st_size / 1024
     size = f"{kib:.1f} KiB" if kib < 1024 else f"{kib / 1024:.1f} MiB"
-    rows = f"{gaussians.capacity:,} rows, {gaussians.dtype}, {size}"
     ran = [level.level.word for level in made.report.levels if level.ran]
     skipped = [level.level.word for level in made.report.levels if not level.ran]
     lacking = f", {' and '.join(skipped)} skipped" if skipped else ""
-    typer.echo(f"{made.path}: {rows}; conforms at level {ran[-1]}{lacking}")
+    typer.echo(
+        f"{made.path}: {made.contents}, {size}; conforms at level {ran[-1]}{lacking}"
+    )
     if made.changes:
         listed = ", ".join(f"{one.rewrite} ({len(one.nodes)})" for one in made.changes)
         typer.echo(f"rewritten: {listed}")

@@ -82,6 +82,13 @@ class Exported:
     report: Report
     changes: tuple[Change, ...] = ()
 
+    @property
+    def contents(self) -> str:
+        """What the model gives, in a few words."""
+        gaussians = self.manifest.outputs.gaussians
+        assert gaussians is not None
+        return f"{gaussians.capacity:,} rows, {gaussians.dtype}"
+
 
 def export(
     generator: GaussianGenerator,

@@ -204,8 +204,9 @@ def _checked(made: Any, target: str) -> Any:
 
     from gsgen.sdk.errors import GeneratorInvalid
     from gsgen.sdk.generator import GaussianGenerator
+    from gsgen.sdk.post_process import PostProcess
 
-    if isinstance(made, GaussianGenerator):
+    if isinstance(made, GaussianGenerator | PostProcess):
         return made
     mend = "Return an instance of a subclass of gsgen.sdk.GaussianGenerator."
     if isinstance(made, torch.nn.Module):

@@ -6,15 +6,18 @@ The names that are given by default are ones that the Visionary viewer binds to 
 __all__ = [
     "appearance_id",
     "camera_position",
+    "conditioning",
     "control",
     "expression",
     "frame_index",
+    "image",
     "pose",
     "projection",
     "root_rotation",
     "root_translation",
     "shape",
     "time",
+    "timestep",
     "view",
     "viewport",
 ]
@@ -151,3 +154,35 @@ def control(
 ) -> Input:
     """A named slider, float32 [size]."""
     return Input(name, "control", shape=(size,), range=range, default=default, label=label)
+
+
+def image(
+    channels: int = 3,
+    size: tuple[int, int] | None = None,
+    name: str = "image",
+    *,
+    range: Range = (0.0, 1.0),
+) -> Input:
+    """The rendered image of a post-process model, [1, channels, height, width].
+
+    Args:
+        channels: 3, or 4 where alpha comes along.
+        size: Height and width; open where absent.
+        name: The tensor's name.
+        range: Values of black and white.
+    """
+    shape = None if size is None else (1, channels, *size)
+    return Input(name, "image", shape=shape, range=range)
+
+
+def timestep(default: float, name: str = "timestep", *, range: Range = (0, 999)) -> Input:
+    """Diffusion timestep of a post-process model, float32 [1]."""
+    low, high = float(range[0]), float(range[1])
+    return Input(name, "timestep", shape=(1,), range=(low, high), default=float(default))
+
+
+def conditioning(rows: int, width: int, name: str = "conditioning") -> Input:
+    """Conditioning vectors of a post-process model, float32 [1, rows, width]."""
+    return Input(
+        name, "conditioning", shape=(1, rows, width), range=(-3.0, 3.0), default="zeros"
+    )

@@ -1,16 +1,19 @@
 """Turn a packed generator into an ONNX graph, with torch's own exporter."""
 
-__all__ = ["trace"]
+__all__ = ["Named", "trace", "trace_module"]
 
 import logging
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
+from dataclasses import dataclass
 from io import StringIO
+from typing import Any
 
 import numpy as np
 import onnx_ir as ir
 import torch
+from torch import nn
 
 from gsgen.contract.manifest import GeneratorManifest
 from gsgen.contract.probes import Probe
@@ -45,26 +48,69 @@ def trace(
     Raises:
         ExportFailed: The exporter refused the module; the message names the line of its code.
     """
+    appearance = manifest.outputs.appearance
+    assert appearance is not None
+    named = Named(tuple(example.inputs), (GAUSSIANS, appearance.name, COUNT))
+    where = type(packed.generator).__name__
+    return trace_module(packed, example, named, opset, where=where, hazards=hazards)
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """What the tensors of a graph are called.
+
+    Attributes:
+        inputs: In the order of the module's arguments.
+        outputs: In the order of what it returns.
+        dynamic: For each argument, axis → the name of its size; all sizes are fixed where absent.
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    dynamic: tuple[dict[int, Any], ...] | None = None
+
+
+def trace_module(
+    module: nn.Module,
+    example: Probe,
+    named: Named,
+    opset: int,
+    *,
+    where: str,
+    hazards: Sequence[Hazard] = (),
+) -> ir.Model:
+    """Export any module with ``torch.onnx.export(dynamo=True)`` and return the graph.
+
+    Args:
+        module: What to export.
+        example: The inputs that it is traced with.
+        named: Names of inputs and outputs.
+        opset: ONNX operator set.
+        where: What the module is called in an error.
+        hazards: What was seen while it ran, to explain a refusal.
+
+    Raises:
+        ExportFailed: The exporter refused the module; the message names the line of its code.
+    """
     arguments = tuple(
         torch.from_numpy(np.array(value)) for value in example.inputs.values()
     )
-    appearance = manifest.outputs.appearance
-    assert appearance is not None
     try:
         with _quiet():
             program = torch.onnx.export(
-                packed,
+                module,
                 arguments,
                 dynamo=True,
-                input_names=[entry.name for entry in manifest.inputs],
-                output_names=[GAUSSIANS, appearance.name, COUNT],
+                input_names=list(named.inputs),
+                output_names=list(named.outputs),
                 opset_version=opset,
+                dynamic_shapes=named.dynamic and (named.dynamic,),
                 verbose=False,
             )
     except GeneratorInvalid:
         raise
     except Exception as error:  # the exporter's errors share no base class
-        raise _explained(packed, error, hazards) from error
+        raise _explained(where, error, hazards) from error
     assert program is not None
     made = program.model.opset_imports.get("", opset)
     if made != opset:  # torch leaves it at that, with a note in its log
@@ -87,9 +133,7 @@ def _quiet() -> Iterator[None]:
         logging.disable(level)
 
 
-def _explained(
-    packed: PackedGenerator, error: BaseException, hazards: Sequence[Hazard]
-) -> ExportFailed:
+def _explained(name: str, error: BaseException, hazards: Sequence[Hazard]) -> ExportFailed:
     """Say what torch says first, in which line of the user's, and what to write instead."""
     root: BaseException = error
     while root.__cause__ is not None:
@@ -101,7 +145,7 @@ def _explained(
     line = line_of(root)
     likely = [one for one in hazards if line and line in one.where] or list(hazards)
     if not likely:
-        return ExportFailed(what, where=line or type(packed.generator).__name__, mend=_MEND)
+        return ExportFailed(what, where=line or name, mend=_MEND)
     first = likely[0]
     return ExportFailed(
         f"{first.what}, and torch cannot export it ({what})",

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         write_octree,
         write_scaffold,
     )
+    from gsgen.reference_plugins.synthetic.images import write_denoiser, write_stylise
     from gsgen.reference_plugins.synthetic.knot import torus_knot
     from gsgen.reference_plugins.synthetic.moving import (
         HexPlaneOptions,
@@ -36,6 +37,7 @@ __all__ = [
     "torus_knot",
     "write_body",
     "write_deformable",
+    "write_denoiser",
     "write_duplex",
     "write_gauhuman",
     "write_hexplane",
@@ -44,6 +46,7 @@ __all__ = [
     "write_octree",
     "write_r3",
     "write_scaffold",
+    "write_stylise",
 ]
 
 _HOME = {
@@ -53,6 +56,7 @@ _HOME = {
     "torus_knot": "knot",
     "write_body": "people",
     "write_deformable": "moving",
+    "write_denoiser": "images",
     "write_duplex": "anchors",
     "write_gauhuman": "people",
     "write_hexplane": "moving",
@@ -61,6 +65,7 @@ _HOME = {
     "write_octree": "anchors",
     "write_r3": "people",
     "write_scaffold": "anchors",
+    "write_stylise": "images",
 }
 
 __getattr__ = attributes(__name__, _HOME)

@@ -1,0 +1,25 @@
+"""Sizes of images, as options say them."""
+
+__all__ = ["read_size"]
+
+import re
+
+from gsgen.contract.errors import ConfigInvalid
+
+_SIZE = re.compile(r"(\d{1,6})[x×](\d{1,6})")
+
+
+def read_size(size: str) -> tuple[int, int] | None:
+    """Return height and width; None where any will do.
+
+    Raises:
+        ConfigInvalid: It is neither.
+    """
+    word = size.strip().lower()
+    if word == "any":
+        return None
+    match = _SIZE.fullmatch(word)
+    if match is None or not (int(match[1]) and int(match[2])):
+        mend = "Write it as 576x1024, height first, or any."
+        raise ConfigInvalid(f"{size!r} is no size", where="--size", mend=mend)
+    return int(match[1]), int(match[2])

@@ -1,0 +1,140 @@
+"""The autoencoder that carries images to latents and back (AutoencoderKL of diffusers)."""
+
+__all__ = ["Autoencoder"]
+
+import torch.nn.functional as F  # noqa: N812
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from gsgen.reference_plugins.diffusion.blocks import (
+    Downsample,
+    ImageAttention,
+    Residual,
+    Upsample,
+)
+from gsgen.reference_plugins.diffusion.options import AutoencoderOptions
+
+_EPS = 1e-6
+
+
+class _Level(nn.Module):
+    """Residual blocks of one size, and a change of size."""
+
+    def __init__(
+        self, options: AutoencoderOptions, inputs: int, outputs: int, layers: int
+    ) -> None:
+        super().__init__()
+        self.resnets = nn.ModuleList(
+            _residual(options, inputs if i == 0 else outputs, outputs)
+            for i in range(layers)
+        )
+        self.downsamplers: nn.ModuleList | None = None
+        self.upsamplers: nn.ModuleList | None = None
+
+    def forward(self, image: Tensor) -> Tensor:
+        for block in self.resnets:
+            image = block(image)
+        for sampler in (self.downsamplers, self.upsamplers):
+            image = image if sampler is None else sampler[0](image)
+        return image
+
+
+class _Middle(nn.Module):
+    def __init__(self, options: AutoencoderOptions) -> None:
+        super().__init__()
+        width = options.channels[-1]
+        self.resnets = nn.ModuleList(_residual(options, width, width) for _ in range(2))
+        self.attends = options.attends
+        if options.attends:
+            self.attentions = nn.ModuleList(
+                [ImageAttention(width, 1, width, groups=options.groups, eps=_EPS)]
+            )
+
+    def forward(self, image: Tensor) -> Tensor:
+        image = self.resnets[0](image)
+        if self.attends:
+            image = self.attentions[0](image)
+        made: Tensor = self.resnets[1](image)
+        return made
+
+
+def _residual(options: AutoencoderOptions, inputs: int, outputs: int) -> Residual:
+    return Residual(inputs, outputs, groups=options.groups, eps=_EPS)
+
+
+class _Encoder(nn.Module):
+    def __init__(self, options: AutoencoderOptions) -> None:
+        super().__init__()
+        channels = options.channels
+        self.conv_in = nn.Conv2d(options.inputs, channels[0], 3, padding=1)
+        self.down_blocks = nn.ModuleList()
+        for index, outputs in enumerate(channels):
+            level = _Level(options, channels[max(index - 1, 0)], outputs, options.layers)
+            if index < len(channels) - 1:
+                level.downsamplers = nn.ModuleList([Downsample(outputs, padding=0)])
+            self.down_blocks.append(level)
+        self.mid_block = _Middle(options)
+        self.conv_norm_out = nn.GroupNorm(options.groups, channels[-1], eps=_EPS)
+        self.conv_out = nn.Conv2d(channels[-1], 2 * options.latent, 3, padding=1)
+
+    def forward(self, image: Tensor) -> Tensor:
+        image = self.conv_in(image)
+        for level in self.down_blocks:
+            image = level(image)
+        made: Tensor = self.conv_out(F.silu(self.conv_norm_out(self.mid_block(image))))
+        return made
+
+
+class _Decoder(nn.Module):
+    def __init__(self, options: AutoencoderOptions) -> None:
+        super().__init__()
+        channels = options.channels[::-1]
+        self.conv_in = nn.Conv2d(options.latent, channels[0], 3, padding=1)
+        self.mid_block = _Middle(options)
+        self.up_blocks = nn.ModuleList()
+        for index, outputs in enumerate(channels):
+            level = _Level(
+                options, channels[max(index - 1, 0)], outputs, options.layers + 1
+            )
+            if index < len(channels) - 1:
+                level.upsamplers = nn.ModuleList([Upsample(outputs)])
+            self.up_blocks.append(level)
+        self.conv_norm_out = nn.GroupNorm(options.groups, channels[-1], eps=_EPS)
+        self.conv_out = nn.Conv2d(channels[-1], options.outputs, 3, padding=1)
+
+    def forward(self, latent: Tensor) -> Tensor:
+        image = self.mid_block(self.conv_in(latent))
+        for level in self.up_blocks:
+            image = level(image)
+        made: Tensor = self.conv_out(F.silu(self.conv_norm_out(image)))
+        return made
+
+
+class Autoencoder(nn.Module):
+    """An encoder and a decoder; latents are the mean, not a sample, so that frames agree."""
+
+    def __init__(self, options: AutoencoderOptions) -> None:
+        """Make the layers, with weights yet to be loaded."""
+        super().__init__()
+        self.options = options
+        before, behind = options.quantised
+        self.encoder, self.decoder = _Encoder(options), _Decoder(options)
+        wide, latent = 2 * options.latent, options.latent
+        self.quant_conv = nn.Conv2d(wide, wide, 1) if before else None
+        self.post_quant_conv = nn.Conv2d(latent, latent, 1) if behind else None
+
+    def encode(self, image: Float[Tensor, "b c h w"]) -> Float[Tensor, "b l i j"]:
+        """Return the latent of an image, scaled as the U-Net wants it."""
+        moments = self.encoder(image)
+        if self.quant_conv is not None:
+            moments = self.quant_conv(moments)
+        mean: Tensor = moments[:, : self.options.latent]
+        return (mean - self.options.shift) * self.options.scale
+
+    def decode(self, latent: Float[Tensor, "b l i j"]) -> Float[Tensor, "b c h w"]:
+        """Return the image of a latent."""
+        plain = latent / self.options.scale + self.options.shift
+        if self.post_quant_conv is not None:
+            plain = self.post_quant_conv(plain)
+        image: Tensor = self.decoder(plain)
+        return image

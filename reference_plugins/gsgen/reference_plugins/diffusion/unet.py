@@ -1,0 +1,237 @@
+"""U-Nets that predict noise (UNet2DModel and UNet2DConditionModel of diffusers)."""
+
+__all__ = ["UNet", "time_features"]
+
+import math
+
+import torch
+import torch.nn.functional as F  # noqa: N812
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from gsgen.reference_plugins.diffusion.blocks import (
+    Downsample,
+    ImageAttention,
+    Residual,
+    Transformer,
+    Upsample,
+)
+from gsgen.reference_plugins.diffusion.options import UNetOptions
+
+_SLOWEST = 10000.0
+
+
+def time_features(
+    moment: Float[Tensor, " b"], width: int, *, flip: bool, shift: float
+) -> Float[Tensor, "b width"]:
+    """Return sines and cosines of a timestep (Vaswani et al. 2017, section 3.5).
+
+    Args:
+        moment: The timestep.
+        width: How many numbers, an even one.
+        flip: Cosines first.
+        shift: What is taken off the number of frequencies.
+    """
+    half = width // 2
+    exponent = (
+        -math.log(_SLOWEST) * torch.arange(half, dtype=torch.float32) / (half - shift)
+    )
+    angle = moment[:, None].float() * torch.exp(exponent)[None]
+    parts = [torch.sin(angle), torch.cos(angle)]
+    return torch.cat(parts[::-1] if flip else parts, dim=1)
+
+
+class _Level(nn.Module):
+    """Residual blocks of one size, each with what may follow it, and a change of size."""
+
+    def __init__(
+        self, options: UNetOptions, index: int, kind: str, sizes: list[tuple[int, int]]
+    ) -> None:
+        super().__init__()
+        outputs = options.channels[index]
+        self.kind = kind
+        self.resnets = nn.ModuleList(_residual(options, i, o) for i, o in sizes)
+        if kind:
+            self.attentions = nn.ModuleList(
+                _attending(options, kind, outputs, index) for _ in sizes
+            )
+
+    def at(self, index: int, image: Tensor, time: Tensor, context: Tensor | None) -> Tensor:
+        """Apply one residual block and what follows it."""
+        made: Tensor = self.resnets[index](image, time)
+        return _attended(self.attentions[index], made, context) if self.kind else made
+
+
+class _Down(_Level):
+    def __init__(self, options: UNetOptions, index: int) -> None:
+        outputs = options.channels[index]
+        before = options.channels[max(index - 1, 0)]
+        sizes = [(before if i == 0 else outputs, outputs) for i in range(options.layers)]
+        super().__init__(options, index, options.down[index], sizes)
+        last = index == len(options.channels) - 1
+        self.downsamplers = (
+            None if last else nn.ModuleList([Downsample(outputs, options.padding)])
+        )
+
+    def forward(
+        self, image: Tensor, time: Tensor, context: Tensor | None
+    ) -> tuple[Tensor, list[Tensor]]:
+        kept = []
+        for index in range(len(self.resnets)):
+            image = self.at(index, image, time, context)
+            kept.append(image)
+        if self.downsamplers is not None:
+            image = self.downsamplers[0](image)
+            kept.append(image)
+        return image, kept
+
+
+class _Up(_Level):
+    def __init__(self, options: UNetOptions, step: int) -> None:
+        levels = options.channels[::-1]
+        outputs, before = levels[step], levels[max(step - 1, 0)]
+        skipped = levels[min(step + 1, len(levels) - 1)]
+        count = options.layers + 1
+        sizes = [
+            (
+                (before if i == 0 else outputs) + (skipped if i == count - 1 else outputs),
+                outputs,
+            )
+            for i in range(count)
+        ]
+        super().__init__(options, len(levels) - 1 - step, options.up[step], sizes)
+        last = step == len(levels) - 1
+        self.upsamplers = None if last else nn.ModuleList([Upsample(outputs)])
+
+    def forward(
+        self, image: Tensor, kept: list[Tensor], time: Tensor, context: Tensor | None
+    ) -> Tensor:
+        for index in range(len(self.resnets)):
+            joined = torch.cat([image, kept.pop()], dim=1)
+            image = self.at(index, joined, time, context)
+        return image if self.upsamplers is None else self.upsamplers[0](image)
+
+
+class _Middle(nn.Module):
+    def __init__(self, options: UNetOptions, kind: str) -> None:
+        super().__init__()
+        width, index = options.channels[-1], len(options.channels) - 1
+        self.resnets = nn.ModuleList(
+            _residual(options, width, width, options.shrink) for _ in range(2)
+        )
+        self.attends = kind == "context" or options.attends
+        if self.attends:
+            self.attentions = nn.ModuleList(
+                [_attending(options, kind, width, index, options.shrink)]
+            )
+
+    def forward(self, image: Tensor, time: Tensor, context: Tensor | None) -> Tensor:
+        image = self.resnets[0](image, time)
+        if self.attends:
+            image = _attended(self.attentions[0], image, context)
+        made: Tensor = self.resnets[1](image, time)
+        return made
+
+
+def _residual(options: UNetOptions, i: int, o: int, shrink: float = 1.0) -> Residual:
+    return Residual(
+        i,
+        o,
+        groups=options.groups,
+        eps=options.eps,
+        time=options.time,
+        shifts=options.shifts,
+        shrink=shrink,
+    )
+
+
+def _attending(
+    options: UNetOptions, kind: str, channels: int, index: int, shrink: float = 1.0
+) -> nn.Module:
+    heads = options.heads[index]
+    if kind == "image":
+        width = channels // heads
+        return ImageAttention(
+            channels, heads, width, groups=options.groups, eps=options.eps, shrink=shrink
+        )
+    assert options.context is not None
+    return Transformer(
+        channels,
+        heads,
+        groups=options.groups,
+        context=options.context,
+        depth=options.depth[index],
+        linear=options.linear,
+    )
+
+
+def _attended(block: nn.Module, image: Tensor, context: Tensor | None) -> Tensor:
+    made: Tensor = block(image, context) if isinstance(block, Transformer) else block(image)
+    return made
+
+
+class _TimeEmbedding(nn.Module):
+    def __init__(self, options: UNetOptions) -> None:
+        super().__init__()
+        self.linear_1 = nn.Linear(options.channels[0], options.time)
+        self.linear_2 = nn.Linear(options.time, options.time)
+
+    def forward(self, features: Tensor) -> Tensor:
+        made: Tensor = self.linear_2(F.silu(self.linear_1(features)))
+        return made
+
+
+class UNet(nn.Module):
+    """Down, through the middle, and up again; every level remembers what it was on the way down."""
+
+    def __init__(self, options: UNetOptions) -> None:
+        """Make the layers, with weights yet to be loaded."""
+        super().__init__()
+        self.options = options
+        first, last = options.kernels
+        steps = range(len(options.channels))
+        self.conv_in = nn.Conv2d(
+            options.inputs, options.channels[0], first, padding=(first - 1) // 2
+        )
+        self.time_embedding = _TimeEmbedding(options)
+        self.down_blocks = nn.ModuleList(_Down(options, index) for index in steps)
+        self.mid_block = (
+            None if options.middle is None else _Middle(options, options.middle)
+        )
+        self.up_blocks = nn.ModuleList(_Up(options, step) for step in steps)
+        self.conv_norm_out = nn.GroupNorm(
+            options.groups, options.channels[0], eps=options.eps
+        )
+        self.conv_out = nn.Conv2d(
+            options.channels[0], options.outputs, last, padding=(last - 1) // 2
+        )
+
+    def forward(
+        self,
+        image: Float[Tensor, "b i h w"],
+        moment: Float[Tensor, " b"],
+        context: Float[Tensor, "b m d"] | None = None,
+    ) -> Float[Tensor, "b o h w"]:
+        """Return what the network predicts.
+
+        Args:
+            image: Sides are multiples of the options' stride.
+            moment: The timestep.
+            context: Conditioning vectors, where the network takes them.
+        """
+        options = self.options
+        features = time_features(
+            moment, options.channels[0], flip=options.flip, shift=options.shift
+        )
+        time = self.time_embedding(features.to(image.dtype))
+        image = self.conv_in(2 * image - 1 if options.centre else image)
+        kept = [image]
+        for down in self.down_blocks:
+            image, more = down(image, time, context)
+            kept += more
+        if self.mid_block is not None:
+            image = self.mid_block(image, time, context)
+        for up in self.up_blocks:
+            image = up(image, kept, time, context)
+        made: Tensor = self.conv_out(F.silu(self.conv_norm_out(image)))
+        return made

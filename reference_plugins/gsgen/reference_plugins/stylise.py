@@ -1,0 +1,111 @@
+"""A feed-forward network that draws an image in another style.
+
+Johnson et al. 2016, "Perceptual Losses for Real-Time Style Transfer", with the instance norms of
+Ulyanov et al. 2016, "Instance Normalization: The Missing Ingredient for Fast Stylization", and
+nearest upsampling in place of transposed convolutions (Odena et al. 2016). The last layer adds to
+the image, by a share that may be an input.
+"""
+
+__all__ = ["Stylise", "StyliseOptions"]
+
+from dataclasses import dataclass
+from typing import final
+
+import torch
+import torch.nn.functional as F  # noqa: N812
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from gsgen.sdk import PostProcess, inputs
+
+_STRIDE = 4
+
+
+@dataclass(frozen=True, slots=True)
+class StyliseOptions:
+    """The shape of the network.
+
+    Attributes:
+        channels: Of the first convolution; each of the next two has twice as many.
+        blocks: Residual blocks at a quarter of the size.
+    """
+
+    channels: int = 16
+    blocks: int = 3
+
+
+class _Block(nn.Module):
+    """A convolution that keeps the edge, and an instance norm."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int = 1) -> None:
+        super().__init__()
+        self.around = kernel // 2
+        self.conv = nn.Conv2d(inputs, outputs, kernel, stride=stride)
+        self.norm = nn.InstanceNorm2d(outputs, affine=True)
+
+    def forward(self, image: Tensor) -> Tensor:
+        made: Tensor = self.norm(
+            self.conv(F.pad(image, (self.around,) * 4, mode="replicate"))
+        )
+        return made
+
+
+class _Residual(nn.Module):
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.first = _Block(channels, channels, 3)
+        self.second = _Block(channels, channels, 3)
+
+    def forward(self, image: Tensor) -> Tensor:
+        made: Tensor = image + self.second(torch.relu(self.first(image)))
+        return made
+
+
+@final
+class Stylise(PostProcess):
+    """Two convolutions down, residual blocks, two up; images are 0 … 1."""
+
+    family = "stylisation"
+
+    def __init__(
+        self, options: StyliseOptions, size: tuple[int, int] | None, *, slider: bool = True
+    ) -> None:
+        """Make the layers, with weights yet to be loaded.
+
+        Args:
+            options: The shape of the network.
+            size: Height and width of images; open where absent.
+            slider: How much of the style is an input; all of it without.
+        """
+        super().__init__()
+        c = options.channels
+        self.down = nn.ModuleList(
+            [_Block(3, c, 9), _Block(c, 2 * c, 3, 2), _Block(2 * c, 4 * c, 3, 2)]
+        )
+        self.middle = nn.ModuleList(_Residual(4 * c) for _ in range(options.blocks))
+        self.up = nn.ModuleList([_Block(4 * c, 2 * c, 3), _Block(2 * c, c, 3)])
+        self.last = nn.Conv2d(c, 3, 9)
+        self.size = size
+        share = inputs.control("style", range=(0.0, 1.0), default=1.0, label="Style")
+        self.inputs = [inputs.image(3, size), *([share] if slider else [])]
+
+    def forward(
+        self, image: Float[Tensor, "1 3 h w"], style: Float[Tensor, "1"] | None = None
+    ) -> Float[Tensor, "1 3 h w"]:
+        """Return the image, drawn anew."""
+        height, width = image.shape[2], image.shape[3]
+        below, right = -height % _STRIDE, -width % _STRIDE
+        made = 2 * image - 1
+        if self.size is None or below or right:
+            made = F.pad(made, (0, right, 0, below), mode="replicate")
+        for block in self.down:
+            made = torch.relu(block(made))
+        for block in self.middle:
+            made = block(made)
+        for block in self.up:
+            made = torch.relu(block(F.interpolate(made, scale_factor=2.0, mode="nearest")))
+        drawn = torch.sigmoid(self.last(F.pad(made, (4,) * 4, mode="replicate")))
+        drawn = drawn[:, :, :height, :width]
+        if style is None:
+            return drawn
+        return image + style.to(image.dtype).reshape(1, 1, 1, 1) * (drawn - image)

@@ -1,0 +1,107 @@
+"""Checkpoints of networks from image to image, as their training code writes them, of made-up weights."""
+
+__all__ = ["write_denoiser", "write_stylise"]
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from gsgen.reference_plugins.checkpoints.model_config import ModelConfig
+from gsgen.reference_plugins.checkpoints.safetensors import write_safetensors
+from gsgen.reference_plugins.diffusion.autoencoder import Autoencoder
+from gsgen.reference_plugins.diffusion.options import AutoencoderOptions, UNetOptions
+from gsgen.reference_plugins.diffusion.unet import UNet
+from gsgen.reference_plugins.stylise import Stylise, StyliseOptions
+
+_WEIGHTS = "diffusion_pytorch_model.safetensors"
+_UNET: Mapping[str, Any] = {
+    "_class_name": "UNet2DModel",
+    "block_out_channels": [8, 16],
+    "down_block_types": ["DownBlock2D", "AttnDownBlock2D"],
+    "up_block_types": ["AttnUpBlock2D", "UpBlock2D"],
+    "layers_per_block": 1,
+    "norm_num_groups": 4,
+    "sample_size": 16,
+}
+_VAE: Mapping[str, Any] = {
+    "_class_name": "AutoencoderKL",
+    "block_out_channels": [4, 8],
+    "down_block_types": ["DownEncoderBlock2D", "DownEncoderBlock2D"],
+    "up_block_types": ["UpDecoderBlock2D", "UpDecoderBlock2D"],
+    "layers_per_block": 1,
+    "norm_num_groups": 2,
+}
+_SCHEDULE: Mapping[str, Any] = {
+    "_class_name": "DDPMScheduler",
+    "num_train_timesteps": 1000,
+    "beta_schedule": "scaled_linear",
+    "beta_start": 0.00085,
+    "beta_end": 0.012,
+    "prediction_type": "epsilon",
+}
+
+
+def write_denoiser(
+    folder: Path,
+    unet: Mapping[str, Any] | None = None,
+    *,
+    latent: bool = False,
+    schedule: Mapping[str, Any] | None = None,
+    seed: int = 0,
+) -> Path:
+    """Write a checkpoint in the layout of diffusers, and return ``folder``.
+
+    Args:
+        folder: Where.
+        unet: Options of the U-Net that differ from those of a small one.
+        latent: The U-Net works on latents of 4 channels, and there is an autoencoder.
+        schedule: Options of the scheduler that differ from the usual ones.
+        seed: Of all weights.
+    """
+    torch.manual_seed(seed)
+    channels = {"in_channels": 4, "out_channels": 4} if latent else {}
+    config = {**_UNET, **channels, **(unet or {})}
+    _write(folder / "unet", config, UNet(UNetOptions.of(_config(config))))
+    if latent:
+        network = Autoencoder(AutoencoderOptions.of(_config(_VAE)))
+        _write(folder / "vae", _VAE, network)
+    place = folder / "scheduler" / "scheduler_config.json"
+    place.parent.mkdir(parents=True, exist_ok=True)
+    place.write_text(json.dumps({**_SCHEDULE, **(schedule or {})}), "utf-8")
+    if config["_class_name"] == "UNet2DConditionModel":
+        rows = np.random.default_rng(seed).normal(
+            size=(1, 5, config["cross_attention_dim"])
+        )
+        np.savez(
+            folder / "prompt_embeds.npz", encoder_hidden_states=rows.astype(np.float32)
+        )
+    return folder
+
+
+def write_stylise(
+    folder: Path, *, channels: int = 8, blocks: int = 2, seed: int = 0
+) -> Path:
+    """Write the weights of a stylisation network that nobody trained, and return ``folder``."""
+    torch.manual_seed(seed)
+    network = Stylise(StyliseOptions(channels, blocks), (16, 16))
+    _write(folder, {"channels": channels, "blocks": blocks}, network, "stylise.safetensors")
+    return folder
+
+
+def _config(values: Mapping[str, Any]) -> ModelConfig:
+    return ModelConfig(Path("config.json"), values)
+
+
+def _write(
+    folder: Path, config: Mapping[str, Any], network: nn.Module, name: str = _WEIGHTS
+) -> None:
+    with torch.no_grad():
+        for weight in network.parameters():  # norms and biases are not to be 1 and 0
+            weight.add_(0.1 * torch.randn_like(weight))
+    write_safetensors(folder / name, network.state_dict())
+    (folder / "config.json").write_text(json.dumps(dict(config)), "utf-8")

@@ -1,0 +1,275 @@
+"""Export a post-process model: trace it, finish the graph, compare it with torch, validate it.
+
+The file appears at its place only if all of that succeeded.
+"""
+
+__all__ = ["ExportedImage", "export_post_process"]
+
+import copy
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from gsgen.contract.config import Settings
+from gsgen.contract.errors import GsgenError
+from gsgen.contract.manifest import (
+    ImageOutput,
+    Input,
+    PostProcessManifest,
+    PostProcessOutputs,
+    Producer,
+)
+from gsgen.contract.probes import Probe, default_probes
+from gsgen.contract.report import Report
+from gsgen.contract.roles import POST_PROCESS, ROLES
+from gsgen.contract.sandbox import Limits, execute
+from gsgen.contract.targets import load_target
+from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
+from gsgen.sdk.finish import finish
+from gsgen.sdk.parity import FieldParity, Parity
+from gsgen.sdk.placement import draft_of
+from gsgen.sdk.post_process import PostProcess
+from gsgen.sdk.rewrite import Change
+from gsgen.sdk.saving import save_model
+from gsgen.sdk.trace import Named, trace_module
+from gsgen.sdk.user_code import line_of
+from gsgen.sdk.verification import check_contract
+
+OUTPUT = "result"
+_PROBES = 4
+_CHANNELS = (3, 4)
+# Sizes at which a model of open size is traced, and at which it is compared.
+_TRACED, _OTHER = (64, 64), (48, 80)
+
+
+def _silent(_: str) -> None:
+    return
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedImage:
+    """A finished export.
+
+    Attributes:
+        path: The file.
+        manifest: What was embedded.
+        parity: How closely it agrees with eager torch, in shares of the output's range.
+        report: What the validator says; it conforms.
+        changes: What the rewrites did to the graph.
+    """
+
+    path: Path
+    manifest: PostProcessManifest
+    parity: Parity
+    report: Report
+    changes: tuple[Change, ...] = ()
+
+    @property
+    def contents(self) -> str:
+        """What the model gives, in a few words."""
+        shape = _image(self.manifest.inputs).shape
+        size = "any size" if shape is None else f"{shape[2]} × {shape[3]} (height × width)"
+        return f"an image of {size}, {self.manifest.outputs.image.dtype}"
+
+
+def export_post_process(
+    model: PostProcess,
+    path: str | os.PathLike[str],
+    *,
+    name: str | None = None,
+    dtype: Literal["float32", "float16"] = "float32",
+    opset: int = 18,
+    target: str = "core",
+    rewrite: bool = True,
+    settings: Settings | None = None,
+    progress: Callable[[str], None] = _silent,
+) -> ExportedImage:
+    """Write ``model`` as an ONNX post-process model that conforms and agrees with torch.
+
+    Args:
+        model: The module; it is put into evaluation mode and moved to the CPU.
+        path: Where the model goes; it is replaced only by a model that passed every check.
+        name: What people call it; the file's stem where absent.
+        dtype: Of the images that come in and go out, of weights and of the arithmetic.
+        opset: ONNX operator set, 18 being the one that every runtime has kernels for.
+        target: The consumer to rewrite and validate for.
+        rewrite: Rewrite the graph so that it is captured; without, it stays as torch wrote it.
+        settings: Limits and severities of that validation.
+        progress: Called with a few words whenever a new stage begins.
+
+    Raises:
+        GeneratorInvalid: The module declares or returns something the contract does not know.
+        ExportFailed: Torch could not export it.
+        ParityFailed: The model computes something else than the module.
+        ExportRejected: The model breaks a rule; the error carries the report.
+    """
+    path = Path(path)
+    model = model.eval().cpu()
+    _check_inputs(model)
+    manifest = _manifest(model, name or path.stem, dtype)
+    sizes = (_TRACED, _OTHER) if _image(model.inputs).shape is None else (_TRACED,)
+    probes = [probe for size in sizes for probe in _probes(manifest, dtype, size)]
+    progress("running the module in eager torch")
+    wanted = [_run_eager(model, probe) for probe in probes]
+    progress("tracing the graph")
+    module = _Positional(copy.deepcopy(model).half() if dtype == "float16" else model)
+    named = Named(tuple(probes[1].inputs), (OUTPUT,), _open_axes(model.inputs))
+    graph = trace_module(module, probes[1], named, opset, where=type(model).__name__)
+    progress("rewriting the graph")
+    changes = finish(graph, manifest, load_target(target), rewrite=rewrite)
+    with draft_of(path) as draft:
+        save_model(graph, draft)
+        progress(f"comparing with eager torch at {len(probes)} probes")
+        allowed = model.half_tolerance if dtype == "float16" else model.tolerance
+        parity = _check_parity(draft, manifest, probes, wanted, allowed)
+        report = check_contract(draft, target, settings, progress)
+    return ExportedImage(
+        path, manifest, parity, replace(report, path=str(path)), tuple(changes)
+    )
+
+
+class _Positional(nn.Module):
+    """A model whose arguments have no names, whatever its author calls them."""
+
+    def __init__(self, model: nn.Module) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, *inputs: Tensor) -> Tensor:
+        made: Tensor = self.model(*inputs)
+        return made
+
+
+def _image(inputs: Any) -> Input:
+    """Return the entry of the image."""
+    found: Input = next(entry for entry in inputs if entry.role == "image")
+    return found
+
+
+def _check_inputs(model: PostProcess) -> None:
+    where = f"{type(model).__name__}.inputs"
+    names = [entry.name for entry in model.inputs]
+    images = [entry.name for entry in model.inputs if entry.role == "image"]
+    if len(images) != 1:
+        mend = "Give one gsgen.sdk.inputs.image()."
+        raise GeneratorInvalid(f"{len(images)} images, wanted one", where=where, mend=mend)
+    for entry in model.inputs:
+        if names.count(entry.name) > 1 or entry.name == OUTPUT:
+            what = f"{entry.name!r} stands twice, or is the name of the result"
+            raise GeneratorInvalid(
+                what, where=where, mend="Give each input a name of its own."
+            )
+        if POST_PROCESS not in ROLES[entry.role].kinds:
+            what = f"{entry.name!r} has the role {entry.role}, which a post-process model has not"
+            raise GeneratorInvalid(what, where=where)
+        if entry.shape is None and entry.role != "image":
+            mend = "Make inputs with the functions of gsgen.sdk.inputs."
+            raise GeneratorInvalid(f"{entry.name!r} has no shape", where=where, mend=mend)
+
+
+def _manifest(model: PostProcess, name: str, dtype: Any) -> PostProcessManifest:
+    image = ImageOutput(OUTPUT, dtype, model.output_range, model.color_space)
+    return PostProcessManifest(
+        name=name,
+        family=model.family,
+        producer=model.producer or Producer(f"gsgen {version('gsgen')}"),
+        inputs=tuple(model.inputs),
+        outputs=PostProcessOutputs(image),
+        image_range=model.image_range,
+    )
+
+
+def _probes(
+    manifest: PostProcessManifest, dtype: str, size: tuple[int, int]
+) -> tuple[Probe, ...]:
+    shapes = {entry.name: entry.shape or (1, 3, *size) for entry in manifest.inputs}
+    dtypes = {
+        entry.name: dtype if entry.role == "image" else "float32"
+        for entry in manifest.inputs
+    }
+    return default_probes(manifest, shapes, dtypes, count=_PROBES)
+
+
+def _open_axes(inputs: Any) -> tuple[dict[int, Any], ...] | None:
+    if _image(inputs).shape is not None:
+        return None
+    auto = torch.export.Dim.AUTO
+    sizes = {2: auto, 3: auto}
+    return tuple(sizes if entry.role == "image" else {} for entry in inputs)
+
+
+def _run_eager(model: PostProcess, probe: Probe) -> Float[np.ndarray, "1 c h w"]:
+    """Run the module in float32, whatever it will be exported as."""
+    tensors = [torch.from_numpy(np.array(value)).float() for value in probe.inputs.values()]
+    try:
+        with torch.no_grad():
+            made = model(*tensors)
+    except GsgenError:
+        raise
+    except Exception as error:  # the user's code may raise anything
+        what = f"forward raised {type(error).__name__}: {error}"
+        where = line_of(error) or type(model).__name__
+        raise GeneratorInvalid(what, where=where) from error
+    height, width = probe.inputs[_image(model.inputs).name].shape[2:]
+    fits = isinstance(made, torch.Tensor) and made.ndim == 4
+    if not fits or made.shape[1] not in _CHANNELS or made.shape[2:] != (height, width):
+        seen = list(made.shape) if isinstance(made, torch.Tensor) else type(made).__name__
+        what = f"forward returned {seen}, wanted [1, 3 or 4, {height}, {width}]"
+        raise GeneratorInvalid(what, where=type(model).__name__)
+    return np.asarray(made.to(torch.float64).numpy())
+
+
+def _check_parity(
+    path: Path,
+    manifest: PostProcessManifest,
+    probes: list[Probe],
+    wanted: list[np.ndarray],
+    allowed: float,
+) -> Parity:
+    low, high = manifest.outputs.image.range
+    compared = list(_compared(_run(path, probes), wanted, probes, abs(high - low), allowed))
+    worst = max(compared, key=lambda one: one.excess)
+    parity = Parity((worst,), len(probes))
+    if not parity.holds:
+        what = (
+            f"the image is off by {worst.error:.3g} of its range at probe {worst.probe!r}, "
+            f"{worst.excess:.3g} times what is allowed"
+        )
+        raise ParityFailed(what, where=path.name, parity=parity)
+    return parity
+
+
+def _run(path: Path, probes: list[Probe]) -> list[np.ndarray]:
+    limits = Limits().for_model(path.stat().st_size)
+    with execute(path, (OUTPUT,), tuple(probes), limits) as execution:
+        if execution.fault is not None:
+            what = f"ONNX Runtime cannot run the exported model: {execution.fault.message}"
+            raise ParityFailed(what, where=path.name)
+        return [
+            np.array(execution.samples[run.sample].outputs[OUTPUT])
+            for run in execution.runs
+        ]
+
+
+def _compared(
+    made: list[np.ndarray],
+    wanted: list[np.ndarray],
+    probes: list[Probe],
+    span: float,
+    allowed: float,
+) -> Iterator[FieldParity]:
+    for seen, want, probe in zip(made, wanted, probes, strict=True):
+        if probe.zeros and not np.isfinite(want).all():
+            continue  # a fault of the module itself, which rule GI009 reports
+        error = np.abs(seen.astype(np.float64) - want) / span
+        error[np.isnan(error)] = np.inf
+        at, largest = int(np.argmax(error)), float(error.max())
+        yield FieldParity("image", largest, largest / allowed, probe.label, at)
