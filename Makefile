@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-.PHONY: setup demo test check drivers bench fuzz docs wheel clean
+.PHONY: setup demo test check drivers bench fuzz fuzz-formats docs wheel clean
 
 setup: $(READY)
 
@@ -49,6 +49,11 @@ SEED ?= 0
 MINUTES ?= 90
 fuzz: setup
 	PYTHONPATH=tests $(BIN)/python -m fuzz --count $(COUNT) --seed $(SEED) --minutes $(MINUTES)
+
+# Damaged splat files of every format, which must be read or refused within 256 MiB and 10 s each.
+FORMAT_COUNT ?= 5000
+fuzz-formats: setup
+	PYTHONPATH=tests $(BIN)/python -m fuzz.formats --count $(FORMAT_COUNT) --seed $(SEED)
 
 docs: setup
 	$(PIP) --group docs

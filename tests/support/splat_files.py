@@ -3,7 +3,6 @@
 import json
 import struct
 import zipfile
-from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 
@@ -199,7 +198,7 @@ def zipped(files: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> bytes:
     return stream.getvalue()
 
 
-def samples(folder: Path, formats: Sequence[str] = ()) -> dict[str, list[bytes]]:
+def samples(folder: Path) -> dict[str, list[bytes]]:
     """A few whole files of every format, for what mutates them."""
     splats, plain = scene(12, 1, antialiased=True), scene(5, 0, seed=1)
     file = folder / "sample"
@@ -223,7 +222,7 @@ def samples(folder: Path, formats: Sequence[str] = ()) -> dict[str, list[bytes]]
         "npz": [_npz()],
     }
     file.unlink()
-    return {name: made[name] for name in formats or made}
+    return made
 
 
 def _npz() -> bytes:

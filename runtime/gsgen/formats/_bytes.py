@@ -24,10 +24,13 @@ MAX_BYTES: Final = 8 << 30
 def contents(path: FilePath) -> Iterator[mmap.mmap]:
     """Map the file at ``path``; every FormatError of the body names it.
 
+    Numbers that overflow on the way are no warnings: as infinity or NaN they meet the checks
+    of values.
+
     Raises:
         FileUnreadable: It is missing, empty, no regular file, or mapping it fails.
     """
-    with naming(path), mapped(path) as data:
+    with naming(path), mapped(path) as data, np.errstate(all="ignore"):
         yield data
 
 

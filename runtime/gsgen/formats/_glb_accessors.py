@@ -39,7 +39,11 @@ def read_accessor(
     if "sparse" in accessor or "bufferView" not in accessor:
         raise NotSupported("a sparse accessor", where=where, expected="one with all values")
     kind, width = accessor.get("componentType"), accessor.get("type")
-    if not isinstance(kind, int) or kind not in _COMPONENTS or width not in _WIDTHS:
+    if (
+        not (isinstance(kind, int) and isinstance(width, str))
+        or kind not in _COMPONENTS
+        or width not in _WIDTHS
+    ):
         raise HeaderMalformed(
             f"{shown(str(width))} of type {shown(str(kind))}",
             where=where,

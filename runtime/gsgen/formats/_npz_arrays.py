@@ -1,5 +1,6 @@
 """Unpack arrays from an .npz archive, after a look at what they say they are."""
 
+import errno
 import math
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -19,24 +20,36 @@ from gsgen.formats.errors import (
 MAX_HEADER = 1 << 16
 """Bytes to look for the header of an array in; a plain array needs 128."""
 
+_LONGEST = 200
+
 
 @contextmanager
 def unpacking(where: str) -> Iterator[None]:
     """Turn what zipfile, zlib and NumPy raise over damaged data into ArchiveDamaged."""
     try:
         yield
-    except (FormatError, OSError):
+    except FormatError:
         raise
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # that one is a place before the start of the file
+            raise
+        raise _damaged(where, error) from error
     except MemoryError as error:
         raise SizeExceeded("takes more memory than there is", where=where) from error
     # They document no common base: BadZipFile, zlib.error, EOFError, ValueError,
     # NotImplementedError, RuntimeError, struct.error, tokenize.TokenError and others.
     except Exception as error:
-        raise ArchiveDamaged(
-            f"cannot be unpacked ({type(error).__name__}: {error})",
-            where=where,
-            mend="copy, download or save the file again",
-        ) from error
+        raise _damaged(where, error) from error
+
+
+def _damaged(where: str, error: Exception) -> ArchiveDamaged:
+    reason = str(error)  # it may quote the file
+    short = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]}…"
+    return ArchiveDamaged(
+        f"cannot be unpacked ({type(error).__name__}: {short})",
+        where=where,
+        mend="copy, download or save the file again",
+    )
 
 
 def read_arrays(

@@ -178,13 +178,11 @@ def _splats(
     rows = take(data, record, (section.count,), section.rows, "splats")
     rgba = rows["rgba"] / np.float32(255)
     constant = (rgba[:, None, :3] - np.float32(0.5)) / np.float32(SH_C0)
-    with np.errstate(invalid="ignore"):  # NaN, and scales below zero, are refused later
-        higher = _harmonics(rows["sh"], level, sh_range)
-        log_scale = log(rows["scale"])
+    higher = _harmonics(rows["sh"], level, sh_range)
     return Splats(
         position=_positions(data, section, rows, level),
         rotation=unit(rows["rotation"]),
-        log_scale=log_scale,
+        log_scale=log(rows["scale"]),  # NaN, of one below zero, is refused
         logit_opacity=logit(rgba[:, 3]),
         sh=np.concatenate([constant, higher], axis=1).astype(np.float32),
     )

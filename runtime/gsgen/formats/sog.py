@@ -61,7 +61,7 @@ def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
         SizeExceeded: An image would take more than ``max_bytes``.
         ValueInvalid: There is no splat, or one that cannot be drawn.
     """
-    with naming(path), opened(path) as file:
+    with naming(path), opened(path) as file, np.errstate(all="ignore"):
         if file.read(4) != b"PK\x03\x04":
             return _decode(_beside(path), Path(path).name, max_bytes)
         with unpacking("archive"), zipfile.ZipFile(file) as archive:
@@ -149,8 +149,7 @@ def _positions(meta: Meta, low: Image, high: Image) -> Float32[np.ndarray, "n 3"
     share = (low[:, :3] | high[:, :3].astype(np.int64) << 8) / 65535
     least, most = meta.triple("means", "mins"), meta.triple("means", "maxs")
     stored = least * (1 - share) + most * share
-    with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is judged later
-        return np.asarray(np.sign(stored) * np.expm1(np.abs(stored)), np.float32)
+    return np.asarray(np.sign(stored) * np.expm1(np.abs(stored)), np.float32)
 
 
 def _rotations(image: Image) -> Float32[np.ndarray, "n 4"]:

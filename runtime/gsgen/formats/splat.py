@@ -50,15 +50,13 @@ def decode_splat(data: Data) -> Splats:
             mend=AGAIN,
         )
     records = take(data, RECORD, (count,), 0, "records")
-    with np.errstate(invalid="ignore"):  # a negative scale becomes NaN, which is refused
-        log_scale = log(records["scale"])
     rgba = records["rgba"] / np.float32(255)
     color = (rgba[:, None, :3] - np.float32(0.5)) / np.float32(SH_C0)
     rotation = (records["rotation"].astype(np.float32) - 128) / 128
     return Splats(
         position=records["position"].astype(np.float32),
         rotation=unit(rotation),
-        log_scale=log_scale,
+        log_scale=log(records["scale"]),  # NaN, of one below zero, is refused
         logit_opacity=logit(rgba[:, 3]),
         sh=color.astype(np.float32),
     )
