@@ -24,10 +24,7 @@ def binary_rows(
         FileTruncated: The file ends before the last row.
         BodyMalformed: A list before ``vertex`` has a negative count.
     """
-    start = header.body
-    for element in header.elements[: header.elements.index(vertex)]:
-        start = _end(data, header, element, start)
-    _require_room(data, vertex, start)
+    start = first_row(data, header, vertex)
     order = ">" if header.byte_order == "big" else "<"
     fields = [(name, order + code) for name, code in vertex.types.items()]
     rows = np.frombuffer(data, np.dtype(fields), vertex.count, start)
@@ -35,6 +32,20 @@ def binary_rows(
         {name: rows[name][at : at + CHUNK_ROWS] for name in vertex.types}
         for at in range(0, vertex.count, CHUNK_ROWS)
     )
+
+
+def first_row(data: mmap.mmap, header: Header, vertex: Element) -> int:
+    """Return the byte where the rows of ``vertex`` begin, all of which are there.
+
+    Raises:
+        FileTruncated: The file ends before the last row.
+        BodyMalformed: A list before ``vertex`` has a negative count.
+    """
+    start = header.body
+    for element in header.elements[: header.elements.index(vertex)]:
+        start = _end(data, header, element, start)
+    _require_room(data, vertex, start)
+    return start
 
 
 def _end(data: mmap.mmap, header: Header, element: Element, start: int) -> int:

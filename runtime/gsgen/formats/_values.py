@@ -31,6 +31,11 @@ def require_finite(
         labels: What to call the columns in the error.
         infinite: Infinities that mean something here.
     """
+    with np.errstate(over="ignore", invalid="ignore"):
+        if np.isfinite(
+            table.sum()
+        ):  # a NaN or an infinity would show: nothing has to be found
+            return
     expected = " or ".join(["a finite number", *(f"{value:+}" for value in infinite)])
     for column, label in zip(table.T, labels, strict=True):
         kept = np.isfinite(column)
