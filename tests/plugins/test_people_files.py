@@ -3,8 +3,10 @@
 import json
 import os
 import pickle
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -84,6 +86,49 @@ def test_arrays_that_chumpy_wraps_are_taken_out(tmp_path: Path) -> None:
     path = tmp_path / "old.pkl"
     path.write_bytes(OLD)
     np.testing.assert_array_equal(read_array_pickle(path)["x"], [1.0, 2.0])
+
+
+@pytest.fixture
+def chumpy(monkeypatch: pytest.MonkeyPatch) -> dict[str, type]:
+    """Return classes that pickle as those of chumpy do, with the notes that they keep."""
+    made: dict[str, type] = {}
+    for module, name in (("chumpy.ch", "Ch"), ("chumpy.reordering", "Select")):
+        made[name] = type(name, (), {"__module__": module})
+        home = ModuleType(module)
+        setattr(home, name, made[name])
+        monkeypatch.setitem(sys.modules, module, home)
+    monkeypatch.setitem(sys.modules, "chumpy", ModuleType("chumpy"))
+    return made
+
+
+def with_state(kind: type, **state: Any) -> object:
+    one = kind()
+    one.__dict__.update(state, _dirty_vars={"x"}, _itr=None, _depends_on_deps={})
+    return one
+
+
+@pytest.mark.parametrize("protocol", [0, 2, 4])
+def test_selections_of_chumpy_are_taken_out(
+    protocol: int, chumpy: dict[str, type], tmp_path: Path
+) -> None:
+    whole = np.random.default_rng(0).random((5, 3, 9))
+    chosen = np.arange(whole.size).reshape(whole.shape)[:, :, :4].ravel()
+    inner = with_state(chumpy["Ch"], x=whole)
+    value = with_state(chumpy["Select"], a=inner, idxs=chosen, preferred_shape=(5, 3, 4))
+    path = tmp_path / "a.pkl"
+    path.write_bytes(pickle.dumps({"shapedirs": value, "one": inner}, protocol=protocol))
+    read = read_array_pickle(path)
+    np.testing.assert_array_equal(read["shapedirs"], whole[:, :, :4])
+    np.testing.assert_array_equal(read["one"], whole)
+
+
+def test_an_array_that_is_made_of_itself_is_refused(
+    chumpy: dict[str, type], tmp_path: Path
+) -> None:
+    one = with_state(chumpy["Ch"])
+    one.x = one  # type: ignore[attr-defined]
+    with pytest.raises(CheckpointInvalid, match="RecursionError"):
+        read_array_pickle(unpickled(tmp_path / "a.pkl", {"x": one}))
 
 
 @pytest.mark.parametrize("kind", ["csc", "csr"])

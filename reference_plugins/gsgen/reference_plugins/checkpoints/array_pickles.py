@@ -26,15 +26,15 @@ def read_array_pickle(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as file:
             read = _Unpickler(file, encoding="latin1").load()
+        if not isinstance(read, dict):
+            raise ValueError(f"holds a {type(read).__name__}, wanted a dict of arrays")
+        return {str(name): _plain(value) for name, value in read.items()}
     except pickle.UnpicklingError as error:
         raise _unreadable(path, str(error)) from error
     except (ValueError, TypeError, KeyError, IndexError, EOFError, AttributeError) as error:
         raise _unreadable(path, str(error) or type(error).__name__) from error
     except (MemoryError, OverflowError, UnicodeError, RecursionError) as error:
         raise _unreadable(path, type(error).__name__) from error
-    if not isinstance(read, dict):
-        raise _unreadable(path, f"holds a {type(read).__name__}, wanted a dict of arrays")
-    return {str(name): _plain(value) for name, value in read.items()}
 
 
 def _unreadable(path: Path, reason: str) -> CheckpointInvalid:
@@ -83,16 +83,27 @@ class _SparseRows(_Inert):
 
 @final
 class _Wrapped(_Inert):
-    """An array of chumpy, which keeps its numbers under ``x``."""
+    """An array of chumpy (``Ch``), which keeps its numbers under ``x``."""
 
     def dense(self) -> np.ndarray:
         if "x" not in self.state:
             raise ValueError("an array of chumpy has no numbers of its own")
-        return np.asarray(self.state["x"])
+        return np.asarray(_plain(self.state["x"]))
+
+
+@final
+class _Selected(_Inert):
+    """Some entries of another array of chumpy (``Select``), such as the first shapes of many."""
+
+    def dense(self) -> np.ndarray:
+        chosen = np.asarray(_plain(self.state["a"])).ravel()[np.asarray(self.state["idxs"])]
+        shape = self.state.get("preferred_shape")
+        return chosen if shape is None else chosen.reshape(shape)
 
 
 def _plain(value: Any) -> Any:
-    return value.dense() if isinstance(value, _Sparse | _SparseRows | _Wrapped) else value
+    kinds = _Sparse | _SparseRows | _Wrapped | _Selected
+    return value.dense() if isinstance(value, kinds) else value
 
 
 def _empty_array(kind: Any, shape: Any, code: Any) -> Any:
@@ -131,6 +142,9 @@ _KNOWN: dict[tuple[str, str], Any] = {
     ("copyreg", "_reconstructor"): _object_of,
     ("__builtin__", "object"): object,
     ("builtins", "object"): object,
+    # What chumpy notes of its own; nothing is done with it.
+    ("__builtin__", "set"): set,
+    ("builtins", "set"): set,
 } | {
     (f"numpy.{core}.{module}", name): made
     for core in ("core", "_core")
@@ -148,6 +162,8 @@ class _Unpickler(pickle.Unpickler):
             return _Sparse
         if module.startswith("scipy.sparse") and name in ("csr_matrix", "csr_array"):
             return _SparseRows
+        if (module, name) == ("chumpy.reordering", "Select"):
+            return _Selected
         if module == "chumpy" or module.startswith("chumpy."):
             return _Wrapped
         if (module, name) in _KNOWN:
