@@ -150,11 +150,13 @@ def webp(pixels: np.ndarray, width: int) -> bytes:
     return stream.getvalue()
 
 
-def sog_files(count: int = 10, bands: int = 1, seed: int = 0) -> dict[str, bytes]:
+def sog_files(
+    count: int = 10, bands: int = 1, seed: int = 0, width: int = 4
+) -> dict[str, bytes]:
     """The files of a SOG of random bytes, whose harmonics come from a palette of 65."""
     rng = np.random.default_rng(seed)
 
-    def image(name: str, rows: int = count, width: int = 4) -> bytes:
+    def image(name: str, rows: int = count, width: int = width) -> bytes:
         pixels = rng.integers(0, 256, (rows, 4))
         if name == "quats":
             pixels[:, 3] = rng.integers(252, 256, rows)
