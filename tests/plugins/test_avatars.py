@@ -74,7 +74,7 @@ def test_gauhuman_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
     options = PersonOptions(
         count=int(rng.integers(1, 80)),
         kind=str(rng.choice(["smpl", "smplx"])),
-        shapes=int(rng.choice([10, 20])),
+        shapes=int(rng.choice([8, 10, 20, 30])),
         nets=bool(rng.integers(0, 2)),
         hands=bool(rng.integers(0, 2)),
         degree=int(rng.integers(0, 4)),
@@ -83,7 +83,9 @@ def test_gauhuman_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
     read = read_gauhuman(write_gauhuman(tmp_path, options))
     bodies = int(rng.integers(1, 4))
     baked, matrix = bool(rng.integers(0, 2)), bool(rng.integers(0, 2))
-    people = [told(rng, options.joints, options.shapes) for _ in range(bodies)]
+    shapes = read.body.shape_dirs.shape[2]
+    assert shapes == min(options.shapes, 10 if options.kind == "smpl" else 20)
+    people = [told(rng, options.joints, shapes) for _ in range(bodies)]
     for one in people:
         one.shape = people[0].shape
     generator = GauHuman(

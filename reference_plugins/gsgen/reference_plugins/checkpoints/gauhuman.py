@@ -6,7 +6,7 @@ came from the data set.
 
 __all__ = ["GauHumanCheckpoint", "read_gauhuman"]
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gsgen.reference_plugins.checkpoints.bodies import Body, read_body, required_body
@@ -18,6 +18,9 @@ from gsgen.reference_plugins.checkpoints.pose_nets import PoseNets, read_pose_ne
 from gsgen.reference_plugins.checkpoints.states import load_state
 
 JOINTS = {"smpl": 24, "smplx": 55}
+# Shape coefficients that training knows: of SMPL-X's ten and as many more, which the published code
+# means for expressions, but takes from the same array, whatever the file has there.
+SHAPES = {"smpl": 10, "smplx": 20}
 _GENDERS = ("neutral", "male", "female")
 
 
@@ -90,9 +93,9 @@ def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:
     gender = cfg.word("actor_gender", "neutral", _GENDERS).upper()
     file = f"SMPL_{gender}.pkl" if kind == "smpl" else f"models/smplx/SMPLX_{gender}.npz"
     joints = JOINTS[kind]
-    return read_body(
-        required_body(body, {"assets": folder / "assets" / file}, joints), joints
-    )
+    path = required_body(body, {"assets": folder / "assets" / file}, joints)
+    read = read_body(path, joints)
+    return replace(read, shape_dirs=read.shape_dirs[:, :, : SHAPES[kind]])
 
 
 def _read_nets(path: Path, joints: int) -> PoseNets:
