@@ -94,7 +94,7 @@ def _degrees(
     """Return the angles between rotations: 4 asin(|p − q| / 2), of q and −q the nearer."""
     one, other = (unit(turns).astype(np.float64) for turns in (before, after))
     apart = [np.linalg.norm(one - sign * other, axis=1) for sign in (1, -1)]
-    return np.degrees(4 * np.arcsin(np.minimum(np.minimum(*apart) / 2, 1)))
+    return np.asarray(np.degrees(4 * np.arcsin(np.minimum(np.minimum(*apart) / 2, 1))))
 
 
 def _percent(

@@ -1,4 +1,4 @@
-"""What `gsgen doctor` asks of the graphics surroundings."""
+"""What `gsgen doctor` asks of the graphics surroundings, and for files of splats."""
 
 __all__ = ["checks"]
 
@@ -21,11 +21,14 @@ print(json.dumps([dict(a.info) for a in wgpu.gpu.enumerate_adapters_sync()], def
 
 
 def checks() -> Iterator[Check]:
-    """Yield the state of what drawing needs."""
+    """Yield the state of what drawing needs, and two file formats."""
     wgpu = package("wgpu", "pip install 'gsgen[runtime]'", purpose="draw")
     yield wgpu
     if wgpu.state == "ok":
         yield from _adapters()
+    remedy = "pip install 'gsgen[formats]'"
+    yield package("pillow", remedy, purpose="read SOG; write pictures")
+    yield package("zstandard", remedy, purpose="SPZ version 4")
 
 
 def _adapters() -> Iterator[Check]:
