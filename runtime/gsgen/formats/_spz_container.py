@@ -207,18 +207,23 @@ def _require_header(
         raise NotSupported(f"version {version}", where="byte 4", expected="1, 2, 3 or 4")
     if count == 0:
         raise ValueInvalid("0 splats", where="byte 8", expected="at least one")
+    require_count(count, size)
+    if degree > _MOST_DEGREE:
+        raise HeaderMalformed(f"SH degree {degree}", where="byte 12", expected="0 to 4")
+    if fraction > _MOST_FRACTION:
+        raise HeaderMalformed(
+            f"{fraction} fractional bits", where="byte 13", expected="0 to 24"
+        )
+
+
+def require_count(count: int, size: int) -> None:
+    """Raise FileTruncated if a file of ``size`` bytes cannot hold as many splats."""
     if count > min(_MOST_SPLATS, size * _MOST_PER_NINE_BYTES // 9):
         raise FileTruncated(
             f"{count} splats in a file of {size} bytes",
             where="byte 8",
             expected=f"{size * _MOST_PER_NINE_BYTES // 9} or fewer, however packed",
             mend=AGAIN,
-        )
-    if degree > _MOST_DEGREE:
-        raise HeaderMalformed(f"SH degree {degree}", where="byte 12", expected="0 to 4")
-    if fraction > _MOST_FRACTION:
-        raise HeaderMalformed(
-            f"{fraction} fractional bits", where="byte 13", expected="0 to 24"
         )
 
 

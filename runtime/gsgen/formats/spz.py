@@ -102,6 +102,8 @@ def write_spz(
     Raises:
         ValueInvalid: ``splats`` is empty, holds values that cannot be drawn or is larger
             than the format can hold, or there is no such version or number of bits.
+        FileTruncated: All splats are alike, so that zstd makes a file of which readers would
+            say that it cannot hold as many; version 3 can be.
         NotSupported: The package zstandard is needed and missing.
         FileUnwritable: The file could not be written or put in place.
     """
@@ -119,6 +121,7 @@ def write_spz(
             version, len(splats), splats.degree, fraction, splats.antialiased, {}
         )
         packed = container.pack(frame, content)
+        container.require_count(len(splats), len(packed))
     with replacing(path) as file:
         file.write(packed)
 

@@ -23,7 +23,7 @@ from gsgen.formats import (
     write_spz,
 )
 from support.commands import shared
-from support.splat_files import GOLDENS, assert_near, scene
+from support.splat_files import FIELDS, GOLDENS, assert_near, scene
 
 VERSIONS = [1, 2, 3, 4]
 
@@ -383,6 +383,16 @@ def test_a_table_of_contents_that_cannot_be_is_refused(tmp_path, at, value, text
     content = bytearray((GOLDENS / "scene.v4.spz").read_bytes())
     content[at] = value
     assert refusal(tmp_path, bytes(content), HeaderMalformed) == text
+
+
+def test_what_readers_would_refuse_is_not_written(tmp_path):
+    one = scene(1, 0)
+    alike = Splats(*(np.repeat(getattr(one, name), 200_000, axis=0) for name in FIELDS))
+    with pytest.raises(FileTruncated, match="200000 splats in a file of"):
+        write_spz(tmp_path / "a.spz", alike, version=4)
+    assert not list(tmp_path.iterdir())
+    write_spz(tmp_path / "a.spz", alike, version=3)
+    assert len(read_spz(tmp_path / "a.spz")) == 200_000
 
 
 def test_zstd_needs_its_package(tmp_path, monkeypatch):
