@@ -96,9 +96,10 @@ class _Selected(_Inert):
     """Some entries of another array of chumpy (``Select``), such as the first shapes of many."""
 
     def dense(self) -> np.ndarray:
-        chosen = np.asarray(_plain(self.state["a"])).ravel()[np.asarray(self.state["idxs"])]
-        shape = self.state.get("preferred_shape")
-        return chosen if shape is None else chosen.reshape(shape)
+        every: np.ndarray = np.asarray(_plain(self.state["a"])).ravel()
+        chosen: np.ndarray = every[np.asarray(self.state["idxs"])]
+        shape = self.state.get("preferred_shape", chosen.shape)
+        return np.reshape(chosen, shape)
 
 
 def _plain(value: Any) -> Any:
