@@ -8,6 +8,7 @@ __all__ = ["ANY", "Trial", "main", "read", "whole_files"]
 
 import argparse
 import json
+import os
 import resource
 import signal
 import subprocess
@@ -27,6 +28,7 @@ from support.splat_files import samples
 MEMORY = 256 << 20
 """Bytes that reading one small file may take."""
 SECONDS = 10
+_ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
 FOLDER = Path("out/fuzz-formats")
 ANY = "any"
 """Stands for all formats, told by their content."""
@@ -106,7 +108,7 @@ def _run(format: str, count: int, seed: int) -> int:
     while first < count:
         words = ["--worker", format, "--count", count, "--seed", seed, "--first", first]
         command = [sys.executable, "-m", "fuzz.formats", *map(str, words)]
-        done = subprocess.run(command, capture_output=True, text=True)
+        done = subprocess.run(command, capture_output=True, text=True, env=_ENVIRONMENT)
         for line in done.stdout.splitlines():
             told = json.loads(line)
             first = told["case"] + 1
