@@ -1,6 +1,5 @@
 """`duplex-gs` against the formulas of Duplex-GS in float64, and what its own code gave."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from gsgen.reference_plugins.synthetic import AnchorOptions, write_duplex, write
 from gsgen.sdk import export
 from gsgen.sdk.exporter import Exported
 from gsgen.sdk.packing import Packed, PackedGenerator
-from support.commands import gsgen, shared
+from support.commands import shared
 from support.plugin_checks import MARGIN, acceptance, assert_like, camera, eager, judge
 from support.plugin_oracles import Wanted
 
@@ -225,15 +224,14 @@ def test_it_runs_in_webgpu_and_no_replay_is_stale(made: Exported) -> None:
         assert made.report.outcome(rule).status == "pass"
 
 
-def test_a_user_is_told_what_was_found_and_how_it_will_be_blended(tmp_path: Path) -> None:
-    options = replace(AnchorOptions(anchors=9), iteration=40000)
-    folder = write_duplex(tmp_path / "run", options)
-    out = tmp_path / "duplex.onnx"
-    done = gsgen(
-        "export", "duplex-gs", "--checkpoint", folder, "-o", out, "--opacity", "weighted"
-    )
-    assert done.code == 0, done.err
-    assert "9 cells × 5 Gaussians" in done.err
-    assert "visibility of degree 3" in done.err
-    assert "blended by sorting" in done.err
-    assert out.is_file()
+def test_a_user_is_told_what_was_found_and_how_it_will_be_blended(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_duplex(tmp_path, AnchorOptions(anchors=9, iteration=40000))
+    made = duplex_gs.build(folder, opacity="weighted", cull="frustum", max_anchors=5)
+    told = capsys.readouterr().err
+    assert "9 cells × 5 Gaussians" in told
+    assert "visibility of degree 3" in told
+    assert "blended by sorting" in told
+    assert made.producer is not None
+    assert [one.role for one in made.inputs] == ["view", "projection"]

@@ -88,6 +88,7 @@ class Denoiser(PostProcess):
             self.table = shares.float()  # no buffer: it stays float32 in a model of float16
         self.image_range = self.output_range = _UNIT if step.unit else _SIGNED
         outer = read.unet.options if read.autoencoder is None else read.autoencoder.options
+        self.channels = 4 if outer.inputs == 4 else 3
         declared = [inputs.image(outer.inputs, step.size, range=self.image_range)]
         if step.steers:
             last = _last(read)
@@ -169,11 +170,16 @@ def _require(read: DiffusionCheckpoint, step: Step, context: Tensor | None) -> N
         raise ConfigInvalid(what, where=str(read.folder), mend=mend)
     if options.context is None and context is not None:
         raise ConfigInvalid("the network takes no conditioning", where="--embeddings")
-    fits = context is not None and context.ndim == 3 and len(context) == 1
-    if options.context is not None and not (fits and context.shape[2] == options.context):
+    if options.context is not None and not _fits(context, options.context):
         seen = (
             "nothing was given" if context is None else f"given was {list(context.shape)}"
         )
         what = f"the network takes conditioning [1, L, {options.context}]; {seen}"
         mend = "Give --embeddings FILE.npz: what the text encoder makes of the prompt."
         raise ConfigInvalid(what, where="--embeddings", mend=mend)
+
+
+def _fits(context: Tensor | None, width: int) -> bool:
+    if context is None or context.ndim != 3:
+        return False
+    return context.shape[0] == 1 and context.shape[2] == width

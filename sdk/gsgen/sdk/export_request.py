@@ -12,9 +12,10 @@ import typer
 
 if TYPE_CHECKING:
     from gsgen.sdk.generator import GaussianGenerator
+    from gsgen.sdk.post_process import PostProcess
 
-# Returns the generator; called with the options that its signature declares.
-Build = Callable[..., "GaussianGenerator"]
+# Returns the module to export; called with the options that its signature declares.
+Build = Callable[..., "GaussianGenerator | PostProcess"]
 
 # Operator sets that torch exports to, and that runtimes know.
 OPSETS = (16, 23)

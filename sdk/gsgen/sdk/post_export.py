@@ -116,7 +116,8 @@ def export_post_process(
     _check_inputs(model)
     manifest = _manifest(model, name or path.stem, dtype)
     sizes = (_TRACED, _OTHER) if _image(model.inputs).shape is None else (_TRACED,)
-    probes = [probe for size in sizes for probe in _probes(manifest, dtype, size)]
+    shapes = [(1, model.channels, *size) for size in sizes]
+    probes = [probe for shape in shapes for probe in _probes(manifest, dtype, shape)]
     progress("running the module in eager torch")
     wanted = [_run_eager(model, probe) for probe in probes]
     progress("tracing the graph")
@@ -161,6 +162,11 @@ def _check_inputs(model: PostProcess) -> None:
     if len(images) != 1:
         mend = "Give one gsgen.sdk.inputs.image()."
         raise GeneratorInvalid(f"{len(images)} images, wanted one", where=where, mend=mend)
+    image = _image(model.inputs)
+    if image.range is not None and image.range != model.image_range:
+        what = f"{image.name!r} has the range {image.range}, but image_range is {model.image_range}"
+        mend = "Give inputs.image() the same range."
+        raise GeneratorInvalid(what, where=where, mend=mend)
     for entry in model.inputs:
         if names.count(entry.name) > 1 or entry.name == OUTPUT:
             what = f"{entry.name!r} stands twice, or is the name of the result"
@@ -188,9 +194,9 @@ def _manifest(model: PostProcess, name: str, dtype: Any) -> PostProcessManifest:
 
 
 def _probes(
-    manifest: PostProcessManifest, dtype: str, size: tuple[int, int]
+    manifest: PostProcessManifest, dtype: str, open_shape: tuple[int, ...]
 ) -> tuple[Probe, ...]:
-    shapes = {entry.name: entry.shape or (1, 3, *size) for entry in manifest.inputs}
+    shapes = {entry.name: entry.shape or open_shape for entry in manifest.inputs}
     dtypes = {
         entry.name: dtype if entry.role == "image" else "float32"
         for entry in manifest.inputs

@@ -20,6 +20,7 @@ class PostProcess(nn.Module, ABC):
     Attributes:
         inputs: Made by the functions of :mod:`gsgen.sdk.inputs`: one ``image``, and what else a
             frame needs (``timestep``, ``conditioning``, ``control``).
+        channels: Of the image that comes in, where its size is open; otherwise the entry says it.
         image_range: Values of black and white in the image that comes in.
         output_range: The same of the one that goes out.
         color_space: Of the image that goes out.
@@ -30,6 +31,7 @@ class PostProcess(nn.Module, ABC):
     """
 
     inputs: Sequence[Input] = ()
+    channels: Literal[3, 4] = 3
     image_range: tuple[float, float] = (0.0, 1.0)
     output_range: tuple[float, float] = (0.0, 1.0)
     color_space: Literal["srgb", "linear"] = "srgb"

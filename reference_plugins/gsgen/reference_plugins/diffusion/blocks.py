@@ -128,7 +128,8 @@ class Attention(nn.Module):
         return out
 
     def _split(self, rows: Tensor) -> Tensor:
-        return rows.unflatten(2, (self.heads, self.width)).transpose(1, 2)
+        shape = (*rows.shape[:2], self.heads, self.width)
+        return rows.reshape(shape).transpose(1, 2)
 
 
 class ImageAttention(Attention):
@@ -241,7 +242,8 @@ class Transformer(nn.Module):
         tokens = self.proj_out(tokens) if self.linear else tokens
         made = tokens.transpose(1, 2).reshape(image.shape)
         made = made if self.linear else self.proj_out(made)
-        return image + made
+        total: Tensor = image + made
+        return total
 
 
 def _projection(channels: int, linear: bool) -> nn.Module:
