@@ -10,6 +10,7 @@ What is wrong with a file is a ``FormatError`` that says where and what to do ab
 
 from gsgen.formats.codecs import CODECS, Codec, codec_named, codec_of_suffix
 from gsgen.formats.compressed_ply import compressed_order, write_compressed_ply
+from gsgen.formats.conversion import Conversion, convert
 from gsgen.formats.errors import (
     ArchiveDamaged,
     BodyMalformed,
@@ -26,9 +27,11 @@ from gsgen.formats.errors import (
 )
 from gsgen.formats.glb import read_glb, write_glb
 from gsgen.formats.ksplat import read_ksplat
+from gsgen.formats.loss import Difference, differences
 from gsgen.formats.notices import FormatWarning
 from gsgen.formats.npz import read_npz
 from gsgen.formats.open import open_splats
+from gsgen.formats.packed import splats_of_rows
 from gsgen.formats.ply import read_ply, write_ply
 from gsgen.formats.ply_table import ply_properties, read_ply_columns
 from gsgen.formats.sog import read_sog
@@ -41,6 +44,8 @@ __all__ = [
     "ArchiveDamaged",
     "BodyMalformed",
     "Codec",
+    "Conversion",
+    "Difference",
     "FileTruncated",
     "FileUnreadable",
     "FileUnwritable",
@@ -58,6 +63,8 @@ __all__ = [
     "codec_named",
     "codec_of_suffix",
     "compressed_order",
+    "convert",
+    "differences",
     "open_splats",
     "ply_properties",
     "read_glb",
@@ -68,6 +75,7 @@ __all__ = [
     "read_sog",
     "read_splat",
     "read_spz",
+    "splats_of_rows",
     "write_compressed_ply",
     "write_glb",
     "write_ply",

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any, Final, Literal
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 
 from gsgen.formats import _spz_container, _spz_streams
 from gsgen.formats._axes import RDF_LUF, RDF_RUB, flip
@@ -120,8 +120,8 @@ def _from_attributes(
     else:
         color = arrays.read("COLOR_0", widths=(4,))
         opacity, sh = color[:, 3], ((color[:, None, :3] - 0.5) / SH_C0).astype(np.float32)
-    _require((scale >= 0).all(), f"{where}, SCALE", "0 or more")
-    _require(((opacity >= 0) & (opacity <= 1)).all(), f"{where}, OPACITY", "0 to 1")
+    _require(scale, scale >= 0, f"{where}, SCALE", "0 or more")
+    _require(opacity, (opacity >= 0) & (opacity <= 1), f"{where}, OPACITY", "0 to 1")
     return Splats(
         position=position,
         rotation=unit(rotation[:, [3, 0, 1, 2]]),
@@ -193,8 +193,17 @@ def coefficient(band: int, index: int) -> str:
     return f"{NAME}:SH_DEGREE_{band}_COEF_{index}"
 
 
-def _require(kept: object, where: str, expected: str) -> None:
-    if not kept:
+def _require(
+    values: Float32[np.ndarray, "..."],
+    kept: Bool[np.ndarray, "..."],
+    where: str,
+    expected: str,
+) -> None:
+    if not kept.all():
+        first = int(np.argmin(kept))  # phrased so that NaN is not kept
         raise ValueInvalid(
-            "a value beyond its range, or NaN", where=where, expected=expected
+            f"{kept.size - np.count_nonzero(kept)} of {kept.size} values, "
+            f"the first is {values.ravel()[first]:g}",
+            where=where,
+            expected=expected,
         )
