@@ -1,6 +1,6 @@
 """Body models and checkpoints of people, in the layout of the files that are licensed or trained.
 
-The bodies are blobs around the joints of a stick figure, with noise for blendshapes: nothing in them
+The bodies are blobs around the bones of a stick figure, with noise for blendshapes: nothing in them
 comes from SMPL but the order of its joints.
 """
 
@@ -39,6 +39,27 @@ _FINGERS = tuple(
     for joint in range(15)
 )
 _PARENTS = {24: _SMPL, 55: (*_SMPL[:22], 15, 15, 15, *_FINGERS)}
+# Where each joint of root and body is, from its parent: a stick figure of 1.7 m, y up, arms apart.
+_BONES = (
+    *((0, 0, 0), (0.09, -0.09, 0), (-0.09, -0.09, 0), (0, 0.12, 0)),
+    *(
+        (0.02, -0.4, 0),
+        (-0.02, -0.4, 0),
+        (0, 0.14, 0),
+        (0, -0.42, -0.02),
+        (0, -0.42, -0.02),
+    ),
+    *((0, 0.06, 0), (0.02, -0.06, 0.13), (-0.02, -0.06, 0.13), (0, 0.21, 0)),
+    *(
+        (0.08, 0.12, 0),
+        (-0.08, 0.12, 0),
+        (0, 0.12, 0.03),
+        (0.11, 0.03, 0),
+        (-0.11, 0.03, 0),
+    ),
+    *((0.26, 0, 0), (-0.26, 0, 0), (0.25, 0, 0), (-0.25, 0, 0)),
+)
+_FACE = ((0, 0, 0.05), (0.03, 0.06, 0.07), (-0.03, 0.06, 0.07))
 _NO_PARENT = 0xFFFFFFFF
 
 
@@ -84,18 +105,28 @@ def _body(options: PersonOptions) -> dict[str, np.ndarray]:
     rng = np.random.default_rng([options.seed, 1])
     count, joints = options.vertices, options.joints
     parents = _PARENTS[joints]
+    bones = _BONES + (((0.08, 0, 0), (-0.08, 0, 0)) if joints == 24 else _FACE)
     places = np.zeros((joints, 3))
     for joint, parent in enumerate(parents[1:], start=1):
-        bone = rng.normal(size=3)
-        places[joint] = places[parent] + 0.15 * bone / np.linalg.norm(bone)
+        if joint < len(bones):
+            bone = np.array(bones[joint])
+        else:  # fingers: away from the body, side by side
+            finger = (joint - len(bones)) // 3 % 5
+            away = 0.08 if joint % 3 == len(bones) % 3 else 0.03
+            bone = np.array([away if joint < 40 else -away, 0, 0.015 * (finger - 2)])
+        places[joint] = places[parent] + bone
     # Every joint has vertices around it, from which it can be had back.
     home = np.concatenate([np.arange(joints), rng.integers(0, joints, count - joints)])
-    template = places[home] + rng.normal(0, 0.06, (count, 3))
+    # Half of them lie somewhere on the bone to the parent, and say nothing of the joint.
+    bone = (np.arange(count) >= joints) & (rng.random(count) < 0.5)
+    along = np.where(bone, rng.random(count), 0)[:, None]
+    begin = places[np.maximum(np.array(parents)[home], 0)]
+    template = places[home] * (1 - along) + begin * along + rng.normal(0, 0.03, (count, 3))
     away = np.linalg.norm(template[:, None] - places[None], axis=2)
-    weights = np.exp(-((away / 0.08) ** 2))
+    weights = np.exp(-((away / 0.12) ** 2))
     weights[weights < 0.02 * weights.max(axis=1, keepdims=True)] = 0
     weights /= weights.sum(axis=1, keepdims=True)
-    regressor = (home[None] == np.arange(joints)[:, None]).astype(float)
+    regressor = ((home[None] == np.arange(joints)[:, None]) & ~bone).astype(float)
     regressor /= regressor.sum(axis=1, keepdims=True)
     table = np.array([parents, range(joints)], np.int64) % (_NO_PARENT + 1)
     made = {
