@@ -17,7 +17,6 @@ from gsgen.contract.report import Report
 from gsgen.formats import open_splats, write_ply
 from gsgen.reference_plugins.static import from_content, write_scene
 from gsgen.reference_plugins.synthetic import torus_knot
-from gsgen.sdk import export
 from gsgen.sdk.live_fixtures import live_fixtures
 from support.generators import Drift, Growing, Lit, Skinned
 
@@ -161,5 +160,5 @@ def test_a_static_scene_passes(dtype, tmp_path):
 
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("made", [Drift, Lit, Growing, Skinned])
-def test_exported_models_pass(made, dtype, tmp_path):
-    passes(ran_live(export(made(), tmp_path / "a.onnx", dtype=dtype, settings=LIVE).report))
+def test_exported_models_pass(made, dtype, exported):
+    passes(ran_live(validate(exported(made, dtype), LIVE)))
