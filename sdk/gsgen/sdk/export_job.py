@@ -2,13 +2,13 @@
 
 __all__ = ["run_export"]
 
-import sys
 from collections.abc import Callable
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import typer
 
+from gsgen.contract.commands.progress import clear, progress
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
     try:
         made = _export(build, request)
     except faults as error:
-        _clear_line()
+        clear()
         if request.report is not None:
             report = error.report if isinstance(error, ExportRejected) else None
             parity = error.parity if isinstance(error, ParityFailed) else None
@@ -54,7 +54,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
         _show_failure(error)
         typer.echo(f"gsgen: {request.output} was not written", err=True)
         raise typer.Exit(1) from error
-    _clear_line()
+    clear()
     if request.report is not None:
         outcome = Outcome(True, made.report, made.parity, made.changes)
         write_report(request.report, request, source, outcome)
@@ -74,7 +74,7 @@ def _export(
     # Options are judged before anything slow begins.
     settings = Settings(level=Level.parse(request.level, "--level"))
     load_target(request.target)
-    _progress("building the generator")
+    progress("building the generator")
     made = build()
     if isinstance(made, PostProcess):
         if request.capacity is not None:
@@ -89,7 +89,7 @@ def _export(
             target=request.target,
             rewrite=request.rewrite,
             settings=settings,
-            progress=_progress,
+            progress=progress,
         )
     return export(
         made,
@@ -101,19 +101,8 @@ def _export(
         target=request.target,
         rewrite=request.rewrite,
         settings=settings,
-        progress=_progress,
+        progress=progress,
     )
-
-
-def _progress(words: str) -> None:
-    """Show what is being done, where someone is watching."""
-    if sys.stderr.isatty():
-        typer.echo(f"\r\x1b[2K{words} …", err=True, nl=False)
-
-
-def _clear_line() -> None:
-    if sys.stderr.isatty():
-        typer.echo("\r\x1b[2K", err=True, nl=False)
 
 
 def _show_failure(error: GsgenError) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gsgen.contract.commands.progress import clear, progress
 from gsgen.contract.errors import ConfigInvalid, GsgenError, ModelUnreadable
 
 if TYPE_CHECKING:
@@ -59,24 +60,19 @@ def float16(
             outputs=not keep_outputs,
             budget=budget,
             limits=Limits(seconds=timeout),
-            progress=_progress,
+            progress=progress,
         )
     except GsgenError as error:
+        clear()
         typer.echo(f"gsgen: {error}", err=True)
         code = _UNREADABLE if isinstance(error, ModelUnreadable) else 1
         raise typer.Exit(code) from error
+    clear()
     if as_json:
         typer.echo(json.dumps(_document(done), indent=2, ensure_ascii=False))
         return
     for line in _report(done):
         typer.echo(line)
-
-
-def _progress(stage: str) -> None:
-    import sys
-
-    if sys.stderr.isatty():
-        typer.echo(f"… {stage}", err=True)
 
 
 def _report(done: "Halved") -> "Iterator[str]":

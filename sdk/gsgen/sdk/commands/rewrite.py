@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gsgen.contract.commands.progress import clear, progress
 from gsgen.contract.errors import ConfigInvalid, GsgenError, ModelUnreadable
 
 if TYPE_CHECKING:
@@ -84,15 +85,17 @@ def rewrite(
             skip=_split(skip),
             opset=opset,
             sizes=sizes,
-            progress=_progress,
+            progress=progress,
         )
     except ConfigInvalid:
         raise
     except GsgenError as error:
+        clear()
         typer.echo(f"gsgen: {error}", err=True)
         raise typer.Exit(
             _UNREADABLE if isinstance(error, ModelUnreadable) else 1
         ) from error
+    clear()
     if as_json:
         typer.echo(json.dumps(_document(done), indent=2, ensure_ascii=False))
         return
@@ -111,13 +114,6 @@ def _sized(entry: str) -> tuple[str, int]:
             f"{entry!r} is not SYMBOL=SIZE, such as N=65536", where="--freeze"
         )
     return symbol, int(size)
-
-
-def _progress(stage: str) -> None:
-    import sys
-
-    if sys.stderr.isatty():
-        typer.echo(f"… {stage}", err=True)
 
 
 def _list(target: str, as_json: bool) -> None:
