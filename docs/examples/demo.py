@@ -1,4 +1,4 @@
-"""The demo: a real scene becomes a generator, is judged, and four broken copies are caught.
+"""The demo: a real scene becomes a generator, is judged, drawn, and four broken copies are caught.
 
 Run it with ``make demo``, or ``python docs/examples/demo.py OUT``. It uses the captured garden
 scene where ``GSGEN_SHARED`` (default ``../shared``) has it, and a generated one elsewhere.
@@ -131,13 +131,62 @@ def main() -> None:
     good = onnx.load(model)
     for name, (title, rule, damage) in BREAKS.items():
         show_broken(good, name, title, rule, damage)
+    drawn = draw(model, source)
     console.print(f"[bold]Made:[/] {model} and four broken copies; the verdict is {report}")
+    for line in drawn:
+        console.print(f"      {line}")
     console.print("[bold]Look at it:[/]")
     console.print(f"  .venv/bin/gsgen inspect {model}")
     console.print(f"  .venv/bin/gsgen validate {model} --target visionary")
     console.print(
         f"  .venv/bin/gsgen validate {OUT}/broken_nan.onnx; .venv/bin/gsgen explain GV001"
     )
+
+
+# %% What was judged is drawn.
+
+
+def cameras(source: Path) -> str:
+    """Return three cameras: those of the captured scene, or three of an orbit."""
+    path = OUT / "cameras.json"
+    if source != GARDEN:
+        return "orbit"
+    with np.load(source) as scene:
+        size = {"width": int(scene["width"]), "height": int(scene["height"]), "near": 0.01}
+        places = zip(scene["viewmats"].tolist(), scene["Ks"].tolist(), strict=True)
+        told = [
+            size
+            | {"view": view, "fx": k[0][0], "fy": k[1][1], "cx": k[0][2], "cy": k[1][2]}
+            for view, k in places
+        ]
+    path.write_text(json.dumps(told))
+    return str(path)
+
+
+def draw(model: Path, source: Path) -> list[str]:
+    """Draw the scene from three cameras, its depth, and an orbit; say where they are."""
+    camera = cameras(source)
+    orbit = "orbit:30,25,1.3" if source == GARDEN else "orbit:30,25"
+    views, depth, film = OUT / "views", OUT / "depth", OUT / "orbit.gif"
+    three = () if camera.endswith(".json") else ("--frames", "3")
+    small = ("--width", "324", "--height", "210", "--frames", "12", "--up", "+z")
+    for title, words in (
+        ("drawing it from three cameras", ("-o", views, "--camera", camera, *three)),
+        ("drawing its depth", ("-o", depth, "--camera", camera, *three, "--mode", "depth")),
+        ("drawing an orbit", ("-o", film, "--camera", orbit, *small)),
+    ):
+        with step(title):
+            done = gsgen("render", model, *words)
+        if done.returncode and "adapter" in done.stderr:
+            return [f"No pictures: {done.stderr.strip()}"]
+        expect(done, 0)
+    return [
+        f"{views}/frame_0000.png to frame_0002.png: three cameras; {depth}: how far away",
+        f"{film}: once around it",
+    ]
+
+
+# %% What was broken is named.
 
 
 def show_broken(
