@@ -136,7 +136,7 @@ def test_export_static_says_when_packed_rows_do_not_conform(tmp_path: Path) -> N
     [
         (None, "cannot be read: No such file"),
         (b"", "empty"),
-        (b"hello", "68 65 6c 6c 6f"),
+        (b"hello", "first bytes: 'hell'"),
         (b"ply\nformat binary_little_endian 1.0\nelement vertex 5\nend_header\n", "x"),
     ],
 )

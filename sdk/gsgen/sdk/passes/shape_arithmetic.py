@@ -139,9 +139,10 @@ def _slice(node: ir.Node, inputs: Arrays) -> np.ndarray:
     cut = [slice(None)] * array.ndim
     for axis, start, end, step in zip(axes, starts, ends, steps, strict=True):
         size = array.shape[axis]
-        # Below −size a backward slice ends before the first element, which Python spells None.
+        # Below −size a backward slice ends before the first element, which Python spells None;
+        # and it starts at the first one, where Python's would be empty.
         stop = None if step < 0 and end < -size else end
-        cut[axis] = slice(start, stop, step)
+        cut[axis] = slice(max(start, -size), stop, step)
     return array[tuple(cut)]
 
 
