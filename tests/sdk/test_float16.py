@@ -257,6 +257,20 @@ def test_outputs_that_are_inputs_or_weights() -> None:
     np.testing.assert_array_equal(x, np.array([3, 4], np.float32))
 
 
+def test_a_weight_may_be_called_like_the_copy_of_another() -> None:
+    text = """g (float[2] x) => (float[2] y) <float[2] w = {0.5, 2}, float[2] w_float16 = {3, 4}> {
+        a = Mul (x, w)
+        b = Add (x, w)
+        c = Mul (a, w_float16)
+        y = Add (b, c) }"""
+    model_ = parsed(text)
+    x = np.array([1, 2], np.float32)
+    (before,) = run(model_, x=x)
+    ToFloat16(["b"])(model_)
+    (after,) = run(model_, x=x)
+    np.testing.assert_array_equal(after, before)
+
+
 def test_bodies_stay_and_what_they_read_is_cast_for_them() -> None:
     text = """g (float[2] x, bool c) => (float[2] y) <float two = {2}> {
         a = Mul (x, two)

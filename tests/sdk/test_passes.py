@@ -115,6 +115,16 @@ def test_outputs_end_on_compute_only_where_they_did_not(body: str, modified: boo
     np.testing.assert_array_equal(seen.view(np.uint32), wanted.view(np.uint32))
 
 
+def test_a_mask_ends_on_an_operator_of_masks() -> None:
+    text = "g (bool[2,3] x) => (bool[6] y) <int64[1] s = {6}> { y = Reshape (x, s) }"
+    result = EndOutputsOnCompute()(ir.serde.deserialize_model(parsed(text)))
+    made = ir.serde.serialize_model(result.model)
+    onnx.checker.check_model(made, full_check=True)
+    x = np.array([[True, False, True], [False, False, True]])
+    (seen,) = run(made, LEVELS[0], x=x)
+    np.testing.assert_array_equal(seen, x.reshape(-1))
+
+
 def test_a_weight_and_a_tensor_twice_become_outputs_of_their_own() -> None:
     text = "g (float[2] x) => (float[2] w, float[2] y) <float[2] w = {1, 2}> { y = Neg(x) }"
     proto = parsed(text)

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from gsgen.contract.graph import Tensor
 from gsgen.contract.manifest import Input
+from gsgen.contract.model import open_model
 from gsgen.contract.probes import Probe, default_probes
 from gsgen.contract.sandbox import Execution, Limits, execute
 from gsgen.contract.subject import Subject
@@ -165,9 +166,7 @@ def compare_files(
 
 
 def _room(model: Path, limits: Limits) -> Limits:
-    beside = model.with_name(f"{model.name}.data")
-    size = sum(file.stat().st_size for file in (model, beside) if file.exists())
-    return limits.for_model(size)
+    return limits.for_model(open_model(model).weight_bytes)
 
 
 def _must_run(run: Execution, probes: Sequence[Probe], where: str, which: str) -> None:
@@ -241,9 +240,14 @@ def _error(
     """
     a, b = old.astype(np.float64), new.astype(np.float64)
     finite = np.isfinite(a)
-    same = (a == b) | (np.isnan(a) & np.isnan(b)) | (~finite if allowed.mends else False)
+    same = (
+        (old == new) | (np.isnan(a) & np.isnan(b)) | (~finite if allowed.mends else False)
+    )
     with np.errstate(invalid="ignore"):
-        error = np.where(same, 0.0, np.abs(a - b))
+        apart = np.abs(a - b)
+    if old.dtype.kind in "iu":
+        apart = np.maximum(apart, 1.0)  # a double may not tell two large ones apart
+    error = np.where(same, 0.0, apart)
     size = np.abs(np.where(finite, a, 0.0))
     room = np.zeros_like(size)
     if old.dtype.kind == "f" and (allowed.relative or allowed.absolute):

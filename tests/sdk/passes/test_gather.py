@@ -184,6 +184,10 @@ def test_a_scatter_of_known_elements_is_gathered(dtype: str, axis: int) -> None:
             "shape",
         ),
         (
+            "g (float[2,0] x, float[1,0] u) => (float[2,0] y) <int64[1,1] i = {0}> { y = ScatterND (x, i, u) }",
+            "empty",
+        ),
+        (
             'g (float[3] x, float[1] u) => (float[3] y) <int64[1,1] i = {0}> { y = ScatterND <reduction = "add"> (x, i, u) }',
             "'add'",
         ),

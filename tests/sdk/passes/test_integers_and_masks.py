@@ -170,6 +170,16 @@ def test_bounds_that_floats_do_not_hold_stay_behind_the_cast(text: str) -> None:
     assert not ClipBeforeCast()(parsed(text)).modified
 
 
+@pytest.mark.parametrize("kind", ["int64", "uint64"])
+def test_a_double_does_not_hold_every_integer_of_64_bits(kind: str) -> None:
+    code = {"int64": 7, "uint64": 13}[kind]
+    text = (
+        f"g ({kind}[3] x) => ({kind}[3] y) "
+        f"{{ d = Cast <to = 11> (x) y = Cast <to = {code}> (d) }}"
+    )
+    assert not MergeCasts()(parsed(text)).modified
+
+
 # ---- Masks -----------------------------------------------------------------------------------
 
 MASKS = {
@@ -211,6 +221,24 @@ def test_masks_are_numbers_between_comparison_and_use(name: str) -> None:
         v.dtype.name for n in computed for v in n.inputs if v is not None and v.name != "c"
     }
     assert "BOOL" not in kinds
+
+
+def test_a_choice_between_masks_is_made_of_numbers_and_by_a_mask() -> None:
+    text = (
+        "g (float[6] x, float[6] z) => (float[6] y) <float zero = {0}, bool[1] on = {1}> "
+        "{ a = Greater (x, zero) b = Less (z, zero) r = Where (a, b, on) y = Cast <to = 1> (r) }"
+    )
+    model = parsed(text)
+    z = np.array([1, 9, -4, -3, 70, -5], np.float32)
+    assert ArithmeticMasks()(model).modified
+    (seen,) = run(model, x=X, z=z)  # ONNX Runtime cannot choose between booleans
+    np.testing.assert_array_equal(seen, np.where(X > 0, z < 0, True))
+
+
+@pytest.mark.parametrize("goal", [None, OLD])
+def test_a_choice_between_numbers_keeps_its_mask(goal: Goal | None) -> None:
+    text = "g (bool[2] b, int64[2] x) => (int64[2] y) <int64 one = {1}> { y = Where (b, x, one) }"
+    assert not ArithmeticMasks(goal)(parsed(text)).modified
 
 
 def test_numbers_are_kept_between_two_operators_of_a_chain() -> None:

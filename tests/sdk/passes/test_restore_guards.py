@@ -68,7 +68,14 @@ def test_what_is_guarded_is_left_alone(name: str) -> None:
     assert text_of(model) == before
 
 
-@pytest.mark.parametrize("body", ["y = Div (two, v)", "s = Sin (v)\n y = Div (v, s)"])
+@pytest.mark.parametrize(
+    "body",
+    [
+        "y = Div (two, v)",
+        "s = Sin (v)\n y = Div (v, s)",
+        "m = IsNaN (v)\n c = Where (m, two, v)\n y = Div (v, c)",
+    ],
+)
 def test_a_divisor_that_is_no_length_is_named_and_left_alone(body: str) -> None:
     model = parsed(f"{HEAD} {{ {body} }}")
     before = text_of(model)

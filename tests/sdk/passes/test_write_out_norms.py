@@ -165,6 +165,8 @@ def test_sums_of_large_powers_neither_overflow_nor_lose_infinity() -> None:
     [
         "g (int32[3] x) => (int32[N] y) { y = ReduceL1 (x) }",
         "g (float[3] x) => (float[3] y) { y = ReduceL2 <noop_with_empty_axes = 1> (x) }",
+        "g (float[3] x) => (float[3] y) <int64[0] none = {}> "
+        "{ y = ReduceL2 <noop_with_empty_axes = 1> (x, none) }",
     ],
 )
 def test_reductions_of_integers_and_idle_ones_are_left_alone(text: str) -> None:

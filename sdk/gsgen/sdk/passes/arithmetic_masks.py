@@ -55,7 +55,9 @@ class ArithmeticMasks(Substitute):
 
     def suits(self, node: ir.Node) -> bool:
         """Say whether what it computes with is boolean."""
-        return node.inputs[0] is not None and node.inputs[0].dtype == _BOOL
+        # What a Where chooses by is boolean always, and stays so.
+        value = node.inputs[_places_of(node)[0]]
+        return value is not None and value.dtype == _BOOL
 
     def replace(self, node: ir.Node) -> None:
         """Compute with numbers."""
@@ -63,12 +65,12 @@ class ArithmeticMasks(Substitute):
         if _undoes(node):
             write.replace(_recast(write, node))
             return
-        data = len(node.inputs) if is_op(node, *_LOGIC, *_JOINING) else 1
-        numbers = [_number(write, value) for value in node.inputs[:data]]
-        inputs = [*numbers, *node.inputs[data:]]
+        places = _places_of(node)
+        numbers = {place: _number(write, node.inputs[place]) for place in places}
         if is_op(node, *_LOGIC):
-            made = [_logic(write, node.op_type, *numbers)]
+            made = [_logic(write, node.op_type, *numbers.values())]
         else:
+            inputs = [numbers.get(place, value) for place, value in enumerate(node.inputs)]
             attributes = {key: one.value for key, one in node.attributes.items()}
             made = write.ops(node.op_type, len(node.outputs), *inputs, **attributes)
         for old, value in zip(node.outputs, made, strict=True):
@@ -80,6 +82,13 @@ class ArithmeticMasks(Substitute):
                 for one in made
             )
         )
+
+
+def _places_of(node: ir.Node) -> range:
+    """Return which arguments ``node`` computes with; the others are indices, shapes and tests."""
+    if is_op(node, *_LOGIC, *_JOINING):
+        return range(len(node.inputs))
+    return range(1, 3) if is_op(node, "Where") else range(1)
 
 
 def _number(write: Before, value: ir.Value | None) -> ir.Value:

@@ -19,7 +19,7 @@ class EndOutputsOnCompute(Rewrite):
         Reshape → color_sh        →   Reshape → Mul(1) → color_sh
         weight (color_sh)         →   weight → Mul(1) → color_sh
 
-    Multiplying by one changes no bit of a number.
+    Multiplying by one changes no bit of a number. A mask, which cannot be multiplied, ends on And(true).
     """
 
     name = "end-on-compute"
@@ -55,7 +55,8 @@ def _end_on_mul(graph: ir.Graph, index: int, value: ir.Value) -> None:
         raise ValueError(f"output {name!r} has no dtype")
     value.name = f"{name}_uncopied"
     one = weight(graph, f"{name}_one", np.ones((), kind.numpy()))
-    node = new_node("Mul", [value, one], f"{name}_end")
+    computing = "And" if kind == ir.DataType.BOOL else "Mul"
+    node = new_node(computing, [value, one], f"{name}_end")
     made = node.outputs[0]
     made.name, made.type, made.shape = name, value.type, value.shape
     graph.append(node)

@@ -49,9 +49,10 @@ def _unknown(node: ir.Node) -> str:
         return f"it does not replace elements: its reduction is {reduction.as_string()!r}"
     if constant_of(node.inputs[1], largest=_LARGEST) is None:
         return "the places it updates are not known before the frame"
-    if fixed_shape(node.inputs[0]) is None:
+    shape = fixed_shape(node.inputs[0])
+    if shape is None:
         return "the shape of what it updates is not known"
-    return ""
+    return "what it updates is empty" if 0 in shape else ""
 
 
 def _replace(node: ir.Node) -> None:

@@ -91,10 +91,10 @@ def _replaces_zero(value: ir.Value) -> bool:
     """Say whether ``value`` is Where(v = 0, c, v) or Where(v > 0, v, c) with c that is not zero."""
     maker = value.producer()
     test = maker.inputs[0].producer() if is_op(maker, "Where") and maker.inputs[0] else None  # type: ignore[union-attr]
-    if maker is None or test is None:
+    if maker is None or test is None or not is_op(test, "Equal", "Greater"):
         return False
     zero, chosen, other = constant_of(test.inputs[1]), *maker.inputs[1:3]
-    if zero is None or not is_op(test, "Equal", "Greater"):
+    if zero is None:
         return False
     if is_op(test, "Equal"):
         return not zero.any() and other is test.inputs[0] and is_never_zero(chosen)

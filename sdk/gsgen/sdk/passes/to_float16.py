@@ -10,6 +10,7 @@ import onnx
 import onnx_ir as ir
 
 from gsgen.sdk.passes.base import MAIN_DOMAIN, Exactness, Goal, is_op, opset_of
+from gsgen.sdk.passes.building import weight
 from gsgen.sdk.passes.refusal import CautiousRewrite
 
 FLOAT, HALF = ir.DataType.FLOAT, ir.DataType.FLOAT16
@@ -162,15 +163,11 @@ def _convert_weight(graph: ir.Graph, value: ir.Value, wants: Wants) -> None:
         return
     with np.errstate(over="ignore"):
         array = value.const_value.numpy().astype(np.float16)
-    tensor = ir.tensor(array, name=f"{value.name}_float16")
     if len(half) == len(readers) and not value.is_graph_output():
-        value.const_value, value.type = tensor, ir.TensorType(HALF)
-        tensor.name = value.name
+        value.const_value = ir.tensor(array, name=value.name)
+        value.type = ir.TensorType(HALF)
         return
-    copy = ir.Value(
-        name=tensor.name, const_value=tensor, type=ir.TensorType(HALF), shape=value.shape
-    )
-    graph.register_initializer(copy)
+    copy = weight(graph, f"{value.name}_float16", array)
     for node, place in half:
         node.replace_input_with(place, copy)
 

@@ -11,7 +11,7 @@ import onnx_ir as ir
 
 from gsgen.sdk.passes.base import Exactness, Substitute
 from gsgen.sdk.passes.building import Before
-from gsgen.sdk.passes.facts import int_attribute
+from gsgen.sdk.passes.facts import constant_of, int_attribute
 
 # From these operator sets on, axes are an argument; before, an attribute.
 _SUM_TAKES_AXES, _ALL_TAKE_AXES = 13, 18
@@ -36,13 +36,13 @@ class WriteOutReductions(Substitute):
         """Say whether it is of floats, and really reduces."""
         value = node.inputs[0]
         idle = int_attribute(node, "noop_with_empty_axes", 0)
-        given = "axes" in node.attributes or len(node.inputs) > 1
+        axes = constant_of(node.inputs[1]) if len(node.inputs) > 1 else None
         floats = (
             value is not None
             and value.dtype is not None
             and value.dtype.is_floating_point()
         )
-        return floats and (bool(given) or not idle)
+        return floats and (not idle or (axes is not None and axes.size > 0))
 
     def replace(self, node: ir.Node) -> None:
         """Write the reduction out, over the same axes."""
