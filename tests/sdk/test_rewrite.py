@@ -155,6 +155,24 @@ def test_weights_beside_the_model_stay_beside_it(tmp_path: Path) -> None:
     np.testing.assert_array_equal(session.run(None, {"x": x})[0], 2 + weight)
 
 
+def test_weights_that_the_source_reads_are_not_replaced(tmp_path: Path) -> None:
+    model = parsed("g (float[64] x) => (float[64] y) { r = Round (x) y = Add (r, w) }")
+    (adding,) = (node for node in model.graph if node.op_type == "Add")
+    value = adding.inputs[1]
+    value.const_value = ir.tensor(np.arange(64, dtype=np.float32), name="w")
+    value.type, value.shape = ir.TensorType(ir.DataType.FLOAT), ir.Shape([64])
+    model.graph.register_initializer(value)
+    ir.save(model, tmp_path / "a.onnx", external_data="a.onnx.data", size_threshold_bytes=0)
+    renamed = (tmp_path / "a.onnx").rename(tmp_path / "old.onnx")
+    before = (tmp_path / "a.onnx.data").read_bytes()
+    with pytest.raises(
+        ConfigInvalid, match=r"replace a\.onnx\.data, which old\.onnx reads"
+    ):
+        rewrite_file(renamed, tmp_path / "a.onnx", WEBGPU)
+    assert (tmp_path / "a.onnx.data").read_bytes() == before
+    assert not (tmp_path / "a.onnx").exists()
+
+
 def test_symbolic_sizes_are_given_or_guessed(tmp_path: Path) -> None:
     text = "g (float[N,2] x) => (float[N,2] y) { r = Round (x) y = Neg (r) }"
     source = written(tmp_path / "in.onnx", text)

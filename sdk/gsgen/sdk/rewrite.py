@@ -52,7 +52,7 @@ from gsgen.sdk.passes.refusal import CautiousRewrite, Refusal
 from gsgen.sdk.passes.registry import find_rewrites
 from gsgen.sdk.placement import draft_of
 from gsgen.sdk.regression import refuse_worse
-from gsgen.sdk.saving import has_external_weights, save_model
+from gsgen.sdk.saving import has_external_weights, refuse_overwriting, save_model
 
 # Passes feed each other a few times at most; two that undo each other are a mistake of ours.
 _MOST_ROUNDS = 20
@@ -167,7 +167,7 @@ def rewrite_file(
     Raises:
         ModelUnreadable: ``source`` is no model.
         UnknownName: A name is no pass.
-        ConfigInvalid: ``opset`` is above that of the model.
+        ConfigInvalid: ``opset`` is above that of the model, or ``path`` would replace its weights.
         RewriteFailed: The model is unsafe or ill-formed, or the result is no valid model, breaks a rule that was kept, or computes
             something else.
     """
@@ -177,6 +177,8 @@ def rewrite_file(
     settings = Settings(level=Level.STATIC, target=target)
     judged = validate(source, settings)
     _refuse_broken(judged)
+    if path is not None:
+        refuse_overwriting(subject.file, path)
     manifest = subject.parsed.manifest if subject.parsed is not None else None
     goal = Goal.of(target, manifest, opset, sizes)
     chosen = find_rewrites(goal, only, skip)

@@ -1,10 +1,13 @@
 """Save a graph: in one file, or with its weights beside it where one file cannot hold them."""
 
-__all__ = ["has_external_weights", "save_model", "weight_bytes"]
+__all__ = ["has_external_weights", "refuse_overwriting", "save_model", "weight_bytes"]
 
 from pathlib import Path
 
 import onnx_ir as ir
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.model import ModelFile
 
 # A protobuf message ends at 2 GiB; weights beyond this go to a file beside the model.
 _INLINE_BYTES = 1_900_000_000
@@ -23,6 +26,24 @@ def has_external_weights(model: ir.Model) -> bool:
         for graph in model.graphs()
         for value in graph.initializers.values()
     )
+
+
+def refuse_overwriting(source: ModelFile, path: Path) -> None:
+    """Refuse a place where a copy, or its weights, would take that of the source's weights.
+
+    A model that was renamed still reads the file beside it that bears its old name.
+
+    Raises:
+        ConfigInvalid: Saving to ``path`` would spoil ``source``.
+    """
+    if path.resolve() == source.path.resolve():
+        return
+    read = {(source.path.parent / ref.location).resolve() for ref in source.external}
+    made = path.resolve(), path.with_name(f"{path.name}.data").resolve()
+    lost = [one.name for one in made if one in read]
+    if lost:
+        what = f"would replace {lost[0]}, which {source.path.name} reads"
+        raise ConfigInvalid(what, where=str(path), mend="Choose another name or folder.")
 
 
 def save_model(model: ir.Model, path: Path, *, beside: bool = False) -> None:
