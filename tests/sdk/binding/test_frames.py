@@ -4,6 +4,7 @@ import sys
 from dataclasses import dataclass
 
 import numpy as np
+import onnx_ir as ir
 import pytest
 
 from gsgen.conformance.fixtures.images import darken
@@ -13,6 +14,7 @@ from gsgen.contract.geometry import look_at, perspective
 from gsgen.sdk.binding import FrameGone, FrameSession, RunFailed
 from gsgen.sdk.binding.bound import Bound
 from gsgen.sdk.binding.buffers import DeviceBuffer
+from support.passes import parsed
 from support.small_models import good_rows, moving, save, save_moving
 
 BOTH = pytest.mark.parametrize("provider", ["cpu", "webgpu"])
@@ -219,3 +221,16 @@ def test_a_run_that_fails_says_so_and_spoils_the_frame_before(models, monkeypatc
         with pytest.raises(FrameGone):
             frame["gaussians"]
         assert session.run().count == 5
+
+
+@BOTH
+def test_an_output_that_is_an_input_holds_what_was_fed(provider, tmp_path):
+    text = (
+        "g (float[2] x) => (float[2] y, float[2] x) <float two = {2}> { y = Mul (x, two) }"
+    )
+    ir.save(parsed(text), tmp_path / "m.onnx")
+    with FrameSession(tmp_path / "m.onnx", provider=provider) as session:
+        for fed in ([1, 5], [-2, 3]):
+            frame = session.run({"x": fed})
+            np.testing.assert_array_equal(frame["x"], fed)
+            np.testing.assert_array_equal(frame["y"], np.multiply(fed, 2))

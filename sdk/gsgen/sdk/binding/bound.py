@@ -177,8 +177,10 @@ class Bound:
         if len(known) < len(wanted):
             known = self._learn_shapes(wanted)
         _refuse_giants(wanted, known, self._memory)
+        # ONNX Runtime fills no buffer for an output that is an input itself: there, it is the same.
         made = {
-            one.name: make_buffer(self.session, known[one.name], one.dtype, self._memory)
+            one.name: self.inputs.get(one.name)
+            or make_buffer(self.session, known[one.name], one.dtype, self._memory)
             for one in wanted
         }
         for name, buffer in made.items():
