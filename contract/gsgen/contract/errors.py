@@ -61,5 +61,5 @@ class UnknownName(ConfigInvalid):
         names = sorted(known)
         close = get_close_matches(name, names, n=1, cutoff=0.5)
         listed = ", ".join(names) if len(names) <= 12 else f"{len(names)} are known"
-        mend = f"Did you mean {close[0]!r}?" if close else f"Known: {listed}."
+        mend = f"Did you mean {close[0]!r}?" if close else f"Known: {listed or 'none'}."
         return cls(f"unknown {noun} {name!r}", where=where, mend=mend)

@@ -45,7 +45,7 @@ from gsgen.sdk.packing import (
     PackedGenerator,
 )
 from gsgen.sdk.parity import Parity
-from gsgen.sdk.placement import draft_of
+from gsgen.sdk.placement import draft_of, refuse_folder
 from gsgen.sdk.rewrite import Change
 from gsgen.sdk.saving import save_model
 from gsgen.sdk.trace import trace
@@ -124,6 +124,7 @@ def export(
         ExportRejected: The model breaks a rule; the error carries the report.
     """
     path = Path(path)
+    refuse_folder(path)
     generator = generator.eval().cpu()
     progress("running the module in eager torch")
     described = _describe(generator, name or path.stem, dtype, capacity)

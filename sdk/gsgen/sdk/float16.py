@@ -129,7 +129,8 @@ def write_float16(
 
     Raises:
         ModelUnreadable: ``source`` is no model.
-        RewriteFailed: It has no manifest, is float16 already, or no choice keeps the tolerances.
+        RewriteFailed: It has no manifest, is float16 already, has SH whose float16 rows
+            would not fill words, or no choice keeps the tolerances.
     """
     limits = limits or Limits()
     subject = read_subject(open_model(source), load_target("core"), limits)
@@ -178,6 +179,8 @@ def to_float16(
         RewriteFailed: No choice of nodes keeps the tolerances.
     """
     allowed = tolerances or manifest.tolerances or Tolerances()
+    if outputs:
+        _refuse_half_words(model, manifest)
     progress("running the model in float32")
     measure = _Measure(model, manifest, probes, allowed, outputs)
     before, frame = weight_bytes(model), measure.frame_bytes
@@ -228,6 +231,23 @@ def to_float16(
         frame // 2 if outputs else frame,
         spent,
     )
+
+
+def _refuse_half_words(model: ir.Model, manifest: GeneratorManifest) -> None:
+    """Refuse SH whose float16 rows would end within a word (rule GO015); RGB gets a channel more."""
+    color = manifest.outputs.appearance
+    if color is None or color.space != "sh":
+        return
+    shapes = (v.shape for v in model.graph.outputs if v.name == color.name)
+    shape = next(shapes, None)
+    channels = shape[-1] if shape else 0
+    if isinstance(channels, int) and channels % 2:
+        raise RewriteFailed(
+            f"has {channels} channels of SH, whose float16 rows do not fill words of 4 bytes "
+            "(rule GO015)",
+            where=f"output {color.name}",
+            mend="Keep outputs float32 with --keep-outputs, or export with SH of degree 1 or 3.",
+        )
 
 
 class _Measure:

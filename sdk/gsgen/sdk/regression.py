@@ -28,5 +28,5 @@ def refuse_worse(before: Report, after: Report, how: str) -> None:
     if fresh:
         listed = ", ".join(sorted(fresh))
         raise GsgenError(
-            f"the {how} model would break {listed}, which it kept", where=after.path
+            f"the {how} model would break {listed}, which it kept", where=before.path
         )

@@ -11,7 +11,7 @@ from onnx_ir import passes
 
 from gsgen.contract.config import Settings
 from gsgen.contract.engine import validate
-from gsgen.contract.errors import GsgenError
+from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.contract.manifest import GeneratorManifest
 from gsgen.contract.manifest_json import dumps
 from gsgen.contract.model import MANIFEST_KEY, open_model
@@ -28,6 +28,7 @@ from gsgen.sdk.passes import (
 )
 from gsgen.sdk.placement import draft_of
 from gsgen.sdk.regression import refuse_worse
+from gsgen.sdk.saving import has_external_weights, save_model
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +81,7 @@ def repair(
 
     Raises:
         ModelUnreadable: ``source`` is no model.
+        UnknownName: A size is given for no dimension of its inputs and outputs.
         GsgenError: There is nothing to repair, or the result would break a rule that was kept.
     """
     request, settings = request or Request(), settings or Settings()
@@ -93,16 +95,26 @@ def repair(
     if not steps:
         raise GsgenError("nothing that has one right answer is broken", where=str(source))
     model = ir.load(source)
+    _check_symbols(model, request.sizes)
+    beside = has_external_weights(model)
     for _, change in steps:
         change(model)
     model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
     with draft_of(target) as draft:
-        ir.save(model, draft)
+        save_model(model, draft, beside=beside)
         after = validate(draft, settings)
         refuse_worse(before, after, "repaired")
     return Repaired(
         tuple(step for step, _ in steps), before, replace(after, path=str(target))
     )
+
+
+def _check_symbols(model: ir.Model, sizes: Mapping[str, int]) -> None:
+    ends = (*model.graph.inputs, *model.graph.outputs)
+    dims = (dim for value in ends if value.shape is not None for dim in value.shape)
+    known = {dim.value for dim in dims if isinstance(dim, ir.SymbolicDim) and dim.value}
+    for name in sizes.keys() - known:
+        raise UnknownName.among("dimension", name, known, "--pin")
 
 
 Change = Callable[[ir.Model], passes.PassResult | None]

@@ -39,7 +39,8 @@ def fix(
 ) -> None:
     """Write a repaired copy of MODEL, and list what was changed.
 
-    Exits 0 if the copy conforms, 1 if findings remain or nothing could be repaired.
+    Exits 0 if the copy conforms, 1 if findings remain or nothing could be repaired, 4 if MODEL is
+    no model.
     """
     from gsgen.contract.commands.output import show
     from gsgen.contract.reporters.text import render
