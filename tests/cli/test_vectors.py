@@ -157,6 +157,23 @@ def test_what_cannot_be_promised_is_refused_and_leaves_nothing(tmp_path: Path) -
         record_vectors(written(tmp_path, "drift"), out, count=10)
 
 
+def test_what_only_bears_the_name_of_a_vector_goes_and_links_lose_nothing(
+    tmp_path: Path,
+) -> None:
+    source, out, kept = written(tmp_path, "drift"), tmp_path / "out", tmp_path / "kept"
+    kept.mkdir()
+    out.mkdir()
+    (kept / "mine").touch()
+    (out / "test_data_set_0").touch()
+    (out / "test_data_set_1").symlink_to(kept)
+    with pytest.raises(ConfigInvalid, match="wanted 1 or more"):
+        record_vectors(source, out, count=0, force=True)
+    record_vectors(source, out, count=1, force=True)
+    assert sorted(path.name for path in out.iterdir()) == ["model.onnx", "test_data_set_0"]
+    assert (out / "test_data_set_0" / "output_0.pb").exists()
+    assert (kept / "mine").exists()
+
+
 def test_standing_vectors_are_replaced_only_by_force(tmp_path: Path) -> None:
     source = written(tmp_path, "drift")
     record_vectors(source, tmp_path / "out", count=3)

@@ -107,7 +107,7 @@ def record_vectors(
         progress(f"writing {model.name}")
         _write_model(subject.file, vectors, model)
         for path in standing:
-            shutil.rmtree(path)
+            _remove(path)
         for made in sorted(stage.iterdir()):
             made.replace(folder / made.name)
     return Recorded(model, folder, vectors)
@@ -115,6 +115,13 @@ def record_vectors(
 
 def _listed(folder: Path) -> list[Path]:
     return sorted(folder.iterdir()) if folder.is_dir() else []
+
+
+def _remove(path: Path) -> None:
+    if path.is_symlink() or not path.is_dir():
+        path.unlink()  # of what a link points to nothing is ours
+    else:
+        shutil.rmtree(path)
 
 
 def _subject(source: Path, settings: Settings) -> Subject:
@@ -148,6 +155,8 @@ def _chosen(probes: tuple[Probe, ...], count: int) -> list[Probe]:
     if count > len(probes):
         what = f"{count} vectors, and the model has {len(probes)} probes"
         raise ConfigInvalid(what, where="--count", mend=f"--count {len(probes)} takes all.")
+    if count < 1:
+        raise ConfigInvalid(f"{count} vectors, wanted 1 or more", where="--count")
     picked = np.rint(np.linspace(0, len(probes) - 1, count)).astype(int)
     return [probes[index] for index in picked]
 
