@@ -110,6 +110,13 @@ def test_a_node_without_an_equal_keeps_the_whole_model_as_it_is(name: str) -> No
     assert why in rewrite.refusals[0].why
 
 
+def test_what_flattened_once_is_not_lowered_to_where_it_did() -> None:
+    model = parsed("g (float[2,2,2] x) => (float[2,2,2] y) { y = Softmax <axis = 1> (x) }")
+    rewrite = LowerOpset(12)
+    assert not rewrite(model).modified
+    assert "flattened before operator set 13" in rewrite.refusals[0].why
+
+
 def test_bodies_of_branches_are_of_the_same_set() -> None:
     text = (
         "g (bool c, float[2] x) => (float[2] y) { y = If (c) <"

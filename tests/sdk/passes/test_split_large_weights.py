@@ -91,6 +91,16 @@ def test_what_must_be_read_whole_is_left_alone(why: str) -> None:
     assert text_of(model) == before
 
 
+def test_a_weight_that_one_operator_reads_twice_is_left_alone() -> None:
+    text = "g (float[3,3] w, float[3,3] x) => (float[3,3] y) { p = MatMul (w, w) y = Add (p, x) }"
+    model = with_weight(text, RNG.normal(size=(3, 3)).astype(np.float32))
+    before = text_of(model)
+    rewrite = SplitLargeWeights(16)
+    assert not rewrite(model).modified
+    assert "reads it twice" in rewrite.refusals[0].why
+    assert text_of(model) == before
+
+
 def test_a_large_output_is_named_with_the_rows_that_fit() -> None:
     model = parsed(
         "g (float[100,10] x) => (float[100,10] gaussians) { gaussians = Neg (x) }"

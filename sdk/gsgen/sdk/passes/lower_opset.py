@@ -20,6 +20,9 @@ SAFEST = 18
 # Of later sets nobody has compared every operator with what it was before.
 _NEWEST = 26
 _SPLIT_COUNTS = 18
+# From this set on these work along one axis; before, along all axes from that one on.
+_ALONG_ONE_AXIS = 13
+_FLATTENED = ("Hardmax", "LogSoftmax", "Softmax")
 _EIGHT_BITS = ("FLOAT8", "FLOAT4", "INT4", "UINT4", "INT2", "UINT2")
 # Attributes that came later, and what they say where an operator is as it was before.
 _NEW_ATTRIBUTES: dict[str, Callable[[ir.Attr], bool]] = {
@@ -117,6 +120,8 @@ class LowerOpset(CautiousRewrite):
             return f"operator set {self.wanted} has no {node.op_type}"
         if is_op(node, "GridSample") and rank_of(node.inputs[0]) != 4:
             return "GridSample took four axes before operator set 20"
+        if is_op(node, *_FLATTENED) and old.since_version < _ALONG_ONE_AXIS:
+            return f"{node.op_type} flattened before operator set {_ALONG_ONE_AXIS}"
         if is_op(node, "AveragePool") and "ceil_mode" in node.attributes:
             return "AveragePool counted otherwise before operator set 19"
         return _arguments(node, old) or _attributes(node, old) or _dtypes(node, old)

@@ -61,6 +61,9 @@ class SplitLargeWeights(CautiousRewrite):
         if value.is_graph_input() or value.is_graph_output():
             self.refuse(value, "it is an input or an output, too")
             return
+        if len({node for node, _ in uses}) < len(uses):
+            self.refuse(value, "one operator reads it twice")
+            return
         whole = [plan for plan in plans if not isinstance(plan, str)]
         obstacles = [plan for plan in plans if isinstance(plan, str)]
         if obstacles or not whole:
