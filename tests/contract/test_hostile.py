@@ -132,13 +132,16 @@ def test_a_function_that_calls_itself_is_a_fault():
     [
         ([1, 3, "H", "W", 1 << 31], None, "inputs of a frame: 201326592 MiB in float64"),
         ([1, 3, "H", "W"], [1, 3, 1 << 20, 1 << 20], "inputs of a frame: 25165824 MiB"),
+        ([1] * 74, None, "input image: 74 axes; wanted 64 axes at most"),
+        (None, [1] * 65, "input image: 65 axes in the manifest; wanted 64 axes at most"),
     ],
 )
 def test_an_input_that_no_probe_can_hold_is_a_finding(tmp_path, dims, shape, saw):
     proto = find("post_process_any_size").draw().build()
-    sizes = proto.graph.input[0].type.tensor_type.shape
-    del sizes.dim[:]
-    for dim in dims:
+    kind = proto.graph.input[0].type.tensor_type
+    kind.ClearField("shape")
+    sizes = kind.shape if dims is not None else None
+    for dim in dims or ():
         sizes.dim.add(**{"dim_value" if isinstance(dim, int) else "dim_param": dim})
     (entry,) = (one for one in proto.metadata_props if one.key == "gsgen.manifest")
     document = json.loads(entry.value)

@@ -1,6 +1,6 @@
 """Which probes to run, in which order, so that one session answers every rule."""
 
-__all__ = ["Plan", "fetched_outputs", "make_plan", "probed_bytes"]
+__all__ = ["Plan", "fetched_outputs", "make_plan", "probed_bytes", "probed_shapes"]
 
 import math
 from dataclasses import dataclass, field
@@ -57,7 +57,7 @@ def make_plan(subject: Subject, level: Level, seed: int = 0) -> Plan:
     manifest = subject.manifest
     assert manifest is not None
     tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
-    shapes = {i.name: _probed_shape(i, tensors[i.name]) for i in manifest.inputs}
+    shapes = probed_shapes(subject)
     dtypes = {i.name: tensors[i.name].dtype or "float32" for i in manifest.inputs}
     count = _affordable(subject)
     first = default_probes(manifest, shapes, dtypes, seed, count)
@@ -102,16 +102,17 @@ def _probed_shape(entry: Input, tensor: Tensor) -> tuple[int, ...]:
     )
 
 
+def probed_shapes(subject: Subject) -> dict[str, tuple[int, ...]]:
+    """Return the shapes that inputs are fed in, sizes that the graph leaves open included."""
+    tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
+    entries = subject.manifest.inputs if subject.manifest else ()
+    return {i.name: _probed_shape(i, tensors[i.name]) for i in entries if i.name in tensors}
+
+
 def probed_bytes(subject: Subject) -> int:
-    """Return the size of the inputs of one probe, sizes that the graph leaves open included."""
-    total = 0
-    for entry in subject.manifest.inputs if subject.manifest else ():
-        tensor = subject.graph.input(entry.name)
-        if tensor is not None:
-            total += _WIDEST * math.prod(
-                max(0, dim) for dim in _probed_shape(entry, tensor)
-            )
-    return total
+    """Return the size of the inputs of one probe."""
+    shapes = probed_shapes(subject).values()
+    return sum(_WIDEST * math.prod(max(0, dim) for dim in shape) for shape in shapes)
 
 
 def _affordable(subject: Subject) -> int:

@@ -6,7 +6,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from gsgen.contract.behaviour import Trial
 from gsgen.contract.finding import Breach, Severity
 from gsgen.contract.model import ExternalRef
-from gsgen.contract.plan import probed_bytes
+from gsgen.contract.plan import probed_bytes, probed_shapes
 from gsgen.contract.roles import KINDS
 from gsgen.contract.rule import rule
 from gsgen.contract.rules.gates import RUNNABLE
@@ -15,6 +15,8 @@ from gsgen.contract.subject import Subject
 
 _MOST_ELEMENTS = 1 << 40
 _MIB = 1 << 20
+# What an array of numpy has, through which every input and output goes.
+_MOST_AXES = 64
 # Several probes are held at once.
 _PROBES = 4
 
@@ -91,7 +93,7 @@ def sizes_sane(subject: Subject) -> Iterator[Breach]:
     """Declared sizes fit the memory that running the model may take.
 
     Why:
-        A few bytes of a file can ask for terabytes of memory.
+        A few bytes of a file can ask for terabytes of memory, or for more axes than an array has.
 
     Mend:
         Correct the dimension; if the model is meant to be that large, raise `--memory`.
@@ -106,15 +108,24 @@ def sizes_sane(subject: Subject) -> Iterator[Breach]:
         for tensor in tensors:
             negative = any(isinstance(dim, int) and dim < 0 for dim in tensor.dims or ())
             size = tensor_bytes(tensor)
+            axes = len(tensor.dims or ())
             if negative:
                 yield Breach.at(
                     f"{place} {tensor.name}", f"shape {tensor}", "sizes of 0 or more"
                 )
+            elif axes > _MOST_AXES:
+                wanted = f"{_MOST_AXES} axes at most"
+                yield Breach.at(f"{place} {tensor.name}", f"{axes} axes", wanted)
             elif size > limit or size > 8 * _MOST_ELEMENTS:
                 saw = f"{size / _MIB:.0f} MiB, {tensor}"
                 yield Breach.at(
                     f"{place} {tensor.name}", saw, f"{limit // _MIB} MiB at most"
                 )
+    for name, shape in probed_shapes(subject).items():
+        fed = graph.input(name)
+        if len(shape) > _MOST_AXES and fed is not None and fed.dims is None:
+            saw = f"{len(shape)} axes in the manifest"
+            yield Breach.at(f"input {name}", saw, f"{_MOST_AXES} axes at most")
     probed, most = probed_bytes(subject), limit // _PROBES
     if probed > most:  # sizes that the graph leaves open included
         saw = f"{probed / _MIB:.0f} MiB in float64, all together"
