@@ -9,6 +9,7 @@ from PIL import Image
 
 from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.runtime.commands.render import render
 from gsgen.runtime.device import Device
 from gsgen.runtime.film import Film
 from gsgen.runtime.pictures import array_of, picture_of
@@ -92,6 +93,12 @@ def test_mistakes(
     assert said in done.err
     assert "Traceback" not in done.err
     assert not list(tmp_path.glob("a.*"))
+
+
+@pytest.mark.parametrize("color", ["2,0,0", "0,0,nan", "0,0,0,-1", "1,1"])
+def test_a_background_is_within_its_range(tmp_path: Path, color: str) -> None:
+    with pytest.raises(ConfigInvalid, match="is no colour"):
+        render([tmp_path / "any.ply"], tmp_path / "a.png", background=color)
 
 
 def test_a_generator_is_run_for_every_frame(

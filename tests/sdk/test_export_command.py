@@ -211,6 +211,7 @@ def test_targets_of_every_sort_give_a_generator(target: str, arguments: list[str
         (["pack.scene:Dots"], UnknownName, "Did you mean 'pack.scenes'?"),
         (["dots:Dot"], UnknownName, "Did you mean 'Dots'?"),
         (["dots:"], ConfigInvalid, "package.module:factory"),
+        (["./dots:Dots"], ConfigInvalid, "Write ./dots.py:Dots"),
         (["dots"], UnknownName, "dots:NAME"),
         (["dots.py"], UnknownName, "dots.py:NAME"),
         (["pack.scenes.Dots"], UnknownName, "Write pack.scenes:Dots"),

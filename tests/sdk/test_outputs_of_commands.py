@@ -6,7 +6,7 @@ import pytest
 
 from gsgen.conformance.fixtures import find
 from gsgen.contract.engine import validate
-from gsgen.contract.errors import GsgenError, UnknownName
+from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.float16 import write_float16
 from gsgen.sdk.placement import draft_of
@@ -51,6 +51,16 @@ def test_weights_in_another_file_stay_in_one(tmp_path: Path) -> None:
         "fixed.onnx.data",
     ]
     assert validate(target).findings == ()
+
+
+def test_a_copy_does_not_replace_the_weights_of_its_source(tmp_path: Path) -> None:
+    source = find("weights_beside").write(tmp_path)
+    weights = tmp_path / "weights_beside.bin"
+    kept = weights.read_bytes()
+    for write in (repair, write_float16):
+        with pytest.raises(ConfigInvalid, match=r"would replace weights_beside\.bin"):
+            write(source, weights)
+    assert weights.read_bytes() == kept
 
 
 @pytest.mark.parametrize(("name", "channels"), [("still_sh0", 3), ("still_sh2", 27)])

@@ -131,6 +131,7 @@ def load_factory(target: str, folder: Path | None = None) -> Factory:
 
     Raises:
         UnknownName: There is no such module, or nothing of that name in it.
+        ConfigInvalid: It is not written so.
         GsgenError: The module raised while it was imported.
     """
     place = folder or Path.cwd()
@@ -138,6 +139,9 @@ def load_factory(target: str, folder: Path | None = None) -> Factory:
     if not module_name or not path:
         mend = "Write it as package.module:factory, such as wave_sheet:Wave."
         raise ConfigInvalid(f"{target!r} is no target", where="TARGET", mend=mend)
+    if not module_name.endswith(".py") and (module_name[0] == "." or "/" in module_name):
+        mend = f"Write {module_name}.py:{path}, or package.module:{path} with dots."
+        raise ConfigInvalid(f"{module_name!r} is no module", where="TARGET", mend=mend)
     if module_name.endswith(".py"):
         file = (place / module_name).resolve()
         place, module_name = file.parent, file.stem

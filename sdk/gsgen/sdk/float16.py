@@ -40,7 +40,12 @@ from gsgen.sdk.passes.to_float16 import (
 )
 from gsgen.sdk.placement import draft_of
 from gsgen.sdk.rewrite import prepare, tidy
-from gsgen.sdk.saving import has_external_weights, save_model, weight_bytes
+from gsgen.sdk.saving import (
+    has_external_weights,
+    refuse_overwriting,
+    save_model,
+    weight_bytes,
+)
 from gsgen.sdk.unit_search import Sensitivity, largest_harmless
 
 _BUDGET = 200
@@ -129,11 +134,14 @@ def write_float16(
 
     Raises:
         ModelUnreadable: ``source`` is no model.
+        ConfigInvalid: ``path`` would replace the weights of ``source``.
         RewriteFailed: It has no manifest, is float16 already, has SH whose float16 rows
             would not fill words, or no choice keeps the tolerances.
     """
     limits = limits or Limits()
     subject = read_subject(open_model(source), load_target("core"), limits)
+    if path is not None:
+        refuse_overwriting(subject.file, path)
     manifest = subject.parsed.manifest if subject.parsed is not None else None
     if not isinstance(manifest, GeneratorManifest) or manifest.outputs.gaussians is None:
         raise RewriteFailed(

@@ -28,7 +28,7 @@ from gsgen.sdk.passes import (
 )
 from gsgen.sdk.placement import draft_of
 from gsgen.sdk.regression import refuse_worse
-from gsgen.sdk.saving import has_external_weights, save_model
+from gsgen.sdk.saving import has_external_weights, refuse_overwriting, save_model
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,12 +81,14 @@ def repair(
 
     Raises:
         ModelUnreadable: ``source`` is no model.
+        ConfigInvalid: ``target`` would replace the weights of ``source``.
         UnknownName: A size is given for no dimension of its inputs and outputs.
         GsgenError: There is nothing to repair, or the result would break a rule that was kept.
     """
     request, settings = request or Request(), settings or Settings()
     before = validate(source, settings)
     subject = read_subject(open_model(source), settings.target, settings.limits)
+    refuse_overwriting(subject.file, target)
     broken = {finding.rule for finding in before.findings}
     manifest = request.manifest or _own_manifest(subject)
     steps, manifest = _steps(subject, manifest, broken, request)

@@ -196,6 +196,8 @@ def _background(text: str | None, output: Path) -> tuple[float, float, float, fl
             return hexed[0] / 255, hexed[1] / 255, hexed[2] / 255, 1.0
         red, green, blue, *rest = (float(one) for one in text.split(","))
         (alpha,) = rest or (1.0,)
+        if not all(0 <= one <= 1 for one in (red, green, blue, alpha)):
+            raise ValueError(text)
     except ValueError as error:
         raise ConfigInvalid(
             f"{text!r} is no colour",

@@ -62,6 +62,8 @@ def float16(
             limits=Limits(seconds=timeout),
             progress=progress,
         )
+    except ConfigInvalid:
+        raise
     except GsgenError as error:
         clear()
         typer.echo(f"gsgen: {error}", err=True)
