@@ -115,6 +115,18 @@ def test_outputs_end_on_compute_only_where_they_did_not(body: str, modified: boo
     np.testing.assert_array_equal(seen.view(np.uint32), wanted.view(np.uint32))
 
 
+def test_names_that_the_pass_would_give_may_be_taken() -> None:
+    text = """g (float[2,3] x) => (float[6] y, float[6] y_uncopied) <int64[1] s = {6}> {
+        y = Reshape (x, s)
+        y_uncopied = Neg (y) }"""
+    result = EndOutputsOnCompute()(ir.serde.deserialize_model(parsed(text)))
+    made = ir.serde.serialize_model(result.model)
+    x = np.arange(6, dtype=np.float32).reshape(2, 3)
+    (seen, negative) = run(made, LEVELS[0], x=x)
+    np.testing.assert_array_equal(seen, x.reshape(-1))
+    np.testing.assert_array_equal(negative, -x.reshape(-1))
+
+
 def test_a_mask_ends_on_an_operator_of_masks() -> None:
     text = "g (bool[2,3] x) => (bool[6] y) <int64[1] s = {6}> { y = Reshape (x, s) }"
     result = EndOutputsOnCompute()(ir.serde.deserialize_model(parsed(text)))

@@ -1,6 +1,14 @@
 """What passes build graphs from: weights, and nodes whose results have a type."""
 
-__all__ = ["Before", "append_output", "known_array", "new_node", "remake", "weight"]
+__all__ = [
+    "Before",
+    "append_output",
+    "free_name",
+    "known_array",
+    "new_node",
+    "remake",
+    "weight",
+]
 
 from collections.abc import Sequence
 
@@ -12,7 +20,7 @@ Dims = Sequence[int | ir.SymbolicDim | None] | ir.Shape
 
 def weight(graph: ir.Graph, name: str, array: np.ndarray) -> ir.Value:
     """Add ``array`` to ``graph`` as a weight, called ``name`` or, if that is taken, a like name."""
-    name = _free(graph, name)
+    name = free_name(graph, name)
     tensor = ir.tensor(array, name=name)
     value = ir.Value(
         name=name,
@@ -24,7 +32,7 @@ def weight(graph: ir.Graph, name: str, array: np.ndarray) -> ir.Value:
     return value
 
 
-def _free(graph: ir.Graph, name: str) -> str:
+def free_name(graph: ir.Graph, name: str) -> str:
     """Return ``name`` with as many underscores behind it as make it new to the graph."""
     values = [*graph.inputs, *graph.initializers.values()]
     values += [value for node in graph for value in node.outputs]

@@ -7,7 +7,7 @@ import onnx_ir as ir
 
 from gsgen.contract.buffer_copies import is_copy
 from gsgen.sdk.passes.base import Rewrite
-from gsgen.sdk.passes.building import new_node, weight
+from gsgen.sdk.passes.building import free_name, new_node, weight
 
 
 class EndOutputsOnCompute(Rewrite):
@@ -53,7 +53,7 @@ def _end_on_mul(graph: ir.Graph, index: int, value: ir.Value) -> None:
     name, kind = value.name, value.dtype
     if kind is None:
         raise ValueError(f"output {name!r} has no dtype")
-    value.name = f"{name}_uncopied"
+    value.name = free_name(graph, f"{name}_uncopied")
     one = weight(graph, f"{name}_one", np.ones((), kind.numpy()))
     computing = "And" if kind == ir.DataType.BOOL else "Mul"
     node = new_node(computing, [value, one], f"{name}_end")
