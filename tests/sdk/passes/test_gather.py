@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from gsgen.sdk.passes.gather_scatters import GatherScatters
 from gsgen.sdk.passes.gather_slices import GatherSlices
+from gsgen.sdk.passes.pick_parts import PickParts
 from support.passes import HEAD, operators, parsed, run, text_of
 
 
@@ -209,3 +210,12 @@ def test_a_scatter_in_a_branch_is_rewritten() -> None:
     assert GatherScatters()(model).modified
     x = np.array([1, 2, 3], np.float32)
     assert run(model, c=np.array(True), x=x)[0].tolist() == [1, 7, 3]
+
+
+@pytest.mark.parametrize("place", [4, -5])
+def test_a_place_beyond_what_was_joined_is_left_to_the_runtime(place: int) -> None:
+    text = (
+        f"g (float[2] x, float[2] z) => (float[1] y) <int64[1] i = {{{place}}}> "
+        "{ c = Concat <axis = 0> (x, z) y = Gather <axis = 0> (c, i) }"
+    )
+    assert not PickParts()(parsed(text)).modified

@@ -85,6 +85,8 @@ def _spread(node: ir.Node, join: ir.Node) -> list[tuple[ir.Value, list[int]]] | 
     if int_attribute(join, "axis", 0) % rank != axis:
         return None
     ends = np.cumsum([shape[axis] for shape in shapes if shape is not None])
+    if ((places < -ends[-1]) | (places >= ends[-1])).any():
+        return None  # the runtime reports what is wrong with it, with its own words
     found: list[tuple[ir.Value, list[int]]] = []
     for place in np.where(places < 0, places + ends[-1], places):
         index = int(np.searchsorted(ends, place, side="right"))
