@@ -27,6 +27,7 @@ from gsgen.contract.manifest import (
     PostProcessOutputs,
     Producer,
 )
+from gsgen.contract.model import open_model
 from gsgen.contract.probes import Probe, default_probes
 from gsgen.contract.report import Report
 from gsgen.contract.roles import POST_PROCESS, ROLES
@@ -254,7 +255,7 @@ def _check_parity(
 
 
 def _run(path: Path, probes: list[Probe]) -> list[np.ndarray]:
-    limits = Limits().for_model(path.stat().st_size)
+    limits = Limits().for_model(open_model(path).weight_bytes)
     with execute(path, (OUTPUT,), tuple(probes), limits) as execution:
         if execution.fault is not None:
             what = f"ONNX Runtime cannot run the exported model: {execution.fault.message}"

@@ -12,6 +12,7 @@ from gsgen.contract.config import Settings
 from gsgen.contract.engine import validate
 from gsgen.contract.finding import Level, Severity
 from gsgen.contract.manifest import GeneratorManifest, Tolerances
+from gsgen.contract.model import open_model
 from gsgen.contract.probes import Probe
 from gsgen.contract.report import Report
 from gsgen.contract.sandbox import Limits, execute
@@ -114,7 +115,7 @@ def _run(path: Path, manifest: GeneratorManifest, probes: list[Probe]) -> list[O
     appearance = manifest.outputs.appearance
     assert appearance is not None
     names = (GAUSSIANS, appearance.name, COUNT)
-    limits = Limits().for_model(path.stat().st_size)
+    limits = Limits().for_model(open_model(path).weight_bytes)
     with execute(path, names, probes, limits) as execution:
         if execution.fault is not None:
             what = f"ONNX Runtime cannot run the exported model: {execution.fault.message}"

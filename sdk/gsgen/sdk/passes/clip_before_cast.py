@@ -23,6 +23,9 @@ class ClipBeforeCast(NodeRewrite):
     the fraction off, and a clipped number fits an int32::
 
         Clip(Cast<to int64>(x), 0, 59)   →   Cast<to int64>(Clip(x, 0, 59))
+
+    Numbers that no int64 holds are an exception: what they become, ONNX leaves open. Those too large
+    become the upper bound now; NaN stays undefined.
     """
 
     name: ClassVar[str] = "clip-before-cast"

@@ -23,6 +23,9 @@ class WriteOutModulo(Substitute):
 
         Mod(i, j)           →   r + Where(r ≠ 0 and sign(r) ≠ sign(j), j, 0), where r = i − (i / j) · j
         Mod<fmod>(x, y)     →   x − Trunc(x / y) · y
+
+    That holds for quotients below 2²⁴ (2¹¹ in float16); beyond, and for a divisor without end, the
+    float remainder is not right.
     """
 
     name: ClassVar[str] = "write-out-modulo"
