@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-.PHONY: setup demo test check drivers bench fuzz fuzz-formats docs wheel clean
+.PHONY: setup demo test check types style drivers bench fuzz fuzz-formats docs wheel clean
 
 setup: $(READY)
 
@@ -34,9 +34,14 @@ test: setup drivers check
 	scripts/test.sh
 
 check: setup
+	@$(MAKE) --no-print-directory -j2 --output-sync types style
+
+types:
+	$(BIN)/mypy
+
+style:
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
 	$(BIN)/lint-imports
 
 # Throughput, start-up and memory, as ratios against a baseline measured in the same run.
