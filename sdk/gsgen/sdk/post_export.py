@@ -27,11 +27,9 @@ from gsgen.contract.manifest import (
     PostProcessOutputs,
     Producer,
 )
-from gsgen.contract.model import open_model
 from gsgen.contract.probes import Probe, default_probes
 from gsgen.contract.report import Report
 from gsgen.contract.roles import POST_PROCESS, ROLES
-from gsgen.contract.sandbox import Limits, execute
 from gsgen.contract.targets import load_target
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.finish import finish
@@ -42,7 +40,7 @@ from gsgen.sdk.rewrite import Change
 from gsgen.sdk.saving import save_model
 from gsgen.sdk.trace import Named, trace_module
 from gsgen.sdk.user_code import line_of
-from gsgen.sdk.verification import check_contract
+from gsgen.sdk.verification import check_contract, run_exported
 
 OUTPUT = "result"
 _PROBES = 4
@@ -242,7 +240,8 @@ def _check_parity(
     allowed: float,
 ) -> Parity:
     low, high = manifest.outputs.image.range
-    compared = list(_compared(_run(path, probes), wanted, probes, abs(high - low), allowed))
+    made = [one[OUTPUT] for one in run_exported(path, (OUTPUT,), probes)]
+    compared = list(_compared(made, wanted, probes, abs(high - low), allowed))
     worst = max(compared, key=lambda one: one.excess)
     parity = Parity((worst,), len(probes))
     if not parity.holds:
@@ -252,18 +251,6 @@ def _check_parity(
         )
         raise ParityFailed(what, where=path.name, parity=parity)
     return parity
-
-
-def _run(path: Path, probes: list[Probe]) -> list[np.ndarray]:
-    limits = Limits().for_model(open_model(path).weight_bytes)
-    with execute(path, (OUTPUT,), tuple(probes), limits) as execution:
-        if execution.fault is not None:
-            what = f"ONNX Runtime cannot run the exported model: {execution.fault.message}"
-            raise ParityFailed(what, where=path.name)
-        return [
-            np.array(execution.samples[run.sample].outputs[OUTPUT])
-            for run in execution.runs
-        ]
 
 
 def _compared(

@@ -1,8 +1,8 @@
 """What an exported file must stand before it is put in its place: parity, memory, the contract."""
 
-__all__ = ["check_contract", "check_memory", "check_parity"]
+__all__ = ["check_contract", "check_memory", "check_parity", "run_exported"]
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -115,15 +115,29 @@ def _run(path: Path, manifest: GeneratorManifest, probes: list[Probe]) -> list[O
     appearance = manifest.outputs.appearance
     assert appearance is not None
     names = (GAUSSIANS, appearance.name, COUNT)
+    return [
+        (one[GAUSSIANS], one[appearance.name], int(np.ravel(one[COUNT])[0]))
+        for one in run_exported(path, names, probes)
+    ]
+
+
+def run_exported(
+    path: Path, names: Sequence[str], probes: Sequence[Probe]
+) -> list[dict[str, np.ndarray]]:
+    """Run a model that was just exported; return its outputs, by name, at each probe.
+
+    Raises:
+        ParityFailed: ONNX Runtime cannot run it.
+    """
     limits = Limits().for_model(open_model(path).weight_bytes)
     with execute(path, names, probes, limits) as execution:
         if execution.fault is not None:
             what = f"ONNX Runtime cannot run the exported model: {execution.fault.message}"
             raise ParityFailed(what, where=path.name)
-        made = [execution.samples[run.sample].outputs for run in execution.runs]
+        # Samples lie in files that are gone with the execution.
         return [
-            (np.array(one[names[0]]), np.array(one[names[1]]), int(np.ravel(one[COUNT])[0]))
-            for one in made
+            {name: np.array(execution.samples[run.sample].outputs[name]) for name in names}
+            for run in execution.runs
         ]
 
 

@@ -7,11 +7,14 @@ what it does; the page in the documentation is made from it. It is listed in
 
 __all__ = [
     "BITS",
+    "SAFE_WIDTH",
+    "ByTables",
     "Exactness",
     "Goal",
     "NodeRewrite",
     "Rewrite",
     "Substitute",
+    "WithinLimit",
     "every_node",
     "is_op",
     "kernel_dtype",
@@ -31,6 +34,8 @@ from gsgen.contract.operators import CAPTURE, OperatorTable, operator_table
 from gsgen.contract.targets import Target, known_targets
 
 MAIN_DOMAIN = ("", "ai.onnx")
+# WebGPU guarantees eight storage buffers a stage, and one of them is that of the whole.
+SAFE_WIDTH = 7
 _KERNEL_ARGUMENT = {"OneHot": 2, "Where": 1}
 
 
@@ -194,14 +199,11 @@ class NodeRewrite(Rewrite):
         """Replace ``node``."""
 
 
-class Substitute(NodeRewrite):
-    """A rewrite of operators that a release of the target does not capture.
+class ByTables(Rewrite):
+    """A rewrite that looks up in the target's tables what has a kernel.
 
-    Made without a goal, it replaces every operator that it knows.
+    Made without a goal, it rewrites all that it can.
     """
-
-    kinds: ClassVar[frozenset[str]]
-    wanted_by: ClassVar[str] = "targets whose tables lack the operator"
 
     def __init__(self, goal: Goal | None = None) -> None:
         super().__init__()
@@ -211,6 +213,39 @@ class Substitute(NodeRewrite):
     def for_goal(cls, goal: Goal) -> Self | None:
         """Return the pass; without tables there is nothing to suit."""
         return cls(goal) if goal.tables else None
+
+
+class WithinLimit(Rewrite):
+    """A rewrite of operators that are wider than the target can bind.
+
+    Attributes:
+        limited_by: Name of the target's limit.
+        limit: How many buffers one operator may join, or make.
+    """
+
+    limited_by: ClassVar[str]
+
+    def __init__(self, limit: int = SAFE_WIDTH) -> None:
+        super().__init__()
+        if limit < 2:
+            raise ValueError(f"limit is {limit}, wanted 2 or more")
+        self.limit = limit
+
+    @classmethod
+    def for_goal(cls, goal: Goal) -> Self | None:
+        """Return the pass for the target's limit; None where it has none."""
+        limit = goal.limits.get(cls.limited_by)
+        return None if limit is None else cls(limit)
+
+
+class Substitute(ByTables, NodeRewrite):
+    """A rewrite of operators that a release of the target does not capture.
+
+    Made without a goal, it replaces every operator that it knows.
+    """
+
+    kinds: ClassVar[frozenset[str]]
+    wanted_by: ClassVar[str] = "targets whose tables lack the operator"
 
     def matches(self, node: ir.Node) -> bool:
         """Say whether a release does not capture ``node``, and this pass can replace it."""

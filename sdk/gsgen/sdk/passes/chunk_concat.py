@@ -4,18 +4,15 @@ __all__ = ["ChunkConcat"]
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import onnx_ir as ir
 
-from gsgen.sdk.passes.base import Goal, NodeRewrite, is_op
+from gsgen.sdk.passes.base import NodeRewrite, WithinLimit, is_op
 from gsgen.sdk.passes.building import Before
 
-# WebGPU guarantees eight storage buffers a stage, and one of them takes the result.
-SAFE_WIDTH = 7
 
-
-class ChunkConcat(NodeRewrite):
+class ChunkConcat(WithinLimit, NodeRewrite):
     """Write a Concat of more than seven inputs as a tree of smaller ones.
 
     WebGPU guarantees eight storage buffers a shader stage. A Concat binds one for each input and
@@ -27,18 +24,7 @@ class ChunkConcat(NodeRewrite):
 
     name: ClassVar[str] = "chunk-concat"
     wanted_by: ClassVar[str] = "targets with a limit `concat_inputs`: visionary, core"
-
-    def __init__(self, limit: int = SAFE_WIDTH) -> None:
-        super().__init__()
-        if limit < 2:
-            raise ValueError(f"limit is {limit}, wanted 2 or more")
-        self.limit = limit
-
-    @classmethod
-    def for_goal(cls, goal: Goal) -> Self | None:
-        """Return the pass for the target's limit; None where it has none."""
-        limit = goal.limits.get("concat_inputs")
-        return None if limit is None else cls(limit)
+    limited_by: ClassVar[str] = "concat_inputs"
 
     def matches(self, node: ir.Node) -> bool:
         """Say whether ``node`` joins more than the limit."""

@@ -3,13 +3,12 @@
 __all__ = ["ChunkSplit", "split_sizes"]
 
 from itertools import pairwise
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import onnx_ir as ir
 
-from gsgen.sdk.passes.base import Goal, is_op
+from gsgen.sdk.passes.base import WithinLimit, is_op
 from gsgen.sdk.passes.building import Before
-from gsgen.sdk.passes.chunk_concat import SAFE_WIDTH
 from gsgen.sdk.passes.facts import constant_of
 from gsgen.sdk.passes.refusal import CautiousRewrite
 
@@ -17,7 +16,7 @@ from gsgen.sdk.passes.refusal import CautiousRewrite
 _SIZES_ARE_INPUT = 13
 
 
-class ChunkSplit(CautiousRewrite):
+class ChunkSplit(WithinLimit, CautiousRewrite):
     """Write a Split with more than seven outputs as a tree of smaller ones.
 
     A Split binds one storage buffer for its argument and one for each output, and WebGPU
@@ -30,18 +29,7 @@ class ChunkSplit(CautiousRewrite):
     wanted_by: ClassVar[str] = (
         "targets with a limit `split_outputs`: webgpu, visionary, core"
     )
-
-    def __init__(self, limit: int = SAFE_WIDTH) -> None:
-        super().__init__()
-        if limit < 2:
-            raise ValueError(f"limit is {limit}, wanted 2 or more")
-        self.limit = limit
-
-    @classmethod
-    def for_goal(cls, goal: Goal) -> Self | None:
-        """Return the pass for the target's limit; None where it has none."""
-        limit = goal.limits.get("split_outputs")
-        return None if limit is None else cls(limit)
+    limited_by: ClassVar[str] = "split_outputs"
 
     def rewrite(self, model: ir.Model) -> None:
         """Split every wide Split whose sizes are known."""

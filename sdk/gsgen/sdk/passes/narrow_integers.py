@@ -2,13 +2,13 @@
 
 __all__ = ["NarrowIntegers"]
 
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 import onnx_ir as ir
 
 from gsgen.contract.ranges import Interval
-from gsgen.sdk.passes.base import Goal, is_op
+from gsgen.sdk.passes.base import ByTables, is_op
 from gsgen.sdk.passes.building import Before
 from gsgen.sdk.passes.facts import constant_of
 from gsgen.sdk.passes.refusal import CautiousRewrite
@@ -32,7 +32,7 @@ _INDEXED = ("Gather", "GatherElements", "ScatterElements")
 _EXACT_FLOAT = 1 << 24
 
 
-class NarrowIntegers(CautiousRewrite):
+class NarrowIntegers(ByTables, CautiousRewrite):
     """Compute in int32 what is int64 and cannot leave the range of int32.
 
     WebGPU has no integers of 64 bits. Few releases take them by way of 32 bits and truncate; in
@@ -49,15 +49,6 @@ class NarrowIntegers(CautiousRewrite):
 
     name: ClassVar[str] = "narrow-integers"
     wanted_by: ClassVar[str] = "targets whose tables lack operators of int64"
-
-    def __init__(self, goal: Goal | None = None) -> None:
-        super().__init__()
-        self.goal = goal
-
-    @classmethod
-    def for_goal(cls, goal: Goal) -> Self | None:
-        """Return the pass; without tables there is nothing to suit."""
-        return cls(goal) if goal.tables else None
 
     def rewrite(self, model: ir.Model) -> None:
         """Narrow every operator of the main graph that can be."""

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.base import Exactness, Goal, every_node, is_op
+from gsgen.sdk.passes.base import ByTables, Exactness, every_node, is_op
 from gsgen.sdk.passes.building import Before
 from gsgen.sdk.passes.facts import constant_of, fixed_shape, int_attribute
 from gsgen.sdk.passes.refusal import CautiousRewrite
@@ -17,7 +17,7 @@ _WIDEST = 1 << 24  # float32 counts pixels one by one up to here
 _FLOAT, _INT = ir.DataType.FLOAT, ir.DataType.INT32
 
 
-class SampleByGather(CautiousRewrite):
+class SampleByGather(ByTables, CautiousRewrite):
     """Write a bilinear GridSample with four Gathers and arithmetic.
 
     Kernels of GridSample exist for operator sets 16 to 19 alone; in onnxruntime-web 1.22 its
@@ -38,15 +38,6 @@ class SampleByGather(CautiousRewrite):
     wanted_by: ClassVar[str] = (
         "targets without a kernel for GridSample in the model's dtype"
     )
-
-    def __init__(self, goal: Goal | None = None) -> None:
-        super().__init__()
-        self.goal = goal
-
-    @classmethod
-    def for_goal(cls, goal: Goal) -> "SampleByGather":
-        """Return the pass; it looks at each node's dtype."""
-        return cls(goal)
 
     def rewrite(self, model: ir.Model) -> None:
         """Rewrite every GridSample that lacks a kernel, subgraphs included."""

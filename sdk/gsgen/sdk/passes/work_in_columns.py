@@ -10,9 +10,8 @@ from typing import Any, ClassVar
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.base import Exactness, Rewrite, is_op
+from gsgen.sdk.passes.base import SAFE_WIDTH, Exactness, Rewrite, is_op
 from gsgen.sdk.passes.building import Before
-from gsgen.sdk.passes.chunk_concat import SAFE_WIDTH
 from gsgen.sdk.passes.column_rules import Columns, Emit, columns_of, handles
 from gsgen.sdk.passes.facts import fixed_shape
 
