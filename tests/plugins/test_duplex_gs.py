@@ -21,6 +21,7 @@ from gsgen.reference_plugins.synthetic import AnchorOptions, write_duplex, write
 from gsgen.sdk import export
 from gsgen.sdk.exporter import Exported
 from gsgen.sdk.packing import Packed, PackedGenerator
+from support.captured import assert_captured
 from support.commands import shared
 from support.plugin_checks import MARGIN, acceptance, assert_like, camera, eager, judge
 from support.plugin_oracles import Wanted
@@ -217,11 +218,7 @@ def test_half_precision_agrees_as_well_as_asked() -> None:
 
 
 def test_it_runs_in_webgpu_and_no_replay_is_stale(made: Exported) -> None:
-    live = next(one for one in made.report.levels if one.level is Level.LIVE)
-    if not live.ran:
-        pytest.skip(live.reason)
-    for rule in ("GB011", "GB014", "GB015", "GB016", "GB017"):
-        assert made.report.outcome(rule).status == "pass"
+    assert_captured(made.report)
 
 
 def test_a_user_is_told_what_was_found_and_how_it_will_be_blended(

@@ -14,11 +14,11 @@ from gsgen.contract.manifest import Bounds
 from gsgen.contract.targets import load_target
 from gsgen.sdk.float16 import write_float16
 from gsgen.sdk.rewrite import Rewritten, rewrite_file
+from support.captured import assert_captured
 from support.small_models import good_rows, manifest_of, model, save, weight
 
 N = 300
 WEBGPU = load_target("webgpu")
-CAPTURED = ("GB011", "GB014", "GB015", "GB016", "GB017")
 TEXT = """
 culled (float[1] time) => (float[K,10] gaussians, float[K,3] color, int32[1] num_points)
 <int64[1] flat = {-1}, int64 first = {0}, int64 trips = {3}, float tenth = {0.1},
@@ -110,9 +110,5 @@ def test_it_is_captured_and_replayed_live(rewritten: Rewritten, half: bool) -> N
         assert made.path is not None
         path = made.path
     report = validate(path, Settings(level=Level.LIVE, target=WEBGPU))
-    (level,) = (one for one in report.levels if one.level is Level.LIVE)
-    assert level.ran, f"{level.reason}; install a driver with `make drivers`"
-    assert {rule: report.outcome(rule).status for rule in CAPTURED} == dict.fromkeys(
-        CAPTURED, "pass"
-    )
+    assert_captured(report)
     assert report.verdict == "conforms", report.findings

@@ -26,6 +26,7 @@ from gsgen.sdk.finish import finish
 from gsgen.sdk.passes.base import Goal
 from gsgen.sdk.rewrite import Census, census, rewrite_graph
 from gsgen.sdk.saving import save_model
+from support.captured import assert_captured
 from support.reference_models import (
     Avatar,
     Denoiser,
@@ -36,7 +37,6 @@ from support.reference_models import (
 from support.traced import traced
 
 LIVE = Settings(level=Level.LIVE, target=load_target("webgpu"))
-CAPTURED = ("GB011", "GB014", "GB015", "GB016", "GB017")
 
 # Each with its number of Gaussians, and the degree of its SH.
 GENERATORS = {
@@ -115,11 +115,7 @@ def test_a_rewritten_model_is_captured_and_replayed_live(
     name: str, rewritten: dict[str, Case]
 ) -> None:
     report = validate(rewritten[name].path, LIVE)
-    (level,) = (one for one in report.levels if one.level is Level.LIVE)
-    assert level.ran, f"{level.reason}; install a driver with `make drivers`"
-    assert {rule: report.outcome(rule).status for rule in CAPTURED} == dict.fromkeys(
-        CAPTURED, "pass"
-    )
+    assert_captured(report)
     assert report.environment["capture"].startswith("accepted, ")
 
 
