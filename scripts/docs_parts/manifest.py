@@ -72,6 +72,8 @@ def _limits(entry: dict[str, Any]) -> str:
     words = []
     if "minimum" in entry:
         words.append(f"≥ {entry['minimum']}")
+    if "exclusiveMinimum" in entry:
+        words.append(f"> {entry['exclusiveMinimum']}")
     if "maximum" in entry:
         words.append(f"≤ {entry['maximum']}")
     if entry.get("minLength") == 1:

@@ -53,7 +53,7 @@ def test_no_text_makes_the_reader_raise(document):
 def test_text_starts_with_what_tells_readers_apart():
     made = dumps(GeneratorManifest(name="ä", outputs=GeneratorOutputs()), indent=None)
     assert made.startswith(
-        '{"contract": "1.0", "kind": "gaussian-generator", "inputs": [], "name": "ä"'
+        '{"contract": "1.1", "kind": "gaussian-generator", "inputs": [], "name": "ä"'
     )
 
 

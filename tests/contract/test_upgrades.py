@@ -1,6 +1,14 @@
-import pytest
+import json
+from importlib import resources
 
-from gsgen.contract.upgrades import CURRENT, UPGRADES, upgrade
+import pytest
+from hypothesis import given, settings
+from jsonschema import Draft202012Validator
+
+from gsgen.contract.manifest_json import schema_name
+from gsgen.contract.schema import to_json
+from gsgen.contract.upgrades import CURRENT, UPGRADES, upgrade, upgrade_1_0_to_1_1
+from support.manifests import manifests
 
 
 def lift(document):
@@ -47,3 +55,40 @@ def test_a_step_that_does_not_lead_onwards_is_a_fault(reached):
 
 def test_every_published_step_starts_before_the_current_version():
     assert all(version < CURRENT for version in UPGRADES)
+
+
+FIRST = {
+    "contract": "1.0",
+    "kind": "gaussian-generator",
+    "name": "old",
+    "outputs": {},
+    "x-studio": {"blend": "wsr"},
+}
+
+
+def test_the_first_version_is_lifted_and_nothing_else_of_it_changes():
+    document = FIRST | {"blend": "alpha"}
+    assert upgrade_1_0_to_1_1(document) == document | {"contract": "1.1"}
+    assert document["contract"] == "1.0"
+
+
+def test_a_weighted_sum_without_cells_is_blended_as_its_readers_had_to():
+    document = FIRST | {"blend": "wsr"}
+    want = document | {"contract": "1.1", "blend": "alpha"}
+    assert upgrade_1_0_to_1_1(document) == want
+
+
+@settings(max_examples=50)
+@given(manifests())
+def test_whatever_kept_the_first_schema_keeps_the_current_one_when_lifted(manifest):
+    document = json.loads(json.dumps(to_json(manifest))) | {"contract": "1.0"}
+    document.pop("weighted_sum", None)
+    document["outputs"].pop("cells", None)
+    assert errors(document, (1, 0)) == []
+    assert errors(upgrade(document, (1, 0)), CURRENT) == []
+
+
+def errors(document, version):
+    name = schema_name(document["kind"], version)
+    text = resources.files("gsgen.contract").joinpath("schemas", name).read_text("utf-8")
+    return list(Draft202012Validator(json.loads(text)).iter_errors(document))

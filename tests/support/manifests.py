@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from hypothesis import strategies as st
 
-from gsgen.contract.manifest import manifest_type
+from gsgen.contract.manifest import CONTRACT, manifest_type
 from gsgen.contract.roles import KINDS
 from gsgen.contract.schema_hints import Hint
 
@@ -42,7 +42,7 @@ def _any(hint: Any, limits: Hint) -> st.SearchStrategy:
     if origin is dict:
         return st.dictionaries(st.text(max_size=5), _any(args[1], Hint()), max_size=3)
     if is_dataclass(hint):
-        hints = get_type_hints(hint, include_extras=True) | {"contract": Literal["1.0"]}
+        hints = get_type_hints(hint, include_extras=True) | {"contract": Literal[CONTRACT]}
         drawn = {f.name: _any(hints[f.name], Hint()) for f in fields(hint)}
         return st.builds(hint, **drawn)
     return _scalar(hint, limits)
@@ -61,6 +61,8 @@ def _scalar(hint: Any, limits: Hint) -> st.SearchStrategy:
     if hint is int:
         return st.integers(limits.minimum, limits.maximum)
     if hint is float:
-        low, high = limits.minimum, limits.maximum
-        return st.floats(low, high, allow_nan=False, allow_infinity=False)
+        low = limits.minimum if limits.above is None else limits.above
+        finite = {"allow_nan": False, "allow_infinity": False}
+        beyond = limits.above is not None
+        return st.floats(low, limits.maximum, exclude_min=beyond, **finite)
     return {bool: st.booleans(), type(None): st.none()}[hint]

@@ -8,6 +8,7 @@ __all__ = [
     "AppearanceOutput",
     "Bounds",
     "Capture",
+    "CellsOutput",
     "CountOutput",
     "FutureOutput",
     "GaussiansOutput",
@@ -25,6 +26,7 @@ __all__ = [
     "TrajectoryManifest",
     "TrajectoryOutputs",
     "UncertaintyOutput",
+    "WeightedSum",
     "manifest_type",
 ]
 
@@ -38,13 +40,14 @@ from gsgen.contract.errors import UnknownName
 from gsgen.contract.roles import ROLES
 from gsgen.contract.schema_hints import Hint
 
-CONTRACT = "1.0"
+CONTRACT = "1.1"
 
 RoleName = Annotated[str, Hint("What the input means.", enum=tuple(ROLES))]
 Name = Annotated[str, Hint("The tensor's name in the graph.", min_length=1)]
 Positive = Annotated[int, Hint(minimum=1)]
 Sha256 = Annotated[str, Hint("SHA-256, in lower-case hex.", pattern="^[0-9a-f]{64}$")]
 Fraction = Annotated[float, Hint(minimum=0)]
+AboveZero = Annotated[float, Hint(above=0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,12 +176,39 @@ class CountOutput:
 
 
 @dataclass(frozen=True, slots=True)
+class CellsOutput:
+    """The cells that a weighted sum is sorted by, [capacity / per_cell, 10].
+
+    A row is x y z visibility xx xy xz yy yz zz; Gaussian r belongs to cell r // per_cell.
+    """
+
+    name: Name
+    per_cell: Annotated[int, Hint("Rows of Gaussians in a row to one cell.", minimum=1)]
+    dtype: Literal["float32", "float16"] = "float32"
+
+
+@dataclass(frozen=True, slots=True)
 class GeneratorOutputs:
-    """The three outputs of a Gaussian Generator; rules GO001, GO005 and GO010 ask for each."""
+    """What a Gaussian Generator puts out: GO001, GO005 and GO010 ask for three, GM017 for cells."""
 
     gaussians: GaussiansOutput | None = None
     appearance: AppearanceOutput | None = None
     count: CountOutput | None = None
+    cells: CellsOutput | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class WeightedSum:
+    """How a renderer weighs Gaussians that it sums cell by cell; goes with `blend: wsr`."""
+
+    background: Annotated[Fraction, Hint("Weight of what lies behind.")]
+    depth_range: Annotated[
+        AboveZero | None,
+        Hint("Depth at which weights reach 0, in units of length; absent: they do not fall."),
+    ] = None
+    opacity_divisor: Annotated[
+        AboveZero, Hint("What opacity is divided by before it takes light away.")
+    ] = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,6 +270,7 @@ class GeneratorManifest(_Common):
     blend: Annotated[
         Literal["alpha", "wsr"], Hint("`alpha`: sorted. `wsr`: weighted sum with cells.")
     ] = "alpha"
+    weighted_sum: WeightedSum | None = None
     capture: Capture = Capture()
     tolerances: Tolerances | None = None
     kind: Literal["gaussian-generator"] = "gaussian-generator"

@@ -59,7 +59,7 @@ def schema_name(kind: str, version: Version = CURRENT) -> str:
 
 
 def schemas() -> dict[str, dict[str, object]]:
-    """Generate every published schema from the dataclasses: file name → document."""
+    """Generate the schemas of the current version from the dataclasses: file name → document."""
     made: dict[str, dict[str, object]] = {}
     for kind in KINDS:
         body = schema_of(manifest_type(kind), title=f"gsgen manifest: {kind}")
@@ -74,12 +74,12 @@ def _required(body: dict[str, object]) -> list[object]:
 
 
 @cache
-def _validator(kind: str) -> Any:
+def _validator(kind: str, version: Version) -> Any:
     from jsonschema import Draft202012Validator
 
     text = (
         resources.files("gsgen.contract")
-        .joinpath("schemas", schema_name(kind))
+        .joinpath("schemas", schema_name(kind, version))
         .read_text("utf-8")
     )
     return Draft202012Validator(json.loads(text))
@@ -116,7 +116,7 @@ def _parse_document(text: str) -> Parsed:
         return Parsed(
             None, (Complaint("version", "contract", _dotted(version), want),), version
         )
-    return _parse_body(upgrade(document, version), version)
+    return _parse_body(document, version)
 
 
 def _parse_body(document: dict[str, Any], version: Version) -> Parsed:
@@ -124,13 +124,13 @@ def _parse_body(document: dict[str, Any], version: Version) -> Parsed:
     if kind not in KINDS:
         return _failed("schema", "kind", _short(kind), f"one of {', '.join(KINDS)}")
     newer = version > CURRENT
-    errors = list(_validator(kind).iter_errors(document))
+    errors = list(_validator(kind, min(version, CURRENT)).iter_errors(document))
     if newer:  # a newer minor may have fields that this reader does not know
         errors = [error for error in errors if error.validator != "additionalProperties"]
     complaints = tuple(_complaint(error) for error in sorted(errors, key=_place))
     if complaints:
         return Parsed(None, complaints, version, newer)
-    manifest: Manifest = from_json(manifest_type(kind), document)
+    manifest: Manifest = from_json(manifest_type(kind), upgrade(document, version))
     return Parsed(manifest, (), version, newer)
 
 

@@ -11,6 +11,7 @@ class Hint:
 
     text: str = ""
     minimum: float | None = None
+    above: float | None = None
     maximum: float | None = None
     min_length: int | None = None
     pattern: str | None = None
@@ -21,6 +22,7 @@ class Hint:
         named = {
             "description": self.text or None,
             "minimum": self.minimum,
+            "exclusiveMinimum": self.above,
             "maximum": self.maximum,
             "minLength": self.min_length,
             "pattern": self.pattern,

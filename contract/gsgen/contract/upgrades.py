@@ -1,6 +1,6 @@
 """Older manifests are carried forward by pure functions, one for each minor step."""
 
-__all__ = ["CURRENT", "UPGRADES", "Step", "Version", "upgrade"]
+__all__ = ["CURRENT", "UPGRADES", "Step", "Version", "upgrade", "upgrade_1_0_to_1_1"]
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -8,11 +8,23 @@ from typing import Any
 Version = tuple[int, int]
 Step = Callable[[dict[str, Any]], dict[str, Any]]
 
-CURRENT: Version = (1, 0)
+CURRENT: Version = (1, 1)
 
-# From version → the function that lifts a manifest to the next one, for example
-# {(1, 0): upgrade_1_0_to_1_1}. Empty while 1.0 is the only version.
-UPGRADES: dict[Version, Step] = {}
+
+def upgrade_1_0_to_1_1(document: dict[str, Any]) -> dict[str, Any]:
+    """Lift a manifest to 1.1, in which ``blend: wsr`` goes with cells.
+
+    1.0 had the word and no field that describes cells, so all that a reader could do was to
+    blend by sorting: ``alpha``, as the manifest says from here on. Rule GM018 tells the user.
+    """
+    lifted = document | {"contract": "1.1"}
+    if lifted.get("kind") == "gaussian-generator" and lifted.get("blend") == "wsr":
+        lifted["blend"] = "alpha"
+    return lifted
+
+
+# From version → the function that lifts a manifest to the next one.
+UPGRADES: dict[Version, Step] = {(1, 0): upgrade_1_0_to_1_1}
 
 
 def upgrade(
