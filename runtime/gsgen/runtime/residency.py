@@ -59,6 +59,46 @@ class Page:
 
 
 @final
+@dataclass(slots=True, eq=False)
+class _Filled:
+    """How much of one array is on the GPU.
+
+    Attributes:
+        version: Which version of it.
+        rows: How many of its first rows.
+    """
+
+    version: int = -1
+    rows: int = 0
+
+    def missing(self, version: int, live: int) -> Iterator[slice]:
+        """Yield the live rows that are not there, if any, and count them as there."""
+        first = self.rows if self.version == version else 0
+        if live > first:
+            yield slice(first, live)
+        self.version, self.rows = version, max(first, live)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class _Held:
+    """What is on the GPU of one ``SplatData``: its pages, and how far each array fills them."""
+
+    pages: list[Page]
+    rows: _Filled
+    appearance: _Filled
+
+
+def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
+    """Yield which rows of ``live`` each page has, and from which of its own rows on."""
+    for page in pages:
+        first = max(live.start, page.first)
+        last = min(live.stop, page.first + page.capacity)
+        if first < last:
+            yield page, slice(first, last), first - page.first
+
+
+@final
 class Residency:
     """Keeps each ``SplatData`` on the GPU for as long as anybody holds it.
 
@@ -74,34 +114,37 @@ class Residency:
         self._compact = compact
         self._device = device
         self._page_rows = page_rows
-        self._held: WeakKeyDictionary[SplatData, tuple[list[int], list[Page]]]
+        self._held: WeakKeyDictionary[SplatData, _Held]
         self._held = WeakKeyDictionary()
 
     def pages(self, data: SplatData) -> list[Page]:
-        """Return the pages of ``data``, with its present values in them."""
+        """Return the pages of ``data``, with its present values in all live rows of them."""
         if data not in self._held:
-            self._held[data] = ([-1], list(self._allocate(data)))
-        version, pages = self._held[data]
-        if version[0] != data.version:
-            for page in pages:
-                part = slice(page.first, page.first + page.capacity)
-                self._device.write(
-                    page.rows, data.rows[part].astype(np.float32, copy=False)
-                )
-                self._device.write(page.appearance, self._appearance(data, page))
-            version[0] = data.version
-        return pages
+            self._held[data] = _Held(list(self._allocate(data)), _Filled(), _Filled())
+        held = self._held[data]
+        for live in held.rows.missing(data.rows_version, data.count):
+            for page, part, offset in _parts(held.pages, live):
+                rows = data.rows[part].astype(np.float32, copy=False)
+                self._device.write(page.rows, rows, offset * 4 * layout.ROW)
+        for live in held.appearance.missing(data.appearance_version, data.count):
+            for page, part, offset in _parts(held.pages, live):
+                typed = self._appearance(data, page, part)
+                self._device.write(page.appearance, typed, offset * _WORD * page.stride)
+        return held.pages
 
     def _is_half(self, data: SplatData) -> bool:
         return self._compact or data.appearance.dtype == np.float16
 
-    def _appearance(self, data: SplatData, page: Page) -> Float[np.ndarray, "n d"]:
-        """Return what of the appearance is on ``page``, as the page has it."""
-        part = data.appearance[page.first : page.first + page.capacity]
+    def _appearance(
+        self, data: SplatData, page: Page, part: slice
+    ) -> Float[np.ndarray, "n d"]:
+        """Return a part of the appearance as ``page`` has it."""
         with np.errstate(
             over="ignore"
         ):  # what float16 cannot hold is infinite, and not drawn
-            typed = part.astype(np.float16 if page.half else np.float32, copy=False)
+            typed = data.appearance[part].astype(
+                np.float16 if page.half else np.float32, copy=False
+            )
         return _padded(typed)
 
     def _allocate(self, data: SplatData) -> Iterator[Page]:

@@ -25,7 +25,8 @@ class SplatData:
         appearance: SH coefficients or RGB, [N, C], float32 or float16.
         space: What ``appearance`` holds.
         count: How many of the first rows are drawn.
-        version: Grows with every update; who keeps a copy compares it.
+        rows_version: Grows when the rows change; who keeps a copy compares it.
+        appearance_version: The same of the appearance.
     """
 
     def __init__(
@@ -37,7 +38,7 @@ class SplatData:
         count: int | None = None,
     ) -> None:
         self.space: Literal["sh", "rgb"] = space
-        self.version = 0
+        self.rows_version = self.appearance_version = 0
         self.rows, self.appearance, self.count = _checked(rows, appearance, space, count)
 
     @classmethod
@@ -90,16 +91,26 @@ class SplatData:
 
     def update(
         self,
-        rows: Float[np.ndarray, "n 10"],
-        appearance: Float[np.ndarray, "n c"],
+        rows: Float[np.ndarray, "n 10"] | None = None,
+        appearance: Float[np.ndarray, "n c"] | None = None,
         count: int | None = None,
     ) -> None:
-        """Replace the values; shapes and dtypes stay, so that no buffer is made anew.
+        """Replace values; shapes and dtypes stay, so that no buffer is made anew.
+
+        Args:
+            rows: New rows; None where they are as before.
+            appearance: New appearance; None where it is as before.
+            count: How many rows are live; all where absent.
 
         Raises:
             SceneInvalid: A shape or a dtype is another than before.
         """
-        made = _checked(rows, appearance, self.space, count)
+        made = _checked(
+            self.rows if rows is None else rows,
+            self.appearance if appearance is None else appearance,
+            self.space,
+            count,
+        )
         for name, new, old in (
             ("rows", made[0], self.rows),
             ("appearance", made[1], self.appearance),
@@ -110,7 +121,8 @@ class SplatData:
                     where=name,
                 )
         self.rows, self.appearance, self.count = made
-        self.version += 1
+        self.rows_version += rows is not None
+        self.appearance_version += appearance is not None
 
     @property
     def degree(self) -> int | None:
