@@ -135,7 +135,7 @@ def test_an_orbit_turns_where_nothing_has_a_time(renderer: Renderer, file: Path)
     assert np.array_equal(still.draw(0).rgba, still.draw(1).rgba)
 
 
-def test_a_gif_has_every_frame(renderer: Renderer, file: Path, tmp_path: Path) -> None:
+def test_a_film_has_every_frame(renderer: Renderer, file: Path, tmp_path: Path) -> None:
     made, _ = film(renderer, file, frames=3)
     made.write(tmp_path / "film.gif", fps=10)
     with Image.open(tmp_path / "film.gif") as image:
@@ -143,6 +143,8 @@ def test_a_gif_has_every_frame(renderer: Renderer, file: Path, tmp_path: Path) -
         assert image.info["duration"] == 100
     made.write(tmp_path / "film.npy", None)
     assert np.load(tmp_path / "film.npy").shape == (3, 32, 48, 4)
+    made.write(tmp_path / "film.mp4", fps=10)
+    assert (tmp_path / "film.mp4").read_bytes()[4:12] == b"ftypisom"
 
 
 @pytest.mark.parametrize("mode", ["depth", "median-depth", "normal", "alpha"])

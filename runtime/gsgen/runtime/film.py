@@ -113,8 +113,8 @@ class Film:
         """Draw all frames into ``path``, which is whole or absent in the end.
 
         Args:
-            path: A picture, an .npy, a .gif, or a folder, which gets ``frame_0000.png`` and so on.
-            fps: Frames per second of a .gif; None for what the manifest says, or 25.
+            path: A picture, an .npy, an .mp4, a .gif, or a folder, which gets ``frame_0000.png`` and so on.
+            fps: Frames per second of a film; None for what the manifest says, or 25.
             watch: Called before each frame with its number, from 1.
 
         Raises:
@@ -124,7 +124,7 @@ class Film:
         if suffix == ".npy":
             arrays = [pictures.array_of(one, self._mode) for one in self._drawn(watch)]
             pictures.save_array(path, np.stack(arrays) if self.frames > 1 else arrays[0])
-        elif suffix == ".gif":
+        elif suffix in pictures.FILMS:
             pictures.save_film(path, self._pictures(watch), fps or self._fps())
         elif suffix in pictures.SUFFIXES and self.frames == 1:
             for picture in self._pictures(watch):
@@ -168,12 +168,12 @@ class Film:
 
 
 def _unfitting(path: Path, frames: int) -> ConfigInvalid:
-    known = ", ".join((*pictures.SUFFIXES, ".gif", ".npy"))
+    known = ", ".join((*pictures.SUFFIXES, *pictures.FILMS, ".npy"))
     if path.suffix.lower() in pictures.SUFFIXES:
         return ConfigInvalid(
             f"is one picture, but there are {frames} frames",
             where=str(path),
-            mend="Give a folder, a .gif or an .npy.",
+            mend="Give a folder, an .mp4, a .gif or an .npy.",
         )
     return ConfigInvalid(
         f"has a suffix that means nothing here: {path.suffix}",

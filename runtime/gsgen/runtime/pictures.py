@@ -1,6 +1,7 @@
 """Pictures: what a frame becomes on disk."""
 
 __all__ = [
+    "FILMS",
     "MODES",
     "SUFFIXES",
     "Mode",
@@ -20,6 +21,7 @@ from typing import Final, Literal
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from gsgen.runtime import mp4
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.frame import Frame, Output
 from gsgen.sdk.placement import draft_of
@@ -37,6 +39,9 @@ MODES: Final[dict[Mode, Output]] = {
 
 SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 """The suffixes that one picture can have."""
+
+FILMS: Final = (".gif", ".mp4")
+"""The suffixes that one film can have."""
 
 _MILLISECONDS: Final = 1000
 _SHARE: Final = 2.0  # percent of the depths, at each end, that the grey scale leaves out
@@ -116,8 +121,18 @@ def save_array(path: Path, made: Float32[np.ndarray, "h w *c"]) -> None:
 
 
 def save_film(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: float) -> None:
-    """Write an animated GIF that repeats for ever."""
+    """Write an MP4, or an animated GIF that repeats for ever; whole or not at all.
+
+    Raises:
+        SceneInvalid: The image library is missing or cannot write such a file.
+    """
     image = _image()
+    if path.suffix.lower() == ".mp4":
+        colors = (image.fromarray(_fitting(path, one)).convert("RGB") for one in pictures)
+        film = mp4.encode(colors, fps)
+        with draft_of(path) as draft:
+            draft.write_bytes(film)
+        return
     frames = [image.fromarray(_fitting(path, one)) for one in pictures]
     with draft_of(path) as draft:
         frames[0].save(
@@ -131,7 +146,7 @@ def save_film(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: flo
 
 def _fitting(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> np.ndarray:
     """Return the picture without alpha where the format has none."""
-    opaque = path.suffix.lower() in (".jpg", ".jpeg", ".gif", ".bmp", ".ppm")
+    opaque = path.suffix.lower() in (".jpg", ".jpeg", ".gif", ".mp4", ".bmp", ".ppm")
     if picture.ndim == 3 and picture.shape[2] == 4 and opaque:
         alpha = picture[..., 3:] / 255
         return np.asarray(np.rint(picture[..., :3] * alpha), np.uint8)

@@ -52,7 +52,7 @@ def render(
         typer.Option(
             "-o",
             "--output",
-            help="A picture, an .npy of floats, a .gif, or a folder for several frames.",
+            help="A picture, an .npy of floats, an .mp4, a .gif, or a folder for several frames.",
             show_default=False,
         ),
     ],
@@ -109,7 +109,7 @@ def render(
     ] = None,
     fps: Annotated[
         float | None,
-        typer.Option(help="Of a .gif. [default: the manifest's, or 25]", min=0.1, max=100),
+        typer.Option(help="Of a film. [default: the manifest's, or 25]", min=0.1, max=100),
     ] = None,
     sh_degree: Annotated[
         int | None,

@@ -1,0 +1,194 @@
+"""MP4 films: AV1 pictures in the boxes that players and browsers expect.
+
+The encoder is Pillow's, whose AVIF sequences hold the same AV1 samples in other boxes. So no
+codec with another licence is needed. Boxes: ISO/IEC 14496-12 (ISO base media file format); the
+sample entry: "AV1 Codec ISO Media File Format Binding", version 1.2.
+"""
+
+__all__ = ["encode"]
+
+import io
+import struct
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, Final, final
+
+import numpy as np
+
+from gsgen.runtime.errors import SceneInvalid
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+_TICKS: Final = 1000
+"""How many units of time a frame lasts: rates such as 23.976 stay as they were asked for."""
+
+_GROUP: Final = 48  # frames that are encoded together; the first of them can be sought
+_LARGEST: Final = 1 << 32  # offsets have 32 bits
+_QUALITY: Final = 80
+_SPEED: Final = 8  # of 10; 6 takes four times as long and saves nothing at this quality
+_ENTRY_FIELDS: Final = 8 + 78  # of a visual sample entry, before its boxes
+_UNITY: Final = struct.pack(">9I", 0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000)
+
+
+def encode(pictures: Iterable["Image"], fps: float) -> bytes:
+    """Return an MP4 file of the pictures.
+
+    Args:
+        pictures: All of one size, at least one. Only some are held at a time.
+        fps: Frames per second.
+
+    Raises:
+        SceneInvalid: This Pillow has no AV1 encoder, the pictures differ in size, or the film
+            is longer than a file of this kind.
+    """
+    groups = [_sequence(group) for group in _groups(iter(pictures))]
+    if len(sizes := {(group.width, group.height) for group in groups}) > 1:
+        raise _uneven(sizes)
+    samples = [sample for group in groups for sample in group.samples]
+    firsts = np.cumsum([1, *(len(group.samples) for group in groups[:-1])])
+    head = _box(b"ftyp", b"isom", _u32(0x200), b"isomiso6av01mp41")
+    # The table of contents is as long wherever the samples are, and says where they are.
+    size = len(head) + len(_contents(groups[0], samples, firsts.tolist(), fps, 0)) + 8
+    if size + sum(map(len, samples)) >= _LARGEST:
+        raise SceneInvalid(
+            f"{len(samples):,} frames are more than 4 GiB, which no .mp4 here can be",
+            mend="Draw the film in parts, or smaller.",
+        )
+    contents = _contents(groups[0], samples, firsts.tolist(), fps, size)
+    return b"".join([head, contents, _box(b"mdat", *samples)])
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """Frames that were encoded together.
+
+    Attributes:
+        entry: How they are coded: a sample entry, box and all.
+        samples: The coded frames, in order.
+        width: Of each, in pixels.
+        height: Of each, in pixels.
+    """
+
+    entry: bytes
+    samples: list[bytes]
+    width: int
+    height: int
+
+
+def _groups(pictures: Iterator["Image"]) -> Iterator[list["Image"]]:
+    """Yield the pictures in groups of at least two, but for a film of one.
+
+    A sequence of one picture would be a still image, which has other boxes.
+    """
+    held = list(islice(pictures, _GROUP))
+    while len(coming := list(islice(pictures, _GROUP))) > 1:
+        yield held
+        held = coming
+    yield held + coming
+
+
+def _sequence(pictures: Sequence["Image"]) -> _Group:
+    """Encode pictures as an AVIF sequence, and take its samples out."""
+    from PIL import features
+
+    if not features.check("avif"):
+        raise SceneInvalid(
+            "this pillow was built without its AV1 encoder, which .mp4 files need",
+            mend="Install a wheel of pillow 11.3 or newer, or ask for a .gif.",
+        )
+    if len(shapes := {picture.size for picture in pictures}) > 1:
+        raise _uneven(shapes)
+    first, *rest = pictures
+    made = io.BytesIO()
+    first.save(
+        made,
+        "AVIF",
+        save_all=True,
+        append_images=rest or [first],
+        duration=1,
+        quality=_QUALITY,
+        speed=_SPEED,
+        range="limited",  # what players assume of a film that says nothing
+    )
+    file = made.getvalue()
+    table = _find(file, b"moov", b"trak", b"mdia", b"minf", b"stbl")
+    lengths = np.frombuffer(_find(table, b"stsz"), ">u4")[3:]
+    start = int.from_bytes(_find(table, b"stco")[8:12], "big")
+    ends = start + np.cumsum(lengths)
+    samples = [file[end - size : end] for size, end in zip(lengths, ends, strict=True)]
+    entry = _entry(_find(table, b"stsd")[8:])
+    return _Group(entry, samples[: len(pictures)], first.width, first.height)
+
+
+def _uneven(sizes: Collection[tuple[int, int]]) -> SceneInvalid:
+    seen = ", ".join(f"{width}×{height}" for width, height in sorted(sizes))
+    return SceneInvalid(
+        f"frames differ in size ({seen}), those of a film cannot",
+        mend="Give --width and --height.",
+    )
+
+
+def _entry(avif: bytes) -> bytes:
+    """Return the sample entry of a film, given the one of an image sequence."""
+    kept = {b"av1C", b"colr"}
+    boxes = [
+        _box(kind, body) for kind, body in _boxes(avif[_ENTRY_FIELDS:]) if kind in kept
+    ]
+    return _box(b"av01", avif[8:_ENTRY_FIELDS], *boxes)
+
+
+def _contents(
+    look: _Group, samples: Sequence[bytes], firsts: Sequence[int], fps: float, at: int
+) -> bytes:
+    """Return the box ``moov`` of samples that lie one after the other from ``at`` on."""
+    duration = _TICKS * len(samples)
+    rate = round(_TICKS * fps)
+    table = _box(
+        b"stbl",
+        _box(b"stsd", _u32(0, 1), look.entry),
+        _box(b"stts", _u32(0, 1, len(samples), _TICKS)),
+        _box(b"stss", _u32(0, len(firsts), *firsts)),
+        _box(b"stsc", _u32(0, 1, 1, len(samples), 1)),
+        _box(b"stsz", _u32(0, 0, len(samples), *map(len, samples))),
+        _box(b"stco", _u32(0, 1, at)),
+    )
+    here = _box(b"dref", _u32(0, 1), _box(b"url ", _u32(1)))
+    media = _box(
+        b"mdia",
+        _box(b"mdhd", _u32(0, 0, 0, rate, duration, 0x55C40000)),  # "und": no language
+        _box(b"hdlr", _u32(0, 0), b"vide", _u32(0, 0, 0), b"\0"),
+        _box(b"minf", _box(b"vmhd", _u32(1, 0, 0)), _box(b"dinf", here), table),
+    )
+    size = _u32(look.width << 16, look.height << 16)
+    shown = _u32(3, 0, 0, 1, 0, duration, 0, 0, 0, 0)  # enabled, in the film; track 1
+    track = _box(b"trak", _box(b"tkhd", shown, _UNITY, size), media)
+    film = _u32(0, 0, 0, rate, duration, 0x10000, 0x1000000, 0, 0)
+    return _box(b"moov", _box(b"mvhd", film, _UNITY, bytes(24), _u32(2)), track)
+
+
+def _u32(*values: int) -> bytes:
+    return struct.pack(f">{len(values)}I", *values)
+
+
+def _box(kind: bytes, *parts: bytes) -> bytes:
+    """Return a box: its length, its kind, and what is in it."""
+    return b"".join([_u32(8 + sum(map(len, parts))), kind, *parts])
+
+
+def _boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Yield the kind and the content of each box in ``data``."""
+    at = 0
+    while at < len(data):
+        size = int.from_bytes(data[at : at + 4], "big")
+        yield data[at + 4 : at + 8], data[at + 8 : at + size]
+        at += size
+
+
+def _find(data: bytes, *path: bytes) -> bytes:
+    """Return what is in the box that ``path`` leads to."""
+    for kind in path:
+        data = next(body for found, body in _boxes(data) if found == kind)
+    return data
