@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from gsgen.contract.manifest import Input
 from gsgen.reference_plugins.checkpoints.canonical import Canonical
 from gsgen.reference_plugins.checkpoints.hexplanes import Flags, HexPlaneNets, Layer
+from gsgen.reference_plugins.constants import Bake
 from gsgen.reference_plugins.hexplane_field import HexPlaneField
 from gsgen.reference_plugins.layers import Dense
 from gsgen.reference_plugins.planes import covariance_planes, planes_of, stacked
@@ -54,6 +55,8 @@ class HexPlane4DGS(GaussianGenerator):
         nets: HexPlaneNets,
         flags: Flags,
         time: Input | None = None,
+        *,
+        bake: Bake = "auto",
     ) -> None:
         """Bake what time does not change.
 
@@ -62,12 +65,13 @@ class HexPlane4DGS(GaussianGenerator):
             nets: What moves them.
             flags: Which parts take effect.
             time: How the input is declared; from 0 to 1 where absent.
+            bake: What of the planes of space is stored; see :class:`HexPlaneField`.
         """
         super().__init__()
         self.rows = len(canonical)
         self.inputs = (time or inputs.time(),)
         self.apply_rotation = flags.apply_rotation
-        self.field = HexPlaneField(nets, canonical.position)
+        self.field = HexPlaneField(nets, canonical.position, bake)
         self.feature = nn.ModuleList(Dense(*layer) for layer in nets.feature)
         self.heads = nn.ModuleDict({name: _Head(pair) for name, pair in nets.heads.items()})
         self.static = _Head(nets.static) if nets.static is not None else None
@@ -81,7 +85,7 @@ class HexPlane4DGS(GaussianGenerator):
 
     def forward(self, time: Float[Tensor, "1"]) -> Gaussians:
         """Return the Gaussians at ``time``."""
-        hidden = self.field(time)
+        hidden = self.field(time, self.position)
         for index, layer in enumerate(self.feature):
             hidden = layer(torch.relu(hidden) if index else hidden)
         hidden = torch.relu(hidden)

@@ -2,7 +2,9 @@
 
 __all__ = ["PLUGIN"]
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
 
 from gsgen.reference_plugins.commands.options import (
     Checkpoint,
@@ -17,6 +19,13 @@ from gsgen.sdk.plugin import Plugin
 if TYPE_CHECKING:
     from gsgen.reference_plugins.hexplane_4dgs import HexPlane4DGS
 
+_Bake = Annotated[
+    Literal["auto", "always", "never"],
+    typer.Option(
+        help="Store the products of the planes of space for each Gaussian (always), the planes "
+        "themselves (never), or what is smaller (auto)."
+    ),
+]
 _SOURCE = "https://github.com/hustvl/4DGaussians"
 
 
@@ -26,6 +35,7 @@ def build(
     frames: Frames = None,
     fps: Fps = None,
     loop: Loop = False,
+    bake: _Bake = "auto",
 ) -> "HexPlane4DGS":
     """Read a checkpoint, say what is in it, and return its generator."""
     from gsgen.reference_plugins.checkpoints.hexplanes import read_hexplanes
@@ -38,7 +48,7 @@ def build(
     if read.flags.mask == "empty_voxel":
         note("warning: empty_voxel is honoured, but was never compared with the original")
     time = inputs.time(frames=frames, fps=fps, loop=loop or None)
-    made = HexPlane4DGS(read.canonical, read.nets, read.flags, time)
+    made = HexPlane4DGS(read.canonical, read.nets, read.flags, time, bake=bake)
     made.producer = producer_of(_SOURCE, checkpoint, read.iteration)
     return made
 
