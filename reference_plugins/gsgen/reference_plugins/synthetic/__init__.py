@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         write_octree,
         write_scaffold,
     )
+    from gsgen.reference_plugins.synthetic.body import PersonOptions, write_body
     from gsgen.reference_plugins.synthetic.images import write_denoiser, write_stylise
     from gsgen.reference_plugins.synthetic.knot import torus_knot
     from gsgen.reference_plugins.synthetic.moving import (
@@ -21,14 +22,8 @@ if TYPE_CHECKING:
         write_deformable,
         write_hexplane,
     )
-    from gsgen.reference_plugins.synthetic.people import (
-        PersonOptions,
-        write_body,
-        write_gauhuman,
-        write_lhm,
-        write_motion,
-        write_r3,
-    )
+    from gsgen.reference_plugins.synthetic.people import write_gauhuman, write_lhm, write_r3
+    from gsgen.reference_plugins.synthetic.walk import write_motion
 
 __all__ = [
     "AnchorOptions",
@@ -52,16 +47,16 @@ __all__ = [
 _HOME = {
     "AnchorOptions": "anchors",
     "HexPlaneOptions": "moving",
-    "PersonOptions": "people",
+    "PersonOptions": "body",
     "torus_knot": "knot",
-    "write_body": "people",
+    "write_body": "body",
     "write_deformable": "moving",
     "write_denoiser": "images",
     "write_duplex": "anchors",
     "write_gauhuman": "people",
     "write_hexplane": "moving",
     "write_lhm": "people",
-    "write_motion": "people",
+    "write_motion": "walk",
     "write_octree": "anchors",
     "write_r3": "people",
     "write_scaffold": "anchors",

@@ -1,0 +1,70 @@
+"""Someone who walks on the spot, as AMASS has motions."""
+
+__all__ = ["write_motion"]
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+# Joints of SMPL; the left one of each pair is at +x.
+_HIPS, _KNEES, _SHOULDERS, _ELBOWS = (1, 2), (4, 5), (16, 17), (18, 19)
+_STRIDE, _BEND, _SWING = 0.55, 0.9, 0.6
+_DOWN, _ELBOW = 1.25, 0.5  # arms hang, and are a little bent
+
+
+def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0) -> Path:
+    """Write a motion as AMASS has them, and return ``path``: two steps, over and over.
+
+    Args:
+        path: An ``.npz``.
+        frames: How many.
+        width: Numbers of a frame's pose; 66, 72, 156 or 165.
+        seed: Of how fingers and face move a little.
+    """
+    rng = np.random.default_rng(seed)
+    phase = rng.uniform(0, 2 * np.pi, width)
+    along = np.linspace(0, 2 * np.pi, frames, endpoint=False)
+    poses = 0.03 * np.sin(along[:, None] + phase[None])
+    for side, sign in enumerate((1.0, -1.0)):
+        step = sign * np.sin(along)
+        lift = np.clip(sign * np.cos(along), 0, None)  # on its way forward a leg is bent
+        _turn(
+            poses, _HIPS[side], np.stack([-_STRIDE * step - 0.3 * lift, 0 * step, 0 * step])
+        )
+        _turn(poses, _KNEES[side], np.stack([0.1 + _BEND * lift, 0 * step, 0 * step]))
+        _turn(poses, _SHOULDERS[side], _arm(_SWING * step, sign))
+        _turn(
+            poses, _ELBOWS[side], np.stack([0 * step, 0 * step - sign * _ELBOW, 0 * step])
+        )
+    np.savez(
+        path,
+        poses=poses,
+        trans=np.stack([0.02 * np.sin(along), 0.02 * np.cos(2 * along), 0 * along], axis=1),
+        betas=rng.normal(size=16),
+        mocap_framerate=np.array(30.0),
+        gender=np.array("neutral"),
+    )
+    return path
+
+
+def _turn(
+    poses: Float[np.ndarray, "f w"], joint: int, turn: Float[np.ndarray, "3 f"]
+) -> None:
+    poses[:, 3 * joint : 3 * joint + 3] += turn.T
+
+
+def _arm(swing: Float[np.ndarray, " f"], sign: float) -> Float[np.ndarray, "3 f"]:
+    """Return the axis-angle of an arm that hangs down and then swings about x."""
+    half_swing, half_down = swing / 2, -sign * _DOWN / 2
+    # The product of two quaternions, (cos, sin, 0, 0) of the swing and (cos, 0, 0, sin).
+    w = np.cos(half_swing) * np.cos(half_down)
+    vector = np.stack(
+        [
+            np.sin(half_swing) * np.cos(half_down),
+            -np.sin(half_swing) * np.sin(half_down),
+            np.cos(half_swing) * np.sin(half_down),
+        ]
+    )
+    length = np.linalg.norm(vector, axis=0)
+    return vector / length * 2 * np.arctan2(length, w)
