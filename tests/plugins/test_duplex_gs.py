@@ -3,12 +3,15 @@
 from pathlib import Path
 
 import numpy as np
+import onnxruntime
 import pytest
 import torch
 
 from gsgen.contract.config import Settings
+from gsgen.contract.errors import GsgenError
 from gsgen.contract.finding import Level
 from gsgen.contract.geometry import covariance_upper
+from gsgen.contract.manifest import CellsOutput
 from gsgen.contract.spherical_harmonics import basis, degree_of
 from gsgen.reference_plugins.checkpoints.anchors import Mlp, read_anchors
 from gsgen.reference_plugins.checkpoints.cells import CellCheckpoint, read_cells
@@ -144,6 +147,97 @@ def test_visibility_and_background_are_those_of_the_published_code() -> None:
         np.testing.assert_allclose(rows[there, 3], wanted, atol=1e-6)
 
 
+# ===== Cells
+
+
+def cell_oracle(read: CellCheckpoint, view: np.ndarray) -> np.ndarray:
+    """The rows of cells in float64, without what levels hide.
+
+    Visibility as in the published rasteriser's inputs, rotation as in ``generate_cells``: the mean
+    of the Gaussians' quaternions, weighted by opacity times visibility.
+    """
+    cloud, nets = read.anchors.cloud, read.anchors.nets
+    n, k = len(cloud), cloud.per_anchor
+    centre = np.linalg.inv(view.astype(np.float64).T)[:3, 3]
+    anchor = cloud.position.double().numpy()
+    v = anchor - centre
+    d = np.linalg.norm(v, axis=1, keepdims=True)
+    sh = read.visibility.double().numpy()
+    visibility = sigmoid((basis(v / d, degree_of(sh.shape[1])) * sh).sum(axis=1))
+
+    def head(net: Mlp) -> np.ndarray:
+        parts = [cloud.feature.double().numpy(), v / d]
+        parts += [d] if net.distance else []
+        parts += [cloud.level.double().numpy()[:, None]] if nets.level else []
+        return ask(net, np.concatenate(parts, axis=1))
+
+    weight = np.maximum(np.tanh(head(nets.opacity)), 0) * visibility[:, None]
+    quaternion = head(nets.covariance).reshape(n, k, 7)[:, :, 3:]
+    quaternion = quaternion / np.linalg.norm(quaternion, axis=2, keepdims=True)
+    mean = (quaternion * weight[:, :, None]).mean(axis=1)
+    mean[(weight == 0).all(axis=1)] = [1, 0, 0, 0]
+    size = np.exp(cloud.log_scale[:, :3].double().numpy())
+    cells = covariance_upper(size, mean)
+    return np.concatenate([anchor, visibility[:, None], cells], axis=1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_cells_are_those_that_the_method_sums_by(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    options = AnchorOptions(
+        anchors=40, per_anchor=int(rng.integers(1, 8)), united=True, seed=seed
+    )
+    read = read_cells(write_duplex(tmp_path, options, degree=seed + 1, depth=seed != 1))
+    levels = Levels.of(read.anchors)
+    generator = DuplexGS(read, levels, blend="wsr")
+    how, said = read.weighting, generator.weighted_sum
+    assert said is not None
+    assert (said.background, said.opacity_divisor) == (how.background, how.grade)
+    assert said.depth_range == (how.sigma if how.depth else None)
+    for distance in (1.5, 6.0, 30.0):
+        view = camera(rng, distance)
+        wanted = oracle(read, view, weighted=False)
+        with torch.no_grad():
+            made = generator(torch.from_numpy(view))
+        cells = torch.cat(
+            [made.cells.position, made.cells.visibility, made.cells.covariance], dim=1
+        ).numpy()
+        every = cell_oracle(read, view)
+        shown = generator.gate(torch.linalg.inv(torch.from_numpy(view))[3:, :3]).numpy() > 0
+        every[:, 3] *= shown[:, 0]
+        np.testing.assert_allclose(cells, every, rtol=2e-5, atol=2e-6)
+        rows, colors = eager(generator, view)
+        assert_like(rows, colors, wanted)
+        hidden = np.repeat(cells[:, 3] == 0, options.per_anchor)
+        assert (rows[hidden, 3] == 0).all()
+
+
+def test_opacities_are_not_weighed_twice(tmp_path: Path) -> None:
+    read = read_cells(write_duplex(tmp_path, AnchorOptions(united=True)))
+    with pytest.raises(GsgenError, match=r"(?s)--opacity weighted: .*weighs.*Leave"):
+        DuplexGS(read, Levels.of(read.anchors), opacity="weighted", blend="wsr")
+
+
+def test_of_some_cells_the_same_is_said_as_of_all(tmp_path: Path) -> None:
+    read = read_cells(write_duplex(tmp_path, AnchorOptions(anchors=30, united=True)))
+    levels, view = Levels.of(read.anchors), camera(np.random.default_rng(0), 20.0)
+    few = DuplexGS(read, levels, blend="wsr", selection=Selection("none", 29))
+    all_ = DuplexGS(read, levels, blend="wsr")
+    with torch.no_grad():
+        made, every = few(torch.from_numpy(view)), all_(torch.from_numpy(view))
+    live = int(made.count) // read.anchors.cloud.per_anchor
+    kept = every.cells.visibility.ravel() > 0
+    assert 0 < live < 30
+    for field in ("position", "visibility", "covariance"):
+        some, all_of_them = (getattr(one.cells, field) for one in (made, every))
+        torch.testing.assert_close(some[:live], all_of_them[kept])
+    packed = PackedGenerator(few, Packed(torch.float32, 29 * 5))
+    with torch.no_grad():
+        _, _, _, cells = packed(torch.from_numpy(view))
+    assert (cells[:live, 3] > 0).all()
+    assert (cells[live:, 3] == 0).all()
+
+
 def test_only_so_many_cells_are_decoded_where_asked(tmp_path: Path) -> None:
     read = read_cells(write_duplex(tmp_path, AnchorOptions(anchors=30, united=True)))
     levels, view = Levels.of(read.anchors), camera(np.random.default_rng(0), 20.0)
@@ -189,6 +283,68 @@ def test_a_scene_without_sigma_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
+def summed(tmp_path_factory: pytest.TempPathFactory) -> Exported:
+    generator = duplex_gs.build(shared("data/checkpoints/duplex_a/ckpt"), blend="wsr")
+    path = tmp_path_factory.mktemp("duplex") / "cells.onnx"
+    return export(generator, path, target="webgpu", settings=Settings(level=Level.LIVE))
+
+
+def golden_cells(made: np.ndarray, target: dict[str, np.ndarray], margin: float) -> None:
+    """Compare packed cells with what the method's own code gave its rasteriser."""
+    there = target["cell_mask"]
+    cells = made.astype(np.float64)
+    assert np.isfinite(cells).all()
+    assert (cells[~there, 3] == 0).all()
+    covariance = acceptance().kernel_cov6(target["cell_scale"], target["cell_rot"])
+    for part, wanted, allowed in (
+        (slice(0, 3), target["cell_xyz"], 2e-5),
+        (slice(3, 4), target["vi"], 2e-5),
+        (slice(4, 10), covariance, 5e-5),
+    ):
+        error = np.abs(cells[there, part] - wanted).max() / np.abs(wanted).max()
+        assert error <= allowed * margin, (part, error)
+
+
+def test_cells_agree_with_the_method_three_times_better_than_asked(
+    summed: Exported,
+) -> None:
+    for agrees, errors in judge("duplex_a", summed.path):
+        assert agrees
+        for field, error in errors.items():
+            assert error <= EXPECTED[field] / MARGIN, (field, error)
+    session = onnxruntime.InferenceSession(summed.path, providers=["CPUExecutionProvider"])
+    for feeds, target in acceptance().targets("duplex_a"):
+        (cells,) = session.run(["cells"], {"camera": feeds["camera"]})
+        golden_cells(cells, target, 1 / MARGIN)
+
+
+def test_cells_in_half_precision_agree_as_well_as_asked() -> None:
+    generator = duplex_gs.build(shared("data/checkpoints/duplex_a/ckpt"), blend="wsr")
+    packed = PackedGenerator(generator, Packed(torch.float16, 251 * 5))
+    for feeds, target in acceptance().targets("duplex_a"):
+        with torch.no_grad():
+            *_, cells = packed(torch.from_numpy(feeds["camera"]))
+        assert cells.dtype == torch.float16
+        golden_cells(cells.numpy(), target, 1.5e-3 / 2e-5)
+
+
+def test_cells_are_declared_with_their_weights(summed: Exported) -> None:
+    golden = np.load(shared("data/checkpoints/duplex_a/golden.npz"))
+    declared = summed.manifest
+    assert declared.blend == "wsr"
+    assert declared.outputs.cells == CellsOutput("cells", 5, "float32")
+    said = declared.weighted_sum
+    assert said is not None
+    assert said.depth_range == pytest.approx(golden["meta_sigma"][0])
+    assert said.background == pytest.approx(golden["meta_wbg"][0])
+    assert said.opacity_divisor == pytest.approx(golden["meta_ET"])
+
+
+def test_cells_run_in_webgpu_and_no_replay_is_stale(summed: Exported) -> None:
+    assert_captured(summed.report)
+
+
+@pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Exported:
     generator = duplex_gs.build(shared("data/checkpoints/duplex_a/ckpt"))
     path = tmp_path_factory.mktemp("duplex") / "duplex.onnx"
@@ -229,6 +385,6 @@ def test_a_user_is_told_what_was_found_and_how_it_will_be_blended(
     told = capsys.readouterr().err
     assert "9 cells × 5 Gaussians" in told
     assert "visibility of degree 3" in told
-    assert "blended by sorting" in told
+    assert "blended by sorting. --blend wsr keeps the cells" in told
     assert made.producer is not None
     assert [one.role for one in made.inputs] == ["view", "projection"]

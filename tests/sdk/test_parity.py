@@ -11,7 +11,7 @@ from gsgen.contract.probes import Probe
 from gsgen.sdk import Gaussians, ParityFailed, verification
 from gsgen.sdk.diagnosis import Suspects
 from gsgen.sdk.eager import Reference, run_eager
-from gsgen.sdk.parity import Parity, compare, fibonacci_directions, same
+from gsgen.sdk.parity import Made, Parity, compare, fibonacci_directions, same
 from gsgen.sdk.verification import _nudged, check_parity
 from support.generators import Drift
 
@@ -36,7 +36,7 @@ def against(
     reference: Reference, other: layout.Gaussians, dtype: type = np.float32
 ) -> Parity:
     rows, color = layout.encode(other, dtype)
-    return compare([reference], [(rows, color, reference.count)], Tolerances())
+    return compare([reference], [Made(rows, color, reference.count)], Tolerances())
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float16])
@@ -85,7 +85,7 @@ def test_position_is_measured_in_standard_deviations(reference: Reference) -> No
 
 def test_another_count_is_a_failure(reference: Reference) -> None:
     rows, color = layout.encode(reference.gaussians)
-    assert not compare([reference], [(rows, color, 299)], Tolerances()).holds
+    assert not compare([reference], [Made(rows, color, 299)], Tolerances()).holds
 
 
 def test_directions_are_unit_and_spread() -> None:
@@ -138,7 +138,7 @@ def test_a_few_rows_may_be_as_torch_has_them_a_hair_away(
     n: int, gone: list[int], holds: bool
 ) -> None:
     known, model = culled(n, []), culled(n, gone)
-    outputs = [(*layout.encode(model.gaussians), n)]
+    outputs = [Made(*layout.encode(model.gaussians), n)]
     assert not compare([known], outputs, Tolerances()).holds
     near = {0: [culled(n, []), culled(n, gone[:1]), culled(n, gone[1:] or gone)]}
     parity = compare([known], outputs, Tolerances(), neighbours=near)
@@ -149,7 +149,7 @@ def test_a_few_rows_may_be_as_torch_has_them_a_hair_away(
 
 def test_a_row_that_torch_never_has_is_no_jump() -> None:
     known, model = culled(100, []), culled(100, [7])
-    outputs = [(*layout.encode(model.gaussians), 100)]
+    outputs = [Made(*layout.encode(model.gaussians), 100)]
     near = {0: [culled(100, []), culled(100, [8])]}
     parity = compare([known], outputs, Tolerances(), neighbours=near)
     assert not parity.holds
@@ -189,14 +189,86 @@ def test_a_model_that_jumps_a_little_sooner_than_torch_agrees_with_it(monkeypatc
     references = [
         run_eager(module, Probe(f"time={t}", {"time": np.float32([t])})) for t in (0.2, 0.9)
     ]
-    outputs = [(*layout.encode(one.gaussians), one.count) for one in references]
-    outputs[0][0][7, 3] = 0 if outputs[0][0][7, 3] else module.opacity[7].item()
+    outputs = [Made(*layout.encode(one.gaussians), one.count) for one in references]
+    outputs[0].rows[7, 3] = 0 if outputs[0].rows[7, 3] else module.opacity[7].item()
     manifest = GeneratorManifest(name="m", outputs=GeneratorOutputs(), inputs=Drift.inputs)
     suspects = Suspects(module, references[0].probe, (), True)
     monkeypatch.setattr(verification, "_run", lambda *_: outputs)
     parity = check_parity(Path("m.onnx"), manifest, references, suspects, lambda _: None)
     assert parity.jumped == 1
-    outputs[0][0][8, 3] += 0.1
+    outputs[0].rows[8, 3] += 0.1
     monkeypatch.setattr(verification, "explain", lambda *_: ("", "mend"))
     with pytest.raises(ParityFailed, match="opacity of Gaussian 8 is off"):
         check_parity(Path("m.onnx"), manifest, references, suspects, lambda _: None)
+
+
+# ---- Cells -------------------------------------------------------------------------------------
+
+
+def with_cells(seen: np.ndarray) -> Reference:
+    """300 Gaussians in 100 cells, the first three of each in one."""
+    rng = np.random.default_rng(11)
+    n = 300
+    upper = np.tile([0.04, 0, 0, 0.04, 0, 0.04], (n, 1))
+    opacity = np.full(n, 0.8)
+    rows = layout.Gaussians(rng.normal(size=(n, 3)), opacity, upper, rgb=rng.random((n, 3)))
+    cells = layout.Cells(rng.normal(size=(100, 3)), seen, upper[::3])
+    return Reference(Probe("p", {}), rows, n, cells)
+
+
+def packed_cells(cells: layout.Cells, dtype: type = np.float32) -> np.ndarray:
+    columns = (cells.position, cells.visibility[:, None], cells.covariance)
+    return np.concatenate(columns, axis=1).astype(dtype)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float16])
+@pytest.mark.parametrize(
+    ("column", "field"),
+    [(1, "cell position"), (3, "cell visibility"), (7, "cell covariance")],
+)
+def test_an_error_in_one_cell_is_found_and_placed(
+    column: int, field: str, dtype: type
+) -> None:
+    known = with_cells(np.full(100, 0.5))
+    assert known.cells is not None
+    cells = packed_cells(known.cells, dtype)
+    made = Made(*layout.encode(known.gaussians), known.count, cells)
+    assert compare([known], [made], Tolerances()).holds
+    cells[42, column] += 0.02
+    parity = compare([known], [made], Tolerances())
+    (worst,) = [one for one in parity.fields if not one.excess <= 1]
+    assert (worst.field, worst.row) == (field, 42)
+    cells[42, column] = np.nan
+    assert not compare([known], [made], Tolerances()).holds
+
+
+def test_where_an_unseen_cell_lies_does_not_matter() -> None:
+    known = with_cells(np.where(np.arange(100) == 7, 0.0, 0.5))
+    assert known.cells is not None
+    cells = packed_cells(known.cells)
+    made = Made(*layout.encode(known.gaussians), known.count, cells)
+    cells[7, :3] += 1.0
+    assert compare([known], [made], Tolerances()).holds
+    cells[8, :3] += 1.0
+    assert not compare([known], [made], Tolerances()).holds
+
+
+def test_cells_that_are_missing_are_a_failure() -> None:
+    known = with_cells(np.full(100, 0.5))
+    made = Made(*layout.encode(known.gaussians), known.count)
+    assert not compare([known], [made], Tolerances()).holds
+    assert same(known, with_cells(np.full(100, 0.5)))
+    assert not same(known, with_cells(np.full(100, 0.6)))
+    assert not same(known, replace(known, cells=None))
+
+
+def test_cells_without_a_live_row_are_not_compared() -> None:
+    known = replace(with_cells(np.full(100, 0.5)), count=31)
+    assert known.live_cells == 11
+    assert known.cells is not None
+    cells = packed_cells(known.cells)
+    cells[11:, 3] = 0
+    made = Made(*layout.encode(known.gaussians), 31, cells)
+    assert compare([known], [made], Tolerances()).holds
+    cells[10, 3] = 0
+    assert not compare([known], [made], Tolerances()).holds

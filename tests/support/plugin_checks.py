@@ -28,7 +28,7 @@ def eager(
     with torch.no_grad():
         rows = generator(*tensors).position.shape[0]
         packed = PackedGenerator(generator, Packed(torch.float32, rows))
-        made, color, _ = packed(*tensors)
+        made, color, *_ = packed(*tensors)
     return made.numpy(), color.numpy()
 
 

@@ -2,16 +2,20 @@
 
 __all__ = [
     "APPEARANCE_CHANNELS",
+    "CELL_FIELDS",
     "COVARIANCE",
     "CULL_OPACITY",
     "FIELDS",
     "OPACITY",
     "POSITION",
     "ROW",
+    "VISIBILITY",
     "WORD_BYTES",
+    "Cells",
     "Gaussians",
     "appearance_channels",
     "decode",
+    "decode_cells",
     "encode",
 ]
 
@@ -29,6 +33,10 @@ ROW = len(FIELDS)
 POSITION = slice(0, 3)
 OPACITY = 3
 COVARIANCE = slice(4, 10)
+
+# A cell's row is a Gaussian's with its visibility where that has its opacity.
+VISIBILITY = OPACITY
+CELL_FIELDS = (*FIELDS[:VISIBILITY], "visibility", *FIELDS[VISIBILITY + 1 :])
 
 # A Gaussian below this opacity cannot change an 8-bit pixel; the reference
 # rasteriser of Kerbl et al. 2023 skips it.
@@ -87,6 +95,24 @@ class Gaussians:
     def degree(self) -> int | None:
         """The SH degree, or None where the appearance is raw RGB."""
         return None if self.sh is None else degree_of(self.sh.shape[1])
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """C cells, unpacked, in the model's local space.
+
+    Attributes:
+        position: Centres, [C, 3].
+        visibility: How much is seen of their Gaussians, [C], in [0, 1].
+        covariance: Upper triangle xx xy xz yy yz zz of the cell's ellipsoid, [C, 6].
+    """
+
+    position: Float[np.ndarray, "c 3"]
+    visibility: Float[np.ndarray, " c"]
+    covariance: Float[np.ndarray, "c 6"]
 
     def __len__(self) -> int:
         return len(self.position)
@@ -156,3 +182,17 @@ def decode(
         sh=color.reshape(n, color.shape[1] // 3, 3) if space == "sh" else None,
         rgb=color[:, :3] if space == "rgb" else None,
     )
+
+
+def decode_cells(rows: Float[np.ndarray, "c 10"]) -> Cells:
+    """Unpack rows of cells into float32.
+
+    Raises:
+        LayoutMismatch: The array is not [C, 10].
+    """
+    if rows.ndim != 2 or rows.shape[1] != ROW:
+        raise LayoutMismatch(
+            f"shape is {list(rows.shape)}, wanted [C, {ROW}]", where="cells"
+        )
+    wide = rows.astype(np.float32)
+    return Cells(wide[:, POSITION], wide[:, VISIBILITY], wide[:, COVARIANCE])

@@ -10,11 +10,11 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from gsgen.contract.errors import GsgenError
-from gsgen.reference_plugins.anchor_heads import AnchorHeads, Asked
+from gsgen.reference_plugins.anchor_heads import AnchorHeads, Asked, Decoded
 from gsgen.reference_plugins.checkpoints.anchors import AnchorCloud, AnchorNets
 from gsgen.reference_plugins.planes import covariance_planes, stacked
 from gsgen.reference_plugins.selection import Selection, culling
-from gsgen.sdk import GaussianGenerator, Gaussians, inputs
+from gsgen.sdk import Cells, GaussianGenerator, Gaussians, inputs
 from gsgen.sdk.math import camera_centre, keep_rows
 
 _SMALLEST_SQUARE = 1e-12
@@ -27,14 +27,26 @@ class Decoding:
     Attributes:
         camera: World→camera matrix in column order.
         asked: Direction and distance of each anchor.
+        anchor: Their centres.
         position: Centres of their Gaussians, x y z after each other.
+        made: What the networks say of them.
+        shown: How much of each anchor is seen, 0 to 1; all where absent.
         rows: Which anchors they are; all, in order, where absent.
     """
 
     camera: Float[Tensor, "4 4"]
     asked: Asked
+    anchor: Float[Tensor, "n 3"]
     position: Float[Tensor, "n k3"]
+    made: Decoded
+    shown: Float[Tensor, "n 1"] | None = None
     rows: Int[Tensor, " n"] | None = None
+
+    def of(self, table: Tensor) -> Tensor:
+        """Return the rows of ``table`` that belong to these anchors."""
+        if self.rows is None:
+            return table
+        return torch.index_select(table, 0, self.rows)
 
 
 class AnchorGenerator(GaussianGenerator):
@@ -110,9 +122,8 @@ class AnchorGenerator(GaussianGenerator):
         )
         asked = _asked(anchor, centre, others, self.heads.appearances)
         made = self.heads(asked, rows)
-        opacity = self.weighed(
-            torch.relu(made.opacity), Decoding(camera, asked, position, rows)
-        )
+        now = Decoding(camera, asked, anchor, position, made, shown, rows)
+        opacity = self.weighed(torch.relu(made.opacity), now)
         scale = [
             factor * base[:, axis : axis + 1]
             for axis, factor in enumerate(self.shares(made.scale, rows))
@@ -123,6 +134,7 @@ class AnchorGenerator(GaussianGenerator):
             covariance=stacked(covariance_planes(scale, made.rotation)),
             rgb=torch.sigmoid(made.color),
             count=None if count is None else count * self.per_anchor,
+            cells=self.cells(now),
         )
 
     def shares(
@@ -134,6 +146,10 @@ class AnchorGenerator(GaussianGenerator):
     def weighed(self, opacity: Float[Tensor, "n k"], now: Decoding) -> Float[Tensor, "n k"]:
         """Return what a renderer takes as opacity, of what the network says."""
         return opacity
+
+    def cells(self, now: Decoding) -> Cells | None:
+        """Return the anchors as cells of a weighted sum, where the method blends by one."""
+        return None
 
     def _shown(
         self, camera: Tensor, centre: Tensor, others: tuple[Tensor, ...]

@@ -5,11 +5,11 @@ Gaussian Splatting". Levels and networks are those of Octree-GS. A Gaussian's sc
 (2 − ‖o‖) / 3 of its cell's, o being its offset in units of the cell; the paper's equation 13 says
 1 − ‖o‖, the published code (``gaussian_renderer/__init__.py``) what stands here.
 
-The method's renderer sums Gaussians by weights, cell after cell. Contract 1.0 has no field for
-cells, so the model is one for renderers that sort.
+The method's renderer sums Gaussians by weights, cell after cell: ``blend="wsr"`` gives it the cells
+and their weights. Without, the model is one for renderers that sort Gaussians.
 """
 
-__all__ = ["OPACITIES", "DuplexGS"]
+__all__ = ["BLENDS", "OPACITIES", "DuplexGS"]
 
 from collections.abc import Iterator
 from typing import Literal, final
@@ -18,13 +18,22 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from gsgen.contract.errors import GsgenError
+from gsgen.contract.manifest import WeightedSum
 from gsgen.reference_plugins.anchor_generator import AnchorGenerator, Decoding
 from gsgen.reference_plugins.checkpoints.cells import CellCheckpoint
 from gsgen.reference_plugins.octree_gs import LevelGate, Levels
+from gsgen.reference_plugins.planes import covariance_planes, stacked
 from gsgen.reference_plugins.selection import Selection
+from gsgen.sdk import Cells
+
+# Of a quaternion, so that one of zeros does not divide by zero.
+_SMALLEST_SQUARE = 1e-24
 
 Opacity = Literal["decoded", "weighted"]
 OPACITIES: tuple[Opacity, ...] = ("decoded", "weighted")
+Blend = Literal["alpha", "wsr"]
+BLENDS: tuple[Blend, ...] = ("alpha", "wsr")
 
 
 @final
@@ -37,6 +46,7 @@ class DuplexGS(AnchorGenerator):
 
     limit: Tensor
     visibility: Tensor
+    size: Tensor
 
     def __init__(
         self,
@@ -44,6 +54,7 @@ class DuplexGS(AnchorGenerator):
         levels: Levels,
         *,
         opacity: Opacity = "decoded",
+        blend: Blend = "alpha",
         appearance: int | None = None,
         selection: Selection = Selection(),  # noqa: B008
     ) -> None:
@@ -53,17 +64,30 @@ class DuplexGS(AnchorGenerator):
             read: Cells and networks.
             levels: How levels follow from distances.
             opacity: As the network says, or weighted as the method's renderer does.
+            blend: For renderers that sort Gaussians, or for those that sum them cell by cell.
             appearance: Which appearance to keep; an input chooses where absent.
             selection: Which cells are decoded.
+
+        Raises:
+            GsgenError: Opacities are weighted, and a renderer would weigh them again.
         """
+        if blend == "wsr" and opacity == "weighted":
+            what = "a renderer that sums by weights weighs opacities itself"
+            mend = "Leave --opacity out, or blend by alpha."
+            raise GsgenError(what, where="--opacity weighted", mend=mend)
         cloud, nets = read.anchors.cloud, read.anchors.nets
         super().__init__(cloud, nets, appearance=appearance, selection=selection)
         self.gate = LevelGate(cloud, levels, half_cell=False)
         self.weighted = opacity == "weighted"
-        self.sigma = read.weighting.sigma if read.weighting.depth else None
+        how = read.weighting
+        self.sigma = how.sigma if how.depth else None
+        if blend == "wsr":
+            self.weighted_sum = WeightedSum(how.background, self.sigma, how.grade)
         self.register_buffer("limit", (2 - cloud.offset.norm(dim=2)) / 3)
-        if self.weighted:
+        if self.weighted or self.weighted_sum is not None:
             self.register_buffer("visibility", read.visibility)
+        if self.weighted_sum is not None:
+            self.register_buffer("size", torch.exp(cloud.log_scale[:, :3]))
 
     @property
     def hides(self) -> bool:
@@ -86,15 +110,38 @@ class DuplexGS(AnchorGenerator):
         """Weigh opacities, where that was asked for."""
         if not self.weighted:
             return opacity
-        sh = self.visibility
-        if now.rows is not None:
-            sh = torch.index_select(sh, 0, now.rows)
-        opacity = opacity * torch.sigmoid(_evaluated(sh, now.asked.direction))
+        opacity = opacity * self._seen(now)
         if self.sigma is None:
             return opacity
         cells = now.position.reshape(-1, self.per_anchor, 3)
         depth = (cells * now.camera[:3, 2]).sum(dim=2) + now.camera[3, 2]
         return opacity * (1 - depth / self.sigma).clamp(0.0, 1.0)
+
+    def cells(self, now: Decoding) -> Cells | None:
+        """Return the cells: ellipsoids turned as their Gaussians are on average."""
+        if self.weighted_sum is None:
+            return None
+        visibility = self._seen(now)
+        if now.shown is not None:
+            visibility = visibility * (now.shown > 0).to(visibility.dtype)
+        size = now.of(self.size)
+        planes = covariance_planes([size[:, i : i + 1] for i in range(3)], _turned(now))
+        return Cells(now.anchor, visibility, covariance=stacked(planes))
+
+    def _seen(self, now: Decoding) -> Float[Tensor, "n 1"]:
+        """Return how visible each cell is from where the camera is, 0 to 1."""
+        return torch.sigmoid(_evaluated(now.of(self.visibility), now.asked.direction))
+
+
+def _turned(now: Decoding) -> list[Float[Tensor, "n 1"]]:
+    """Return the mean of the quaternions of each cell's Gaussians, weighted by their opacity.
+
+    The published code weighs by opacity and visibility; the latter is one number a cell.
+    """
+    weight = torch.relu(now.made.opacity)
+    square = torch.stack([part * part for part in now.made.rotation]).sum(dim=0)
+    weight = weight / torch.sqrt(square.clamp(min=_SMALLEST_SQUARE))
+    return [(part * weight).sum(dim=1, keepdim=True) for part in now.made.rotation]
 
 
 def _evaluated(

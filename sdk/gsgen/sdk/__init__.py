@@ -10,6 +10,7 @@ from gsgen.contract.lazy import attributes
 if TYPE_CHECKING:
     from gsgen.sdk import inputs, math
     from gsgen.sdk.adapter import wrap
+    from gsgen.sdk.cells import Cells
     from gsgen.sdk.errors import (
         ExportFailed,
         ExportRejected,
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from gsgen.sdk.post_process import PostProcess
 
 __all__ = [
+    "Cells",
     "ExportFailed",
     "ExportRejected",
     "Exported",
@@ -38,6 +40,7 @@ __all__ = [
 ]
 
 _HOME = {
+    "Cells": "cells",
     "ExportFailed": "errors",
     "ExportRejected": "errors",
     "Exported": "exporter",

@@ -12,10 +12,9 @@ from gsgen.contract.probes import Probe, dependency_probes
 from gsgen.sdk.eager import run_eager
 from gsgen.sdk.generator import GaussianGenerator
 from gsgen.sdk.hazards import Hazard
-from gsgen.sdk.parity import Reference, same
+from gsgen.sdk.parity import Made, Reference, same
 
-Outputs = tuple[np.ndarray, np.ndarray, int]
-Run = Callable[[list[Probe]], list[Outputs]]
+Run = Callable[[list[Probe]], list[Made]]
 _MOST = 3
 
 _RANDOM = (
@@ -96,8 +95,9 @@ def _lost_inputs(
     ]
 
 
-def _equal(a: Outputs, b: Outputs) -> bool:
-    arrays = all(
-        np.array_equal(x, y, equal_nan=True) for x, y in zip(a[:2], b[:2], strict=True)
-    )
-    return arrays and a[2] == b[2]
+def _equal(a: Made, b: Made) -> bool:
+    pairs = [(a.rows, b.rows), (a.color, b.color)]
+    if a.cells is not None and b.cells is not None:
+        pairs.append((a.cells, b.cells))
+    arrays = all(np.array_equal(x, y, equal_nan=True) for x, y in pairs)
+    return arrays and a.count == b.count

@@ -12,6 +12,7 @@ from gsgen.contract.errors import GsgenError
 from gsgen.contract.geometry import covariance_upper
 from gsgen.contract.manifest import Bounds
 from gsgen.contract.probes import Probe
+from gsgen.sdk.cells import Cells
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.generator import GaussianGenerator, Gaussians
 from gsgen.sdk.hazards import Watch
@@ -66,23 +67,31 @@ def _reference(generator: GaussianGenerator, probe: Probe, made: Any) -> Referen
         raise GeneratorInvalid(what, where=type(generator).__name__)
     n = made.position.shape[0]
     count = n if made.count is None else int(np.clip(int(made.count.reshape(-1)[0]), 0, n))
-    return Reference(probe, _unpacked(made), count)
+    cells = None if made.cells is None else _unpacked_cells(made.cells)
+    return Reference(probe, _unpacked(made), count, cells)
 
 
 def _unpacked(made: Gaussians) -> layout.Gaussians:
-    if made.covariance is not None:
-        covariance = _wide(made.covariance)
-    else:
-        assert made.scale is not None
-        assert made.rotation is not None
-        covariance = covariance_upper(_wide(made.scale), _wide(made.rotation))
     return layout.Gaussians(
         position=_wide(made.position),
         opacity=_wide(made.opacity).reshape(-1),
-        covariance=covariance,
+        covariance=_covariance(made),
         sh=None if made.sh is None else _wide(made.sh),
         rgb=None if made.rgb is None else _wide(made.rgb),
     )
+
+
+def _unpacked_cells(made: Cells) -> layout.Cells:
+    visibility = _wide(made.visibility).reshape(-1)
+    return layout.Cells(_wide(made.position), visibility, _covariance(made))
+
+
+def _covariance(made: Gaussians | Cells) -> np.ndarray:
+    if made.covariance is not None:
+        return _wide(made.covariance)
+    assert made.scale is not None
+    assert made.rotation is not None
+    return covariance_upper(_wide(made.scale), _wide(made.rotation))
 
 
 def _wide(tensor: Tensor) -> np.ndarray:

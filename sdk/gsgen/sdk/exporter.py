@@ -19,6 +19,7 @@ from gsgen.contract.config import Settings
 from gsgen.contract.manifest import (
     AppearanceOutput,
     Bounds,
+    CellsOutput,
     CountOutput,
     GaussiansOutput,
     GeneratorManifest,
@@ -39,6 +40,7 @@ from gsgen.sdk.hazards import Watch
 from gsgen.sdk.packing import (
     APPEARANCE_RGB,
     APPEARANCE_SH,
+    CELLS,
     COUNT,
     GAUSSIANS,
     Packed,
@@ -109,7 +111,7 @@ def export(
         generator: The module; it is put into evaluation mode and moved to the CPU.
         path: Where the model goes; it is replaced only by a model that passed every check.
         name: What people call it; the file's stem where absent.
-        dtype: Of both outputs.
+        dtype: Of all outputs but the count.
         capacity: Rows of the outputs; as many as there are Gaussians where absent.
         opset: ONNX operator set, 18 being the one that every runtime has kernels for.
         target: The consumer to rewrite and validate for.
@@ -171,6 +173,7 @@ def _describe(
     draft = _manifest(generator, name, dtype, None, 1, None)
     one, *others = _probes(draft)
     start, watch = run_watched(generator, one)
+    _check_cells(generator, start)
     first = [start, *(run_eager(generator, probe) for probe in others)]
     made = start.gaussians
     rows = capacity if capacity is not None else len(made)
@@ -182,6 +185,9 @@ def _describe(
         )
     bounds = measure_bounds(first)
     draft = _manifest(generator, name, dtype, made.degree, rows, bounds)
+    if start.cells is not None:
+        cells = CellsOutput(CELLS, len(made) // len(start.cells), dtype)
+        draft = replace(draft, outputs=replace(draft.outputs, cells=cells))
     if not generator.inputs:
         return _Described(draft, first, one, watch)
     # Cameras orbit the bounds, so probes are laid out again around the measured ones.
@@ -201,6 +207,19 @@ def _check_inputs(generator: GaussianGenerator) -> None:
         if entry.shape is None:
             mend = "Make inputs with the functions of gsgen.sdk.inputs."
             raise GeneratorInvalid(f"{entry.name!r} has no shape", where=where, mend=mend)
+
+
+def _check_cells(generator: GaussianGenerator, made: Reference) -> None:
+    if (made.cells is None) == (generator.weighted_sum is None):
+        return
+    where = type(generator).__name__
+    if made.cells is None:
+        what = "weighted_sum is set, but forward returns no cells to sum by"
+        mend = "Return Gaussians(…, cells=Cells(…)), or leave weighted_sum out."
+    else:
+        what = "forward returns cells, but nothing says how to weigh what is in them"
+        mend = "Set weighted_sum = WeightedSum(background=…)."
+    raise GeneratorInvalid(what, where=where, mend=mend)
 
 
 def _manifest(
@@ -228,6 +247,8 @@ def _manifest(
         bounds=bounds,
         depends_on=dict(generator.depends_on),
         antialias=generator.antialias,
+        blend="alpha" if generator.weighted_sum is None else "wsr",
+        weighted_sum=generator.weighted_sum,
         tolerances=_TOLERANCES,
     )
 

@@ -10,8 +10,9 @@ from typing import Any, ClassVar, Literal
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from gsgen.contract.manifest import Input, Producer, Space
+from gsgen.contract.manifest import Input, Producer, Space, WeightedSum
 from gsgen.contract.spherical_harmonics import COEFFICIENTS
+from gsgen.sdk.cells import Cells, expect_shape, expect_spread
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.math import covariance_upper
 
@@ -32,6 +33,8 @@ class Gaussians:
         sh: Spherical harmonics, coefficient-major, [N, K, 3] with K = 1, 4, 9 or 16.
         rgb: Raw colour in [0, 1], [N, 3].
         count: How many of the first rows are live, an integer tensor of one element; all if absent.
+        cells: Cells of N / C Gaussians each, in the order of the rows, for a generator with a
+            ``weighted_sum``.
 
     Raises:
         GeneratorInvalid: A shape is not as above, or a choice is made twice or not at all.
@@ -45,16 +48,10 @@ class Gaussians:
     sh: Float[Tensor, "n k 3"] | None = None
     rgb: Float[Tensor, "n 3"] | None = None
     count: Int[Tensor, "..."] | None = None
+    cells: Cells | None = None
 
     def __post_init__(self) -> None:
-        both = self.scale is not None and self.rotation is not None
-        neither = self.scale is None and self.rotation is None
-        if not (both and self.covariance is None) and not (
-            neither and self.covariance is not None
-        ):
-            raise GeneratorInvalid(
-                "give scale and rotation, or covariance", where="Gaussians"
-            )
+        expect_spread(self.scale, self.rotation, self.covariance, "Gaussians")
         if (self.sh is None) == (self.rgb is None):
             raise GeneratorInvalid("give exactly one of sh and rgb", where="Gaussians")
         n = self.position.shape[0]
@@ -73,19 +70,21 @@ class Gaussians:
             raise GeneratorInvalid(
                 f"shape is {seen}, wanted one element", where="Gaussians.count"
             )
+        cells = 0 if self.cells is None else self.cells.position.shape[0]
+        if self.cells is not None and (not cells or n % cells):
+            what = f"{n} Gaussians do not fill {cells} cells equally"
+            raise GeneratorInvalid(what, where="Gaussians.cells")
 
     def _expect(self, name: str, *shapes: tuple[int, ...]) -> None:
         value: Tensor | None = getattr(self, name)
-        if value is None or tuple(value.shape) in shapes:
+        if value is None:
             return
-        wanted = " or ".join(str(list(shape)) for shape in shapes)
         mend = ""
         if name == "sh" and value.ndim == 3 and value.shape[1] == 3:
             mend = "It looks channel-major [N, 3, K]: transpose(1, 2) makes it coefficient-major."
         if name == "sh" and value.ndim == 2:
             mend = "Reshape to [N, K, 3]; f_rest of a 3DGS PLY is channel-major: [N, 3, K-1] first."
-        what = f"shape is {list(value.shape)}, wanted {wanted}"
-        raise GeneratorInvalid(what, where=f"Gaussians.{name}", mend=mend)
+        expect_shape(f"Gaussians.{name}", value, *shapes, mend=mend)
 
     def take(
         self, rows: Int[Tensor, " m"], count: Int[Tensor, "1"] | None = None
@@ -95,7 +94,14 @@ class Gaussians:
         Args:
             rows: Row numbers, such as :func:`gsgen.sdk.math.keep_rows` gives.
             count: How many of them are live; all where absent.
+
+        Raises:
+            GeneratorInvalid: They lie in cells, which single rows cannot leave.
         """
+        if self.cells is not None:
+            mend = "Choose cells, and make Gaussians of those alone."
+            what = "rows cannot be taken out of their cells"
+            raise GeneratorInvalid(what, where="Gaussians.take", mend=mend)
         fields = ("position", "opacity", "scale", "rotation", "covariance", "sh", "rgb")
         taken = {
             name: value.index_select(0, rows)
@@ -128,6 +134,8 @@ class GaussianGenerator(nn.Module, ABC):
         count_semantics: ``upper-bound`` where rows before the count may have opacity 0.
         family: ``static``, ``mlp``, ``4d``, ``avatar`` or another word.
         producer: Tool, source and licence; the SDK fills in itself where absent.
+        weighted_sum: How Gaussians are weighed, where they are summed cell by cell and not
+            sorted: ``forward`` then returns :attr:`Gaussians.cells`.
     """
 
     inputs: Sequence[Input] = ()
@@ -138,6 +146,7 @@ class GaussianGenerator(nn.Module, ABC):
     count_semantics: Literal["exact", "upper-bound"] = "exact"
     family: str | None = None
     producer: Producer | None = None
+    weighted_sum: WeightedSum | None = None
 
     @abstractmethod
     def forward(self, *inputs: Any, **_: Any) -> Any:

@@ -18,7 +18,7 @@ from gsgen.sdk.binding.replay import (
     wrong_outputs,
 )
 from gsgen.sdk.live import Frame, Live, Outputs
-from gsgen.sdk.parity import Parity, Reference, compare
+from gsgen.sdk.parity import Made, Parity, Reference, compare
 
 # Rows beyond this many are compared at even distances.
 _MOST_ROWS = 1 << 14
@@ -72,7 +72,7 @@ def _packed(live: Live, frames: list[Frame]) -> Parity | None:
             return None
         count = len(rows) if gpu.count == cpu.count else gpu.count
         references.append(Reference(frame.probe, wanted, len(rows)))
-        outputs.append((gpu.gaussians[rows], gpu.appearance[rows], count))
+        outputs.append(Made(gpu.gaussians[rows], gpu.appearance[rows], count))
     return compare(references, outputs, as_tolerances(live.subject), roundings=2)
 
 

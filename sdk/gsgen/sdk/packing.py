@@ -3,19 +3,23 @@
 __all__ = [
     "APPEARANCE_RGB",
     "APPEARANCE_SH",
+    "CELLS",
     "COUNT",
     "GAUSSIANS",
     "Packed",
     "PackedGenerator",
+    "output_names",
 ]
 
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from gsgen.contract.layout import appearance_channels
+from gsgen.contract.manifest import GeneratorManifest
+from gsgen.sdk.cells import Cells
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.generator import GaussianGenerator, Gaussians
 
@@ -25,6 +29,15 @@ GAUSSIANS = "gaussians"
 APPEARANCE_SH = "color_sh"
 APPEARANCE_RGB = "color_rgb"
 COUNT = "num_points"
+CELLS = "cells"
+
+
+def output_names(manifest: GeneratorManifest) -> tuple[str, ...]:
+    """Return what the outputs of an exported model are called, in their order in the graph."""
+    appearance = manifest.outputs.appearance
+    assert appearance is not None
+    names = (GAUSSIANS, appearance.name, COUNT)
+    return names if manifest.outputs.cells is None else (*names, CELLS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +45,7 @@ class Packed:
     """How outputs are packed.
 
     Attributes:
-        dtype: float32 or float16, of both outputs.
+        dtype: float32 or float16, of all outputs but the count.
         capacity: Rows of the outputs; rows behind the Gaussians are zero.
     """
 
@@ -48,17 +61,16 @@ class PackedGenerator(nn.Module):
         self.generator = generator
         self.packed = packed
 
-    def forward(
-        self, *inputs: Tensor
-    ) -> tuple[Float[Tensor, "c 10"], Float[Tensor, "c channels"], Int[Tensor, "1"]]:
-        """Return ``(gaussians, appearance, num_points)``."""
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        """Return ``(gaussians, appearance, num_points)``, and ``cells`` where there are some."""
         made = self.generator(*inputs)
         if not isinstance(made, Gaussians):
             what = f"forward returned {type(made).__name__}, wanted gsgen.sdk.Gaussians"
             raise GeneratorInvalid(what, where=type(self.generator).__name__)
         rows = self._padded(self._rows(made))
         color = self._padded(self._color(made))
-        return rows, color, self._count(made)
+        outputs = (rows, color, self._count(made))
+        return outputs if made.cells is None else (*outputs, self._cells(made, made.cells))
 
     def _rows(self, made: Gaussians) -> Tensor:
         n = made.position.shape[0]
@@ -84,8 +96,26 @@ class PackedGenerator(nn.Module):
         # Not a column of ones: that would be stored.
         return torch.nn.functional.pad(made.rgb, (0, 1), value=1.0)
 
-    def _padded(self, rows: Tensor) -> Tensor:
-        missing = self.packed.capacity - rows.shape[0]
+    def _cells(self, made: Gaussians, cells: Cells) -> Float[Tensor, "c 10"]:
+        """Pack cells; those of which no Gaussian is live are not visible."""
+        n, c = made.position.shape[0], cells.position.shape[0]
+        per_cell = n // c
+        if self.packed.capacity % per_cell:
+            raise GeneratorInvalid(
+                f"{self.packed.capacity} rows are no whole number of cells of {per_cell}",
+                where="capacity",
+                mend=f"Export with a capacity that {per_cell} divides.",
+            )
+        visibility = cells.visibility.reshape(c, 1)
+        if made.count is not None:
+            first = torch.arange(c, device=visibility.device) * per_cell
+            live = first < made.count.reshape(1)
+            visibility = visibility * live[:, None].to(visibility.dtype)
+        rows = torch.cat([cells.position, visibility, cells.covariances()], dim=1)
+        return self._padded(rows, self.packed.capacity // per_cell)
+
+    def _padded(self, rows: Tensor, size: int | None = None) -> Tensor:
+        missing = (self.packed.capacity if size is None else size) - rows.shape[0]
         rows = rows.to(self.packed.dtype)
         return (
             torch.cat([rows, rows.new_zeros(missing, rows.shape[1])]) if missing else rows

@@ -2,11 +2,13 @@
 
 Positions are compared in standard deviations of their Gaussian, covariances relative to their
 trace, opacity absolutely, and appearance as the colour seen from 64 directions. On top of each
-tolerance comes the rounding of the storage dtype, which no export can avoid.
+tolerance comes the rounding of the storage dtype, which no export can avoid. Cells are compared
+as Gaussians are, visibility as opacity; where a cell lies matters only if something of it is seen.
 """
 
 __all__ = [
     "FieldParity",
+    "Made",
     "Parity",
     "Reference",
     "compare",
@@ -14,11 +16,12 @@ __all__ = [
     "same",
 ]
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from gsgen.contract import layout
 from gsgen.contract.manifest import Tolerances
@@ -47,11 +50,37 @@ class Reference:
         probe: The inputs.
         gaussians: The Gaussians, before packing and casting where torch gave them.
         count: How many rows are live.
+        cells: The cells that they lie in, each with as many of them as the others.
     """
 
     probe: Probe
     gaussians: layout.Gaussians
     count: int
+    cells: layout.Cells | None = None
+
+    @property
+    def live_cells(self) -> int:
+        """How many cells have a live row."""
+        if self.cells is None or not len(self.cells):
+            return 0
+        return -(-self.count // (len(self.gaussians) // len(self.cells)))
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """What a model emitted for one probe.
+
+    Attributes:
+        rows: Packed Gaussians, [N, 10].
+        color: SH or RGB, [N, C].
+        count: How many rows are live.
+        cells: Packed cells, [N / K, 10], where the model has some.
+    """
+
+    rows: np.ndarray
+    color: np.ndarray
+    count: int
+    cells: np.ndarray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +88,12 @@ class FieldParity:
     """The largest disagreement in one field.
 
     Attributes:
-        field: ``position``, ``covariance``, ``opacity`` or ``appearance``.
+        field: ``position``, ``covariance``, ``opacity`` or ``appearance``; for cells
+            ``cell position``, ``cell covariance`` or ``cell visibility``.
         error: The largest error, in the field's unit.
         excess: The error over what is allowed; above 1 is a failure.
         probe: Label of the probe where it was seen.
-        row: The Gaussian.
+        row: The Gaussian, or the cell.
     """
 
     field: str
@@ -105,7 +135,7 @@ class Parity:
 
 def compare(
     references: list[Reference],
-    outputs: list[tuple[np.ndarray, np.ndarray, int]],
+    outputs: Sequence[Made],
     tolerances: Tolerances,
     *,
     roundings: int = 1,
@@ -115,7 +145,7 @@ def compare(
 
     Args:
         references: What it should.
-        outputs: ``(gaussians [C, 10], appearance [C, channels], count)`` of each probe.
+        outputs: What it emitted at each probe.
         tolerances: Allowed errors.
         roundings: How often values were rounded to the storage dtype: twice, where the
             references were, too.
@@ -142,10 +172,14 @@ def compare(
 
 def same(a: Reference, b: Reference, tolerance: float = 0.0) -> bool:
     """Say whether two runs gave the same bits, or numbers within a relative tolerance."""
-    pairs = (
+    pairs = [
         (getattr(a.gaussians, name), getattr(b.gaussians, name))
         for name in ("position", "opacity", "covariance", "sh", "rgb")
-    )
+    ]
+    pairs += [
+        (getattr(a.cells, name, None), getattr(b.cells, name, None))
+        for name in ("position", "visibility", "covariance")
+    ]
     return a.count == b.count and all(_alike(x, y, tolerance) for x, y in pairs)
 
 
@@ -157,81 +191,148 @@ def _alike(a: np.ndarray | None, b: np.ndarray | None, tolerance: float) -> bool
 
 
 def _all_finite(reference: Reference) -> bool:
-    g = reference.gaussians
-    return all(np.isfinite(part).all() for part in (g.position, g.covariance, g.opacity))
+    g, cells = reference.gaussians, reference.cells
+    parts = [g.position, g.covariance, g.opacity]
+    if cells is not None:
+        parts += [cells.position, cells.covariance, cells.visibility]
+    return all(np.isfinite(part).all() for part in parts)
 
 
 def _compare_probe(
     reference: Reference,
-    made: tuple[np.ndarray, np.ndarray, int],
+    made: Made,
     tolerances: Tolerances,
     roundings: int,
     near: Sequence[Reference],
 ) -> tuple[list[FieldParity], int]:
     """Return the worst of each field, part by part, and how many rows were as in ``near``."""
-    rows, color, count = made
     label, n = reference.probe.label, reference.count
-    if count != n:
-        return [FieldParity("count", abs(count - n), np.inf, label, 0)], 0
+    if made.count != n:
+        return [FieldParity("count", abs(made.count - n), np.inf, label, 0)], 0
+    if (made.cells is None) != (reference.cells is None):
+        return [FieldParity("cells", 1.0, np.inf, label, 0)], 0
     near = [one for one in near if one.count == n and len(one.gaussians) >= n]
     found: list[FieldParity] = []
     excused = 0
-    for start in range(0, n, _CHUNK):
-        part = slice(start, min(start + _CHUNK, n))
-        measured = _ratios(reference, part, rows, color, tolerances, roundings)
-        jumps = np.zeros(part.stop - start, bool)
-        for name, (error, ratio) in measured.items():
-            beyond = ~(ratio <= 1)
-            for one in near if beyond.any() else ():
-                other = _ratios(one, part, rows, color, tolerances, roundings)[name]
-                as_there = beyond & (other[1] <= 1)
-                error, ratio = (
-                    np.where(as_there, b, a)
-                    for a, b in zip((error, ratio), other, strict=True)
-                )
-                jumps |= as_there
-            row = int(np.argmax(ratio))
-            worst = (float(error[row]), float(ratio[row]))
-            found.append(FieldParity(name, *worst, label, start + row))
-        excused += int(np.count_nonzero(jumps))
+    for fields, total in ((_fields, n), (_cell_fields, reference.live_cells)):
+        for start in range(0, total, _CHUNK):
+            part = slice(start, min(start + _CHUNK, total))
+            measured = partial(_ratios, fields, part, made, tolerances, roundings)
+            worst, jumped = _worst(reference, near, part, measured)
+            found += worst
+            excused += jumped
     return found, excused
 
 
+def _worst(
+    reference: Reference, near: Sequence[Reference], part: slice, measured: "_Measure"
+) -> tuple[list[FieldParity], int]:
+    """Return the worst row of each field of a part, and how many were as in ``near``."""
+    found = []
+    jumps = np.zeros(part.stop - part.start, bool)
+    for name, (error, ratio) in measured(reference).items():
+        beyond = ~(ratio <= 1)
+        for one in near if beyond.any() else ():
+            other = measured(one)[name]
+            as_there = beyond & (other[1] <= 1)
+            error, ratio = (
+                np.where(as_there, b, a) for a, b in zip((error, ratio), other, strict=True)
+            )
+            jumps |= as_there
+        row = int(np.argmax(ratio))
+        worst = (float(error[row]), float(ratio[row]))
+        found.append(FieldParity(name, *worst, reference.probe.label, part.start + row))
+    return found, int(np.count_nonzero(jumps))
+
+
+_Measure = Callable[[Reference], dict[str, tuple[np.ndarray, np.ndarray]]]
+
+
 def _ratios(
-    reference: Reference,
+    fields: "_Fields",
     part: slice,
-    rows: np.ndarray,
-    color: np.ndarray,
+    made: Made,
     tolerances: Tolerances,
     roundings: int,
+    reference: Reference,
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return each field's error, and the error over what is allowed; NaN counts as infinite."""
-    made = {}
-    for name, error, allowed in _fields(
-        reference.gaussians, part, rows, color, tolerances, roundings
-    ):
+    measured = {}
+    for name, error, allowed in fields(reference, part, made, tolerances, roundings):
         ratio = error / allowed
         ratio[np.isnan(ratio)] = np.inf
-        made[name] = (error, ratio)
-    return made
+        measured[name] = (error, ratio)
+    return measured
 
 
 Measured = tuple[str, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
 
 
+_Fields = Callable[[Reference, slice, Made, Tolerances, int], Iterator[Measured]]
+
+
 def _fields(
-    wanted: layout.Gaussians,
+    reference: Reference,
     part: slice,
-    rows: np.ndarray,
-    color: np.ndarray,
+    made: Made,
     tolerances: Tolerances,
     roundings: int,
 ) -> Iterator[Measured]:
     """Yield each field's error and allowance, row by row."""
-    seen = rows[part].astype(np.float64)
-    rounding = roundings * _rounding(rows.dtype.name)
-    tiny = 2 * roundings * _SUBNORMAL[rows.dtype.name]
-    position, covariance = wanted.position[part], wanted.covariance[part]
+    wanted = reference.gaussians
+    seen = made.rows[part].astype(np.float64)
+    dtype = made.rows.dtype.name
+    ellipsoids = (wanted.position[part], wanted.covariance[part])
+    yield from _placed(ellipsoids, seen, dtype, tolerances, roundings)
+    rounding = roundings * _rounding(dtype)
+    error = np.abs(seen[:, layout.OPACITY] - wanted.opacity[part])
+    yield "opacity", error, np.full(len(error), tolerances.opacity + rounding)
+    color = made.color[part].astype(np.float64)
+    yield _appearance(wanted, part, color, rounding, tolerances)
+
+
+def _cell_fields(
+    reference: Reference,
+    part: slice,
+    made: Made,
+    tolerances: Tolerances,
+    roundings: int,
+) -> Iterator[Measured]:
+    """Yield the same of cells."""
+    wanted = reference.cells
+    assert wanted is not None
+    assert made.cells is not None
+    seen = made.cells[part].astype(np.float64)
+    dtype = made.cells.dtype.name
+    shown = _shown(reference)[part] | ~np.isfinite(seen).all(axis=1)
+    ellipsoids = (wanted.position[part], wanted.covariance[part])
+    for name, error, allowed in _placed(ellipsoids, seen, dtype, tolerances, roundings):
+        yield f"cell {name}", np.where(shown, error, 0.0), allowed
+    error = np.abs(seen[:, layout.VISIBILITY] - wanted.visibility[part])
+    allowed = np.full(len(error), tolerances.opacity + roundings * _rounding(dtype))
+    yield "cell visibility", error, allowed
+
+
+def _shown(reference: Reference) -> Bool[np.ndarray, " c"]:
+    """Return which cells are seen, and have a Gaussian that is."""
+    assert reference.cells is not None
+    opacity = reference.gaussians.opacity
+    live = np.where(np.arange(len(opacity)) < reference.count, opacity, 0.0)
+    most = live.reshape(len(reference.cells), -1).max(axis=1)
+    return np.asarray(most * reference.cells.visibility >= layout.CULL_OPACITY)
+
+
+def _placed(
+    wanted: tuple[np.ndarray, np.ndarray],
+    seen: Float[np.ndarray, "n 10"],
+    dtype: str,
+    tolerances: Tolerances,
+    roundings: int,
+) -> Iterator[Measured]:
+    """Yield the errors of where ellipsoids lie and of what shape they have."""
+    position, covariance = wanted
+    rounding = roundings * _rounding(dtype)
+    tiny = 2 * roundings * _SUBNORMAL[dtype]
     trace = np.maximum(covariance[:, [0, 3, 5]].sum(axis=1), 1e-30)
     sigma = np.sqrt(trace / 3)
 
@@ -241,10 +342,6 @@ def _fields(
 
     error = np.abs(seen[:, layout.COVARIANCE] - covariance).max(axis=1) / trace
     yield "covariance", error, tolerances.covariance + rounding + tiny / trace
-
-    error = np.abs(seen[:, layout.OPACITY] - wanted.opacity[part])
-    yield "opacity", error, np.full(len(error), tolerances.opacity + rounding)
-    yield _appearance(wanted, part, color[part].astype(np.float64), rounding, tolerances)
 
 
 def _appearance(

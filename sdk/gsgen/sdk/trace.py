@@ -19,7 +19,7 @@ from gsgen.contract.manifest import GeneratorManifest
 from gsgen.contract.probes import Probe
 from gsgen.sdk.errors import ExportFailed, GeneratorInvalid
 from gsgen.sdk.hazards import Hazard
-from gsgen.sdk.packing import COUNT, GAUSSIANS, PackedGenerator
+from gsgen.sdk.packing import PackedGenerator, output_names
 from gsgen.sdk.user_code import line_of
 
 _MOST = 3
@@ -48,9 +48,7 @@ def trace(
     Raises:
         ExportFailed: The exporter refused the module; the message names the line of its code.
     """
-    appearance = manifest.outputs.appearance
-    assert appearance is not None
-    named = Named(tuple(example.inputs), (GAUSSIANS, appearance.name, COUNT))
+    named = Named(tuple(example.inputs), output_names(manifest))
     where = type(packed.generator).__name__
     return trace_module(packed, example, named, opset, where=where, hazards=hazards)
 

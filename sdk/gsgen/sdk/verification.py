@@ -22,16 +22,14 @@ from gsgen.sdk.eager import run_eager
 from gsgen.sdk.errors import ExportRejected, GeneratorInvalid, ParityFailed
 from gsgen.sdk.generator import GaussianGenerator
 from gsgen.sdk.hazards import Watch
-from gsgen.sdk.packing import COUNT, GAUSSIANS
-from gsgen.sdk.parity import Parity, Reference, compare, same
+from gsgen.sdk.packing import output_names
+from gsgen.sdk.parity import Made, Parity, Reference, compare, same
 
 # How far inputs are moved to find rows that jump: some times what kernels round.
 _NUDGE = 1e-5
 _PAIRS = 3
 # Sums of many threads differ by this much from run to run.
 _ROUNDING = 1e-5
-
-Outputs = tuple[np.ndarray, np.ndarray, int]
 
 
 def check_parity(
@@ -63,13 +61,14 @@ def check_parity(
     if parity.holds:
         return parity
 
-    def run(probes: list[Probe]) -> list[Outputs]:
+    def run(probes: list[Probe]) -> list[Made]:
         return _run(path, manifest, probes)
 
     worst = max(parity.fields, key=lambda field: field.excess)
+    whose = "cell" if worst.field.startswith("cell") else "Gaussian"
     reason, mend = explain(suspects, manifest, references, run)
     raise ParityFailed(
-        f"{worst.field} of Gaussian {worst.row} is off by {worst.error:.3g} at probe "
+        f"{worst.field} of {whose} {worst.row} is off by {worst.error:.3g} at probe "
         f"{worst.probe!r}, {worst.excess:.3g} times what is allowed{reason} "
         f"({parity.describe()})",
         where=path.name,
@@ -81,7 +80,7 @@ def check_parity(
 def _neighbours(
     generator: GaussianGenerator,
     references: list[Reference],
-    outputs: list[Outputs],
+    outputs: list[Made],
     tolerances: Tolerances,
 ) -> dict[int, list[Reference]]:
     """Run torch a hair beside each probe at which the model differs."""
@@ -111,12 +110,10 @@ def _nudged(probe: Probe) -> Iterator[Probe]:
             yield replace(probe, inputs=moved)
 
 
-def _run(path: Path, manifest: GeneratorManifest, probes: list[Probe]) -> list[Outputs]:
-    appearance = manifest.outputs.appearance
-    assert appearance is not None
-    names = (GAUSSIANS, appearance.name, COUNT)
+def _run(path: Path, manifest: GeneratorManifest, probes: list[Probe]) -> list[Made]:
+    rows, color, count, *cells = names = output_names(manifest)
     return [
-        (one[GAUSSIANS], one[appearance.name], int(np.ravel(one[COUNT])[0]))
+        Made(one[rows], one[color], int(np.ravel(one[count])[0]), *(one[n] for n in cells))
         for one in run_exported(path, names, probes)
     ]
 

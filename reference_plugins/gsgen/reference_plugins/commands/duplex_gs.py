@@ -31,6 +31,13 @@ OpacityOption = Annotated[
         "at that depth, from which the method's renderer starts.",
     ),
 ]
+BlendOption = Annotated[
+    Literal["alpha", "wsr"],
+    typer.Option(
+        help="alpha: for renderers that sort Gaussians. wsr: as the method itself does, a "
+        "weighted sum cell by cell; the model gives the cells, too.",
+    ),
+]
 CullOption = Annotated[
     Literal["none", "frustum"],
     typer.Option(
@@ -43,6 +50,7 @@ def build(
     checkpoint: Checkpoint,
     iteration: Iteration = None,
     opacity: OpacityOption = "decoded",
+    blend: BlendOption = "alpha",
     appearance_id: AppearanceId = None,
     cull: CullOption = "none",
     max_anchors: MaxAnchors = None,
@@ -58,16 +66,18 @@ def build(
     read = read_cells(checkpoint, iteration)
     levels = Levels.of(read.anchors)
     note(f"{describe_cells(read)}; {levels.mode} to whole levels, fork {levels.fork:g}")
-    note(
-        "note: the method blends by a weighted sum of cells, which contract 1.0 cannot declare; "
-        "this model is blended by sorting"
-    )
+    if blend == "alpha":
+        note(
+            "note: the method blends by a weighted sum of cells; this model is blended by "
+            "sorting. --blend wsr keeps the cells"
+        )
     warn_of(read.anchors.cfg, _HONOURED)
     appearance = require_appearance(read.anchors, appearance_id, "--appearance-id")
     made = DuplexGS(
         read,
         levels,
         opacity=opacity,
+        blend=blend,
         appearance=appearance,
         selection=Selection(cull, max_anchors),
     )
