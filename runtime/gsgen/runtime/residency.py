@@ -48,6 +48,7 @@ class Page:
         appearance: Buffer of their appearance.
         half: Whether the appearance is float16 there.
         stride: Of the appearance, in words of 16 bytes.
+        cells: Buffer of all cells of the set, where it has some.
     """
 
     first: int
@@ -56,6 +57,7 @@ class Page:
     appearance: Any
     half: bool
     stride: int
+    cells: Any = None
 
 
 @final
@@ -87,6 +89,7 @@ class _Held:
     pages: list[Page]
     rows: _Filled
     appearance: _Filled
+    cells: _Filled
 
 
 def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
@@ -120,7 +123,8 @@ class Residency:
     def pages(self, data: SplatData) -> list[Page]:
         """Return the pages of ``data``, with its present values in all live rows of them."""
         if data not in self._held:
-            self._held[data] = _Held(list(self._allocate(data)), _Filled(), _Filled())
+            filled = (_Filled(), _Filled(), _Filled())
+            self._held[data] = _Held(list(self._allocate(data)), *filled)
         held = self._held[data]
         for live in held.rows.missing(data.rows_version, data.count):
             for page, part, offset in _parts(held.pages, live):
@@ -130,7 +134,15 @@ class Residency:
             for page, part, offset in _parts(held.pages, live):
                 typed = self._appearance(data, page, part)
                 self._device.write(page.appearance, typed, offset * _WORD * page.stride)
+        self._write_cells(data, held)
         return held.pages
+
+    def _write_cells(self, data: SplatData, held: _Held) -> None:
+        if data.cells is None or not held.pages:
+            return
+        for part in held.cells.missing(data.cells_version, len(data.cells)):
+            rows = data.cells[part].astype(np.float32, copy=False)
+            self._device.write(held.pages[0].cells, rows, part.start * 4 * layout.ROW)
 
     def _is_half(self, data: SplatData) -> bool:
         return self._compact or data.appearance.dtype == np.float16
@@ -150,6 +162,9 @@ class Residency:
     def _allocate(self, data: SplatData) -> Iterator[Page]:
         half = self._is_half(data)
         words = stride(data.appearance.shape[1], half)
+        cells = None
+        if data.cells is not None:
+            cells = self._device.storage("cells", 4 * layout.ROW * len(data.cells))
         for first in range(0, len(data), self._page_rows):
             capacity = min(self._page_rows, len(data) - first)
             yield Page(
@@ -159,4 +174,5 @@ class Residency:
                 self._device.storage("appearance", capacity * _WORD * words),
                 half,
                 words,
+                cells,
             )

@@ -27,6 +27,10 @@ class SplatData:
         count: How many of the first rows are drawn.
         rows_version: Grows when the rows change; who keeps a copy compares it.
         appearance_version: The same of the appearance.
+        cells: What Gaussians may be summed by, [C, 10]: rows as those of Gaussians, with a
+            visibility for opacity; None where there are none.
+        per_cell: Gaussians of each cell: row r is of cell r // per_cell.
+        cells_version: Grows when the cells change.
     """
 
     def __init__(
@@ -36,10 +40,14 @@ class SplatData:
         space: Literal["sh", "rgb"],
         *,
         count: int | None = None,
+        cells: Float[np.ndarray, "c 10"] | None = None,
+        per_cell: int = 1,
     ) -> None:
         self.space: Literal["sh", "rgb"] = space
-        self.rows_version = self.appearance_version = 0
+        self.rows_version = self.appearance_version = self.cells_version = 0
         self.rows, self.appearance, self.count = _checked(rows, appearance, space, count)
+        self.per_cell = per_cell
+        self.cells = None if cells is None else _checked_cells(cells, per_cell, len(rows))
 
     @classmethod
     def from_splats(cls, splats: Splats) -> "SplatData":
@@ -94,6 +102,7 @@ class SplatData:
         rows: Float[np.ndarray, "n 10"] | None = None,
         appearance: Float[np.ndarray, "n c"] | None = None,
         count: int | None = None,
+        cells: Float[np.ndarray, "c 10"] | None = None,
     ) -> None:
         """Replace values; shapes and dtypes stay, so that no buffer is made anew.
 
@@ -101,6 +110,7 @@ class SplatData:
             rows: New rows; None where they are as before.
             appearance: New appearance; None where it is as before.
             count: How many rows are live; all where absent.
+            cells: New cells; None where they are as before.
 
         Raises:
             SceneInvalid: A shape or a dtype is another than before.
@@ -121,8 +131,18 @@ class SplatData:
                     where=name,
                 )
         self.rows, self.appearance, self.count = made
+        if cells is not None:
+            self.cells = self._next_cells(cells)
+            self.cells_version += 1
         self.rows_version += rows is not None
         self.appearance_version += appearance is not None
+
+    def _next_cells(self, cells: np.ndarray) -> np.ndarray:
+        made = _checked_cells(cells, self.per_cell, len(self.rows))
+        if self.cells is None or made.dtype != self.cells.dtype:
+            before = "none" if self.cells is None else str(self.cells.dtype)
+            raise SceneInvalid(f"{made.dtype}, wanted {before} as before", where="cells")
+        return made
 
     @property
     def degree(self) -> int | None:
@@ -174,3 +194,15 @@ def _checked(
     if not 0 <= live <= len(rows):
         raise SceneInvalid(f"{live} is not within 0 to {len(rows)}", where="count")
     return np.ascontiguousarray(rows), np.ascontiguousarray(appearance), live
+
+
+def _checked_cells(cells: np.ndarray, per_cell: int, rows: int) -> np.ndarray:
+    """Return the cells in C order."""
+    fits = cells.ndim == 2 and cells.shape[1] == layout.ROW and cells.dtype in _HALVES
+    if per_cell < 1 or not fits or len(cells) * per_cell != rows:
+        raise SceneInvalid(
+            f"{cells.dtype} {list(cells.shape)} of {per_cell} Gaussians each, wanted float16 or "
+            f"float32 [C, {layout.ROW}] with C times as many the {rows} rows",
+            where="cells",
+        )
+    return np.ascontiguousarray(cells)

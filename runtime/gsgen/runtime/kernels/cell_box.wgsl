@@ -1,0 +1,19 @@
+// Which tiles a cell has: one function for those who count and those who list them.
+//
+// The published bounds: whole tiles around a circle. Pixels have whole numbers at their centres.
+// mean: of the circle, in pixels, relative to the frame's origin. The result is the first column
+// and row, and one behind the last of both.
+
+fn box_of(mean: vec2f, radius: f32, copy: u32) -> vec4u {
+    var middle = mean + frame.origin - 0.5;
+    var half_width = radius;
+    if (PANORAMA) {
+        half_width = min(radius, 0.5 * frame.period);
+        middle.x += (f32(copy) - 1.0) * frame.period;
+    }
+    let extent = vec2f(half_width, radius);
+    let most = vec2f(frame.tiles);
+    let begin = clamp(floor((middle - extent) / f32(TILE)), vec2f(0.0), most);
+    let end = clamp(floor((middle + extent + f32(TILE - 1u)) / f32(TILE)), begin, most);
+    return vec4u(vec2u(begin), vec2u(end));
+}

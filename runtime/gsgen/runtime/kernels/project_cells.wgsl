@@ -1,0 +1,62 @@
+// Project cells: say how far away each cell of one set is, and how many tiles it has.
+//
+// One invocation per cell. A cell that is not seen gets the key ABSENT. Comparisons are phrased so
+// that NaN is dropped.
+
+//!include frame
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var<storage, read_write> keys: array<u32>;
+@group(0) @binding(2) var<storage, read_write> circles: array<vec4f>;  // middle, radius, how many tiles
+@group(0) @binding(3) var<storage, read_write> spans: array<vec4u>;    // first Gaussian, how many, 1 / divisor, weight of what is behind
+
+@group(1) @binding(0) var<uniform> page: Page;
+@group(1) @binding(1) var<storage, read> rows: array<vec2u>;  // of cells: a visibility in the place of an opacity
+
+//!include page
+//!include panorama
+//!include flatten
+//!include circle
+//!include cell_box
+
+fn cell_key(own: u32, index: u32) -> u32 {
+    let center = read_center(own);
+    let at = page.linear * ((center.position - page.eye) - page.eye_rest);
+    let made = flatten(at, read_covariance(own));
+    if (!(made.sound && center.opacity > 0.0 && center.opacity <= LARGEST)) {
+        return ABSENT;
+    }
+    let determinant = made.wide.x * made.wide.z - made.wide.y * made.wide.y;
+    let radius = circle(made.wide, determinant, made.unit, CELL_REACH);
+    var tiles = 0u;
+    var behind = 0u;
+//!repeat COPY COPIES
+    {
+        let box = box_of(made.mean, radius, COPYu);
+        let columns = max(box.z, behind) - max(box.x, behind);
+        tiles += columns * (box.w - box.y);
+        behind = max(box.z, behind);
+    }
+//!end
+    if (tiles == 0u) {
+        return ABSENT;
+    }
+    circles[index] = vec4f(made.mean, radius, f32(tiles));
+    let first = page.first_gaussian + own * page.per_cell;
+    spans[index] = vec4u(first, page.per_cell, bitcast<vec2u>(vec2f(page.inverse_divisor, page.behind)));
+    return bitcast<u32>(made.depth);
+}
+
+@compute @workgroup_size(THREADS)
+fn project_cells(@builtin(global_invocation_id) invocation: vec3u) {
+    let own = invocation.x;
+    if (own >= page.capacity) {
+        return;
+    }
+    let index = page.base + own;
+    if (own < page.count) {
+        keys[index] = cell_key(own, index);
+    } else {
+        keys[index] = ABSENT;
+    }
+}
