@@ -1,4 +1,4 @@
-"""Cameras in the OpenCV convention: as JSON, looking at a point, in orbit around it, or flat."""
+"""Cameras in the OpenCV convention: as JSON, looking at a point, in orbit, flat, or all around."""
 
 __all__ = ["Camera"]
 
@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, final
+from typing import Any, Literal, final, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +20,10 @@ _LARGEST_SIDE = 16_384
 _FAR = 1e5  # near planes to the far plane, which nothing but clip space needs
 _ROTATION_TOLERANCE = 1e-3
 _UP = (0.0, -1.0, 0.0)  # +y is down in the worlds that COLMAP makes
+_ROUNDING = 1e-6  # by this share a panorama may be wider than a turn
+
+Kind = Literal["pinhole", "orthographic", "panorama"]
+"""How a camera maps the world to its image."""
 
 
 @final
@@ -28,7 +32,9 @@ class Camera:
     """A camera: +x right, +y down, +z forward; the first pixel's centre is (0.5, 0.5).
 
     A pinhole sees a point at (fx x/z + cx, fy y/z + cy), an orthographic camera at
-    (fx x + cx, fy y + cy): its focal lengths are pixels for each world unit.
+    (fx x + cx, fy y + cy): its focal lengths are pixels for each world unit. A panorama sees it at
+    (fx λ + cx, fy φ + cy) with the longitude λ = atan2(x, z) and, downwards, the latitude
+    φ = asin(y/r): its focal lengths are pixels for each radian (an equirectangular picture).
 
     Attributes:
         view: World → camera, [4, 4], acting on column vectors; a rotation and a translation.
@@ -38,8 +44,9 @@ class Camera:
         cy: Principal point from the upper edge, in pixels.
         width: Of the image, in pixels.
         height: Of the image, in pixels.
-        near: What is nearer along +z than this, in world units, is not drawn.
-        kind: ``pinhole`` or ``orthographic``.
+        near: What is nearer along +z than this, in world units, is not drawn; in a panorama,
+            what is nearer in any direction.
+        kind: ``pinhole``, ``orthographic`` or ``panorama``.
 
     Raises:
         SceneInvalid: A number is not finite or out of range, or ``view`` is no rigid motion.
@@ -53,7 +60,7 @@ class Camera:
     width: int
     height: int
     near: float = _NEAR
-    kind: Literal["pinhole", "orthographic"] = "pinhole"
+    kind: Kind = "pinhole"
 
     def __post_init__(self) -> None:
         view = np.array(self.view, np.float64)
@@ -69,10 +76,13 @@ class Camera:
             _require_number(name, getattr(self, name))
         for name in ("width", "height"):
             _require_side(name, getattr(self, name))
-        if self.kind not in ("pinhole", "orthographic"):
+        if self.kind not in get_args(Kind):
             raise SceneInvalid(
-                f"is {self.kind!r}, wanted pinhole or orthographic", where="camera.kind"
+                f"is {self.kind!r}, wanted pinhole, orthographic or panorama",
+                where="camera.kind",
             )
+        if self.kind == "panorama":
+            _require_sphere(self)
         turn = view[:3, :3]
         off = np.abs(turn @ turn.T - np.eye(3)).max()
         rigid = off <= _ROTATION_TOLERANCE and np.linalg.det(turn) > 0
@@ -118,10 +128,9 @@ class Camera:
                 f"looks from {at.tolist()} at {goal.tolist()}, which is no direction",
                 where="camera",
             )
-        if not np.linalg.norm(np.asarray(up, np.float64)) > 0:
-            raise SceneInvalid(f"is {list(up)}, which is no direction", where="camera.up")
+        upward = _direction("up", up)
         focal = height / 2 / math.tan(math.radians(fov_y) / 2)
-        view = geometry.look_at(at, goal, np.asarray(up, np.float64))
+        view = geometry.look_at(at, goal, upward)
         return cls(view, focal, focal, width / 2, height / 2, width, height, near)
 
     @classmethod
@@ -155,11 +164,7 @@ class Camera:
             SceneInvalid: A number is out of range.
         """
         _require_number("radius", radius, positive=True)
-        axis = np.asarray(up, np.float64)
-        length = np.linalg.norm(axis)
-        if not length > 0:
-            raise SceneInvalid(f"is {list(up)}, which is no direction", where="camera.up")
-        axis = axis / length
+        axis = _direction("up", up)
         side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
         side /= np.linalg.norm(side)
         turn, lift = math.radians(azimuth), math.radians(elevation)
@@ -177,6 +182,65 @@ class Camera:
             fov_y=fov_y,
             near=near,
         )
+
+    @classmethod
+    def panorama(
+        cls,
+        eye: Sequence[float],
+        toward: Sequence[float] = (0.0, 0.0, 1.0),
+        *,
+        up: Sequence[float] = _UP,
+        width: int = 2048,
+        height: int | None = None,
+        longitudes: tuple[float, float] = (-180.0, 180.0),
+        latitudes: tuple[float, float] = (-90.0, 90.0),
+        near: float = _NEAR,
+    ) -> "Camera":
+        """Return the camera at ``eye`` that sees all around: an equirectangular panorama.
+
+        Its horizon is level: ``toward`` says only which way its middle column looks.
+
+        Args:
+            eye: The camera centre, in world units.
+            toward: A direction, not along ``up``.
+            up: The world's upward direction.
+            width: Of the image, in pixels.
+            height: Of the image, in pixels; None for square pixels.
+            longitudes: Degrees at the left and the right edge; positive is to the right.
+            latitudes: Degrees at the lower and the upper edge; positive is up.
+            near: What is nearer than this is not drawn.
+
+        Raises:
+            SceneInvalid: The angles are not in order or too far apart, ``toward`` is along ``up``,
+                or a number is out of range.
+        """
+        for name, (low, high), most in (
+            ("longitudes", longitudes, 360),
+            ("latitudes", latitudes, 180),
+        ):
+            if not 0 < high - low <= most:
+                raise SceneInvalid(
+                    f"are {low} to {high} degrees, wanted low to high, {most} apart at most",
+                    where=f"camera.{name}",
+                )
+        across = math.radians(longitudes[1] - longitudes[0])
+        down = math.radians(latitudes[1] - latitudes[0])
+        _require_side("width", width)
+        tall = max(1, round(width * down / across)) if height is None else height
+        _require_side("height", tall)
+        fx, fy = width / across, tall / down
+        upward = _direction("up", up)
+        ahead = _direction("toward", toward)
+        ahead -= upward * (upward @ ahead)
+        if not np.linalg.norm(ahead) > 1e-6:
+            raise SceneInvalid(
+                f"is {list(toward)}, along {list(up)}: no direction on the horizon",
+                where="camera.toward",
+            )
+        view = geometry.look_at(np.zeros(3), ahead, upward)
+        view[:3, 3] = -view[:3, :3] @ np.asarray(eye, np.float64)
+        cx, cy = -math.radians(longitudes[0]) * fx, math.radians(latitudes[1]) * fy
+        return cls(view, fx, fy, cx, cy, width, tall, near, "panorama")
 
     @classmethod
     def from_json(cls, text: str) -> "Camera":
@@ -233,9 +297,18 @@ class Camera:
 
     @property
     def projection(self) -> Float[np.ndarray, "4 4"]:
-        """Camera → clip, depth 0..1, as generators get it."""
+        """Camera → clip, depth 0..1, as generators get it.
+
+        A panorama has no such matrix: it gives that of a box of 1e5 units around the camera, so
+        that models that hide what is out of view hide nothing.
+        """
         if self.kind == "pinhole":
             return np.asarray(pinhole_projection(self))
+        if self.kind == "panorama":
+            # A box around the camera: what is behind it is in view, too, and nothing is culled.
+            box = np.diag([1 / _FAR, -1 / _FAR, 0.5 / _FAR, 1])
+            box[2, 3] = 0.5
+            return np.asarray(box)
         made = np.eye(4)
         made[0, [0, 3]] = 2 * self.fx / self.width, 2 * self.cx / self.width - 1
         made[1, [1, 3]] = -2 * self.fy / self.height, 1 - 2 * self.cy / self.height
@@ -243,15 +316,28 @@ class Camera:
         made[2, 2:] = 1 / depth, -self.near / depth
         return made
 
+    @property
+    def period(self) -> float:
+        """How many pixels a panorama has for a whole turn; 0 for other kinds."""
+        return 2 * math.pi * self.fx if self.kind == "panorama" else 0.0
+
     def flattened(self, distance: float) -> "Camera":
         """Return the orthographic camera that shows what is at ``distance`` as large as this one.
 
         Raises:
-            SceneInvalid: The distance is no positive number.
+            SceneInvalid: The distance is no positive number, or this is a panorama.
         """
         _require_number("distance", distance, positive=True)
+        if self.kind == "panorama":
+            raise SceneInvalid("is panorama, which cannot be flat", where="camera.kind")
         scale = distance if self.kind == "pinhole" else 1.0
         return replace(self, fx=self.fx / scale, fy=self.fy / scale, kind="orthographic")
+
+    def all_around(self, width: int, height: int) -> "Camera":
+        """Return the full panorama from the same place, whose middle is this one's axis."""
+        fx, fy = width / (2 * math.pi), height / math.pi
+        center = (width / 2, height / 2)
+        return Camera(self.view, fx, fy, *center, width, height, self.near, "panorama")
 
     def scaled(self, width: int, height: int) -> "Camera":
         """Return the camera with the same view in an image of another size."""
@@ -272,6 +358,35 @@ def _require_number(name: str, value: object, *, positive: bool = False) -> None
     if not good or (positive and not float(value) > 0):  # type: ignore[arg-type]
         wanted = "a positive number" if positive else "a finite number"
         raise SceneInvalid(f"is {value!r}, wanted {wanted}", where=f"camera.{name}")
+
+
+def _direction(name: str, given: Sequence[float]) -> Float[np.ndarray, "3"]:
+    vector = np.asarray(given, np.float64)
+    length = np.linalg.norm(vector)
+    if vector.shape != (3,) or not 0 < length < math.inf:
+        raise SceneInvalid(
+            f"is {list(given)}, which is no direction", where=f"camera.{name}"
+        )
+    return np.asarray(vector / length)
+
+
+def _require_sphere(camera: Camera) -> None:
+    """Refuse a panorama that shows a direction twice, or one beyond a pole."""
+    if camera.width > camera.period * (1 + _ROUNDING):
+        raise SceneInvalid(
+            f"is {camera.fx} pixels a radian, {camera.period:.6g} a turn, but the image is "
+            f"{camera.width} wide",
+            where="camera.fx",
+            mend="A full panorama has fx = width / 2π, a part of one has more.",
+        )
+    top, bottom = -camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy
+    if max(-top, bottom) > math.pi / 2 * (1 + _ROUNDING):
+        raise SceneInvalid(
+            f"and fy show latitudes from {math.degrees(-bottom):.6g} to "
+            f"{math.degrees(-top):.6g} degrees, wanted −90 to 90 at most",
+            where="camera.cy",
+            mend="A full panorama has cy = height / 2 and fy = height / π.",
+        )
 
 
 def _require_side(name: str, value: object) -> None:

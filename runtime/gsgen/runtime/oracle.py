@@ -4,7 +4,7 @@ It follows the specification's page on conventions, section "Drawing", one Gauss
 other, and is slow. Two details are the reference rasterisers' (gsplat, Kerbl et al. 2023), which
 the page leaves open: the Jacobian of a centre far outside of the image is that of a centre 0.3
 half images outside, and a pixel is finished before the first Gaussian that would leave less than
-1e-4 of the light.
+1e-4 of the light. A panorama follows the guide "Coordinate systems and cameras".
 """
 
 __all__ = ["Picture", "render"]
@@ -26,10 +26,13 @@ _CULL: Final = 1 / 255
 _MOST: Final = 0.99
 _FINISHED: Final = 1e-4
 _MARGIN: Final = 0.3
+_POLE: Final = 1e-3
 
 # Within these shares of a threshold, float32 may decide otherwise.
 _BAND: Final = 2e-3
 _TIE: Final = 1e-6
+# Within so many pixels of half a turn, it may find the other side of a Gaussian.
+_HALF_TURN: Final = 2e-3
 
 
 @final
@@ -112,7 +115,8 @@ def _project(one: SplatSet, camera: Camera, first: int) -> _Splats:
             opacity = opacity * np.sqrt(np.maximum(ratio, 0))
         color = _colors(one, camera)
         low, high = (-np.inf, np.inf) if one.clip is None else (one.clip.low, one.clip.high)
-        kept = (at[:, 2] > camera.near) & (opacity >= _CULL) & np.isfinite(rows).all(axis=1)
+        depth = np.linalg.norm(at, axis=1) if camera.kind == "panorama" else at[:, 2]
+        kept = (depth > camera.near) & (opacity >= _CULL) & np.isfinite(rows).all(axis=1)
         kept &= ((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)
         kept &= np.isfinite(color).all(axis=1) & np.isfinite(wide).all(axis=(1, 2))
         kept &= (np.linalg.det(wide) > 0) & (wide[:, 0, 0] > 0) & (wide[:, 1, 1] > 0)
@@ -121,7 +125,7 @@ def _project(one: SplatSet, camera: Camera, first: int) -> _Splats:
     sight = flat if camera.kind == "orthographic" else at
     normal[kept] = _thinnest(sigma[kept], sight[kept]) @ turn
     place = np.arange(first, first + len(rows))
-    columns = (mean, wide, opacity, at[:, 2], np.maximum(color, 0), normal, place)
+    columns = (mean, wide, opacity, depth, np.maximum(color, 0), normal, place)
     return _Splats(*(column[kept] for column in columns))
 
 
@@ -139,6 +143,8 @@ def _flattened(
     if camera.kind == "orthographic":
         ahead = np.diag(focal) @ np.eye(2, 3)
         return focal * at[:, :2] + center, ahead @ sigma @ ahead.T
+    if camera.kind == "panorama":
+        return _unrolled(at, sigma, focal, center)
     slope = at[:, :2] / at[:, 2:]
     low = -(center + _MARGIN * size / 2) / focal
     high = (size - center + _MARGIN * size / 2) / focal
@@ -147,6 +153,23 @@ def _flattened(
     jacobian[:, [0, 1], [0, 1]] = focal / at[:, 2:]
     jacobian[:, :, 2] = -focal * bent / at[:, 2:]
     return focal * slope + center, np.einsum("nij,njk,nlk->nil", jacobian, sigma, jacobian)
+
+
+def _unrolled(
+    at: np.ndarray, sigma: np.ndarray, focal: np.ndarray, center: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the same in a panorama: what lies east and south of each centre, as angles."""
+    distance = np.linalg.norm(at, axis=1)
+    longitude, latitude = np.arctan2(at[:, 0], at[:, 2]), np.arcsin(at[:, 1] / distance)
+    ahead = np.stack([np.sin(longitude), np.cos(longitude)], 1)
+    east = np.stack([ahead[:, 1], np.zeros(len(at)), -ahead[:, 0]], 1)
+    sin, cos = np.sin(latitude), np.cos(latitude)
+    south = np.stack([-sin * ahead[:, 0], cos, -sin * ahead[:, 1]], 1)
+    circle = distance * np.maximum(cos, _POLE)  # how far it is around the axis
+    jacobian = np.stack([east / circle[:, None], south / distance[:, None]], 1)
+    jacobian *= focal[:, None]
+    mean = focal * np.stack([longitude, latitude], 1) + center
+    return mean, jacobian @ sigma @ jacobian.transpose(0, 2, 1)
 
 
 def _colors(one: SplatSet, camera: Camera) -> np.ndarray:
@@ -197,7 +220,9 @@ def _blend(splats: _Splats, camera: Camera, background: Sequence[float]) -> Pict
             nearer_hit[:] = False
             continue
         rows, columns = window
-        dx = np.arange(columns.start, columns.stop) + 0.5 - splats.mean[i, 0]
+        dx = _across(
+            np.arange(columns.start, columns.stop) + 0.5, splats.mean[i, 0], camera
+        )
         dy = np.arange(rows.start, rows.stop)[:, None] + 0.5 - splats.mean[i, 1]
         (a, b), (_, c) = np.linalg.inv(splats.covariance[i])
         bare = splats.opacity[i] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy)
@@ -208,6 +233,9 @@ def _blend(splats: _Splats, camera: Camera, background: Sequence[float]) -> Pict
         after = before * (1 - alpha)
         stop = hit & (after <= _FINISHED)
         near_edge = np.abs(bare / _CULL - 1) <= _BAND
+        if camera.kind == "panorama":
+            behind = np.abs(np.abs(dx) - np.pi * camera.fx) <= _HALF_TURN
+            near_edge |= behind & (alpha >= _CULL * (1 - _BAND))
         near_stop = hit & (np.abs(after / _FINISHED - 1) <= _BAND)
         fragile[window] |= ~done[window] & (near_edge | near_stop)
         if close[i]:
@@ -243,6 +271,14 @@ def _blend(splats: _Splats, camera: Camera, background: Sequence[float]) -> Pict
     )
 
 
+def _across(pixels: np.ndarray, mean: float, camera: Camera) -> np.ndarray:
+    """Return how far pixels are to the right of a mean: around a panorama the shorter way."""
+    if camera.kind != "panorama":
+        return pixels - mean
+    turn = 2 * np.pi * camera.fx
+    return np.asarray((pixels - mean + turn / 2) % turn - turn / 2)
+
+
 def _ties(depth: np.ndarray) -> np.ndarray:
     """Say which depths differ so little from the one before that rounding may swap the two."""
     gap = np.diff(depth, prepend=-np.inf)
@@ -256,6 +292,8 @@ def _window(splats: _Splats, i: int, camera: Camera) -> tuple[slice, slice] | No
     limits = np.array([camera.width, camera.height])
     low = np.clip(np.floor(splats.mean[i] - reach - 0.5), 0, limits).astype(int)
     high = np.clip(np.ceil(splats.mean[i] + reach + 0.5), 0, limits).astype(int)
+    if camera.kind == "panorama":  # it may come from behind
+        low[0], high[0] = 0, camera.width
     if not (low < high).all():
         return None
     return slice(low[1], high[1]), slice(low[0], high[0])

@@ -48,10 +48,12 @@ class Kernels:
         self.cut = cut_for(device)
         self.scan = Scan(device, self.cut.block, WALK_THREADS * self.cut.walk, RANGE_BLOCK)
         self.sort = RadixSort(device, self.cut, self.scan)
-        self.bin = BinTiles(device, self.cut.walk)
+        self.bin = cache(lambda panorama: BinTiles(device, self.cut.walk, panorama))
         self.ranges = TileRanges(device)
-        self.blend = cache(lambda pick: BlendTiles(device, pick))
-        self.project = cache(lambda half, words: ProjectKernel(device, half, words))
+        self.blend = cache(lambda pick, panorama: BlendTiles(device, pick, panorama))
+        self.project = cache(
+            lambda half, words, panorama: ProjectKernel(device, half, words, panorama)
+        )
         self.normals = cache(lambda: NormalsKernel(device))
         self.quads = cache(lambda: DrawQuads(device))
 
@@ -68,6 +70,7 @@ class Plan:
         outputs: What is asked for.
         pair_capacity: For how many pairs of a splat and a tile there is room.
         quads: Whether colours come from the hardware's rasteriser.
+        panorama: Whether the image is one.
 
     Attributes:
         stages: What a frame does, stage by stage.
@@ -87,10 +90,11 @@ class Plan:
         outputs: frozenset[Output],
         pair_capacity: int,
         quads: bool = False,
+        panorama: bool = False,
     ) -> None:
         self._quads: QuadsStep | None = None
         self._device, self._kernels = device, kernels
-        self._size = size
+        self._size, self._panorama = size, panorama
         self._tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
         self.pair_capacity = pair_capacity
         self._gaussians = sum(page.capacity for _, page in placed)
@@ -157,7 +161,7 @@ class Plan:
         made = []
         outputs = (self._frame, keys, *self._splats, colors)
         for slot, (_, page) in enumerate(placed):
-            kernel = self._kernels.project(page.half, page.stride)
+            kernel = self._kernels.project(page.half, page.stride, self._panorama)
             made.append(kernel.step(outputs, self._slots, slot, page))
         return made
 
@@ -184,7 +188,7 @@ class Plan:
     def _bin(self, order: Any, colors: Any, pairs: Columns) -> list[Step]:
         walk = self._kernels.cut.walk
         run_pairs = self._storage("run pairs", 4 * -(-self._gaussians // walk))
-        measure, emit = self._kernels.bin.steps(
+        measure, emit = self._kernels.bin(self._panorama).steps(
             self._counts,
             (
                 self._frame,
@@ -220,7 +224,8 @@ class Plan:
         self.images[name] = self._storage(f"{name} image", _VEC4 * pixels)
         frame = self._frame if name == "color" else self._bare_frame
         resources = (frame, self._ranges, members, *self._splats, colors)
-        return self._kernels.blend(pick).step(self._tiles, (*resources, self.images[name]))
+        kernel = self._kernels.blend(pick, self._panorama)
+        return kernel.step(self._tiles, (*resources, self.images[name]))
 
     def submit(
         self,

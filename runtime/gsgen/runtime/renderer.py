@@ -85,6 +85,12 @@ class Renderer:
             SceneInvalid: The background or the outputs are none.
         """
         wanted = _known(outputs)
+        if self._quads and camera.kind == "panorama":
+            raise SceneInvalid(
+                "is panorama, which quads do not draw",
+                where="camera.kind",
+                mend="Use Renderer(rasteriser='tiles').",
+            )
         behind = _premultiplied(background)
         placed = self.placed(scene)
         plan = self.plan(placed, camera, wanted)
@@ -107,8 +113,8 @@ class Renderer:
         self, placed: Sequence[Placed], camera: Camera, outputs: frozenset[Output]
     ) -> Plan:
         """Return the plan for such a frame: the present one if it fits."""
-        size = (camera.width, camera.height)
-        key = (tuple(page for _, page in placed), size, outputs, self._pairs)
+        size, panorama = (camera.width, camera.height), camera.kind == "panorama"
+        key = (tuple(page for _, page in placed), size, outputs, self._pairs, panorama)
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
             self._plan = Plan(
@@ -119,6 +125,7 @@ class Renderer:
                 outputs,
                 self._pairs,
                 self._quads,
+                panorama,
             )
             self._key = key
         return self._plan

@@ -59,6 +59,9 @@ ONE_SET = [
     "seen_from_elsewhere",
     "far_from_the_origin",
     "flat_cameras",
+    "panorama",
+    "panorama_poles",
+    "panorama_part",
 ]
 
 

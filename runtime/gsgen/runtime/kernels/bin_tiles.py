@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from gsgen.runtime.device import Device
 from gsgen.runtime.kernels.counts import PLACES, Counts
 from gsgen.runtime.kernels.kernel import Kernel, Step
-from gsgen.runtime.kernels.shader import TILE
+from gsgen.runtime.kernels.shader import ROUND, TILE
 
 WALK_THREADS: Final = 64
 _BINDINGS = "urrrrrwww"
@@ -23,10 +23,12 @@ class BinTiles:
     Args:
         device: Where it runs.
         walk: How many splats an invocation walks along.
+        panorama: Whether the image is one.
     """
 
-    def __init__(self, device: Device, walk: int) -> None:
+    def __init__(self, device: Device, walk: int, panorama: bool = False) -> None:
         constants = {"THREADS": WALK_THREADS, "RUN": walk, **PLACES}
+        constants |= ROUND if panorama else {}
         self._measure, self._emit = (
             Kernel(device, "bin_tiles", entry, (_BINDINGS,), **constants)
             for entry in ("measure", "emit")

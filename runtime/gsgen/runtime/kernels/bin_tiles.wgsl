@@ -45,14 +45,20 @@ fn emit(@builtin(global_invocation_id) invocation: vec3u) {
         let weight = weights[id];
         let made = outline(shape.xy, vec3f(shape.zw, weight.x), weight.y, weight.w);
         for (var row = made.rows.x; row < made.rows.y; row++) {
-            let tiles = span(made, row);
-            for (var column = tiles.x; column < tiles.y; column++) {
-                if (place < room) {
-                    pair_tiles[place] = row * frame.tiles.x + column;
-                    pair_splats[place] = id;
+            var behind = 0u;
+//!repeat COPY COPIES
+            {
+                let tiles = span(made, row, COPYu);
+                for (var column = max(tiles.x, behind); column < tiles.y; column++) {
+                    if (place < room) {
+                        pair_tiles[place] = row * frame.tiles.x + column;
+                        pair_splats[place] = id;
+                    }
+                    place += 1u;
                 }
-                place += 1u;
+                behind = max(tiles.y, behind);
             }
+//!end
         }
     }
 }

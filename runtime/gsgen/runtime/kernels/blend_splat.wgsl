@@ -3,7 +3,7 @@
         let bend = 0.5 * weight.x;
 //!repeat CELL CELLS
         {
-            let dx = x + f32(CELLu / QUADS * (TILE / COLUMNS)) - shape.x;
+            let dx = nearest(x + f32(CELLu / QUADS * (TILE / COLUMNS)) - shape.x);
             let dy = y + f32(CELLu % QUADS * 4u) - shape.y;
             let above = weight.y - 0.5 * shape.z * dx * dx - (bend * dy + shape.w * dx) * dy;
             if (any(above >= ZERO)) {

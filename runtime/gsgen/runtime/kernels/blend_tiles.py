@@ -11,7 +11,7 @@ from gsgen.contract import layout
 from gsgen.runtime.device import Device
 from gsgen.runtime.kernels.kernel import Kernel, Step
 from gsgen.runtime.kernels.project import Projected
-from gsgen.runtime.kernels.shader import MAX_ALPHA, MIN_TRANSMITTANCE, TILE
+from gsgen.runtime.kernels.shader import MAX_ALPHA, MIN_TRANSMITTANCE, ROUND, TILE
 from gsgen.runtime.kernels.subgroups import lanes
 
 
@@ -22,9 +22,10 @@ class BlendTiles:
     Args:
         device: Where it runs.
         pick: Whether to make depths and ids instead of colours.
+        panorama: Whether the image is one.
     """
 
-    def __init__(self, device: Device, pick: bool) -> None:
+    def __init__(self, device: Device, pick: bool, panorama: bool = False) -> None:
         # A CPU's vector is as wide as half a tile: one invocation takes two columns, top to
         # bottom. A GPU wants many invocations.
         columns, quads = (2, 4) if device.software else (1, 1)
@@ -39,6 +40,7 @@ class BlendTiles:
             CELLS=columns * quads,
             LANES=TILE // columns,
             PICK=pick,
+            **(ROUND if panorama else {}),
         )
 
     def step(self, tiles: tuple[int, int], resources: tuple[Any, ...]) -> Step:

@@ -1,4 +1,5 @@
 // What all Gaussians of a frame share. Written by project.py's `frame_uniform`.
+// Needs `var<uniform> frame: Frame`.
 
 struct Frame {
     focal: vec2f,        // pixels
@@ -7,8 +8,16 @@ struct Frame {
     slope_high: vec2f,
     origin: vec2f,       // whole pixels; image coordinates are relative to it, so that they stay exact
     near: f32,
-    unused: u32,
+    period: f32,         // of a panorama: pixels that a whole turn has
     size: vec2u,         // pixels
     tiles: vec2u,
     background: vec4f,   // red, green, blue; alpha stays that of the splats
+}
+
+// A distance across the image the shorter way around, which in a panorama may cross its edges.
+fn nearest(across: f32) -> f32 {
+    if (PANORAMA) {
+        return across - frame.period * round(across / frame.period);
+    }
+    return across;
 }

@@ -21,7 +21,7 @@ from gsgen.contract.spherical_harmonics import basis
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
 from gsgen.runtime.kernels.kernel import Kernel, Step
-from gsgen.runtime.kernels.shader import DILATION, JACOBIAN_MARGIN, TILE
+from gsgen.runtime.kernels.shader import DILATION, JACOBIAN_MARGIN, POLE, ROUND, TILE
 from gsgen.runtime.scene import SplatSet
 from gsgen.runtime.splat_data import SplatData
 
@@ -53,6 +53,7 @@ FRAME: Final = _bytes(
         "slope_high": ("2f4", 24),
         "origin": ("2f4", 32),
         "near": ("f4", 40),
+        "period": ("f4", 44),
         "size": ("2u4", 48),
         "tiles": ("2u4", 56),
         "background": ("4f4", 64),
@@ -105,6 +106,7 @@ def frame_uniform(
     made["slope_low"] = -(center + margin) / focal
     made["slope_high"] = (size - center + margin) / focal
     made["near"], made["size"], made["tiles"] = camera.near, size, tiles_of(camera)
+    made["period"] = camera.period
     made["background"][:3] = background
     return made
 
@@ -157,9 +159,12 @@ class ProjectKernel:
         device: Where it runs.
         half: Whether the appearance is float16.
         stride: Of its rows, in words of 16 bytes.
+        panorama: Whether the image is one.
     """
 
-    def __init__(self, device: Device, half: bool, stride: int) -> None:
+    def __init__(
+        self, device: Device, half: bool, stride: int, panorama: bool = False
+    ) -> None:
         self.kernel = Kernel(
             device,
             "project",
@@ -169,6 +174,7 @@ class ProjectKernel:
             HALF_APPEARANCE=half,
             STRIDE=stride,
             NO_HARMONICS=NO_HARMONICS,
+            **(ROUND if panorama else {}),
         )
 
     def step(self, outputs: tuple[Any, ...], uniform: Any, slot: int, page: Any) -> Step:
@@ -198,7 +204,7 @@ class Projected:
         mean: Pixels, relative to the frame's origin.
         conic: Inverse 2D covariance: xx, xy, yy.
         strength: Logarithm of the opacity over CULL_OPACITY.
-        depth: Along the camera's +z.
+        depth: Along the camera's +z; in a panorama from its centre.
         color: Red, green, blue.
     """
 
@@ -222,11 +228,10 @@ def project_reference(
     with np.errstate(all="ignore"):
         at = offset @ linear.T
         flat = bool(np.any(page["forward"]))
-        away = np.ones((len(at), 1)) if flat else at[:, 2:]
-        slope = at[:, :2] / away
-        bent = np.clip(slope, frame["slope_low"], frame["slope_high"]) * (not flat)
-        ahead = np.ones((len(at), 2)) / away * frame["focal"]
-        jacobian = ahead[:, :, None] * (linear[:2] - bent[:, :, None] * linear[2])
+        depth, place, jacobian = (
+            _unrolled(at, linear) if frame["period"] else _straight(at, linear, flat, frame)
+        )
+        jacobian = frame["focal"][:, None] * jacobian
         plain = (
             jacobian @ symmetric(rows[:, layout.COVARIANCE]) @ jacobian.transpose(0, 2, 1)
         )
@@ -243,7 +248,7 @@ def project_reference(
             )
             sh = data.appearance.reshape(len(rows), -1, 3)[:, : weights.shape[1]]
             color = 0.5 + np.einsum("nk,nkc->nc", weights, sh.astype(np.float64))
-        drawn = (at[:, 2] > frame["near"]) & (opacity >= layout.CULL_OPACITY)
+        drawn = (depth > frame["near"]) & (opacity >= layout.CULL_OPACITY)
         drawn &= np.isfinite(rows).all(axis=1) & np.isfinite(color).all(axis=1)
         drawn &= (rows[:, :3] >= page["clip_low"]).all(axis=1)
         drawn &= (rows[:, :3] <= page["clip_high"]).all(axis=1)
@@ -252,5 +257,35 @@ def project_reference(
         strength = np.log(opacity / layout.CULL_OPACITY)
         conic = np.full((len(rows), 3), np.nan)
         conic[drawn] = np.linalg.inv(wide[drawn])[:, [0, 0, 1], [0, 1, 1]]
-        mean = frame["focal"] * slope + frame["center"]
-    return Projected(drawn, mean, conic, strength, at[:, 2], np.maximum(color, 0))
+        mean = frame["focal"] * place + frame["center"]
+        if frame["period"]:
+            middle = frame["size"][0] / 2 - frame["origin"][0]
+            turns = np.round((mean[:, 0] - middle) / frame["period"])
+            mean[:, 0] -= turns * frame["period"]
+    return Projected(drawn, mean, conic, strength, depth, np.maximum(color, 0))
+
+
+def _straight(
+    at: np.ndarray, linear: np.ndarray, flat: bool, frame: Shaped[np.ndarray, ""]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return depths, places in units of the focal length, and how those move."""
+    away = np.ones((len(at), 1)) if flat else at[:, 2:]
+    slope = at[:, :2] / away
+    bent = np.clip(slope, frame["slope_low"], frame["slope_high"]) * (not flat)
+    moved = (linear[:2] - bent[:, :, None] * linear[2]) / away[:, :, None]
+    return at[:, 2], slope, moved
+
+
+def _unrolled(
+    at: np.ndarray, linear: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return distances, longitudes and latitudes, and how those move."""
+    distance, level = np.linalg.norm(at, axis=1), np.hypot(at[:, 0], at[:, 2])
+    angles = np.stack([np.arctan2(at[:, 0], at[:, 2]), np.arctan2(at[:, 1], level)], 1)
+    sin, cos = np.sin(angles[:, 0]), np.cos(angles[:, 0])
+    zero = np.zeros(len(at))
+    wide = np.maximum(level / distance, POLE)
+    high = at[:, 1] / distance
+    across = np.stack([cos / wide, zero, -sin / wide], 1)
+    down = np.stack([-sin * high, level / distance, -cos * high], 1)
+    return distance, angles, np.stack([across, down], 1) @ linear / distance[:, None, None]

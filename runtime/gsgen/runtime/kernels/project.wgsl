@@ -20,6 +20,7 @@ const LARGEST_VARIANCE = 1e30;  // pixels²; the reciprocal still has all its di
 
 //!include page
 //!include tile_span
+//!include panorama
 
 var<private> own: u32;  // the row of this invocation's Gaussian
 
@@ -55,7 +56,11 @@ fn splat_key(index: u32) -> u32 {
     let offset = (center.position - page.eye) - page.eye_rest;
     let at = page.linear * offset;
     let inside = all(center.position >= page.clip_low) && all(center.position <= page.clip_high);
-    if (!(at.z > frame.near && at.z <= LARGEST && inside)) {
+    var depth = at.z;
+    if (PANORAMA) {
+        depth = distance_of(at);
+    }
+    if (!(depth > frame.near && depth <= LARGEST && inside)) {
         return ABSENT;
     }
     var opacity = center.opacity * page.opacity_scale;
@@ -70,8 +75,17 @@ fn splat_key(index: u32) -> u32 {
 
     // Rows of the Jacobian times the rotation: how the pixel moves with the local position.
     let turned = transpose(page.linear);
-    let jx = frame.focal.x * inverse * (turned[0] - bent.x * turned[2]);
-    let jy = frame.focal.y * inverse * (turned[1] - bent.y * turned[2]);
+    var jx = frame.focal.x * inverse * (turned[0] - bent.x * turned[2]);
+    var jy = frame.focal.y * inverse * (turned[1] - bent.y * turned[2]);
+    var mean = frame.focal * slope + frame.center;
+    if (PANORAMA) {
+        let sight = sight_around(at, depth);
+        jx = frame.focal.x * (turned * sight.jx);
+        jy = frame.focal.y * (turned * sight.jy);
+        mean = frame.focal * sight.angles + frame.center;
+        let middle = 0.5 * f32(frame.size.x) - frame.origin.x;
+        mean.x = middle + nearest(mean.x - middle);
+    }
     let sigma = read_covariance(own);
     let sx = sigma * jx;
     let sy = sigma * jy;
@@ -95,8 +109,10 @@ fn splat_key(index: u32) -> u32 {
         }
     }
     let strength = log(opacity / CULL_OPACITY);
-    let mean = frame.focal * slope + frame.center;
-    let half_extent = sqrt(2.0 * strength * wide.xz);
+    var half_extent = sqrt(2.0 * strength * wide.xz);
+    if (PANORAMA) {
+        half_extent.x = LARGEST;  // it may reach over the seam; `span` knows
+    }
     let low = 0.5 - frame.origin;
     let high = vec2f(frame.size) - 0.5 - frame.origin;
     if (!(all(mean + half_extent >= low) && all(mean - half_extent <= high))) {
@@ -106,17 +122,23 @@ fn splat_key(index: u32) -> u32 {
     let made = outline(mean, conic, strength, wide.z);
     var tiles = 0u;
     for (var line = made.rows.x; line < made.rows.y; line++) {
-        let ends = span(made, line);
-        tiles += ends.y - ends.x;
+        var behind = 0u;
+//!repeat COPY COPIES
+        {
+            let ends = span(made, line, COPYu);
+            tiles += max(ends.y, behind) - max(ends.x, behind);
+            behind = max(ends.y, behind);
+        }
+//!end
     }
     let color = color_of(offset);
     if (!all(abs(color) <= vec3f(LARGEST)) || tiles == 0u) {
         return ABSENT;
     }
     shapes[index] = vec4f(mean, conic.xy);
-    weights[index] = vec4f(conic.z, strength, at.z, wide.z);
+    weights[index] = vec4f(conic.z, strength, depth, wide.z);
     colors[index] = vec4f(max(color, vec3f(0.0)), f32(tiles));
-    return bitcast<u32>(at.z);
+    return bitcast<u32>(depth);
 }
 
 @compute @workgroup_size(THREADS)

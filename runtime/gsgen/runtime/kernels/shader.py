@@ -24,6 +24,10 @@ TILE = 16
 """Edge of a tile, in pixels."""
 ABSENT = 0xFFFFFFFF
 """The sort key of a Gaussian that is not drawn, and the id of a pixel without one."""
+POLE = 1e-3
+"""The least cosine of a latitude in a panorama's Jacobian."""
+ROUND: dict[str, int | bool] = {"PANORAMA": True, "COPIES": 3}
+"""What a kernel that knows where a splat is in the image is compiled with for a panorama."""
 
 
 def source(name: str, **constants: int | float | bool) -> str:
@@ -43,10 +47,14 @@ def source(name: str, **constants: int | float | bool) -> str:
         "DILATION": DILATION,
         "MAX_ALPHA": MAX_ALPHA,
         "MIN_TRANSMITTANCE": MIN_TRANSMITTANCE,
+        "POLE": POLE,
         "TILE": TILE,
+        "PANORAMA": False,
+        "COPIES": 1,
     }
-    lines = [_declaration(key, value) for key, value in (shared | constants).items()]
-    text = _REPEAT.sub(lambda match: _repeated(match, constants), _included(name))
+    known = shared | constants
+    lines = [_declaration(key, value) for key, value in known.items()]
+    text = _REPEAT.sub(lambda match: _repeated(match, known), _included(name))
     return "\n".join(lines) + "\n" + text
 
 

@@ -4,6 +4,10 @@
 // the row's band of pixel centres. In terms of the covariance, at height y the ellipse goes from
 // c(y) − h(y) to c(y) + h(y) with c = y·xy/yy and h² = (reach − y²/yy)·det/yy; it is farthest
 // right at y = xy·√(reach/xx). Of the conic: xy/yy is −conic.xy/conic.xx, det/yy is 1/conic.xx.
+//
+// In a panorama a splat is there once more a whole turn to the left, and to the right: COPIES are
+// numbered in this order, and 1 is the one nearest to the middle of the image. None reaches
+// farther than half a turn. Those that list tiles leave out what an earlier copy touched.
 
 struct Outline {
     mean: vec2f,
@@ -43,17 +47,24 @@ fn outline(mean: vec2f, conic: vec3f, strength: f32, variance_yy: f32) -> Outlin
     return made;
 }
 
-// The first tile of the span in a row of tiles, and one behind the last.
-fn span(made: Outline, row: u32) -> vec2u {
+// The first tile of a copy's span in a row of tiles, and one behind the last.
+fn span(made: Outline, row: u32, copy: u32) -> vec2u {
     let top = f32(row * TILE) + 0.5 - made.mean.y;
     let band = clamp(vec2f(top, top + f32(TILE) - 1.0), vec2f(-made.half_height), vec2f(made.half_height));
     let right_y = clamp(made.rightmost, band.x, band.y);
     let left_y = clamp(-made.rightmost, band.x, band.y);
-    let right = made.lean * right_y
+    var right = made.lean * right_y
         + sqrt(max(made.reach - right_y * right_y * made.inverse_yy, 0.0) * made.width) + EDGE;
-    let left = made.lean * left_y
+    var left = made.lean * left_y
         - sqrt(max(made.reach - left_y * left_y * made.inverse_yy, 0.0) * made.width) - EDGE;
-    let begin = tile_at(ceil(made.mean.x + left - 0.5), frame.tiles.x);
-    let end = tile_at(floor(made.mean.x + right - 0.5) + f32(TILE), frame.tiles.x);
+    var middle = made.mean.x;
+    if (PANORAMA) {
+        let most = 0.5 * frame.period + EDGE;
+        right = min(right, most);
+        left = max(left, -most);
+        middle += (f32(copy) - 1.0) * frame.period;
+    }
+    let begin = tile_at(ceil(middle + left - 0.5), frame.tiles.x);
+    let end = tile_at(floor(middle + right - 0.5) + f32(TILE), frame.tiles.x);
     return vec2u(begin, max(begin, end));
 }

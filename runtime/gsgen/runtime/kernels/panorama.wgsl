@@ -1,0 +1,53 @@
+// Panorama: where a direction is on the unrolled sphere, and how that moves with the position.
+//
+// With r² = x² + y² + z² and ρ² = x² + z², longitude is atan2(x, z) and latitude, downwards, is
+// asin(y / r) = atan2(y, ρ), which has all its digits near the poles, too. Their derivatives are
+//
+//     longitude: (z, 0, −x) / ρ²        latitude: (−x y / ρ, ρ, −y z / ρ) / r²
+//
+// The first has no bound at the poles: ρ counts there as r · POLE at least.
+
+struct Sight {
+    angles: vec2f,  // longitude and latitude, radians
+    jx: vec3f,      // how the longitude moves with the position in camera space
+    jy: vec3f,      // and the latitude
+}
+
+// The angle of (x, y) from the x axis, to 2e-7: a driver's atan2 may be off by 4096 units in the
+// last place. The polynomial is the best of its degree for atan(t) / t on 0 ≤ t² ≤ 1.
+fn turn_of(y: f32, x: f32) -> f32 {
+    let long = max(abs(x), abs(y));
+    let t = min(abs(x), abs(y)) / max(long, SMALLEST);
+    let s = t * t;
+    var made = 0.002456670394167304 * s - 0.014401118271052837;
+    made = made * s + 0.03978078439831734;
+    made = made * s - 0.07234814018011093;
+    made = made * s + 0.10498920828104019;
+    made = made * s - 0.1416122019290924;
+    made = made * s + 0.19985905289649963;
+    made = made * s - 0.33332598209381104;
+    made = (made * s + 1.0) * t;
+    made = select(made, 1.5707963267948966 - made, abs(y) > abs(x));
+    made = select(made, 3.141592653589793 - made, x < 0.0);
+    return select(made, -made, y < 0.0);
+}
+
+const SMALLEST = 1e-37;
+
+// The length of a vector that is not zero, however large or small: its square may overflow.
+fn distance_of(at: vec3f) -> f32 {
+    let most = max(max(abs(at.x), abs(at.y)), max(abs(at.z), SMALLEST));
+    return most * length(at / most);
+}
+
+// distance: r, which is positive.
+fn sight_around(at: vec3f, distance: f32) -> Sight {
+    let unit = at / distance;
+    let level = length(unit.xz);
+    let heading = select(vec2f(0.0, 1.0), unit.xz / level, level > 0.0);
+    var made: Sight;
+    made.angles = vec2f(turn_of(heading.x, heading.y), turn_of(unit.y, level));
+    made.jx = vec3f(heading.y, 0.0, -heading.x) / (max(level, POLE) * distance);
+    made.jy = vec3f(-heading.x * unit.y, level, -heading.y * unit.y) / distance;
+    return made;
+}
