@@ -6,7 +6,7 @@ from typing import Any, Final, final
 
 from gsgen.runtime.device import Device
 from gsgen.runtime.kernels.kernel import Kernel, Step
-from gsgen.runtime.kernels.shader import ROUND, TILE
+from gsgen.runtime.kernels.shader import ROUND
 
 FINISHED: Final = 0.01
 """A pixel through which less light passes takes no further cell (Liu et al. 2025, their code)."""
