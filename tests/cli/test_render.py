@@ -18,6 +18,7 @@ from gsgen.runtime.sources import Source, open_source
 from gsgen.runtime.viewpoint import viewpoint
 from support.commands import gsgen
 
+FRONT = "look-at:0,0,-4,0,0,0"
 SMALL = ("--width", "48", "--height", "32")
 
 
@@ -116,8 +117,8 @@ def test_a_generator_is_run_for_every_frame(
 
 
 def test_time_by_itself_and_through_its_range(renderer: Renderer, moving: Path) -> None:
-    still, source = film(renderer, moving, time=1.0)
-    whole, other = film(renderer, moving, frames=2)
+    still, source = film(renderer, moving, time=1.0, camera=FRONT)
+    whole, other = film(renderer, moving, frames=2, camera=FRONT)
     declared = source.time
     assert declared is not None
     loops = bool(declared.loop)

@@ -1,6 +1,12 @@
 """What stops the runtime: errors that a user can meet, each with the next thing to do."""
 
-__all__ = ["CapacityExceeded", "DeviceUnavailable", "SceneInvalid", "SceneUnreadable"]
+__all__ = [
+    "CapacityExceeded",
+    "DeviceUnavailable",
+    "SceneInvalid",
+    "SceneUnreadable",
+    "placed",
+]
 
 from gsgen.contract.errors import GsgenError
 
@@ -19,3 +25,10 @@ class SceneInvalid(GsgenError):
 
 class SceneUnreadable(GsgenError):
     """A file holds no Gaussians that can be read (exit code 4)."""
+
+
+def placed(error: GsgenError, model: str, frame: int) -> GsgenError:
+    """Return an error that says in which model and frame it happened, too."""
+    place = f"{model}, frame {frame}"
+    where = place if error.where in ("", model) else f"{place}, {error.where}"
+    return type(error)(error.what, where=where, mend=error.mend)

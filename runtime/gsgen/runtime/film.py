@@ -9,14 +9,15 @@ from typing import Final, Literal, final
 import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.contract.manifest import Input
 from gsgen.runtime import pictures
-from gsgen.runtime.camera import Camera
 from gsgen.runtime.frame import Frame
 from gsgen.runtime.pictures import MODES, Mode
+from gsgen.runtime.player import Player, Shot
+from gsgen.runtime.post import PostProcessor
 from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.scene import Scene, SplatSet
+from gsgen.runtime.score import Score, Taker
 from gsgen.runtime.sources import Source
+from gsgen.runtime.tracks import Track
 from gsgen.runtime.viewpoint import Viewpoint
 
 _FPS: Final = 25.0
@@ -25,7 +26,7 @@ _CIRCLE: Final = 360.0
 
 @final
 class Film:
-    """Frames of sources that are drawn together.
+    """Frames of sources that are drawn together; each is computed while another is drawn.
 
     Args:
         sources: What is drawn; the first says where an orbit's middle and its upward direction are.
@@ -35,12 +36,16 @@ class Film:
         sh_degree: Use no harmonics above this; None for all.
         antialias: How the scene was trained; None for what each source says.
         time: Of all frames; None to go through the range where there are several.
-        frames: How many; None for one a camera.
+        frames: How many; None for one a camera, or one a value of the tracks.
         turn: Degrees that an orbit turns over all frames; None for a circle if nothing else moves.
+        tracks: What other inputs are fed.
+        post: Models that the colours go through, in this order.
         renderer: What draws; a new one where absent.
 
     Raises:
-        ConfigInvalid: A time is asked of sources that have none, or colour spaces differ.
+        ConfigInvalid: A time is asked of sources that have none, colour spaces differ, or a track
+            does not fit.
+        UnknownName: No model has the input of a track.
     """
 
     def __init__(
@@ -55,57 +60,40 @@ class Film:
         time: float | None = None,
         frames: int | None = None,
         turn: float | None = None,
+        tracks: Sequence[Track] = (),
+        post: Sequence[PostProcessor] = (),
         renderer: Renderer | None = None,
     ) -> None:
         self._sources, self._view, self._mode = list(sources), view, mode
-        self._background, self._time = background, time
-        self.frames = frames or max(1, len(view.cameras))
-        timed = [source for source in sources if source.time is not None]
-        if time is not None and not timed:
-            raise ConfigInvalid("no scene has a time", where="--time")
-        turning = self.frames > 1 and view.orbit is not None and not timed
+        takers: list[Taker] = [*sources, *post]
+        self._score = Score(takers, tracks, time)
+        self.frames = frames or max(len(view.cameras), self._score.frames)
+        moving = self._score.moving
+        turning = self.frames > 1 and view.orbit is not None and not moving
         self._turn = turn if turn is not None else (_CIRCLE if turning else 0.0)
-        spaces = {source.color_space for source in sources}
-        if len(spaces) > 1:
-            raise ConfigInvalid(
-                "one scene has linear colours, another sRGB: they cannot be blended",
-                where="scenes",
-            )
-        self._scene = Scene(
-            [
-                SplatSet(
-                    source.data, degree=sh_degree, antialias=antialias or source.antialias
-                )
-                for source in sources
-            ],
-            color_space=spaces.pop() if spaces else "srgb",
+        first = self._score.values(0, self.frames)
+        for source, values in zip(sources, first, strict=False):
+            source.update(None, values)  # the orbit goes around what the first frame shows
+        self._player = Player(
+            sources,
+            post=post,
+            renderer=renderer,
+            background=background,
+            outputs=(MODES[mode],),
+            sh_degree=sh_degree,
+            antialias=antialias,
         )
-        self._renderer = renderer or Renderer()
         self._last: Frame | None = None
 
     def draw(self, number: int) -> Frame:
         """Draw frame ``number``, from 0."""
-        camera = self._camera(number)
-        for source in self._sources:
-            source.update(camera, self._moment(source.time, number))
-        self._last = self._renderer.render(
-            self._scene, camera, background=self._background, outputs=(MODES[self._mode],)
-        )
+        self._last = self._player.render(self._shot(number))
         return self._last
 
-    def _camera(self, number: int) -> Camera:
+    def _shot(self, number: int) -> Shot:
         turn = self._turn * number / self.frames
-        return self._view.camera(self._sources[0], number, turn)
-
-    def _moment(self, declared: Input | None, number: int) -> float | None:
-        """Return the time of a frame: a loop's last frame comes just before its first."""
-        if declared is None or self._time is not None:
-            return self._time
-        if self.frames == 1 or declared.range is None:
-            return None
-        low, high = declared.range
-        steps = self.frames if declared.loop else self.frames - 1
-        return low + (high - low) * number / steps
+        camera = self._view.camera(self._sources[0], number, turn)
+        return Shot(camera, self._score.values(number, self.frames))
 
     def write(
         self, path: Path, fps: float | None, watch: Callable[[int], None] = lambda _: None
@@ -136,9 +124,14 @@ class Film:
             raise _unfitting(path, self.frames)
 
     def _drawn(self, watch: Callable[[int], None]) -> Iterator[Frame]:
-        for number in range(self.frames):
-            watch(number + 1)
-            yield self.draw(number)
+        watch(1)
+        for number, frame in enumerate(
+            self._player.play(map(self._shot, range(self.frames)))
+        ):
+            self._last = frame
+            yield frame
+            if number + 1 < self.frames:
+                watch(number + 2)
 
     def _pictures(self, watch: Callable[[int], None]) -> Iterator[np.ndarray]:
         """Yield each frame as bytes; the first one's depths are the grey scale of all."""
@@ -163,7 +156,7 @@ class Film:
             "gaussians": sum(source.data.count for source in self._sources),
             "visible": self._last.visible,
             "pairs": self._last.pairs,
-            "device": self._renderer.device.name,
+            "device": self._player.renderer.device.name,
         }
 
 

@@ -1,21 +1,37 @@
 """Where Gaussians come from: a file that holds them, or a generator that makes them every frame."""
 
-__all__ = ["GeneratorSource", "Source", "StillSource", "direction", "open_source"]
+__all__ = [
+    "GeneratorSource",
+    "Source",
+    "StillSource",
+    "Values",
+    "direction",
+    "named",
+    "open_source",
+]
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Literal, final
 
 import numpy as np
 from jaxtyping import Float
 
-from gsgen.contract.manifest import GeneratorManifest, Input, Space
+from gsgen.contract import layout
+from gsgen.contract.errors import GsgenError
+from gsgen.contract.manifest import Input, Space
 from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, open_splats
 from gsgen.runtime.camera import Camera
-from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
+from gsgen.runtime.errors import SceneUnreadable, placed
+from gsgen.runtime.inference import Inference, Made
 from gsgen.runtime.splat_data import SplatData
 
 Center = Float[np.ndarray, "3"]
+
+Values = Mapping[str, object]
+"""Tensor name or role → value."""
 
 _UNSEEN = 2.0  # percent of the centres, at each end of each axis, that framing leaves out
 
@@ -29,6 +45,8 @@ class Source(ABC):
         up: Which direction is up.
         antialias: How the scene was trained.
         color_space: Of the colours.
+        inputs: What may be fed to it.
+        seconds: What computing the present frame took.
     """
 
     name: str
@@ -36,28 +54,80 @@ class Source(ABC):
     up: tuple[float, float, float] = (0.0, -1.0, 0.0)
     antialias: Literal["classic", "mip"] = "classic"
     color_space: Literal["srgb", "linear"] = "srgb"
+    inputs: tuple[Input, ...] = ()
+    seconds: float = 0.0
+    _extent: tuple[Center, float] | None = None
 
     @abstractmethod
-    def update(self, camera: Camera, time: float | None) -> None:
-        """Bring the Gaussians to a moment, for a camera; a time of None is the default."""
+    def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
+        """Begin to bring the Gaussians to a moment; they stay as they are until :meth:`finish`.
+
+        Args:
+            camera: Who will see them; None where nobody knows yet.
+            values: Tensor name or role → value; what is not named keeps its value.
+            frame: What an error calls the frame.
+        """
+
+    @abstractmethod
+    def finish(self) -> None:
+        """Bring the Gaussians to the moment that was begun.
+
+        Raises:
+            GsgenError: A value does not fit, or the model fails; it names model, input and frame.
+        """
+
+    @abstractmethod
+    def abandon(self) -> None:
+        """Wait for the moment that was begun, if any; what is wrong with it concerns nobody."""
+
+    def update(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
+        """Bring the Gaussians to a moment; see :meth:`start` and :meth:`finish`."""
+        self.start(camera, values, frame)
+        self.finish()
 
     @property
-    @abstractmethod
     def time(self) -> Input | None:
         """What the manifest says of the time, or None where nothing moves with it."""
+        return next((one for one in self.inputs if one.role == "time"), None)
+
+    def named(self, word: str) -> list[Input]:
+        """Return the inputs that a word means: a tensor of that name, or all of that role."""
+        return named(self.inputs, word)
+
+    @abstractmethod
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Return the shape of an input."""
 
     def extent(self) -> tuple[Center, float]:
-        """Return the middle of the Gaussians and half the diagonal of the box around most."""
-        centers = self.data.rows[: self.data.count, :3].astype(np.float64)
-        centers = centers[np.isfinite(centers).all(axis=1)]
-        if not len(centers):
-            return np.zeros(3), 1.0
-        low, high = np.percentile(centers, [_UNSEEN, 100 - _UNSEEN], axis=0)
-        return (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0
+        """Return the middle of the Gaussians and half the diagonal of the box around most.
+
+        They are those of the moment when this was first asked: cameras that are placed by them
+        stand still while Gaussians move.
+        """
+        if self._extent is None:
+            self._extent = _around(self.data)
+        return self._extent
 
     @abstractmethod
     def close(self) -> None:
         """Release what computes the frames."""
+
+
+def named(inputs: Sequence[Input], word: str) -> list[Input]:
+    """Return the inputs that a word means: a tensor of that name, or all of that role."""
+    exact = [one for one in inputs if one.name == word]
+    return exact or [one for one in inputs if one.role == word]
+
+
+def _around(data: SplatData) -> tuple[Center, float]:
+    rows = data.rows[: data.count]
+    seen = rows[rows[:, layout.OPACITY] > 0]
+    centers = (seen if len(seen) else rows)[:, layout.POSITION].astype(np.float64)
+    centers = centers[np.isfinite(centers).all(axis=1)]
+    if not len(centers):
+        return np.zeros(3), 1.0
+    low, high = np.percentile(centers, [_UNSEEN, 100 - _UNSEEN], axis=0)
+    return (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0
 
 
 @final
@@ -79,13 +149,18 @@ class StillSource(Source):
             self.antialias = "mip" if content.antialiased else "classic"
             self.color_space = content.color_space
 
-    def update(self, camera: Camera, time: float | None) -> None:
+    def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
         """Do nothing: a file stays as it is."""
 
-    @property
-    def time(self) -> Input | None:
-        """None: a file stays as it is."""
-        return None
+    def finish(self) -> None:
+        """Do nothing: a file stays as it is."""
+
+    def abandon(self) -> None:
+        """Do nothing: a file stays as it is."""
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Raise: a file has no inputs."""
+        raise KeyError(name)
 
     def close(self) -> None:
         """Do nothing: the file was closed when it was read."""
@@ -93,77 +168,91 @@ class StillSource(Source):
 
 @final
 class GeneratorSource(Source):
-    """An ONNX model that makes Gaussians every frame.
+    """An ONNX model that makes Gaussians every frame; see :class:`Inference`.
 
     Args:
         path: The model.
         provider: What ONNX Runtime runs it on: cpu, webgpu, cuda or auto.
+        sizes: Symbol → size of a dimension that the model leaves open.
     """
 
-    def __init__(self, path: Path, provider: str = "cpu") -> None:
-        from gsgen.sdk.binding import FrameSession
-
+    def __init__(
+        self, path: Path, provider: str = "cpu", sizes: Mapping[str, int] | None = None
+    ) -> None:
         self.name = str(path)
-        self._session = FrameSession(path, provider=provider)
-        manifest = self._session.manifest
-        if not isinstance(manifest, GeneratorManifest):
-            self._session.close()
-            seen = f"is a {manifest.kind}" if manifest else "has no manifest"
-            raise SceneInvalid(
-                f"{seen}, wanted a gaussian-generator",
-                where=self.name,
-                mend="`gsgen inspect --emit-manifest` derives a manifest from names and shapes.",
-            )
-        self._manifest = manifest
+        self._inference = Inference(path, provider, sizes)
+        self.manifest = manifest = self._inference.manifest
         self.up = direction((manifest.space or Space()).up)
         self.antialias = manifest.antialias
+        self.inputs = manifest.inputs
         appearance = manifest.outputs.appearance
-        self._space: Literal["sh", "rgb"] = appearance.space if appearance else "rgb"
-        self.color_space = appearance.color_space if appearance else "srgb"
-        self._compute()
+        assert appearance is not None  # an inference has both outputs
+        self._space, self.color_space = appearance.space, appearance.color_space
+        self._begun: tuple[int, Future[Made]] | None = None
+        try:
+            self.update(None, {})
+        except BaseException:
+            self.close()
+            raise
 
-    def update(self, camera: Camera, time: float | None) -> None:
-        """Run the model for a camera and a time."""
-        values = {} if time is None or self.time is None else {"time": time}
-        self._session.update(values, camera=camera)
-        self._compute()
+    def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
+        """Begin to run the model."""
+        self.abandon()
+        self._begun = frame, self._inference.start(camera, values)
 
-    def _compute(self) -> None:
-        frame = self._session.run()
-        outputs = self._manifest.outputs
-        if outputs.gaussians is None or outputs.appearance is None:
-            raise SceneInvalid("declares no gaussians or no appearance", where=self.name)
-        rows, color = frame[outputs.gaussians.name], frame[outputs.appearance.name]
-        if hasattr(self, "data") and self.data.rows.shape == rows.shape:
-            self.data.update(rows, color, frame.count)
-        else:
-            self.data = SplatData(rows, color, self._space, count=frame.count)
+    def finish(self) -> None:
+        """Wait for the model, and take over what it changed."""
+        if self._begun is None:
+            return
+        (frame, future), self._begun = self._begun, None
+        try:
+            self._take(future.result())
+        except GsgenError as error:
+            raise placed(error, self.name, frame) from error
 
-    @property
-    def time(self) -> Input | None:
-        """What the manifest says of the time."""
-        inputs = self._manifest.inputs
-        return next((one for one in inputs if one.role == "time"), None)
+    def abandon(self) -> None:
+        """Wait for the model. It makes a whole frame again after one that failed."""
+        if self._begun is not None:
+            (_, future), self._begun = self._begun, None
+            if future.exception() is None:
+                self._take(future.result())
+
+    def _take(self, made: Made) -> None:
+        self.seconds = made.seconds
+        if hasattr(self, "data"):
+            self.data.update(made.rows, made.appearance, made.count)
+            return
+        assert made.rows is not None
+        assert made.appearance is not None
+        self.data = SplatData(made.rows, made.appearance, self._space, count=made.count)
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Return the shape of an input."""
+        return self._inference.session.inputs[name].shape
 
     def close(self) -> None:
         """Release the session."""
-        self._session.close()
+        self._inference.close()
 
 
-def open_source(path: Path, provider: str = "cpu") -> Source:
+def open_source(
+    path: Path, provider: str = "cpu", sizes: Mapping[str, int] | None = None
+) -> Source:
     """Open a file of Gaussians or a generator, which the suffix ``.onnx`` tells.
 
     Args:
         path: The file.
         provider: What ONNX Runtime runs a generator on.
+        sizes: Symbol → size of a dimension that a generator leaves open.
 
     Raises:
         SceneUnreadable: The file holds no Gaussians that can be read.
         ModelUnreadable: The file is no ONNX model.
         SceneInvalid: The model is no generator.
+        SizeUnknown: A dimension has no size.
     """
     if path.suffix.lower() == ".onnx":
-        return GeneratorSource(path, provider)
+        return GeneratorSource(path, provider, sizes)
     return StillSource(path)
 
 

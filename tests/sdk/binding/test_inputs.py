@@ -194,7 +194,7 @@ def test_open_dimensions_need_a_size(tmp_path):
     with pytest.raises(SizeUnknown) as raised:
         FrameSession(path, provider="cpu")
     assert str(raised.value) == (
-        "tensor pose: axis 0 is symbolic (J), wanted a size\n  Give one, such as sizes={'J': 24}."
+        "tensor pose: axis 0 is symbolic (J), wanted a size\n  Give one: `--size J=24`, or in Python sizes={'J': 24}."
     )
     with pytest.raises(GsgenError, match="unknown open dimension 'j'"):
         FrameSession(path, provider="cpu", sizes={"j": 2})

@@ -4,6 +4,7 @@ __all__ = ["Bound", "Spec", "failed", "specs"]
 
 import math
 import os
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,6 +21,11 @@ from gsgen.sdk.binding.placed import words
 _NO_GRAPH = ("gpu_graph_id", "-1")
 # Drivers have no larger ones, and hang rather than say so.
 _BUFFER_BYTES = (4 << 30) - 1
+# ONNX Runtime's words where an output does not fit the buffer that it is bound to.
+_OTHER_SIZE = re.compile(
+    r"output '([^']*)' of node .* has shape \{([\d,]*)\} but the computed output shape for this "
+    r"run is \{([\d,]*)\}"
+)
 _DTYPES = {
     "tensor(bool)": "bool",
     "tensor(double)": "float64",
@@ -71,7 +77,7 @@ class Spec:
         if key in sizes:
             return sizes[key]
         what = f"axis {axis} is symbolic ({dim or 'nameless'}), wanted a size"
-        mend = f"Give one, such as sizes={{{key!r}: 24}}."
+        mend = f"Give one: `--size {key}=24`, or in Python sizes={{{key!r}: 24}}."
         raise SizeUnknown(what, where=f"tensor {self.name}", mend=mend)
 
 
@@ -133,10 +139,11 @@ class Bound:
         self.write(start)
         self.outputs = self._bind_outputs(specs(session.get_outputs()))
 
-    def write(self, tensors: Mapping[str, np.ndarray]) -> None:
-        """Put tensors into the inputs' buffers."""
-        for name, array in tensors.items():
-            self.inputs[name].write(array)
+    def write(self, tensors: Mapping[str, np.ndarray]) -> frozenset[str]:
+        """Put tensors into the inputs' buffers; return which held something else before."""
+        return frozenset(
+            [name for name, array in tensors.items() if self.inputs[name].write(array)]
+        )
 
     def run(self) -> None:
         """Compute a frame; a session that captures records the first and replays the others."""
@@ -227,5 +234,18 @@ def failed(error: Exception) -> GsgenError:
     """Return an error of ONNX Runtime as one that a user can read."""
     if isinstance(error, GsgenError):
         return error
+    other = _OTHER_SIZE.search(str(error))
+    if other is not None:
+        return _resized(*other.groups())
     mend = "`gsgen validate --level live` says which rule the model breaks."
     return RunFailed(words(error), where="ONNX Runtime", mend=mend)
+
+
+def _resized(output: str, bound: str, computed: str) -> RunFailed:
+    return RunFailed(
+        f"has shape [{computed}], and had [{bound}] when the session was opened: its size depends "
+        "on the values of inputs, but frames stay in buffers of one size",
+        where=f"output {output}",
+        mend="Export it with a capacity: rows of one number, of which num_points says how many "
+        "are live. `gsgen explain GO004` says why.",
+    )

@@ -46,7 +46,7 @@ class Names:
             return word
         found = self.roles.get(word, ())
         if not found:
-            known = [*self.tensors, *self.roles]
+            known = {*self.tensors, *self.roles}
             raise UnknownName.among("input", word, known, where=self.where)
         if len(found) > 1:
             what = (

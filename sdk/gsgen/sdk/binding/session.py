@@ -190,7 +190,7 @@ class FrameSession:
         values: Mapping[str, object] | None = None,
         *,
         camera: Camera | None = None,
-    ) -> None:
+    ) -> frozenset[str]:
         """Update inputs in place, for the next run; all of them or, if one does not fit, none.
 
         Args:
@@ -198,6 +198,9 @@ class FrameSession:
                 are given as in mathematics and laid out as the manifest declares.
             camera: An object with ``view`` and ``projection`` or with ``view`` and intrinsics, or
                 the pair of matrices; it updates whatever the model wants to know of a camera.
+
+        Returns:
+            Names of the tensors that held another value before.
 
         Raises:
             InputInvalid: A value does not fit.
@@ -212,7 +215,7 @@ class FrameSession:
             tensors = {
                 name: ready.ports[name].tensor(value) for name, value in given.items()
             }
-            ready.bound.write(tensors)
+            return ready.bound.write(tensors)
 
     def write(self, tensors: Mapping[str, np.ndarray]) -> None:
         """Copy tensors into inputs as they are, by name: matrices laid out already, any range.
