@@ -22,10 +22,10 @@ from gsgen.reference_plugins.avatars.follow import (
     chained,
     covariance,
     multiplied,
-    planes_from,
     repeated,
     rows_of,
 )
+from gsgen.reference_plugins.avatars.hanging import FromSurface
 from gsgen.reference_plugins.avatars.turns import nearest_rotation, turned
 from gsgen.reference_plugins.checkpoints.lhm import (
     EXPRESSIONS,
@@ -33,6 +33,7 @@ from gsgen.reference_plugins.checkpoints.lhm import (
     Face,
     LHMCheckpoint,
 )
+from gsgen.reference_plugins.constants import Bake, Constants
 from gsgen.sdk import GaussianGenerator, Gaussians
 
 
@@ -43,15 +44,11 @@ class LHM(GaussianGenerator):
     family = "avatar"
 
     joints: Tensor
-    weights: Tensor
-    place: Tensor
-    neutral: Tensor
-    stiff: Tensor
-    root: Tensor
     opacity: Tensor
     rgb: Tensor
     face: Tensor
     which: Tensor
+    number: Tensor
 
     def __init__(
         self,
@@ -60,6 +57,7 @@ class LHM(GaussianGenerator):
         *,
         expression: bool = True,
         bodies: int = 1,
+        bake: Bake = "auto",
     ) -> None:
         """Bring the Gaussians to the neutral pose, in the person's shape.
 
@@ -68,6 +66,7 @@ class LHM(GaussianGenerator):
             face: What expressions move; SMPL-X's own where absent.
             expression: Whether the expression is an input.
             bodies: How many there are.
+            bake: Whether what follows from tables is stored, or the tables.
         """
         super().__init__()
         body, betas = read.body, read.betas.double().numpy()
@@ -76,44 +75,43 @@ class LHM(GaussianGenerator):
         )
         self.inputs = self.actors.declared()
         self.parents = body.parents
-        vertex = rest.nearest(read.samples, body.template)
-        weights = body.weights[vertex]
-        back = np.einsum("nj,jab->nab", weights, read.neutral.double().numpy()[:, :3])
-        place = np.einsum("nab,nb->na", back[:, :, :3], read.position.double().numpy())
-        place += back[:, :, 3] + body.shape_dirs[vertex][:, :, : len(betas)] @ betas
-        scale, turn = read.scale.double().numpy(), read.rotation.double().numpy()
+        used, which = np.unique(
+            rest.nearest(read.samples, body.template), return_inverse=True
+        )
         keep = self.register_buffer
         joints = rest.joints_of(body, betas)
         keep("joints", torch.from_numpy(joints.astype(np.float32)))
-        keep("weights", planes_from(weights))
-        keep("place", planes_from(place)[None])
-        keep("neutral", planes_from(back[:, :, :3])[None])
-        keep("stiff", torch.from_numpy(read.stiff[vertex].astype(np.float32)[None]))
-        keep("root", planes_from(rest.rotation_of(turn) * scale[:, None])[None])
+        keep("which", torch.from_numpy(which.astype(np.int32)))
+        neutral = read.neutral.double().numpy()[:, :3]
+        hanging = FromSurface(
+            body.weights[used],
+            self.which,
+            body.shape_dirs[used][:, :, : len(betas)] @ betas,
+            read.stiff[used],
+            neutral,
+            (read.position, read.scale, read.rotation),
+        )
+        self.rest = Constants(hanging, (), bake)
         keep("opacity", read.opacity)
         keep("rgb", read.rgb)
         if expression:
-            self._keep_face(body_dirs(read, face), vertex, back[:, :, :3])
+            back = np.einsum("uj,jab->uab", body.weights[used], neutral[:, :, :3])
+            self._keep_face(body_dirs(read, face)[used], back)
 
     def _keep_face(
-        self,
-        dirs: Float[np.ndarray, "v 3 e"],
-        vertex: Float[np.ndarray, " n"],
-        back: Float[np.ndarray, "n 3 3"],
+        self, dirs: Float[np.ndarray, "u 3 e"], back: Float[np.ndarray, "u 3 3"]
     ) -> None:
-        """Keep the vertices that some expression moves, and which of them each Gaussian is at."""
-        moved = np.abs(dirs).max(axis=(1, 2)) > 0
-        used, first, which = np.unique(vertex, return_index=True, return_inverse=True)
-        faces = np.flatnonzero(moved[used])
+        """Keep what expressions add to the vertices that some expression moves, and which they are."""
+        faces = np.flatnonzero(np.abs(dirs).max(axis=(1, 2)) > 0)
         # All Gaussians of a vertex share its weights, and so its way to the neutral pose.
-        there = np.einsum("fab,fbe->fae", back[first[faces]], dirs[used[faces]])
+        there = np.einsum("fab,fbe->fae", back[faces], dirs[faces])
         still = np.zeros((1, 3, EXPRESSIONS))  # what most Gaussians find
         table = np.concatenate([there, still]).transpose(2, 1, 0)
-        number = np.full(len(used), len(faces), np.int32)
+        number = np.full(len(dirs), len(faces), np.int32)
         number[faces] = np.arange(len(faces))
         flat = np.ascontiguousarray(table.reshape(EXPRESSIONS, -1), np.float32)
         self.register_buffer("face", torch.from_numpy(flat))
-        self.register_buffer("which", torch.from_numpy(number[which]))
+        self.register_buffer("number", torch.from_numpy(number))
 
     def forward(self, *given: Tensor) -> Gaussians:
         """Return the Gaussians of all bodies, body after body.
@@ -123,15 +121,17 @@ class LHM(GaussianGenerator):
         """
         actor, bodies = self.actors.taken(given), self.actors.bodies
         joints = chained(turned(actor.pose), self.joints, self.parents, None, actor.shift)
-        made, place = blended(joints, self.weights), self.place
+        weights, place, neutral, stiff, root = self.rest()
+        made = blended(joints, weights)
         if actor.expression is not None:
             moved = (actor.expression @ self.face).reshape(bodies, 3, -1)
-            place = place + torch.index_select(moved, 2, self.which)
-        turn = nearest_rotation(multiplied(made, self.neutral), self.stiff)
+            number = torch.index_select(self.number, 0, self.which)
+            place = place + torch.index_select(moved, 2, number)
+        turn = nearest_rotation(multiplied(made, neutral), stiff)
         return Gaussians(
             position=rows_of(applied(made, place)),
             opacity=repeated(self.opacity, bodies),
-            covariance=rows_of(covariance(multiplied(turn, self.root))),
+            covariance=rows_of(covariance(multiplied(turn, root))),
             rgb=repeated(self.rgb, bodies),
         )
 

@@ -22,6 +22,7 @@ from gsgen.reference_plugins.checkpoints.anchors import (
     AnchorNets,
 )
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
+from gsgen.reference_plugins.constants import Constants
 from gsgen.reference_plugins.selection import Selection
 
 # How a level becomes a whole number → by how much it may fall short of that number.
@@ -75,6 +76,41 @@ class Levels:
         return cls(mode, fork, float(cloud.info[0]), float(cloud.info[1]), top)
 
 
+class _Limits(nn.Module):
+    """What decides about each anchor, of its level and the shift that it learnt."""
+
+    level: Tensor
+    extra: Tensor
+
+    def __init__(
+        self, cloud: AnchorCloud, levels: Levels, *, half_cell: bool = True
+    ) -> None:
+        super().__init__()
+        assert cloud.level is not None
+        assert cloud.extra_level is not None
+        self.levels, self.half_cell = levels, half_cell
+        self.register_buffer("level", cloud.level[:, None])
+        self.register_buffer("extra", cloud.extra_level[:, None])
+
+    def forward(self, anchor: Float[Tensor, "n 3"]) -> tuple[Tensor, ...]:
+        levels, level = self.levels, self.level
+        logarithm = math.log(levels.fork)
+        cell = 0.5 * levels.voxel * torch.exp(-logarithm * level)
+        middle = anchor + cell if self.half_cell else anchor
+        start = self.extra - level
+        growth = torch.exp(2 * logarithm * (start + MODES[levels.mode]))
+        square = (levels.standard**2 * growth).clamp(max=_ALWAYS)
+        first = (level <= 0).to(square.dtype)
+        square = square * (1 - first) + _ALWAYS * first
+        deep = (level > levels.top).to(square.dtype)
+        square = square * (1 - deep) + _NEVER * deep
+        if levels.mode != "progressive":
+            return middle, square
+        start = start + (1 + math.log(levels.standard) / logarithm)
+        last = (level >= levels.top).to(square.dtype)
+        return middle, square, start, _ALMOST * first, 1 - (1 - _ALMOST) * last
+
+
 class LevelGate(nn.Module):
     """An anchor of level L is seen where a whole number made of the level asked for reaches L.
 
@@ -82,16 +118,12 @@ class LevelGate(nn.Module):
     that is one largest squared distance for each anchor, so a frame takes one comparison.
     """
 
-    middle: Tensor
-    furthest: Tensor
-    start: Tensor
-    least: Tensor
-    most_share: Tensor
+    anchor: Tensor
 
     def __init__(
         self, cloud: AnchorCloud, levels: Levels, *, half_cell: bool = True
     ) -> None:
-        """Solve for distances, in float64.
+        """Solve for distances.
 
         Args:
             cloud: The anchors, with levels.
@@ -99,34 +131,23 @@ class LevelGate(nn.Module):
             half_cell: Distances reach to the middle of an anchor's cell, not to its corner.
         """
         super().__init__()
-        assert cloud.level is not None
-        assert cloud.extra_level is not None
-        level, extra = cloud.level[:, None].double(), cloud.extra_level[:, None].double()
-        self.fading = levels.mode == "progressive"
         self.per_level = 1 / math.log(levels.fork)
-        shift = levels.voxel / 2 * levels.fork**-level if half_cell else 0.0
-        self.register_buffer("middle", (cloud.position + shift).float())
-        furthest = levels.standard * levels.fork ** (extra - level + MODES[levels.mode])
-        square = torch.where(level <= 0, _ALWAYS, furthest.square().clamp(max=_ALWAYS))
-        square = torch.where(level > levels.top, _NEVER, square)
-        self.register_buffer("furthest", square.float())
-        if self.fading:
-            start = extra - level + 1 + math.log(levels.standard) * self.per_level
-            self.register_buffer("start", start.float())
-            self.register_buffer("least", _ALMOST * (level <= 0).float())
-            most = torch.where(level >= levels.top, _ALMOST, 1.0)
-            self.register_buffer("most_share", most.float())
+        self.register_buffer("anchor", cloud.position)
+        limits = _Limits(cloud, levels, half_cell=half_cell)
+        self.limits = Constants(limits, (cloud.position,))
 
     def forward(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
         """Return 0 for anchors finer than their distance asks for; the last level fades in."""
-        offset = self.middle - centre
+        middle, furthest, *fading = self.limits(self.anchor)
+        offset = middle - centre
         square = (offset * offset).sum(dim=1, keepdim=True)
-        visible = (square <= self.furthest).to(square.dtype)
-        if not self.fading:
+        visible = (square <= furthest).to(square.dtype)
+        if not fading:
             return visible
+        start, least, most = fading
         logarithm = torch.log(square.clamp(min=_SMALLEST_SQUARE))
-        fraction = self.start - (0.5 * self.per_level) * logarithm
-        bounded = torch.minimum(torch.maximum(fraction, self.least), self.most_share)
+        fraction = start - (0.5 * self.per_level) * logarithm
+        bounded = torch.minimum(torch.maximum(fraction, least), most)
         return visible * bounded
 
 

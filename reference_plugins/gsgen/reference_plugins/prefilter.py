@@ -12,7 +12,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from gsgen.reference_plugins.checkpoints.anchors import AnchorCloud
-from gsgen.reference_plugins.planes import rotation_columns
+from gsgen.reference_plugins.constants import Constants
+from gsgen.reference_plugins.planes import planes_of, rotation_columns
 
 _NEAR = 0.2
 _DILATION = 0.3
@@ -22,22 +23,34 @@ _GUARD = 1.3
 _LEAST_SPREAD = 0.1
 
 
+class _Axes(nn.Module):
+    """The axes of the anchors' ellipsoids, as long as one standard deviation."""
+
+    reach: Tensor
+    rotation: Tensor
+
+    def __init__(self, cloud: AnchorCloud) -> None:
+        super().__init__()
+        self.register_buffer("reach", torch.exp(cloud.log_scale[:, :3]))
+        self.register_buffer("rotation", cloud.rotation)
+
+    def forward(self) -> tuple[Float[Tensor, "n 3 3"]]:
+        columns = rotation_columns(planes_of(self.rotation))
+        turn = torch.stack([torch.cat(column) for column in columns], dim=1)
+        return ((turn * self.reach.transpose(0, 1)[None]).permute(2, 0, 1),)
+
+
 class Prefilter(nn.Module):
     """Tests every anchor, for a lens whose axis goes through the middle of the image."""
 
     takes = ("projection", "viewport")
 
     anchor: Tensor
-    root: Tensor
 
     def __init__(self, cloud: AnchorCloud) -> None:
         super().__init__()
-        quaternion = torch.nn.functional.normalize(cloud.rotation, dim=1, eps=1e-12)
-        columns = rotation_columns(quaternion.unbind(dim=1), normalise=False)
-        turn = torch.stack([torch.stack(column, dim=1) for column in columns], dim=2)
-        scale = torch.exp(cloud.log_scale[:, :3])
         self.register_buffer("anchor", cloud.position)
-        self.register_buffer("root", turn * scale[:, None, :])
+        self.axes = Constants(_Axes(cloud))
 
     def forward(
         self,
@@ -85,4 +98,5 @@ class Prefilter(nn.Module):
     def _along(self, direction: Tensor, turn: Tensor) -> Tensor:
         """Return how far the ellipsoid's axes reach along a direction of camera space."""
         local = direction @ turn.transpose(0, 1)
-        return (self.root * local[:, :, None]).sum(dim=1)
+        (root,) = self.axes()
+        return (root * local[:, :, None]).sum(dim=1)

@@ -26,10 +26,11 @@ from gsgen.reference_plugins.avatars.follow import (
     repeated,
     rows_of,
 )
+from gsgen.reference_plugins.avatars.hanging import LEAST_WEIGHT, inverse
 from gsgen.reference_plugins.avatars.limbs import Limbs
 from gsgen.reference_plugins.checkpoints.pose_nets import weight_offsets
 from gsgen.reference_plugins.checkpoints.r3_avatar import R3Checkpoint
-from gsgen.reference_plugins.gauhuman import LEAST_WEIGHT, big_transforms
+from gsgen.reference_plugins.gauhuman import big_transforms
 from gsgen.reference_plugins.planes import rotation_columns
 from gsgen.sdk import GaussianGenerator, Gaussians
 
@@ -93,7 +94,8 @@ class R3Avatar(GaussianGenerator):
         big = big_transforms(body).reshape(body.joints, 12).astype(np.float32)
         ones = np.ones((body.joints, 1), np.float32)
         keep("big", torch.from_numpy(np.concatenate([big, ones], axis=1)))
-        numbers = which.reshape(vertex.shape).astype(np.int32)
+        # The largest table where frames are many; it is widened once, when a model is loaded.
+        numbers = which.reshape(vertex.shape).astype(np.int16)
         keep("vertex", torch.from_numpy(numbers))
         keep("sh", read.canonical.sh)
 
@@ -146,13 +148,13 @@ class R3Avatar(GaussianGenerator):
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Return position, opacity and covariance of one body, as rows."""
         said = self.appearance(frame)
-        vertex = torch.index_select(self.vertex, 0, frame).reshape(-1)
+        vertex = torch.index_select(self.vertex.to(torch.int32), 0, frame).reshape(-1)
         weights = torch.index_select(self.near, 0, vertex) * self.factor
         maps = torch.cat([joints.reshape(-1, 12), self.big], dim=1)
         mixed = (weights @ maps).transpose(0, 1)
         mixed = mixed[:24] / mixed[24:25]
         there, big = mixed.reshape(2, 1, 3, 4, -1).unbind(dim=0)
-        back = _inverse(big)
+        back = inverse(big)
         place = self.position + said[None, :3] - big[:, :, 3]
         place = _turned(back, place) + torch.index_select(added, 2, vertex)
         scale = said[3:6] * said[3:6]
@@ -170,21 +172,3 @@ def _turned(
     for axis in (1, 2):
         made = made + matrix[:, :, axis] * point[:, axis : axis + 1]
     return made
-
-
-def _inverse(matrix: Float[Tensor, "1 3 4 n"]) -> Float[Tensor, "1 3 3 n"]:
-    """Return the inverse of the first three columns, by cofactors.
-
-    With rows and columns counted in a circle, C[i, j] = M[i+1, j+1] M[i+2, j+2] −
-    M[i+1, j+2] M[i+2, j+1]; the inverse is Cᵀ over the determinant.
-    """
-    second, third = (
-        torch.cat([matrix[:, shift:, :3], matrix[:, :shift, :3]], dim=1) for shift in (1, 2)
-    )
-    one, two = (
-        [torch.cat([rows[:, :, shift:], rows[:, :, :shift]], dim=2) for shift in (1, 2)]
-        for rows in (second, third)
-    )
-    cofactors = one[0] * two[1] - one[1] * two[0]
-    determinant = (matrix[:, 0, :3] * cofactors[:, 0]).sum(dim=1)[:, None, None]
-    return cofactors.transpose(1, 2) / determinant

@@ -11,14 +11,12 @@ __all__ = [
     "chained",
     "covariance",
     "multiplied",
-    "planes_from",
     "repeated",
     "rows_of",
 ]
 
 from collections.abc import Sequence
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -94,11 +92,6 @@ def covariance(root: Float[Tensor, "k 3 3 n"]) -> Float[Tensor, "k 6 n"]:
 def rows_of(planes: Float[Tensor, "k c n"]) -> Float[Tensor, "m c"]:
     """Turn planes into rows, body after body."""
     return planes.transpose(1, 2).reshape(-1, planes.shape[1])
-
-
-def planes_from(rows: Float[np.ndarray, "n ..."]) -> Float[Tensor, "... n"]:
-    """Turn rows of float64 into planes of float32."""
-    return torch.from_numpy(np.ascontiguousarray(np.moveaxis(rows, 0, -1), np.float32))
 
 
 def repeated(rows: Float[Tensor, "n ..."], bodies: int) -> Float[Tensor, "m ..."]:

@@ -12,7 +12,6 @@ __all__ = [
     "pose_feature",
     "posed_vertices",
     "rodrigues",
-    "rotation_of",
 ]
 
 from collections.abc import Sequence
@@ -37,18 +36,6 @@ def rodrigues(vectors: Float[np.ndarray, "j 3"]) -> Float[np.ndarray, "j 3 3"]:
     sine, versine = np.sin(angle)[:, None, None], (1 - np.cos(angle))[:, None, None]
     made: np.ndarray = np.eye(3) + sine * cross + versine * (cross @ cross)
     return made
-
-
-def rotation_of(quaternion: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
-    """Turn quaternions (w, x, y, z) of any length but zero into matrices."""
-    length = np.maximum(np.linalg.norm(quaternion, axis=1, keepdims=True), 1e-12)
-    w, x, y, z = (quaternion / length).T
-    entries = (
-        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack(entries, axis=1).reshape(-1, 3, 3)
 
 
 def joints_of(body: Body, shape: Float[np.ndarray, " s"]) -> Float[np.ndarray, "j 3"]:

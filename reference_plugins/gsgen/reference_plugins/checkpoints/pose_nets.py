@@ -4,7 +4,7 @@
 changes of its skinning weights' logarithms (skhu101/GauHuman, ``nets/``).
 """
 
-__all__ = ["PoseNets", "read_pose_nets", "weight_offsets"]
+__all__ = ["OCTAVES", "SKIP", "PoseNets", "read_pose_nets", "weight_offsets"]
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ from gsgen.reference_plugins.checkpoints.states import Shape, checked
 
 Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
 
-_OCTAVES = 10
-_EMBEDDED = 3 * (2 * _OCTAVES + 1)
+OCTAVES = 10
+_EMBEDDED = 3 * (2 * OCTAVES + 1)
 # The layer that sees the embedded point once more.
-_SKIP = 3
+SKIP = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +74,13 @@ def _width(weight: Any) -> int | None:
 def weight_offsets(nets: PoseNets, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n j"]:
     """Return what is added to the logarithms of the skinning weights at ``points``, in float64."""
     embedded = [points.double()]
-    for octave in range(_OCTAVES):
+    for octave in range(OCTAVES):
         angle = points.double() * 2.0**octave
         embedded += [torch.sin(angle), torch.cos(angle)]
     first = hidden = torch.cat(embedded, dim=1)
     *inner, last = nets.weights
     for index, (weight, bias) in enumerate(inner):
-        if index == _SKIP:
+        if index == SKIP:
             hidden = torch.cat([first, hidden], dim=1)
         hidden = torch.relu(hidden @ weight.double().t() + bias.double())
     made: Tensor = hidden @ last[0].double().t() + last[1].double()
