@@ -19,7 +19,9 @@ from jaxtyping import Bool, Float, Int64
 from gsgen.contract.geometry import symmetric
 from gsgen.contract.spherical_harmonics import basis, degree_of
 from gsgen.runtime.camera import Camera
+from gsgen.runtime.oracle_meshes import Surface, cast
 from gsgen.runtime.scene import Scene, SplatSet
+from gsgen.runtime.splat_data import SplatData
 
 _DILATION: Final = 0.3
 _CULL: Final = 1 / 255
@@ -31,6 +33,7 @@ _POLE: Final = 1e-3
 # Within these shares of a threshold, float32 may decide otherwise.
 _BAND: Final = 2e-3
 _TIE: Final = 1e-6
+_TOUCH: Final = 1e-4  # a Gaussian and a mesh so near to each other
 # Within so many pixels of half a turn, it may find the other side of a Gaussian.
 _HALF_TURN: Final = 2e-3
 
@@ -89,14 +92,19 @@ def render(
         background: Red, green, blue and alpha behind it all.
     """
     first, parts = 0, []
-    for one in scene.sets:
+    for one in scene.sets or [SplatSet(_nobody())]:
         parts.append(_project(one, camera, first))
         first += len(one.data)
     names = _Splats.__slots__
     joined = [np.concatenate([getattr(part, name) for part in parts]) for name in names]
     splats = _Splats(*joined)
     order = np.argsort(splats.depth, kind="stable")
-    return _blend(_Splats(*(column[order] for column in joined)), camera, background)
+    walls = cast(scene.meshes, camera, scene.color_space)
+    return _blend(_Splats(*(column[order] for column in joined)), camera, background, walls)
+
+
+def _nobody() -> SplatData:
+    return SplatData(np.zeros((0, 10), np.float32), np.zeros((0, 3), np.float32), "rgb")
 
 
 def _project(one: SplatSet, camera: Camera, first: int) -> _Splats:
@@ -203,14 +211,16 @@ def _thinnest(sigma: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(away[:, None], -found, found))
 
 
-def _blend(splats: _Splats, camera: Camera, background: Sequence[float]) -> Picture:
+def _blend(
+    splats: _Splats, camera: Camera, background: Sequence[float], walls: Surface
+) -> Picture:
     height, width = camera.height, camera.width
     color, normal = np.zeros((height, width, 3)), np.zeros((height, width, 3))
     through, depth = np.ones((height, width)), np.zeros((height, width))
     median = np.full((height, width), np.inf)
     ids = np.full((height, width), -1)
     done = np.zeros((height, width), bool)
-    fragile, fragile_median = done.copy(), done.copy()
+    fragile, fragile_median = walls.fragile.copy(), done.copy()
     close = _ties(splats.depth)
     nearer_hit = done.copy()
     visible = 0
@@ -228,7 +238,8 @@ def _blend(splats: _Splats, camera: Camera, background: Sequence[float]) -> Pict
         bare = splats.opacity[i] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy)
         alpha = np.minimum(bare, _MOST)
         before = through[window].copy()
-        hit = (alpha >= _CULL) & ~done[window]
+        in_front = splats.depth[i] <= walls.depth[window]
+        hit = (alpha >= _CULL) & ~done[window] & in_front
         visible += bool((alpha >= _CULL).any())
         after = before * (1 - alpha)
         stop = hit & (after <= _FINISHED)
@@ -236,6 +247,8 @@ def _blend(splats: _Splats, camera: Camera, background: Sequence[float]) -> Pict
         if camera.kind == "panorama":
             behind = np.abs(np.abs(dx) - np.pi * camera.fx) <= _HALF_TURN
             near_edge |= behind & (alpha >= _CULL * (1 - _BAND))
+        beside = np.abs(splats.depth[i] - walls.depth[window]) <= _TOUCH * splats.depth[i]
+        fragile[window] |= ~done[window] & (alpha >= _CULL) & beside
         near_stop = hit & (np.abs(after / _FINISHED - 1) <= _BAND)
         fragile[window] |= ~done[window] & (near_edge | near_stop)
         if close[i]:
@@ -253,6 +266,14 @@ def _blend(splats: _Splats, camera: Camera, background: Sequence[float]) -> Pict
         ids[window] = np.where(halved, splats.place[i], ids[window])
         fragile_median[window] |= hit & (np.abs(after - 0.5) <= _BAND)
         through[window] = np.where(drawn, after, before)
+    # What is left goes to the meshes, and behind them there is nothing to see.
+    wall = np.isfinite(walls.depth)
+    rest = np.where(wall, through, 0)
+    color += rest[..., None] * walls.color
+    normal += rest[..., None] * walls.normal
+    depth += rest * np.where(wall, walls.depth, 0)
+    median = np.where(wall & (through >= 0.5), walls.depth, median)
+    through = through - rest
     alpha_all = 1 - through
     red, green, blue, opaque = background
     color += through[..., None] * np.array([red, green, blue]) * opaque

@@ -14,8 +14,15 @@ from gsgen.runtime.device import Device
 from gsgen.runtime.frame import Output
 from gsgen.runtime.kernels import counts as counting
 from gsgen.runtime.kernels.bin_tiles import WALK_THREADS, BinTiles
-from gsgen.runtime.kernels.blend_tiles import BlendTiles
+from gsgen.runtime.kernels.blend_tiles import BlendTiles, Layers
 from gsgen.runtime.kernels.counts import Counts
+from gsgen.runtime.kernels.draw_meshes import (
+    PLACE,
+    DrawMeshes,
+    MeshesStep,
+    PlacedMesh,
+    mesh_uniform,
+)
 from gsgen.runtime.kernels.draw_quads import DrawQuads, QuadsStep
 from gsgen.runtime.kernels.kernel import Step, run
 from gsgen.runtime.kernels.normals import NormalsKernel
@@ -50,12 +57,15 @@ class Kernels:
         self.sort = RadixSort(device, self.cut, self.scan)
         self.bin = cache(lambda panorama: BinTiles(device, self.cut.walk, panorama))
         self.ranges = TileRanges(device)
-        self.blend = cache(lambda pick, panorama: BlendTiles(device, pick, panorama))
+        self.blend = cache(
+            lambda pick, panorama, layers: BlendTiles(device, pick, panorama, layers)
+        )
         self.project = cache(
             lambda half, words, panorama: ProjectKernel(device, half, words, panorama)
         )
         self.normals = cache(lambda: NormalsKernel(device))
-        self.quads = cache(lambda: DrawQuads(device))
+        self.quads = cache(lambda tested: DrawQuads(device, tested))
+        self.meshes = cache(lambda: DrawMeshes(device))
 
 
 @final
@@ -71,6 +81,7 @@ class Plan:
         pair_capacity: For how many pairs of a splat and a tile there is room.
         quads: Whether colours come from the hardware's rasteriser.
         panorama: Whether the image is one.
+        meshes: Meshes among the Gaussians; nothing but their buffers is kept.
 
     Attributes:
         stages: What a frame does, stage by stage.
@@ -91,8 +102,11 @@ class Plan:
         pair_capacity: int,
         quads: bool = False,
         panorama: bool = False,
+        meshes: Sequence[PlacedMesh] = (),
     ) -> None:
         self._quads: QuadsStep | None = None
+        self._meshes: MeshesStep | None = None
+        self._layers: Layers | None = None
         self._device, self._kernels = device, kernels
         self._size, self._panorama = size, panorama
         self._tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
@@ -101,6 +115,7 @@ class Plan:
         self._frame = device.uniform("frame", FRAME.itemsize)
         self._bare_frame = device.uniform("frame with nothing behind", FRAME.itemsize)
         self._slots = device.uniform("pages", PAGE.itemsize * max(1, len(placed)))
+        self._mesh_slots = device.uniform("meshes", PLACE.itemsize * max(1, len(meshes)))
         self.buffers: dict[str, Any] = {}
         n = self._gaussians
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
@@ -108,7 +123,11 @@ class Plan:
         self._splats = [self._storage(name, _VEC4 * n) for name in ("shapes", "weights")]
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.images: dict[str, Any] = {}
-        self.stages = self._record(placed, outputs, quads)
+        laid = {}
+        if meshes:
+            tiled = outputs - {"color"} if quads else outputs
+            laid["meshes"] = self._draw_meshes(meshes, tiled)
+        self.stages = laid | self._record(placed, outputs, quads)
         self._staging = Staging(device, {"counts": self._counts} | self.images)
 
     def _storage(self, name: str, size: int, *, extra: str = "") -> Any:
@@ -144,12 +163,32 @@ class Plan:
             stages["normal"] = [self._blend("normal", members, normals, pick=False)]
         return stages
 
+    def _draw_meshes(
+        self, meshes: Sequence[PlacedMesh], tiled: frozenset[Output]
+    ) -> list[Step]:
+        """Make what draws meshes; return what makes a layer of them, if tiles are blended."""
+        if tiled:
+            pixels = self._size[0] * self._size[1]
+            self._layers = Layers(
+                1,
+                self._storage("layer colors", _VEC4 * pixels),
+                self._storage("layer depths", 4 * pixels),
+                self._storage("layer normals", _VEC4 * pixels)
+                if "normal" in tiled
+                else None,
+            )
+        self._meshes = self._kernels.meshes().step(
+            self._size, meshes, self._mesh_slots, self._layers
+        )
+        return list(self._meshes.layers)
+
     def _draw_quads(self, order: Any, colors: Any) -> QuadsStep:
-        kernel = self._kernels.quads()
+        kernel = self._kernels.quads(self._meshes is not None)
         size = kernel.row_bytes(self._size[0]) * self._size[1]
         self.images["color"] = self._storage("color image", size)
         resources = (self._frame, self._counts, order, *self._splats, colors)
-        return kernel.step(self._size, resources, self._counts, self.images["color"])
+        image = self.images["color"]
+        return kernel.step(self._size, resources, self._counts, image, self._meshes)
 
     def _columns(self, name: str, length: int) -> Columns:
         return Columns(
@@ -224,8 +263,13 @@ class Plan:
         self.images[name] = self._storage(f"{name} image", _VEC4 * pixels)
         frame = self._frame if name == "color" else self._bare_frame
         resources = (frame, self._ranges, members, *self._splats, colors)
-        kernel = self._kernels.blend(pick, self._panorama)
-        return kernel.step(self._tiles, (*resources, self.images[name]))
+        layers = self._layers
+        kernel = self._kernels.blend(pick, self._panorama, layers.count if layers else 0)
+        among = None
+        if layers is not None:
+            shown = layers.normals if name == "normal" else layers.colors
+            among = (shown, layers.depths)
+        return kernel.step(self._tiles, (*resources, self.images[name]), among)
 
     def submit(
         self,
@@ -233,6 +277,7 @@ class Plan:
         camera: Camera,
         background: Float[np.ndarray, "3"],
         *,
+        meshes: Sequence[PlacedMesh] = (),
         only: Sequence[str] | None = None,
     ) -> None:
         """Write what changes from frame to frame, and let the device draw.
@@ -241,6 +286,7 @@ class Plan:
             placed: The pages that the plan was made of, and how they are drawn now.
             camera: Whose image it is; of the plan's size.
             background: Red, green, blue behind it all, multiplied by their alpha.
+            meshes: The meshes that the plan was made of, and how they are drawn now.
             only: Stages to run; all where absent.
         """
         device = self._device
@@ -252,8 +298,14 @@ class Plan:
             slots[slot] = page_uniform(one, camera, base, page.capacity, live)
             base += page.capacity
         device.write(self._slots, slots)
+        for slot, mesh in enumerate(meshes):
+            device.write(
+                self._mesh_slots, mesh_uniform(mesh, camera), slot * PLACE.itemsize
+            )
         encoder = device.raw.create_command_encoder(label="frame")
         encoder.clear_buffer(self._ranges)
+        if self._meshes is not None:
+            self._meshes.encode(encoder, background)
         for name, steps in self.stages.items():
             if only is None or name in only:
                 run(encoder, steps, name)

@@ -13,7 +13,9 @@ from gsgen.runtime.device import Device
 from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
 from gsgen.runtime.frame import NOTHING, Frame, Output
 from gsgen.runtime.kernels.counts import Counts
+from gsgen.runtime.kernels.draw_meshes import PlacedMesh
 from gsgen.runtime.kernels.shader import ABSENT
+from gsgen.runtime.mesh_residency import MeshResidency
 from gsgen.runtime.plan import Kernels, Placed, Plan
 from gsgen.runtime.residency import PAGE_ROWS, Residency
 from gsgen.runtime.scene import Scene
@@ -54,6 +56,7 @@ class Renderer:
         self.device = device or Device.open()
         self._kernels = Kernels(self.device)
         self._residency = Residency(self.device, page_rows, compact=compact)
+        self._mesh_residency = MeshResidency(self.device)
         self._pairs = _FIRST_PAIRS
         self._quads = rasteriser == "quads"
         if self._quads and not self.device.blends_floats:
@@ -92,14 +95,14 @@ class Renderer:
                 mend="Use Renderer(rasteriser='tiles').",
             )
         behind = _premultiplied(background)
-        placed = self.placed(scene)
-        plan = self.plan(placed, camera, wanted)
-        plan.submit(placed, camera, behind[:3])
+        placed, meshes = self.placed(scene), self.placed_meshes(scene)
+        plan = self.plan(placed, camera, wanted, meshes)
+        plan.submit(placed, camera, behind[:3], meshes=meshes)
         counts, images = plan.collect()
         while counts[Counts.WANTED_PAIRS] > plan.pair_capacity:
             self._grow(int(counts[Counts.WANTED_PAIRS]))
-            plan = self.plan(placed, camera, wanted)
-            plan.submit(placed, camera, behind[:3])
+            plan = self.plan(placed, camera, wanted, meshes)
+            plan.submit(placed, camera, behind[:3], meshes=meshes)
             counts, images = plan.collect()
         return _frame(scene, camera, counts, images, float(behind[3]))
 
@@ -109,12 +112,24 @@ class Renderer:
             (one, page) for one in scene.sets for page in self._residency.pages(one.data)
         ]
 
+    def placed_meshes(self, scene: Scene) -> list[PlacedMesh]:
+        """Return each mesh of the scene with its buffers, uploaded where it is new."""
+        return [
+            PlacedMesh(one, self._mesh_residency.buffers(one.data), scene.color_space)
+            for one in scene.meshes
+        ]
+
     def plan(
-        self, placed: Sequence[Placed], camera: Camera, outputs: frozenset[Output]
+        self,
+        placed: Sequence[Placed],
+        camera: Camera,
+        outputs: frozenset[Output],
+        meshes: Sequence[PlacedMesh] = (),
     ) -> Plan:
         """Return the plan for such a frame: the present one if it fits."""
         size, panorama = (camera.width, camera.height), camera.kind == "panorama"
-        key = (tuple(page for _, page in placed), size, outputs, self._pairs, panorama)
+        things = (tuple(page for _, page in placed), tuple(one.buffers for one in meshes))
+        key = (things, size, outputs, self._pairs, panorama)
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
             self._plan = Plan(
@@ -126,6 +141,7 @@ class Renderer:
                 self._pairs,
                 self._quads,
                 panorama,
+                meshes,
             )
             self._key = key
         return self._plan

@@ -11,10 +11,9 @@ from jaxtyping import Float
 
 from gsgen.contract.spherical_harmonics import MAX_DEGREE
 from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.mesh import Mesh, MeshData
 from gsgen.runtime.splat_data import SplatData
-
-# A matrix whose inverse would lose more digits than float32 has is as good as flat.
-_WORST_CONDITION = 1e6
+from gsgen.runtime.transforms import identity, require_affine
 
 
 @final
@@ -29,10 +28,6 @@ class Box:
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
-
-
-def _identity() -> Float[np.ndarray, "4 4"]:
-    return np.eye(4)
 
 
 @final
@@ -55,7 +50,7 @@ class SplatSet:
     """
 
     data: SplatData
-    transform: Float[np.ndarray, "4 4"] = field(default_factory=_identity)
+    transform: Float[np.ndarray, "4 4"] = field(default_factory=identity)
     opacity_scale: float = 1.0
     degree: int | None = None
     antialias: Literal["classic", "mip"] = "classic"
@@ -64,7 +59,7 @@ class SplatSet:
     def __post_init__(self) -> None:
         matrix = np.array(self.transform, np.float64)
         object.__setattr__(self, "transform", matrix)
-        _require_affine(matrix)
+        require_affine(matrix)
         if not (np.isfinite(self.opacity_scale) and self.opacity_scale >= 0):
             raise SceneInvalid(
                 f"is {self.opacity_scale}, wanted a number from 0", where="opacity_scale"
@@ -79,24 +74,6 @@ class SplatSet:
             )
 
 
-def _require_affine(matrix: Float[np.ndarray, "4 4"]) -> None:
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise SceneInvalid(
-            f"is {matrix.tolist()}, wanted 4 rows of 4 finite numbers", where="transform"
-        )
-    if not np.array_equal(matrix[3], [0, 0, 0, 1]):
-        raise SceneInvalid(
-            f"has the last row {matrix[3].tolist()}, wanted 0 0 0 1", where="transform"
-        )
-    sizes = np.linalg.svd(matrix[:3, :3], compute_uv=False)
-    if not sizes[2] * _WORST_CONDITION > sizes[0]:
-        raise SceneInvalid(
-            f"flattens space: it scales by {', '.join(f'{size:.3g}' for size in sizes)}",
-            where="transform",
-            mend="Scale by something other than zero along every axis.",
-        )
-
-
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
@@ -105,19 +82,25 @@ class Scene:
     Attributes:
         sets: In any order; of Gaussians at the same depth, those of the earlier set are in front.
         color_space: Of the colours of all sets; they are blended as they are.
+        meshes: Opaque surfaces, whose colours are converted to this space; where two are equally
+            far, the earlier is seen.
     """
 
     sets: tuple[SplatSet, ...]
     color_space: Literal["srgb", "linear"] = "srgb"
+    meshes: tuple[Mesh, ...] = ()
 
     def __init__(
         self,
         sets: Iterable[SplatSet | SplatData],
         color_space: Literal["srgb", "linear"] = "srgb",
+        meshes: Iterable[Mesh | MeshData] = (),
     ) -> None:
         made = tuple(one if isinstance(one, SplatSet) else SplatSet(one) for one in sets)
         object.__setattr__(self, "sets", made)
         object.__setattr__(self, "color_space", color_space)
+        stood = tuple(one if isinstance(one, Mesh) else Mesh(one) for one in meshes)
+        object.__setattr__(self, "meshes", stood)
 
     def locate(self, index: int) -> tuple[int, int]:
         """Return the set and the row in it of the Gaussian that a frame's ids call ``index``.

@@ -11,4 +11,22 @@
 @group(0) @binding(6) var<storage, read_write> image: array<vec4u>;
 
 const ZERO = vec4f(0.0);
+//!repeat ONCE LAYERED
 
+// Images among the splats, the front one first: see `Layers` in blend_tiles.py.
+@group(1) @binding(0) var<storage, read> layers: array<vec4f>;
+@group(1) @binding(1) var<storage, read> layer_depths: array<f32>;
+
+// Depths of four pixels of a layer above each other; NOWHERE outside of the image.
+fn depths_of_layer(layer: u32, corner: vec2u) -> vec4f {
+    let size = frame.size;
+    let at = (layer * size.y + corner.y) * size.x + corner.x;
+    var made = vec4f(NOWHERE);
+    for (var i = 0u; i < 4u; i++) {
+        if (corner.x < size.x && corner.y + i < size.y) {
+            made[i] = min(layer_depths[at + i * size.x], NOWHERE);
+        }
+    }
+    return made;
+}
+//!end

@@ -1,6 +1,12 @@
     // What both ways to blend end with: each pixel, and what is behind it.
 //!repeat CELL CELLS
     {
+//!repeat LAYER LAYERS
+        {
+            let reached = depth_LAYER_CELL < vec4f(NOWHERE);
+//!include blend_layer
+        }
+//!end
         let rest = abs(through_CELL);
         let column = corner.x + CELLu / QUADS * (TILE / COLUMNS);
         let row = corner.y + CELLu % QUADS * 4u;

@@ -7,6 +7,12 @@
             let dy = y + f32(CELLu % QUADS * 4u) - shape.y;
             let above = weight.y - 0.5 * shape.z * dx * dx - (bend * dy + shape.w * dx) * dy;
             if (any(above >= ZERO)) {
+//!repeat LAYER LAYERS
+                if (any(vec4f(weight.z) > depth_LAYER_CELL)) {
+                    let reached = vec4f(weight.z) > depth_LAYER_CELL;
+//!include blend_layer
+                }
+//!end
                 let before = through_CELL;
                 let alpha = min(CULL_OPACITY * exp(above), vec4f(MAX_ALPHA));
                 let after = before * (1.0 - alpha);

@@ -10,4 +10,8 @@
     var green_CELL = ZERO;
     var blue_CELL = ZERO;
     var taker_CELL = vec4u(ABSENT);
+//!repeat LAYER LAYERS
+    let top_LAYER_CELL = corner + vec2u(CELLu / QUADS * (TILE / COLUMNS), CELLu % QUADS * 4u);
+    var depth_LAYER_CELL = depths_of_layer(LAYERu, top_LAYER_CELL);
+//!end
 //!end

@@ -1,8 +1,9 @@
 """Blend: composite each tile's splats, front to back."""
 
-__all__ = ["BlendTiles", "blend_reference"]
+__all__ = ["NOWHERE", "BlendTiles", "Layers", "blend_reference"]
 
-from typing import Any, final
+from dataclasses import dataclass
+from typing import Any, Final, final
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +15,32 @@ from gsgen.runtime.kernels.project import Projected
 from gsgen.runtime.kernels.shader import MAX_ALPHA, MIN_TRANSMITTANCE, ROUND, TILE
 from gsgen.runtime.kernels.subgroups import lanes
 
+NOWHERE: Final = 3.4e38
+"""The depth of a layer where it has nothing: farther than any splat."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Layers:
+    """Images among the splats, the front one first; each is blended before what is behind it.
+
+    A pixel of a layer is its colour multiplied by its alpha, and its alpha; its depth is along +z,
+    or NOWHERE or infinite where the layer has nothing. A later layer is nowhere in front of an
+    earlier one; of several, only the last may be opaque.
+
+    Attributes:
+        count: How many there are.
+        colors: Buffer of four float32 a pixel, layer by layer.
+        depths: Buffer of one float32 a pixel, layer by layer.
+        normals: Like ``colors``, with normals in camera space in place of colours, or None where
+            no normals are asked for.
+    """
+
+    count: int
+    colors: Any
+    depths: Any
+    normals: Any = None
+
 
 @final
 class BlendTiles:
@@ -23,9 +50,12 @@ class BlendTiles:
         device: Where it runs.
         pick: Whether to make depths and ids instead of colours.
         panorama: Whether the image is one.
+        layers: How many layers stand among the splats.
     """
 
-    def __init__(self, device: Device, pick: bool, panorama: bool = False) -> None:
+    def __init__(
+        self, device: Device, pick: bool, panorama: bool = False, layers: int = 0
+    ) -> None:
         # A CPU's vector is as wide as half a tile: one invocation takes two columns, top to
         # bottom. A GPU wants many invocations.
         columns, quads = (2, 4) if device.software else (1, 1)
@@ -34,23 +64,33 @@ class BlendTiles:
             device,
             "blend_subgroups" if together else "blend_tiles",
             "blend",
-            ("urrrrrw",),
+            ("urrrrrw", "rr") if layers else ("urrrrrw",),
             COLUMNS=columns,
             QUADS=quads,
             CELLS=columns * quads,
             LANES=TILE // columns,
             PICK=pick,
             **(ROUND if panorama else {}),
+            **({"LAYERS": layers, "LAYERED": 1, "NOWHERE": NOWHERE} if layers else {}),
         )
 
-    def step(self, tiles: tuple[int, int], resources: tuple[Any, ...]) -> Step:
+    def step(
+        self,
+        tiles: tuple[int, int],
+        resources: tuple[Any, ...],
+        layers: tuple[Any, Any] | None = None,
+    ) -> Step:
         """Return the blending of an image.
 
         Args:
             tiles: How many there are across and down.
             resources: What ``blend_tiles.wgsl`` binds, in its order.
+            layers: Colours, or normals, and depths of the layers, where there are any.
         """
-        return Step(self.kernel, (self.kernel.bind(*resources),), (*tiles, 1))
+        binds = [self.kernel.bind(*resources)]
+        if layers is not None:
+            binds.append(self.kernel.bind(*layers, group=1))
+        return Step(self.kernel, tuple(binds), (*tiles, 1))
 
 
 def blend_reference(

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from gsgen.runtime.device import Device
 from gsgen.runtime.kernels.counts import PLACES, Counts
+from gsgen.runtime.kernels.draw_meshes import DEPTHS, MeshesStep
 from gsgen.runtime.kernels.shader import source
 
 _ROW_BYTES: Final = 256  # what a row of a copied texture has to be a multiple of
@@ -17,6 +18,11 @@ _UNDER: Final = {
     "src_factor": "one",
     "dst_factor": "one-minus-src-alpha",
     "operation": "add",
+}
+_TESTED: Final = {
+    "format": DEPTHS,
+    "depth_write_enabled": False,
+    "depth_compare": "greater-equal",
 }
 _VISIBILITY: Final = "VERTEX|FRAGMENT"
 
@@ -35,6 +41,7 @@ class QuadsStep:
         image: The buffer that the picture is copied to.
         row_bytes: Of the image.
         size: Width and height, in pixels.
+        depth: View of the meshes' depths, or None; then ``texture`` is theirs, too.
     """
 
     pipeline: Any
@@ -45,16 +52,22 @@ class QuadsStep:
     image: Any
     row_bytes: int
     size: tuple[int, int]
+    depth: Any
 
     def encode(self, encoder: Any, background: Float[np.ndarray, "3"]) -> None:
-        """Draw over ``background``, and copy the picture to the image."""
+        """Draw over ``background``, or over the meshes, and copy the picture to the image."""
         target = {
             "view": self.view,
             "clear_value": (*background.tolist(), 0.0),
-            "load_op": "clear",
+            "load_op": "clear" if self.depth is None else "load",
             "store_op": "store",
         }
-        drawing = encoder.begin_render_pass(label="quads", color_attachments=[target])
+        tested = (
+            None if self.depth is None else {"view": self.depth, "depth_read_only": True}
+        )
+        drawing = encoder.begin_render_pass(
+            label="quads", color_attachments=[target], depth_stencil_attachment=tested
+        )
         drawing.set_pipeline(self.pipeline)
         drawing.set_bind_group(0, self.bind)
         drawing.draw_indirect(self.counts, 4 * Counts.DRAW_ARGUMENTS)
@@ -72,9 +85,10 @@ class DrawQuads:
 
     Args:
         device: Where it runs; it has to be able to blend 32-bit floats.
+        tested: Whether meshes may hide splats.
     """
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: Device, tested: bool = False) -> None:
         raw = self._raw = device.raw
         kinds = ["uniform"] + ["read-only-storage"] * 5
         entries = [
@@ -83,13 +97,14 @@ class DrawQuads:
         ]
         self._layout = raw.create_bind_group_layout(label="quads", entries=entries)
         module = raw.create_shader_module(
-            label="draw_quads", code=source("draw_quads", **PLACES)
+            label="draw_quads", code=source("draw_quads", TESTED=tested, **PLACES)
         )
         self._pipeline = raw.create_render_pipeline(
             label="quads",
             layout=raw.create_pipeline_layout(bind_group_layouts=[self._layout]),
             vertex={"module": module, "entry_point": "corner_of", "buffers": []},
             primitive={"topology": "triangle-strip"},
+            depth_stencil=_TESTED if tested else None,
             fragment={
                 "module": module,
                 "entry_point": "color_at",
@@ -105,7 +120,12 @@ class DrawQuads:
         return -(-16 * width // _ROW_BYTES) * _ROW_BYTES
 
     def step(
-        self, size: tuple[int, int], resources: tuple[Any, ...], counts: Any, image: Any
+        self,
+        size: tuple[int, int],
+        resources: tuple[Any, ...],
+        counts: Any,
+        image: Any,
+        meshes: MeshesStep | None = None,
     ) -> QuadsStep:
         """Return the drawing of a picture.
 
@@ -114,13 +134,9 @@ class DrawQuads:
             resources: What ``draw_quads.wgsl`` binds, in its order.
             counts: The frame's counts.
             image: A buffer with rows of :meth:`row_bytes`.
+            meshes: What is drawn before, and hides splats, or None.
         """
-        texture = self._raw.create_texture(
-            label="quads",
-            size=(*size, 1),
-            format="rgba32float",
-            usage="RENDER_ATTACHMENT|COPY_SRC",
-        )
+        texture = meshes.color if meshes else self._texture(size)
         bind = self._raw.create_bind_group(
             label="quads",
             layout=self._layout,
@@ -138,4 +154,13 @@ class DrawQuads:
             image,
             self.row_bytes(size[0]),
             size,
+            meshes.depth if meshes else None,
+        )
+
+    def _texture(self, size: tuple[int, int]) -> Any:
+        return self._raw.create_texture(
+            label="quads",
+            size=(*size, 1),
+            format="rgba32float",
+            usage="RENDER_ATTACHMENT|COPY_SRC",
         )

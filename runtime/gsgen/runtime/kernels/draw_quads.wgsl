@@ -44,7 +44,8 @@ fn corner_of(@builtin(vertex_index) corner: u32, @builtin(instance_index) instan
     let side = vec2f(f32(corner & 1u), f32(corner >> 1u)) * 2.0 - 1.0;
     let offset = side.x * length * long_axis + side.y * width * vec2f(-long_axis.y, long_axis.x);
     let pixel = (shape.xy + frame.origin + offset) / vec2f(frame.size);
-    let clip = vec4f(2.0 * pixel.x - 1.0, 1.0 - 2.0 * pixel.y, 0.5, 1.0);
+    let nearness = select(0.5, frame.near / weight.z, TESTED);  // as draw_meshes.wgsl has it
+    let clip = vec4f(2.0 * pixel.x - 1.0, 1.0 - 2.0 * pixel.y, nearness, 1.0);
     return Corner(clip, shape, weight.xy, colors[id].xyz);
 }
 

@@ -9,7 +9,10 @@ from importlib.resources import files
 from gsgen.contract import layout
 
 _INCLUDE = re.compile(r"^//!include (\w+)$", re.MULTILINE)
-_REPEAT = re.compile(r"^//!repeat (\w+) (\w+)\n(.*?)^//!end\n", re.MULTILINE | re.DOTALL)
+_REPEAT = re.compile(  # one that has no other inside
+    r"^//!repeat (\w+) (\w+)\n((?:(?!^//!repeat ).)*?)^//!end\n", re.MULTILINE | re.DOTALL
+)
+_NO_LAYERS = {"LAYERS": 0, "LAYERED": 0}  # not declared where there are none
 
 # What every kernel may use. One truth per fact: the numbers live in gsgen.contract or here.
 DILATION = 0.3
@@ -35,7 +38,8 @@ def source(name: str, **constants: int | float | bool) -> str:
 
     Two directives stand in lines of their own. ``//!include NAME`` puts another file there.
     ``//!repeat WORD COUNT`` to ``//!end`` writes what is between them as often as the constant
-    COUNT says, with WORD replaced by 0, 1, 2, …: drivers unroll no loop over registers.
+    COUNT says, with WORD replaced by 0, 1, 2, …: drivers unroll no loop over registers. One may
+    stand in another.
 
     Args:
         name: Of the file in this package, without ``.wgsl``.
@@ -54,7 +58,9 @@ def source(name: str, **constants: int | float | bool) -> str:
     }
     known = shared | constants
     lines = [_declaration(key, value) for key, value in known.items()]
-    text = _REPEAT.sub(lambda match: _repeated(match, known), _included(name))
+    text, counts = _included(name), _NO_LAYERS | known
+    while (match := _REPEAT.search(text)) is not None:
+        text = text[: match.start()] + _repeated(match, counts) + text[match.end() :]
     return "\n".join(lines) + "\n" + text
 
 

@@ -1,0 +1,45 @@
+"""Transforms: where things stand in the world."""
+
+__all__ = ["identity", "require_affine"]
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.runtime.errors import SceneInvalid
+
+# A matrix whose inverse would lose more digits than float32 has is as good as flat.
+_WORST_CONDITION: Final = 1e6
+
+
+def identity() -> Float[np.ndarray, "4 4"]:
+    """Return the transform that leaves everything where it is."""
+    return np.eye(4)
+
+
+def require_affine(matrix: Float[np.ndarray, "4 4"], where: str = "transform") -> None:
+    """Make sure that ``matrix`` is affine and can be inverted.
+
+    Args:
+        matrix: Local → world.
+        where: What an error says of its place.
+
+    Raises:
+        SceneInvalid: It is not 4 × 4, not finite, not affine, or flattens space.
+    """
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise SceneInvalid(
+            f"is {matrix.tolist()}, wanted 4 rows of 4 finite numbers", where=where
+        )
+    if not np.array_equal(matrix[3], [0, 0, 0, 1]):
+        raise SceneInvalid(
+            f"has the last row {matrix[3].tolist()}, wanted 0 0 0 1", where=where
+        )
+    sizes = np.linalg.svd(matrix[:3, :3], compute_uv=False)
+    if not sizes[2] * _WORST_CONDITION > sizes[0]:
+        raise SceneInvalid(
+            f"flattens space: it scales by {', '.join(f'{size:.3g}' for size in sizes)}",
+            where=where,
+            mend="Scale by something other than zero along every axis.",
+        )

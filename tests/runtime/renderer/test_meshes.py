@@ -1,0 +1,256 @@
+"""Meshes stand among Gaussians: each hides what is behind it, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gsgen.runtime import oracle
+from gsgen.runtime.camera import Camera
+from gsgen.runtime.device import Device
+from gsgen.runtime.errors import CapacityExceeded, SceneInvalid
+from gsgen.runtime.frame import NOTHING
+from gsgen.runtime.kernels.blend_tiles import NOWHERE
+from gsgen.runtime.kernels.draw_meshes import PlacedMesh, mesh_uniform, seen_reference
+from gsgen.runtime.kernels.shader import source
+from gsgen.runtime.mesh import Mesh, MeshData
+from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.scene import Scene
+from support.mesh_scenes import MESH_SCENES, ball, moved, wall
+from support.splat_scenes import camera, cloud, single, turned
+
+BEHIND = (0.1, 0.4, 0.7, 0.5)
+EVERYTHING = ("color", "depth", "normal")
+
+
+def decibels(a: np.ndarray, b: np.ndarray) -> float:
+    return float(-10 * np.log10(max(np.square(a - b).mean(), 1e-20)))
+
+
+def compare(scene: Scene, seen_by: Camera, renderer: Renderer) -> None:
+    seen = renderer.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
+    wanted = oracle.render(scene, seen_by, background=BEHIND)
+    firm, firm_median = ~wanted.fragile, ~wanted.fragile_median
+    assert firm.mean() > 0.7
+    assert decibels(seen.rgba[firm], wanted.rgba[firm]) >= 100
+    np.testing.assert_allclose(seen.rgba[firm], wanted.rgba[firm], atol=1e-4)
+    np.testing.assert_allclose(seen.depth[firm], wanted.depth[firm], rtol=2e-4)
+    np.testing.assert_array_equal(seen.ids[firm_median], wanted.ids[firm_median])
+    np.testing.assert_allclose(
+        seen.median_depth[firm_median], wanted.median_depth[firm_median], rtol=1e-4
+    )
+    covered = firm & (wanted.rgba[..., 3] > BEHIND[3])
+    cosine = (seen.normal * wanted.normal).sum(axis=-1)[covered]
+    assert np.median(cosine) > 0.999999
+    assert np.quantile(cosine, 0.05) > 0.9999
+
+
+@pytest.mark.parametrize("name", MESH_SCENES)
+def test_everything_is_the_oracles(renderer: Renderer, name: str) -> None:
+    compare(*MESH_SCENES[name](), renderer)
+
+
+@pytest.mark.parametrize("variant", ["without subgroups", "as on a GPU"])
+def test_every_cut_of_the_kernels_knows_meshes(device: Device, variant: str) -> None:
+    other = Device(device.raw)
+    other.subgroups = False
+    other.software = variant == "without subgroups"
+    compare(*MESH_SCENES["through_the_middle"](), Renderer(other))
+
+
+@pytest.fixture(scope="module")
+def quads(device: Device) -> Renderer:
+    return Renderer(device, rasteriser="quads")
+
+
+@pytest.mark.parametrize("name", ["through_the_middle", "several", "flat_camera", "alone"])
+def test_quads_are_hidden_by_meshes_too(quads: Renderer, name: str) -> None:
+    scene, seen_by = MESH_SCENES[name]()
+    seen = quads.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
+    wanted = oracle.render(scene, seen_by, background=BEHIND)
+    error = np.where(wanted.fragile, 0, np.abs(seen.rgba - wanted.rgba).max(axis=-1))
+    assert np.quantile(error, 0.9) <= 2e-5
+    assert error.max() <= 1e-2  # what finished pixels leave out
+    firm = ~wanted.fragile
+    np.testing.assert_allclose(seen.depth[firm], wanted.depth[firm], rtol=2e-4)
+
+
+def test_a_splat_is_hidden_by_what_is_in_front_of_it_alone(renderer: Renderer) -> None:
+    splat = single(depth=3.0, opacity=0.9)
+    bare = renderer.render(Scene([splat]), camera())
+    behind = renderer.render(
+        Scene([splat], meshes=[wall(3.01)]), camera(), outputs=EVERYTHING
+    )
+    before = renderer.render(
+        Scene([splat], meshes=[wall(2.99)]), camera(), outputs=EVERYTHING
+    )
+    middle = (23, 30)
+    red = 0.9 * bare.alpha[middle]
+    assert behind.rgba[middle][0] == pytest.approx(
+        red + (1 - bare.alpha[middle]) * before.rgba[middle][0], abs=2e-3
+    )
+    assert behind.ids[middle] == 0
+    assert behind.median_depth[middle] == pytest.approx(3)
+    assert before.ids[middle] == NOTHING
+    assert before.median_depth[middle] == pytest.approx(2.99)
+    assert before.depth[middle] == pytest.approx(2.99)
+    np.testing.assert_allclose(before.normal[middle], [0, 0, -1], atol=1e-6)
+    assert behind.alpha[middle] == before.alpha[middle] == 1
+
+
+def test_of_equally_near_meshes_the_first_is_seen(renderer: Renderer) -> None:
+    first, second = wall(3, seed=1), wall(3, seed=2)
+    both = renderer.render(Scene([], meshes=[first, second]), camera())
+    one = renderer.render(Scene([], meshes=[first]), camera())
+    assert np.array_equal(both.rgba, one.rgba)
+
+
+def test_many_triangles_are_as_two(renderer: Renderer) -> None:
+    """More than 65,535 triangles of a plane show what two of it show."""
+    side = 200
+    place = np.linspace(-1, 1, side)
+    x, y = (axis.ravel() for axis in np.meshgrid(place, place))
+    points = np.stack([x, y, 3 + 0.4 * x - 0.2 * y], 1)
+    colors = np.stack([0.5 + 0.3 * x, 0.5 - 0.4 * y, 0.5 + 0.2 * x + 0.2 * y], 1)
+    a = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
+    faces = np.concatenate(
+        [np.stack([a, a + 1, a + side], 1), np.stack([a + 1, a + side + 1, a + side], 1)]
+    )
+    fine = MeshData(points, faces, colors)
+    assert len(fine) > 65_535
+    ends = np.array([0, side - 1, side * side - 1, side * (side - 1)])
+    coarse = MeshData(points[ends], np.array([[0, 1, 2], [0, 2, 3]]), colors[ends])
+    splats = cloud(100, 12)
+    compare(Scene([splats], meshes=[coarse]), camera(), renderer)
+    many, two = (
+        renderer.render(Scene([splats], meshes=[one]), camera()) for one in (fine, coarse)
+    )
+    edge = oracle.render(Scene([splats], meshes=[coarse]), camera()).fragile
+    assert np.abs(many.rgba - two.rgba)[~edge].max() <= 1e-4
+
+
+@pytest.mark.parametrize("name", ["several", "near_plane", "textured", "flat_camera"])
+def test_the_twin_sees_the_same(renderer: Renderer, name: str) -> None:
+    scene, seen_by = MESH_SCENES[name]()
+    scene = Scene([], color_space=scene.color_space, meshes=scene.meshes)
+    seen = renderer.render(scene, seen_by, outputs=EVERYTHING)
+    size = (seen_by.width, seen_by.height)
+    best = np.full((*size[::-1], 8), NOWHERE)
+    for placed in renderer.placed_meshes(scene):
+        place = mesh_uniform(placed, seen_by)
+        made = seen_reference(placed.mesh.data, place)
+        best = np.where(made[..., 7:] < best[..., 7:], made, best)
+    there = best[..., 7] < NOWHERE
+    edge = oracle.render(scene, seen_by).fragile
+    assert (there == (seen.alpha == 1))[~edge].all()
+    np.testing.assert_allclose(
+        seen.rgba[there & ~edge][:, :3], best[there & ~edge][:, :3], atol=2e-5
+    )
+    np.testing.assert_allclose(
+        seen.depth[there & ~edge], best[there & ~edge][:, 7], rtol=1e-4
+    )
+    normal = best[there & ~edge][:, 4:7] @ seen_by.view[:3, :3]
+    np.testing.assert_allclose(seen.normal[there & ~edge], normal, atol=2e-3)
+
+
+def test_where_no_layer_is_the_shader_does_not_know_of_any(renderer: Renderer) -> None:
+    for name in ("blend_tiles", "blend_subgroups"):
+        constants = {"COLUMNS": 1, "QUADS": 2, "CELLS": 2, "LANES": 16, "PICK": False}
+        assert "layer" not in source(name, **constants).lower()
+        text = source(name, **constants, LAYERS=2, LAYERED=1, NOWHERE=NOWHERE)
+        assert "depth_1_1" in text
+        assert "//!" not in text
+
+
+def test_a_moving_mesh_makes_no_buffer_and_no_bind_group(
+    renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    splats, shape = cloud(50, 13), ball()
+    renderer.render(Scene([splats], meshes=[shape]), camera())
+    made: list[str] = []
+    raw = type(renderer.device.raw)
+    for name in ("create_buffer", "create_bind_group", "create_texture"):
+        monkeypatch.setattr(raw, name, lambda *_, label="", **__: made.append(label))
+    for step in range(3):
+        mesh = Mesh(shape, moved(0.1 * step, 0, 4))
+        renderer.render(Scene([splats], meshes=[mesh]), camera())
+    assert made == []
+
+
+def test_meshes_that_come_and_go(renderer: Renderer) -> None:
+    splats = cloud(60, 14)
+    without = renderer.render(Scene([splats]), camera())
+    renderer.render(Scene([splats], meshes=[wall(4)]), camera())
+    again = renderer.render(Scene([splats]), camera())
+    assert np.array_equal(without.rgba, again.rgba)
+
+
+def test_cameras_that_show_no_meshes_say_so(renderer: Renderer) -> None:
+    around = camera().all_around(64, 32)
+    with pytest.raises(SceneInvalid, match="meshes are drawn for pinhole and orthographic"):
+        renderer.render(Scene([], meshes=[wall(3)]), around)
+
+
+def test_a_texture_that_is_too_large(renderer: Renderer) -> None:
+    most = int(renderer.device.raw.limits["max-texture-dimension-2d"])
+    shape = wall(3)
+    uv = np.zeros((4, 2), np.float32)
+    wide = MeshData(
+        shape.vertices, shape.faces, uv=uv, texture=np.zeros((1, most + 1, 3), np.uint8)
+    )
+    with pytest.raises(CapacityExceeded, match=f"mesh texture: is {most + 1}×1"):
+        renderer.render(Scene([], meshes=[wide]), camera())
+
+
+POINTS = np.eye(3, dtype=np.float32)
+FACE = np.array([[0, 1, 2]])
+
+
+def _with_nan() -> np.ndarray:
+    made = POINTS.copy()
+    made[1, 2] = np.nan
+    return made
+
+
+@pytest.mark.parametrize(
+    ("make", "match"),
+    [
+        (lambda: MeshData(_with_nan(), FACE), r"vertices: 1 of 3 rows .* row 1 is .*nan"),
+        (
+            lambda: MeshData(np.full((3, 3), np.inf), FACE),
+            "vertices: 3 of 3 rows are not finite",
+        ),
+        (lambda: MeshData(POINTS[:, :2], FACE), r"vertices: float32 \[3, 2\], wanted"),
+        (lambda: MeshData(POINTS, FACE + 1), r"row 0 is \[1, 2, 3\], but there are 3 vert"),
+        (lambda: MeshData(POINTS, FACE - 1), r"row 0 is \[-1, 0, 1\]"),
+        (lambda: MeshData(POINTS, FACE / 1), r"faces: float64 \[1, 3\], wanted integers"),
+        (lambda: MeshData(POINTS, FACE, POINTS[:2]), r"colors: float32 \[2, 3\]"),
+        (lambda: MeshData(POINTS, FACE, uv=POINTS[:, :2]), "texture: is absent"),
+        (
+            lambda: MeshData(POINTS, FACE, texture=np.zeros((1, 1, 3), np.uint8)),
+            "uv: is absent",
+        ),
+        (
+            lambda: MeshData(POINTS, FACE, uv=POINTS[:, :2], texture=np.zeros((1, 1, 3))),
+            r"texture: float64 \[1, 1, 3\], wanted uint8",
+        ),
+        (lambda: MeshData(POINTS, FACE, color_space="rgb"), "color_space: is 'rgb'"),
+        (lambda: Mesh(wall(1), np.diag([1.0, 0, 1, 1])), "flattens space"),
+        (lambda: Mesh(wall(1), shading="phong"), "shading: is 'phong', wanted unlit or"),
+    ],
+)
+def test_meshes_that_cannot_be_drawn_say_so(make: object, match: str) -> None:
+    with pytest.raises(SceneInvalid, match=match):
+        make()
+
+
+def test_a_mesh_keeps_what_it_is_given() -> None:
+    bytes_of_colors = np.array([[255, 0, 51, 7]] * 3, np.uint8)
+    data = MeshData(POINTS, FACE, bytes_of_colors)
+    np.testing.assert_allclose(data.colors, [[1, 0, 0.2]] * 3)
+    assert len(data) == 1
+    turn = turned(0.3, (0, 1, 0))
+    mesh = Mesh(data, moved(1, 0, 0)).placed(turn)
+    np.testing.assert_allclose(mesh.transform, turn @ moved(1, 0, 0))
+    assert replace(mesh, shading="headlight").data is data
+    assert PlacedMesh.__slots__ == ("mesh", "buffers", "color_space")
