@@ -16,19 +16,15 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Bool, Float, Int64
 
-from gsgen.contract.geometry import symmetric
-from gsgen.contract.spherical_harmonics import basis, degree_of
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.oracle_meshes import Surface, cast
+from gsgen.runtime.oracle_projection import across, colors, ellipses, normals
 from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
 
-_DILATION: Final = 0.3
 _CULL: Final = 1 / 255
 _MOST: Final = 0.99
 _FINISHED: Final = 1e-4
-_MARGIN: Final = 0.3
-_POLE: Final = 1e-3
 
 # Within these shares of a threshold, float32 may decide otherwise.
 _BAND: Final = 2e-3
@@ -110,105 +106,23 @@ def _nobody() -> SplatData:
 def _project(one: SplatSet, camera: Camera, first: int) -> _Splats:
     data = one.data
     rows = data.rows[: data.count].astype(np.float64)
-    linear, offset = one.transform[:3, :3], one.transform[:3, 3]
-    turn = camera.view[:3, :3]
+    found = ellipses(rows, one, camera)
     with np.errstate(all="ignore"):  # rows that are not finite are dropped at the end
-        at = (rows[:, :3] @ linear.T + offset - camera.eye) @ turn.T
-        sigma = _turned(turn @ linear, symmetric(rows[:, 4:]))
-        mean, plain = _flattened(at, sigma, camera)
-        wide = plain + _DILATION * np.eye(2)
         opacity = np.minimum(rows[:, 3] * one.opacity_scale, 1)
         if one.antialias == "mip":
-            ratio = np.linalg.det(plain) / np.linalg.det(wide)
+            ratio = np.linalg.det(found.bare) / np.linalg.det(found.wide)
             opacity = opacity * np.sqrt(np.maximum(ratio, 0))
-        color = _colors(one, camera)
+        color = colors(one, camera)
         low, high = (-np.inf, np.inf) if one.clip is None else (one.clip.low, one.clip.high)
-        depth = np.linalg.norm(at, axis=1) if camera.kind == "panorama" else at[:, 2]
-        kept = (depth > camera.near) & (opacity >= _CULL) & np.isfinite(rows).all(axis=1)
+        kept = found.sound & (found.depth > camera.near) & (opacity >= _CULL)
         kept &= ((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)
-        kept &= np.isfinite(color).all(axis=1) & np.isfinite(wide).all(axis=(1, 2))
-        kept &= (np.linalg.det(wide) > 0) & (wide[:, 0, 0] > 0) & (wide[:, 1, 1] > 0)
-    normal = np.zeros_like(at)
-    flat = np.tile([0.0, 0.0, 1.0], (len(at), 1))
-    sight = flat if camera.kind == "orthographic" else at
-    normal[kept] = _thinnest(sigma[kept], sight[kept]) @ turn
+        kept &= np.isfinite(color).all(axis=1)
+    normal = np.zeros((len(rows), 3))
+    normal[kept] = normals(found, kept, camera)
     place = np.arange(first, first + len(rows))
-    columns = (mean, wide, opacity, depth, np.maximum(color, 0), normal, place)
+    shown = np.maximum(color, 0)
+    columns = (found.mean, found.wide, opacity, found.depth, shown, normal, place)
     return _Splats(*(column[kept] for column in columns))
-
-
-def _turned(matrix: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    return np.asarray(np.einsum("ij,njk,lk->nil", matrix, sigma, matrix))
-
-
-def _flattened(
-    at: np.ndarray, sigma: np.ndarray, camera: Camera
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return where centres are in the image, and their 2D covariances."""
-    focal = np.array([camera.fx, camera.fy])
-    center = np.array([camera.cx, camera.cy])
-    size = np.array([camera.width, camera.height])
-    if camera.kind == "orthographic":
-        ahead = np.diag(focal) @ np.eye(2, 3)
-        return focal * at[:, :2] + center, ahead @ sigma @ ahead.T
-    if camera.kind == "panorama":
-        return _unrolled(at, sigma, focal, center)
-    slope = at[:, :2] / at[:, 2:]
-    low = -(center + _MARGIN * size / 2) / focal
-    high = (size - center + _MARGIN * size / 2) / focal
-    bent = np.clip(slope, low, high)
-    jacobian = np.zeros((len(at), 2, 3))
-    jacobian[:, [0, 1], [0, 1]] = focal / at[:, 2:]
-    jacobian[:, :, 2] = -focal * bent / at[:, 2:]
-    return focal * slope + center, np.einsum("nij,njk,nlk->nil", jacobian, sigma, jacobian)
-
-
-def _unrolled(
-    at: np.ndarray, sigma: np.ndarray, focal: np.ndarray, center: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same in a panorama: what lies east and south of each centre, as angles."""
-    distance = np.linalg.norm(at, axis=1)
-    longitude, latitude = np.arctan2(at[:, 0], at[:, 2]), np.arcsin(at[:, 1] / distance)
-    ahead = np.stack([np.sin(longitude), np.cos(longitude)], 1)
-    east = np.stack([ahead[:, 1], np.zeros(len(at)), -ahead[:, 0]], 1)
-    sin, cos = np.sin(latitude), np.cos(latitude)
-    south = np.stack([-sin * ahead[:, 0], cos, -sin * ahead[:, 1]], 1)
-    circle = distance * np.maximum(cos, _POLE)  # how far it is around the axis
-    jacobian = np.stack([east / circle[:, None], south / distance[:, None]], 1)
-    jacobian *= focal[:, None]
-    mean = focal * np.stack([longitude, latitude], 1) + center
-    return mean, jacobian @ sigma @ jacobian.transpose(0, 2, 1)
-
-
-def _colors(one: SplatSet, camera: Camera) -> np.ndarray:
-    data = one.data
-    channels = data.appearance[: data.count].astype(np.float64)
-    if data.space == "rgb":
-        return np.asarray(channels[:, :3])
-    linear, offset = one.transform[:3, :3], one.transform[:3, 3]
-    left, _, right = np.linalg.svd(linear)
-    rows = data.rows[: data.count, :3].astype(np.float64)
-    away = rows @ linear.T + offset - camera.eye
-    if camera.kind == "orthographic":
-        away = np.tile(camera.view[2, :3], (len(rows), 1))
-    toward = away @ (left @ right)
-    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-    sh = channels.reshape(len(rows), -1, 3)
-    degree = degree_of(sh.shape[1])
-    degree = degree if one.degree is None else min(degree, one.degree)
-    weights = basis(toward, degree)
-    sums = np.einsum("nk,nkc->nc", weights, sh[:, : weights.shape[1]])
-    return np.asarray(0.5 + sums)
-
-
-def _thinnest(sigma: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return unit vectors along the shortest axis, towards the camera; at it from a ball."""
-    values, vectors = np.linalg.eigh(sigma)
-    ball = values[:, 1] - values[:, 0] <= 1e-5 * values[:, 2]
-    toward = -at / np.linalg.norm(at, axis=1, keepdims=True)
-    found = np.where(ball[:, None], toward, vectors[:, :, 0])
-    away = np.einsum("nd,nd->n", found, at) > 0
-    return np.asarray(np.where(away[:, None], -found, found))
 
 
 def _blend(
@@ -230,9 +144,7 @@ def _blend(
             nearer_hit[:] = False
             continue
         rows, columns = window
-        dx = _across(
-            np.arange(columns.start, columns.stop) + 0.5, splats.mean[i, 0], camera
-        )
+        dx = across(np.arange(columns.start, columns.stop) + 0.5, splats.mean[i, 0], camera)
         dy = np.arange(rows.start, rows.stop)[:, None] + 0.5 - splats.mean[i, 1]
         (a, b), (_, c) = np.linalg.inv(splats.covariance[i])
         bare = splats.opacity[i] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy)
@@ -290,14 +202,6 @@ def _blend(
         fragile_median | fragile,
         visible,
     )
-
-
-def _across(pixels: np.ndarray, mean: float, camera: Camera) -> np.ndarray:
-    """Return how far pixels are to the right of a mean: around a panorama the shorter way."""
-    if camera.kind != "panorama":
-        return pixels - mean
-    turn = 2 * np.pi * camera.fx
-    return np.asarray((pixels - mean + turn / 2) % turn - turn / 2)
 
 
 def _ties(depth: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any, Final, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt32
 
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
@@ -40,6 +40,7 @@ from gsgen.runtime.kernels.tile_ranges import RANGE_BLOCK, TileRanges
 from gsgen.runtime.residency import Page
 from gsgen.runtime.scene import SplatSet
 from gsgen.runtime.staging import Staging
+from gsgen.runtime.weighted import WeightedKernels, WeightedPart
 
 _VEC4: Final = 16
 
@@ -64,6 +65,9 @@ class Kernels:
             lambda half, words, panorama: ProjectKernel(device, half, words, panorama)
         )
         self.normals = cache(lambda: NormalsKernel(device))
+        self.weighted = cache(
+            lambda: WeightedKernels(device, self.cut, self.scan, self.sort, self.ranges)
+        )
         self.quads = cache(lambda tested: DrawQuads(device, tested))
         self.meshes = cache(lambda: DrawMeshes(device))
 
@@ -82,6 +86,7 @@ class Plan:
         quads: Whether colours come from the hardware's rasteriser.
         panorama: Whether the image is one.
         meshes: Meshes among the Gaussians; nothing but their buffers is kept.
+        published: Whether weighted sums count backgrounds as the method's own renderer does.
 
     Attributes:
         stages: What a frame does, stage by stage.
@@ -103,7 +108,10 @@ class Plan:
         quads: bool = False,
         panorama: bool = False,
         meshes: Sequence[PlacedMesh] = (),
+        published: bool = False,
     ) -> None:
+        summed, placed = _weighted(placed), _sorted(placed)
+        self._weighted: WeightedPart | None = None
         self._quads: QuadsStep | None = None
         self._meshes: MeshesStep | None = None
         self._layers: Layers | None = None
@@ -127,8 +135,30 @@ class Plan:
         if meshes:
             tiled = outputs - {"color"} if quads else outputs
             laid["meshes"] = self._draw_meshes(meshes, tiled)
-        self.stages = laid | self._record(placed, outputs, quads)
-        self._staging = Staging(device, {"counts": self._counts} | self.images)
+        if summed:
+            frames = (self._frame, self._bare_frame)
+            self._weighted = WeightedPart(
+                device,
+                kernels.weighted(),
+                summed,
+                size,
+                panorama,
+                outputs,
+                pair_capacity,
+                frames,
+                published,
+            )
+            self.buffers |= self._weighted.buffers
+            laid |= self._weighted.stages
+        if summed and not placed:
+            self.images |= self._weighted.images
+            self.stages = laid
+        else:
+            self.stages = laid | self._record(placed, outputs, quads)
+        self._held = {"counts": self._counts}
+        if self._weighted is not None:
+            self._held["counts of cells"] = self._weighted.counts
+        self._staging = Staging(device, self._held | self.images)
 
     def _storage(self, name: str, size: int, *, extra: str = "") -> Any:
         self.buffers[name] = self._device.storage(name, size, extra=extra)
@@ -290,6 +320,9 @@ class Plan:
             only: Stages to run; all where absent.
         """
         device = self._device
+        if self._weighted is not None:
+            self._weighted.write(_weighted(placed), camera)
+        placed = _sorted(placed)
         device.write(self._frame, frame_uniform(camera, background))
         device.write(self._bare_frame, frame_uniform(camera, np.zeros(3)))
         slots, base = np.zeros(max(1, len(placed)), PAGE), 0
@@ -304,6 +337,8 @@ class Plan:
             )
         encoder = device.raw.create_command_encoder(label="frame")
         encoder.clear_buffer(self._ranges)
+        if self._weighted is not None:
+            encoder.clear_buffer(self._weighted.ranges)
         if self._meshes is not None:
             self._meshes.encode(encoder, background)
         for name, steps in self.stages.items():
@@ -316,11 +351,29 @@ class Plan:
 
     def collect(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Wait for the frame; return the counts, and each image as [height, width, 4] words."""
-        made = self._staging.read(dict.fromkeys(["counts", *self.images], np.uint32))
-        counts = made.pop("counts")
+        names = [*self._held, *self.images]
+        made = self._staging.read(dict.fromkeys(names, np.uint32))
+        counts = _together([made.pop(name) for name in self._held])
         width, height = self._size
         return counts, {
             # Rows that a texture was copied to are longer than the image is wide.
             name: words[: words.size // height * height].reshape(height, -1, 4)[:, :width]
             for name, words in made.items()
         }
+
+
+def _weighted(placed: Sequence[Placed]) -> list[Placed]:
+    return [(one, page) for one, page in placed if one.weighted is not None]
+
+
+def _sorted(placed: Sequence[Placed]) -> list[Placed]:
+    return [(one, page) for one, page in placed if one.weighted is None]
+
+
+def _together(
+    counts: Sequence[UInt32[np.ndarray, " n"]],
+) -> UInt32[np.ndarray, " n"]:
+    """Return the counts of all parts as one; each part has its own room for pairs."""
+    made = np.sum(counts, axis=0, dtype=np.uint32)
+    made[Counts.WANTED_PAIRS] = max(part[Counts.WANTED_PAIRS] for part in counts)
+    return made

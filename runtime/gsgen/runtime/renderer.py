@@ -40,6 +40,9 @@ class Renderer:
         compact: Keep harmonics and colours in float16: 136 bytes a Gaussian of degree 3 instead
             of 232, and less to read; pictures differ by less than 1e-3.
         page_rows: Gaussians of a page, which is what one dispatch and one binding have.
+        published: Whether weighted sums count backgrounds as the method's own renderer does
+            (Liu et al. 2025): what is behind keeps its whole weight in the numerator. Such
+            pictures compare with that renderer's, and compose with nothing.
 
     Raises:
         DeviceUnavailable: There is none, or it cannot blend what ``rasteriser`` asks for.
@@ -52,7 +55,9 @@ class Renderer:
         rasteriser: Literal["tiles", "quads"] = "tiles",
         compact: bool = False,
         page_rows: int = PAGE_ROWS,
+        published: bool = False,
     ) -> None:
+        self._published = published
         self.device = device or Device.open()
         self._kernels = Kernels(self.device)
         self._residency = Residency(self.device, page_rows, compact=compact)
@@ -128,7 +133,8 @@ class Renderer:
     ) -> Plan:
         """Return the plan for such a frame: the present one if it fits."""
         size, panorama = (camera.width, camera.height), camera.kind == "panorama"
-        things = (tuple(page for _, page in placed), tuple(one.buffers for one in meshes))
+        pages = tuple((page, one.weighted is None) for one, page in placed)
+        things = (pages, tuple(one.buffers for one in meshes))
         key = (things, size, outputs, self._pairs, panorama)
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
@@ -142,6 +148,7 @@ class Renderer:
                 self._quads,
                 panorama,
                 meshes,
+                self._published,
             )
             self._key = key
         return self._plan

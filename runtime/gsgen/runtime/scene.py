@@ -9,6 +9,7 @@ from typing import Literal, final
 import numpy as np
 from jaxtyping import Float
 
+from gsgen.contract.manifest import WeightedSum
 from gsgen.contract.spherical_harmonics import MAX_DEGREE
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.mesh import Mesh, MeshData
@@ -44,6 +45,8 @@ class SplatSet:
         antialias: What makes up for the 0.3 pixels² of dilation: nothing in ``classic``, less
             opacity in ``mip`` (Yu et al. 2023, "Mip-Splatting").
         clip: Centres outside of this box are not drawn; None for no box.
+        weighted: How Gaussians are weighed where they are summed cell by cell; None where they
+            are sorted and blended. The depth range, a length, follows the size of the set.
 
     Raises:
         SceneInvalid: The transform or a number cannot be used.
@@ -55,6 +58,7 @@ class SplatSet:
     degree: int | None = None
     antialias: Literal["classic", "mip"] = "classic"
     clip: Box | None = None
+    weighted: WeightedSum | None = None
 
     def __post_init__(self) -> None:
         matrix = np.array(self.transform, np.float64)
@@ -72,6 +76,38 @@ class SplatSet:
             raise SceneInvalid(
                 f"is {self.antialias!r}, wanted classic or mip", where="antialias"
             )
+        if self.weighted is not None:
+            _require_weights(self.weighted, self.data)
+
+    @property
+    def depth_range(self) -> float | None:
+        """At which depth in the world weights are 0: the model's times the mean of its scales."""
+        if self.weighted is None or self.weighted.depth_range is None:
+            return None
+        volume = abs(float(np.linalg.det(self.transform[:3, :3])))
+        return self.weighted.depth_range * float(np.cbrt(volume))
+
+
+def _require_weights(weighted: WeightedSum, data: SplatData) -> None:
+    if data.cells is None:
+        raise SceneInvalid(
+            "are summed cell by cell, and have no cells",
+            where="weighted",
+            mend="Give SplatData its cells, or leave `weighted` out: they are sorted then.",
+        )
+    sizes = [weighted.opacity_divisor]
+    sizes += [] if weighted.depth_range is None else [weighted.depth_range]
+    if not all(np.isfinite(size) and size > 0 for size in sizes):
+        raise SceneInvalid(
+            f"divides by {weighted.opacity_divisor} within {weighted.depth_range}, "
+            "wanted numbers above 0",
+            where="weighted",
+        )
+    if not (np.isfinite(weighted.background) and weighted.background >= 0):
+        raise SceneInvalid(
+            f"weighs the background {weighted.background}, wanted a number from 0",
+            where="weighted",
+        )
 
 
 @final

@@ -15,6 +15,13 @@ struct Page {
     mip: u32,
     capacity: u32,        // Gaussians that there is room for
     forward: vec3f,       // local: where an orthographic camera looks; zero for a pinhole
+    // Of sets that are blended by weighted sums:
+    per_cell: u32,        // Gaussians of a cell
+    first_row: u32,       // of the page, in its set
+    first_gaussian: u32,  // index in the frame of the set's first Gaussian
+    inverse_range: f32,   // 1 / the depth where weights end; 0 where they do not
+    inverse_divisor: f32, // 1 / what opacity is divided by
+    behind: f32,          // weight of what is behind
 }
 
 struct Center {

@@ -77,6 +77,12 @@ PAGE: Final = _bytes(
         "mip": ("u4", 160),
         "capacity": ("u4", 164),
         "forward": ("3f4", 176),
+        "per_cell": ("u4", 188),
+        "first_row": ("u4", 192),
+        "first_gaussian": ("u4", 196),
+        "inverse_range": ("f4", 200),
+        "inverse_divisor": ("f4", 204),
+        "behind": ("f4", 208),
     },
 )
 """The bytes of ``struct Page`` in page.wgsl."""
@@ -160,24 +166,33 @@ class ProjectKernel:
         half: Whether the appearance is float16.
         stride: Of its rows, in words of 16 bytes.
         panorama: Whether the image is one.
+        weighted: Whether its Gaussians are blended by weighted sums.
     """
 
     def __init__(
-        self, device: Device, half: bool, stride: int, panorama: bool = False
+        self,
+        device: Device,
+        half: bool,
+        stride: int,
+        panorama: bool = False,
+        weighted: bool = False,
     ) -> None:
         self.kernel = Kernel(
             device,
             "project",
             "project",
-            ("uwwww", "urr"),
+            ("uwwww", "urrr" if weighted else "urr"),
             THREADS=_THREADS,
             HALF_APPEARANCE=half,
             STRIDE=stride,
             NO_HARMONICS=NO_HARMONICS,
+            WEIGHTED=weighted,
             **(ROUND if panorama else {}),
         )
 
-    def step(self, outputs: tuple[Any, ...], uniform: Any, slot: int, page: Any) -> Step:
+    def step(
+        self, outputs: tuple[Any, ...], uniform: Any, slot: int, page: Any, *cells: Any
+    ) -> Step:
         """Return the step for a page.
 
         Args:
@@ -185,11 +200,12 @@ class ProjectKernel:
             uniform: Uniforms of all pages.
             slot: Which of them is this page's.
             page: Has ``rows``, ``appearance`` and ``capacity``.
+            cells: Where the kernel is for weighted sums, the cells of the page's set.
         """
         own = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         binds = (
             self.kernel.bind(*outputs),
-            self.kernel.bind(own, page.rows, page.appearance, group=1),
+            self.kernel.bind(own, page.rows, page.appearance, *cells, group=1),
         )
         return Step(self.kernel, binds, (-(-page.capacity // _THREADS), 1, 1))
 
@@ -236,7 +252,12 @@ def project_reference(
             jacobian @ symmetric(rows[:, layout.COVARIANCE]) @ jacobian.transpose(0, 2, 1)
         )
         wide = plain + DILATION * np.eye(2)
-        opacity = np.minimum(rows[:, layout.OPACITY] * page["opacity_scale"], 1)
+        opacity = rows[:, layout.OPACITY] * page["opacity_scale"]
+        if data.cells is not None and page["per_cell"]:
+            cell = (page["first_row"] + np.arange(len(rows))) // page["per_cell"]
+            seen = data.cells[cell, layout.VISIBILITY].astype(np.float64)
+            opacity = opacity * seen * (1 - depth * page["inverse_range"])
+        opacity = np.minimum(opacity, 1)
         if page["mip"]:
             share = np.linalg.det(plain) / np.linalg.det(wide)
             opacity = opacity * np.sqrt(np.maximum(share, 0))

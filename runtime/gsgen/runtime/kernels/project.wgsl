@@ -8,12 +8,15 @@
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(2) var<storage, read_write> shapes: array<vec4f>;   // mean, conic xx xy
-@group(0) @binding(3) var<storage, read_write> weights: array<vec4f>;  // conic yy, strength, depth, variance yy
+@group(0) @binding(3) var<storage, read_write> weights: array<vec4f>;  // conic yy, strength, depth, variance yy; WEIGHTED: its circle's radius² at the end
 @group(0) @binding(4) var<storage, read_write> colors: array<vec4f>;   // red, green, blue, and how many tiles
 
 @group(1) @binding(0) var<uniform> page: Page;
 @group(1) @binding(1) var<storage, read> rows: array<vec2u>;
 @group(1) @binding(2) var<storage, read> appearance: array<vec4u>;
+//!repeat ONCE WEIGHTED
+@group(1) @binding(3) var<storage, read> cells: array<vec2f>;  // five pairs a cell; the second ends in its visibility
+//!end
 
 const LARGEST = 3.4e38;
 const LARGEST_VARIANCE = 1e30;  // pixels²; the reciprocal still has all its digits
@@ -21,6 +24,7 @@ const LARGEST_VARIANCE = 1e30;  // pixels²; the reciprocal still has all its di
 //!include page
 //!include tile_span
 //!include panorama
+//!include circle
 
 var<private> own: u32;  // the row of this invocation's Gaussian
 
@@ -64,6 +68,10 @@ fn splat_key(index: u32) -> u32 {
         return ABSENT;
     }
     var opacity = center.opacity * page.opacity_scale;
+//!repeat ONCE WEIGHTED
+    let cell = (page.first_row + own) / page.per_cell;
+    opacity *= cells[5u * cell + 1u].y * (1.0 - depth * page.inverse_range);
+//!end
     if (!(opacity >= CULL_OPACITY && opacity <= LARGEST)) {
         return ABSENT;
     }
@@ -136,7 +144,12 @@ fn splat_key(index: u32) -> u32 {
         return ABSENT;
     }
     shapes[index] = vec4f(mean, conic.xy);
-    weights[index] = vec4f(conic.z, strength, depth, wide.z);
+    var extent = wide.z;
+    if (WEIGHTED) {
+        let radius = circle(scaled, determinant, unit, SPLAT_REACH);
+        extent = min(radius * radius, LARGEST);
+    }
+    weights[index] = vec4f(conic.z, strength, depth, extent);
     colors[index] = vec4f(max(color, vec3f(0.0)), f32(tiles));
     return bitcast<u32>(depth);
 }
@@ -152,5 +165,8 @@ fn project(@builtin(global_invocation_id) invocation: vec3u) {
         keys[index] = splat_key(index);
     } else {
         keys[index] = ABSENT;
+    }
+    if (WEIGHTED && keys[index] == ABSENT) {
+        weights[index] = vec4f(0.0, -LARGEST, 0.0, 0.0);  // nothing sorts it out
     }
 }

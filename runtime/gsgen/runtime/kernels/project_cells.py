@@ -83,6 +83,7 @@ def box_reference(
     low = np.floor((mean - 0.5 - radius) / TILE)
     high = np.floor((mean - 0.5 + radius + TILE - 1) / TILE)
     columns, rows = (
-        (along >= low[axis]) & (along < high[axis]) for axis, along in enumerate((across, down))
+        (along >= low[axis]) & (along < high[axis])
+        for axis, along in enumerate((across, down))
     )
     return np.asarray(rows[:, None] & columns)

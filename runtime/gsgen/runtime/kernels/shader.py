@@ -27,6 +27,10 @@ TILE = 16
 """Edge of a tile, in pixels."""
 ABSENT = 0xFFFFFFFF
 """The sort key of a Gaussian that is not drawn, and the id of a pixel without one."""
+SPLAT_REACH = 3.0
+"""Standard deviations beyond which a splat of a weighted sum ends (Liu et al. 2025, their code)."""
+LEAST_APART = 0.1
+"""How far apart, in pixels², the eigenvalues of a 2D covariance are taken to be there."""
 POLE = 1e-3
 """The least cosine of a latitude in a panorama's Jacobian."""
 ROUND: dict[str, int | bool] = {"PANORAMA": True, "COPIES": 3}
@@ -54,6 +58,9 @@ def source(name: str, **constants: int | float | bool) -> str:
         "POLE": POLE,
         "TILE": TILE,
         "PANORAMA": False,
+        "WEIGHTED": False,
+        "SPLAT_REACH": SPLAT_REACH,
+        "LEAST_APART": LEAST_APART,
         "COPIES": 1,
     }
     known = shared | constants

@@ -1,0 +1,262 @@
+"""Weighted sums are those of the float64 oracle, and of the method's own rasteriser."""
+
+import numpy as np
+import pytest
+
+from gsgen.contract.geometry import covariance_upper
+from gsgen.contract.manifest import WeightedSum
+from gsgen.runtime import oracle_wsr
+from gsgen.runtime.camera import Camera
+from gsgen.runtime.device import Device
+from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.scene import Scene, SplatSet
+from gsgen.runtime.splat_data import SplatData
+from support.commands import shared
+from support.splat_scenes import camera, turned
+from support.weighted_scenes import WEIGHTED, celled, summed
+
+BEHIND = (0.1, 0.4, 0.7, 0.5)
+EVERYTHING = ("color", "depth", "normal")
+
+
+def decibels(a: np.ndarray, b: np.ndarray) -> float:
+    return float(-10 * np.log10(max(np.square(a - b).mean(), 1e-20)))
+
+
+@pytest.fixture(scope="session")
+def published(device: Device) -> Renderer:
+    return Renderer(device, published=True)
+
+
+@pytest.mark.parametrize("name", WEIGHTED)
+def test_sums_are_the_oracles(renderer: Renderer, name: str) -> None:
+    scene, seen_by = WEIGHTED[name]()
+    seen = renderer.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
+    wanted = oracle_wsr.picture(scene, seen_by, background=BEHIND)
+    assert np.isfinite(seen.rgba).all()
+    firm, firm_median = ~wanted.fragile, ~wanted.fragile_median
+    assert decibels(seen.rgba[firm], wanted.rgba[firm]) >= 110
+    assert np.abs(seen.rgba - wanted.rgba)[firm].max() <= 2e-5
+    assert wanted.fragile.mean() < 0.1  # or little was compared
+    np.testing.assert_allclose(seen.depth[firm], wanted.depth[firm], rtol=1e-4)
+    np.testing.assert_array_equal(seen.ids[firm_median], wanted.ids[firm_median])
+    np.testing.assert_allclose(
+        seen.median_depth[firm_median], wanted.median_depth[firm_median], rtol=1e-5
+    )
+    covered = firm & np.isfinite(wanted.depth)
+    cosine = (seen.normal * wanted.normal).sum(axis=-1)
+    if name == "no_cells":
+        assert not covered.any()
+    else:
+        assert covered.any()
+        assert np.median(cosine[covered]) > 0.99999
+    assert not seen.normal[~covered & firm].any()
+
+
+@pytest.mark.parametrize("name", ["many_cells", "placed_cells", "finished_early"])
+def test_published_backgrounds_are_the_oracles(published: Renderer, name: str) -> None:
+    scene, seen_by = WEIGHTED[name]()
+    seen = published.render(scene, seen_by, background=BEHIND)
+    wanted = oracle_wsr.picture(scene, seen_by, background=BEHIND, published=True)
+    assert np.abs(seen.rgba - wanted.rgba)[~wanted.fragile].max() <= 2e-5
+
+
+def golden(number: int) -> tuple[Scene, Camera, np.ndarray]:
+    """What the method's own Python gives its rasteriser for a camera, and the picture of it."""
+    with np.load(shared("data/checkpoints/duplex_a/golden.npz")) as held:
+        own = {
+            name.removeprefix(f"out{number}_"): held[name]
+            for name in held.files
+            if name.startswith((f"out{number}_", "meta_"))
+        }
+        view, image = held["in_world_view_transform"][number].T, held[f"img{number}"]
+        (width, height), field = held["in_size"][number], held["in_FoV"][number]
+    rows = [own["means3D"], np.maximum(own["opacities"], 0), own["cov6"]]
+    turn = own["anchor_rotations"].astype(np.float64)
+    turn[~turn.any(axis=1)] = 1, 0, 0, 0  # cells whose Gaussians are all inert
+    ellipsoid = covariance_upper(own["anchor_scales"].astype(np.float64), turn)
+    cells = [own["anchor_means3D"], own["vi"][::5], ellipsoid]
+    data = SplatData(
+        np.concatenate(rows, axis=1).astype(np.float32),
+        own["colors_precomp"],
+        "rgb",
+        cells=np.concatenate(cells, axis=1).astype(np.float32),
+        per_cell=5,
+    )
+    weighted = WeightedSum(
+        background=float(own["meta_wbg"][0]),
+        depth_range=float(own["meta_sigma"][0]),
+        opacity_divisor=float(own["meta_ET"]),
+    )
+    focal = np.array([width, height]) / 2 / np.tan(field.astype(np.float64) / 2)
+    seen_by = Camera(
+        view, *focal.tolist(), width / 2, height / 2, int(width), int(height), near=0.2
+    )
+    return Scene([SplatSet(data, weighted=weighted)]), seen_by, image.transpose(1, 2, 0)
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_the_goldens_of_the_method(published: Renderer, number: int) -> None:
+    """Bounds: twice what float32 with the oracle's order of additions is away from float64."""
+    scene, seen_by, image = golden(number)
+    backdrop = (0.1, 0.2, 0.3, 1.0)
+    seen = published.render(scene, seen_by, background=backdrop)
+    wanted = oracle_wsr.picture(scene, seen_by, background=backdrop, published=True)
+    assert np.abs(wanted.rgba[..., :3] - image).max() <= 5e-6
+    assert np.abs(seen.rgba[..., :3] - image).max() <= 5e-6
+    assert np.ptp(image, axis=(0, 1)).min() > 0.5  # there is something to see
+
+
+def test_the_goldens_need_cells_tiles_and_circles() -> None:
+    """Each of the published bounds changes the golden picture: none is idle there."""
+    scene, seen_by, image = golden(0)
+    one = scene.sets[0]
+    data = one.data
+    wide = data.cells.copy()
+    wide[:, 4:] *= 100
+    larger = SplatData(data.rows, data.appearance, "rgb", cells=wide, per_cell=5)
+    alone = SplatData(
+        data.rows, data.appearance, "rgb", cells=np.repeat(data.cells, 5, 0), per_cell=1
+    )
+    for other in (larger, alone):
+        changed = Scene([SplatSet(other, weighted=one.weighted)])
+        made = oracle_wsr.picture(
+            changed, seen_by, background=(0.1, 0.2, 0.3, 1), published=True
+        )
+        assert np.abs(made.rgba[..., :3] - image).max() > 1e-3
+
+
+def test_the_order_within_cells_does_not_count(renderer: Renderer) -> None:
+    data = celled(120, 7, 3, size=0.5, share=0.7)
+    order = (
+        np.random.default_rng(0)
+        .permuted(np.arange(840).reshape(120, 7), axis=1)
+        .reshape(-1)
+    )
+    other = SplatData(
+        data.rows[order], data.appearance[order], "rgb", cells=data.cells, per_cell=7
+    )
+    one, two = (
+        renderer.render(Scene([summed(each)]), camera(), outputs=EVERYTHING)
+        for each in (data, other)
+    )
+    np.testing.assert_allclose(one.rgba, two.rgba, atol=3e-6)
+    np.testing.assert_allclose(one.depth, two.depth, rtol=1e-5)
+    np.testing.assert_allclose(one.normal, two.normal, atol=1e-4)
+    same = one.median_depth == two.median_depth  # but where half of the light is in doubt
+    assert same.mean() > 0.99
+    assert np.array_equal(np.where(one.ids < 0, -1, order[two.ids])[same], one.ids[same])
+
+
+def test_the_order_of_cells_counts_only_where_they_tie(renderer: Renderer) -> None:
+    data = celled(200, 3, 4)
+    order = np.random.default_rng(1).permutation(200)
+    rows = (3 * order[:, None] + np.arange(3)).ravel()
+    other = SplatData(
+        data.rows[rows], data.appearance[rows], "rgb", cells=data.cells[order], per_cell=3
+    )
+    one, two = (renderer.render(Scene([summed(each)]), camera()) for each in (data, other))
+    assert np.array_equal(one.rgba, two.rgba)
+
+
+def test_pages_do_not_show(device: Device) -> None:
+    """Pages that end within cells, and more pairs than there is room for at first."""
+    scene = Scene([summed(celled(400, 5, 5, size=1.5)), summed(celled(90, 3, 6))])
+    seen_by = camera(width=400, height=300, fx=330.0, fy=330.0)
+    whole, paged = Renderer(device), Renderer(device, page_rows=64)
+    whole._pairs = paged._pairs = 512
+    one, two = (
+        each.render(scene, seen_by, outputs=("color", "depth")) for each in (whole, paged)
+    )
+    assert one.pairs > 512
+    assert np.array_equal(one.rgba, two.rgba)
+    assert np.array_equal(one.ids, two.ids)
+    assert {scene.locate(int(each))[0] for each in np.unique(one.ids[one.ids >= 0])} == {
+        0,
+        1,
+    }
+
+
+def test_values_change_without_new_buffers(device: Device) -> None:
+    renderer, seen_by = Renderer(device), camera()
+    data, later = celled(60, seed=40), celled(60, seed=41)
+    first = renderer.render(Scene([summed(data)]), seen_by)
+    plan = renderer._plan
+    data.update(later.rows, later.appearance, cells=later.cells)
+    second = renderer.render(Scene([summed(data, background=0.9)]), seen_by)
+    assert renderer._plan is plan
+    fresh = renderer.render(Scene([summed(later, background=0.9)]), seen_by)
+    assert np.array_equal(second.rgba, fresh.rgba)
+    assert not np.array_equal(first.rgba, second.rgba)
+
+
+def test_a_depth_range_follows_the_size_of_its_set(renderer: Renderer) -> None:
+    """A model twice as large, seen from twice as far, is the same picture."""
+    data = celled(80, seed=42)
+    plain = renderer.render(Scene([summed(data, depth_range=9.0)]), camera())
+    doubled = summed(data, depth_range=9.0, transform=turned(0, (0, 0, 1), 2.0))
+    assert doubled.depth_range == pytest.approx(18)
+    large = renderer.render(Scene([doubled]), camera(near=0.02))
+    np.testing.assert_allclose(plain.rgba, large.rgba, atol=1e-5)
+
+
+def test_the_same_data_is_sorted_or_summed(renderer: Renderer) -> None:
+    data = celled(60, seed=43)
+    sums, blended = (
+        renderer.render(Scene([each]), camera()) for each in (summed(data), data)
+    )
+    again = renderer.render(Scene([summed(data)]), camera())
+    assert not np.allclose(sums.rgba, blended.rgba, atol=0.05)
+    assert np.array_equal(sums.rgba, again.rgba)
+
+
+def test_cells_alone_are_sorted(device: Device) -> None:
+    """Ten Gaussians of a cell take the room of one in columns, and list no pairs of their own."""
+    data, renderer = celled(200, 10, 44), Renderer(device)
+    blended = renderer.render(Scene([data]), camera())
+    sorted_bytes = _columns(renderer)
+    summed_up = renderer.render(Scene([summed(data)]), camera())
+    assert sorted_bytes == 16 * 2000
+    assert _columns(renderer) == 16 * 200 + 4 * 2000  # and a word that says who is drawn
+    assert summed_up.pairs < blended.pairs / 3
+    assert summed_up.visible <= 200 < blended.visible
+
+
+def _columns(renderer: Renderer) -> int:
+    """How many bytes the plan's keys and values take, but those of pairs."""
+    sizes = {name: buffer.size for name, buffer in renderer._plan.buffers.items()}
+    return sum(
+        size
+        for name, size in sizes.items()
+        if name.startswith(("keys", "values")) and "pairs" not in name
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"depth_range": 0.0}, "numbers above 0"),
+        ({"depth_range": float("nan")}, "numbers above 0"),
+        ({"divisor": 0.0}, "numbers above 0"),
+        ({"background": -0.1}, "weighs the background -0.1"),
+    ],
+)
+def test_weights_that_are_none(change: dict[str, float], message: str) -> None:
+    with pytest.raises(SceneInvalid, match=message):
+        summed(celled(3), **change)
+
+
+def test_cells_that_do_not_fit() -> None:
+    data = celled(4)
+    with pytest.raises(SceneInvalid, match="have no cells"):
+        summed(SplatData(data.rows, data.appearance, "rgb"))
+    for wrong in (data.cells[:3], data.cells[:, :9], data.cells.astype(np.float64)):
+        with pytest.raises(SceneInvalid, match=r"cells: .* wanted float16 or float32"):
+            SplatData(data.rows, data.appearance, "rgb", cells=wrong, per_cell=5)
+    with pytest.raises(SceneInvalid, match="wanted float32 as before"):
+        data.update(cells=data.cells.astype(np.float16))
+    with pytest.raises(SceneInvalid, match="wanted none as before"):
+        SplatData(data.rows, data.appearance, "rgb").update(
+            cells=np.repeat(data.cells, 5, 0)
+        )
