@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor
+from torch import Tensor, nn
 
 from gsgen.contract.errors import GsgenError
 from gsgen.reference_plugins.anchor_heads import AnchorHeads, Asked, Decoded
 from gsgen.reference_plugins.checkpoints.anchors import AnchorCloud, AnchorNets
+from gsgen.reference_plugins.constants import Constants
 from gsgen.reference_plugins.planes import covariance_planes, stacked
 from gsgen.reference_plugins.selection import Selection, culling
 from gsgen.sdk import Cells, GaussianGenerator, Gaussians, inputs
@@ -49,6 +50,25 @@ class Decoding:
         return torch.index_select(table, 0, self.rows)
 
 
+class _Places(nn.Module):
+    """Centres of Gaussians: offsets in units of a scale of the anchor's own."""
+
+    offset: Tensor
+    reach: Tensor
+
+    def __init__(self, cloud: AnchorCloud) -> None:
+        super().__init__()
+        self.per_anchor = cloud.per_anchor
+        self.register_buffer("offset", cloud.offset.flatten(1))
+        self.register_buffer("reach", torch.exp(cloud.log_scale[:, :3]))
+
+    def forward(
+        self, anchor: Float[Tensor, "n 3"], scale: Float[Tensor, "n 3"]
+    ) -> tuple[Float[Tensor, "n k3"]]:
+        offset = self.offset.reshape(-1, self.per_anchor, 3)
+        return ((anchor[:, None] + offset * self.reach[:, None]).flatten(1),)
+
+
 class AnchorGenerator(GaussianGenerator):
     """N anchors with K Gaussians each; row a K + k is Gaussian k of anchor a.
 
@@ -62,7 +82,6 @@ class AnchorGenerator(GaussianGenerator):
 
     anchor: Tensor
     scale: Tensor
-    position: Tensor
 
     def __init__(
         self,
@@ -99,9 +118,11 @@ class AnchorGenerator(GaussianGenerator):
             self.most = None
         self.register_buffer("anchor", cloud.position)
         self.register_buffer("scale", torch.exp(cloud.log_scale[:, 3:]))
-        reach = torch.exp(cloud.log_scale[:, None, :3])
-        position = cloud.position[:, None] + cloud.offset * reach
-        self.register_buffer("position", position.flatten(1))
+        self.places = Constants(self.placing(cloud), (self.anchor, self.scale))
+
+    def placing(self, cloud: AnchorCloud) -> nn.Module:
+        """Return what makes the centres of Gaussians, and what else follows from their offsets."""
+        return _Places(cloud)
 
     @property
     def hides(self) -> bool:
@@ -118,7 +139,7 @@ class AnchorGenerator(GaussianGenerator):
             shown = torch.index_select(shown, 0, rows)
         anchor, base, position = (
             one if rows is None else torch.index_select(one, 0, rows)
-            for one in (self.anchor, self.scale, self.position)
+            for one in (self.anchor, self.scale, self.placed()[0])
         )
         asked = _asked(anchor, centre, others, self.heads.appearances)
         made = self.heads(asked, rows)
@@ -136,6 +157,11 @@ class AnchorGenerator(GaussianGenerator):
             count=None if count is None else count * self.per_anchor,
             cells=self.cells(now),
         )
+
+    def placed(self) -> tuple[Tensor, ...]:
+        """Return what :meth:`placing` makes, of all anchors."""
+        made: tuple[Tensor, ...] = self.places(self.anchor, self.scale)
+        return made
 
     def shares(
         self, factors: tuple[Tensor, ...], rows: Int[Tensor, " n"] | None

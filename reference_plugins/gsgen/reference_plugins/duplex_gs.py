@@ -16,11 +16,12 @@ from typing import Literal, final
 
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor
+from torch import Tensor, nn
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.manifest import WeightedSum
 from gsgen.reference_plugins.anchor_generator import AnchorGenerator, Decoding
+from gsgen.reference_plugins.checkpoints.anchors import AnchorCloud
 from gsgen.reference_plugins.checkpoints.cells import CellCheckpoint
 from gsgen.reference_plugins.octree_gs import LevelGate, Levels
 from gsgen.reference_plugins.planes import covariance_planes, stacked
@@ -36,6 +37,25 @@ Blend = Literal["alpha", "wsr"]
 BLENDS: tuple[Blend, ...] = ("alpha", "wsr")
 
 
+class _Bounded(nn.Module):
+    """Centres of Gaussians, offset in units of their cell, and how large they may be."""
+
+    offset: Tensor
+
+    def __init__(self, cloud: AnchorCloud) -> None:
+        super().__init__()
+        self.per_anchor = cloud.per_anchor
+        self.register_buffer("offset", cloud.offset.flatten(1))
+
+    def forward(
+        self, cell: Float[Tensor, "n 3"], size: Float[Tensor, "n 3"]
+    ) -> tuple[Float[Tensor, "n k3"], Float[Tensor, "n k"]]:
+        offset = self.offset.reshape(-1, self.per_anchor, 3)
+        square = (offset * offset).sum(dim=2)
+        position = (cell[:, None] + offset * size[:, None]).flatten(1)
+        return position, (2 - torch.sqrt(square)) / 3
+
+
 @final
 class DuplexGS(AnchorGenerator):
     """N cells with K Gaussians each; row a K + k is Gaussian k of cell a.
@@ -44,9 +64,7 @@ class DuplexGS(AnchorGenerator):
     multiplied by the cell's visibility from the camera, and by 1 − depth / σ.
     """
 
-    limit: Tensor
     visibility: Tensor
-    size: Tensor
 
     def __init__(
         self,
@@ -83,11 +101,12 @@ class DuplexGS(AnchorGenerator):
         self.sigma = how.sigma if how.depth else None
         if blend == "wsr":
             self.weighted_sum = WeightedSum(how.background, self.sigma, how.grade)
-        self.register_buffer("limit", (2 - cloud.offset.norm(dim=2)) / 3)
         if self.weighted or self.weighted_sum is not None:
             self.register_buffer("visibility", read.visibility)
-        if self.weighted_sum is not None:
-            self.register_buffer("size", torch.exp(cloud.log_scale[:, :3]))
+
+    def placing(self, cloud: AnchorCloud) -> nn.Module:
+        """Return what makes the centres of Gaussians and their bounds; a cell has one size."""
+        return _Bounded(cloud)
 
     @property
     def hides(self) -> bool:
@@ -103,7 +122,8 @@ class DuplexGS(AnchorGenerator):
         self, factors: tuple[Tensor, ...], rows: Int[Tensor, " n"] | None
     ) -> list[Float[Tensor, "n k"]]:
         """Keep Gaussians within their cell."""
-        limit = self.limit if rows is None else torch.index_select(self.limit, 0, rows)
+        limit = self.placed()[1]
+        limit = limit if rows is None else torch.index_select(limit, 0, rows)
         return [torch.minimum(torch.sigmoid(factor), limit) for factor in factors]
 
     def weighed(self, opacity: Float[Tensor, "n k"], now: Decoding) -> Float[Tensor, "n k"]:
@@ -124,7 +144,7 @@ class DuplexGS(AnchorGenerator):
         visibility = self._seen(now)
         if now.shown is not None:
             visibility = visibility * (now.shown > 0).to(visibility.dtype)
-        size = now.of(self.size)
+        size = now.of(self.scale)
         planes = covariance_planes([size[:, i : i + 1] for i in range(3)], _turned(now))
         return Cells(now.anchor, visibility, covariance=stacked(planes))
 
