@@ -71,9 +71,11 @@ class Film:
         moving = self._score.moving
         turning = self.frames > 1 and view.orbit is not None and not moving
         self._turn = turn if turn is not None else (_CIRCLE if turning else 0.0)
-        first = self._score.values(0, self.frames)
-        for source, values in zip(sources, first, strict=False):
-            source.update(None, values)  # the orbit goes around what the first frame shows
+        looked = sorted({0, self.frames // 2, self.frames - 1}, reverse=True)
+        for place, source in enumerate(sources):  # an orbit goes around what the film shows
+            source.survey(
+                (frame, self._score.values(frame, self.frames)[place]) for frame in looked
+            )
         self._player = Player(
             sources,
             post=post,

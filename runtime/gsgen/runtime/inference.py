@@ -30,12 +30,14 @@ class Made:
     Attributes:
         rows: The packed rows, of which ``count`` hold; None where they are as before.
         appearance: The same of the appearance.
+        cells: All cells; None where they are as before, or where there are none.
         count: How many rows are live.
         seconds: What computing took; 0 where nothing had to be computed.
     """
 
     rows: Float[np.ndarray, "n 10"] | None
     appearance: Float[np.ndarray, "n c"] | None
+    cells: Float[np.ndarray, "c 10"] | None
     count: int
     seconds: float = 0.0
 
@@ -87,7 +89,9 @@ class Inference:
         outputs = self.manifest.outputs
         assert outputs.gaussians is not None
         assert outputs.appearance is not None
-        self._names = (outputs.gaussians.name, outputs.appearance.name)
+        self._names = [outputs.gaussians.name, outputs.appearance.name]
+        if outputs.cells is not None:
+            self._names.append(outputs.cells.name)
         self._inert = frozenset(
             one.name
             for one in self.manifest.inputs
@@ -128,17 +132,19 @@ class Inference:
         try:
             changed = self.session.update(values, camera=camera)
             if self._count >= 0 and changed <= self._inert:
-                return Made(None, None, self._count)
+                return Made(None, None, None, self._count)
             frame = self.session.run()
             self._count = frame.count
-            rows, appearance = (
-                kept.take(frame[name], self._count)
-                for kept, name in zip(self._kept, self._names, strict=True)
+            live = (self._count, self._count, None)  # cells have no count of their own
+            rows, appearance, *cells = (
+                kept.take(frame[name], some)
+                for kept, name, some in zip(self._kept, self._names, live, strict=False)
             )
         except BaseException:
             self._forget()
             raise
-        return Made(rows, appearance, self._count, perf_counter() - began)
+        cell = cells[0] if cells else None
+        return Made(rows, appearance, cell, self._count, perf_counter() - began)
 
 
 def _generator(path: Path, session: "FrameSession") -> GeneratorManifest:
@@ -165,9 +171,14 @@ class _Kept:
         self._spare: np.ndarray | None = None
         self._live = 0
 
-    def take(self, made: Float[np.ndarray, "n c"], live: int) -> np.ndarray | None:
-        """Return a copy that lasts until the call after the next, or None if nothing changed."""
-        old = self._shown
+    def take(self, made: Float[np.ndarray, "n c"], some: int | None) -> np.ndarray | None:
+        """Return a copy that lasts until the call after the next, or None if nothing changed.
+
+        Args:
+            made: The output.
+            some: How many of its first rows matter; None for all.
+        """
+        old, live = self._shown, len(made) if some is None else some
         if old is not None and live <= self._live and _same(old[:live], made[:live]):
             return None
         new = np.zeros_like(made) if self._spare is None else self._spare

@@ -83,7 +83,12 @@ class Player:
         self._sources, self._post = list(sources), list(post)
         self.scene = Scene(
             [
-                SplatSet(one.data, degree=sh_degree, antialias=antialias or one.antialias)
+                SplatSet(
+                    one.data,
+                    degree=sh_degree,
+                    antialias=antialias or one.antialias,
+                    weighted=one.weighted,
+                )
                 for one in sources
             ],
             color_space=_common_space(sources),

@@ -11,17 +11,17 @@ __all__ = [
 ]
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Literal, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 
 from gsgen.contract import layout
 from gsgen.contract.errors import GsgenError
-from gsgen.contract.manifest import Input, Space
+from gsgen.contract.manifest import Input, Space, WeightedSum
 from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, open_splats
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.errors import SceneUnreadable, placed
@@ -45,6 +45,7 @@ class Source(ABC):
         up: Which direction is up.
         antialias: How the scene was trained.
         color_space: Of the colours.
+        weighted: How Gaussians are weighed where they are summed cell by cell.
         inputs: What may be fed to it.
         seconds: What computing the present frame took.
     """
@@ -54,6 +55,7 @@ class Source(ABC):
     up: tuple[float, float, float] = (0.0, -1.0, 0.0)
     antialias: Literal["classic", "mip"] = "classic"
     color_space: Literal["srgb", "linear"] = "srgb"
+    weighted: WeightedSum | None = None
     inputs: tuple[Input, ...] = ()
     seconds: float = 0.0
     _extent: tuple[Center, float] | None = None
@@ -101,12 +103,24 @@ class Source(ABC):
     def extent(self) -> tuple[Center, float]:
         """Return the middle of the Gaussians and half the diagonal of the box around most.
 
-        They are those of the moment when this was first asked: cameras that are placed by them
-        stand still while Gaussians move.
+        They are those of the moments of :meth:`survey`, or of when this was first asked: cameras
+        that are placed by them stand still while Gaussians move.
         """
         if self._extent is None:
-            self._extent = _around(self.data)
+            self._extent = _around([_centers(self.data)])
         return self._extent
+
+    def survey(self, moments: Iterable[tuple[int, Values]]) -> None:
+        """Bring the Gaussians to moments, one after the other; the extent becomes that of all.
+
+        Args:
+            moments: What an error calls the frame, and the values.
+        """
+        seen = []
+        for frame, values in moments:
+            self.update(None, values, frame)
+            seen.append(_centers(self.data))
+        self._extent = _around(seen)
 
     @abstractmethod
     def close(self) -> None:
@@ -119,14 +133,24 @@ def named(inputs: Sequence[Input], word: str) -> list[Input]:
     return exact or [one for one in inputs if one.role == word]
 
 
-def _around(data: SplatData) -> tuple[Center, float]:
+def _centers(data: SplatData) -> Float64[np.ndarray, "n 3"]:
+    """Return the centres of what can be seen, or of all where nothing can."""
     rows = data.rows[: data.count]
     seen = rows[rows[:, layout.OPACITY] > 0]
     centers = (seen if len(seen) else rows)[:, layout.POSITION].astype(np.float64)
-    centers = centers[np.isfinite(centers).all(axis=1)]
-    if not len(centers):
+    return np.asarray(centers[np.isfinite(centers).all(axis=1)])
+
+
+def _around(moments: Sequence[Float64[np.ndarray, "n 3"]]) -> tuple[Center, float]:
+    """Return the middle and the reach of the boxes around most of the centres at each moment."""
+    boxes = [
+        np.percentile(centers, [_UNSEEN, 100 - _UNSEEN], axis=0)
+        for centers in moments
+        if len(centers)
+    ]
+    if not boxes:
         return np.zeros(3), 1.0
-    low, high = np.percentile(centers, [_UNSEEN, 100 - _UNSEEN], axis=0)
+    low, high = np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]
     return (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0
 
 
@@ -184,6 +208,7 @@ class GeneratorSource(Source):
         self.manifest = manifest = self._inference.manifest
         self.up = direction((manifest.space or Space()).up)
         self.antialias = manifest.antialias
+        self.weighted = manifest.weighted_sum if manifest.blend == "wsr" else None
         self.inputs = manifest.inputs
         appearance = manifest.outputs.appearance
         assert appearance is not None  # an inference has both outputs
@@ -220,11 +245,19 @@ class GeneratorSource(Source):
     def _take(self, made: Made) -> None:
         self.seconds = made.seconds
         if hasattr(self, "data"):
-            self.data.update(made.rows, made.appearance, made.count)
+            self.data.update(made.rows, made.appearance, made.count, cells=made.cells)
             return
         assert made.rows is not None
         assert made.appearance is not None
-        self.data = SplatData(made.rows, made.appearance, self._space, count=made.count)
+        cells = self.manifest.outputs.cells
+        self.data = SplatData(
+            made.rows,
+            made.appearance,
+            self._space,
+            count=made.count,
+            cells=made.cells,
+            per_cell=cells.per_cell if cells else 1,
+        )
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Return the shape of an input."""

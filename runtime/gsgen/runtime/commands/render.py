@@ -4,21 +4,19 @@ __all__ = ["render"]
 
 import json
 import time as clock
-import warnings
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import typer
 
-from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
+from gsgen.contract.errors import ConfigInvalid
 
 if TYPE_CHECKING:
     from gsgen.runtime.film import Film
     from gsgen.runtime.pictures import Mode
     from gsgen.runtime.sources import Source
-
-_UNREADABLE = 4
+    from gsgen.runtime.tracks import Track
 
 
 class ModeName(StrEnum):
@@ -59,8 +57,9 @@ def render(
     camera: Annotated[
         str | None,
         typer.Option(
-            help="orbit[:AZIMUTH,ELEVATION[,RADIUS]], look-at:EX,EY,EZ,TX,TY,TZ, or a JSON file "
-            "of one camera or a list. [default: an orbit from where everything is seen]"
+            help="orbit[:AZIMUTH,ELEVATION[,RADIUS]], look-at:EX,EY,EZ,TX,TY,TZ, or a file or "
+            "folder of cameras; #NAME or #NUMBER after it picks one. "
+            "[default: an orbit from where everything is seen]"
         ),
     ] = None,
     width: Annotated[
@@ -80,6 +79,13 @@ def render(
             "--orthographic", help="No perspective; the middle is as large as with."
         ),
     ] = False,
+    panorama: Annotated[
+        bool,
+        typer.Option(
+            "--panorama",
+            help="All around, equirectangular: from the middle, or where the camera is.",
+        ),
+    ] = False,
     mode: Annotated[
         ModeName, typer.Option(help="What to show.", case_sensitive=False)
     ] = ModeName.COLOR,
@@ -93,11 +99,28 @@ def render(
     time: Annotated[
         float | None, typer.Option(help="For generators. [default: the manifest's]")
     ] = None,
+    pose: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[NAME=]FILE",
+            help="Poses, frame after frame: .npy, .npz or .json of [J,3] or [F,J,3], an .npz of "
+            "AMASS, LHM's .json, or a folder of such files; repeatable.",
+        ),
+    ] = None,
+    inputs: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--input",
+            metavar="NAME=VALUE",
+            help="Another input, by its name or role: a number, A,B,…, FROM..TO, or a file; "
+            "repeatable.",
+        ),
+    ] = None,
     frames: Annotated[
         int | None,
         typer.Option(
-            help="How many. Time goes through its range; if nothing has a time, an orbit turns. "
-            "[default: one a camera]",
+            help="How many. Time, or else a frame number, goes through its range; if nothing "
+            "moves, an orbit turns. [default: one a camera, a pose or a value]",
             min=1,
         ),
     ] = None,
@@ -121,9 +144,22 @@ def render(
             help="How the scene was trained. [default: the manifest's, or classic]"
         ),
     ] = None,
+    post: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="A post-process model that the picture goes through; repeatable, in this order."
+        ),
+    ] = None,
+    size: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SYMBOL=SIZE",
+            help="Give an open dimension of a model a size; repeatable.",
+        ),
+    ] = None,
     provider: Annotated[
         Literal["auto", "cpu", "webgpu", "cuda"],
-        typer.Option(help="What ONNX Runtime runs generators on."),
+        typer.Option(help="What ONNX Runtime runs models on."),
     ] = "cpu",
     as_json: Annotated[
         bool, typer.Option("--json", help="Print what was drawn as JSON.")
@@ -134,13 +170,18 @@ def render(
     Exits 0 if everything was written, 2 for wrong options, 4 if a scene cannot be read.
     """
     from gsgen.contract.commands.progress import clear, progress
+    from gsgen.runtime.commands.opening import opened
     from gsgen.runtime.film import Film
     from gsgen.runtime.viewpoint import viewpoint
+    from gsgen.sdk.commands.sizes import sizes_of
 
-    view = viewpoint(camera, width, height, fov, up, orthographic)
+    view = viewpoint(camera, width, height, fov, up, orthographic, panorama)
+    for note in view.notes:
+        typer.echo(f"note: {note}", err=True)
     behind = _background(background, output)
-    sources = _opened(scenes, provider)
-    try:
+    sizes = sizes_of(size, "--size")
+    with opened(scenes, post or (), provider=provider, sizes=sizes) as (sources, models):
+        tracks, speed = _tracks(pose, inputs, sources)
         film = Film(
             sources,
             view,
@@ -151,33 +192,36 @@ def render(
             time=time,
             frames=frames,
             turn=turn,
+            tracks=tracks,
+            post=models,
         )
         began = clock.perf_counter()
-        film.write(output, fps, lambda number: progress(f"frame {number} of {film.frames}"))
+        film.write(
+            output,
+            fps or speed,
+            lambda number: progress(f"frame {number} of {film.frames}"),
+        )
         clear()
         _report(film, output, clock.perf_counter() - began, as_json)
-    finally:
-        for source in sources:
-            source.close()
 
 
-def _opened(scenes: list[Path], provider: str) -> list["Source"]:
-    """Open every scene; what a session warns of becomes notes."""
-    from gsgen.runtime.errors import SceneUnreadable
-    from gsgen.runtime.sources import open_source
+def _tracks(
+    poses: list[str] | None, inputs: list[str] | None, sources: "list[Source]"
+) -> "tuple[list[Track], float | None]":
+    """Return what inputs are fed, and frames a second if a file of poses says so."""
+    from gsgen.runtime.motion import named_file, pose_tracks
+    from gsgen.runtime.tracks import input_track
 
-    made: list[Source] = []
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
-        try:
-            for path in scenes:
-                made.append(open_source(path, provider))
-        except (ModelUnreadable, SceneUnreadable) as error:
-            typer.echo(f"gsgen: {error}", err=True)
-            raise typer.Exit(_UNREADABLE) from error
-    for warning in caught:
-        typer.echo(f"note: {warning.message}", err=True)
-    return made
+    tracks: list[Track] = []
+    fps: float | None = None
+    for text in poses or ():
+        word = named_file(text)[0]
+        takers = [source for source in sources if source.named(word)]
+        if not takers:
+            raise ConfigInvalid(f"no scene has an input {word!r}", where=f"--pose {text}")
+        made, speed = pose_tracks(text, takers[0])
+        tracks, fps = [*tracks, *made], fps or speed
+    return [*tracks, *(input_track(text) for text in inputs or ())], fps
 
 
 def _background(text: str | None, output: Path) -> tuple[float, float, float, float]:

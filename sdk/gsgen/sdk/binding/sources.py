@@ -68,7 +68,7 @@ class Sources:
             UnknownName: A size is given for what is no open dimension.
             ConfigInvalid: A size is not positive.
         """
-        opened = dict(self._open_dimensions())
+        opened = dict(self.open_dimensions())
         for name, size in given.items():
             if not opened:
                 what = f"the model has no open dimension, so {name!r} needs no size"
@@ -95,8 +95,11 @@ class Sources:
     def _declared(self) -> dict[str, Input]:
         return {i.name: i for i in self.manifest.inputs} if self.manifest else {}
 
-    def _open_dimensions(self) -> Iterator[tuple[str, int | None]]:
-        """Yield each dimension of an input that the graph leaves open, with its declared size."""
+    def open_dimensions(self) -> Iterator[tuple[str, int | None]]:
+        """Yield each dimension of an input that the graph leaves open, with its declared size.
+
+        One that has no symbol is called ``NAME[AXIS]``.
+        """
         weights = {tensor.name for tensor in self.file.proto.graph.initializer}
         for value in self.file.proto.graph.input:
             entry = self._declared.get(value.name)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
+from gsgen.contract.errors import ModelUnreadable
 
 if TYPE_CHECKING:
     from gsgen.sdk.binding.timing import Timed
@@ -63,9 +63,10 @@ def bench(
     """
     from gsgen.contract.commands.output import write_text
     from gsgen.sdk.binding.providers import installed
+    from gsgen.sdk.commands.sizes import sizes_of
 
     _need_models(models)
-    sizes = dict(_sized(entry) for entry in size or ())
+    sizes = sizes_of(size, "--size")
     chosen = [str(one) for one in provider or installed()]
     jobs = [(model, one) for model in models for one in chosen]
     results = _measure(jobs, frames=frames, sizes=sizes, capture=capture, seconds=timeout)
@@ -90,14 +91,6 @@ def _need_models(models: list[Path]) -> None:
     except ModelUnreadable as error:
         typer.echo(f"gsgen: {error}", err=True)
         raise typer.Exit(_UNREADABLE) from error
-
-
-def _sized(entry: str) -> tuple[str, int]:
-    symbol, sign, size = entry.partition("=")
-    if not sign or not (size.isascii() and size.isdigit() and int(size) > 0):
-        what = f"{entry!r} is not SYMBOL=SIZE, such as J=24"
-        raise ConfigInvalid(what, where="--size")
-    return symbol, int(size)
 
 
 def _measure(

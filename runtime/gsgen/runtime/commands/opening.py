@@ -1,0 +1,96 @@
+"""What commands draw: scenes and post-process models, opened with words for what goes wrong."""
+
+__all__ = ["opened"]
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from gsgen.contract.errors import ModelUnreadable, UnknownName
+
+if TYPE_CHECKING:
+    from gsgen.runtime.post import PostProcessor
+    from gsgen.runtime.sources import Source
+
+_UNREADABLE = 4
+
+
+@contextmanager
+def opened(
+    scenes: Sequence[Path],
+    post: Sequence[Path] = (),
+    *,
+    provider: str = "cpu",
+    sizes: Mapping[str, int] | None = None,
+) -> "Iterator[tuple[list[Source], list[PostProcessor]]]":
+    """Open everything, and close it in the end; what a session warns of becomes notes.
+
+    Args:
+        scenes: Splat files and generators.
+        post: Post-process models.
+        provider: What ONNX Runtime runs models on.
+        sizes: Symbol → size; each model gets those that it leaves open.
+
+    Raises:
+        typer.Exit: A file cannot be read; it was said why.
+        GsgenError: A model is of another kind, or does not run.
+    """
+    from gsgen.runtime.errors import SceneUnreadable
+    from gsgen.runtime.post import PostProcessor
+    from gsgen.runtime.sources import open_source
+
+    with ExitStack() as stack:
+        with _noting():
+            try:
+                given = _sizes_of_each([*scenes, *post], sizes or {})
+                sources, models = [], []
+                for path in scenes:
+                    sources.append(open_source(path, provider, given.get(path)))
+                    stack.callback(sources[-1].close)
+                for path in post:
+                    models.append(PostProcessor(path, provider, given.get(path)))
+                    stack.callback(models[-1].close)
+            except (ModelUnreadable, SceneUnreadable) as error:
+                typer.echo(f"gsgen: {error}", err=True)
+                raise typer.Exit(_UNREADABLE) from error
+        yield sources, models
+
+
+@contextmanager
+def _noting() -> Iterator[None]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        yield
+    for warning in caught:
+        typer.echo(f"note: {warning.message}", err=True)
+
+
+def _sizes_of_each(
+    paths: Sequence[Path], sizes: Mapping[str, int]
+) -> dict[Path, dict[str, int]]:
+    """Return for each model the sizes that are its own.
+
+    Raises:
+        UnknownName: No model leaves such a dimension open.
+    """
+    if not sizes:
+        return {}
+    from gsgen.sdk.binding.sources import read_sources
+
+    models = [path for path in paths if path.suffix.lower() == ".onnx"]
+    opened = {
+        path: {name for name, _ in read_sources(path, None).open_dimensions()}
+        for path in models
+    }
+    known = set().union(*opened.values())
+    for name in sizes:
+        if name not in known:
+            raise UnknownName.among("open dimension", name, known, "--size")
+    return {
+        path: {name: size for name, size in sizes.items() if name in names}
+        for path, names in opened.items()
+    }
