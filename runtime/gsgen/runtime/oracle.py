@@ -11,14 +11,14 @@ __all__ = ["Picture", "render"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int64
 
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.oracle_meshes import Surface, cast
-from gsgen.runtime.oracle_projection import across, colors, ellipses, normals
+from gsgen.runtime.oracle_projection import Picture, across, colors, ellipses, normals
+from gsgen.runtime.oracle_wsr import Veil, alone, sums
 from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
 
@@ -32,33 +32,6 @@ _TIE: Final = 1e-6
 _TOUCH: Final = 1e-4  # a Gaussian and a mesh so near to each other
 # Within so many pixels of half a turn, it may find the other side of a Gaussian.
 _HALF_TURN: Final = 2e-3
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """What :func:`render` makes; see :class:`gsgen.runtime.frame.Frame`.
-
-    Attributes:
-        rgba: Colours multiplied by alpha, and alpha.
-        depth: Mean depth, infinite where nothing is.
-        median_depth: Depth of what took half of the light.
-        ids: Its place in the scene; −1 for none.
-        normal: Unit vectors in world space; zero where nothing is.
-        fragile: Pixels where a threshold or an order is so close that float32 may decide
-            otherwise: the declared discontinuities.
-        fragile_median: The same for the median.
-        visible: How many Gaussians reach a pixel's centre.
-    """
-
-    rgba: Float[np.ndarray, "h w 4"]
-    depth: Float[np.ndarray, "h w"]
-    median_depth: Float[np.ndarray, "h w"]
-    ids: Int64[np.ndarray, "h w"]
-    normal: Float[np.ndarray, "h w 3"]
-    fragile: Bool[np.ndarray, "h w"]
-    fragile_median: Bool[np.ndarray, "h w"]
-    visible: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +52,7 @@ def render(
     camera: Camera,
     *,
     background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+    published: bool = False,
 ) -> Picture:
     """Draw ``scene`` as ``camera`` sees it, in float64.
 
@@ -86,17 +60,23 @@ def render(
         scene: What to draw.
         camera: From where, and how large.
         background: Red, green, blue and alpha behind it all.
+        published: Let backgrounds of weighted sums count as in the method's own renderer.
     """
-    first, parts = 0, []
-    for one in scene.sets or [SplatSet(_nobody())]:
-        parts.append(_project(one, camera, first))
+    walls = cast(scene.meshes, camera, scene.color_space)
+    veil = sums(scene, camera, walls.depth)
+    if not scene.meshes and scene.sets and all(one.weighted for one in scene.sets):
+        return alone(veil, background, published)
+    first, parts = 0, [_project(SplatSet(_nobody()), camera, 0)]
+    for one in scene.sets:
+        if one.weighted is None:
+            parts.append(_project(one, camera, first))
         first += len(one.data)
     names = _Splats.__slots__
     joined = [np.concatenate([getattr(part, name) for part in parts]) for name in names]
     splats = _Splats(*joined)
     order = np.argsort(splats.depth, kind="stable")
-    walls = cast(scene.meshes, camera, scene.color_space)
-    return _blend(_Splats(*(column[order] for column in joined)), camera, background, walls)
+    ordered = _Splats(*(column[order] for column in joined))
+    return _blend(ordered, camera, background, walls, veil.veil())
 
 
 def _nobody() -> SplatData:
@@ -126,7 +106,11 @@ def _project(one: SplatSet, camera: Camera, first: int) -> _Splats:
 
 
 def _blend(
-    splats: _Splats, camera: Camera, background: Sequence[float], walls: Surface
+    splats: _Splats,
+    camera: Camera,
+    background: Sequence[float],
+    walls: Surface,
+    veil: Veil,
 ) -> Picture:
     height, width = camera.height, camera.width
     color, normal = np.zeros((height, width, 3)), np.zeros((height, width, 3))
@@ -134,7 +118,8 @@ def _blend(
     median = np.full((height, width), np.inf)
     ids = np.full((height, width), -1)
     done = np.zeros((height, width), bool)
-    fragile, fragile_median = walls.fragile.copy(), done.copy()
+    fragile, fragile_median = walls.fragile | veil.fragile, done.copy()
+    waiting = np.isfinite(veil.depth)
     close = _ties(splats.depth)
     nearer_hit = done.copy()
     visible = 0
@@ -149,6 +134,10 @@ def _blend(
         (a, b), (_, c) = np.linalg.inv(splats.covariance[i])
         bare = splats.opacity[i] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy)
         alpha = np.minimum(bare, _MOST)
+        covered = np.zeros_like(waiting)
+        covered[window] = (waiting[window]) & (splats.depth[i] > veil.depth[window])
+        _cover(covered, veil, color, normal, depth, through, median, fragile_median)
+        waiting &= ~covered
         before = through[window].copy()
         in_front = splats.depth[i] <= walls.depth[window]
         hit = (alpha >= _CULL) & ~done[window] & in_front
@@ -160,6 +149,7 @@ def _blend(
             behind = np.abs(np.abs(dx) - np.pi * camera.fx) <= _HALF_TURN
             near_edge |= behind & (alpha >= _CULL * (1 - _BAND))
         beside = np.abs(splats.depth[i] - walls.depth[window]) <= _TOUCH * splats.depth[i]
+        beside |= np.abs(splats.depth[i] - veil.depth[window]) <= _TOUCH * splats.depth[i]
         fragile[window] |= ~done[window] & (alpha >= _CULL) & beside
         near_stop = hit & (np.abs(after / _FINISHED - 1) <= _BAND)
         fragile[window] |= ~done[window] & (near_edge | near_stop)
@@ -178,6 +168,7 @@ def _blend(
         ids[window] = np.where(halved, splats.place[i], ids[window])
         fragile_median[window] |= hit & (np.abs(after - 0.5) <= _BAND)
         through[window] = np.where(drawn, after, before)
+    _cover(waiting, veil, color, normal, depth, through, median, fragile_median)
     # What is left goes to the meshes, and behind them there is nothing to see.
     wall = np.isfinite(walls.depth)
     rest = np.where(wall, through, 0)
@@ -202,6 +193,27 @@ def _blend(
         fragile_median | fragile,
         visible,
     )
+
+
+def _cover(
+    pixels: np.ndarray,
+    veil: Veil,
+    color: np.ndarray,
+    normal: np.ndarray,
+    depth: np.ndarray,
+    through: np.ndarray,
+    median: np.ndarray,
+    fragile_median: np.ndarray,
+) -> None:
+    """Blend the veil into some pixels, in place."""
+    rest = through[pixels]
+    color[pixels] += rest[:, None] * veil.color[pixels]
+    normal[pixels] += rest[:, None] * veil.normal[pixels]
+    depth[pixels] += rest * veil.alpha[pixels] * veil.depth[pixels]
+    through[pixels] = rest * (1 - veil.alpha[pixels])
+    halved = (rest >= 0.5) & (through[pixels] < 0.5)
+    median[pixels] = np.where(halved, veil.depth[pixels], median[pixels])
+    fragile_median[pixels] |= np.abs(through[pixels] - 0.5) <= _BAND
 
 
 def _ties(depth: np.ndarray) -> np.ndarray:

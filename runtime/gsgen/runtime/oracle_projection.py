@@ -3,13 +3,13 @@
 It shares no code with the kernels, and no method where there are two.
 """
 
-__all__ = ["Ellipses", "across", "colors", "ellipses", "normals"]
+__all__ = ["Ellipses", "Picture", "across", "colors", "ellipses", "normals"]
 
 from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int64
 
 from gsgen.contract.geometry import symmetric
 from gsgen.contract.spherical_harmonics import basis, degree_of
@@ -19,6 +19,33 @@ from gsgen.runtime.scene import SplatSet
 _MARGIN: Final = 0.3
 _POLE: Final = 1e-3
 _DILATION: Final = 0.3
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """What an oracle makes; see :class:`gsgen.runtime.frame.Frame`.
+
+    Attributes:
+        rgba: Colours multiplied by alpha, and alpha.
+        depth: Mean depth, infinite where nothing is.
+        median_depth: Depth of what took half of the light.
+        ids: Its place in the scene; −1 for none.
+        normal: Unit vectors in world space; zero where nothing is.
+        fragile: Pixels where a threshold or an order is so close that float32 may decide
+            otherwise: the declared discontinuities.
+        fragile_median: The same for the median.
+        visible: How many Gaussians reach a pixel's centre.
+    """
+
+    rgba: Float[np.ndarray, "h w 4"]
+    depth: Float[np.ndarray, "h w"]
+    median_depth: Float[np.ndarray, "h w"]
+    ids: Int64[np.ndarray, "h w"]
+    normal: Float[np.ndarray, "h w 3"]
+    fragile: Bool[np.ndarray, "h w"]
+    fragile_median: Bool[np.ndarray, "h w"]
+    visible: int
 
 
 @final

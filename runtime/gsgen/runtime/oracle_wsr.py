@@ -4,7 +4,7 @@ The guide "How the renderer works", section "Weighted sums", has the equations. 
 tiles and Gaussians at circles of whole pixels, as in the renderer of Liu et al. 2025.
 """
 
-__all__ = ["Sums", "picture", "sums"]
+__all__ = ["Sums", "Veil", "alone", "sums"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64
 
 from gsgen.runtime.camera import Camera
-from gsgen.runtime.oracle import Picture
-from gsgen.runtime.oracle_projection import across, colors, ellipses, normals
+from gsgen.runtime.oracle_projection import Picture, across, colors, ellipses, normals
 from gsgen.runtime.scene import Scene, SplatSet
 
 _CULL: Final = 1 / 255
@@ -74,6 +73,37 @@ class Sums:
         """What sums are divided by."""
         return self.total + self.weight_behind * self.through
 
+    def veil(self) -> "Veil":
+        """Return the translucent image that the sums are among other things."""
+        some = self.total > 0
+        return Veil(
+            self.color / self.scale[..., None],
+            self.total / self.scale,
+            self.normal / self.scale[..., None],
+            np.where(some, self.depth / np.where(some, self.total, 1), np.inf),
+            self.fragile,
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Veil:
+    """A translucent image somewhere in space.
+
+    Attributes:
+        color: Colours multiplied by alpha.
+        alpha: How much of what is behind it is covered.
+        normal: Normals in world space, multiplied by alpha.
+        depth: Mean depth; infinite where nothing is.
+        fragile: Pixels where float32 may decide otherwise.
+    """
+
+    color: Float[np.ndarray, "h w 3"]
+    alpha: Float[np.ndarray, "h w"]
+    normal: Float[np.ndarray, "h w 3"]
+    depth: Float[np.ndarray, "h w"]
+    fragile: Bool[np.ndarray, "h w"]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cell:
@@ -94,35 +124,27 @@ class _Cell:
     place: np.ndarray
 
 
-def picture(
-    scene: Scene,
-    camera: Camera,
-    *,
-    background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
-    published: bool = False,
-) -> Picture:
-    """Draw a scene of nothing but weighted sets.
+def alone(made: Sums, background: Sequence[float], published: bool = False) -> Picture:
+    """Return the picture of sums with nothing but a background behind them.
 
     Args:
-        scene: What to draw.
-        camera: From where, and how large.
-        background: Red, green, blue and alpha behind it all.
+        made: The sums.
+        background: Red, green, blue and alpha.
         published: Let the background keep its whole weight in the numerator.
     """
-    made = sums(scene, camera)
-    scale, rest = made.scale, made.weight_behind
-    share = rest / scale if published else rest * made.through / scale
+    veil, rest = made.veil(), made.weight_behind / made.scale
+    share = rest if published else rest * made.through
     *color, opaque = background
-    alpha = made.total / scale
-    shown = made.color / scale[..., None] + share[..., None] * np.array(color) * opaque
-    size = np.linalg.norm(made.normal, axis=-1, keepdims=True)
-    some = made.total > 0
+    shown = veil.color + share[..., None] * np.array(color) * opaque
+    size = np.linalg.norm(veil.normal, axis=-1, keepdims=True)
     return Picture(
-        np.concatenate([shown, (alpha + (1 - alpha) * opaque)[..., None]], axis=-1),
-        np.where(some, made.depth / np.where(some, made.total, 1), np.inf),
+        np.concatenate(
+            [shown, (veil.alpha + (1 - veil.alpha) * opaque)[..., None]], axis=-1
+        ),
+        veil.depth,
         made.median_depth,
         made.ids,
-        made.normal / np.where(size > 0, size, 1),
+        veil.normal / np.where(size > 0, size, 1),
         made.fragile,
         made.fragile_median | made.fragile,
         made.visible,

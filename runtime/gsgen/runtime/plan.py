@@ -131,12 +131,15 @@ class Plan:
         self._splats = [self._storage(name, _VEC4 * n) for name in ("shapes", "weights")]
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.images: dict[str, Any] = {}
-        laid = {}
+        quads = quads and not summed  # the hardware's blending knows no layers
+        alone = bool(summed) and not placed and not meshes
+        tiled = outputs - {"color"} if quads else outputs
+        if tiled and not alone and (meshes or summed):
+            self._layers = self._lay(bool(summed) + bool(meshes), "normal" in tiled)
+        self.stages: dict[str, list[Step]] = {}
         if meshes:
-            tiled = outputs - {"color"} if quads else outputs
-            laid["meshes"] = self._draw_meshes(meshes, tiled)
+            self.stages["meshes"] = self._draw_meshes(meshes)
         if summed:
-            frames = (self._frame, self._bare_frame)
             self._weighted = WeightedPart(
                 device,
                 kernels.weighted(),
@@ -145,16 +148,15 @@ class Plan:
                 panorama,
                 outputs,
                 pair_capacity,
-                frames,
+                (self._frame, self._bare_frame),
+                self._layers,
                 published,
             )
             self.buffers |= self._weighted.buffers
-            laid |= self._weighted.stages
-        if summed and not placed:
             self.images |= self._weighted.images
-            self.stages = laid
-        else:
-            self.stages = laid | self._record(placed, outputs, quads)
+            self.stages |= self._weighted.stages
+        if not alone:
+            self.stages |= self._record(placed, outputs, quads)
         self._held = {"counts": self._counts}
         if self._weighted is not None:
             self._held["counts of cells"] = self._weighted.counts
@@ -193,20 +195,18 @@ class Plan:
             stages["normal"] = [self._blend("normal", members, normals, pick=False)]
         return stages
 
-    def _draw_meshes(
-        self, meshes: Sequence[PlacedMesh], tiled: frozenset[Output]
-    ) -> list[Step]:
+    def _lay(self, count: int, normal: bool) -> Layers:
+        """Return room for layers."""
+        pixels = count * self._size[0] * self._size[1]
+        return Layers(
+            count,
+            self._storage("layer colors", _VEC4 * pixels),
+            self._storage("layer depths", 4 * pixels),
+            self._storage("layer normals", _VEC4 * pixels) if normal else None,
+        )
+
+    def _draw_meshes(self, meshes: Sequence[PlacedMesh]) -> list[Step]:
         """Make what draws meshes; return what makes a layer of them, if tiles are blended."""
-        if tiled:
-            pixels = self._size[0] * self._size[1]
-            self._layers = Layers(
-                1,
-                self._storage("layer colors", _VEC4 * pixels),
-                self._storage("layer depths", 4 * pixels),
-                self._storage("layer normals", _VEC4 * pixels)
-                if "normal" in tiled
-                else None,
-            )
         self._meshes = self._kernels.meshes().step(
             self._size, meshes, self._mesh_slots, self._layers
         )

@@ -18,6 +18,7 @@ from gsgen.runtime.device import Device
 from gsgen.runtime.frame import Output
 from gsgen.runtime.kernels import counts as counting
 from gsgen.runtime.kernels.bin_cells import BinCells
+from gsgen.runtime.kernels.blend_tiles import Layers
 from gsgen.runtime.kernels.blend_wsr import BlendWsr
 from gsgen.runtime.kernels.counts import Counts
 from gsgen.runtime.kernels.kernel import Step
@@ -56,7 +57,9 @@ class WeightedKernels:
         self.cells = cache(lambda panorama: ProjectCells(device, panorama))
         self.bin = cache(lambda panorama: BinCells(device, cut.walk, panorama))
         self.blend = cache(
-            lambda pick, panorama, published: BlendWsr(device, pick, panorama, published)
+            lambda pick, panorama, published, layers: BlendWsr(
+                device, pick, panorama, published, layers
+            )
         )
         self.normals = cache(lambda: NormalsKernel(device))
 
@@ -74,12 +77,13 @@ class WeightedPart:
         outputs: What is asked for.
         pair_capacity: For how many pairs of a cell and a tile there is room.
         frames: The uniforms of the frame: with what is behind, and with nothing there.
+        layers: Where the result stands among others as the front layer; None where it is alone.
         published: Whether backgrounds count as in the method's own renderer.
 
     Attributes:
         stages: What a frame does, stage by stage.
         buffers: What it does it with, by name.
-        images: What it makes, by output.
+        images: What it makes, by output; nothing where the result is a layer.
         counts: Of cells and their pairs.
         ranges: To be cleared before each frame.
     """
@@ -94,11 +98,13 @@ class WeightedPart:
         outputs: frozenset[Output],
         pair_capacity: int,
         frames: tuple[Any, Any],
+        layers: Layers | None,
         published: bool,
     ) -> None:
         self._device, self._kernels = device, kernels
         self._size, self._panorama, self._published = size, panorama, published
         self._frame, self._bare_frame = frames
+        self._layers = layers
         self._tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
         self.buffers: dict[str, Any] = {}
         self.images: dict[str, Any] = {}
@@ -144,14 +150,14 @@ class WeightedPart:
         stages["bin cells"] = self._bin(order, circles, pairs[0])
         stages["group cells"], members = self._group(pairs)
         known = (self.ranges, members, spans, shapes, weights)
-        if "color" in outputs:
-            stages["sum"] = [self._blend("color", (*known, colors), pick=False)]
-        if "depth" in outputs:
+        if "color" in outputs or self._layers is not None:
+            stages["sum"] = [self._blend("color", (*known, colors))]
+        if "depth" in outputs and self._layers is None:
             stages["sum depth"] = [self._blend("depth", (*known, colors), pick=True)]
         if "normal" in outputs:
             normals = self._storage("weighted normals", _VEC4 * n)
             stages["project weighted"] += self._normals(placed, keys, normals)
-            stages["sum normal"] = [self._blend("normal", (*known, normals), pick=False)]
+            stages["sum normal"] = [self._blend("normal", (*known, normals))]
         return stages
 
     def _project(
@@ -220,11 +226,16 @@ class WeightedPart:
         mark = self._kernels.ranges.step(self.counts, pairs[at].keys, self.ranges)
         return [*steps, mark], pairs[at].values
 
-    def _blend(self, name: str, resources: tuple[Any, ...], *, pick: bool) -> Step:
+    def _blend(self, name: str, resources: tuple[Any, ...], *, pick: bool = False) -> Step:
+        if self._layers is not None:
+            kernel = self._kernels.blend(False, self._panorama, False, self._layers.count)
+            image = self._layers.normals if name == "normal" else self._layers.colors
+            bound = (self._bare_frame, *resources, image)
+            return kernel.step(self._tiles, bound, self._layers.depths)
         pixels = self._size[0] * self._size[1]
         self.images[name] = self._storage(f"{name} image", _VEC4 * pixels)
         frame = self._frame if name == "color" else self._bare_frame
-        kernel = self._kernels.blend(pick, self._panorama, self._published)
+        kernel = self._kernels.blend(pick, self._panorama, self._published, 0)
         return kernel.step(self._tiles, (frame, *resources, self.images[name]))
 
     def write(self, placed: Sequence[tuple[SplatSet, Page]], camera: Camera) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from gsgen.contract.geometry import covariance_upper
 from gsgen.contract.manifest import WeightedSum
-from gsgen.runtime import oracle_wsr
+from gsgen.runtime import oracle
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
 from gsgen.runtime.errors import SceneInvalid
@@ -33,7 +33,7 @@ def published(device: Device) -> Renderer:
 def test_sums_are_the_oracles(renderer: Renderer, name: str) -> None:
     scene, seen_by = WEIGHTED[name]()
     seen = renderer.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
-    wanted = oracle_wsr.picture(scene, seen_by, background=BEHIND)
+    wanted = oracle.render(scene, seen_by, background=BEHIND)
     assert np.isfinite(seen.rgba).all()
     firm, firm_median = ~wanted.fragile, ~wanted.fragile_median
     assert decibels(seen.rgba[firm], wanted.rgba[firm]) >= 110
@@ -58,7 +58,7 @@ def test_sums_are_the_oracles(renderer: Renderer, name: str) -> None:
 def test_published_backgrounds_are_the_oracles(published: Renderer, name: str) -> None:
     scene, seen_by = WEIGHTED[name]()
     seen = published.render(scene, seen_by, background=BEHIND)
-    wanted = oracle_wsr.picture(scene, seen_by, background=BEHIND, published=True)
+    wanted = oracle.render(scene, seen_by, background=BEHIND, published=True)
     assert np.abs(seen.rgba - wanted.rgba)[~wanted.fragile].max() <= 2e-5
 
 
@@ -102,7 +102,7 @@ def test_the_goldens_of_the_method(published: Renderer, number: int) -> None:
     scene, seen_by, image = golden(number)
     backdrop = (0.1, 0.2, 0.3, 1.0)
     seen = published.render(scene, seen_by, background=backdrop)
-    wanted = oracle_wsr.picture(scene, seen_by, background=backdrop, published=True)
+    wanted = oracle.render(scene, seen_by, background=backdrop, published=True)
     assert np.abs(wanted.rgba[..., :3] - image).max() <= 5e-6
     assert np.abs(seen.rgba[..., :3] - image).max() <= 5e-6
     assert np.ptp(image, axis=(0, 1)).min() > 0.5  # there is something to see
@@ -121,7 +121,7 @@ def test_the_goldens_need_cells_tiles_and_circles() -> None:
     )
     for other in (larger, alone):
         changed = Scene([SplatSet(other, weighted=one.weighted)])
-        made = oracle_wsr.picture(
+        made = oracle.render(
             changed, seen_by, background=(0.1, 0.2, 0.3, 1), published=True
         )
         assert np.abs(made.rgba[..., :3] - image).max() > 1e-3

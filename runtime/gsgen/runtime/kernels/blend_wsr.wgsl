@@ -21,6 +21,23 @@
 @group(0) @binding(7) var<storage, read_write> image: array<vec4u>;
 
 const ZERO = vec4f(0.0);
+//!repeat ONCE LAYERED
+
+// The image is the first of LAYERS layers; meshes, if there are any, are the last, whose depths
+// are here already. Nothing behind them counts.
+@group(1) @binding(0) var<storage, read_write> layer_depths: array<f32>;
+
+fn limits(corner: vec2u) -> vec4f {
+    var made = vec4f(NOWHERE);
+    for (var i = 0u; i < 4u; i++) {
+        if (LAYERS > 1u && corner.x < frame.size.x && corner.y + i < frame.size.y) {
+            let line = (LAYERS - 1u) * frame.size.y + corner.y + i;
+            made[i] = min(layer_depths[line * frame.size.x + corner.x], NOWHERE);
+        }
+    }
+    return made;
+}
+//!end
 
 @compute @workgroup_size(TILE / COLUMNS, TILE / (4u * QUADS))
 fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_id) local: vec3u) {
@@ -40,6 +57,10 @@ fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_id) local
     var most_PART = ZERO;
     var most_depth_PART = ZERO;
     var most_id_PART = vec4u(ABSENT);
+//!repeat ONCE LAYERED
+    let limit_PART = limits(corner + vec2u(PARTu / QUADS * (TILE / COLUMNS), PARTu % QUADS * 4u));
+    var far_PART = ZERO;
+//!end
 //!end
     for (var pair = range.x; pair < range.y; pair++) {
         var still = ZERO;
@@ -66,7 +87,10 @@ fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_id) local
                 let dx = nearest(x + f32(PARTu / QUADS * (TILE / COLUMNS)) - shape.x);
                 let dy = y + f32(PARTu % QUADS * 4u) - shape.y;
                 let above = weight.y - 0.5 * shape.z * dx * dx - (bend * dy + shape.w * dx) * dy;
-                let hit = (above >= ZERO) & (dx * dx + dy * dy <= vec4f(weight.w)) & (open_PART > ZERO);
+                var hit = (above >= ZERO) & (dx * dx + dy * dy <= vec4f(weight.w)) & (open_PART > ZERO);
+//!repeat ONCE LAYERED
+                hit = hit & (vec4f(weight.z) <= limit_PART);
+//!end
                 if (any(hit)) {
                     let bare = factors.x * min(CULL_OPACITY * exp(above), vec4f(MAX_ALPHA));
                     let alpha = select(ZERO, min(bare, vec4f(MAX_ALPHA)), hit);
@@ -74,6 +98,9 @@ fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_id) local
                     through_PART *= 1.0 - alpha;
                     total_PART += amount;
                     behind_PART += amount * factors.y;
+//!repeat ONCE LAYERED
+                    far_PART += amount * weight.z;
+//!end
                     if (PICK) {
                         red_PART += amount * weight.z;
                         let more = alpha > most_PART;
@@ -117,6 +144,12 @@ fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_id) local
                     alpha = total * share;
                     backdrop = weight * select(left, 1.0, PUBLISHED) * share;
                 }
+//!repeat ONCE LAYERED
+                layer_depths[at] = NOWHERE;
+                if (total > 0.0) {
+                    layer_depths[at] = min(far_PART[i] / total, limit_PART[i]);
+                }
+//!end
                 if (PICK) {
                     let depths = bitcast<vec2u>(vec2f(red_PART[i] * share, green_PART[i]));
                     image[at] = vec4u(depths, taker_PART[i], bitcast<u32>(alpha));
