@@ -115,3 +115,178 @@ def test_one_by_one_nothing_overlaps(
     for time in TIMES:
         drift.render(CAMERA, time=time)
     assert events[-6:] == ["run", "submit", "collect"] * 2
+
+
+class Uploads:
+    """Bytes that reach the rows and the appearance of Gaussians, and what is made meanwhile."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.bytes = {"rows": 0, "appearance": 0}
+        self.made: list[str] = []
+        self.runs = 0
+        write, run = Device.write, FrameSession.run
+
+        def watched_write(device: Device, buffer: object, data: object, *rest: int) -> None:
+            if buffer.label in self.bytes:
+                self.bytes[buffer.label] += data.nbytes
+            write(device, buffer, data, *rest)
+
+        def watched_run(session: FrameSession, *args: object, **rest: object) -> object:
+            self.runs += 1
+            return run(session, *args, **rest)
+
+        monkeypatch.setattr(Device, "write", watched_write)
+        monkeypatch.setattr(FrameSession, "run", watched_run)
+
+    def forbid(self, raw: object, monkeypatch: pytest.MonkeyPatch) -> None:
+        for name in ("create_buffer", "create_bind_group", "create_compute_pipeline"):
+            monkeypatch.setattr(
+                type(raw), name, lambda *_, label="", **__: self.made.append(label)
+            )
+
+
+ROW, COLOR = 40, 16  # bytes of a Gaussian; three colours are filled up to a word
+
+
+@pytest.mark.parametrize(
+    ("model", "values", "runs", "rows", "appearance"),
+    [
+        ("drift", [{"time": t} for t in (0.2, 0.4, 0.6)], 3, 15, 0),
+        ("drift", [{"time": 0.3}] * 3, 1, 5, 0),
+        ("drift", [{}] * 3, 0, 0, 0),
+        ("appearance_id", [{"look": k} for k in (1, 2, 3)], 3, 0, 15),
+        ("ignored_time", [{"time": t} for t in (0.2, 0.4, 0.6)], 0, 0, 0),
+        ("fade_column", [{}] * 3, 3, 15, 0),  # the camera moves
+    ],
+)
+def test_what_stays_is_neither_computed_nor_uploaded(
+    models: Path,
+    renderer: Renderer,
+    monkeypatch: pytest.MonkeyPatch,
+    model: str,
+    values: list[dict],
+    runs: int,
+    rows: int,
+    appearance: int,
+) -> None:
+    cameras = [Camera.orbit((0, 0, 0), 4, azimuth=a, width=48, height=32) for a in range(4)]
+    path = models / f"{model}.onnx"
+    with GeneratorPlayer(path, provider="cpu", renderer=renderer) as player:
+        player.render(cameras[0])
+        seen = Uploads(monkeypatch)
+        seen.forbid(renderer.device.raw, monkeypatch)
+        frames = list(player.play(cameras[1:], values=values))
+    assert len(frames) == 3
+    assert seen.runs == runs
+    assert seen.bytes == {"rows": rows * ROW, "appearance": appearance * COLOR}
+    assert seen.made == []
+
+
+def test_a_count_that_changes_alone_uploads_nothing(
+    tmp_path: Path, renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows stay, and fewer or more of them are live."""
+    counted = (
+        find("growing")
+        .draw()
+        .reworded("seen = Mul (opacity, mask)", "seen = Mul (opacity, opacity)")
+    )
+    counted = counted.reworded("shift = Mul (speed, time)", "shift = Sub (speed, speed)")
+    path = tmp_path / "counted.onnx"
+    counted.write(path)
+    with GeneratorPlayer(path, provider="cpu", renderer=renderer) as player:
+        everything = player.render(CAMERA, time=1.0)
+        seen = Uploads(monkeypatch)
+        fewer = [
+            frame.visible for frame in player.play(CAMERA, times=(0.5, 0.9, 0.65, 1.0))
+        ]
+        again = player.render(CAMERA, time=1.0)
+    assert fewer == [2, 4, 3, 5]
+    assert seen.runs == 4
+    assert seen.bytes == {"rows": 0, "appearance": 0}
+    assert np.array_equal(everything.rgba, again.rgba)
+
+
+def test_rows_behind_the_count_are_not_drawn_though_their_values_stay(
+    models: Path, renderer: Renderer
+) -> None:
+    path = models / "growing.onnx"
+    with GeneratorPlayer(path, provider="cpu", renderer=renderer) as player:
+        played = [frame.rgba for frame in player.play(CAMERA, times=(1.0, 0.5, 1.0, 0.7))]
+        assert player.source.data.count == 3
+    for image, time in zip(played, (1.0, 0.5, 1.0, 0.7), strict=True):
+        with GeneratorPlayer(path, provider="cpu", renderer=renderer) as fresh:
+            assert np.array_equal(fresh.render(CAMERA, time=time).rgba, image)
+
+
+def test_errors_name_model_input_and_frame(drift: GeneratorPlayer, models: Path) -> None:
+    name = models / "drift.onnx"
+    frames = drift.play(CAMERA, times=(0.0, 0.5, 7.0, 0.2))
+    assert [next(frames).visible for _ in range(2)] == [5, 5]
+    with pytest.raises(InputInvalid) as raised:
+        next(frames)
+    assert str(raised.value) == f"{name}, frame 2, input time: is 7, wanted 0 … 1"
+    with pytest.raises(UnknownName) as unknown:
+        drift.render(CAMERA, pose=np.zeros((4, 3)))
+    assert str(unknown.value).startswith(f"{name}, frame 3: unknown input 'pose'")
+    assert drift.render(CAMERA, time=0.5).visible == 5  # it goes on
+
+
+def test_a_film_that_is_left_early_leaves_no_trace(drift: GeneratorPlayer) -> None:
+    wanted = drift.render(CAMERA, time=0.5).rgba
+    frames = drift.play(CAMERA, times=(0.1, 7.0, 0.2))
+    next(frames)
+    frames.close()  # what is wrong with the second frame concerns nobody
+    frames = drift.play(CAMERA, times=(0.3, 0.9))
+    next(frames)
+    frames.close()
+    assert np.array_equal(drift.render(CAMERA, time=0.5).rgba, wanted)
+
+
+def test_several_sources_play_together(models: Path, renderer: Renderer) -> None:
+    paths = [models / name for name in ("drift.onnx", "avatar.onnx")]
+    sources = [GeneratorSource(path) for path in paths]
+    player = Player(sources, renderer=renderer)
+    pose = np.full((4, 3), 0.2)
+    shots = [Shot(CAMERA, ({"time": t}, {"pose": t * pose})) for t in TIMES]
+    alone = [player.render(shot).rgba for shot in shots]
+    played = [frame.rgba for frame in player.play(shots)]
+    assert all(np.array_equal(*pair) for pair in zip(alone, played, strict=True))
+    assert not np.array_equal(alone[0], alone[1])
+    with pytest.raises(GsgenError, match=r"avatar\.onnx, frame 8, input pose: has shape"):
+        player.render(Shot(CAMERA, ({}, {"pose": np.zeros((3, 3))})))
+    for source in sources:
+        source.close()
+
+
+def test_cameras_and_values_end_with_the_shortest(drift: GeneratorPlayer) -> None:
+    cameras = [Camera.orbit((0, 0, 0), 4, azimuth=a, width=48, height=32) for a in (0, 9)]
+    assert len(list(drift.play(cameras))) == 2
+    assert len(list(drift.play(CAMERA))) == 1
+    assert len(list(drift.play(cameras, times=TIMES))) == 2
+    assert len(list(drift.play(CAMERA, values=[{"time": 0.5}] * 3))) == 3
+    assert list(drift.play([])) == []
+
+
+def test_what_is_no_generator_is_refused(tmp_path: Path, renderer: Renderer) -> None:
+    path = find("post_process").write(tmp_path)
+    before = threading.active_count()
+    with pytest.raises(
+        SceneInvalid, match="is a post-process, wanted a gaussian-generator"
+    ):
+        GeneratorPlayer(path, provider="cpu", renderer=renderer)
+    assert threading.active_count() == before
+
+
+def test_closing_twice_does_no_harm_and_ends_the_thread(
+    models: Path, renderer: Renderer
+) -> None:
+    before = threading.active_count()
+    player = GeneratorPlayer(models / "drift.onnx", provider="cpu", renderer=renderer)
+    assert threading.active_count() == before + 1
+    player.render(CAMERA)
+    player.close()
+    player.close()
+    assert threading.active_count() == before
+    with pytest.raises(GsgenError, match="closed"):
+        player.render(CAMERA)
