@@ -14,6 +14,7 @@ from gsgen.contract.lazy import attributes
 
 if TYPE_CHECKING:
     from gsgen.runtime.camera import Camera
+    from gsgen.runtime.camera_files import CameraFile, open_cameras
     from gsgen.runtime.device import Device
     from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
     from gsgen.runtime.frame import NOTHING, Frame
@@ -25,6 +26,7 @@ __all__ = [
     "NOTHING",
     "Box",
     "Camera",
+    "CameraFile",
     "CapacityExceeded",
     "Device",
     "DeviceUnavailable",
@@ -34,12 +36,14 @@ __all__ = [
     "SceneInvalid",
     "SplatData",
     "SplatSet",
+    "open_cameras",
 ]
 
 _HOME = {
     "NOTHING": "frame",
     "Box": "scene",
     "Camera": "camera",
+    "CameraFile": "camera_files",
     "CapacityExceeded": "errors",
     "Device": "device",
     "DeviceUnavailable": "errors",
@@ -49,6 +53,7 @@ _HOME = {
     "SceneInvalid": "errors",
     "SplatData": "splat_data",
     "SplatSet": "scene",
+    "open_cameras": "camera_files",
 }
 
 __getattr__ = attributes(__name__, _HOME)

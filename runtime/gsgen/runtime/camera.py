@@ -84,8 +84,9 @@ class Camera:
         if self.kind == "panorama":
             _require_sphere(self)
         turn = view[:3, :3]
-        off = np.abs(turn @ turn.T - np.eye(3)).max()
-        rigid = off <= _ROTATION_TOLERANCE and np.linalg.det(turn) > 0
+        with np.errstate(all="ignore"):  # numbers may be so large that they overflow
+            off = np.abs(turn @ turn.T - np.eye(3)).max()
+            rigid = off <= _ROTATION_TOLERANCE and np.linalg.det(turn) > 0
         if not (rigid and np.array_equal(view[3], [0, 0, 0, 1])):
             raise SceneInvalid(
                 f"is no rotation with a translation: {view.tolist()}",

@@ -2,7 +2,6 @@
 
 __all__ = ["Viewpoint", "viewpoint"]
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,13 +12,13 @@ from jaxtyping import Float
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera import Camera
+from gsgen.runtime.camera_files import open_cameras, split_pick
 from gsgen.runtime.sources import Source, direction
 
-_FORMS: Final = (
-    "Give orbit[:AZIMUTH,ELEVATION[,RADIUS]], look-at:EX,EY,EZ,TX,TY,TZ or a JSON file."
-)
+_FORMS: Final = "Give orbit[:AZIMUTH,ELEVATION[,RADIUS]], look-at:EX,EY,EZ,TX,TY,TZ or a file of cameras."
 _AZIMUTH: Final = 30.0
 _ELEVATION: Final = 20.0
+_AROUND: Final = 2048  # pixels that a panorama is wide
 
 
 @final
@@ -36,6 +35,8 @@ class Viewpoint:
         fov: Vertical field of view, in degrees.
         up: The upward direction; None for what the source says.
         flat: Whether the camera is orthographic; what it looks at is as large as without.
+        around: Whether it is a panorama. An orbit without a radius then stands in the middle.
+        notes: What is to be said about the cameras of the file.
     """
 
     orbit: tuple[float, float, float | None] | None
@@ -46,6 +47,8 @@ class Viewpoint:
     fov: float
     up: tuple[float, float, float] | None = None
     flat: bool = False
+    around: bool = False
+    notes: tuple[str, ...] = ()
 
     def camera(self, source: Source, number: int, turn: float) -> Camera:
         """Return the camera of frame ``number``.
@@ -56,11 +59,39 @@ class Viewpoint:
             turn: Degrees that an orbit has gone on since the first frame.
         """
         center, reach = source.extent()
+        if self.around:
+            return self._panorama(source, center, number, turn)
         made = self._placed(source, center, reach, number, turn)
         if not self.flat:
             return made
         ahead = float(made.view[2, :3] @ center + made.view[2, 3])
         return made.flattened(ahead if ahead > made.near else reach)
+
+    def _panorama(
+        self, source: Source, center: Float[np.ndarray, "3"], number: int, turn: float
+    ) -> Camera:
+        width = self.width or (2 * self.height if self.height else _AROUND)
+        height = self.height or max(1, width // 2)
+        if self.cameras:
+            return self.cameras[number % len(self.cameras)].all_around(width, height)
+        eye, toward = self._heading(source, center, turn)
+        up = self.up or source.up
+        return Camera.panorama(eye, toward, up=up, width=width, height=height)
+
+    def _heading(
+        self, source: Source, center: Float[np.ndarray, "3"], turn: float
+    ) -> tuple[list[float], list[float]]:
+        """Return where a panorama is seen from, and which way its middle looks."""
+        if self.look_at is not None:
+            eye, target = np.array(self.look_at[:3]), np.array(self.look_at[3:])
+            return eye.tolist(), (target - eye).tolist()
+        azimuth, elevation, radius = self.orbit or (_AZIMUTH, _ELEVATION, None)
+        middle, azimuth, up = center.tolist(), azimuth + turn, self.up or source.up
+        level = Camera.orbit(middle, 1.0, azimuth=azimuth, up=up).view[2, :3].tolist()
+        if radius is None:
+            return middle, level
+        orbit = Camera.orbit(middle, radius, azimuth=azimuth, elevation=elevation, up=up)
+        return orbit.eye.tolist(), level
 
     def _placed(
         self,
@@ -101,16 +132,18 @@ def viewpoint(
     fov: float = 50.0,
     up: str | None = None,
     flat: bool = False,
+    around: bool = False,
 ) -> Viewpoint:
     """Read what a user typed for ``--camera``.
 
     Args:
-        text: ``orbit``, ``look-at`` or a file; None orbits.
+        text: ``orbit``, ``look-at``, or a file of cameras, of which ``#WHICH`` picks; None orbits.
         width: See :class:`Viewpoint`.
         height: See :class:`Viewpoint`.
         fov: See :class:`Viewpoint`.
         up: An axis such as ``-y``; None for what the source says.
         flat: See :class:`Viewpoint`.
+        around: See :class:`Viewpoint`.
 
     Raises:
         ConfigInvalid: It is none of the forms.
@@ -118,19 +151,40 @@ def viewpoint(
     """
     if not 0 < fov < 180:
         raise ConfigInvalid(f"{fov} degrees, wanted 0 to 180", where="--fov")
+    if flat and around:
+        raise ConfigInvalid(
+            "a camera is one of them", where="--orthographic and --panorama"
+        )
     upward = None if up is None else direction(up)
     head, _, rest = (text or "orbit").partition(":")
     if head == "orbit":
         numbers = _numbers(text or "", rest, (0, 2, 3)) if rest else ()
         azimuth, elevation = numbers[:2] or (_AZIMUTH, _ELEVATION)
         radius = numbers[2] if len(numbers) > 2 else None
-        return Viewpoint(
-            (azimuth, elevation, radius), None, (), width, height, fov, upward, flat
-        )
+        orbit = (azimuth, elevation, radius)
+        return Viewpoint(orbit, None, (), width, height, fov, upward, flat, around)
     if head == "look-at":
         eye_and_target = _numbers(text or "", rest, (6,))
-        return Viewpoint(None, eye_and_target, (), width, height, fov, upward, flat)
-    return Viewpoint(None, None, _cameras(Path(text or "")), width, height, fov, flat=flat)
+        return Viewpoint(None, eye_and_target, (), width, height, fov, upward, flat, around)
+    path, which = split_pick(text or "")
+    if not _exists(path):
+        raise ConfigInvalid(
+            f"{text!r} is no camera and no file that can be read",
+            where="--camera",
+            mend=_FORMS,
+        )
+    file = open_cameras(path)
+    cameras = tuple(one.camera for one in file.pick(which))
+    return Viewpoint(
+        None, None, cameras, width, height, fov, upward, flat, around, file.notes
+    )
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # the name is too long, say
+        return False
 
 
 def _numbers(text: str, part: str, counts: tuple[int, ...]) -> tuple[float, ...]:
@@ -146,22 +200,3 @@ def _numbers(text: str, part: str, counts: tuple[int, ...]) -> tuple[float, ...]
             mend=_FORMS,
         )
     return numbers
-
-
-def _cameras(path: Path) -> tuple[Camera, ...]:
-    """Read one camera, or a list of them."""
-    try:
-        made = json.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise ConfigInvalid(
-            f"{str(path)!r} is no camera and no file that can be read: {error.strerror}",
-            where="--camera",
-            mend=_FORMS,
-        ) from error
-    except ValueError as error:
-        raise ConfigInvalid(f"is no JSON: {error}", where=str(path)) from error
-    if made == []:
-        raise ConfigInvalid("holds no camera", where=str(path))
-    return tuple(
-        Camera.from_dict(one) for one in (made if isinstance(made, list) else [made])
-    )

@@ -1,0 +1,136 @@
+"""A model of COLMAP: a folder with cameras and images, as .bin or as .txt.
+
+An image has the pose world → camera, as a quaternion (w, x, y, z) and a translation, of the camera
+that we have, too: +x right, +y down, +z forward. Written down in COLMAP's documentation, "Output
+Format".
+"""
+
+__all__ = ["FOLDERS", "ColmapImage", "ColmapLens", "model_folder", "read_colmap"]
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.runtime.camera import Camera
+from gsgen.runtime.camera_files.colmap_models import PINHOLES, parameters
+from gsgen.runtime.camera_files.fields import made_camera
+from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
+
+FOLDERS: Final = ("", "sparse/0", "sparse", "colmap/sparse/0", "0")
+"""Where a model may lie in the folder of a data set."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class ColmapLens:
+    """One of COLMAP's cameras: a lens, that is.
+
+    Attributes:
+        model: Its name, such as PINHOLE.
+        width: In pixels.
+        height: In pixels.
+        values: Parameters of the model.
+    """
+
+    model: str
+    width: int
+    height: int
+    values: tuple[float, ...]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class ColmapImage:
+    """One of COLMAP's images: where the camera was, and which lens it had.
+
+    Attributes:
+        name: Of the picture.
+        quaternion: World → camera: w, x, y, z, of any length but 0.
+        translation: World → camera.
+        lens: Number of the lens.
+    """
+
+    name: str
+    quaternion: tuple[float, ...]
+    translation: tuple[float, ...]
+    lens: int
+
+
+def model_folder(folder: Path) -> Path | None:
+    """Return the folder with the model in the folder of a data set, or None."""
+    for part in FOLDERS:
+        for suffix in ("bin", "txt"):
+            names = (f"cameras.{suffix}", f"images.{suffix}")
+            if all((folder / part / name).is_file() for name in names):
+                return folder / part
+    return None
+
+
+def read_colmap(folder: Path) -> CameraFile:
+    """Read the model in ``folder``, which :func:`model_folder` found.
+
+    Raises:
+        ConfigInvalid: A file is damaged, has no images, or a lens that no pinhole can stand for.
+        SceneInvalid: The numbers make no camera.
+    """
+    from gsgen.runtime.camera_files import colmap_binary, colmap_text
+
+    if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file():
+        lenses = colmap_binary.lenses(folder / "cameras.bin")
+        images = colmap_binary.images(folder / "images.bin")
+    else:
+        lenses = colmap_text.lenses(folder / "cameras.txt")
+        images = colmap_text.images(folder / "images.txt")
+    if not images:
+        raise ConfigInvalid("holds no images", where=str(folder))
+    ordered = sorted(images, key=lambda one: one.name)
+    cameras = tuple(NamedCamera(one.name, _camera(one, lenses, folder)) for one in ordered)
+    used = {number: lenses[number] for number in sorted({one.lens for one in images})}
+    return CameraFile(str(folder), "a model of COLMAP", cameras, _notes(used, folder))
+
+
+def _camera(image: ColmapImage, lenses: dict[int, ColmapLens], folder: Path) -> Camera:
+    where = f"{folder}, image {image.name!r}"
+    lens = lenses.get(image.lens)
+    if lens is None:
+        raise ConfigInvalid(
+            f"has camera {image.lens}; there are {sorted(lenses)[:8]}", where=where
+        )
+    fx, fy, cx, cy, _ = parameters(lens.model, lens.values, where)
+    view = np.eye(4)
+    view[:3, :3], view[:3, 3] = _rotation(image.quaternion, where), image.translation
+    return made_camera(
+        where, view=view, fx=fx, fy=fy, cx=cx, cy=cy, width=lens.width, height=lens.height
+    )
+
+
+def _rotation(quaternion: tuple[float, ...], where: str) -> Float[np.ndarray, "3 3"]:
+    """Return the matrix of a quaternion (w, x, y, z)."""
+    length = math.hypot(*quaternion)
+    if not 0 < length < math.inf:
+        raise ConfigInvalid(
+            f"has the quaternion {list(quaternion)}: no rotation", where=where
+        )
+    w, *rest = np.asarray(quaternion) / length
+    x, y, z = rest
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross)
+
+
+def _notes(lenses: dict[int, ColmapLens], folder: Path) -> tuple[str, ...]:
+    bent = [
+        f"{number} ({lens.model})"
+        for number, lens in lenses.items()
+        if lens.model not in PINHOLES and any(parameters(lens.model, lens.values, "")[4])
+    ]
+    if not bent:
+        return ()
+    return (
+        f"{folder}: the lens distortion of camera {', '.join(bent[:8])} is left out; "
+        "COLMAP's image_undistorter makes pictures that match.",
+    )

@@ -1,0 +1,118 @@
+"""COLMAP's cameras.bin and images.bin: little-endian records after a count.
+
+What a file says of its own size is checked against its size before it is believed.
+"""
+
+__all__ = ["images", "lenses"]
+
+import mmap
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final, final
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.runtime.camera_files.colmap import ColmapImage, ColmapLens
+from gsgen.runtime.camera_files.colmap_models import MODELS, NAMES
+
+_LENS: Final = struct.Struct("<iiQQ")  # number, model, width, height
+_IMAGE: Final = struct.Struct("<i7di")  # number, quaternion, translation, lens
+_COUNT: Final = struct.Struct("<Q")
+_POINT: Final = 24  # bytes of a point that an image shows
+_LONGEST_NAME: Final = 4096
+
+
+def lenses(path: Path) -> dict[int, ColmapLens]:
+    """Read cameras.bin.
+
+    Raises:
+        ConfigInvalid: It ends too early, or has a model that COLMAP has not.
+    """
+    with _opened(path) as data:
+        made: dict[int, ColmapLens] = {}
+        for at in range(data.count(_LENS.size)):
+            number, model, width, height = data.take(_LENS)
+            if not 0 <= model < len(NAMES):
+                raise ConfigInvalid(
+                    f"camera {at} has the model {model}, wanted 0 to {len(NAMES) - 1}",
+                    where=str(path),
+                )
+            wanted = len(MODELS[NAMES[model]].split())
+            values = data.take(struct.Struct(f"<{wanted}d"))
+            made[number] = ColmapLens(NAMES[model], width, height, values)
+        return made
+
+
+def images(path: Path) -> list[ColmapImage]:
+    """Read images.bin; the points that the images show are left out.
+
+    Raises:
+        ConfigInvalid: It ends too early, or a name is none.
+    """
+    with _opened(path) as data:
+        made = []
+        for _ in range(data.count(_IMAGE.size + 1 + _COUNT.size)):
+            _, *pose, lens = data.take(_IMAGE)
+            name = data.name()
+            data.skip(data.take(_COUNT)[0] * _POINT)
+            made.append(ColmapImage(name, tuple(pose[:4]), tuple(pose[4:]), lens))
+        return made
+
+
+@final
+class _Reader:
+    """A file, and how far it has been read."""
+
+    def __init__(self, data: mmap.mmap, path: Path) -> None:
+        self._data, self._path, self._at = data, path, 0
+
+    def count(self, least: int) -> int:
+        """Take a count of records, each of which has ``least`` bytes."""
+        (count,) = self.take(_COUNT)
+        if count > (len(self._data) - self._at) // least:
+            raise ConfigInvalid(
+                f"says that it has {count} records, but has {len(self._data)} bytes",
+                where=str(self._path),
+                mend="It is damaged, or none of COLMAP's.",
+            )
+        return int(count)
+
+    def take(self, form: struct.Struct) -> tuple[Any, ...]:
+        """Take the numbers of a record."""
+        at = self._at
+        self.skip(form.size)
+        return form.unpack_from(self._data, at)
+
+    def skip(self, size: int) -> None:
+        """Go on."""
+        if size > len(self._data) - self._at:
+            raise ConfigInvalid(
+                f"ends at byte {len(self._data)}, {size} more were wanted from byte {self._at}",
+                where=str(self._path),
+                mend="It is damaged, or none of COLMAP's.",
+            )
+        self._at += size
+
+    def name(self) -> str:
+        """Take a text that ends with a zero."""
+        end = self._data.find(b"\0", self._at, self._at + _LONGEST_NAME)
+        if end < 0:
+            raise ConfigInvalid(
+                f"has a name from byte {self._at} that does not end", where=str(self._path)
+            )
+        held = self._data[self._at : end]
+        self._at = end + 1
+        return held.decode("utf-8", errors="replace")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[_Reader]:
+    try:
+        with (
+            open(path, "rb") as file,
+            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
+        ):
+            yield _Reader(data, path)
+    except (OSError, ValueError) as error:  # ValueError: the file is empty
+        raise ConfigInvalid(f"cannot be read: {error}", where=str(path)) from error
