@@ -5,16 +5,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from PIL import Image
+from typer.testing import CliRunner
 
 from gsgen.conformance.fixtures import find
-from gsgen.contract.errors import ConfigInvalid
+from gsgen.conformance.fixtures.moving import driven
+from gsgen.contract.errors import ConfigInvalid, GsgenError
+from gsgen.contract.manifest import Input
 from gsgen.runtime.commands.render import render
 from gsgen.runtime.device import Device
 from gsgen.runtime.film import Film
 from gsgen.runtime.pictures import array_of, picture_of
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.sources import Source, open_source
+from gsgen.runtime.tracks import Track
 from gsgen.runtime.viewpoint import viewpoint
 from support.commands import gsgen
 
@@ -43,6 +48,17 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return find("drift").write(tmp_path_factory.mktemp("moving"))
 
 
+@pytest.fixture(scope="module")
+def places(file: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Files by the words that stand for them."""
+    folder = tmp_path_factory.mktemp("places")
+    names = {"MODEL": "drift", "POST": "post_process", "BODY": "avatar"}
+    made = {word: str(find(name).write(folder)) for word, name in names.items()}
+    opened = driven("float[J,3] pose", Input("pose", "pose"), "shift = ReduceMean (pose)")
+    opened.write(folder / "open.onnx")
+    return made | {"FILE": str(file), "OPEN": str(folder / "open.onnx")}
+
+
 def film(renderer: Renderer, path: Path, **options: object) -> tuple[Film, Source]:
     source = open_source(path)
     words = options.pop("camera", None)
@@ -65,35 +81,80 @@ def test_a_picture(file: Path, tmp_path: Path) -> None:
 
 def test_json_and_floats(file: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.npy"
-    done = gsgen("render", str(file), "-o", str(out), *SMALL, "--json")
-    said = json.loads(done.out)
+    _, printed, _ = ran(str(file), "-o", str(out), *SMALL, "--json")
+    said = json.loads(printed)
     assert (said["width"], said["height"], said["gaussians"]) == (48, 32, 200)
     made = np.load(out)
     assert (made.shape, made.dtype) == ((32, 48, 4), np.float32)
     assert made[..., 3].min() < 0.01  # nothing is behind
 
 
+def ran(*words: str) -> tuple[int, str, str]:
+    """Run the command in this process; return its exit code, and what it says where."""
+    app = typer.Typer()
+    app.command()(render)
+    done = CliRunner().invoke(app, list(words))
+    if isinstance(done.exception, GsgenError):  # which the program turns into exit code 2
+        return 2, done.stdout, str(done.exception)
+    assert done.exception is None or isinstance(done.exception, SystemExit)
+    return done.exit_code, done.stdout, done.stderr
+
+
+def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
+    done = gsgen("render", "nowhere.ply", "-o", "a.png", cwd=tmp_path)
+    assert done.code == 4
+    assert done.err == "gsgen: nowhere.ply: cannot be read: No such file or directory\n"
+    done = gsgen("render", find("drift").write(tmp_path), "-o", "a.png", "--time", "7")
+    assert done.code == 2
+    assert "drift.onnx, frame 0, input time: is 7, wanted 0 … 1" in done.err
+    assert "Traceback" not in done.err
+    assert not list(tmp_path.glob("a.*"))
+
+
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (("nowhere.ply", "-o", "a.png"), 4, "nowhere.ply: cannot be read"),
-        (("nowhere.onnx", "-o", "a.png"), 4, "nowhere.onnx"),
+        (("nowhere.onnx",), 4, "nowhere.onnx"),
         (("FILE", "-o", "a.xyz"), 2, "suffix that means nothing here: .xyz\n  Known: .png"),
-        (("FILE", "-o", "a.png", "--frames", "2"), 2, "is one picture, but there are 2"),
-        (("FILE", "-o", "a.png", "--time", "0.5"), 2, "--time: no scene has a time"),
-        (("FILE", "-o", "a.png", "--background", "puce"), 2, "'puce' is no colour"),
-        (("FILE", "-o", "a.png", "--fov", "180"), 2, "--fov: 180.0 degrees"),
+        (("FILE", "--frames", "2"), 2, "is one picture, but there are 2"),
+        (("FILE", "--time", "0.5"), 2, "--time: no scene has a time"),
+        (("FILE", "--background", "puce"), 2, "'puce' is no colour"),
+        (("FILE", "--fov", "180"), 2, "--fov: 180.0 degrees"),
+        (("MODEL", "--post", "nowhere.onnx"), 4, "nowhere.onnx"),
+        (("MODEL", "--post", "MODEL"), 2, "is a gaussian-generator, wanted a post-process"),
+        (("MODEL", "--post", "POST", "--mode", "alpha", "--input", "x=1"), 2, "input 'x'"),
+        (("MODEL", "--post", "POST", "--mode", "depth"), 2, "works on colours, but depth"),
+        (("POST",), 2, "wanted a gaussian-generator\n  It works on images: `--post`"),
+        (("MODEL", "--size", "J=2"), 2, "--size: unknown open dimension 'J'"),
+        (("MODEL", "--size", "J"), 2, "--size: 'J' is not SYMBOL=SIZE, such as J=24"),
+        (("OPEN",), 2, "Give one: `--size J=24`"),
+        (("MODEL", "--input", "tme=1"), 2, "unknown input 'tme'\n  Did you mean 'time'?"),
+        (
+            ("MODEL", "--input", "time"),
+            2,
+            "--input: 'time' has no name or no value\n  Give",
+        ),
+        (("MODEL", "--input", "time=x"), 2, "'time=x': could not convert"),
+        (("MODEL", "--input", "time=no.npy"), 2, "no.npy: cannot be read: No such file"),
+        (("MODEL", "--pose", "no.npy"), 2, "--pose no.npy: no scene has an input 'pose'"),
+        (("BODY", "--pose", "no.npy"), 2, "no.npy: cannot be read: No such file"),
+        (("BODY", "--input", "pose=1,2"), 2, "has shape [2], and input pose takes [4, 3]"),
     ],
 )
 def test_mistakes(
-    file: Path, tmp_path: Path, words: tuple[str, ...], code: int, said: str
+    places: dict[str, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+    code: int,
+    said: str,
 ) -> None:
-    given = [str(file) if word == "FILE" else word for word in words]
-    done = gsgen("render", *given, cwd=tmp_path)
-    assert done.code == code
-    assert said in done.err
-    assert "Traceback" not in done.err
-    assert not list(tmp_path.glob("a.*"))
+    monkeypatch.chdir(tmp_path)
+    given = [places.get(word, word) for word in words]
+    got, _, err = ran(*given, *(() if "-o" in words else ("-o", "a.png")))
+    assert said in err
+    assert got == code
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("color", ["2,0,0", "0,0,nan", "0,0,0,-1", "1,1"])
@@ -174,3 +235,91 @@ def test_several_scenes_are_one(renderer: Renderer, file: Path, moving: Path) ->
     with pytest.raises(ConfigInvalid, match="cannot be blended"):
         Film(both, viewpoint(None), renderer=renderer)
     both[1].close()
+
+
+def test_inputs_are_fed_frame_by_frame(renderer: Renderer, places: dict[str, str]) -> None:
+    poses = np.random.default_rng(0).uniform(-0.4, 0.4, (3, 4, 3))
+    made, source = film(
+        renderer, Path(places["BODY"]), tracks=[Track("pose", poses, "x")], camera=FRONT
+    )
+    assert made.frames == 3
+    shown = [made.draw(number).rgba for number in range(3)]
+    again, other = film(
+        renderer, Path(places["BODY"]), tracks=[Track("pose", poses[2], "x")], camera=FRONT
+    )
+    assert again.frames == 1
+    assert np.array_equal(again.draw(0).rgba, shown[2])
+    assert not np.array_equal(shown[0], shown[2])
+    longer, third = film(
+        renderer,
+        Path(places["BODY"]),
+        tracks=[Track("pose", poses, "x")],
+        frames=4,
+        camera=FRONT,
+    )
+    assert np.array_equal(longer.draw(3).rgba, shown[0])  # poses begin anew
+    for one in (source, other, third):
+        one.close()
+
+
+def test_a_film_on_disk_is_what_its_frames_are_one_by_one(
+    renderer: Renderer, moving: Path, tmp_path: Path
+) -> None:
+    made, source = film(renderer, moving, frames=4)
+    made.write(tmp_path / "film.npy", None)
+    alone = [made.draw(number).rgba for number in range(4)]
+    assert np.array_equal(np.load(tmp_path / "film.npy"), alone)
+    source.close()
+
+
+def test_an_orbit_goes_around_what_the_whole_film_shows(
+    renderer: Renderer, moving: Path
+) -> None:
+    made, source = film(renderer, moving, frames=5)
+    center, reach = source.extent()
+    seen = []
+    for number in range(5):
+        made.draw(number)
+        seen.append(source.data.rows[:, :3])
+    assert np.abs(np.concatenate(seen) - center).max() <= 1.05 * reach
+    source.close()
+    alone = open_source(moving)
+    assert alone.extent()[1] < reach
+    alone.close()
+
+
+def test_an_orbit_turns_where_the_time_stands_still(
+    renderer: Renderer, moving: Path
+) -> None:
+    made, source = film(renderer, moving, frames=4, time=0.5)
+    views = [made.draw(number).rgba for number in range(4)]
+    assert not np.array_equal(views[0], views[2])
+    source.close()
+
+
+def test_frame_numbers_count_where_there_is_no_time(
+    renderer: Renderer, tmp_path: Path
+) -> None:
+    made, source = film(
+        renderer, find("frame_table").write(tmp_path), frames=9, camera=FRONT
+    )
+    shown = [made.draw(number).rgba for number in range(9)]
+    assert not np.array_equal(shown[0], shown[1])
+    assert np.array_equal(shown[0], shown[8])  # there are eight
+    source.close()
+
+
+def test_everything_at_once(places: dict[str, str], tmp_path: Path) -> None:
+    np.save(tmp_path / "walk.npy", np.random.default_rng(0).uniform(-0.4, 0.4, (3, 4, 3)))
+    words = ("--pose", "walk.npy", "--input", "root_translation=0.1,0,0", *SMALL)
+    out = Path("new", "folder")
+    done = gsgen(
+        "render", places["BODY"], places["FILE"], "-o", out, *words, "--post", places["POST"],
+        "--post", places["POST"], "--background", "white", "--json", cwd=tmp_path,
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert json.loads(done.out)["frames"] == 3
+    pictures = [np.asarray(Image.open(one)) for one in sorted((tmp_path / out).iterdir())]
+    assert len(pictures) == 3
+    assert not np.array_equal(pictures[0], pictures[1])
+    assert pictures[0][..., :3].max() == 64  # white, twice half as bright
