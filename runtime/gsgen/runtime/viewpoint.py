@@ -35,7 +35,8 @@ class Viewpoint:
         fov: Vertical field of view, in degrees.
         up: The upward direction; None for what the source says.
         flat: Whether the camera is orthographic; what it looks at is as large as without.
-        around: Whether it is a panorama. An orbit without a radius then stands in the middle.
+        around: Whether it is a panorama. An orbit without a radius then stands in the middle; a
+            camera of a file stays as it is turned, unless ``up`` says where its poles are.
         notes: What is to be said about the cameras of the file.
     """
 
@@ -73,7 +74,11 @@ class Viewpoint:
         width = self.width or (2 * self.height if self.height else _AROUND)
         height = self.height or max(1, width // 2)
         if self.cameras:
-            return self.cameras[number % len(self.cameras)].all_around(width, height)
+            own = self.cameras[number % len(self.cameras)]
+            if self.up is None:
+                return own.all_around(width, height)
+            eye, toward = own.eye.tolist(), own.view[2, :3].tolist()
+            return Camera.panorama(eye, toward, up=self.up, width=width, height=height)
         eye, toward = self._heading(source, center, turn)
         up = self.up or source.up
         return Camera.panorama(eye, toward, up=up, width=width, height=height)
@@ -152,9 +157,8 @@ def viewpoint(
     if not 0 < fov < 180:
         raise ConfigInvalid(f"{fov} degrees, wanted 0 to 180", where="--fov")
     if flat and around:
-        raise ConfigInvalid(
-            "a camera is one of them", where="--orthographic and --panorama"
-        )
+        both = "--orthographic and --panorama"
+        raise ConfigInvalid("were both given; a camera is one of them", where=both)
     upward = None if up is None else direction(up)
     head, _, rest = (text or "orbit").partition(":")
     if head == "orbit":

@@ -1,5 +1,7 @@
 """Panoramas: where directions are, what crosses the seam, what happens at the poles."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
@@ -236,7 +238,7 @@ class Still:
         return np.array([1.0, 2, 3]), 2.0
 
 
-def test_words_for_panoramas() -> None:
+def test_words_for_panoramas(tmp_path: Path) -> None:
     source = Still()
     inside = viewpoint(None, width=64, around=True).camera(source, 0, 0)
     np.testing.assert_allclose(inside.eye, [1, 2, 3])
@@ -249,5 +251,13 @@ def test_words_for_panoramas() -> None:
     np.testing.assert_allclose(above.view[1, :3], [0, 0, -1], atol=1e-9)  # still level
     there = viewpoint("look-at:1,1,1,5,1,4", width=64, around=True).camera(source, 0, 0)
     np.testing.assert_allclose(there.view[2, :3], [1, 0, 0], atol=1e-9)
+    file = tmp_path / "camera.json"
+    file.write_text(Camera.look_at((1, 2, 3), (4, 5, 9)).to_json())
+    as_it_is = viewpoint(str(file), around=True).camera(source, 0, 0)
+    np.testing.assert_allclose(as_it_is.view, Camera.from_json(file.read_text()).view)
+    assert as_it_is.period == pytest.approx(as_it_is.width)
+    level = viewpoint(str(file), up="+z", around=True).camera(source, 0, 0)
+    np.testing.assert_allclose(level.eye, [1, 2, 3])
+    np.testing.assert_allclose(level.view[1, :3], [0, 0, -1], atol=1e-9)
     with pytest.raises(ConfigInvalid, match="--orthographic and --panorama"):
         viewpoint(None, flat=True, around=True)
