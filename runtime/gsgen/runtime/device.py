@@ -14,6 +14,7 @@ STORAGE_BUFFERS: Final = 8
 
 _SUBGROUPS: Final = "subgroup"
 _BLENDING: Final = "float32-blendable"
+_CLOCK: Final = "timestamp-query"
 _MEND = "Install a Vulkan driver; without a GPU, Mesa's lavapipe 25 or newer. See `gsgen doctor`."
 
 
@@ -28,6 +29,7 @@ class Device:
         largest_binding: Bytes that one binding may have.
         subgroups: Whether shaders may use operations of subgroups; none has to.
         blends_floats: Whether its rasteriser can blend 32-bit floats.
+        has_clock: Whether it can say when a pass begins and ends.
     """
 
     def __init__(self, raw: Any) -> None:
@@ -37,6 +39,7 @@ class Device:
         self.software: bool = info["adapter_type"] == "CPU"
         self.subgroups = _SUBGROUPS in raw.features
         self.blends_floats = _BLENDING in raw.features
+        self.has_clock = _CLOCK in raw.features
         self.largest_binding = min(
             int(raw.limits["max-storage-buffer-binding-size"]),
             int(raw.limits["max-buffer-size"]),
@@ -72,7 +75,7 @@ class Device:
                     label="gsgen",
                     required_limits=limits,
                     required_features=sorted(
-                        {_SUBGROUPS, _BLENDING} & set(adapter.features)
+                        {_SUBGROUPS, _BLENDING, _CLOCK} & set(adapter.features)
                     ),
                 )
             )

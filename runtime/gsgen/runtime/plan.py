@@ -39,6 +39,7 @@ from gsgen.runtime.kernels.sort import KEY_BITS, Columns, RadixSort, cut_for
 from gsgen.runtime.kernels.tile_ranges import RANGE_BLOCK, TileRanges
 from gsgen.runtime.residency import Page
 from gsgen.runtime.scene import SplatSet
+from gsgen.runtime.stage_clock import StageClock
 from gsgen.runtime.staging import Staging
 from gsgen.runtime.weighted import WeightedKernels, WeightedPart
 
@@ -309,6 +310,7 @@ class Plan:
         *,
         meshes: Sequence[PlacedMesh] = (),
         only: Sequence[str] | None = None,
+        clock: StageClock | None = None,
     ) -> None:
         """Write what changes from frame to frame, and let the device draw.
 
@@ -318,6 +320,7 @@ class Plan:
             background: Red, green, blue behind it all, multiplied by their alpha.
             meshes: The meshes that the plan was made of, and how they are drawn now.
             only: Stages to run; all where absent.
+            clock: What notes how long each stage takes.
         """
         device = self._device
         if self._weighted is not None:
@@ -336,6 +339,8 @@ class Plan:
                 self._mesh_slots, mesh_uniform(mesh, camera), slot * PLACE.itemsize
             )
         encoder = device.raw.create_command_encoder(label="frame")
+        if clock is not None:
+            clock.begin()
         encoder.clear_buffer(self._ranges)
         if self._weighted is not None:
             encoder.clear_buffer(self._weighted.ranges)
@@ -343,9 +348,11 @@ class Plan:
             self._meshes.encode(encoder, background)
         for name, steps in self.stages.items():
             if only is None or name in only:
-                run(encoder, steps, name)
+                run(encoder, steps, name, clock.around(name) if clock else None)
         if self._quads is not None:
             self._quads.encode(encoder, background)
+        if clock is not None:
+            clock.encode(encoder)
         self._staging.encode(encoder)
         device.raw.queue.submit([encoder.finish()])
 

@@ -84,9 +84,11 @@ class Step:
     groups: tuple[int, int, int] | tuple[Any, int]
 
 
-def run(encoder: Any, steps: Iterable[Step], label: str) -> None:
-    """Encode ``steps`` as one compute pass."""
-    compute = encoder.begin_compute_pass(label=label)
+def run(
+    encoder: Any, steps: Iterable[Step], label: str, stamps: dict[str, Any] | None = None
+) -> None:
+    """Encode ``steps`` as one compute pass, which may write timestamps."""
+    compute = encoder.begin_compute_pass(label=label, timestamp_writes=stamps)
     for step in steps:
         compute.set_pipeline(step.kernel.pipeline)
         for place, bind in enumerate(step.binds):
