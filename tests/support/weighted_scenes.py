@@ -8,9 +8,11 @@ import numpy as np
 from gsgen.contract.geometry import covariance_upper
 from gsgen.contract.manifest import WeightedSum
 from gsgen.runtime.camera import Camera
+from gsgen.runtime.mesh import Mesh
 from gsgen.runtime.scene import Box, Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
-from support.splat_scenes import camera, turned
+from support.mesh_scenes import ball, moved, wall
+from support.splat_scenes import camera, cloud, turned
 
 WEIGHTED: dict[str, Callable[[], tuple[Scene, Camera]]] = {}
 
@@ -256,3 +258,51 @@ def cells_all_around() -> tuple[Scene, Camera]:
 def far_beside() -> tuple[Scene, Camera]:
     """The principal point is outside of the image, by no whole number of tiles."""
     return Scene([summed(celled(90, seed=36))]), camera(cx=-20.7, cy=60.1)
+
+
+MIXED: dict[str, Callable[[], tuple[Scene, Camera]]] = {}
+
+
+def mixed(make: Callable[[], tuple[Scene, Camera]]) -> Callable[[], tuple[Scene, Camera]]:
+    MIXED[make.__name__] = make
+    return make
+
+
+@mixed
+def among_sorted_gaussians() -> tuple[Scene, Camera]:
+    return Scene([cloud(90, 50), summed(celled(60, seed=51)), cloud(90, 52)]), camera()
+
+
+@mixed
+def behind_and_before_a_mesh() -> tuple[Scene, Camera]:
+    """Half of the Gaussians are behind the wall, and count for nothing there."""
+    return Scene([summed(celled(80, seed=53))], meshes=[wall(5)]), camera()
+
+
+@mixed
+def among_everything() -> tuple[Scene, Camera]:
+    sets = [
+        cloud(70, 54, degree=2),
+        summed(celled(50, seed=55), background=1.5),
+        summed(celled(40, 3, 56), divisor=2.0),
+    ]
+    return Scene(sets, meshes=[Mesh(ball(), moved(0.2, 0, 4)), wall(7)]), camera()
+
+
+@mixed
+def opaque_among_sorted() -> tuple[Scene, Camera]:
+    """What is summed finishes pixels, and hides what is sorted behind it."""
+    data = celled(80, seed=57, size=0.9, share=0.8, opacity=(0.9, 1), depth=(3, 4))
+    return Scene([cloud(80, 58), summed(data)]), camera()
+
+
+@mixed
+def everything_seen_flat() -> tuple[Scene, Camera]:
+    scene, seen_by = among_everything()
+    return scene, seen_by.flattened(5.0)
+
+
+@mixed
+def among_everything_sorted_all_around() -> tuple[Scene, Camera]:
+    scene, seen_by = WEIGHTED["cells_all_around"]()
+    return Scene([*scene.sets, cloud(90, 59, depth=(-4, 4))]), seen_by

@@ -99,6 +99,8 @@ class Renderer:
                 where="camera.kind",
                 mend="Use Renderer(rasteriser='tiles').",
             )
+        if self._published:
+            _require_alone(scene)
         behind = _premultiplied(background)
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
         plan = self.plan(placed, camera, wanted, meshes)
@@ -166,6 +168,17 @@ class Renderer:
         self._pairs = min(int(wanted * _ROOM), most)
 
 
+def _require_alone(scene: Scene) -> None:
+    """Refuse other things beside weighted sums."""
+    summed = [one.weighted is not None for one in scene.sets]
+    if any(summed) and (scene.meshes or not all(summed)):
+        raise SceneInvalid(
+            "is True, which is defined for scenes of nothing but weighted sets",
+            where="published",
+            mend="Take another Renderer for sets that are sorted, and for meshes.",
+        )
+
+
 def _known(outputs: Collection[Output]) -> frozenset[Output]:
     wanted = frozenset(outputs)
     if not wanted or wanted - set(_OUTPUTS):
@@ -206,7 +219,7 @@ def _frame(
         alpha=alpha,
         depth=None if pick is None else _mean_depth(pick),
         median_depth=None if pick is None else _median_depth(pick),
-        ids=None if pick is None else _ids(images["depth"][..., 2]),
+        ids=None if pick is None else _ids(images["depth"][..., 2], scene),
         normal=None if normal is None else _in_world(normal[..., :3], camera),
         visible=int(counts[Counts.VISIBLE]),
         pairs=int(counts[Counts.PAIRS]),
@@ -225,8 +238,17 @@ def _median_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h 
     return np.asarray(np.where(median > 0, median, np.float32(np.inf)))
 
 
-def _ids(words: UInt32[np.ndarray, "h w"]) -> Int64[np.ndarray, "h w"]:
-    return np.asarray(np.where(words == ABSENT, NOTHING, words.astype(np.int64)))
+def _ids(words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.ndarray, "h w"]:
+    """Return places in the scene; the plan counts sets that are sorted by themselves."""
+    ids = np.where(words == ABSENT, NOTHING, words.astype(np.int64))
+    summed = np.array([one.weighted is not None for one in scene.sets], bool)
+    if not summed.any() or summed.all():
+        return np.asarray(ids)
+    sizes = np.array([len(one.data) for one in scene.sets])
+    first, own = (np.cumsum(sizes) - sizes)[~summed], sizes[~summed]
+    start = np.cumsum(own) - own
+    which = np.searchsorted(start, ids, side="right") - 1
+    return np.asarray(np.where(ids < 0, NOTHING, ids + (first - start)[which]))
 
 
 def _in_world(

@@ -1,0 +1,118 @@
+"""Weighted sums stand among sorted Gaussians and meshes as one translucent image."""
+
+import numpy as np
+import pytest
+
+from gsgen.runtime import oracle
+from gsgen.runtime.device import Device
+from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.frame import NOTHING
+from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.scene import Scene
+from support.mesh_scenes import wall
+from support.splat_scenes import camera, cloud, single
+from support.weighted_scenes import MIXED, WEIGHTED, celled, summed
+
+BEHIND = (0.1, 0.4, 0.7, 0.5)
+EVERYTHING = ("color", "depth", "normal")
+
+
+def compare(name: str, renderer: Renderer) -> None:
+    scene, seen_by = MIXED[name]()
+    seen = renderer.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
+    wanted = oracle.render(scene, seen_by, background=BEHIND)
+    firm, firm_median = ~wanted.fragile, ~wanted.fragile_median
+    assert firm.mean() > 0.6
+    error = np.square(seen.rgba - wanted.rgba)[firm].mean()
+    assert -10 * np.log10(error) >= 100
+    np.testing.assert_allclose(seen.rgba[firm], wanted.rgba[firm], atol=1e-4)
+    np.testing.assert_allclose(seen.depth[firm], wanted.depth[firm], rtol=2e-4)
+    np.testing.assert_array_equal(seen.ids[firm_median], wanted.ids[firm_median])
+    np.testing.assert_allclose(
+        seen.median_depth[firm_median], wanted.median_depth[firm_median], rtol=1e-4
+    )
+    covered = firm & np.isfinite(wanted.depth)
+    cosine = (seen.normal * wanted.normal).sum(axis=-1)[covered]
+    assert np.median(cosine) > 0.99999
+
+
+@pytest.mark.parametrize("name", MIXED)
+def test_everything_is_the_oracles(renderer: Renderer, name: str) -> None:
+    compare(name, renderer)
+
+
+@pytest.mark.parametrize("name", ["among_everything", "many_cells"])
+def test_every_cut_of_the_kernels_sums(device: Device, name: str) -> None:
+    other = Device(device.raw)
+    other.software = False
+    if name in MIXED:
+        compare(name, Renderer(other))
+        return
+    scene, seen_by = WEIGHTED[name]()
+    one, two = (
+        Renderer(each).render(scene, seen_by, outputs=("color", "depth"))
+        for each in (device, other)
+    )
+    np.testing.assert_allclose(one.rgba, two.rgba, atol=1e-6)
+    assert np.array_equal(one.ids, two.ids)
+
+
+def test_something_behind_the_camera_changes_nothing(renderer: Renderer) -> None:
+    """Alone or as a layer, the sums are the same; as a layer they have no ids."""
+    sums = summed(celled(80, seed=60))
+    unseen = single(depth=-3.0)
+    alone, among = (
+        renderer.render(Scene(sets), camera(), background=BEHIND, outputs=EVERYTHING)
+        for sets in ([sums], [sums, unseen])
+    )
+    np.testing.assert_allclose(alone.rgba, among.rgba, atol=1e-6)
+    np.testing.assert_allclose(alone.depth, among.depth, rtol=1e-5)
+    np.testing.assert_allclose(alone.normal, among.normal, atol=1e-5)
+    assert (alone.ids != NOTHING).any()
+    assert (among.ids == NOTHING).all()
+
+
+def test_a_mesh_hides_all_that_is_summed_behind_it(renderer: Renderer) -> None:
+    sums = summed(celled(80, seed=61, depth=(4, 8)))
+    near = wall(2)
+    hidden, bare = (
+        renderer.render(Scene(sets, meshes=[near]), camera()) for sets in ([sums], [])
+    )
+    there = bare.alpha > 0
+    assert there.any()
+    assert np.array_equal(hidden.rgba[there], bare.rgba[there])
+
+
+def test_an_opaque_splat_hides_sums_behind_it_and_is_hidden_by_those_before(
+    renderer: Renderer,
+) -> None:
+    sums = summed(celled(60, seed=62, depth=(4, 5), size=0.8), background=0.0)
+    for depth, expected in ((2.0, 0.99), (9.0, None)):
+        splat = single(depth=depth, opacity=1.0, variance=4.0)
+        splat.appearance[:] = 5.0  # brighter than all that is summed
+        frame = renderer.render(Scene([sums, splat]), camera())
+        middle = float(frame.rgba[23, 30, 0])
+        if expected is None:
+            assert middle < 1.0
+        else:
+            assert middle == pytest.approx(5 * expected, abs=0.02)
+
+
+def test_quads_leave_sums_to_compute_shaders(device: Device) -> None:
+    quads, tiles = Renderer(device, rasteriser="quads"), Renderer(device)
+    for name in ("among_everything", "among_sorted_gaussians"):
+        scene, seen_by = MIXED[name]()
+        one, two = (each.render(scene, seen_by) for each in (quads, tiles))
+        assert np.array_equal(one.rgba, two.rgba)
+    scene, seen_by = WEIGHTED["many_cells"]()
+    one, two = (each.render(scene, seen_by) for each in (quads, tiles))
+    assert np.array_equal(one.rgba, two.rgba)
+
+
+def test_published_backgrounds_compose_with_nothing(device: Device) -> None:
+    published = Renderer(device, published=True)
+    sums = summed(celled(5))
+    for scene in (Scene([sums, cloud(3)]), Scene([sums], meshes=[wall(3)])):
+        with pytest.raises(SceneInvalid, match=r"published: .* nothing but weighted sets"):
+            published.render(scene, camera())
+    published.render(Scene([cloud(3)]), camera())  # nothing is summed here
