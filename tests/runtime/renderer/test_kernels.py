@@ -187,7 +187,9 @@ def test_normals(renderer: Renderer) -> None:
 
 
 def test_a_shader_is_its_file_with_snippets_and_constants() -> None:
-    text = source("blend_tiles", COLUMNS=1, QUADS=2, CELLS=2, PICK=False)
+    text = source(
+        "blend_tiles", COLUMNS=1, QUADS=2, CELLS=2, PICK=False, POLYNOMIAL=False
+    )
     assert "//!" not in text
     assert "struct Frame" in text
     assert "const PICK: bool = false;" in text

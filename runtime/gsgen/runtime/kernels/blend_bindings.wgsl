@@ -11,6 +11,8 @@
 @group(0) @binding(6) var<storage, read_write> image: array<vec4u>;
 
 const ZERO = vec4f(0.0);
+
+//!include blend_opacity
 //!repeat ONCE LAYERED
 
 // Images among the splats, the front one first: see `Layers` in blend_tiles.py.

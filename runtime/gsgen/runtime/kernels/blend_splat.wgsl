@@ -13,15 +13,15 @@
 //!include blend_layer
                 }
 //!end
-                let before = through_CELL;
-                let alpha = min(CULL_OPACITY * exp(above), vec4f(MAX_ALPHA));
-                let after = before * (1.0 - alpha);
-                let hit = (above >= ZERO) & (before > ZERO);
+                let before = select(ZERO, through_CELL, through_CELL > ZERO);
+                let alpha = select(ZERO, opacity(above), above >= ZERO);
+                let share = alpha * before;
+                let after = before - share;
                 let enough = after > vec4f(MIN_TRANSMITTANCE);
-                let amount = select(ZERO, alpha * before, hit & enough);
+                let amount = select(ZERO, share, enough);
                 if (PICK) {
                     red_CELL += amount * weight.z;
-                    let halved = hit & (before >= vec4f(0.5)) & (after < vec4f(0.5));
+                    let halved = (before >= vec4f(0.5)) & (after < vec4f(0.5));
                     green_CELL = select(green_CELL, vec4f(weight.z), halved);
                     taker_CELL = select(taker_CELL, vec4u(id), halved);
                 } else {
@@ -29,7 +29,7 @@
                     green_CELL += amount * color.y;
                     blue_CELL += amount * color.z;
                 }
-                through_CELL = select(before, select(-before, after, enough), hit);
+                through_CELL = select(-abs(through_CELL), after, enough);
             }
         }
 //!end

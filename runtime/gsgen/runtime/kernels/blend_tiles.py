@@ -70,6 +70,7 @@ class BlendTiles:
             CELLS=columns * quads,
             LANES=TILE // columns,
             PICK=pick,
+            POLYNOMIAL=device.software,
             **(ROUND if panorama else {}),
             **({"LAYERS": layers, "LAYERED": 1, "NOWHERE": NOWHERE} if layers else {}),
         )
