@@ -18,8 +18,12 @@ if TYPE_CHECKING:
     from gsgen.runtime.device import Device
     from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
     from gsgen.runtime.frame import NOTHING, Frame
+    from gsgen.runtime.mesh import Mesh, MeshData
+    from gsgen.runtime.mesh_files import read_mesh
+    from gsgen.runtime.player import GeneratorPlayer, Player, Shot
     from gsgen.runtime.renderer import Renderer
     from gsgen.runtime.scene import Box, Scene, SplatSet
+    from gsgen.runtime.scene_file import open_scene
     from gsgen.runtime.splat_data import SplatData
 
 __all__ = [
@@ -31,12 +35,19 @@ __all__ = [
     "Device",
     "DeviceUnavailable",
     "Frame",
+    "GeneratorPlayer",
+    "Mesh",
+    "MeshData",
+    "Player",
     "Renderer",
     "Scene",
     "SceneInvalid",
+    "Shot",
     "SplatData",
     "SplatSet",
     "open_cameras",
+    "open_scene",
+    "read_mesh",
 ]
 
 _HOME = {
@@ -48,12 +59,19 @@ _HOME = {
     "Device": "device",
     "DeviceUnavailable": "errors",
     "Frame": "frame",
+    "GeneratorPlayer": "player",
+    "Mesh": "mesh",
+    "MeshData": "mesh",
+    "Player": "player",
     "Renderer": "renderer",
     "Scene": "scene",
     "SceneInvalid": "errors",
+    "Shot": "player",
     "SplatData": "splat_data",
     "SplatSet": "scene",
     "open_cameras": "camera_files",
+    "open_scene": "scene_file",
+    "read_mesh": "mesh_files",
 }
 
 __getattr__ = attributes(__name__, _HOME)

@@ -42,6 +42,11 @@ class Film:
         post: Models that the colours go through, in this order.
         renderer: What draws; a new one where absent.
 
+    Attributes:
+        frames: How many there are.
+        sources: What is drawn.
+        player: What plays them.
+
     Raises:
         ConfigInvalid: A time is asked of sources that have none, colour spaces differ, or a track
             does not fit.
@@ -64,7 +69,7 @@ class Film:
         post: Sequence[PostProcessor] = (),
         renderer: Renderer | None = None,
     ) -> None:
-        self._sources, self._view, self._mode = list(sources), view, mode
+        self.sources, self._view, self._mode = list(sources), view, mode
         takers: list[Taker] = [*sources, *post]
         self._score = Score(takers, tracks, time)
         self.frames = frames or max(len(view.cameras), self._score.frames)
@@ -76,7 +81,7 @@ class Film:
             source.survey(
                 (frame, self._score.values(frame, self.frames)[place]) for frame in looked
             )
-        self._player = Player(
+        self.player = Player(
             sources,
             post=post,
             renderer=renderer,
@@ -89,12 +94,13 @@ class Film:
 
     def draw(self, number: int) -> Frame:
         """Draw frame ``number``, from 0."""
-        self._last = self._player.render(self._shot(number))
+        self._last = self.player.render(self.shot(number))
         return self._last
 
-    def _shot(self, number: int) -> Shot:
+    def shot(self, number: int) -> Shot:
+        """Return what frame ``number`` shows."""
         turn = self._turn * number / self.frames
-        camera = self._view.camera(self._sources[0], number, turn)
+        camera = self._view.camera(self.sources[0], number, turn)
         return Shot(camera, self._score.values(number, self.frames))
 
     def write(
@@ -128,7 +134,7 @@ class Film:
     def _drawn(self, watch: Callable[[int], None]) -> Iterator[Frame]:
         watch(1)
         for number, frame in enumerate(
-            self._player.play(map(self._shot, range(self.frames)))
+            self.player.play(map(self.shot, range(self.frames)))
         ):
             self._last = frame
             yield frame
@@ -144,7 +150,7 @@ class Film:
             yield pictures.picture_of(frame, self._mode, depths)
 
     def _fps(self) -> float:
-        times = (source.time for source in self._sources)
+        times = (source.time for source in self.sources)
         return next((one.fps for one in times if one is not None and one.fps), _FPS)
 
     def summary(self) -> dict[str, int | str]:
@@ -155,10 +161,11 @@ class Film:
             "frames": self.frames,
             "width": width,
             "height": height,
-            "gaussians": sum(source.data.count for source in self._sources),
+            "gaussians": sum(source.data.count for source in self.sources),
             "visible": self._last.visible,
+            "triangles": sum(len(one.data) for one in self.player.scene.meshes),
             "pairs": self._last.pairs,
-            "device": self._player.renderer.device.name,
+            "device": self.player.renderer.device.name,
         }
 
 
