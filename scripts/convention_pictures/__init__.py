@@ -1,0 +1,1 @@
+"""Pictures of the conventions: each module draws some, each function one."""

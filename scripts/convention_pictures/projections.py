@@ -1,0 +1,90 @@
+"""Pictures of what cameras do: kinds, principal point, and depth in clip space."""
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from convention_pictures.room import room
+from convention_pictures.sketch import (
+    BLUE,
+    FAINT,
+    INK,
+    RED,
+    beside,
+    drawn,
+    paper,
+    scene_of,
+    write,
+)
+from gsgen.runtime.camera import Camera
+from gsgen.runtime.renderer import Renderer
+
+
+def camera_kinds(renderer: Renderer) -> Image.Image:
+    """A pinhole, an orthographic camera and a panorama in one room."""
+    scene = scene_of(room())
+    pinhole = Camera.look_at(
+        (-0.9, -1.1, -3.2), (0.1, 0.2, 1.6), width=330, height=240, fov_y=56
+    )
+    flat = pinhole.flattened(5.2)
+    around = Camera.panorama((0.0, -0.3, 0.0), width=672, height=336)
+    two = beside([drawn(renderer, scene, pinhole), drawn(renderer, scene, flat)])
+    wide = drawn(renderer, scene, around)
+    made = paper(two.width, two.height + wide.height + 66)
+    made.paste(two, (0, 26))
+    made.paste(wide, (0, two.height + 58))
+    write(made, (165, 13), 'kind "pinhole"')
+    write(made, (507, 13), 'kind "orthographic"')
+    write(made, (336, two.height + 43), 'kind "panorama", from the middle of the floor')
+    for degrees in (-180, -90, 0, 90, 180):
+        x = 336 + 336 * degrees / 180
+        place = min(max(x, 24), 648)
+        write(made, (place, two.height + 58 + 322), f"{degrees}°", INK, 14)
+    return made
+
+
+def principal_point(renderer: Renderer) -> Image.Image:
+    """The same camera with the axis in the middle, and off it."""
+    scene = scene_of(room())
+    base = Camera.look_at(
+        (-0.9, -1.1, -3.2), (0.1, 0.2, 1.6), width=330, height=240, fov_y=56
+    )
+    pictures = []
+    for cx, cy in ((165.0, 120.0), (235.0, 70.0)):
+        camera = Camera(base.view, base.fx, base.fy, cx, cy, 330, 240)
+        picture = drawn(renderer, scene, camera)
+        pen = ImageDraw.Draw(picture)
+        pen.line([(cx, 0), (cx, 240)], fill=RED)
+        pen.line([(0, cy), (330, cy)], fill=RED)
+        pen.ellipse([cx - 4, cy - 4, cx + 4, cy + 4], outline=RED, width=2)
+        write(picture, (8, 14), f"cx {cx:g}, cy {cy:g} in 330 x 240", RED, 15, "lm")
+        pictures.append(picture)
+    return beside(pictures)
+
+
+def clip_depth(renderer: Renderer) -> Image.Image:
+    """What becomes of z: 0 at the near plane, 1 at the far plane, and most in between near 1."""
+    made, left, top, wide, high = paper(560, 260), 56, 24, 470, 180
+    pen = ImageDraw.Draw(made)
+    near, far = 0.5, 8.0
+    for share in (0.0, 0.5, 1.0):
+        y = top + high * (1 - share)
+        pen.line([(left, y), (left + wide, y)], fill=FAINT)
+        write(made, (left - 10, y), f"{share:g}", INK, 14, "rm")
+    for z in (near, 1, 2, 4, far):
+        x = left + wide * z / 9
+        pen.line([(x, top), (x, top + high)], fill=FAINT)
+        write(made, (x, top + high + 16), f"{z:g}", INK, 14)
+    z = np.linspace(near, far, 300)
+    curves = ((far / (far - near) * (1 - near / z), BLUE), ((z - near) / (far - near), RED))
+    for values, color in curves:
+        points = [
+            (left + wide * a / 9, top + high * (1 - b))
+            for a, b in zip(z, values, strict=True)
+        ]
+        pen.line(points, fill=color, width=3)
+    write(made, (left + 104, top + 54), "pinhole: (m - n m / z) / (m - n)", BLUE, 15, "lm")
+    write(made, (left + 236, top + 136), "orthographic: (z - n) / (m - n)", RED, 15, "lm")
+    write(
+        made, (left + wide / 2, 246), "z in camera space, with n = 0.5 and m = 8", INK, 15
+    )
+    return made
