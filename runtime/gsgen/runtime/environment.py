@@ -21,7 +21,7 @@ print(json.dumps([dict(a.info) for a in wgpu.gpu.enumerate_adapters_sync()], def
 
 
 def checks() -> Iterator[Check]:
-    """Yield the state of what drawing needs, and two file formats."""
+    """Yield the state of what drawing needs, and some file formats."""
     wgpu = package("wgpu", "pip install 'gsgen[runtime]'", purpose="draw")
     yield wgpu
     if wgpu.state == "ok":
@@ -29,6 +29,7 @@ def checks() -> Iterator[Check]:
     remedy = "pip install 'gsgen[formats]'"
     yield package("pillow", remedy, purpose="read SOG; write pictures")
     yield package("zstandard", remedy, purpose="SPZ version 4")
+    yield package("trimesh", "pip install 'gsgen[runtime]'", purpose="read meshes")
 
 
 def _adapters() -> Iterator[Check]:

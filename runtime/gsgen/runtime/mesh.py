@@ -1,9 +1,9 @@
 """Meshes of triangles: opaque surfaces that stand among the Gaussians."""
 
-__all__ = ["Mesh", "MeshData", "Shading"]
+__all__ = ["SHADINGS", "Mesh", "MeshData", "Shading"]
 
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal, final
+from typing import Final, Literal, final, get_args
 
 import numpy as np
 from jaxtyping import Float, Float32, Integer, UInt8, UInt32
@@ -12,6 +12,9 @@ from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.transforms import identity, require_affine
 
 Shading = Literal["unlit", "headlight"]
+"""See :class:`Mesh`."""
+
+SHADINGS: Final[tuple[Shading, ...]] = get_args(Shading)
 
 _GREY: Final = 0.7
 _LARGEST: Final = 1e18  # its square is finite in float32
@@ -72,7 +75,8 @@ class MeshData:
         elif np.asarray(colors).dtype == np.uint8:
             colors = np.asarray(colors) / 255
         self.colors = _floats(colors, "colors", (3, 4), len(self.vertices))[:, :3]
-        self.color_space = _one_of(color_space, ("srgb", "linear"), "color_space")
+        _require_one_of(color_space, ("srgb", "linear"), "color_space")
+        self.color_space = color_space
 
     def __len__(self) -> int:
         return len(self.faces)
@@ -101,17 +105,16 @@ class Mesh:
         matrix = np.array(self.transform, np.float64)
         object.__setattr__(self, "transform", matrix)
         require_affine(matrix)
-        _one_of(self.shading, ("unlit", "headlight"), "shading")
+        _require_one_of(self.shading, SHADINGS, "shading")
 
     def placed(self, transform: Float[np.ndarray, "4 4"]) -> "Mesh":
         """Return the same triangles, moved once more by ``transform``."""
         return replace(self, transform=np.asarray(transform, np.float64) @ self.transform)
 
 
-def _one_of(value: str, known: tuple[str, ...], where: str) -> str:
+def _require_one_of(value: str, known: tuple[str, ...], where: str) -> None:
     if value not in known:
         raise SceneInvalid(f"is {value!r}, wanted {' or '.join(known)}", where=where)
-    return value
 
 
 def _floats(

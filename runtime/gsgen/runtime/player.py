@@ -19,7 +19,7 @@ from gsgen.runtime.errors import placed
 from gsgen.runtime.frame import Frame, Output
 from gsgen.runtime.post import PostProcessor
 from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.scene import Scene, SplatSet
+from gsgen.runtime.scene import Scene
 from gsgen.runtime.sources import GeneratorSource, Source, Values
 
 _COLOR: tuple[Output, ...] = ("color",)
@@ -82,16 +82,9 @@ class Player:
             raise ConfigInvalid(what, where=post[0].name)
         self._sources, self._post = list(sources), list(post)
         self.scene = Scene(
-            [
-                SplatSet(
-                    one.data,
-                    degree=sh_degree,
-                    antialias=antialias or one.antialias,
-                    weighted=one.weighted,
-                )
-                for one in sources
-            ],
+            [one.splats(sh_degree, antialias) for one in sources],
             color_space=_common_space(sources),
+            meshes=[mesh for one in sources for mesh in one.meshes],
         )
         self.renderer = renderer or Renderer()
         self._background, self._outputs = background, outputs
@@ -162,7 +155,7 @@ def _each(values: Sequence[Values]) -> Iterator[Values]:
 
 
 def _common_space(sources: Sequence[Source]) -> Literal["srgb", "linear"]:
-    spaces = {source.color_space for source in sources}
+    spaces = {source.color_space for source in sources if len(source.data)}
     if len(spaces) > 1:
         raise ConfigInvalid(
             "one scene has linear colours, another sRGB: they cannot be blended",

@@ -26,6 +26,8 @@ from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, open_spla
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.errors import SceneUnreadable, placed
 from gsgen.runtime.inference import Inference, Made
+from gsgen.runtime.mesh import Mesh
+from gsgen.runtime.scene import SplatSet
 from gsgen.runtime.splat_data import SplatData
 
 Center = Float[np.ndarray, "3"]
@@ -46,6 +48,7 @@ class Source(ABC):
         antialias: How the scene was trained.
         color_space: Of the colours.
         weighted: How Gaussians are weighed where they are summed cell by cell.
+        meshes: Triangles that are drawn with the Gaussians.
         inputs: What may be fed to it.
         seconds: What computing the present frame took.
     """
@@ -56,6 +59,7 @@ class Source(ABC):
     antialias: Literal["classic", "mip"] = "classic"
     color_space: Literal["srgb", "linear"] = "srgb"
     weighted: WeightedSum | None = None
+    meshes: tuple[Mesh, ...] = ()
     inputs: tuple[Input, ...] = ()
     seconds: float = 0.0
     _extent: tuple[Center, float] | None = None
@@ -86,6 +90,22 @@ class Source(ABC):
         """Bring the Gaussians to a moment; see :meth:`start` and :meth:`finish`."""
         self.start(camera, values, frame)
         self.finish()
+
+    def splats(
+        self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
+    ) -> SplatSet:
+        """Return the Gaussians as they are drawn.
+
+        Args:
+            sh_degree: Use no harmonics above this; None for what the source says, or all.
+            antialias: How the scene was trained; None for what the source says.
+        """
+        return SplatSet(
+            self.data,
+            degree=sh_degree,
+            antialias=antialias or self.antialias,
+            weighted=self.weighted,
+        )
 
     @property
     def time(self) -> Input | None:
@@ -271,7 +291,7 @@ class GeneratorSource(Source):
 def open_source(
     path: Path, provider: str = "cpu", sizes: Mapping[str, int] | None = None
 ) -> Source:
-    """Open a file of Gaussians or a generator, which the suffix ``.onnx`` tells.
+    """Open a file of Gaussians or triangles, or a generator, which the suffix ``.onnx`` tells.
 
     Args:
         path: The file.
@@ -279,13 +299,19 @@ def open_source(
         sizes: Symbol → size of a dimension that a generator leaves open.
 
     Raises:
-        SceneUnreadable: The file holds no Gaussians that can be read.
+        SceneUnreadable: The file holds nothing that can be read and drawn.
         ModelUnreadable: The file is no ONNX model.
         SceneInvalid: The model is no generator.
         SizeUnknown: A dimension has no size.
     """
     if path.suffix.lower() == ".onnx":
         return GeneratorSource(path, provider, sizes)
+    from gsgen.runtime.mesh_files import is_mesh
+
+    if is_mesh(path):
+        from gsgen.runtime.mesh_source import MeshSource
+
+        return MeshSource(path)
     return StillSource(path)
 
 

@@ -1,6 +1,6 @@
 """What commands draw: scenes and post-process models, opened with words for what goes wrong."""
 
-__all__ = ["opened"]
+__all__ = ["opened", "scene_files"]
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,9 +14,27 @@ from gsgen.contract.errors import ModelUnreadable, UnknownName
 
 if TYPE_CHECKING:
     from gsgen.runtime.post import PostProcessor
+    from gsgen.runtime.scene_file import SceneFile
     from gsgen.runtime.sources import Source
 
 _UNREADABLE = 4
+
+
+def scene_files(scenes: Sequence[Path]) -> "dict[Path, SceneFile]":
+    """Read the scene files among scenes.
+
+    Raises:
+        typer.Exit: One cannot be read; it was said why.
+        GsgenError: One says something that cannot be meant.
+    """
+    from gsgen.runtime.errors import SceneUnreadable
+    from gsgen.runtime.scene_file import is_scene_file, read_scene
+
+    try:
+        return {path: read_scene(path) for path in scenes if is_scene_file(path)}
+    except SceneUnreadable as error:
+        typer.echo(f"gsgen: {error}", err=True)
+        raise typer.Exit(_UNREADABLE) from error
 
 
 @contextmanager
@@ -30,7 +48,7 @@ def opened(
     """Open everything, and close it in the end; what a session warns of becomes notes.
 
     Args:
-        scenes: Splat files and generators.
+        scenes: Splat files, meshes, generators, and scene files.
         post: Post-process models.
         provider: What ONNX Runtime runs models on.
         sizes: Symbol → size; each model gets those that it leaves open.
@@ -41,16 +59,26 @@ def opened(
     """
     from gsgen.runtime.errors import SceneUnreadable
     from gsgen.runtime.post import PostProcessor
+    from gsgen.runtime.scene_file import open_scene
     from gsgen.runtime.sources import open_source
 
+    files = scene_files(scenes)
+    named = [model.path for file in files.values() for model in file.models]
     with ExitStack() as stack:
         with _noting():
             try:
-                given = _sizes_of_each([*scenes, *post], sizes or {})
-                sources, models = [], []
+                given = _sizes_of_each([*scenes, *named, *post], sizes or {})
+                sources: list[Source] = []
+                models: list[PostProcessor] = []
                 for path in scenes:
-                    sources.append(open_source(path, provider, given.get(path)))
-                    stack.callback(sources[-1].close)
+                    found = (
+                        open_scene(files[path], provider, given)
+                        if path in files
+                        else [open_source(path, provider, given.get(path))]
+                    )
+                    sources += found
+                    for one in found:
+                        stack.callback(one.close)
                 for path in post:
                     models.append(PostProcessor(path, provider, given.get(path)))
                     stack.callback(models[-1].close)

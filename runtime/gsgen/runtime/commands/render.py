@@ -15,6 +15,7 @@ from gsgen.contract.errors import ConfigInvalid
 if TYPE_CHECKING:
     from gsgen.runtime.film import Film
     from gsgen.runtime.pictures import Mode
+    from gsgen.runtime.scene_file import SceneFile
     from gsgen.runtime.sources import Source
     from gsgen.runtime.tracks import Track
 
@@ -41,7 +42,7 @@ def render(
     scenes: Annotated[
         list[Path],
         typer.Argument(
-            help="Splat files and ONNX generators; several are one scene.",
+            help="Splat files, meshes, ONNX generators and scene.json; several are one scene.",
             show_default=False,
         ),
     ],
@@ -68,7 +69,9 @@ def render(
     height: Annotated[
         int | None, typer.Option(help="Pixels. [default: the camera's, or 720]", min=1)
     ] = None,
-    fov: Annotated[float, typer.Option(help="Vertical field of view, in degrees.")] = 50.0,
+    fov: Annotated[
+        float | None, typer.Option(help="Vertical field of view, in degrees. [default: 50]")
+    ] = None,
     up: Annotated[
         Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None,
         typer.Option(help="Which axis points up. [default: the manifest's, or -y]"),
@@ -165,20 +168,21 @@ def render(
         bool, typer.Option("--json", help="Print what was drawn as JSON.")
     ] = False,
 ) -> None:
-    """Draw SCENES: splat files, and generators that are run for every frame.
+    """Draw SCENES: splat files and meshes, and generators that are run for every frame.
 
     Exits 0 if everything was written, 2 for wrong options, 4 if a scene cannot be read.
     """
     from gsgen.contract.commands.progress import clear, progress
-    from gsgen.runtime.commands.opening import opened
+    from gsgen.runtime.commands.opening import opened, scene_files
     from gsgen.runtime.film import Film
-    from gsgen.runtime.viewpoint import viewpoint
+    from gsgen.runtime.scene_view import scene_view
     from gsgen.sdk.commands.sizes import sizes_of
 
-    view = viewpoint(camera, width, height, fov, up, orthographic, panorama)
+    files = list(scene_files(scenes).values())
+    view = scene_view(files, camera, width, height, fov, up, orthographic, panorama)
     for note in view.notes:
         typer.echo(f"note: {note}", err=True)
-    behind = _background(background, output)
+    behind = _background(background, output, files)
     sizes = sizes_of(size, "--size")
     with opened(scenes, post or (), provider=provider, sizes=sizes) as (sources, models):
         tracks, speed = _tracks(pose, inputs, sources)
@@ -224,31 +228,17 @@ def _tracks(
     return [*tracks, *(input_track(text) for text in inputs or ())], fps
 
 
-def _background(text: str | None, output: Path) -> tuple[float, float, float, float]:
-    named = {
-        "black": (0.0, 0.0, 0.0, 1.0),
-        "white": (1.0, 1.0, 1.0, 1.0),
-        "transparent": (0.0, 0.0, 0.0, 0.0),
-    }
+def _background(
+    text: str | None, output: Path, files: "list[SceneFile]"
+) -> tuple[float, float, float, float]:
+    from gsgen.runtime.colors import color_of
+    from gsgen.runtime.scene_view import told
+
+    if text is None and told(files, "background") is not None:
+        return cast("tuple[float, float, float, float]", told(files, "background"))
     if text is None:
-        return named["transparent" if output.suffix.lower() == ".npy" else "black"]
-    if text.lower() in named:
-        return named[text.lower()]
-    try:
-        if text.startswith("#") and len(text) == 7:
-            hexed = bytes.fromhex(text[1:])
-            return hexed[0] / 255, hexed[1] / 255, hexed[2] / 255, 1.0
-        red, green, blue, *rest = (float(one) for one in text.split(","))
-        (alpha,) = rest or (1.0,)
-        if not all(0 <= one <= 1 for one in (red, green, blue, alpha)):
-            raise ValueError(text)
-    except ValueError as error:
-        raise ConfigInvalid(
-            f"{text!r} is no colour",
-            where="--background",
-            mend="Give black, white, transparent, #rrggbb or R,G,B[,A] from 0 to 1.",
-        ) from error
-    return red, green, blue, alpha
+        text = "transparent" if output.suffix.lower() == ".npy" else "black"
+    return color_of(text, "--background")
 
 
 def _report(film: "Film", output: Path, seconds: float, as_json: bool) -> None:
@@ -257,10 +247,11 @@ def _report(film: "Film", output: Path, seconds: float, as_json: bool) -> None:
         typer.echo(json.dumps(said, indent=2))
         return
     count = f"{film.frames} frames of " if film.frames > 1 else ""
+    triangles = f"{said['triangles']:,} triangles, " if said["triangles"] else ""
     typer.echo(
         f"{output}: {count}{said['width']}×{said['height']}, "
-        f"{said['visible']:,} of {said['gaussians']:,} Gaussians drawn, "
+        f"{said['visible']:,} of {said['gaussians']:,} Gaussians drawn, {triangles}"
         f"{seconds:.2f} s on {said['device']}"
     )
-    if not said["visible"]:
+    if said["gaussians"] and not said["visible"]:
         typer.echo("note: no Gaussian is in front of the camera", err=True)

@@ -314,7 +314,7 @@ def seen_reference(
     slope = (pixels - place["center"]) / place["focal"].astype(np.float64)
     flat = bool(place["is_flat"])
     ray = np.concatenate([slope * (not flat), np.ones((height, width, 1))], -1)
-    linear = np.float64(place["linear"])[:, :3].T
+    linear = np.asarray(place["linear"], np.float64)[:, :3].T
     offset = data.vertices - np.float64(place["eye"]) - np.float64(place["eye_rest"])
     at = offset @ linear.T
     made = np.zeros((height, width, 8))
@@ -362,5 +362,6 @@ def _color_reference(
             sums += share[:, None] * data.texture[row, column, :3] / 255
         color = color * sums
     if conversion == _TO_LINEAR:
-        return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
+        curved = ((color + 0.055) / 1.055) ** 2.4
+        return np.asarray(np.where(color <= 0.04045, color / 12.92, curved))
     return srgb_of_linear(color) if conversion == _TO_SRGB else color
