@@ -31,7 +31,7 @@ from gsgen.runtime.kernels.project import (
     PAGE,
     ProjectKernel,
     frame_uniform,
-    page_uniform,
+    page_uniforms,
 )
 from gsgen.runtime.kernels.scan import Scan
 from gsgen.runtime.kernels.shader import TILE
@@ -328,12 +328,12 @@ class Plan:
         placed = _sorted(placed)
         device.write(self._frame, frame_uniform(camera, background))
         device.write(self._bare_frame, frame_uniform(camera, np.zeros(3)))
-        slots, base = np.zeros(max(1, len(placed)), PAGE), 0
-        for slot, (one, page) in enumerate(placed):
+        pages, base = list[tuple[SplatSet, int, int, int]](), 0
+        for one, page in placed:
             live = min(max(one.data.count - page.first, 0), page.capacity)
-            slots[slot] = page_uniform(one, camera, base, page.capacity, live)
+            pages.append((one, base, page.capacity, live))
             base += page.capacity
-        device.write(self._slots, slots)
+        device.write(self._slots, page_uniforms(pages, camera))
         for slot, mesh in enumerate(meshes):
             device.write(
                 self._mesh_slots, mesh_uniform(mesh, camera), slot * PLACE.itemsize
@@ -343,7 +343,7 @@ class Plan:
             clock.begin()
         encoder.clear_buffer(self._ranges)
         if self._weighted is not None:
-            encoder.clear_buffer(self._weighted.ranges)
+            self._weighted.clear(encoder)
         if self._meshes is not None:
             self._meshes.encode(encoder, background)
         for name, steps in self.stages.items():
@@ -382,5 +382,6 @@ def _together(
 ) -> UInt32[np.ndarray, " n"]:
     """Return the counts of all parts as one; each part has its own room for pairs."""
     made = np.sum(counts, axis=0, dtype=np.uint32)
+    made[Counts.VISIBLE] = counts[0][Counts.VISIBLE] + made[Counts.DRAWN]
     made[Counts.WANTED_PAIRS] = max(part[Counts.WANTED_PAIRS] for part in counts)
     return made

@@ -89,8 +89,11 @@ def run(
 ) -> None:
     """Encode ``steps`` as one compute pass, which may write timestamps."""
     compute = encoder.begin_compute_pass(label=label, timestamp_writes=stamps)
+    last: Kernel | None = None
     for step in steps:
-        compute.set_pipeline(step.kernel.pipeline)
+        if step.kernel is not last:
+            compute.set_pipeline(step.kernel.pipeline)
+            last = step.kernel
         for place, bind in enumerate(step.binds):
             compute.set_bind_group(place, bind)
         if len(step.groups) == 2:

@@ -7,8 +7,10 @@ __all__ = [
     "ProjectKernel",
     "frame_uniform",
     "page_uniform",
+    "page_uniforms",
 ]
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -120,7 +122,7 @@ def frame_uniform(
 def page_uniform(
     placed: SplatSet, camera: Camera, base: int, capacity: int, count: int
 ) -> Shaped[np.ndarray, ""]:
-    """Return what all Gaussians of a page share, worked out in float64.
+    """Return what all Gaussians of a page share; see :func:`page_uniforms`.
 
     Args:
         placed: The set that the page is of.
@@ -129,32 +131,52 @@ def page_uniform(
         capacity: Gaussians of the page.
         count: How many of them are live.
     """
-    made = np.zeros((), PAGE)
-    linear, offset = placed.transform[:3, :3], placed.transform[:3, 3]
-    eye = np.linalg.solve(linear, camera.eye - offset)
-    made["linear"][:, :3] = (camera.view[:3, :3] @ linear).T  # WGSL matrices are columns
+    return np.asarray(page_uniforms([(placed, base, capacity, count)], camera)[0])
+
+
+def page_uniforms(
+    pages: Sequence[tuple[SplatSet, int, int, int]], camera: Camera
+) -> Shaped[np.ndarray, " n"]:
+    """Return what all Gaussians of each page share, worked out in float64.
+
+    All at once, because numpy takes as long for one matrix as for thirty.
+
+    Args:
+        pages: The set of each page, the index of the page's first Gaussian in the frame, how many
+            Gaussians it has, and how many of them are live.
+        camera: Who looks at them.
+    """
+    made = np.zeros(len(pages), PAGE)
+    if not pages:
+        return made
+    sets, made["base"], made["capacity"], made["count"] = zip(*pages, strict=True)
+    places = np.stack([one.transform for one in sets])
+    linear, offset = places[:, :3, :3], places[:, :3, 3]
+    turned = camera.view[:3, :3] @ linear
+    made["linear"][:, :, :3] = turned.transpose(0, 2, 1)  # WGSL matrices are columns
     # The polar decomposition A = Q S: directions of the harmonics are Qᵀ(A d) = S d.
     _, stretch, axes = np.linalg.svd(linear)
-    made["local_to_sh"][:, :3] = axes.T @ np.diag(stretch / stretch[0]) @ axes
+    share = (stretch / stretch[:, :1])[:, :, None]
+    made["local_to_sh"][:, :, :3] = axes.transpose(0, 2, 1) @ (share * axes)
+    eye = np.linalg.solve(linear, (camera.eye - offset)[:, :, None])[:, :, 0]
     if camera.kind == "orthographic":
-        made["forward"] = np.linalg.solve(linear, camera.view[2, :3])
+        made["forward"] = np.linalg.solve(linear, camera.view[2, :3][:, None])[:, :, 0]
     made["eye"] = eye
     made["eye_rest"] = eye - made["eye"].astype(np.float64)
-    made["opacity_scale"], made["base"], made["count"] = placed.opacity_scale, base, count
-    low, high = (
-        ((-np.inf,) * 3, (np.inf,) * 3)
-        if placed.clip is None
-        else (placed.clip.low, placed.clip.high)
-    )
-    made["clip_low"], made["clip_high"] = low, high
-    made["capacity"] = capacity
-    made["mip"] = placed.antialias == "mip"
-    degree = placed.data.degree
-    if degree is None:
-        made["degree"] = NO_HARMONICS
-    else:
-        made["degree"] = degree if placed.degree is None else min(degree, placed.degree)
+    clips = [one.clip for one in sets]
+    made["clip_low"] = [(-np.inf,) * 3 if one is None else one.low for one in clips]
+    made["clip_high"] = [(np.inf,) * 3 if one is None else one.high for one in clips]
+    made["opacity_scale"] = [one.opacity_scale for one in sets]
+    made["mip"] = [one.antialias == "mip" for one in sets]
+    made["degree"] = [_degree(one) for one in sets]
     return made
+
+
+def _degree(one: SplatSet) -> int:
+    degree = one.data.degree
+    if degree is None:
+        return NO_HARMONICS
+    return degree if one.degree is None else min(degree, one.degree)
 
 
 @final
