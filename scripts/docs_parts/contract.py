@@ -7,7 +7,7 @@ import numpy as np
 from docs_parts.rules import ours
 from docs_parts.tables import code, table
 from gsgen.contract.config import Settings, config_schema
-from gsgen.contract.layout import APPEARANCE_CHANNELS, FIELDS, WORD_BYTES
+from gsgen.contract.layout import APPEARANCE_CHANNELS, CELL_FIELDS, FIELDS, WORD_BYTES
 from gsgen.contract.manifest import (
     Bounds,
     GeneratorManifest,
@@ -52,11 +52,11 @@ def roles(kind: str) -> str:
     return table(("role", "dtype", "shape", "`range`", "`convention`", "meaning"), rows)
 
 
-def row() -> str:
-    """Return where each field of a packed row lies."""
+def row(of: str = "gaussians") -> str:
+    """Return where each field of a packed row lies, of Gaussians or of cells."""
     rows = [
         (str(place), f"`{name}`", str(4 * place), str(2 * place))
-        for place, name in enumerate(FIELDS)
+        for place, name in enumerate(CELL_FIELDS if of == "cells" else FIELDS)
     ]
     sizes = [str(size * len(FIELDS)) for size in _SIZES.values()]
     head = ("column", "field", "byte in float32", "byte in float16")

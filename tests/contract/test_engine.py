@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from onnx import TensorProto
 
 from gsgen.conformance.fixtures import find
+from gsgen.conformance.fixtures.clouds import still
 from gsgen.contract import engine
 from gsgen.contract.config import Settings
 from gsgen.contract.engine import validate
@@ -60,7 +61,7 @@ def test_a_good_model_conforms_and_every_rule_is_accounted_for(good):
     assert (report.kind, report.name, report.contract) == (
         "gaussian-generator",
         "moving",
-        "1.0",
+        "1.1",
     )
     assert (report.capacity, report.level) == (8, Level.BEHAVIOUR)
     assert report.probes[:2] == ("all inputs zero", "time=0")
@@ -68,6 +69,16 @@ def test_a_good_model_conforms_and_every_rule_is_accounted_for(good):
     assert set(report.environment) == {"onnx", "onnxruntime"}
     assert 0 < report.runtime_seconds < report.seconds
     assert exit_code([report]) == 0
+
+
+@pytest.mark.parametrize("version", ["1.0", "1.1", "1.7"])
+def test_a_report_names_the_contract_that_the_manifest_declares(version, tmp_path):
+    def declare(document):
+        document["contract"] = version
+
+    path = tmp_path / "m.onnx"
+    still().rewritten(declare).write(path)
+    assert validate(path, Settings(level=Level.STATIC)).contract == version
 
 
 @pytest.mark.parametrize("name", ["absent.onnx", "."])

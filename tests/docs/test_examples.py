@@ -83,6 +83,22 @@ def test_the_guide_s_way_to_wrap_a_module_works() -> None:
     assert made.opacity.tolist() == [0.5, 0.5, 0.5]
 
 
+def test_the_guide_s_way_to_return_cells_works() -> None:
+    ones = torch.ones(6, 3)
+    made = {
+        "xyz": ones, "opacity": ones[:, 0], "scale": ones, "rotation": torch.ones(6, 4),
+        "rgb": ones, "centre": ones[:2], "seen": ones[:2, 0], "size": ones[:2],
+        "turn": torch.ones(2, 4),
+    }
+    names: dict[str, object] = {"network": lambda view: made}
+    exec(BLOCKS["cells"], names)
+    generator = names["Bunches"]()  # type: ignore[operator]
+    given = generator(torch.eye(4))
+    assert isinstance(given, Gaussians)
+    assert given.cells.covariances().shape == (2, 6)
+    assert generator.weighted_sum.depth_range == 20
+
+
 def test_the_guide_s_way_to_cull_works() -> None:
     body = textwrap.indent(BLOCKS["cull"], "    ")
     names: dict[str, object] = {"math": math}

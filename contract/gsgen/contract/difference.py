@@ -45,7 +45,7 @@ class OutputDifference:
     """How far two outputs of the same role are apart, over all probes.
 
     Attributes:
-        role: ``gaussians``, ``appearance`` or ``count``.
+        role: ``gaussians``, ``appearance``, ``count`` or ``cells``.
         largest: The largest absolute difference; infinite where shapes differ.
         rows: How many rows differ at the worst probe.
         probe: Label of that probe.
@@ -154,7 +154,7 @@ def _outputs(a: Subject, b: Subject) -> tuple[list[OutputDifference], str]:
 def _apart(
     a: Subject, b: Subject, runs: list[Execution], labels: list[str]
 ) -> Iterator[OutputDifference]:
-    for role in ("gaussians", "appearance", "count"):
+    for role in ("gaussians", "appearance", "count", "cells"):
         first, second = getattr(a, f"declared_{role}"), getattr(b, f"declared_{role}")
         if first is None or second is None:
             continue

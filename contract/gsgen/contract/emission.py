@@ -37,6 +37,7 @@ class Emission:
         count: How many rows are live, by the model's own word, clipped to the capacity.
         declared: What the manifest says of the appearance.
         subject: The model.
+        cells: The packed cells, or None if there are none that hold all rows.
     """
 
     probe: str
@@ -47,6 +48,7 @@ class Emission:
     count: int
     declared: AppearanceOutput | None
     subject: Subject
+    cells: Float[np.ndarray, "c 10"] | None = None
 
     @property
     def rows_place(self) -> str:
@@ -58,6 +60,12 @@ class Emission:
     def color_place(self) -> str:
         """What a report calls the appearance."""
         return f"output {self.declared.name if self.declared else '?'}"
+
+    @property
+    def cells_place(self) -> str:
+        """What a report calls the cells."""
+        declared = self.subject.declared_cells
+        return f"output {declared.name if declared else '?'}"
 
     @property
     def is_sh(self) -> bool:
@@ -105,8 +113,12 @@ def read_emission(
     whole = count is not None and count.size and count.dtype.kind in "iu"
     live = int(count.reshape(-1)[0]) if count is not None and whole else capacity
     clipped = min(max(live, 0), capacity)
+    cells = _float_rows(take(getattr(subject.declared_cells, "name", None)), 10)
+    per_cell = getattr(subject.declared_cells, "per_cell", 0)
+    if cells is not None and len(cells) * per_cell != capacity:
+        cells = None  # another rule says so
     declared = subject.declared_appearance
-    return Emission(probe, zeros, outputs, rows, color, clipped, declared, subject)
+    return Emission(probe, zeros, outputs, rows, color, clipped, declared, subject, cells)
 
 
 def _float_rows(array: np.ndarray | None, columns: int | None) -> np.ndarray | None:

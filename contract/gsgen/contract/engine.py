@@ -103,7 +103,7 @@ class _Validation:
             size=subject.file.size,
             kind=subject.kind,
             name=manifest.name if manifest and subject.parsed else "",
-            contract=manifest.contract if manifest and subject.parsed else "",
+            contract=subject.declared_version if manifest else "",
             capacity=gaussians.capacity if gaussians else None,
             target=self.settings.target,
             level=self.settings.level,

@@ -118,7 +118,7 @@ def probed_bytes(subject: Subject) -> int:
 def _affordable(subject: Subject) -> int:
     """Return how many probes' inputs and outputs fit the budget."""
     total = probed_bytes(subject)
-    for tensor in (subject.gaussians, subject.appearance):
+    for tensor in (subject.gaussians, subject.appearance, subject.cells):
         dims = static_dims(tensor) if tensor else None
         size = 4
         for dim in dims or (0,):

@@ -11,6 +11,7 @@ from gsgen.contract.candidate import Candidate, derive
 from gsgen.contract.graph import Graph, Tensor, read_graph
 from gsgen.contract.manifest import (
     AppearanceOutput,
+    CellsOutput,
     CountOutput,
     GaussiansOutput,
     GeneratorManifest,
@@ -60,6 +61,12 @@ class Subject:
         return self.limits.for_model(self.file.weight_bytes)
 
     @property
+    def declared_version(self) -> str:
+        """The contract that the manifest says it keeps, before any upgrade; empty without one."""
+        version = self.parsed.version if self.parsed else None
+        return f"{version[0]}.{version[1]}" if version else ""
+
+    @property
     def kind(self) -> str:
         """The kind of model; without a manifest, the one that was guessed."""
         manifest = self.manifest
@@ -85,6 +92,11 @@ class Subject:
         """What the manifest says of the row count."""
         return self.generator.outputs.count if self.generator else None
 
+    @cached_property
+    def declared_cells(self) -> CellsOutput | None:
+        """What the manifest says of the cells that a weighted sum is sorted by."""
+        return self.generator.outputs.cells if self.generator else None
+
     @property
     def gaussians(self) -> Tensor | None:
         """The graph output that holds the packed rows."""
@@ -99,6 +111,11 @@ class Subject:
     def count(self) -> Tensor | None:
         """The graph output that holds the row count."""
         return self._output(self.declared_count)
+
+    @property
+    def cells(self) -> Tensor | None:
+        """The graph output that holds the cells."""
+        return self._output(self.declared_cells)
 
     @cached_property
     def output_names(self) -> tuple[str, ...]:

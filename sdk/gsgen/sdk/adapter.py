@@ -18,13 +18,14 @@ from typing import Any, Literal
 from torch import Tensor, nn
 
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.manifest import Input, Producer, Space
+from gsgen.contract.manifest import Input, Producer, Space, WeightedSum
+from gsgen.sdk.cells import Cells
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.generator import GaussianGenerator, Gaussians
 
 # Where a field comes from: a key, an attribute or a position in what the module returns, or a
 # function of all of it.
-Take = str | int | Callable[[Any], Tensor]
+Take = str | int | Callable[[Any], Any]
 
 _FIELDS = tuple(field.name for field in dataclasses.fields(Gaussians))
 
@@ -41,6 +42,7 @@ def wrap(
     depends_on: Mapping[str, bool] | None = None,
     family: str | None = None,
     producer: Producer | None = None,
+    weighted_sum: WeightedSum | None = None,
 ) -> GaussianGenerator:
     """Make a generator of ``module``.
 
@@ -49,6 +51,7 @@ def wrap(
         inputs: What it takes, in order, made by the functions of :mod:`gsgen.sdk.inputs`.
         outputs: Field of :class:`Gaussians` → where it is in what the module returns: a key or
             attribute, a position, or a function such as ``lambda out: out["log_scale"].exp()``.
+            For ``cells`` that is a :class:`gsgen.sdk.Cells`.
         by_name: Pass the inputs by their names instead of in order.
         space: Coordinate frame and matrix memory order.
         color_space: Of the colours that come out of SH or RGB.
@@ -56,6 +59,7 @@ def wrap(
         depends_on: Role → whether outputs change with it; roles not named do.
         family: ``static``, ``mlp``, ``4d``, ``avatar`` or another word.
         producer: Tool, source and licence.
+        weighted_sum: How Gaussians are weighed, where they are summed cell by cell.
 
     Raises:
         UnknownName: ``outputs`` names a field that Gaussians do not have.
@@ -73,7 +77,7 @@ def wrap(
     made.depends_on = dict(depends_on or {})  # type: ignore[misc]
     made.space = space or Space()
     made.color_space, made.antialias = color_space, antialias
-    made.family, made.producer = family, producer
+    made.family, made.producer, made.weighted_sum = family, producer, weighted_sum
     return made
 
 
@@ -98,11 +102,12 @@ class _Wrapped(GaussianGenerator):
         picked = {name: self._pick(made, name, take) for name, take in self.outputs.items()}
         return Gaussians(**picked)
 
-    def _pick(self, made: Any, field: str, take: Take) -> Tensor:
+    def _pick(self, made: Any, field: str, take: Take) -> Any:
         value = self._found(made, field, take)
-        if isinstance(value, Tensor):
+        if isinstance(value, Cells if field == "cells" else Tensor):
             return value
-        what = f"is {type(value).__name__}, wanted a tensor"
+        wanted = "gsgen.sdk.Cells" if field == "cells" else "a tensor"
+        what = f"is {type(value).__name__}, wanted {wanted}"
         raise GeneratorInvalid(what, where=self._place(field, take))
 
     def _found(self, made: Any, field: str, take: Take) -> Any:

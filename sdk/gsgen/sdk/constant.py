@@ -65,6 +65,9 @@ def _outputs(
         raise GeneratorInvalid(
             "names no gaussians, appearance or count", where="manifest.outputs"
         )
+    if declared.cells is not None:
+        what = "declares cells, and rows that never change are written without"
+        raise GeneratorInvalid(what, where="manifest.outputs")
     if rows.ndim != 2 or rows.shape[1] != layout.ROW or len(rows) != len(appearance):
         seen = f"shapes are {list(rows.shape)} and {list(appearance.shape)}"
         raise GeneratorInvalid(f"{seen}, wanted [N, {layout.ROW}] and [N, C]", where="rows")

@@ -45,6 +45,7 @@ from gsgen.sdk.packing import (
     GAUSSIANS,
     Packed,
     PackedGenerator,
+    refuse_parts,
 )
 from gsgen.sdk.parity import Parity
 from gsgen.sdk.placement import draft_of, refuse_folder
@@ -186,7 +187,9 @@ def _describe(
     bounds = measure_bounds(first)
     draft = _manifest(generator, name, dtype, made.degree, rows, bounds)
     if start.cells is not None:
-        cells = CellsOutput(CELLS, len(made) // len(start.cells), dtype)
+        per_cell = len(made) // len(start.cells)
+        refuse_parts(rows, per_cell)
+        cells = CellsOutput(CELLS, per_cell, dtype)
         draft = replace(draft, outputs=replace(draft.outputs, cells=cells))
     if not generator.inputs:
         return _Described(draft, first, one, watch)

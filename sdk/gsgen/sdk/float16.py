@@ -26,7 +26,7 @@ from gsgen.contract.targets import load_target
 from gsgen.sdk.equivalence import probes_of
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.half_model import HalfModel
-from gsgen.sdk.parity import FieldParity, Parity, Reference, compare
+from gsgen.sdk.parity import FieldParity, Made, Parity, Reference, compare
 from gsgen.sdk.passes.base import is_op, opset_of
 from gsgen.sdk.passes.building import known_array
 from gsgen.sdk.passes.repairs import PadColor
@@ -277,6 +277,7 @@ class _Measure:
             declared.gaussians.name,
             declared.appearance.name,
             declared.count.name,
+            *([declared.cells.name] if declared.cells is not None else []),
         )
         self.space, self.tolerances = declared.appearance.space, tolerances
         self.probes, self.storage = probes, np.float16 if outputs else np.float32
@@ -292,28 +293,35 @@ class _Measure:
         made = self._model.run(
             self.probes[0].inputs, np.zeros(len(self._model.units), np.bool_)
         )
-        return sum(made[name].nbytes for name in self.names[:2])
+        return sum(made[name].nbytes for name in self.names if made[name].dtype.kind == "f")
 
     def _reference(self, probe: Probe) -> Reference:
         nothing = np.zeros(len(self._model.units), np.bool_)
-        rows, color, count = self._read(self._model.run(probe.inputs, nothing))
-        if rows.dtype != np.float32:
-            raise RewriteFailed(f"is {rows.dtype} already", where=f"output {self.names[0]}")
-        return Reference(probe, layout.decode(rows, color, self.space), count)
+        made = self._read(self._model.run(probe.inputs, nothing))
+        if made.rows.dtype != np.float32:
+            what = f"is {made.rows.dtype} already"
+            raise RewriteFailed(what, where=f"output {self.names[0]}")
+        cells = None if made.cells is None else layout.decode_cells(made.cells)
+        rows = layout.decode(made.rows, made.color, self.space)
+        return Reference(probe, rows, made.count, cells)
 
-    def _read(self, made: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, int]:
-        rows, color, count = (made[name] for name in self.names)
-        return rows, color, int(np.ravel(count)[0])
+    def _read(self, made: Mapping[str, np.ndarray]) -> Made:
+        rows, color, count, *cells = (made[name] for name in self.names)
+        return Made(rows, color, int(np.ravel(count)[0]), *cells)
+
+    def _stored_as(self, one: Made) -> Made:
+        """Return the same as the outputs will hold it."""
+        with np.errstate(over="ignore"):
+            cells = None if one.cells is None else one.cells.astype(self.storage)
+            rows, color = one.rows.astype(self.storage), one.color.astype(self.storage)
+            return Made(rows, color, one.count, cells)
 
     def parity(self, chosen: Collection[int]) -> Parity:
         """Compare the outputs with the ``chosen`` units rounded, and stored as they will be."""
         flags = np.zeros(len(self._model.units), np.bool_)
         flags[list(chosen)] = True
-        made = []
-        for probe in self.probes:
-            rows, color, count = self._read(self._model.run(probe.inputs, flags))
-            with np.errstate(over="ignore"):
-                made.append((rows.astype(self.storage), color.astype(self.storage), count))
+        runs = (self._model.run(probe.inputs, flags) for probe in self.probes)
+        made = [self._stored_as(self._read(one)) for one in runs]
         return compare(self._references, made, self.tolerances)
 
     def __call__(self, chosen: Collection[int]) -> tuple[float, str]:
@@ -370,7 +378,9 @@ def _convert(
     if outputs:
         if declared.appearance.space == "rgb":
             PadColor(declared.appearance.name)(model)
-        changed = replace(declared, gaussians=replace(declared.gaussians, dtype="float16"))
+        cells = declared.cells and replace(declared.cells, dtype="float16")
+        rows = replace(declared.gaussians, dtype="float16")
+        changed = replace(declared, gaussians=rows, cells=cells)
         text = dumps(replace(manifest, outputs=changed), indent=None)
         model.metadata_props[MANIFEST_KEY] = text
     tidy(model)

@@ -3,6 +3,7 @@
 __all__ = ["disagreements", "wrong_replays"]
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -65,14 +66,22 @@ def _packed(live: Live, frames: list[Frame]) -> Parity | None:
             return None
         if gpu.gaussians is None or gpu.appearance is None:
             return None
-        rows = _some_rows(cpu.count)
+        rows, cells = _some_rows(cpu)
+        if cells is not None and gpu.cells is None:
+            return None
         try:
             wanted = layout.decode(cpu.gaussians[rows], cpu.appearance[rows], space)
         except LayoutMismatch:
             return None
-        count = len(rows) if gpu.count == cpu.count else gpu.count
-        references.append(Reference(frame.probe, wanted, len(rows)))
-        outputs.append(Made(gpu.gaussians[rows], gpu.appearance[rows], count))
+        alive = int(np.count_nonzero(rows < cpu.count))
+        count = alive if gpu.count == cpu.count else gpu.count
+        made = Made(gpu.gaussians[rows], gpu.appearance[rows], count)
+        known = Reference(frame.probe, wanted, alive)
+        if cells is not None and cpu.cells is not None and gpu.cells is not None:
+            known = replace(known, cells=layout.decode_cells(cpu.cells[cells]))
+            made = replace(made, cells=gpu.cells[cells])
+        references.append(known)
+        outputs.append(made)
     return compare(references, outputs, as_tolerances(live.subject), roundings=2)
 
 
@@ -81,10 +90,20 @@ def _emission(live: Live, frame: Frame, outputs: Outputs | None) -> Emission:
     return read_emission(live.subject, probe.label, probe.zeros, dict(outputs or {}))
 
 
-def _some_rows(count: int) -> np.ndarray:
-    if count <= _MOST_ROWS:
+def _some_rows(emission: Emission) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return which rows to compare, and which cells; of cells, all rows, in order."""
+    if emission.cells is None or emission.gaussians is None:
+        return _spread(emission.count, _MOST_ROWS), None
+    per_cell = len(emission.gaussians) // len(emission.cells)
+    cells = _spread(-(-emission.count // per_cell), max(1, _MOST_ROWS // per_cell))
+    return (cells[:, None] * per_cell + np.arange(per_cell)).ravel(), cells
+
+
+def _spread(count: int, most: int) -> np.ndarray:
+    """Return numbers below ``count``, at even distances where they are more than ``most``."""
+    if count <= most:
         return np.arange(count)
-    return np.linspace(0, count - 1, _MOST_ROWS).astype(np.int64)
+    return np.linspace(0, count - 1, most).astype(np.int64)
 
 
 def _declared_names(live: Live) -> set[str]:
@@ -92,6 +111,7 @@ def _declared_names(live: Live) -> set[str]:
         live.subject.declared_gaussians,
         live.subject.declared_appearance,
         live.subject.declared_count,
+        live.subject.declared_cells,
     )
     return {part.name for part in parts if part is not None}
 

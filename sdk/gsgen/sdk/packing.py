@@ -9,6 +9,7 @@ __all__ = [
     "Packed",
     "PackedGenerator",
     "output_names",
+    "refuse_parts",
 ]
 
 from dataclasses import dataclass
@@ -38,6 +39,20 @@ def output_names(manifest: GeneratorManifest) -> tuple[str, ...]:
     assert appearance is not None
     names = (GAUSSIANS, appearance.name, COUNT)
     return names if manifest.outputs.cells is None else (*names, CELLS)
+
+
+def refuse_parts(capacity: int, per_cell: int) -> None:
+    """Refuse a capacity that ends within a cell of ``per_cell`` rows.
+
+    Raises:
+        GeneratorInvalid: It does.
+    """
+    if capacity % per_cell:
+        raise GeneratorInvalid(
+            f"{capacity} rows are no whole number of cells of {per_cell}",
+            where="capacity",
+            mend=f"Export with a capacity that {per_cell} divides.",
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,12 +115,7 @@ class PackedGenerator(nn.Module):
         """Pack cells; those of which no Gaussian is live are not visible."""
         n, c = made.position.shape[0], cells.position.shape[0]
         per_cell = n // c
-        if self.packed.capacity % per_cell:
-            raise GeneratorInvalid(
-                f"{self.packed.capacity} rows are no whole number of cells of {per_cell}",
-                where="capacity",
-                mend=f"Export with a capacity that {per_cell} divides.",
-            )
+        refuse_parts(self.packed.capacity, per_cell)
         visibility = cells.visibility.reshape(c, 1)
         if made.count is not None:
             first = torch.arange(c, device=visibility.device) * per_cell

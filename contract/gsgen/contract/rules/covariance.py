@@ -12,8 +12,8 @@ from gsgen.contract.rule import rule
 
 # How negative an eigenvalue may be by rounding alone: relative to the trace, and, because the
 # smallest float16 numbers are 2⁻²⁴ apart, for three entries a row that are off by half of that.
-_PSD_SLACK = {2: 2.0**-10, 4: 1e-5}
-_PSD_FLOOR = {2: 3 * 2.0**-25, 4: 0.0}
+PSD_SLACK = {2: 2.0**-10, 4: 1e-5}
+PSD_FLOOR = {2: 3 * 2.0**-25, 4: 0.0}
 # What rounding may do to a determinant in float32, relative to its largest terms, and the size
 # below which terms lose bits.
 _DET_DOUBT = np.float32(2e-6)
@@ -73,7 +73,7 @@ def covariance_psd(rows: Rows) -> Iterator[Breach]:
     """
     if rows.emission.field_order is not None:
         return
-    slack, floor = _PSD_SLACK[rows.packed.itemsize], _PSD_FLOOR[rows.packed.itemsize]
+    slack, floor = PSD_SLACK[rows.packed.itemsize], PSD_FLOOR[rows.packed.itemsize]
     fair = (rows.covariance[[0, 3, 5]] >= 0).all(axis=0)  # the others are GV005's
     suspects = np.flatnonzero(rows.drawn & fair & ~_surely_psd(rows, slack))
     bad = np.zeros(len(rows), bool)

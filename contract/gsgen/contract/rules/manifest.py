@@ -4,8 +4,9 @@ from collections.abc import Iterator
 
 from gsgen.contract.candidate import static_dims
 from gsgen.contract.finding import Breach, Severity
+from gsgen.contract.graph import Tensor
 from gsgen.contract.layout import appearance_channels
-from gsgen.contract.manifest import GeneratorManifest
+from gsgen.contract.manifest import CellsOutput, GaussiansOutput, GeneratorManifest
 from gsgen.contract.model import MANIFEST_KEY
 from gsgen.contract.roles import KINDS
 from gsgen.contract.rule import rule
@@ -160,8 +161,20 @@ def manifest_agrees_with_graph(subject: Subject) -> Iterator[Breach]:
             yield Breach.at(
                 f"input {entry.name}", saw, f"the declared shape {list(entry.shape)}"
             )
+    yield from _dtypes_agree(subject.declared_gaussians, subject.gaussians)
     yield from _gaussians_agree(subject)
     yield from _appearance_agrees(subject)
+    yield from _dtypes_agree(subject.declared_cells, subject.cells)
+
+
+def _dtypes_agree(
+    declared: GaussiansOutput | CellsOutput | None, tensor: Tensor | None
+) -> Iterator[Breach]:
+    if declared is None or tensor is None:
+        return
+    if tensor.dtype in _ITEMSIZE and tensor.dtype != declared.dtype:
+        saw, want = f"graph has {tensor.dtype}", f"the declared dtype {declared.dtype}"
+        yield Breach.at(f"output {tensor.name}", saw, want)
 
 
 def _gaussians_agree(subject: Subject) -> Iterator[Breach]:
@@ -169,10 +182,6 @@ def _gaussians_agree(subject: Subject) -> Iterator[Breach]:
     if declared is None or tensor is None or tensor.dims is None:
         return
     place = f"output {tensor.name}"
-    if tensor.dtype in _ITEMSIZE and tensor.dtype != declared.dtype:
-        yield Breach.at(
-            place, f"graph has {tensor.dtype}", f"the declared dtype {declared.dtype}"
-        )
     first = tensor.dims[0] if tensor.dims else None
     guessed = subject.candidate is not None  # taken from the graph, so it cannot disagree
     known = len(tensor.dims) == 2 and isinstance(first, int) and first > 0

@@ -194,7 +194,7 @@ def appearance_rows(subject: Subject) -> Iterator[Breach]:
     needs=("GO001", "GO005"),
 )
 def output_dtype(subject: Subject) -> Iterator[Breach]:
-    """Gaussians and appearance are float32 or float16.
+    """Gaussians, appearance and cells are float32 or float16.
 
     Why:
         Shaders read these two. Integers would need a scale that readers do not apply, and WebGPU
@@ -203,7 +203,7 @@ def output_dtype(subject: Subject) -> Iterator[Breach]:
     Mend:
         End the output on a cast to float32 or float16.
     """
-    for tensor in (subject.gaussians, subject.appearance):
+    for tensor in (subject.gaussians, subject.appearance, subject.cells):
         if tensor is not None and tensor.dtype not in _ITEMSIZE:
             yield Breach.at(
                 f"output {tensor.name}", str(tensor.dtype), "float32 or float16"

@@ -159,3 +159,29 @@ def visionary_shows_srgb(subject: Subject) -> Iterator[Breach]:
     declared = subject.declared_appearance
     if declared is not None and declared.color_space != "srgb":
         yield Breach.at(f"output {declared.name}", declared.color_space, "srgb")
+
+
+@rule(
+    "TV112",
+    "visionary-sorts",
+    Severity.WARNING,
+    over="model",
+    fixture="visionary_weighted_sum",
+    target=_TARGET,
+    needs=("GM017",),
+)
+def visionary_sorts(subject: Subject) -> Iterator[Breach]:
+    """Gaussians are blended by sorting.
+
+    Why:
+        The viewer knows no other way: it sorts Gaussians by depth, and neither reads cells nor
+        divides by a sum of weights. What was trained for a weighted sum looks near its own picture
+        at best, and cells are computed every frame for nothing.
+
+    Mend:
+        Export for sorting, where the method has such an option (`--blend alpha`), and compare
+        pictures.
+    """
+    generator = subject.generator
+    if generator is not None and generator.blend != "alpha":
+        yield Breach.at("manifest blend", generator.blend, "alpha")

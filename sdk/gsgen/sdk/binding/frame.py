@@ -86,6 +86,14 @@ class Frame:
             raise _undeclared("appearance")
         return self[outputs.appearance.name][: self.count]
 
+    @property
+    def cells(self) -> np.ndarray:
+        """The packed cells that have a live row, [cells, 10], as the model gave them."""
+        outputs = self._declared()
+        if outputs.cells is None:
+            raise _undeclared("cells")
+        return self[outputs.cells.name][: -(-self.count // outputs.cells.per_cell)]
+
     def gaussians(self) -> Gaussians:
         """Return the live rows, unpacked into float32 arrays of their own.
 
