@@ -69,7 +69,7 @@ class Kernels:
         self.weighted = cache(
             lambda: WeightedKernels(device, self.cut, self.scan, self.sort, self.ranges)
         )
-        self.quads = cache(lambda tested: DrawQuads(device, tested))
+        self.quads = cache(lambda tested, panorama: DrawQuads(device, tested, panorama))
         self.meshes = cache(lambda: DrawMeshes(device))
 
 
@@ -128,7 +128,7 @@ class Plan:
         self.buffers: dict[str, Any] = {}
         n = self._gaussians
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
-        device.write(self._counts, counting.initial(n, pair_capacity))
+        device.write(self._counts, counting.initial(n, pair_capacity, panorama))
         self._splats = [self._storage(name, _VEC4 * n) for name in ("shapes", "weights")]
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
         self.images: dict[str, Any] = {}
@@ -214,7 +214,7 @@ class Plan:
         return list(self._meshes.layers)
 
     def _draw_quads(self, order: Any, colors: Any) -> QuadsStep:
-        kernel = self._kernels.quads(self._meshes is not None)
+        kernel = self._kernels.quads(self._meshes is not None, self._panorama)
         size = kernel.row_bytes(self._size[0]) * self._size[1]
         self.images["color"] = self._storage("color image", size)
         resources = (self._frame, self._counts, order, *self._splats, colors)

@@ -93,12 +93,6 @@ class Renderer:
             SceneInvalid: The background or the outputs are none.
         """
         wanted = _known(outputs)
-        if self._quads and camera.kind == "panorama":
-            raise SceneInvalid(
-                "is panorama, which quads do not draw",
-                where="camera.kind",
-                mend="Use Renderer(rasteriser='tiles').",
-            )
         if self._published:
             _require_alone(scene)
         behind = _premultiplied(background)

@@ -9,7 +9,6 @@ from scipy.ndimage import map_coordinates
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime import oracle
 from gsgen.runtime.camera import Camera
-from gsgen.runtime.device import Device
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.scene import Scene
@@ -208,14 +207,6 @@ def test_plans_know_a_panorama_from_a_picture(renderer: Renderer) -> None:
     first = renderer.render(scene, around).rgba
     renderer.render(scene, ahead)
     assert np.array_equal(renderer.render(scene, around).rgba, first)
-
-
-def test_quads_refuse(device: Device) -> None:
-    quads = Renderer(device, rasteriser="quads")
-    with pytest.raises(
-        SceneInvalid, match=r"which quads do not draw\n.*rasteriser='tiles'"
-    ):
-        quads.render(Scene([ball((0, 0, 1))]), Camera.panorama((0, 0, 0), width=64))
 
 
 def test_models_hide_nothing_from_a_panorama() -> None:

@@ -19,7 +19,21 @@ def quads(device: Device) -> Renderer:
 
 @pytest.mark.parametrize(
     "name",
-    ["nothing", "one", "many", "needles", "huge", "placed", "flat_cameras", "not_finite"],
+    [
+        "nothing",
+        "one",
+        "many",
+        "needles",
+        "huge",
+        "placed",
+        "flat_cameras",
+        "not_finite",
+        "panorama",
+        "panorama_seam",
+        "panorama_poles",
+        "panorama_huge",
+        "panorama_part",
+    ],
 )
 def test_quads_are_the_oracles(quads: Renderer, name: str) -> None:
     scene, camera = SCENES[name]()

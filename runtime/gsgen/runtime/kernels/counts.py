@@ -40,7 +40,9 @@ PLACES: Final = {member.name: int(member) for member in Counts}
 """The same as constants for a shader."""
 
 
-def initial(gaussians: int, pair_capacity: int) -> UInt32[np.ndarray, " 28"]:
+def initial(
+    gaussians: int, pair_capacity: int, panorama: bool = False
+) -> UInt32[np.ndarray, " 28"]:
     """Return the counts as they are before the first frame."""
     counts = np.zeros(BYTES // 4, np.uint32)
     counts[Counts.GAUSSIANS] = gaussians
@@ -48,5 +50,6 @@ def initial(gaussians: int, pair_capacity: int) -> UInt32[np.ndarray, " 28"]:
     for member in Counts:
         if member.name.endswith("_GROUPS"):
             counts[member + 1 : member + 3] = 1
-    counts[Counts.DRAW_ARGUMENTS] = 4  # a quad is a strip of two triangles
+    # A quad is a strip of two triangles; a panorama has three, with two corners at each joint.
+    counts[Counts.DRAW_ARGUMENTS] = 16 if panorama else 4
     return counts

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from gsgen.runtime.device import Device
 from gsgen.runtime.kernels.counts import PLACES, Counts
 from gsgen.runtime.kernels.draw_meshes import DEPTHS, MeshesStep
-from gsgen.runtime.kernels.shader import source
+from gsgen.runtime.kernels.shader import ROUND, source
 
 _ROW_BYTES: Final = 256  # what a row of a copied texture has to be a multiple of
 _UNDER: Final = {
@@ -86,9 +86,12 @@ class DrawQuads:
     Args:
         device: Where it runs; it has to be able to blend 32-bit floats.
         tested: Whether meshes may hide splats.
+        panorama: Whether the image is one.
     """
 
-    def __init__(self, device: Device, tested: bool = False) -> None:
+    def __init__(
+        self, device: Device, tested: bool = False, panorama: bool = False
+    ) -> None:
         raw = self._raw = device.raw
         kinds = ["uniform"] + ["read-only-storage"] * 5
         entries = [
@@ -97,7 +100,10 @@ class DrawQuads:
         ]
         self._layout = raw.create_bind_group_layout(label="quads", entries=entries)
         module = raw.create_shader_module(
-            label="draw_quads", code=source("draw_quads", TESTED=tested, **PLACES)
+            label="draw_quads",
+            code=source(
+                "draw_quads", TESTED=tested, **PLACES, **(ROUND if panorama else {})
+            ),
         )
         self._pipeline = raw.create_render_pipeline(
             label="quads",

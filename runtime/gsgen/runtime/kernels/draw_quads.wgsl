@@ -2,6 +2,9 @@
 //
 // The quad is as long and wide as the ellipse within which the splat is drawn. Blending cannot
 // stop at a pixel that is finished, so light that blend_tiles.wgsl would leave out is drawn here.
+//
+// In a panorama a splat has one quad where it is, and one a whole turn to each side: all of them
+// are one strip, whose joints have no area.
 
 //!include frame
 
@@ -22,10 +25,28 @@ struct Corner {
 const SLACK = 1.0001;  // of the axes: rounding must not lose a pixel
 const EDGE = 0.51;     // pixels: a quad has the pixels whose centres it covers
 
+// The number of a corner of a quad, and which of the quads it is of.
+fn corner_and_copy(vertex: u32) -> vec2u {
+    if (!PANORAMA) {
+        return vec2u(vertex, 1u);
+    }
+    // Four corners, the last of them again, and the first of the next quad again.
+    let place = vertex % 6u;
+    if (place == 5u) {
+        return vec2u(0u, vertex / 6u + 1u);
+    }
+    return vec2u(min(place, 3u), vertex / 6u);
+}
+
 @vertex
-fn corner_of(@builtin(vertex_index) corner: u32, @builtin(instance_index) instance: u32) -> Corner {
+fn corner_of(@builtin(vertex_index) vertex: u32, @builtin(instance_index) instance: u32) -> Corner {
+    let numbers = corner_and_copy(vertex);
+    let corner = numbers.x;
     let id = order[counts[VISIBLE] - 1u - instance];
-    let shape = shapes[id];
+    var shape = shapes[id];
+    if (PANORAMA) {
+        shape.x += (f32(numbers.y) - 1.0) * frame.period;
+    }
     let weight = weights[id];
     // The covariance from what is kept: its yy, and the conic.
     let yy = weight.w;
@@ -55,7 +76,8 @@ fn color_at(corner: Corner) -> @location(0) vec4f {
     let above = corner.weight.y
         - 0.5 * (corner.shape.z * d.x * d.x + corner.weight.x * d.y * d.y)
         - corner.shape.w * d.x * d.y;
-    if (!(above >= 0.0)) {
+    // Farther than half a turn there is another quad of it.
+    if (!(above >= 0.0) || (PANORAMA && abs(d.x) > 0.5 * frame.period)) {
         discard;
     }
     let alpha = min(CULL_OPACITY * exp(above), MAX_ALPHA);
