@@ -18,7 +18,7 @@ from gsgen.contract.probes import Probe
 from gsgen.contract.sandbox import Limits
 from gsgen.contract.subject import read_subject
 from gsgen.contract.targets import load_target
-from gsgen.sdk import Cells, GaussianGenerator, Gaussians, GeneratorInvalid, export, inputs
+from gsgen.sdk import Cells, Gaussians, GeneratorInvalid, export, inputs
 from gsgen.sdk import wrap as wrapped
 from gsgen.sdk.binding import FrameSession
 from gsgen.sdk.constant import write_constant
@@ -27,42 +27,7 @@ from gsgen.sdk.float16 import write_float16
 from gsgen.sdk.live import Frame, Live
 from gsgen.sdk.live_comparison import disagreements
 from gsgen.sdk.packing import Packed, PackedGenerator
-
-CELLS, EACH = 8, 3
-WEIGHTS = WeightedSum(background=0.1, depth_range=9.0, opacity_divisor=2.0)
-
-
-class Bunches(GaussianGenerator):
-    """Cells that drift; later ones are hidden early in time, with their Gaussians."""
-
-    inputs = (inputs.time(),)
-    weighted_sum = WEIGHTS
-    count_semantics = "upper-bound"
-
-    def __init__(self) -> None:
-        super().__init__()
-        seeded = torch.Generator().manual_seed(8)
-        self.register_buffer("centre", torch.randn(CELLS, 3, generator=seeded))
-        off = 0.1 * torch.randn(CELLS, EACH, 3, generator=seeded)
-        self.register_buffer("offset", off.clamp(-0.2, 0.2))
-        self.register_buffer("rotation", torch.randn(CELLS, 4, generator=seeded))
-        self.register_buffer("scale", 0.2 + 0.1 * torch.rand(CELLS, 3, generator=seeded))
-        self.register_buffer("rgb", torch.rand(CELLS * EACH, 3, generator=seeded))
-
-    def forward(self, time: torch.Tensor) -> Gaussians:
-        centre = self.centre + time * torch.tensor([0.3, 0.0, -0.2])
-        shown = (self.centre[:, :1] < 1 + 4 * (time - 0.5)).to(torch.float32)
-        opacity = 0.8 * shown.expand(CELLS, EACH)
-        spread = self.scale[:, None].expand(CELLS, EACH, 3) / 3
-        turned = self.rotation[:, None].expand(CELLS, EACH, 4)
-        return Gaussians(
-            position=(centre[:, None] + self.offset).reshape(-1, 3),
-            opacity=opacity.reshape(-1),
-            scale=spread.reshape(-1, 3),
-            rotation=turned.reshape(-1, 4),
-            rgb=self.rgb,
-            cells=Cells(centre, shown * 0.75, self.scale, self.rotation),
-        )
+from support.generators import CELLS, EACH, WEIGHTS, Bunches
 
 
 @pytest.fixture(scope="module")

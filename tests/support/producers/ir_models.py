@@ -116,6 +116,6 @@ def models() -> Iterator[Good]:
     face = Input("face", "expression", shape=(10,), range=(0.0, 1.0), default=(0.5,) * 10)
     yield one("expression", face, (10,), basis, "MatMul")
     slider = Input("explode", "control", range=(0.0, 2.0), default=1.0, label="Explode")
-    yield one("slider", slider, (1,), speed, "Mul", antialias="mip", blend="wsr")
+    yield one("slider", slider, (1,), speed, "Mul", antialias="mip")
     loose = Tolerances(position=0.01)
     yield one("own tolerances", slider, (1,), speed, "Mul", tolerances=loose)

@@ -25,7 +25,7 @@ from gsgen.contract.manifest import (
     Tolerances,
 )
 from gsgen.sdk import export
-from support.generators import Drift, Lit
+from support.generators import Bunches, Drift, Lit
 from support.producers.good import UP, Good, declared, scene
 
 _SDK = "torch.onnx, by gsgen.sdk"
@@ -105,11 +105,13 @@ def _enhanced() -> bytes:
 
 @cache
 def _by_sdk(kind: str) -> tuple[bytes, GeneratorManifest]:
-    made = {"drift": Drift, "lit": Lit}[kind]()
+    made = {"drift": Drift, "lit": Lit, "bunches": Bunches}[kind]()
     dtype = "float16" if kind == "drift" else "float32"
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "m.onnx"
-        exported = export(made, path, dtype=dtype, capacity=256)
+        exported = export(
+            made, path, dtype=dtype, capacity=255 if made.weighted_sum else 256
+        )
         return path.read_bytes(), exported.manifest
 
 
@@ -171,11 +173,14 @@ def models() -> Iterator[Good]:
         for change in (_as_it_is, _with_all_shapes, _nameless):
             name = f"{kind} {change.__name__.strip('_')}"
             yield Good(name, _SDK, partial(_own, kind, change), target)
+    yield Good(
+        "cells of a weighted sum", _SDK, partial(_own, "bunches", _as_it_is), "webgpu"
+    )
     yield Good("drift in opset 20", _SDK, partial(_own, "drift", _of_opset_20))
     loose = partial(_own, "drift", _as_it_is, tolerances=Tolerances(position=0.01))
     yield Good("drift with its own tolerances", _SDK, loose)
     for index, up in enumerate(UP):
         order = _ORDERS[index % 2]
-        draw = partial(_foreign, order, up, blend=("alpha", "wsr")[index // 3])
+        draw = partial(_foreign, order, up)
         yield Good(f"tinted, up {up}, {order} matrices", _PLAIN, draw, "webgpu")
     yield Good("enhanced, any size", _PLAIN, _sharpened)
