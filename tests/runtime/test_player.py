@@ -12,10 +12,13 @@ from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
 from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.inference import _Kept
 from gsgen.runtime.plan import Plan
 from gsgen.runtime.player import GeneratorPlayer, Player, Shot
 from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.sources import GeneratorSource
+from gsgen.runtime.splat_data import SplatData
 from gsgen.sdk.binding import FrameSession, InputInvalid
 
 CAMERA = Camera.orbit((0, 0, 0), 4, width=48, height=32)
@@ -290,3 +293,63 @@ def test_closing_twice_does_no_harm_and_ends_the_thread(
     assert threading.active_count() == before
     with pytest.raises(GsgenError, match="closed"):
         player.render(CAMERA)
+
+
+def test_cells_of_a_generator_are_summed_by_weights(
+    tmp_path: Path, renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = find("weighted_sum").write(tmp_path)
+    with FrameSession(path, provider="cpu") as session:
+        frame = session.run(copy=True)
+        outputs, weighted = session.manifest.outputs, session.manifest.weighted_sum
+        data = SplatData(
+            frame[outputs.gaussians.name],
+            frame[outputs.appearance.name],
+            outputs.appearance.space,
+            count=frame.count,
+            cells=frame[outputs.cells.name],
+            per_cell=outputs.cells.per_cell,
+        )
+    wanted = renderer.render(Scene([SplatSet(data, weighted=weighted)]), CAMERA)
+    sorted_ = renderer.render(Scene([data]), CAMERA)
+    with GeneratorPlayer(path, provider="cpu", renderer=renderer) as player:
+        assert np.array_equal(player.render(CAMERA).rgba, wanted.rgba)
+        assert not np.array_equal(wanted.rgba, sorted_.rgba)
+        seen = Uploads(monkeypatch)
+        seen.bytes["cells"] = 0
+        player.render(CAMERA)
+    assert set(seen.bytes.values()) == {0}
+
+
+def test_outputs_are_compared_bit_by_bit_over_what_is_live() -> None:
+    rows = np.arange(40, dtype=np.float32).reshape(4, 10)
+    kept = _Kept()
+    first = kept.take(rows, 3)
+    assert first is not None
+    assert kept.take(rows.copy(), 3) is None
+    other = rows.copy()
+    other[3] = 7  # behind the count
+    assert kept.take(other, 3) is None
+    assert kept.take(other, 2) is None
+    assert np.array_equal(kept.take(other, 4), other)  # more than were there
+    zero = other.copy()
+    zero[0, 0] = -0.0  # equal, and not the same
+    second = kept.take(zero, 4)
+    assert second is not None
+    assert np.signbit(second[0, 0])
+    zero[1, 1] = np.nan
+    third = kept.take(zero, 4)
+    assert third is not None
+    assert kept.take(zero.copy(), 4) is None  # NaN is itself
+    assert kept.take(zero, 0) is None
+    assert np.signbit(second[0, 0])  # what is drawn stays while the next is written
+
+
+def test_a_long_output_is_compared_to_its_end() -> None:
+    for dtype in (np.float32, np.float16):
+        rows = np.ones((30_000, 10), dtype)
+        kept = _Kept()
+        kept.take(rows, None)
+        rows[-1, -1] = 2
+        assert np.array_equal(kept.take(rows, None), rows)
+        assert kept.take(rows, None) is None

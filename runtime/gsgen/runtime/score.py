@@ -50,7 +50,7 @@ class Score:
         self, takers: Sequence[Taker], tracks: Sequence[Track], time: float | None = None
     ) -> None:
         self._takers, self._tracks, self._time = list(takers), list(tracks), time
-        if time is not None and not any(taker.named("time") for taker in takers):
+        if time is not None and not any(_of_role(taker, "time") for taker in takers):
             raise ConfigInvalid("no scene has a time", where="--time")
         self._lengths = [self._length(track) for track in tracks]
 
@@ -98,7 +98,7 @@ class Score:
             for one, ends in self._playing(taker):
                 made[one.name] = _moment(one, ends, number, frames)
         if self._time is not None:
-            made |= {one.name: self._time for one in taker.named("time")}
+            made |= {one.name: self._time for one in _of_role(taker, "time")}
         for track in self._tracks:
             for one in taker.named(track.word):
                 value = track.at(taker.shape(one.name), number, frames)
@@ -110,11 +110,16 @@ class Score:
         """Return what goes on by itself, from where to where: times, else frame numbers."""
         told = {one.name for track in self._tracks for one in taker.named(track.word)}
         if self._time is not None:
-            told |= {one.name for one in taker.named("time")}
-        moving = [one for role in ("time", "frame_index") for one in taker.named(role)]
-        free = [one for one in moving if one.name not in told]
-        times = [one for one in free if one.role == "time"]
-        return [(one, one.range) for one in times or free if one.range is not None]
+            told |= {one.name for one in _of_role(taker, "time")}
+        times, numbers = (
+            [one for one in _of_role(taker, role) if one.name not in told]
+            for role in ("time", "frame_index")
+        )
+        return [(one, one.range) for one in times or numbers if one.range is not None]
+
+
+def _of_role(taker: Taker, role: str) -> list[Input]:
+    return [one for one in taker.inputs if one.role == role]
 
 
 def _counting(value: Shaped[np.ndarray, "..."]) -> Int64[np.ndarray, "..."]:

@@ -96,8 +96,16 @@ def _drawn(trial: Trial, renderer: Renderer) -> Iterator[Shown]:
         if outputs.count is not None:
             count = int(np.clip(tensors[outputs.count.name].reshape(-1)[0], 0, len(rows)))
         color = np.asarray(tensors[outputs.appearance.name])
-        data = SplatData(rows, color, outputs.appearance.space, count=count)
-        scene = Scene([SplatSet(data, antialias=manifest.antialias)])
+        data = SplatData(
+            rows,
+            color,
+            outputs.appearance.space,
+            count=count,
+            cells=np.asarray(tensors[outputs.cells.name]) if outputs.cells else None,
+            per_cell=outputs.cells.per_cell if outputs.cells else 1,
+        )
+        weighted = manifest.weighted_sum if manifest.blend == "wsr" else None
+        scene = Scene([SplatSet(data, antialias=manifest.antialias, weighted=weighted)])
         frame = renderer.render(scene, _camera(manifest, probe))
         yield Shown(probe.label, count, frame.visible, float(frame.alpha.max()))
 
