@@ -114,9 +114,12 @@ class Film:
             watch: Called before each frame with its number, from 1.
 
         Raises:
-            ConfigInvalid: The suffix means nothing, or is of one picture where there are several.
+            ConfigInvalid: The suffix means nothing, or is of one picture where there are several, or
+                of a film where the cameras' sizes differ.
         """
         suffix = path.suffix.lower()
+        if suffix in (".npy", *pictures.FILMS) and len(self._view.sizes) > 1:
+            raise _uneven(path, self._view.sizes)
         if suffix == ".npy":
             arrays = [pictures.array_of(one, self._mode) for one in self._drawn(watch)]
             pictures.save_array(path, np.stack(arrays) if self.frames > 1 else arrays[0])
@@ -167,6 +170,15 @@ class Film:
             "pairs": self._last.pairs,
             "device": self.player.renderer.device.name,
         }
+
+
+def _uneven(path: Path, sizes: set[tuple[int, int]]) -> ConfigInvalid:
+    listed = ", ".join(f"{width}×{height}" for width, height in sorted(sizes)[:4])
+    return ConfigInvalid(
+        f"has frames of one size, but the cameras have {listed}",
+        where=str(path),
+        mend="Give --width and --height, or a folder.",
+    )
 
 
 def _unfitting(path: Path, frames: int) -> ConfigInvalid:

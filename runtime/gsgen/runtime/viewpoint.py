@@ -51,6 +51,15 @@ class Viewpoint:
     around: bool = False
     notes: tuple[str, ...] = ()
 
+    @property
+    def sizes(self) -> set[tuple[int, int]]:
+        """Widths and heights that the cameras of a file have here; nothing without a file."""
+        return {
+            (self.width or one.width, self.height or one.height)
+            for one in self.cameras
+            if not self.around
+        }
+
     def camera(self, source: Source, number: int, turn: float) -> Camera:
         """Return the camera of frame ``number``.
 

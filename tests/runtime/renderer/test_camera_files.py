@@ -14,6 +14,9 @@ from gsgen.runtime.camera import Camera
 from gsgen.runtime.camera_files import CameraFile, open_cameras, split_pick
 from gsgen.runtime.camera_files.colmap_models import MODELS
 from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.film import Film
+from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.sources import StillSource
 from gsgen.runtime.viewpoint import viewpoint
 
 OPENGL = np.diag([1.0, -1, -1, 1])
@@ -378,3 +381,25 @@ def test_a_count_beyond_the_file_is_not_believed(tmp_path: Path) -> None:
         ConfigInvalid, match=r"says that it has \d+ records, but has \d+ bytes"
     ):
         open_cameras(folder)
+
+
+def test_films_have_frames_of_one_size(renderer: Renderer, tmp_path: Path) -> None:
+    path = write_own(some_cameras(3), tmp_path)
+    sizes = viewpoint(str(path)).sizes
+    assert len(sizes) == 3
+    assert viewpoint(str(path), width=40, height=30).sizes == {(40, 30)}
+    assert len(viewpoint(str(path), width=40, around=True).sizes) == 0
+    assert viewpoint(None).sizes == set()
+    film = Film([StillSource(points(tmp_path))], viewpoint(str(path)), renderer=renderer)
+    for name in ("a.npy", "a.gif"):
+        with pytest.raises(
+            ConfigInvalid, match=r"frames of one size, .*×.*\n.*--width and --height"
+        ):
+            film.write(tmp_path / name, None)
+        assert not (tmp_path / name).exists()
+
+
+def points(folder: Path) -> Path:
+    path = folder / "points.npz"
+    np.savez(path, points=np.zeros((4, 3), np.float32), colors=np.zeros((4, 3), np.uint8))
+    return path
