@@ -83,7 +83,8 @@ def test_project(renderer: Renderer, name: str) -> None:
     origin = project.frame_uniform(seen_by, NOTHING_BEHIND)["origin"]
     for i in np.flatnonzero(wanted.drawn & ~drawn):
         around = (wanted.mean[i] + origin, wanted.conic[i], wanted.strength[i] - 1e-4)
-        assert not touched_reference(*around, (seen_by.width, seen_by.height)).any()
+        size = (seen_by.width, seen_by.height)
+        assert not touched_reference(*around, size, seen_by.period).any()
     np.testing.assert_allclose(keys[drawn].view(np.float32), wanted.depth[drawn], rtol=1e-5)
     np.testing.assert_array_equal(weights[drawn, 2], keys[drawn].view(np.float32))
     size = np.abs(wanted.mean[drawn]).max() + 1
@@ -95,7 +96,17 @@ def test_project(renderer: Renderer, name: str) -> None:
     np.testing.assert_allclose(colors[drawn, :3], wanted.color[drawn], atol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["many", "needles", "huge", "principal_point_outside"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "many",
+        "needles",
+        "huge",
+        "principal_point_outside",
+        "panorama_seam",
+        "panorama_huge",
+    ],
+)
 def test_bins_hold_every_tile_that_a_splat_reaches(renderer: Renderer, name: str) -> None:
     scene, small = SCENES[name]()
     seen_by = small.scaled(150, 90)
@@ -123,7 +134,8 @@ def test_bins_hold_every_tile_that_a_splat_reaches(renderer: Renderer, name: str
     for i in order:
         conic = np.float64([shapes[i, 2], shapes[i, 3], weights[i, 0]])
         mean = shapes[i, :2].astype(np.float64) + origin
-        must = touched_reference(mean, conic, float(weights[i, 1]), (150, 90))
+        strength = float(weights[i, 1])
+        must = touched_reference(mean, conic, strength, (150, 90), seen_by.period)
         listed = np.zeros(must.size, bool)
         listed[tiles[members == i]] = True
         assert not (must.ravel() & ~listed).any()
@@ -187,9 +199,7 @@ def test_normals(renderer: Renderer) -> None:
 
 
 def test_a_shader_is_its_file_with_snippets_and_constants() -> None:
-    text = source(
-        "blend_tiles", COLUMNS=1, QUADS=2, CELLS=2, PICK=False, POLYNOMIAL=False
-    )
+    text = source("blend_tiles", COLUMNS=1, QUADS=2, CELLS=2, PICK=False, POLYNOMIAL=False)
     assert "//!" not in text
     assert "struct Frame" in text
     assert "const PICK: bool = false;" in text

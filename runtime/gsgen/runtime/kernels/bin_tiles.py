@@ -53,6 +53,7 @@ def touched_reference(
     conic: Float[np.ndarray, "3"],
     strength: float,
     size: tuple[int, int],
+    period: float = 0.0,
 ) -> Bool[np.ndarray, "rows columns"]:
     """Say which tiles have a pixel that a splat reaches: those that must be listed.
 
@@ -61,9 +62,12 @@ def touched_reference(
         conic: Inverse 2D covariance: xx, xy, yy.
         strength: Logarithm of the opacity over CULL_OPACITY.
         size: Width and height of the image.
+        period: Pixels of a whole turn, where the image is a panorama.
     """
     across, down = (-(-side // TILE) for side in size)
     dx = np.arange(size[0]) + 0.5 - mean[0]
+    if period:
+        dx = dx - period * np.round(dx / period)
     dy = np.arange(size[1])[:, None] + 0.5 - mean[1]
     power = 0.5 * (conic[0] * dx**2 + conic[2] * dy**2) + conic[1] * dx * dy
     reached = np.zeros((down * TILE, across * TILE), bool)
