@@ -234,3 +234,43 @@ def test_an_output_that_is_an_input_holds_what_was_fed(provider, tmp_path):
             frame = session.run({"x": fed})
             np.testing.assert_array_equal(frame["x"], fed)
             np.testing.assert_array_equal(frame["y"], np.multiply(fed, 2))
+
+
+@BOTH
+def test_an_output_whose_size_depends_on_values_says_so(provider, tmp_path):
+    """Its buffer was made for the first frame; ONNX Runtime's own words would name no output."""
+    text = (
+        "g (float[1] t) => (float[N,2] y) "
+        "<float[4,2] rows = {0,1,2,3,4,5,6,7}, int64[1] none = {0}> "
+        "{ n = Cast <to = 7> (t) y = Slice (rows, none, n) }"
+    )
+    ir.save(parsed(text), tmp_path / "m.onnx")
+    with FrameSession(tmp_path / "m.onnx", provider=provider, capture=False) as session:
+        assert session.run()["y"].shape == (0, 2)
+        with pytest.raises(RunFailed) as raised:
+            session.run({"t": 3})
+        assert raised.value.where == "output y"
+        assert raised.value.what.startswith(
+            "has shape [3,2], and had [0,2] when the session"
+        )
+        assert "num_points" in raised.value.mend
+        assert session.run({"t": 0})["y"].shape == (0, 2)
+
+
+@BOTH
+def test_an_update_says_which_inputs_changed(provider, models):
+    with FrameSession(models["drift-float32"], provider=provider, capture=False) as session:
+        assert session.update({"time": 0.5}) == {"time"}
+        assert session.update({"time": 0.5}) == frozenset()
+        assert session.update({}) == frozenset()
+        session.write({"time": np.asarray([np.nan], np.float32)})
+        assert session.update({"time": 0.0}) == {"time"}
+        session.write({"time": np.asarray([-0.0], np.float32)})
+        assert session.update({"time": 0.0}) == {"time"}  # not the same bits
+        assert session.run({"time": 0.5}).gaussians().position.shape == (5, 3)
+    with FrameSession(models["look-row"], provider=provider, capture=False) as session:
+        eye = np.eye(4)
+        assert session.update(camera=(eye, eye)) == frozenset()  # as the default is
+        moved = eye.copy()
+        moved[:3, 3] = 1
+        assert session.update(camera=(moved, eye)) == {"view"}
