@@ -179,6 +179,35 @@ def bench_quads(device: Device, scene: Scene, size: tuple[int, int]) -> None:
     say(f"by quads {taken['quads']:.3f}")
 
 
+def bench_panorama(device: Device, scene: Scene) -> None:
+    """All around, beside a picture of as many pixels that sees a part of it."""
+    eye, toward = (-0.5, -0.3, -0.4), (1.0, 0.1, 0.4)
+    straight = Camera.look_at(eye, np.add(eye, toward).tolist(), width=1024, height=512)
+    around = Camera.panorama(eye, toward, width=1024)
+    for name, camera in (("pinhole", straight), ("panorama", around)):
+        one = Renderer(device)
+        plan, placed, pairs = planned(one, scene, camera)
+
+        def frame(
+            *stages: str,
+            plan: Plan = plan,
+            placed: list[Placed] = placed,
+            camera: Camera = camera,
+        ) -> None:
+            plan.submit(placed, camera, NOTHING_BEHIND, only=stages or None)
+            plan.collect()
+
+        frame()
+        visible = int(device.read(plan.buffers["counts"], np.uint32, 4)[Counts.VISIBLE])
+        idle, projected, all_ = (
+            cpu(lambda: frame("none")),
+            cpu(lambda: frame("project")),
+            cpu(frame),
+        )
+        say(f"{name:8} 1024×512: {visible:,} visible, {pairs:,} pairs, ")
+        say(f"  project {projected - idle:.3f} CPU-s, frame {all_:.3f}")
+
+
 def bench_encoding(renderer: Renderer) -> None:
     small = Scene([room(1000)])
     camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=64, height=48)
