@@ -170,6 +170,8 @@ def render(
 ) -> None:
     """Draw SCENES: splat files and meshes, and generators that are run for every frame.
 
+    A scene.json says where each stands, and from where they are seen; options count more than it.
+
     Exits 0 if everything was written, 2 for wrong options, 4 if a scene cannot be read.
     """
     from gsgen.contract.commands.progress import clear, progress
