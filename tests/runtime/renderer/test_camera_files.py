@@ -214,6 +214,27 @@ def test_an_equirectangular_camera_is_a_panorama(tmp_path: Path) -> None:
     assert camera.fy * np.pi == pytest.approx(32)
 
 
+def test_an_equirectangular_camera_sees_where_nerfstudio_s_rays_go(tmp_path: Path) -> None:
+    """Nerfstudio's ray of a pixel: θ = −π (u − cx) / fl_x, polar angle π / 2 + π (v − cy) / fl_y."""
+    rng = np.random.default_rng(3)
+    to_world = np.linalg.inv(some_cameras(1, 9)[0].view)
+    frame: dict[str, object] = {"transform_matrix": to_world.tolist()}
+    path = transforms(
+        tmp_path, frame, camera_model="EQUIRECTANGULAR", fl_x=32, fl_y=32, w=64, h=32
+    )
+    camera = only(path)
+    for u, v in rng.uniform((0, 0), (64, 32), (50, 2)):
+        theta, polar = -np.pi * (u - 32) / 32, np.pi / 2 + np.pi * (v - 16) / 32
+        ray = np.array(
+            [-np.sin(theta) * np.sin(polar), np.cos(polar), -np.cos(theta) * np.sin(polar)]
+        )
+        at = to_world[:3, :3] @ ray * rng.uniform(0.5, 9) + to_world[:3, 3]
+        x, y, z, _ = camera.view @ [*at, 1]
+        seen_u = camera.fx * np.arctan2(x, z) + camera.cx
+        seen_v = camera.fy * np.arcsin(y / np.linalg.norm([x, y, z])) + camera.cy
+        assert (seen_u, seen_v) == pytest.approx((u, v), abs=1e-6)
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_lenses_of_colmap(model: str, tmp_path: Path) -> None:
     values = {"f": 40.0, "fx": 40.0, "fy": 50.0, "cx": 30.0, "cy": 20.0}
