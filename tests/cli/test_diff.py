@@ -61,3 +61,16 @@ def test_nan_equals_nan(tmp_path: Path) -> None:
 def test_a_file_that_is_no_model_exits_4(tmp_path: Path) -> None:
     (tmp_path / "no.onnx").write_bytes(bytes(np.arange(9, dtype=np.uint8)))
     assert gsgen("diff", tmp_path / "no.onnx", find("drift").write(tmp_path)).code == 4
+
+
+def test_cells_are_compared_as_rows_are(tmp_path: Path) -> None:
+    sketch = find("weighted_sum").draw()
+    a, b = tmp_path / "a.onnx", tmp_path / "b.onnx"
+    sketch.write(a)
+    sketch.altered(
+        "cell_rows", np.s_[1, 4], 0.25 + sketch.weights["cell_rows"][1, 4]
+    ).write(b)
+    ran = gsgen("diff", a, b)
+    assert ran.code == 1
+    assert "output  cells: up to 0.25 apart, 1 rows differ" in ran.out
+    assert "output  gaussians: equal bits" in ran.out

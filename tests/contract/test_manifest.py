@@ -7,12 +7,14 @@ from hypothesis import strategies as st
 
 from gsgen.contract.errors import ManifestInvalid, UnknownName
 from gsgen.contract.manifest import (
+    CellsOutput,
     GaussiansOutput,
     GeneratorManifest,
     GeneratorOutputs,
     Input,
     PostProcessManifest,
     TrajectoryManifest,
+    WeightedSum,
     manifest_type,
 )
 from gsgen.contract.manifest_json import Complaint, dumps, loads, parse
@@ -255,3 +257,64 @@ def test_an_unknown_kind_names_the_nearest():
     assert str(caught.value) == (
         "unknown kind 'gaussian-generater'\n  Did you mean 'gaussian-generator'?"
     )
+
+
+# ---- Cells -------------------------------------------------------------------------------------
+
+SUMMED = {
+    "blend": "wsr",
+    "weighted_sum": {"background": 0.1, "depth_range": 12.5},
+    "outputs": {"cells": {"name": "cells", "per_cell": 5}},
+}
+
+
+def test_cells_and_their_weights_are_read():
+    made = loads(text(**SUMMED, contract="1.1"))
+    assert made.outputs.cells == CellsOutput("cells", 5, "float32")
+    assert made.weighted_sum == WeightedSum(0.1, 12.5, 1.0)
+    assert loads(dumps(made)) == made
+    endless = loads(text(contract="1.1", weighted_sum={"background": 0}))
+    assert endless.weighted_sum.depth_range is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "where"),
+    [
+        ({"outputs": {"cells": {"name": "c"}}}, "outputs.cells"),
+        ({"outputs": {"cells": {"name": "c", "per_cell": 0}}}, "outputs.cells.per_cell"),
+        (
+            {"outputs": {"cells": {"name": "c", "per_cell": 2, "dtype": "int8"}}},
+            "outputs.cells.dtype",
+        ),
+        ({"weighted_sum": {}}, "weighted_sum"),
+        ({"weighted_sum": {"background": -0.1}}, "weighted_sum.background"),
+        (
+            {"weighted_sum": {"background": 0, "depth_range": 0}},
+            "weighted_sum.depth_range",
+        ),
+        (
+            {"weighted_sum": {"background": 0, "depth_range": None}},
+            "weighted_sum.depth_range",
+        ),
+        (
+            {"weighted_sum": {"background": 0, "opacity_divisor": 0}},
+            "weighted_sum.opacity_divisor",
+        ),
+    ],
+)
+def test_cells_and_weights_that_mean_nothing_are_refused(changes, where):
+    found = complaint(text(**changes, contract="1.1"))
+    assert (found.cause, found.where) == ("schema", where)
+
+
+def test_the_first_version_has_no_cells():
+    parsed = parse(text(**SUMMED))
+    assert [one.where for one in parsed.complaints] == ["", "outputs"]
+    assert parsed.complaints[0].saw == "'weighted_sum'"
+    assert parsed.complaints[1].saw == "'cells'"
+
+
+def test_a_weighted_sum_of_the_first_version_is_read_as_sorted():
+    parsed = parse(text(blend="wsr"))
+    assert parsed.manifest.blend == "alpha"
+    assert (parsed.manifest.contract, parsed.version) == ("1.1", (1, 0))

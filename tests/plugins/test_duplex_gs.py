@@ -273,8 +273,9 @@ def test_options_of_another_run_are_refused(tmp_path: Path) -> None:
         read_cells(folder)
 
 
-def test_a_scene_without_sigma_is_refused(tmp_path: Path) -> None:
-    folder = write_duplex(tmp_path, AnchorOptions(united=True), sigma=0.0)
+@pytest.mark.parametrize("sigma", [0.0, -1.0, np.inf, np.nan])
+def test_a_scene_without_sigma_is_refused(sigma: float, tmp_path: Path) -> None:
+    folder = write_duplex(tmp_path, AnchorOptions(united=True), sigma=sigma)
     with pytest.raises(CheckpointInvalid, match="sigma"):
         read_cells(folder)
 

@@ -7,11 +7,13 @@ place of scales, and spherical harmonics of how visible the cell is from a direc
 
 __all__ = ["CellCheckpoint", "Weighting", "describe_cells", "read_cells"]
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -164,12 +166,22 @@ def _weighting(info: Tensor, cfg: CfgArgs, path: Path) -> Weighting:
     if len(info) < _INFO:
         what = f"has {len(info)} cells; info holds {_INFO} numbers in the first rows"
         raise CheckpointInvalid(what, where=str(path))
-    sigma, background, grade = (float(value) for value in info[2:_INFO])
-    if not (sigma > 0 and grade > 0):
-        what = f"info is {info[:_INFO].tolist()}, wanted sigma and ET_grade above 0"
+    sigma, background, grade = (_written(float(value)) for value in info[2:_INFO])
+    if not (
+        sigma > 0 and grade > 0 and all(map(math.isfinite, (sigma, background, grade)))
+    ):
+        what = (
+            f"info is {info[:_INFO].tolist()}, wanted finite numbers, and sigma and ET_grade "
+            "above 0"
+        )
         raise CheckpointInvalid(what, where=str(path))
-    weight = max(background, 0.0) + _LEAST_BACKGROUND
+    weight = _written(max(background, 0.0) + _LEAST_BACKGROUND)
     return Weighting(sigma, weight, grade, cfg.flag("depth_correct"))
+
+
+def _written(value: float) -> float:
+    """Return a number of float32 as people write it: 0.15, not 0.15000000596."""
+    return float(str(np.float32(value)))
 
 
 def describe_cells(read: CellCheckpoint) -> str:
