@@ -3,6 +3,7 @@
 import json
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -131,10 +132,27 @@ def write_colmap_text(cameras: list[Camera], folder: Path) -> Path:
     return folder
 
 
+def write_path(cameras: list[Camera], folder: Path) -> Path:
+    """Nerfstudio's viewer: one size, square pixels, and a vertical angle for each frame."""
+    frames = [
+        {
+            "camera_to_world": (np.linalg.inv(one.view) @ OPENGL).ravel().tolist(),
+            "fov": float(np.degrees(2 * np.arctan(one.height / 2 / one.fy))),
+            "aspect": one.width / one.height,
+        }
+        for one in cameras
+    ]
+    size = {"render_width": float(cameras[0].width), "render_height": cameras[0].height}
+    path = folder / "path.json"
+    path.write_text(json.dumps(size | {"seconds": 4, "fps": 24, "camera_path": frames}))
+    return path
+
+
 WRITERS: dict[str, Callable[[list[Camera], Path], Path]] = {
     "own": write_own,
     "transforms": write_transforms,
     "training": write_training,
+    "path": write_path,
     "colmap_binary": write_colmap_binary,
     "colmap_text": write_colmap_text,
 }
@@ -143,7 +161,10 @@ WRITERS: dict[str, Callable[[list[Camera], Path], Path]] = {
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", WRITERS)
 def test_what_was_written_is_read(name: str, seed: int, tmp_path: Path) -> None:
-    cameras = some_cameras(seed=seed, centred=name == "training")
+    cameras = some_cameras(seed=seed, centred=name in ("training", "path"))
+    if name == "path":
+        size = {"width": 640, "height": 480, "cx": 320, "cy": 240}
+        cameras = [replace(one, fx=one.fy, **size) for one in cameras]
     file = open_cameras(WRITERS[name](cameras, tmp_path))
     assert len(file.cameras) == len(cameras)
     assert file.notes == ()
@@ -212,6 +233,16 @@ def test_an_equirectangular_camera_is_a_panorama(tmp_path: Path) -> None:
     assert camera.kind == "panorama"
     assert camera.period == pytest.approx(64)
     assert camera.fy * np.pi == pytest.approx(32)
+
+
+def test_a_path_may_be_of_panoramas(tmp_path: Path) -> None:
+    path = write_path(some_cameras(2, centred=True), tmp_path)
+    path.write_text(
+        json.dumps(json.loads(path.read_text()) | {"camera_type": "equirectangular"})
+    )
+    for one in open_cameras(path).cameras:
+        assert one.camera.kind == "panorama"
+        assert one.camera.period == pytest.approx(one.camera.width)
 
 
 def test_an_equirectangular_camera_sees_where_nerfstudio_s_rays_go(tmp_path: Path) -> None:
@@ -327,6 +358,12 @@ WRONG = {
     "[[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]}]}": "no rotation with a translation",
     '[{"rotation": [[1,0],[0,1]], "position": [0,0,0]}]': "rotation is .* wanted 3×3 finite",
     '[{"rotation": [[1,0,0],[0,1,0],[0,0,1]], "position": "x"}]': "position is 'x', wanted 3 f",
+    '{"camera_path": [], "camera_type": "fisheye"}': "camera_type is 'fisheye', wanted persp",
+    '{"camera_path": []}': "has no frames",
+    '{"camera_path": [{}]}': "lacks render_width",
+    '{"camera_path": [{}], "render_width": 4, "render_height": 4}': "frame 0: lacks camera_to_w",
+    '{"camera_path": [{"camera_to_world": [1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1], "fov": 180}], '
+    '"render_width": 4, "render_height": 4}': "fov is 180.0, wanted degrees",
     '[{"view": 1}, {"fx": 2}]': "camera 0, camera: lacks fx",
     '[{"rotation": 1, "position": 2}, 5]': "camera 0: rotation is 1",
 }
@@ -360,7 +397,9 @@ def trouble(path: Path) -> str | None:
     return None
 
 
-@pytest.mark.parametrize("name", ["colmap_binary", "colmap_text", "transforms", "training"])
+@pytest.mark.parametrize(
+    "name", ["colmap_binary", "colmap_text", "transforms", "training", "path"]
+)
 def test_damaged_files_are_refused_or_read_but_never_worse(
     name: str, tmp_path: Path
 ) -> None:

@@ -11,13 +11,15 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera_files.colmap import FOLDERS, model_folder, read_colmap
 from gsgen.runtime.camera_files.file import CameraFile
 from gsgen.runtime.camera_files.own_json import is_own, read_own
+from gsgen.runtime.camera_files.path_json import is_path, read_path
 from gsgen.runtime.camera_files.training_json import is_training, read_training
 from gsgen.runtime.camera_files.transforms_json import is_transforms, read_transforms
 
 _LARGEST: Final = 256 << 20  # bytes of JSON: a hundred thousand cameras have a tenth of it
 _KNOWN: Final = (
-    "Known: cameras of gsgen, transforms.json (nerfstudio, Instant-NGP), cameras.json of 3D "
-    "Gaussian Splatting, and folders of COLMAP with cameras and images as .bin or .txt."
+    "Known: cameras of gsgen, transforms.json (nerfstudio, Instant-NGP), camera paths of "
+    "nerfstudio, cameras.json of 3D Gaussian Splatting, and folders of COLMAP with cameras and "
+    "images as .bin or .txt."
 )
 _IN_FOLDER: Final = ("transforms.json", "cameras.json", "transforms_train.json")
 
@@ -99,6 +101,8 @@ def _from_json(content: bytes, place: Path) -> CameraFile:
         raise ConfigInvalid(f"is no JSON: {error}", where=str(place)) from error
     if is_transforms(made):
         return read_transforms(made, str(place))
+    if is_path(made):
+        return read_path(made, str(place))
     if is_training(made):
         return read_training(made, str(place))
     if is_own(made):

@@ -9,11 +9,10 @@ __all__ = ["is_training", "read_training"]
 
 from typing import Any
 
-import numpy as np
-
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera_files.fields import made_camera, matrix, number, side, text
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
+from gsgen.runtime.camera_files.poses import view_from_opencv
 
 
 def is_training(made: object) -> bool:
@@ -37,9 +36,8 @@ def _camera(made: object, at: int, path: str) -> NamedCamera:
     where = f"{path}, camera {at}"
     if not isinstance(made, dict):
         raise ConfigInvalid(f"is a {type(made).__name__}, wanted an object", where=where)
-    turn = matrix(made, "rotation", (3, 3), where).T
-    view = np.eye(4)
-    view[:3, :3], view[:3, 3] = turn, -turn @ matrix(made, "position", (3,), where)
+    axes = matrix(made, "rotation", (3, 3), where)
+    view = view_from_opencv(axes, matrix(made, "position", (3,), where))
     width, height = side(made, "width", where), side(made, "height", where)
     fx, fy = number(made, "fx", where), number(made, "fy", where)
     middle = {"cx": width / 2, "cy": height / 2}

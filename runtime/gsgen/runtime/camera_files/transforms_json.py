@@ -13,13 +13,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera_files.fields import made_camera, matrix, number, side, text
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
+from gsgen.runtime.camera_files.poses import view_from_opengl
 
-_FROM_OPENGL: Final = np.diag([1.0, -1.0, -1.0, 1.0])
 _STRAIGHT: Final = (
     "PERSPECTIVE",
     "PINHOLE",
@@ -74,10 +72,7 @@ def read_transforms(made: Mapping[str, Any], path: str) -> CameraFile:
 
 def _camera(made: Mapping[str, Any], at: int, where: str) -> NamedCamera:
     width, height = side(made, "w", where), side(made, "h", where)
-    to_world = matrix(made, "transform_matrix", _shape(made, where), where)[:3]
-    turn = to_world[:, :3].T
-    view = np.eye(4)
-    view[:3, :3], view[:3, 3] = turn, -turn @ to_world[:, 3]
+    to_world = matrix(made, "transform_matrix", _shape(made), where)
     model = text(made, "camera_model", "PERSPECTIVE").upper()
     if made.get("is_fisheye") or model not in (*_STRAIGHT, _PANORAMA):
         raise ConfigInvalid(
@@ -90,7 +85,7 @@ def _camera(made: Mapping[str, Any], at: int, where: str) -> NamedCamera:
     scale = math.pi if model == _PANORAMA else 1.0  # there a radian has fl / π pixels
     camera = made_camera(
         where,
-        view=_FROM_OPENGL @ view,
+        view=view_from_opengl(to_world),
         fx=fx / scale,
         fy=fy / scale,
         cx=number(made, "cx", where) if "cx" in made else width / 2,
@@ -102,7 +97,7 @@ def _camera(made: Mapping[str, Any], at: int, where: str) -> NamedCamera:
     return NamedCamera(text(made, "file_path", str(at)), camera)
 
 
-def _shape(made: Mapping[str, Any], where: str) -> tuple[int, int]:
+def _shape(made: Mapping[str, Any]) -> tuple[int, int]:
     """Return the shape of the matrix: some writers leave the last row out."""
     held = made.get("transform_matrix")
     return (3, 4) if isinstance(held, list) and len(held) == 3 else (4, 4)
