@@ -6,10 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+import typer
+from PIL import Image
 
 from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
 from gsgen.runtime.camera import Camera
+from gsgen.runtime.commands.opening import opened, scene_files
 from gsgen.runtime.device import Device
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.placed_source import PlacedSource, local_camera
@@ -23,6 +26,11 @@ from support.commands import gsgen
 from support.splat_scenes import camera, cloud, turned
 
 SMALL = ("--width", "48", "--height", "32")
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Renderer:
+    return Renderer(Device.open())
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +88,7 @@ def test_a_quaternion_a_matrix_and_a_path_alone(folder: Path) -> None:
     assert np.array_equal(third, np.eye(4))
 
 
-def test_the_picture_is_that_of_the_scene(folder: Path) -> None:
+def test_the_picture_is_that_of_the_scene(folder: Path, renderer: Renderer) -> None:
     moved = np.eye(4)
     moved[:3, 3] = 0.2, 0, 0.5
     path = saved(
@@ -89,7 +97,6 @@ def test_the_picture_is_that_of_the_scene(folder: Path) -> None:
         models=["a.npz", {"path": "b.npz", "transform": moved.tolist()}],
         meshes=[{"path": "ball.ply", "translate": [0, 0, 4], "shading": "unlit"}],
     )
-    renderer = Renderer(Device.open())
     sources = open_scene(path)
     player = Player(sources, renderer=renderer)
     seen = player.render(Shot(camera()))
@@ -112,12 +119,11 @@ def test_a_generator_keeps_what_the_file_feeds_it(folder: Path) -> None:
         one.close()
 
 
-def test_a_camera_in_a_space_that_is_placed() -> None:
+def test_a_camera_in_a_space_that_is_placed(renderer: Renderer) -> None:
     """What a moved model shows a camera is what the model shows a camera that is moved back."""
     place = turned(0.7, (1, 2, 3), 1.5)
     place[:3, 3] = 0.3, -0.2, 1.0
     data, here = cloud(80, 3, degree=2), camera(fx=30.0, fy=31.0)
-    renderer = Renderer(Device.open())
     for one in (here, here.flattened(5.0)):
         there = renderer.render(Scene([SplatSet(data, place)]), one)
         back = renderer.render(Scene([data]), local_camera(one, place))
@@ -160,19 +166,23 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
     assert done.code == 0, done.err
     said = json.loads(done.out)
     assert (said["gaussians"], said["triangles"]) == (60, 80)
-    from PIL import Image
-
     with Image.open(out) as image:
         assert image.getpixel((0, 0)) == (16, 32, 48, 255)
         assert image.getpixel((24, 16))[:3] != (16, 32, 48)
-    wrong = gsgen(
-        "render", str(saved(folder, models=[{"path": "a.npz", "opacty": 1}])), "-o", "x.png"
-    )
-    assert wrong.code == 2
-    assert "models[0]: unknown field 'opacty'" in wrong.err
-    gone = gsgen("render", str(saved(folder, models=["gone.ply"])), "-o", "x.png")
-    assert gone.code == 4
-    assert "models[0].path: " in gone.err
+
+
+def test_the_command_s_exit_codes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(UnknownName, match="unknown field 'opacty'"):  # 2 by the app
+        scene_files([saved(folder, models=[{"path": "a.npz", "opacty": 1}])])
+    broken = folder / "scene.json"
+    broken.write_text("{")
+    with pytest.raises(typer.Exit) as unreadable:
+        scene_files([broken])
+    gone = saved(folder, models=["gone.ply"])
+    with pytest.raises(typer.Exit) as absent, opened([gone]):
+        pass
+    assert unreadable.value.exit_code == absent.value.exit_code == 4
+    assert "models[0].path: " in capsys.readouterr().err
 
 
 A = {"path": "a.npz"}
