@@ -13,6 +13,7 @@ import typer
 if TYPE_CHECKING:
     from gsgen.runtime.frame_cost import FrameCost, Span
 
+_CIRCLE = 360.0  # so that models that look at the camera have something to compute
 _MILLI = 1000
 _MEGA = 1e6
 
@@ -62,7 +63,7 @@ def bench_render(
 ) -> None:
     """Measure what a frame of SCENES costs: computing, drawing stage by stage, and memory.
 
-    The film that `gsgen render --frames` would make is played and not written. Wall and CPU time
+    A film is played and not written: times go through their range while an orbit turns. Wall and CPU time
     are those from one frame to the next; on a software driver, drawing is part of the CPU time.
     Stages are told by the device's timestamps where it has some.
     Exits 0 if it was measured, 2 for wrong options, 4 if a scene cannot be read.
@@ -80,7 +81,8 @@ def bench_render(
     sizes = sizes_of(size, "--size")
     with opened(scenes, provider=provider, sizes=sizes) as (sources, _):
         renderer = Renderer(rasteriser=rasteriser, compact=compact)
-        cost = measure(Film(sources, view, frames=frames, renderer=renderer), progress)
+        film = Film(sources, view, frames=frames, turn=_CIRCLE, renderer=renderer)
+        cost = measure(film, progress)
     clear()
     text = json.dumps(_document(scenes, cost), indent=2, ensure_ascii=False)
     if output is not None:
