@@ -2,6 +2,7 @@
 
 Run it with ``make demo``, or ``python docs/examples/demo.py OUT``. It uses the captured garden
 scene where ``GSGEN_SHARED`` (default ``../shared``) has it, and a generated one elsewhere.
+Then one model of each family of methods is made: see ``demo_families.py``.
 """
 
 # %%
@@ -14,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import demo_families
 import numpy as np
 import onnx
 from onnx import ModelProto, NodeProto, TensorProto, numpy_helper
@@ -132,6 +134,9 @@ def main() -> None:
     for name, (title, rule, damage) in BREAKS.items():
         show_broken(good, name, title, rule, damage)
     drawn = draw(model, source)
+    with step("exporting, judging and drawing a model of each family, two at a time"):
+        families = demo_families.make_all(OUT / "families", list(demo_families.FAMILIES))
+    demo_families.show(families, OUT / "families", console)
     console.print(f"[bold]Made:[/] {model} and four broken copies; the verdict is {report}")
     for line in drawn:
         console.print(f"      {line}")

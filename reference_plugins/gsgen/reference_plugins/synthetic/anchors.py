@@ -73,6 +73,7 @@ def write_octree(
     mode: str = "round",
     fork: int = 2,
     levels: int = 3,
+    distance: float = 6.0,
 ) -> Path:
     """Write a checkpoint of Octree-GS, and return ``folder``.
 
@@ -82,9 +83,11 @@ def write_octree(
         mode: How a level becomes a whole number: round, floor, ceil or progressive.
         fork: By how much a level is finer than the one before.
         levels: How many there are.
+        distance: At which level 0 is right.
     """
     rng = np.random.default_rng(options.seed)
     columns = _place(options) | _levels(options, levels, rng) | _payload(options, rng)
+    columns["info"][1] = distance
     _write(folder, options, columns, _cfg(options) | _level_cfg(options, mode, fork))
     return folder
 
@@ -119,7 +122,7 @@ def write_duplex(
     dropped = ("opacity", "scale_", "rot_")
     made = _payload(options, rng)
     columns |= {name: made[name] for name in made if not name.startswith(dropped)}
-    columns |= {f"anchor_size_{i}": rng.normal(-1.7, 0.3, n) for i in range(3)}
+    columns |= {f"anchor_size_{i}": rng.normal(-2.2, 0.3, n) for i in range(3)}
     columns |= {f"anchor_rot_{i}": rng.normal(0, 1, n) for i in range(4)}
     columns["anchor_shd_0"] = rng.normal(6, 1, n)
     rest = range((degree + 1) ** 2 - 1)

@@ -17,6 +17,7 @@ from gsgen.reference_plugins.diffusion.autoencoder import Autoencoder
 from gsgen.reference_plugins.diffusion.options import AutoencoderOptions, UNetOptions
 from gsgen.reference_plugins.diffusion.unet import UNet
 from gsgen.reference_plugins.stylise import Stylise, StyliseOptions
+from gsgen.reference_plugins.synthetic.handmade import draw_outlines, take_off_noise
 
 _WEIGHTS = "diffusion_pytorch_model.safetensors"
 _UNET: Mapping[str, Any] = {
@@ -52,6 +53,7 @@ def write_denoiser(
     *,
     latent: bool = False,
     schedule: Mapping[str, Any] | None = None,
+    smoothing: bool = False,
     seed: int = 0,
 ) -> Path:
     """Write a checkpoint in the layout of diffusers, and return ``folder``.
@@ -61,15 +63,21 @@ def write_denoiser(
         unet: Options of the U-Net that differ from those of a small one.
         latent: The U-Net works on latents of 4 channels, and there is an autoencoder.
         schedule: Options of the scheduler that differ from the usual ones.
+        smoothing: The U-Net takes off fine noise, by weights that are set by hand, not random ones.
         seed: Of all weights.
     """
     torch.manual_seed(seed)
     channels = {"in_channels": 4, "out_channels": 4} if latent else {}
     config = {**_UNET, **channels, **(unet or {})}
-    _write(folder / "unet", config, UNet(UNetOptions.of(_config(config))))
+    network = UNet(UNetOptions.of(_config(config)))
+    _disturb(network)
+    if smoothing:
+        take_off_noise(network)
+    _write(folder / "unet", config, network)
     if latent:
-        network = Autoencoder(AutoencoderOptions.of(_config(_VAE)))
-        _write(folder / "vae", _VAE, network)
+        coder = Autoencoder(AutoencoderOptions.of(_config(_VAE)))
+        _disturb(coder)
+        _write(folder / "vae", _VAE, coder)
     place = folder / "scheduler" / "scheduler_config.json"
     place.parent.mkdir(parents=True, exist_ok=True)
     place.write_text(json.dumps({**_SCHEDULE, **(schedule or {})}), "utf-8")
@@ -84,11 +92,27 @@ def write_denoiser(
 
 
 def write_stylise(
-    folder: Path, *, channels: int = 8, blocks: int = 2, seed: int = 0
+    folder: Path,
+    *,
+    channels: int = 8,
+    blocks: int = 2,
+    drawing: bool = False,
+    seed: int = 0,
 ) -> Path:
-    """Write the weights of a stylisation network that nobody trained, and return ``folder``."""
+    """Write the weights of a stylisation network that nobody trained, and return ``folder``.
+
+    Args:
+        folder: Where.
+        channels: Of the first convolution.
+        blocks: Residual ones.
+        drawing: The network draws outlines on paper, by weights that are set by hand.
+        seed: Of all weights, where they are random.
+    """
     torch.manual_seed(seed)
     network = Stylise(StyliseOptions(channels, blocks), (16, 16))
+    _disturb(network)
+    if drawing:
+        draw_outlines(network)
     _write(folder, {"channels": channels, "blocks": blocks}, network, "stylise.safetensors")
     return folder
 
@@ -97,11 +121,15 @@ def _config(values: Mapping[str, Any]) -> ModelConfig:
     return ModelConfig(Path("config.json"), values)
 
 
+def _disturb(network: nn.Module) -> None:
+    """Add noise, as norms and biases are not to be 1 and 0."""
+    with torch.no_grad():
+        for weight in network.parameters():
+            weight.add_(0.1 * torch.randn_like(weight))
+
+
 def _write(
     folder: Path, config: Mapping[str, Any], network: nn.Module, name: str = _WEIGHTS
 ) -> None:
-    with torch.no_grad():
-        for weight in network.parameters():  # norms and biases are not to be 1 and 0
-            weight.add_(0.1 * torch.randn_like(weight))
     write_safetensors(folder / name, network.state_dict())
     (folder / "config.json").write_text(json.dumps(dict(config)), "utf-8")

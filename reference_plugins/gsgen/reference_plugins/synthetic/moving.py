@@ -34,6 +34,7 @@ class HexPlaneOptions:
         depth: Of the layers behind the planes; 0 is the same as 1.
         flags: Options of ``cfg_args`` over their defaults, such as ``no_dshs=False``.
         degree: Of the spherical harmonics.
+        sway: How far Gaussians move, about, where the knot is three units wide.
         seed: Of all noise.
     """
 
@@ -45,6 +46,7 @@ class HexPlaneOptions:
     depth: int = 1
     flags: Mapping[str, bool] = field(default_factory=dict)
     degree: int = 3
+    sway: float = 0.15
     seed: int = 0
 
 
@@ -95,7 +97,8 @@ def _hexplane_state(options: HexPlaneOptions) -> dict[str, Tensor]:
         state |= _linear(f"{net}feature_out.{2 * layer}", inputs, wide, noise)
     for name, outputs in HEADS.items():
         state |= _linear(f"{net}{name}_deform.1", wide, wide, noise)
-        state |= _linear(f"{net}{name}_deform.3", wide, outputs, noise, 0.15)
+        gain = options.sway if name == "pos" else 0.15
+        state |= _linear(f"{net}{name}_deform.3", wide, outputs, noise, gain)
     if options.flags.get("static_mlp"):
         state |= _linear(f"{net}static_mlp.1", wide, wide, noise)
         state |= _linear(f"{net}static_mlp.3", wide, 1, noise)
@@ -111,6 +114,7 @@ def write_deformable(
     blender: bool = True,
     six_degrees: bool = False,
     width: int = 32,
+    sway: float = 0.2,
     seed: int = 0,
 ) -> Path:
     """Write a checkpoint of Deformable-3D-Gaussians, and return ``folder``.
@@ -121,6 +125,7 @@ def write_deformable(
         blender: Time goes through a network of its own.
         six_degrees: Points move along screws.
         width: Of the network; 256 in the published code.
+        sway: How far Gaussians move, about, where the knot is three units wide.
         seed: Of all noise.
     """
     noise = torch.Generator().manual_seed(seed)
@@ -129,12 +134,17 @@ def write_deformable(
     for layer in range(8):
         inputs = {0: embedded, 5: width + embedded}.get(layer, width)
         state |= _linear(f"linear.{layer}", inputs, width, noise, 1.5)
+    for layer in (
+        0,
+        5,
+    ):  # neighbours move alike: what changes quickly in space counts for less
+        state[f"linear.{layer}.weight"][:, 3:63] *= 0.4 ** (torch.arange(60) // 6)
     if blender:
         state |= _linear("timenet.0", 13, width, noise) | _linear(
             "timenet.2", width, 30, noise
         )
     for name in ("branch_w", "branch_v") if six_degrees else ("gaussian_warp",):
-        state |= _linear(name, width, 3, noise, 0.2)
+        state |= _linear(name, width, 3, noise, sway)
     state |= _linear("gaussian_rotation", width, 4, noise, 0.2)
     state |= _linear("gaussian_scaling", width, 3, noise, 0.004)
     write_cfg_args(folder, {"is_blender": blender, "is_6dof": six_degrees, "sh_degree": 3})
