@@ -23,12 +23,19 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return sorted(folder.iterdir())
 
 
+def pixels(path: Path) -> np.ndarray:
+    with Image.open(path) as picture:
+        return np.asarray(picture.convert("RGB"), float)
+
+
 def test_pictures_are_current(drawn: list[Path]) -> None:
     for path in drawn:
         kept = DOCS / "assets" / path.name
-        new, old = (np.asarray(Image.open(one).convert("RGB"), float) for one in (path, kept))
+        new, old = pixels(path), pixels(kept)
         assert new.shape == old.shape, path.name
-        difference = np.abs(new - old).mean()  # drivers differ by a little, palettes by more
+        difference = np.abs(
+            new - old
+        ).mean()  # drivers differ by a little, palettes by more
         assert difference < 0.5, f"{path.name}: run scripts/draw_conventions.py"
         assert kept.stat().st_size <= MOST_BYTES
 

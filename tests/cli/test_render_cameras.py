@@ -1,0 +1,70 @@
+"""`gsgen render` with files of cameras, and all around."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from support.commands import Ran, gsgen
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cloud, and cameras of an Instant-NGP file with a bent lens."""
+    made = tmp_path_factory.mktemp("cameras")
+    rng = np.random.default_rng(0)
+    colors = np.full((300, 3), 200, np.uint8)
+    np.savez(made / "cloud.npz", points=rng.normal(size=(300, 3)), colors=colors)
+    frames = [
+        {"file_path": f"images/{name}.jpg", "transform_matrix": to_world(z)}
+        for name, z in (("near", 4.0), ("far", 9.0))
+    ]
+    shared = {"camera_angle_x": 1.0, "w": 40, "h": 30, "k1": 0.05}
+    (made / "transforms.json").write_text(json.dumps(shared | {"frames": frames}))
+    return made
+
+
+def to_world(z: float) -> list[list[float]]:
+    matrix = np.eye(4)
+    matrix[2, 3] = z
+    return matrix.tolist()
+
+
+def drawn(folder: Path, *words: str) -> Ran:
+    return gsgen("render", "cloud.npz", "-o", "out.png", *words, cwd=folder)
+
+
+def picture(folder: Path) -> np.ndarray:
+    with Image.open(folder / "out.png") as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def test_a_camera_is_picked_by_the_name_of_its_picture(folder: Path) -> None:
+    done = drawn(folder, "--camera", "transforms.json#near")
+    assert done.code == 0, done.err
+    assert (
+        "note: transforms.json: the lens distortion of 2 of 2 frames is left out"
+        in done.err
+    )
+    image = picture(folder)
+    assert image.shape == (30, 40, 3)
+    assert image.max() > 100
+    wrong = drawn(folder, "--camera", "transforms.json#nera")
+    assert wrong.code == 2
+    assert "Did you mean 'near.jpg'? It has images/near.jpg, images/far.jpg" in wrong.err
+    assert "Traceback" not in wrong.err
+
+
+def test_a_panorama_is_twice_as_wide_as_high(folder: Path) -> None:
+    done = drawn(folder, "--panorama", "--width", "64")
+    assert done.code == 0, done.err
+    image = picture(folder)
+    assert image.shape == (32, 64, 3)
+    assert (
+        image.max(axis=(0, 2)) > 30
+    ).all()  # from the middle of the cloud: something all around
+    both = drawn(folder, "--panorama", "--orthographic")
+    assert both.code == 2
+    assert "were both given" in both.err
