@@ -101,7 +101,7 @@ class Film:
         """Return what frame ``number`` shows."""
         turn = self._turn * number / self.frames
         camera = self._view.camera(self.sources[0], number, turn)
-        return Shot(camera, self._score.values(number, self.frames))
+        return Shot(camera, self._score.values(number, self.frames), number)
 
     def write(
         self, path: Path, fps: float | None, watch: Callable[[int], None] = lambda _: None

@@ -35,10 +35,12 @@ class Shot:
         camera: From where, and how large.
         values: For each source, in their order, tensor name or role → value; and after them for
             each post-process model. What is not named keeps its value.
+        number: What an error calls the frame; None for how many were begun before it.
     """
 
     camera: Camera
     values: Sequence[Values] = ()
+    number: int | None = None
 
 
 @final
@@ -88,7 +90,7 @@ class Player:
         )
         self.renderer = renderer or Renderer()
         self._background, self._outputs = background, outputs
-        self._number = 0
+        self._begun = 0
 
     def render(self, shot: Shot) -> Frame:
         """Compute and draw one frame.
@@ -126,7 +128,8 @@ class Player:
 
     def _start(self, shot: Shot) -> int:
         """Begin to compute a frame, and return its number."""
-        number, self._number = self._number, self._number + 1
+        number = self._begun if shot.number is None else shot.number
+        self._begun += 1
         for source, values in zip(self._sources, _each(shot.values), strict=False):
             source.start(shot.camera, values, number)
         return number
