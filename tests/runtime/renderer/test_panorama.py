@@ -7,11 +7,13 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.geometry import symmetric
 from gsgen.runtime import oracle
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.kernels.project import frame_uniform, page_uniform, project_reference
 from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.scene import Scene
+from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
 from gsgen.runtime.viewpoint import viewpoint
 from gsgen.sdk.binding.camera import camera_values
@@ -102,6 +104,41 @@ def test_more_than_a_turn_is_refused() -> None:
         Camera(whole.view, 10, whole.fy, 50, whole.cy, 100, 50, kind="panorama")
     with pytest.raises(SceneInvalid, match="panorama, which cannot be flat"):
         whole.flattened(3)
+
+
+def test_covariances_are_those_of_the_projection_s_derivative(renderer: Renderer) -> None:
+    """Central differences of longitude and latitude, at random places and near the poles."""
+    rng = np.random.default_rng(11)
+    data = cloud(200, 12, size=0.2)
+    toward = rng.normal(size=(200, 3)) * (1, rng.choice([1, 5, 30]), 1)
+    data.rows[:, :3] = toward * rng.uniform(0.5, 3, (200, 1))
+    camera = Camera.panorama(
+        (0.1, 0.2, 0.3), (1, 0, 2), up=(0.2, -1, 0.3), width=400, height=180
+    )
+    page = page_uniform(SplatSet(data), camera, 0, 200, 200)
+    made = project_reference(data, frame_uniform(camera, np.zeros(3)), page)
+    focal = np.array([camera.fx, camera.fy])
+
+    def seen(point: np.ndarray) -> np.ndarray:
+        x, y, z = camera.view[:3, :3] @ point + camera.view[:3, 3]
+        return focal * [np.arctan2(x, z), np.arcsin(y / np.sqrt(x * x + y * y + z * z))]
+
+    sigma, checked = symmetric(data.rows[:, 4:]), 0
+    for number in np.flatnonzero(made.drawn):
+        center = data.rows[number, :3].astype(float)
+        step = 1e-5 * np.linalg.norm(center - camera.eye)
+        ends = [(seen(center + step * one), seen(center - step * one)) for one in np.eye(3)]
+        across = np.stack([high - low for high, low in ends], 1)
+        across[0] -= camera.period * np.round(across[0] / camera.period)  # over the seam
+        jacobian = across / (2 * step)
+        wanted = jacobian @ sigma[number] @ jacobian.T
+        xx, xy, yy = made.conic[number]
+        found = np.linalg.inv([[xx, xy], [xy, yy]]) - 0.3 * np.eye(2)
+        np.testing.assert_allclose(
+            found, wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max()
+        )
+        checked += 1
+    assert checked > 150
 
 
 def test_the_seam_may_be_anywhere(renderer: Renderer) -> None:

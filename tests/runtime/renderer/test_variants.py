@@ -16,7 +16,7 @@ def test_the_picture_is_the_same(device: Device, variant: str) -> None:
     other.subgroups = False
     other.software = variant == "without subgroups"
     renderer = Renderer(other)
-    for name in ("many", "placed", "huge", "nothing"):
+    for name in ("many", "placed", "huge", "nothing", "panorama_seam"):
         scene, camera = SCENES[name]()
         seen = renderer.render(scene, camera, outputs=("color", "depth"))
         wanted = oracle.render(scene, camera)
