@@ -24,8 +24,8 @@ class Frame:
         rgba: Red, green, blue multiplied by alpha, and alpha, [height, width, 4], as blended:
             in the colour space of the Gaussians, neither clipped nor quantised.
         alpha: How much of the background is covered, [height, width], in [0, 1].
-        depth: Mean distance along the camera's +z, weighted as the colours are, in world
-            units; infinite where nothing is.
+        depth: Mean distance along the camera's +z, in a panorama from the camera, weighted as the
+            colours are, in world units; infinite where nothing is.
         median_depth: Distance of the Gaussian that took half of the light; infinite where none
             did.
         ids: That Gaussian's place in the scene, or NOTHING; see ``Scene.locate``.
