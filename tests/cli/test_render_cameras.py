@@ -65,6 +65,3 @@ def test_a_panorama_is_twice_as_wide_as_high(folder: Path) -> None:
     assert (
         image.max(axis=(0, 2)) > 30
     ).all()  # from the middle of the cloud: something all around
-    both = drawn(folder, "--panorama", "--orthographic")
-    assert both.code == 2
-    assert "were both given" in both.err
