@@ -17,6 +17,7 @@ from gsgen.runtime.commands.render import render
 from gsgen.runtime.device import Device
 from gsgen.runtime.film import Film
 from gsgen.runtime.pictures import array_of, picture_of
+from gsgen.runtime.placed_source import PlacedSource
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.sources import Source, open_source
 from gsgen.runtime.tracks import Track
@@ -323,3 +324,19 @@ def test_everything_at_once(places: dict[str, str], tmp_path: Path) -> None:
     assert len(pictures) == 3
     assert not np.array_equal(pictures[0], pictures[1])
     assert pictures[0][..., :3].max() == 64  # white, twice half as bright
+
+
+def test_an_orbit_goes_around_a_moving_model_where_it_stands(
+    renderer: Renderer, moving: Path
+) -> None:
+    place = np.eye(4)
+    place[:3, 3] = 5, 0, -2
+    plain, source = film(renderer, moving, frames=3)
+    placed = PlacedSource(open_source(moving), place)
+    Film([placed], viewpoint(None, width=48, height=32), frames=3, renderer=renderer)
+    (center, reach), (wanted, as_far) = placed.extent(), source.extent()
+    np.testing.assert_allclose(center, wanted + place[:3, 3])
+    assert reach == as_far
+    assert plain.frames == 3
+    for one in (placed, source):
+        one.close()

@@ -2,7 +2,7 @@
 
 __all__ = ["Look", "PlacedSource"]
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, final
 
@@ -103,6 +103,11 @@ class PlacedSource(Source):
     def abandon(self) -> None:
         """Wait for the source; what is wrong concerns nobody."""
         self._inner.abandon()
+
+    def survey(self, moments: Iterable[tuple[int, Values]]) -> None:
+        """Bring the source to moments, whose extent becomes that of all."""
+        self._inner.survey((frame, {**values, **self._fixed}) for frame, values in moments)
+        self.data, self.seconds = self._inner.data, self._inner.seconds
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Return the shape of an input."""
