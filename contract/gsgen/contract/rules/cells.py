@@ -352,16 +352,18 @@ def rows_near_their_cell(emission: Emission) -> Iterator[Breach]:
     cells, rows = emission.cells, emission.gaussians
     if cells is None or rows is None or emission.zeros:
         return
-    count, per_cell = emission.count, _per_cell(emission)
-    wide = np.repeat(cells.astype(np.float32), per_cell, axis=0)[:count]
-    live = rows[:count].astype(np.float32)
-    drawn = np.isfinite(live).all(axis=1) & (live[:, OPACITY] >= CULL_OPACITY)
-    drawn &= np.isfinite(wide).all(axis=1) & (wide[:, VISIBILITY] > 0)
-    off = np.linalg.norm(live[:, POSITION] - wide[:, POSITION], axis=1)
+    wide, live = cells.astype(np.float32), np.asarray(rows[: emission.count], np.float32)
     trace = np.maximum(wide[:, COVARIANCE][:, [0, 3, 5]].sum(axis=1), 0)
-    reach = _REACH * np.sqrt(trace)
+    size = _REACH * np.sqrt(trace)
     if np.float16 in (cells.dtype, rows.dtype):
-        reach += _HALF_STEP * np.abs(wide[:, POSITION]).sum(axis=1)
+        size += _HALF_STEP * np.abs(wide[:, POSITION]).sum(axis=1)
+    seen = np.isfinite(wide).all(axis=1) & (wide[:, VISIBILITY] > 0)
+    centre, reach, seen = (
+        np.repeat(one, _per_cell(emission), axis=0)[: len(live)]
+        for one in (wide[:, POSITION], size, seen)
+    )
+    drawn = seen & np.isfinite(live).all(axis=1) & (live[:, OPACITY] >= CULL_OPACITY)
+    off = np.linalg.norm(live[:, POSITION] - centre, axis=1)
     yield Breach.rows(
         Where(emission.rows_place, "position"),
         drawn & ~(off <= reach),
