@@ -31,8 +31,8 @@ class Frame:
         ids: That Gaussian's place in the scene, or NOTHING; see ``Scene.locate``.
         normal: Unit vectors in world space that point towards the camera, [height, width, 3];
             zero where nothing is.
-        visible: How many Gaussians were drawn.
-        pairs: Of a splat and a tile it touches; what drawing costs grows with them.
+        visible: How many Gaussians were drawn; of those in cells, all that are in the image.
+        pairs: Of a tile and a splat, or a cell, that touches it; what drawing costs grows with them.
         color_space: Of ``rgba``.
     """
 

@@ -45,7 +45,7 @@ class Sums:
         ids: Its place in the scene; −1 for none.
         fragile: Pixels where float32 may decide otherwise.
         fragile_median: The same for the median.
-        visible: How many cells have tiles in the image.
+        visible: How many Gaussians reach a pixel's centre in a tile of their cell.
     """
 
     color: Float[np.ndarray, "h w 3"]
@@ -189,7 +189,7 @@ def sums(
         state.ids,
         state.fragile | end,
         state.fragile_median,
-        len(cells),
+        state.visible,
     )
 
 
@@ -199,7 +199,7 @@ class _State:
     def __init__(self, shape: tuple[int, int]) -> None:
         self.color, self.normal = np.zeros((*shape, 3)), np.zeros((*shape, 3))
         self.depth, self.total, self.behind = (np.zeros(shape) for _ in range(3))
-        self.through = np.ones(shape)
+        self.through, self.visible = np.ones(shape), 0
         self.median, self.ids = np.full(shape, np.inf), np.full(shape, -1)
         self.fragile, self.fragile_median = np.zeros(shape, bool), np.zeros(shape, bool)
 
@@ -237,6 +237,7 @@ class _State:
             self.total += amount
             self.behind += amount * behind
             some |= reached & cell.box
+            self.visible += bool((reached & cell.box).any())
             more = alpha > most
             second = np.where(more, most, np.maximum(second, alpha))
             most = np.where(more, alpha, most)

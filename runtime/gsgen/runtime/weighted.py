@@ -84,8 +84,7 @@ class WeightedPart:
         stages: What a frame does, stage by stage.
         buffers: What it does it with, by name.
         images: What it makes, by output; nothing where the result is a layer.
-        counts: Of cells and their pairs.
-        ranges: To be cleared before each frame.
+        counts: Of cells and their pairs, and of Gaussians that are drawn.
     """
 
     def __init__(
@@ -112,7 +111,7 @@ class WeightedPart:
         self._cells = sum(_cells(one) for one, _ in _sets(placed))
         self.counts = self._storage("counts of cells", counting.BYTES, extra="INDIRECT")
         device.write(self.counts, counting.initial(self._cells, pair_capacity))
-        self.ranges = self._storage("ranges of cells", 8 * self._tiles[0] * self._tiles[1])
+        self._ranges = self._storage("ranges of cells", 8 * self._tiles[0] * self._tiles[1])
         self._slots = device.uniform("pages with cells", PAGE.itemsize * len(placed))
         self._cell_slots = device.uniform("sets of cells", PAGE.itemsize * len(placed))
         self.stages = self._record(placed, outputs)
@@ -141,7 +140,9 @@ class WeightedPart:
         spans = self._storage("spans of cells", _VEC4 * self._cells)
         stages = {
             "project weighted": self._project(placed, (keys, shapes, weights, colors)),
-            "project cells": self._project_cells(placed, (columns[0].keys, circles, spans)),
+            "project cells": self._project_cells(
+                placed, (columns[0].keys, circles, spans, keys, self.counts)
+            ),
         }
         stages["sort cells"], order = self._sort(columns)
         pairs = [
@@ -149,7 +150,7 @@ class WeightedPart:
         ]
         stages["bin cells"] = self._bin(order, circles, pairs[0])
         stages["group cells"], members = self._group(pairs)
-        known = (self.ranges, members, spans, shapes, weights)
+        known = (self._ranges, members, spans, shapes, weights)
         if "color" in outputs or self._layers is not None:
             stages["sum"] = [self._blend("color", (*known, colors))]
         if "depth" in outputs and self._layers is None:
@@ -223,7 +224,7 @@ class WeightedPart:
             source=Counts.PAIRS,
             groups=Counts.SORT_PAIRS_GROUPS,
         )
-        mark = self._kernels.ranges.step(self.counts, pairs[at].keys, self.ranges)
+        mark = self._kernels.ranges.step(self.counts, pairs[at].keys, self._ranges)
         return [*steps, mark], pairs[at].values
 
     def _blend(self, name: str, resources: tuple[Any, ...], *, pick: bool = False) -> Step:
@@ -237,6 +238,11 @@ class WeightedPart:
         frame = self._frame if name == "color" else self._bare_frame
         kernel = self._kernels.blend(pick, self._panorama, self._published, 0)
         return kernel.step(self._tiles, (frame, *resources, self.images[name]))
+
+    def clear(self, encoder: Any) -> None:
+        """Encode that what is added up starts at zero."""
+        encoder.clear_buffer(self._ranges)
+        encoder.clear_buffer(self.counts, 4 * Counts.DRAWN, 4)
 
     def write(self, placed: Sequence[tuple[SplatSet, Page]], camera: Camera) -> None:
         """Write what changes from frame to frame.

@@ -27,6 +27,8 @@ class Counts(IntEnum):
     WANTED_PAIRS = 3
     """The same, room or not."""
     PAIR_CAPACITY = 4
+    DRAWN = 5
+    """Gaussians of the cells that are drawn, where it is cells that are sorted."""
     SORT_VISIBLE_GROUPS = 8
     WALK_VISIBLE_GROUPS = 12
     SORT_PAIRS_GROUPS = 16

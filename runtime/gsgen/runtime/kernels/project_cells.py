@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gsgen.runtime.device import Device
+from gsgen.runtime.kernels.counts import Counts
 from gsgen.runtime.kernels.kernel import Kernel, Step
 from gsgen.runtime.kernels.project import PAGE
 from gsgen.runtime.kernels.shader import LEAST_APART, ROUND, TILE
@@ -32,8 +33,9 @@ class ProjectCells:
             device,
             "project_cells",
             "project_cells",
-            ("uwww", "ur"),
+            ("uwwwrw", "ur"),
             THREADS=_THREADS,
+            DRAWN=int(Counts.DRAWN),
             CELL_REACH=CELL_REACH,
             **(ROUND if panorama else {}),
         )

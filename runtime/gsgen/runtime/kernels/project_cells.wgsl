@@ -9,6 +9,8 @@
 @group(0) @binding(1) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(2) var<storage, read_write> circles: array<vec4f>;  // middle, radius, how many tiles
 @group(0) @binding(3) var<storage, read_write> spans: array<vec4u>;    // first Gaussian, how many, 1 / divisor, weight of what is behind
+@group(0) @binding(4) var<storage, read> gaussian_keys: array<u32>;
+@group(0) @binding(5) var<storage, read_write> counts: array<atomic<u32>>;
 
 @group(1) @binding(0) var<uniform> page: Page;
 @group(1) @binding(1) var<storage, read> rows: array<vec2u>;  // of cells: a visibility in the place of an opacity
@@ -18,6 +20,14 @@
 //!include flatten
 //!include circle
 //!include cell_box
+
+fn count_drawn(first: u32) {
+    var drawn = 0u;
+    for (var id = first; id < first + page.per_cell; id++) {
+        drawn += select(0u, 1u, gaussian_keys[id] != ABSENT);
+    }
+    atomicAdd(&counts[DRAWN], drawn);
+}
 
 fn cell_key(own: u32, index: u32) -> u32 {
     let center = read_center(own);
@@ -44,6 +54,7 @@ fn cell_key(own: u32, index: u32) -> u32 {
     circles[index] = vec4f(made.mean, radius, f32(tiles));
     let first = page.first_gaussian + own * page.per_cell;
     spans[index] = vec4u(first, page.per_cell, bitcast<vec2u>(vec2f(page.inverse_divisor, page.behind)));
+    count_drawn(first);
     return bitcast<u32>(made.depth);
 }
 
