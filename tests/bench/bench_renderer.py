@@ -29,6 +29,7 @@ from gsgen.runtime.splat_data import SplatData
 
 MILLION = 1_000_000
 SIZES = {(1280, 720): 0.40, (640, 360): 0.30}  # CPU seconds to aim at
+GOAL_BYTES = 48  # per Gaussian without harmonics
 NOTHING_BEHIND = np.zeros(3)
 
 
@@ -233,21 +234,32 @@ def bench_encoding(renderer: Renderer) -> None:
     say(f"encode and submit {steps} dispatches: {1000 * min(taken):.2f} ms of one thread")
 
 
-def bench_memory(renderer: Renderer, scene: Scene) -> None:
+def bench_memory(device: Device, scene: Scene) -> None:
+    """Bytes per Gaussian: what stays on the GPU, and what a frame takes beside it."""
     camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=640, height=360)
-    plan, placed, _ = planned(renderer, scene, camera)
-    resident = sum(page.rows.size + page.appearance.size for _, page in placed) / MILLION
-    of_gaussians = ("keys of G", "values of G", "shapes", "weights", "colors")
+    data = scene.sets[0].data
+    for compact in (False, True):
+        renderer = Renderer(device, compact=compact)
+        stay = []
+        for degree in (0, 1, 2, 3):
+            some = SplatData(data.rows, data.appearance[:, : 3 * (degree + 1) ** 2], "sh")
+            pages = [page for _, page in renderer.placed(Scene([some]))]
+            stay.append(sum(page.rows.size + page.appearance.size for page in pages))
+        say("compact: " if compact else "exact: ")
+        say("  ".join(f"degree {d} {size / MILLION:.0f}" for d, size in enumerate(stay)))
+        say(
+            f"bytes stay per Gaussian (goal {GOAL_BYTES} at degree 0, and what is above it)"
+        )
+    plan, _, pairs = planned(renderer, scene, camera)
+    of_gaussians = ("keys of G", "values of G", "shapes", "weights", "colors", "origins")
     splats = sum(
         buffer.size
         for name, buffer in plan.buffers.items()
         if name.startswith(of_gaussians)
     )
     rest = sum(buffer.size for buffer in plan.buffers.values()) - splats
-    say(f"per Gaussian: {resident:.0f} bytes of rows and harmonics (float32, degree 3), ")
-    say(
-        f"{splats / MILLION:.0f} of the plan; besides {rest / 1e6:.0f} MB for pairs and image"
-    )
+    say(f"the plan of a frame takes {splats / MILLION:.0f} bytes per Gaussian, and ")
+    say(f"{rest / 1e6:.0f} MB for {pairs / MILLION:.1f} million pairs and the image")
     say(f"largest binding: {max(b.size for b in plan.buffers.values()) / 2**20:.0f} MiB, ")
     say(f"a page of {PAGE_ROWS:,} rows {PAGE_ROWS * 192 / 2**20:.0f} MiB")
 

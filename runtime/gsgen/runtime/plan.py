@@ -26,6 +26,7 @@ from gsgen.runtime.kernels.draw_meshes import (
 from gsgen.runtime.kernels.draw_quads import DrawQuads, QuadsStep
 from gsgen.runtime.kernels.kernel import Step, run
 from gsgen.runtime.kernels.normals import NormalsKernel
+from gsgen.runtime.kernels.order_ties import TIED, OrderTies
 from gsgen.runtime.kernels.project import (
     FRAME,
     PAGE,
@@ -34,7 +35,7 @@ from gsgen.runtime.kernels.project import (
     page_uniforms,
 )
 from gsgen.runtime.kernels.scan import Scan
-from gsgen.runtime.kernels.shader import TILE
+from gsgen.runtime.kernels.shader import ABSENT, TILE
 from gsgen.runtime.kernels.sort import KEY_BITS, Columns, RadixSort, cut_for
 from gsgen.runtime.kernels.tile_ranges import RANGE_BLOCK, TileRanges
 from gsgen.runtime.residency import Page
@@ -63,9 +64,12 @@ class Kernels:
             lambda pick, panorama, layers: BlendTiles(device, pick, panorama, layers)
         )
         self.project = cache(
-            lambda half, words, panorama: ProjectKernel(device, half, words, panorama)
+            lambda half, words, panorama, packed: ProjectKernel(
+                device, half, words, panorama, packed=packed
+            )
         )
-        self.normals = cache(lambda: NormalsKernel(device))
+        self.normals = cache(lambda packed: NormalsKernel(device, packed))
+        self.ties = cache(lambda: OrderTies(device, self.cut.walk))
         self.weighted = cache(
             lambda: WeightedKernels(device, self.cut, self.scan, self.sort, self.ranges)
         )
@@ -121,6 +125,7 @@ class Plan:
         self._tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
         self.pair_capacity = pair_capacity
         self._gaussians = sum(page.capacity for _, page in placed)
+        self._origins = _origins(placed)
         self._frame = device.uniform("frame", FRAME.itemsize)
         self._bare_frame = device.uniform("frame with nothing behind", FRAME.itemsize)
         self._slots = device.uniform("pages", PAGE.itemsize * max(1, len(placed)))
@@ -231,14 +236,15 @@ class Plan:
         made = []
         outputs = (self._frame, keys, *self._splats, colors)
         for slot, (_, page) in enumerate(placed):
-            kernel = self._kernels.project(page.half, page.stride, self._panorama)
+            kernel = self._kernels.project(
+                page.half, page.stride, self._panorama, page.packed
+            )
             made.append(kernel.step(outputs, self._slots, slot, page))
         return made
 
     def _normals(self, placed: Sequence[Placed], keys: Any, normals: Any) -> list[Step]:
-        kernel = self._kernels.normals()
         return [
-            kernel.step(keys, normals, self._slots, slot, page)
+            self._kernels.normals(page.packed).step(keys, normals, self._slots, slot, page)
             for slot, (_, page) in enumerate(placed)
         ]
 
@@ -253,6 +259,12 @@ class Plan:
             groups=Counts.SORT_VISIBLE_GROUPS,
             compacting=self._gaussians,
         )
+        if self._origins is not None:
+            origins = self._storage("origins", 4 * self._gaussians)
+            self._device.write(origins, self._origins)
+            keys, order = columns[at]
+            ties = self._kernels.ties()
+            steps.append(ties.step(self._gaussians, self._counts, keys, origins, order))
         return steps, columns[at].values
 
     def _bin(self, order: Any, colors: Any, pairs: Columns) -> list[Step]:
@@ -342,6 +354,7 @@ class Plan:
         if clock is not None:
             clock.begin()
         encoder.clear_buffer(self._ranges)
+        encoder.clear_buffer(self._counts, 4 * TIED, 4)
         if self._weighted is not None:
             self._weighted.clear(encoder)
         if self._meshes is not None:
@@ -362,11 +375,28 @@ class Plan:
         made = self._staging.read(dict.fromkeys(names, np.uint32))
         counts = _together([made.pop(name) for name in self._held])
         width, height = self._size
-        return counts, {
+        images = {
             # Rows that a texture was copied to are longer than the image is wide.
             name: words[: words.size // height * height].reshape(height, -1, 4)[:, :width]
             for name, words in made.items()
         }
+        if self._origins is not None and "depth" in images:
+            ids = images["depth"][..., 2]
+            known = ids != ABSENT
+            ids[known] = self._origins[ids[known]]
+        return counts, images
+
+
+def _origins(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
+    """Return where each row of the pages is by the order of the sets, or None: it is there."""
+    if all(page.rows_of is None for _, page in placed):
+        return None
+    parts, base = [], 0
+    for _, page in placed:
+        own = np.arange(page.first, page.first + page.capacity)
+        parts.append((own if page.rows_of is None else page.rows_of) + (base - page.first))
+        base += page.capacity
+    return np.concatenate(parts).astype(np.uint32)
 
 
 def _weighted(placed: Sequence[Placed]) -> list[Placed]:

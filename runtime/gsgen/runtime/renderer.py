@@ -14,6 +14,7 @@ from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInval
 from gsgen.runtime.frame import NOTHING, Frame, Output
 from gsgen.runtime.kernels.counts import Counts
 from gsgen.runtime.kernels.draw_meshes import PlacedMesh
+from gsgen.runtime.kernels.order_ties import TIED
 from gsgen.runtime.kernels.shader import ABSENT
 from gsgen.runtime.mesh_residency import MeshResidency
 from gsgen.runtime.plan import Kernels, Placed, Plan
@@ -37,8 +38,9 @@ class Renderer:
         device: Where to draw; the fastest there is where absent.
         rasteriser: What blends colours: compute shaders, tile by tile, or the hardware, a quad a
             splat. The hardware cannot stop at pixels that are finished.
-        compact: Keep harmonics and colours in float16: 136 bytes a Gaussian of degree 3 instead
-            of 232, and less to read; pictures differ by less than 1e-3.
+        compact: Keep harmonics and colours in float16, and covariances in 16 bytes: 128 bytes a
+            Gaussian of degree 3 instead of 232, 40 instead of 56 without harmonics, and less to
+            read; pictures differ by less than 1e-3, or 4e-3 where a threshold is met.
         page_rows: Gaussians of a page, which is what one dispatch and one binding have.
         published: Whether weighted sums count backgrounds as the method's own renderer does
             (Liu et al. 2025): what is behind keeps its whole weight in the numerator. Such
@@ -100,8 +102,13 @@ class Renderer:
         plan = self.plan(placed, camera, wanted, meshes)
         plan.submit(placed, camera, behind[:3], meshes=meshes)
         counts, images = plan.collect()
-        while counts[Counts.WANTED_PAIRS] > plan.pair_capacity:
-            self._grow(int(counts[Counts.WANTED_PAIRS]))
+        while counts[TIED] or counts[Counts.WANTED_PAIRS] > plan.pair_capacity:
+            if counts[TIED]:
+                for one in scene.sets:
+                    self._residency.leave(one.data)
+                placed = self._pages(scene)
+            else:
+                self._grow(int(counts[Counts.WANTED_PAIRS]))
             plan = self.plan(placed, camera, wanted, meshes)
             plan.submit(placed, camera, behind[:3], meshes=meshes)
             counts, images = plan.collect()
@@ -109,6 +116,11 @@ class Renderer:
 
     def placed(self, scene: Scene) -> list[Placed]:
         """Return each page of the scene with its set, uploaded where it is new or has changed."""
+        for data in dict.fromkeys(one.data for one in scene.sets):
+            self._residency.begin(data)
+        return self._pages(scene)
+
+    def _pages(self, scene: Scene) -> list[Placed]:
         return [
             (one, page) for one in scene.sets for page in self._residency.pages(one.data)
         ]

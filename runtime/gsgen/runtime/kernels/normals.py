@@ -16,11 +16,21 @@ _THREADS: Final = 64
 
 @final
 class NormalsKernel:
-    """``normals.wgsl``."""
+    """``normals.wgsl``.
 
-    def __init__(self, device: Device) -> None:
+    Args:
+        device: Where it runs.
+        packed: Whether rows are, as packing.py says.
+    """
+
+    def __init__(self, device: Device, packed: bool = False) -> None:
         self.kernel = Kernel(
-            device, "normals", "find_normals", ("rw", "ur"), THREADS=_THREADS
+            device,
+            "normals",
+            "find_normals",
+            ("rw", "ur"),
+            THREADS=_THREADS,
+            PACKED=packed,
         )
 
     def step(self, keys: Any, normals: Any, uniform: Any, slot: int, page: Any) -> Step:

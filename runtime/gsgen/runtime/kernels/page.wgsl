@@ -1,5 +1,5 @@
 // What all Gaussians of a page share, and how their rows are read. Written by project.py's
-// `page_uniform`. Needs `rows: array<vec2u>`, which are float32.
+// `page_uniform`. Needs `rows: array<vec2u>`, which are float32, or PACKED as packing.py says.
 
 struct Page {
     linear: mat3x3f,      // local → camera, without the translation
@@ -35,7 +35,7 @@ fn is_flat() -> bool {
 
 // Two columns are read at once: drivers on CPUs pay by the read, however short.
 fn columns(index: u32, pair: u32) -> vec2f {
-    return bitcast<vec2f>(rows[index * 5u + pair]);
+    return bitcast<vec2f>(rows[index * select(5u, 4u, PACKED) + pair]);
 }
 
 fn read_center(index: u32) -> Center {
@@ -44,7 +44,28 @@ fn read_center(index: u32) -> Center {
     return Center(vec3f(xy, z_opacity.x), z_opacity.y);
 }
 
+// L Lᵀ, of the lower triangle of L.
+fn read_packed_covariance(index: u32) -> mat3x3f {
+    let a = rows[index * 4u + 2u];
+    let b = rows[index * 4u + 3u];
+    let scale = bitcast<f32>(b.y);
+    let x = scale * unpack2x16snorm(a.x);             // xx yx
+    let y = scale * unpack2x16snorm(a.y);             // zx yy
+    let z = scale * unpack2x16snorm(b.x);             // zy zz
+    let xy = x.x * x.y;
+    let xz = x.x * y.x;
+    let yz = x.y * y.x + y.y * z.x;
+    return mat3x3f(
+        vec3f(x.x * x.x, xy, xz),
+        vec3f(xy, x.y * x.y + y.y * y.y, yz),
+        vec3f(xz, yz, y.x * y.x + dot(z, z)),
+    );
+}
+
 fn read_covariance(index: u32) -> mat3x3f {
+    if (PACKED) {
+        return read_packed_covariance(index);
+    }
     let a = columns(index, 2u);  // xx xy
     let b = columns(index, 3u);  // xz yy
     let c = columns(index, 4u);  // yz zz

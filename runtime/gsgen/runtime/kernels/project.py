@@ -186,9 +186,10 @@ class ProjectKernel:
     Args:
         device: Where it runs.
         half: Whether the appearance is float16.
-        stride: Of its rows, in words of 16 bytes.
+        stride: Of its rows, in words of 16 bytes; 0 where two rows share one.
         panorama: Whether the image is one.
         weighted: Whether its Gaussians are blended by weighted sums.
+        packed: Whether rows are, as packing.py says.
     """
 
     def __init__(
@@ -198,6 +199,7 @@ class ProjectKernel:
         stride: int,
         panorama: bool = False,
         weighted: bool = False,
+        packed: bool = False,
     ) -> None:
         self.kernel = Kernel(
             device,
@@ -209,6 +211,7 @@ class ProjectKernel:
             STRIDE=stride,
             NO_HARMONICS=NO_HARMONICS,
             WEIGHTED=weighted,
+            PACKED=packed,
             **(ROUND if panorama else {}),
         )
 

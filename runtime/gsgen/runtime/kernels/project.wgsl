@@ -29,6 +29,11 @@ const LARGEST_VARIANCE = 1e30;  // pixels²; the reciprocal still has all its di
 var<private> own: u32;  // the row of this invocation's Gaussian
 
 fn channels(group: u32) -> vec4f {
+    if (HALF_APPEARANCE && STRIDE == 0u) {
+        let two = appearance[own / 2u];
+        let four = select(two.xy, two.zw, own % 2u == 1u);
+        return vec4f(unpack2x16float(four.x), unpack2x16float(four.y));
+    }
     if (HALF_APPEARANCE) {
         let eight = appearance[own * STRIDE + group / 2u];
         let four = select(eight.xy, eight.zw, group % 2u == 1u);

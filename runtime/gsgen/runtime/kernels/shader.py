@@ -59,6 +59,7 @@ def source(name: str, **constants: int | float | bool) -> str:
         "TILE": TILE,
         "PANORAMA": False,
         "WEIGHTED": False,
+        "PACKED": False,
         "SPLAT_REACH": SPLAT_REACH,
         "LEAST_APART": LEAST_APART,
         "COPIES": 1,

@@ -1,0 +1,158 @@
+"""Rows that stay as they are become neighbours in memory; no picture shows it."""
+
+import numpy as np
+import pytest
+
+from gsgen.runtime import residency
+from gsgen.runtime.curve import along_curve
+from gsgen.runtime.device import Device
+from gsgen.runtime.kernels import counts as counting
+from gsgen.runtime.kernels.counts import Counts
+from gsgen.runtime.kernels.kernel import run
+from gsgen.runtime.kernels.order_ties import (
+    MOST_TIED,
+    TIED,
+    OrderTies,
+    order_ties_reference,
+)
+from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.scene import Scene, SplatSet
+from gsgen.runtime.splat_data import SplatData
+from support.splat_scenes import camera, cloud, turned
+
+ALL = ("color", "depth", "normal")
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few rows are enough."""
+    monkeypatch.setattr(residency, "ARRANGED_FROM", 1)
+
+
+def same(one: object, two: object) -> bool:
+    fields = ("rgba", "depth", "median_depth", "ids", "normal", "visible", "pairs")
+    return all(np.array_equal(getattr(one, f), getattr(two, f)) for f in fields)
+
+
+def test_the_curve_goes_through_the_smallest_cubes_first() -> None:
+    """Bit by bit, from the plain definition."""
+    cells = np.random.default_rng(0).integers(0, 1 << 21, (200, 3))
+    cells[0], cells[1] = 0, (1 << 21) - 1  # the bounding box is all there is
+    codes = [
+        sum(
+            ((int(cell[axis]) >> bit) & 1) << (3 * bit + axis)
+            for bit in range(21)
+            for axis in range(3)
+        )
+        for cell in cells
+    ]
+    np.testing.assert_array_equal(along_curve(cells * 0.25 - 7), np.argsort(codes))
+
+
+def test_the_curve_knows_points_that_are_none() -> None:
+    points = np.array([[1, 1, 1], [np.nan, 0, 0], [0, 0, 0], [np.inf, 0, 0]], np.float32)
+    assert along_curve(points).tolist() == [1, 2, 3, 0]
+    assert along_curve(points[1:2]).tolist() == [0]
+    assert along_curve(np.ones((3, 3), np.float32)).tolist() == [0, 1, 2]
+    assert along_curve(np.zeros((0, 3), np.float32)).tolist() == []
+
+
+@pytest.mark.parametrize("walk", [1, 4, 64])
+def test_ties_are_put_in_order(device: Device, walk: int) -> None:
+    rng = np.random.default_rng(walk)
+    lengths = np.concatenate([np.ones(200, int), [MOST_TIED, 2, 3, 40], np.ones(50, int)])
+    rng.shuffle(lengths)
+    keys = np.repeat(np.arange(len(lengths), dtype=np.uint32) * 3, lengths)
+    origins, order = (rng.permutation(len(keys)).astype(np.uint32) for _ in range(2))
+    tied, made = ordered(device, walk, keys, origins, order)
+    assert not tied
+    np.testing.assert_array_equal(made, order_ties_reference(keys, origins, order))
+    assert not np.array_equal(made, order)
+    keys = np.sort(np.append(keys, np.full(MOST_TIED + 1, 5, np.uint32)))
+    order = np.arange(len(keys), dtype=np.uint32)
+    assert ordered(device, walk, keys, order[::-1], order)[0]
+
+
+def ordered(
+    device: Device, walk: int, keys: np.ndarray, origins: np.ndarray, order: np.ndarray
+) -> tuple[bool, np.ndarray]:
+    counts = counting.initial(len(keys), 0)
+    counts[Counts.VISIBLE] = len(keys)
+    buffers = [device.storage("words", 4 * len(keys) + 64) for _ in range(4)]
+    for buffer, words in zip(buffers, (counts[:8], keys, origins, order), strict=True):
+        device.write(buffer, words)
+    encoder = device.raw.create_command_encoder()
+    run(encoder, [OrderTies(device, walk).step(len(keys), *buffers)], "ties")
+    device.raw.queue.submit([encoder.finish()])
+    tied = device.read(buffers[0], np.uint32, 8)[TIED]
+    return bool(tied), device.read(buffers[3], np.uint32, len(keys))
+
+
+def test_no_picture_shows_how_rows_are_arranged(device: Device, small: None) -> None:
+    """Two sets of several pages, one of them twice, one with rows that are not live."""
+    first, second = cloud(300, 1, degree=2), cloud(200, 2)
+    second.update(count=150)
+    first.rows[40:60, :3] = first.rows[20:40, :3]  # ties, which the earlier row wins
+    scene = Scene(
+        [
+            first,
+            SplatSet(second, turned(0.2, (0, 1, 0))),
+            SplatSet(first, turned(0.5, (0, 0, 1))),
+        ]
+    )
+    one = Renderer(device, page_rows=64)
+    before = one.render(scene, camera(), outputs=ALL)
+    assert all(page.rows_of is None for _, page in one.placed(Scene([cloud(5)])))
+    after = one.render(scene, camera(), outputs=ALL)
+    assert all(page.rows_of is not None for _, page in one.placed(scene))
+    assert same(before, after)
+    assert (before.ids >= 0).any()
+
+
+def anew(data: SplatData) -> Scene:
+    """The same values, which no renderer has seen."""
+    return Scene([SplatData(data.rows, data.appearance, data.space, count=data.count)])
+
+
+def test_what_changes_is_not_arranged_again(
+    device: Device, renderer: Renderer, small: None
+) -> None:
+    data, other = cloud(100, 3), cloud(100, 4)
+    one, scene = Renderer(device), Scene([data])
+
+    def arranged() -> bool:
+        frame = one.render(scene, camera(), outputs=ALL)
+        assert same(frame, renderer.render(anew(data), camera(), outputs=ALL))
+        return one._residency.pages(data)[0].rows_of is not None
+
+    assert [arranged(), arranged(), arranged()] == [False, True, True]
+    data.update(appearance=other.appearance)
+    assert [arranged(), arranged()] == [False, False]
+
+
+@pytest.mark.parametrize("change", ["rows", "appearance", "count"])
+def test_values_may_change_once_rows_are_arranged(
+    device: Device, renderer: Renderer, small: None, change: str
+) -> None:
+    data, other = cloud(100, 5), cloud(100, 6)
+    data.update(count=60)
+    one, scene = Renderer(device), Scene([data])
+    for _ in range(2):
+        one.render(scene, camera())
+    kept = {"count": 60} if change != "count" else {"count": 80}
+    data.update(**kept, **({} if change == "count" else {change: getattr(other, change)}))
+    assert same(
+        one.render(scene, camera(), outputs=ALL),
+        renderer.render(anew(data), camera(), outputs=ALL),
+    )
+
+
+def test_a_plane_seen_straight_on_is_not_arranged(device: Device, small: None) -> None:
+    """All its depths are one, and the earlier row is in front."""
+    data = cloud(400, 7, opacity=(0.5, 0.9))
+    data.rows[:, 2] = 4.0
+    one, scene = Renderer(device), Scene([data])
+    before = one.render(scene, camera(), outputs=ALL)
+    for _ in range(2):
+        assert same(one.render(scene, camera(), outputs=ALL), before)
+    assert one.placed(scene)[0][1].rows_of is None
