@@ -14,7 +14,9 @@ from support.splat_scenes import SCENES, camera, cloud, single, turned
 EVERYTHING = ("color", "depth", "normal")
 
 
-@pytest.mark.parametrize("name", ["many", "placed", "flat_cameras", "not_finite", "panorama"])
+@pytest.mark.parametrize(
+    "name", ["many", "placed", "flat_cameras", "not_finite", "panorama"]
+)
 def test_everything_is_the_oracles(renderer: Renderer, name: str) -> None:
     scene, camera = SCENES[name]()
     seen = renderer.render(scene, camera, outputs=EVERYTHING)
