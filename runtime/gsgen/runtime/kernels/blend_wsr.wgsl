@@ -21,6 +21,8 @@
 @group(0) @binding(7) var<storage, read_write> image: array<vec4u>;
 
 const ZERO = vec4f(0.0);
+
+//!include blend_opacity
 //!repeat ONCE LAYERED
 
 // The image is the first of LAYERS layers; meshes, if there are any, are the last, whose depths
@@ -92,7 +94,7 @@ fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_id) local
                 hit = hit & (vec4f(weight.z) <= limit_PART);
 //!end
                 if (any(hit)) {
-                    let bare = factors.x * min(CULL_OPACITY * exp(above), vec4f(MAX_ALPHA));
+                    let bare = factors.x * opacity(above);
                     let alpha = select(ZERO, min(bare, vec4f(MAX_ALPHA)), hit);
                     let amount = alpha * open_PART;
                     through_PART *= 1.0 - alpha;
