@@ -14,6 +14,7 @@ from gsgen.runtime.commands.bench_render import bench_render
 from gsgen.runtime.device import Device
 from gsgen.runtime.film import Film
 from gsgen.runtime.frame_cost import measure
+from gsgen.runtime.mesh import Mesh, MeshData
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.sources import open_source
 from gsgen.runtime.viewpoint import viewpoint
@@ -76,6 +77,23 @@ def test_figures_are_those_of_the_film(
         source.close()
 
 
+def test_what_the_rasteriser_draws_is_a_stage(
+    scenes: list[Path], renderer: Renderer
+) -> None:
+    if not renderer.device.has_clock:
+        pytest.skip("this device has no timestamps")
+    source = open_source(scenes[0])
+    triangle = MeshData(
+        np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.int32([[0, 1, 2]])
+    )
+    source.meshes = (Mesh(triangle),)
+    quads = Renderer(renderer.device, rasteriser="quads")
+    film = Film([source], viewpoint(None, 48, 32), frames=2, renderer=quads)
+    cost = measure(film)
+    assert list(cost.stages) == ["meshes", "project", "sort", "quads"]
+    assert min(cost.stages["meshes"], cost.stages["quads"]) > 0
+
+
 def test_the_table(scenes: list[Path], tmp_path: Path) -> None:
     done = gsgen("bench-render", *scenes, *SMALL, "-o", tmp_path / "new" / "cost.json")
     assert done.code == 0, done.err
@@ -94,7 +112,7 @@ def test_json_and_mistakes(scenes: list[Path]) -> None:
     words = [str(scenes[0]), *SMALL, "--json", "--compact"]
     read = json.loads(CliRunner().invoke(app, words).stdout)
     assert read["inference"] == {}
-    assert read["rows_bytes"] == 200 * (40 + 16)
+    assert read["rows_bytes"] == 200 * (32 + 8)  # packed, and three colours in float16
     assert read["size"] == [48, 32]
     assert CliRunner().invoke(app, ["nowhere.ply"]).exit_code == 4
     wrong = CliRunner().invoke(app, [str(scenes[1]), "--size", "J=2"]).exception

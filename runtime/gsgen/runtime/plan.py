@@ -358,12 +358,14 @@ class Plan:
         if self._weighted is not None:
             self._weighted.clear(encoder)
         if self._meshes is not None:
-            self._meshes.encode(encoder, background)
+            stamps = clock.around("meshes") if clock else None
+            self._meshes.encode(encoder, background, stamps)
         for name, steps in self.stages.items():
             if only is None or name in only:
                 run(encoder, steps, name, clock.around(name) if clock else None)
         if self._quads is not None:
-            self._quads.encode(encoder, background)
+            stamps = clock.around("quads") if clock else None
+            self._quads.encode(encoder, background, stamps)
         if clock is not None:
             clock.encode(encoder)
         self._staging.encode(encoder)

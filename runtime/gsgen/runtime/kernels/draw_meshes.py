@@ -127,7 +127,12 @@ class MeshesStep:
     size: tuple[int, int]
     layers: tuple[Step, ...]
 
-    def encode(self, encoder: Any, background: Float[np.ndarray, "3"]) -> None:
+    def encode(
+        self,
+        encoder: Any,
+        background: Float[np.ndarray, "3"],
+        stamps: dict[str, Any] | None = None,
+    ) -> None:
         """Draw over ``background``; the copies are made where there are layers."""
         targets = [
             _cleared(self.color, (*background.tolist(), 0.0)),
@@ -140,7 +145,10 @@ class MeshesStep:
             "depth_store_op": "store",
         }
         drawing = encoder.begin_render_pass(
-            label="meshes", color_attachments=targets, depth_stencil_attachment=depth
+            label="meshes",
+            color_attachments=targets,
+            depth_stencil_attachment=depth,
+            timestamp_writes=stamps,
         )
         drawing.set_pipeline(self.pipeline)
         for bind, corners in self.draws:

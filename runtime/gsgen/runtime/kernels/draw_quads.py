@@ -54,7 +54,12 @@ class QuadsStep:
     size: tuple[int, int]
     depth: Any
 
-    def encode(self, encoder: Any, background: Float[np.ndarray, "3"]) -> None:
+    def encode(
+        self,
+        encoder: Any,
+        background: Float[np.ndarray, "3"],
+        stamps: dict[str, Any] | None = None,
+    ) -> None:
         """Draw over ``background``, or over the meshes, and copy the picture to the image."""
         target = {
             "view": self.view,
@@ -66,7 +71,10 @@ class QuadsStep:
             None if self.depth is None else {"view": self.depth, "depth_read_only": True}
         )
         drawing = encoder.begin_render_pass(
-            label="quads", color_attachments=[target], depth_stencil_attachment=tested
+            label="quads",
+            color_attachments=[target],
+            depth_stencil_attachment=tested,
+            timestamp_writes=stamps,
         )
         drawing.set_pipeline(self.pipeline)
         drawing.set_bind_group(0, self.bind)
