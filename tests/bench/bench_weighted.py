@@ -1,0 +1,89 @@
+"""What weighted sums cost beside sorting the same Gaussians: CPU seconds, pairs and bytes.
+
+CPU seconds are those of the whole process, the driver's threads included; the least of several
+frames is printed.
+"""
+
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from gsgen.contract.geometry import covariance_upper
+from gsgen.contract.manifest import WeightedSum
+from gsgen.runtime.camera import Camera
+from gsgen.runtime.device import Device
+from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.scene import Scene, SplatSet
+from gsgen.runtime.splat_data import SplatData
+
+CELLS, PER_CELL, FRAMES = 50_000, 5, 5
+SORTED = ("keys of Gaussians", "values of Gaussians", "histogram")
+CELLED = ("keys of cells", "values of cells", "keys of weighted", "circles", "spans")
+
+
+def say(text: str) -> None:
+    sys.stdout.write(f"\n  {text}")
+
+
+@pytest.fixture(scope="module")
+def device() -> Device:
+    return Device.open()
+
+
+@pytest.fixture(scope="module")
+def data() -> SplatData:
+    """Cells in a deep box before the camera, five Gaussians in each, as a trained scene has them."""
+    rng = np.random.default_rng(0)
+    z = rng.uniform(2, 12, CELLS)
+    middle = np.stack(
+        [rng.uniform(-0.7, 0.7, CELLS) * z, rng.uniform(-0.5, 0.5, CELLS) * z, z], 1
+    )
+    extent = 0.03 * np.exp(0.4 * rng.normal(size=(CELLS, 3)))
+    ellipsoid = covariance_upper(extent, rng.normal(size=(CELLS, 4)))
+    cells = np.concatenate([middle, rng.uniform(0.3, 1, (CELLS, 1)), ellipsoid], 1)
+    n = CELLS * PER_CELL
+    size = np.repeat(extent, PER_CELL, axis=0)
+    center = np.repeat(middle, PER_CELL, axis=0) + size * rng.uniform(-1, 1, (n, 3))
+    shape = covariance_upper(0.5 * size, rng.normal(size=(n, 4)))
+    rows = np.concatenate([center, rng.uniform(0.1, 0.9, (n, 1)), shape], 1)
+    return SplatData(
+        rows.astype(np.float32),
+        rng.uniform(size=(n, 3)).astype(np.float32),
+        "rgb",
+        cells=cells.astype(np.float32),
+        per_cell=PER_CELL,
+    )
+
+
+@pytest.mark.parametrize("size", [(640, 360), (1280, 720)])
+def bench_sums_beside_sorting(
+    device: Device, data: SplatData, size: tuple[int, int]
+) -> None:
+    width, height = size
+    seen_by = Camera(
+        np.eye(4), width * 0.7, width * 0.7, width / 2, height / 2, width, height
+    )
+    weighted = WeightedSum(background=0.15, depth_range=20.0)
+    say(f"{len(data):,} Gaussians in {CELLS:,} cells at {width}×{height}")
+    taken = {}
+    for name, one, columns in (
+        ("sorted", SplatSet(data), SORTED),
+        ("summed", SplatSet(data, weighted=weighted), CELLED),
+    ):
+        renderer, scene = Renderer(device), Scene([one])
+        frame = renderer.render(scene, seen_by)
+        seconds = []
+        for _ in range(FRAMES):
+            began = time.process_time()
+            renderer.render(scene, seen_by)
+            seconds.append(time.process_time() - began)
+        taken[name] = min(seconds)
+        sizes = renderer._plan.buffers.items()
+        own = sum(held.size for label, held in sizes if label.startswith(columns))
+        say(
+            f"{name:7} {min(seconds):6.3f} CPU-s  {frame.pairs:9,} pairs  "
+            f"{own / len(data):5.1f} bytes a Gaussian to bring them into order"
+        )
+    say(f"summing takes {taken['summed'] / taken['sorted']:.2f} of sorting")
