@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gsgen.conformance.fixtures import find
+from gsgen.conformance.fixtures.moving import drifting
 from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
@@ -43,6 +44,8 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "avatar",
     ):
         find(name).write(folder)
+    fading = drifting().reworded("color = Identity (colors)", "color = Add (colors, time)")
+    fading.write(folder / "all_changing.onnx")
     return folder
 
 
@@ -155,6 +158,7 @@ ROW, COLOR = 40, 16  # bytes of a Gaussian; three colours are filled up to a wor
     ("model", "values", "runs", "rows", "appearance"),
     [
         ("drift", [{"time": t} for t in (0.2, 0.4, 0.6)], 3, 15, 0),
+        ("all_changing", [{"time": t} for t in (0.2, 0.4, 0.6)], 3, 15, 15),
         ("drift", [{"time": 0.3}] * 3, 1, 5, 0),
         ("drift", [{}] * 3, 0, 0, 0),
         ("appearance_id", [{"look": k} for k in (1, 2, 3)], 3, 0, 15),
