@@ -114,9 +114,70 @@ def test_what_is_not_finite_counts_where_it_is_on_one_side(
 
 def test_other_sizes_are_not_compared() -> None:
     a, c = encode(cloud(5, 1), np.float32)
-    assert comparable(emission(a, c, 1), emission(a[:4], c[:4], 1)) == (False, False)
-    assert comparable(emission(a, c[:, :7], 1), emission(a, c[:, :7], 1)) == (True, False)
-    assert comparable(emission(a, c, 1), emission(a, c, 1)) == (True, True)
+    assert comparable(emission(a, c, 1), emission(a[:4], c[:4], 1)) == (False, False, False)
+    assert comparable(emission(a, c[:, :7], 1), emission(a, c[:, :7], 1)) == (
+        True,
+        False,
+        False,
+    )
+    assert comparable(emission(a, c, 1), emission(a, c, 1)) == (True, True, False)
     assert not list(apart(emission(a, c, 1), emission(a[:4], c[:4], 1), tolerances(0)))
     none = emission(a[:0], c[:0], 1)
     assert not list(apart(none, none, tolerances(0)))
+
+
+# ---- Cells -------------------------------------------------------------------------------------
+
+
+def in_cells(cells: np.ndarray, count: int = 3) -> Emission:
+    """Twelve rows, three to a cell; those of the last cell are transparent."""
+    rows, color = encode(cloud(4 * count, None))
+    rows[-count:, 3] = 0
+    declared = AppearanceOutput("c", "rgb", None)
+    return Emission("p", False, {}, rows, color, len(rows), declared, NAMES, cells)
+
+
+def four_cells() -> np.ndarray:
+    made = encode(cloud(4, None, seed=3))[0]
+    made[2, 3] = 0
+    return made
+
+
+@pytest.mark.parametrize(
+    ("cell", "column", "by", "field"),
+    [
+        (0, 1, 0.01, "position"),
+        (1, 8, 0.01, "covariance"),
+        (1, 3, 0.01, "opacity"),
+        (2, 3, 0.01, "opacity"),  # not seen in one of both
+        (0, 1, 1e-8, ""),
+        (2, 1, 0.01, ""),  # not seen
+        (3, 1, 0.01, ""),  # nothing to be seen in it
+        (3, 3, 0.01, "opacity"),
+        (0, 1, np.nan, "position"),
+    ],
+)
+def test_cells_are_compared_in_the_units_of_rows(
+    cell: int, column: int, by: float, field: str
+) -> None:
+    known, other = four_cells(), four_cells()
+    other[cell, column] += by
+    found = list(apart(in_cells(known), in_cells(other), tolerances(1e-4)))
+    assert [(one.tolerance.field, one.row, one.of_cells) for one in found] == (
+        [(field, cell, True)] if field else []
+    )
+    trace = known[cell, [4, 7, 9]].sum()
+    unit = {"position": (trace / 3) ** 0.5, "covariance": trace}.get(field, 1.0)
+    if found and np.isfinite(by):
+        assert found[0].error == pytest.approx(by / unit, rel=1e-3)
+
+
+def test_cells_of_another_number_cannot_be_compared() -> None:
+    assert comparable(in_cells(four_cells()), in_cells(four_cells())) == (True, True, True)
+    for cells in (four_cells()[:2], None):
+        other = in_cells(four_cells())
+        changed = Emission(
+            *("p", False, {}, other.gaussians, other.appearance, 12, None, NAMES, cells)
+        )
+        assert comparable(other, changed) == (True, True, False)
+        assert not list(apart(other, changed, tolerances(0.0)))

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from gsgen.contract.emission import Emission
 from gsgen.contract.layout import (
@@ -15,6 +15,7 @@ from gsgen.contract.layout import (
     CULL_OPACITY,
     OPACITY,
     POSITION,
+    VISIBILITY,
 )
 from gsgen.contract.report import Tolerance
 from gsgen.contract.spherical_harmonics import basis, degree_of
@@ -36,11 +37,13 @@ class Apart:
         tolerance: The field, and what is allowed.
         row: The worst row.
         error: How far it is apart, in the tolerance's unit.
+        of_cells: The row is a cell; its visibility is measured as opacity.
     """
 
     tolerance: Tolerance
     row: int
     error: float
+    of_cells: bool = False
 
 
 def apart(
@@ -48,13 +51,21 @@ def apart(
 ) -> Iterator[Apart]:
     """Yield the fields that differ by more than their tolerance and what storage rounds.
 
-    Rows that neither draws are compared by their opacity alone. Nothing comes of outputs that are
-    no packed rows, or of another size; other rules say so.
+    Rows and cells that neither draws are compared by opacity and visibility alone. Nothing comes of
+    outputs that are no packed rows, or of another size; other rules say so.
     """
     rows = first.gaussians
-    if not comparable(first, second)[0] or rows is None or not len(rows):
+    judged, _, cells = comparable(first, second)
+    if not judged or rows is None or not len(rows):
         return
-    measured = dict(_measured(first, second))
+    yield from _beyond(dict(_measured(first, second)), tolerances, of_cells=False)
+    if cells:
+        yield from _beyond(dict(_cells_measured(first, second)), tolerances, of_cells=True)
+
+
+def _beyond(
+    measured: "dict[str, Measured]", tolerances: Sequence[Tolerance], *, of_cells: bool
+) -> Iterator[Apart]:
     for tolerance in tolerances:
         if tolerance.field not in measured:
             continue
@@ -65,18 +76,21 @@ def apart(
         excess = np.where(np.isfinite(error), error - explained, np.inf)
         if excess.max() > tolerance.value:
             row = int(np.argmax(excess))
-            yield Apart(tolerance, row, float(error[row]))
+            yield Apart(tolerance, row, float(error[row]), of_cells)
 
 
-def comparable(first: Emission, second: Emission) -> tuple[bool, bool]:
-    """Say whether the packed rows, and whether the colours, can be compared field by field."""
+def comparable(first: Emission, second: Emission) -> tuple[bool, bool, bool]:
+    """Say whether packed rows, colours and cells can each be compared field by field."""
     rows, others = first.gaussians, second.gaussians
     if rows is None or others is None or rows.shape != others.shape:
-        return False, False
+        return False, False, False
+    cells, peers = first.cells, second.cells
+    both = cells is not None and peers is not None and cells.shape == peers.shape
     color, other = first.appearance, second.appearance
     if color is None or other is None or color.shape != other.shape:
-        return True, False
-    return True, color.shape[1] in APPEARANCE_CHANNELS["sh" if first.is_sh else "rgb"]
+        return True, False, both
+    known = color.shape[1] in APPEARANCE_CHANNELS["sh" if first.is_sh else "rgb"]
+    return True, known, both
 
 
 Measured = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
@@ -88,9 +102,38 @@ def _measured(first: Emission, second: Emission) -> Iterator[tuple[str, Measured
     assert second.gaussians is not None
     a, b = (one.astype(np.float64) for one in (first.gaussians, second.gaussians))
     dtype = first.gaussians.dtype.name
+    shown = (a[:, OPACITY] >= CULL_OPACITY) | (b[:, OPACITY] >= CULL_OPACITY)
+    yield from _packed_measured(a, b, shown, dtype)
+    color, other = first.appearance, second.appearance
+    if color is not None and other is not None and comparable(first, second)[1]:
+        c, d = color.astype(np.float64), other.astype(np.float64)
+        error, largest = _colors_apart(first.is_sh, c, d)
+        yield "appearance", _where(shown, error, _ROUNDING[color.dtype.name] * largest)
+
+
+def _cells_measured(first: Emission, second: Emission) -> Iterator[tuple[str, Measured]]:
+    """Yield the same of cells; one is drawn if it is seen and has a row that is."""
+    assert first.cells is not None
+    assert second.cells is not None
+    a, b = (one.astype(np.float64) for one in (first.cells, second.cells))
+    shown = np.zeros(len(a), bool)
+    for one, cells in ((first, a), (second, b)):
+        assert one.gaussians is not None
+        opacity = one.gaussians[:, OPACITY].astype(np.float64)
+        most = opacity.reshape(len(cells), -1).max(axis=1)
+        shown |= ~(most * cells[:, VISIBILITY] < CULL_OPACITY)  # NaN is seen
+    yield from _packed_measured(a, b, shown, first.cells.dtype.name)
+
+
+def _packed_measured(
+    a: Float[np.ndarray, "n 10"],
+    b: Float[np.ndarray, "n 10"],
+    shown: Bool[np.ndarray, " n"],
+    dtype: str,
+) -> Iterator[tuple[str, Measured]]:
+    """Yield opacity, position and covariance of rows that are packed alike."""
     rounding, tiny = _ROUNDING[dtype], _TINY[dtype]
     yield "opacity", (_distance(a, b, OPACITY), np.full(len(a), rounding))
-    shown = (a[:, OPACITY] >= CULL_OPACITY) | (b[:, OPACITY] >= CULL_OPACITY)
     trace = np.maximum(a[:, _TRACE_COLUMNS].sum(axis=1), _NOTHING)
     sigma = np.sqrt(trace / 3)
     reach = np.abs(a[:, POSITION]).max(axis=1)
@@ -98,11 +141,6 @@ def _measured(first: Emission, second: Emission) -> Iterator[tuple[str, Measured
     yield "position", _where(shown, place, (rounding * reach + tiny) / sigma)
     spread = _ratio(_distance(a, b, COVARIANCE), trace)
     yield "covariance", _where(shown, spread, rounding + tiny / trace)
-    color, other = first.appearance, second.appearance
-    if color is not None and other is not None and comparable(first, second)[1]:
-        c, d = color.astype(np.float64), other.astype(np.float64)
-        error, largest = _colors_apart(first.is_sh, c, d)
-        yield "appearance", _where(shown, error, _ROUNDING[color.dtype.name] * largest)
 
 
 def _where(shown: np.ndarray, error: np.ndarray, rounding: np.ndarray) -> Measured:

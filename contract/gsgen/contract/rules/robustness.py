@@ -95,8 +95,8 @@ def optimiser_agrees(behaviour: Behaviour) -> Iterator[Breach]:
     Why:
         Optimisers rewrite graphs, and some rewrites are wrong or amplify rounding. Every runtime
         and every release has others, so such a model shows something else elsewhere. Packed rows
-        are compared field by field with the tolerances of the configuration, else the manifest's,
-        else the contract's; other outputs by one hundredth of their largest value.
+        and cells are compared field by field with the tolerances of the configuration, else the
+        manifest's, else the contract's; other outputs by one hundredth of their largest value.
 
     Mend:
         Find the operators by switching optimisations off one by one; write that part differently.
@@ -113,7 +113,11 @@ def optimiser_agrees(behaviour: Behaviour) -> Iterator[Breach]:
         )
         for one in apart(first, second, tolerances):
             yield _too_far(one, first)
-        parts = (subject.declared_gaussians, subject.declared_appearance)
+        parts = (
+            subject.declared_gaussians,
+            subject.declared_appearance,
+            subject.declared_cells,
+        )
         both = zip(parts, comparable(first, second), strict=True)
         compared = {part.name for part, judged in both if part is not None and judged}
         for name, value in base.outputs.items():
@@ -122,11 +126,12 @@ def optimiser_agrees(behaviour: Behaviour) -> Iterator[Breach]:
 
 
 def _too_far(one: Apart, emission: Emission) -> Breach:
-    tolerance = one.tolerance
-    of_color = tolerance.field == "appearance"
-    place = Where(
-        emission.color_place if of_color else emission.rows_place, tolerance.field
-    )
+    tolerance, field = one.tolerance, one.tolerance.field
+    output = emission.color_place if field == "appearance" else emission.rows_place
+    if one.of_cells:
+        output = emission.cells_place
+        field = "visibility" if field == "opacity" else field
+    place = Where(output, field)
     saw = f"row {one.row} differs by {one.error:.3g} without optimisations"
     source = {"default": "the contract's own", "config": "by the configuration"}
     want = (
