@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from gsgen.conformance.fixtures.moving import driven
+from gsgen.contract.manifest import Input
 from gsgen.sdk.binding import timing
 from gsgen.sdk.binding.timing import time_frames
 from gsgen.sdk.binding.timing_worker import _measure
@@ -36,6 +38,18 @@ def test_what_cannot_be_measured_is_told_apart(models, monkeypatch):
     assert absent.state == "unavailable"
     late = time_frames(models["drift-float32"], "cpu", frames=1, seconds=0.05)
     assert (late.state, late.why) == ("crashed", "still running after 0.05 s")
+
+
+def test_a_model_that_needs_a_size_says_which_option_gives_it(tmp_path):
+    pose = Input("pose", "pose")
+    opened = driven("float[J,3] pose", pose, "shift = ReduceMean <keepdims = 0> (pose)")
+    opened.write(tmp_path / "open.onnx")
+    failed = time_frames(tmp_path / "open.onnx", "cpu", frames=1)
+    assert failed.state == "failed"
+    assert failed.why.startswith(
+        "tensor pose: axis 0 is symbolic (J), wanted a size; Give one"
+    )
+    assert "`--size J=24`" in failed.why
 
 
 def test_a_child_that_dies_is_reported_and_no_other(models, tmp_path, monkeypatch):

@@ -38,7 +38,9 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
 
 
 def _line(error: GsgenError) -> str:
-    return f"{error.what}; {error.mend}" if error.mend else error.what
+    inside = error.where.startswith(("tensor ", "input ", "output "))
+    what = f"{error.where}: {error.what}" if inside else error.what
+    return f"{what}; {error.mend}" if error.mend else what
 
 
 def _measure(job: dict[str, Any]) -> dict[str, Any]:
