@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-.PHONY: setup demo test check types style drivers bench fuzz fuzz-formats docs wheel clean
+.PHONY: setup demo test check types style drivers bench fuzz fuzz-formats pictures docs wheel clean
 
 setup: $(READY)
 
@@ -60,6 +60,10 @@ fuzz: setup
 FORMAT_COUNT ?= 5000
 fuzz-formats: setup
 	PYTHONPATH=tests $(BIN)/python -m fuzz.formats --count $(FORMAT_COUNT) --seed $(SEED)
+
+# The pictures of the plugins' pages, drawn anew from synthetic checkpoints: a minute or two.
+pictures: setup drivers
+	$(BIN)/python scripts/write_pictures.py
 
 docs: setup
 	$(PIP) --group docs

@@ -22,7 +22,6 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 from rich.console import Console
-from rich.table import Table
 
 TILE = (240, 240)  # width and height of each picture of a strip
 FRAMES = 6
@@ -318,9 +317,9 @@ def away(path: Path) -> Path:
     from gsgen.runtime.camera import Camera
 
     made = []
-    for distance in np.geomspace(5, 80, FRAMES):
+    for distance in np.geomspace(6, 90, FRAMES):
         eye = distance * np.array([0.35, -0.5, -0.8])
-        angle = 2 * math.degrees(math.atan(1.75 / distance))
+        angle = 2 * math.degrees(math.atan(1.85 / distance))
         size = {"width": TILE[0], "height": TILE[1]}
         camera = Camera.look_at(eye.tolist(), [0, 0, 0], fov_y=angle, **size)
         near = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
@@ -358,19 +357,16 @@ def show(made: list[Made], folder: Path, console: Console) -> None:
     )
 
 
-def table(rows: list[Made]) -> Table:
-    """Return the table of what was made."""
-    made = Table(box=None, pad_edge=False)
-    for heading in ("family", "Gaussians", "file", "a frame", "verdict", "pictures"):
-        right = heading in ("Gaussians", "file", "a frame")
-        made.add_column(heading, justify="right" if right else "left", no_wrap=True)
+def table(rows: list[Made]) -> str:
+    """Return the table of what was made: a frame is one on the CPU."""
+    lines = [f"{'family':<17}{'Gaussians':>10}{'file':>11}{'a frame':>10}  verdict"]
     for one in rows:
         count = "–" if one.gaussians is None else f"{one.gaussians:,}"
-        verdict = f"{one.verdict} ({one.level})"
         size, frame = f"{one.size / 1024:,.0f} KiB", f"{one.milliseconds:.1f} ms"
         shows = FAMILIES[one.name].shows if one.strip else "not drawn"
-        made.add_row(one.name, count, size, frame, verdict, shows)
-    return made
+        verdict = f"{one.verdict} ({one.level}); picture: {shows}"
+        lines.append(f"{one.name:<17}{count:>10}{size:>11}{frame:>10}  {verdict}")
+    return "\n".join(lines)
 
 
 def main() -> None:

@@ -1,0 +1,109 @@
+"""A page for each plugin: its picture, what goes in, what is read, options, what is lost, limits."""
+
+import inspect
+import io
+import re
+from collections.abc import Callable
+
+import pytest
+from PIL import Image
+from typer.models import OptionInfo
+
+from gsgen.sdk.plugin import Plugin, find_plugins
+from support.commands import ROOT
+from support.pages import DOCS
+
+PAGES = DOCS / "plugins"
+PICTURES = DOCS / "assets" / "plugins"
+LARGEST = 40_000  # bytes
+SECTIONS = ("Inputs", "What is read", "Options", "What is dropped", "Known limits")
+OURS = sorted(
+    name for name, found in find_plugins().items() if found.point.value.startswith("gsgen.")
+)
+
+
+def text_of(name: str) -> str:
+    return (PAGES / f"{name}.md").read_text("utf-8")
+
+
+def test_every_plugin_has_a_page_and_a_picture() -> None:
+    pages = {path.stem for path in PAGES.glob("*.md")} - {"index"}
+    assert pages == {path.stem for path in PICTURES.glob("*.jpg")} == set(OURS)
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_the_page_shows_its_picture_which_is_small(name: str) -> None:
+    (shown,) = re.findall(r"^!\[(.+)\]\((\S+)\)$", text_of(name), re.MULTILINE)
+    assert shown[1] == f"../assets/plugins/{name}.jpg"
+    assert len(shown[0]) > 20  # says what can be seen, to those who cannot see it
+    data = (PICTURES / f"{name}.jpg").read_bytes()
+    assert len(data) <= LARGEST
+    with Image.open(io.BytesIO(data)) as picture:
+        assert picture.format == "JPEG"
+        assert picture.size == (1440, 240)
+        levels = picture.convert("L").getextrema()
+        assert levels[1] - levels[0] > 100, "there is hardly anything to see"
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_the_page_has_every_section_and_something_in_each(name: str) -> None:
+    parts = re.split(r"^## (.+)$", text_of(name), flags=re.MULTILINE)
+    sections = dict(zip(parts[1::2], parts[2::2], strict=True))
+    for section in SECTIONS:
+        assert sections.get(section, "").strip(), f"{name} says nothing of {section}"
+    if name not in {"static", "denoiser"}:  # those are of no one paper
+        assert "arxiv.org/abs/" in parts[0] or "code: " in parts[0]
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_the_page_names_every_option_of_its_command(name: str) -> None:
+    text = text_of(name)
+    missing = [option for option in options_of(plugin_of(name)) if option not in text]
+    linked = {
+        "r3-avatar": "gauhuman",
+        "octree-gs": "scaffold-gs",
+        "duplex-gs": "scaffold-gs",
+        "lhm": "gauhuman",
+    }
+    if name in linked:  # shared options are on the page that it sends to
+        assert f"]({linked[name]}.md#" in text
+        missing = [option for option in missing if option not in text_of(linked[name])]
+    assert not missing
+
+
+def plugin_of(name: str) -> Plugin:
+    loaded = find_plugins()[name].load()
+    assert isinstance(loaded, Plugin)
+    return loaded
+
+
+def options_of(plugin: Plugin) -> list[str]:
+    """Return what is typed for each option, but for those that every export has."""
+    if plugin.build is not None:
+        return spelled(plugin.build)
+    example = plugin_of("stylise")
+    assert example.build is not None
+    common = set(spelled(example.function)) - set(spelled(example.build))
+    return [option for option in spelled(plugin.function) if option not in common]
+
+
+def spelled(function: Callable[..., object]) -> list[str]:
+    """Return a function's options as typed: of a switch that is on, what turns it off."""
+    found = []
+    for parameter in inspect.signature(function).parameters.values():
+        told = getattr(parameter.annotation, "__metadata__", ())
+        info = next((one for one in told if isinstance(one, OptionInfo)), None)
+        if (
+            info is not None
+        ):  # typer takes the first spelling for a default until it is used
+            written = " ".join(map(str, (info.default, *(info.param_decls or ()))))
+            words = [one for one in written.replace("/", " ").split() if one[:2] == "--"]
+            found.append((words or [f"--{parameter.name.replace('_', '-')}"])[-1])
+    assert found
+    return found
+
+
+def test_the_script_knows_every_plugin_that_has_a_picture() -> None:
+    script = (ROOT / "docs" / "examples" / "demo_families.py").read_text("utf-8")
+    families = script.partition("FAMILIES = {")[2].partition("\n}\n")[0]
+    assert set(re.findall(r'^    "([\w-]+)": Family', families, re.MULTILINE)) == set(OURS)
