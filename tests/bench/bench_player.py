@@ -7,17 +7,21 @@ nothing to do. Ratios are to submitting a command buffer that does nothing but c
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gsgen.conformance.fixtures.moving import drifting
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
 from gsgen.runtime.inference import _Kept
+from gsgen.runtime.player import GeneratorPlayer
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.residency import Residency
 from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
+from gsgen.sdk.binding import FrameSession
 
 FRAMES = 200
 GOALS = {1: 1.0, 32: 2.0}  # milliseconds
@@ -124,3 +128,50 @@ def bench_what_stays(renderer: Renderer) -> None:
     say(
         f"noticing that nothing changed {same / uploaded:.2f} of that, copying {changed / uploaded:.2f}"
     )
+
+
+def bench_overlap(
+    renderer: Renderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """How much of inference passes while a frame is drawn; both take turns without overlap."""
+    drifting(200_000, degree=1).write(tmp_path / "many.onnx")
+    camera = Camera.orbit((0, 0, 0), 4, width=320, height=180)
+    times = np.linspace(0, 1, 12).tolist()
+    spans: dict[str, list[tuple[float, float]]] = {"run": [], "render": []}
+    for owner in (FrameSession, Renderer):
+        name = "run" if owner is FrameSession else "render"
+
+        def watched(
+            *args: object,
+            plain: object = getattr(owner, name),
+            name: str = name,
+            **rest: object,
+        ) -> object:
+            began = time.perf_counter()
+            made = plain(*args, **rest)
+            spans[name].append((began, time.perf_counter()))
+            return made
+
+        monkeypatch.setattr(owner, name, watched)
+
+    def shared(play: Callable[[GeneratorPlayer], object]) -> float:
+        with GeneratorPlayer(
+            tmp_path / "many.onnx", provider="cpu", renderer=renderer
+        ) as player:
+            player.render(camera, time=0.5)
+            for one in spans.values():
+                one.clear()
+            play(player)
+        both = sum(
+            max(0.0, min(a[1], b[1]) - max(a[0], b[0]))
+            for a in spans["run"]
+            for b in spans["render"]
+        )
+        return both / sum(end - began for began, end in spans["run"])
+
+    played = shared(lambda player: list(player.play(camera, times=times)))
+    alone = shared(lambda player: [player.render(camera, time=at) for at in times])
+    say(
+        f"200,000 moving Gaussians: {100 * played:.0f} % of inference passes while a frame is drawn, "
+    )
+    say(f"{100 * alone:.0f} % where frames are rendered one by one")
