@@ -1,0 +1,64 @@
+"""The demo's families: exported, judged and drawn as typed; and said so where nothing can be drawn."""
+
+import sys
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from support.pages import DOCS
+
+
+@pytest.fixture(scope="module")
+def demo() -> ModuleType:
+    spec = spec_from_file_location("demo_families", DOCS / "examples" / "demo_families.py")
+    assert spec is not None
+    assert spec.loader is not None
+    made = module_from_spec(spec)
+    sys.modules["demo_families"] = made  # dataclasses look their module up
+    spec.loader.exec_module(made)
+    return made
+
+
+def test_a_family_is_exported_judged_and_drawn(demo: ModuleType, tmp_path: Path) -> None:
+    made = demo.make("static", tmp_path / "static")
+    assert (made.name, made.gaussians, made.verdict) == ("static", 20_000, "conforms")
+    assert made.size == (tmp_path / "static" / "static.onnx").stat().st_size
+    assert made.milliseconds > 0
+    typed = (tmp_path / "static" / "commands.txt").read_text("utf-8")
+    assert typed.startswith("$ gsgen export static ")
+    assert "$ gsgen render " in typed
+    with Image.open(made.strip) as strip:
+        assert strip.size == (6 * 240, 240)
+        tiles = np.split(np.asarray(strip), 6, axis=1)
+    behind = np.array([0x16, 0x18, 0x1D])
+    for tile in tiles:
+        assert np.abs(tile[0, 0].astype(int) - behind).max() <= 1
+        seen = (np.abs(tile.astype(int) - behind).max(axis=2) > 40).mean()
+        assert 0.1 < seen < 0.6  # of the picture: neither empty nor too near
+        rows, columns = np.nonzero(np.abs(tile.astype(int) - behind).max(axis=2) > 40)
+        assert min(rows.min(), columns.min()) > 3  # not cut off
+        assert max(rows.max(), columns.max()) < 236
+    assert not np.array_equal(tiles[0], tiles[1])
+    assert "static" in demo.table([made])
+
+
+def test_without_a_driver_it_says_so(
+    demo: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    why = "gsgen: no adapter was found"
+    monkeypatch.setattr(demo, "gsgen", lambda *_: (2, "", f"{why}\n"))
+    strip, trouble = demo.draw(
+        demo.FAMILIES["gauhuman"], tmp_path / "m.onnx", tmp_path, tmp_path / "log"
+    )
+    assert (strip, trouble) == (None, why)
+    row = demo.Made("gauhuman", 10, 2048, "conforms", "behaviour", 1.0, None, why)
+    assert "conforms (behaviour); picture: not drawn" in demo.table([row])
+
+
+def test_a_command_that_fails_stops_the_demo(demo: ModuleType, tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match=r"gsgen validate none\.onnx ended with 4"):
+        demo.required(tmp_path / "log", "validate", "none.onnx")
