@@ -340,3 +340,18 @@ def test_an_orbit_goes_around_a_moving_model_where_it_stands(
     assert plain.frames == 3
     for one in (placed, source):
         one.close()
+
+
+def test_an_orbit_leaves_out_what_cannot_be_seen(tmp_path: Path) -> None:
+    rows = np.zeros((100, 10), np.float32)
+    rows[:, 0] = np.linspace(-1, 1, 100)
+    rows[:50, 3] = 0.5
+    rows[50:, :3] = 1000
+    rows[7, :3] = np.nan
+    np.savez(tmp_path / "a.npz", gaussians=rows, appearance=np.ones((100, 3), np.float32))
+    center, reach = open_source(tmp_path / "a.npz").extent()
+    assert -0.6 < center[0] < -0.4
+    assert reach < 1
+    rows[:, 3] = 0  # nothing can be seen: all count
+    np.savez(tmp_path / "a.npz", gaussians=rows, appearance=np.ones((100, 3), np.float32))
+    assert open_source(tmp_path / "a.npz").extent()[1] > 500

@@ -136,11 +136,13 @@ class Source(ABC):
         Args:
             moments: What an error calls the frame, and the values.
         """
-        seen = []
+        seen: dict[tuple[int, int], Float64[np.ndarray, "n 3"]] = {}
         for frame, values in moments:
             self.update(None, values, frame)
-            seen.append(_centers(self.data))
-        self._extent = _around(seen)
+            state = (self.data.rows_version, self.data.count)
+            if state not in seen:
+                seen[state] = _centers(self.data)
+        self._extent = _around(list(seen.values()))
 
     @abstractmethod
     def close(self) -> None:
@@ -156,9 +158,10 @@ def named(inputs: Sequence[Input], word: str) -> list[Input]:
 def _centers(data: SplatData) -> Float64[np.ndarray, "n 3"]:
     """Return the centres of what can be seen, or of all where nothing can."""
     rows = data.rows[: data.count]
-    seen = rows[rows[:, layout.OPACITY] > 0]
-    centers = (seen if len(seen) else rows)[:, layout.POSITION].astype(np.float64)
-    return np.asarray(centers[np.isfinite(centers).all(axis=1)])
+    centers = rows[:, layout.POSITION].astype(np.float64)
+    finite = np.isfinite(centers).all(axis=1)
+    seen = finite & (rows[:, layout.OPACITY] > 0)
+    return np.asarray(centers[seen if seen.any() else finite])
 
 
 def _around(moments: Sequence[Float64[np.ndarray, "n 3"]]) -> tuple[Center, float]:
