@@ -112,7 +112,7 @@ def divided_opacity() -> tuple[Scene, Camera]:
 
 @named
 def multiplied_opacity() -> tuple[Scene, Camera]:
-    """A divisor below 1: what would cover more than everything covers 0.99."""
+    """A divisor below 1: what covers more than everything lets nothing through."""
     return Scene([summed(celled(80, seed=4), divisor=0.4)]), camera()
 
 

@@ -1,7 +1,7 @@
 """What weighted sums must look like: in float64 NumPy, cell after cell, without the kernels' code.
 
-The guide "How the renderer works", section "Weighted sums", has the equations. Cells end at whole
-tiles and Gaussians at circles of whole pixels, as in the renderer of Liu et al. 2025.
+It follows the specification's page on cells. Cells end at whole tiles and Gaussians at circles of
+whole pixels, as in the renderer of Liu et al. 2025.
 """
 
 __all__ = ["Sums", "Veil", "alone", "sums"]
@@ -228,8 +228,8 @@ class _State:
             around = cell.box | cell.unsure
             self.fragile |= wide & near & around & (entered >= _FINISHED * (1 - _BAND))
             self.fragile |= reached & cell.unsure
-            alpha = np.where(hit, np.minimum(np.minimum(bare, _MOST) / divisor, _MOST), 0)
-            self.through *= 1 - alpha
+            alpha = np.where(hit, np.minimum(bare, _MOST) / divisor, 0)
+            self.through *= np.maximum(1 - alpha, 0)
             amount = alpha * entered
             self.color += amount[..., None] * cell.color[k]
             self.normal += amount[..., None] * cell.normal[k]

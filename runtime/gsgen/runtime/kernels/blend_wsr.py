@@ -104,8 +104,8 @@ def blend_wsr_reference(
             above = splats.strength[i] - 0.5 * (xx * dx**2 + yy * dy**2) - xy * dx * dy
             alpha = np.minimum(layout.CULL_OPACITY * np.exp(above), MAX_ALPHA) / divisor
             hit = (entered > 0) & (above >= 0) & (dx**2 + dy**2 <= radius[i] ** 2)
-            alpha = np.where(hit, np.minimum(alpha, MAX_ALPHA), 0)
-            through *= 1 - alpha
+            alpha = np.where(hit, alpha, 0)
+            through *= np.maximum(1 - alpha, 0)
             total += alpha * entered
             color += (alpha * entered)[..., None] * splats.color[i]
     left = np.where(through < FINISHED, 0, behind * through)

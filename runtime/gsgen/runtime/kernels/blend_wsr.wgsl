@@ -94,10 +94,9 @@ fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_id) local
                 hit = hit & (vec4f(weight.z) <= limit_PART);
 //!end
                 if (any(hit)) {
-                    let bare = factors.x * opacity(above);
-                    let alpha = select(ZERO, min(bare, vec4f(MAX_ALPHA)), hit);
+                    let alpha = select(ZERO, factors.x * opacity(above), hit);
                     let amount = alpha * open_PART;
-                    through_PART *= 1.0 - alpha;
+                    through_PART *= max(1.0 - alpha, ZERO);
                     total_PART += amount;
                     behind_PART += amount * factors.y;
 //!repeat ONCE LAYERED
