@@ -66,12 +66,12 @@ class Sums:
         mean = np.divide(
             self.behind, self.total, out=np.ones_like(self.total), where=self.total > 0
         )
-        return np.where(self.through < _FINISHED, 0, mean)
+        return np.asarray(np.where(self.through < _FINISHED, 0, mean))
 
     @property
     def scale(self) -> Float[np.ndarray, "h w"]:
         """What sums are divided by."""
-        return self.total + self.weight_behind * self.through
+        return np.asarray(self.total + self.weight_behind * self.through)
 
     def veil(self) -> "Veil":
         """Return the translucent image that the sums are among other things."""

@@ -323,6 +323,7 @@ class Plan:
         meshes: Sequence[PlacedMesh] = (),
         only: Sequence[str] | None = None,
         clock: StageClock | None = None,
+        fetch: bool = True,
     ) -> None:
         """Write what changes from frame to frame, and let the device draw.
 
@@ -333,6 +334,7 @@ class Plan:
             meshes: The meshes that the plan was made of, and how they are drawn now.
             only: Stages to run; all where absent.
             clock: What notes how long each stage takes.
+            fetch: Whether :meth:`collect` will read images, too.
         """
         device = self._device
         if self._weighted is not None:
@@ -368,12 +370,16 @@ class Plan:
             self._quads.encode(encoder, background, stamps)
         if clock is not None:
             clock.encode(encoder)
-        self._staging.encode(encoder)
+        self._staging.encode(encoder, None if fetch else self._held)
         device.raw.queue.submit([encoder.finish()])
 
-    def collect(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Wait for the frame; return the counts, and each image as [height, width, 4] words."""
-        names = [*self._held, *self.images]
+    def collect(self, fetch: bool = True) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Wait for the frame; return the counts, and each image as [height, width, 4] words.
+
+        Args:
+            fetch: Whether images are read; as :meth:`submit` was told.
+        """
+        names = [*self._held, *(self.images if fetch else ())]
         made = self._staging.read(dict.fromkeys(names, np.uint32))
         counts = _together([made.pop(name) for name in self._held])
         width, height = self._size
@@ -413,7 +419,7 @@ def _together(
     counts: Sequence[UInt32[np.ndarray, " n"]],
 ) -> UInt32[np.ndarray, " n"]:
     """Return the counts of all parts as one; each part has its own room for pairs."""
-    made = np.sum(counts, axis=0, dtype=np.uint32)
+    made = np.asarray(np.sum(counts, axis=0), np.uint32)
     made[Counts.VISIBLE] = counts[0][Counts.VISIBLE] + made[Counts.DRAWN]
     made[Counts.WANTED_PAIRS] = max(part[Counts.WANTED_PAIRS] for part in counts)
     return made
