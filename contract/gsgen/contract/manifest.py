@@ -204,7 +204,9 @@ class WeightedSum:
     background: Annotated[Fraction, Hint("Weight of what lies behind.")]
     depth_range: Annotated[
         AboveZero | None,
-        Hint("Depth at which weights reach 0, in units of length; absent: they do not fall."),
+        Hint(
+            "Depth at which weights reach 0, in units of length; absent: they do not fall."
+        ),
     ] = None
     opacity_divisor: Annotated[
         AboveZero, Hint("What opacity is divided by before it takes light away.")
