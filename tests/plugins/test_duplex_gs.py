@@ -21,11 +21,15 @@ from gsgen.reference_plugins.duplex_gs import DuplexGS
 from gsgen.reference_plugins.octree_gs import MODES, Levels
 from gsgen.reference_plugins.selection import Selection
 from gsgen.reference_plugins.synthetic import AnchorOptions, write_duplex, write_octree
+from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.scene import Scene
+from gsgen.runtime.sources import GeneratorSource
 from gsgen.sdk import export
 from gsgen.sdk.exporter import Exported
 from gsgen.sdk.packing import Packed, PackedGenerator
 from support.captured import assert_captured
 from support.commands import shared
+from support.golden_duplex import BACKDROP, golden_view
 from support.plugin_checks import MARGIN, acceptance, assert_like, camera, eager, judge
 from support.plugin_oracles import Wanted
 
@@ -339,6 +343,25 @@ def test_cells_are_declared_with_their_weights(summed: Exported) -> None:
     assert said.depth_range == pytest.approx(golden["meta_sigma"][0])
     assert said.background == pytest.approx(golden["meta_wbg"][0])
     assert said.opacity_divisor == pytest.approx(golden["meta_ET"])
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_the_model_is_drawn_as_the_method_draws_it(
+    summed: Exported, published: Renderer, number: int
+) -> None:
+    """From the checkpoint to the picture, over the background that it was made with."""
+    seen_by, image = golden_view(number)
+    source = GeneratorSource(summed.path)
+    source.update(seen_by, {})
+    scene = Scene([source.splats(None, None)])
+    seen = published.render(scene, seen_by, background=BACKDROP)
+    source.close()
+    assert np.abs(seen.rgba[..., :3] - image).max() <= 5e-5
+
+
+@pytest.fixture(scope="module")
+def published() -> Renderer:
+    return Renderer(published=True)
 
 
 def test_cells_run_in_webgpu_and_no_replay_is_stale(summed: Exported) -> None:

@@ -3,16 +3,13 @@
 import numpy as np
 import pytest
 
-from gsgen.contract.geometry import covariance_upper
-from gsgen.contract.manifest import WeightedSum
 from gsgen.runtime import oracle
-from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
-from support.commands import shared
+from support.golden_duplex import BACKDROP, golden_scene, golden_view
 from support.splat_scenes import camera, turned
 from support.weighted_scenes import WEIGHTED, celled, summed
 
@@ -63,55 +60,20 @@ def test_published_backgrounds_are_the_oracles(published: Renderer, name: str) -
     assert np.abs(seen.rgba - wanted.rgba)[~wanted.fragile].max() <= 2e-5
 
 
-def golden(number: int) -> tuple[Scene, Camera, np.ndarray]:
-    """What the method's own Python gives its rasteriser for a camera, and the picture of it."""
-    with np.load(shared("data/checkpoints/duplex_a/golden.npz")) as held:
-        own = {
-            name.removeprefix(f"out{number}_"): held[name]
-            for name in held.files
-            if name.startswith((f"out{number}_", "meta_"))
-        }
-        view, image = held["in_world_view_transform"][number].T, held[f"img{number}"]
-        (width, height), field = held["in_size"][number], held["in_FoV"][number]
-    rows = [own["means3D"], np.maximum(own["opacities"], 0), own["cov6"]]
-    turn = own["anchor_rotations"].astype(np.float64)
-    turn[~turn.any(axis=1)] = 1, 0, 0, 0  # cells whose Gaussians are all inert
-    ellipsoid = covariance_upper(own["anchor_scales"].astype(np.float64), turn)
-    cells = [own["anchor_means3D"], own["vi"][::5], ellipsoid]
-    data = SplatData(
-        np.concatenate(rows, axis=1).astype(np.float32),
-        own["colors_precomp"],
-        "rgb",
-        cells=np.concatenate(cells, axis=1).astype(np.float32),
-        per_cell=5,
-    )
-    weighted = WeightedSum(
-        background=float(own["meta_wbg"][0]),
-        depth_range=float(own["meta_sigma"][0]),
-        opacity_divisor=float(own["meta_ET"]),
-    )
-    focal = np.array([width, height]) / 2 / np.tan(field.astype(np.float64) / 2)
-    seen_by = Camera(
-        view, *focal.tolist(), width / 2, height / 2, int(width), int(height), near=0.2
-    )
-    return Scene([SplatSet(data, weighted=weighted)]), seen_by, image.transpose(1, 2, 0)
-
-
 @pytest.mark.parametrize("number", [0, 1])
 def test_the_goldens_of_the_method(published: Renderer, number: int) -> None:
-    """Bounds: twice what float32 with the oracle's order of additions is away from float64."""
-    scene, seen_by, image = golden(number)
-    backdrop = (0.1, 0.2, 0.3, 1.0)
-    seen = published.render(scene, seen_by, background=backdrop)
-    wanted = oracle.render(scene, seen_by, background=backdrop, published=True)
+    """They are float32 themselves: the oracle in float64 is as far from them as we are."""
+    scene, (seen_by, image) = golden_scene(number), golden_view(number)
+    seen = published.render(scene, seen_by, background=BACKDROP)
+    wanted = oracle.render(scene, seen_by, background=BACKDROP, published=True)
     assert np.abs(wanted.rgba[..., :3] - image).max() <= 5e-6
     assert np.abs(seen.rgba[..., :3] - image).max() <= 5e-6
     assert np.ptp(image, axis=(0, 1)).min() > 0.5  # there is something to see
 
 
-def test_the_goldens_need_cells_tiles_and_circles() -> None:
-    """Each of the published bounds changes the golden picture: none is idle there."""
-    scene, seen_by, image = golden(0)
+def test_the_goldens_need_cells_and_their_tiles() -> None:
+    """Larger cells, or a cell for each Gaussian, are other pictures."""
+    scene, (seen_by, image) = golden_scene(0), golden_view(0)
     one = scene.sets[0]
     data = one.data
     wide = data.cells.copy()
@@ -122,9 +84,7 @@ def test_the_goldens_need_cells_tiles_and_circles() -> None:
     )
     for other in (larger, alone):
         changed = Scene([SplatSet(other, weighted=one.weighted)])
-        made = oracle.render(
-            changed, seen_by, background=(0.1, 0.2, 0.3, 1), published=True
-        )
+        made = oracle.render(changed, seen_by, background=BACKDROP, published=True)
         assert np.abs(made.rgba[..., :3] - image).max() > 1e-3
 
 
