@@ -86,8 +86,14 @@ def test_the_guide_s_way_to_wrap_a_module_works() -> None:
 def test_the_guide_s_way_to_return_cells_works() -> None:
     ones = torch.ones(6, 3)
     made = {
-        "xyz": ones, "opacity": ones[:, 0], "scale": ones, "rotation": torch.ones(6, 4),
-        "rgb": ones, "centre": ones[:2], "seen": ones[:2, 0], "size": ones[:2],
+        "xyz": ones,
+        "opacity": ones[:, 0],
+        "scale": ones,
+        "rotation": torch.ones(6, 4),
+        "rgb": ones,
+        "centre": ones[:2],
+        "seen": ones[:2, 0],
+        "size": ones[:2],
         "turn": torch.ones(2, 4),
     }
     names: dict[str, object] = {"network": lambda view: made}

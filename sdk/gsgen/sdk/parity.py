@@ -134,7 +134,7 @@ class Parity:
 
 
 def compare(
-    references: list[Reference],
+    references: Sequence[Reference],
     outputs: Sequence[Made],
     tolerances: Tolerances,
     *,
