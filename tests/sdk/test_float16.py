@@ -84,7 +84,7 @@ def test_colours_go_and_positions_stay(tmp_path: Path) -> None:
     source = saved(tmp_path, cloud(origin=500))
     made = write_float16(source, tmp_path / "half.onnx")
     kept = {one.node: one.why for one in made.kept}
-    assert {"far", "moved", "position"} <= kept.keys()
+    assert {"moved", "position"} <= kept.keys()  # far is computed once, in float32
     assert kept["moved"] == "position"
     assert not {"hidden", "raw", "color", "opacity", "active"} & kept.keys()
     assert {"safe", "length", "direction"} <= kept.keys()
@@ -122,7 +122,7 @@ def test_what_overflows_stays(tmp_path: Path) -> None:
     """Squares beyond 65,504 are infinite in float16, though their root is not."""
     text = TEXT.replace(
         "opacity = Sigmoid (logit)",
-        "big = Mul (logit, thousand)\n q = Mul (big, big)\n"
+        "warm = Mul (logit, growth)\n big = Mul (warm, thousand)\n q = Mul (big, big)\n"
         " w = Sqrt (q)\n back = Div (w, thousand)\n opacity = Sigmoid (back)",
     )
     text = text.replace("float half", "float thousand = {1000}, float half")
@@ -365,3 +365,51 @@ def test_what_cannot_be_converted_is_said(
     assert stopped.value.exit_code == code
     assert said in capsys.readouterr().err
     assert not (tmp_path / "half.onnx").exists()
+
+
+TABLES = """
+cloud (float[1] time) => (float[40,10] gaussians, float[40,3] color, int32[1] num_points)
+<float zero = {0}> {
+    twice = Concat <axis = 0> (far, near)
+    place = Gather <axis = 0> (twice, which)
+    step = Mul (time, velocity)
+    position = Add (place, step)
+    opacity = Sigmoid (logit)
+    gaussians = Concat <axis = 1> (position, opacity, sigma)
+    shade = Sigmoid (paint)
+    dim = Mul (time, zero)
+    color = Add (shade, dim)
+    num_points = Identity (live)
+}
+"""
+
+
+def test_tables_that_are_read_once_are_stored_in_float16_unless_that_shows(
+    tmp_path: Path,
+) -> None:
+    rng = np.random.default_rng(0)
+    arrays = {
+        "far": 400 + rng.uniform(-1, 1, (N, 3)),
+        "near": rng.uniform(-1, 1, (N, 3)) / 64,
+        "velocity": rng.normal(0, 0.01, (N, 3)),
+        "sigma": np.tile([0.01, 0, 0, 0.01, 0, 0.01], (N, 1)),
+        "logit": rng.normal(size=(N, 1)),
+        "paint": rng.normal(size=(N, 3)),
+    }
+    weights = [weight(name, array.astype(np.float32)) for name, array in arrays.items()]
+    which = np.arange(N, 2 * N, dtype=np.int32) - N * (np.arange(N) < 3)
+    weights += [weight("live", np.array([N], np.int32)), weight("which", which)]
+    source = saved(tmp_path, model(TABLES, *weights))
+    path = tmp_path / "half.onnx"
+    made = write_float16(source, path, outputs=False)
+    assert [one.node for one in made.kept_weights] == ["far"]
+    assert made.kept_weights[0].why == "position"
+    stored = {one.name: one.data_type for one in onnx.load(path).graph.initializer}
+    half = {name for name, kind in stored.items() if kind == onnx.TensorProto.FLOAT16}
+    assert {"near", "paint", "logit"} <= half
+    assert not {"far", "far_float16"} & half
+    nodes = {one.output[0]: one for one in onnx.load(path).graph.node}
+    assert nodes["place"].input[0] == "twice"  # what follows from weights stays float32
+    for old, new in zip(frames(source), frames(path), strict=True):
+        assert np.abs(new[0][:, :3] - old[0][:, :3]).max() < 1e-4
+        np.testing.assert_allclose(new[1], old[1], atol=1e-3)

@@ -35,6 +35,7 @@ from gsgen.sdk.diagnosis import Suspects
 from gsgen.sdk.eager import Reference, measure_bounds, run_eager, run_watched
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.finish import finish
+from gsgen.sdk.float16 import Halved, half_manifest, to_float16
 from gsgen.sdk.generator import GaussianGenerator
 from gsgen.sdk.hazards import Watch
 from gsgen.sdk.packing import (
@@ -49,7 +50,7 @@ from gsgen.sdk.packing import (
 )
 from gsgen.sdk.parity import Parity
 from gsgen.sdk.placement import draft_of, refuse_folder
-from gsgen.sdk.rewrite import Change
+from gsgen.sdk.rewrite import Change, prepare
 from gsgen.sdk.saving import save_model
 from gsgen.sdk.trace import trace
 from gsgen.sdk.verification import check_contract, check_memory, check_parity
@@ -61,6 +62,14 @@ OPSET = 18
 # Where cameras stand in probes of our own, as a share of the distance of the contract's.
 _DISTANCES = {"close": 0.2, "far": 8.0}
 _TOLERANCES = Tolerances()
+# What is computed in float16 agrees this well: a hundredth of a Gaussian's size, and a step of a
+# picture of eight bits.
+HALF_TOLERANCES = Tolerances(position=1e-2, covariance=1e-2, opacity=4e-3, appearance=4e-3)
+# How often it rounds as much as storing the outputs does.
+_HALF_ROUNDINGS = 3
+# Choices that may be measured while exporting, and at how many probes; the command `gsgen float16`
+# takes more time. The model that results is compared at all of them.
+_HALF_BUDGET, _HALF_PROBES = 24, 4
 
 
 def _silent(_: str) -> None:
@@ -77,6 +86,7 @@ class Exported:
         parity: How closely it agrees with eager torch.
         report: What the validator says; it conforms.
         changes: What the rewrites did to the graph.
+        halved: What became float16, where outputs did.
     """
 
     path: Path
@@ -84,6 +94,7 @@ class Exported:
     parity: Parity
     report: Report
     changes: tuple[Change, ...] = ()
+    halved: Halved | None = None
 
     @property
     def contents(self) -> str:
@@ -112,7 +123,8 @@ def export(
         generator: The module; it is put into evaluation mode and moved to the CPU.
         path: Where the model goes; it is replaced only by a model that passed every check.
         name: What people call it; the file's stem where absent.
-        dtype: Of all outputs but the count.
+        dtype: Of all outputs but the count; float16 halves weights and arithmetic, too, wherever
+            that does not show (:mod:`gsgen.sdk.float16`).
         capacity: Rows of the outputs; as many as there are Gaussians where absent.
         opset: ONNX operator set, 18 being the one that every runtime has kernels for.
         target: The consumer to rewrite and validate for.
@@ -123,6 +135,7 @@ def export(
     Raises:
         GeneratorInvalid: The module declares or returns something the contract does not know.
         ExportFailed: Torch could not export it.
+        RewriteFailed: It cannot be halved.
         ParityFailed: The model computes something else than the module.
         ExportRejected: The model breaks a rule; the error carries the report.
     """
@@ -130,23 +143,49 @@ def export(
     refuse_folder(path)
     generator = generator.eval().cpu()
     progress("running the module in eager torch")
-    described = _describe(generator, name or path.stem, dtype, capacity)
+    # Halving is left to the rewrite, which measures what has to stay float32.
+    halves = dtype == "float16" and rewrite
+    traced: Dtype = "float32" if halves else dtype
+    described = _describe(generator, name or path.stem, traced, capacity)
     manifest, references = described.manifest, described.references
     gaussians = manifest.outputs.gaussians
     assert gaussians is not None
-    packed = PackedGenerator(generator, Packed(getattr(torch, dtype), gaussians.capacity))
+    packed = PackedGenerator(generator, Packed(getattr(torch, traced), gaussians.capacity))
     progress("tracing the graph")
     example, hazards = described.example, described.watch.hazards
     model = trace(packed, example, manifest, opset, hazards)
     progress("rewriting the graph")
     changes = finish(model, manifest, load_target(target), rewrite=rewrite)
+    halved = None
+    if halves:
+        prepare(model)
+        manifest = replace(manifest, tolerances=HALF_TOLERANCES)
+        every = max(1, len(references) // _HALF_PROBES)
+        probes = [one.probe for one in references[::every]][:_HALF_PROBES]
+        model, halved = to_float16(
+            model,
+            manifest,
+            probes,
+            roundings=_HALF_ROUNDINGS,
+            budget=_HALF_BUDGET,
+            progress=progress,
+        )
+        manifest = half_manifest(manifest)
     with draft_of(path) as draft:
         save_model(model, draft)
         suspects = Suspects(generator, example, hazards, rewrite)
-        parity = check_parity(draft, manifest, references, suspects, progress)
+        parity = check_parity(
+            draft,
+            manifest,
+            references,
+            suspects,
+            progress,
+            roundings=_HALF_ROUNDINGS if halves else 1,
+        )
         check_memory(generator, described.watch, references)
         report = check_contract(draft, target, settings, progress)
-    return Exported(path, manifest, parity, replace(report, path=str(path)), tuple(changes))
+    report = replace(report, path=str(path))
+    return Exported(path, manifest, parity, report, tuple(changes), halved)
 
 
 @dataclass(frozen=True, slots=True)

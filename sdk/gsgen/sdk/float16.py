@@ -5,7 +5,7 @@ compared with those of float32 in the contract's units: positions in standard de
 Gaussian, covariances relative to their trace, opacity absolutely, appearance from 64 directions.
 """
 
-__all__ = ["Halved", "Kept", "to_float16", "write_float16"]
+__all__ = ["Halved", "Kept", "half_manifest", "to_float16", "write_float16"]
 
 import tempfile
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -23,9 +23,10 @@ from gsgen.contract.probes import Probe, default_probes
 from gsgen.contract.sandbox import Limits, execute
 from gsgen.contract.subject import read_subject
 from gsgen.contract.targets import load_target
+from gsgen.sdk.constant_part import constant_nodes
 from gsgen.sdk.equivalence import probes_of
 from gsgen.sdk.errors import RewriteFailed
-from gsgen.sdk.half_model import HalfModel
+from gsgen.sdk.half_model import GUARD_ELEMENTS, LARGEST, HalfModel
 from gsgen.sdk.parity import FieldParity, Made, Parity, Reference, compare
 from gsgen.sdk.passes.base import is_op, opset_of
 from gsgen.sdk.passes.building import known_array
@@ -50,14 +51,14 @@ from gsgen.sdk.unit_search import Sensitivity, largest_harmless
 
 _BUDGET = 200
 _LEAST_ROOM = 1e-3
+# How much of what is allowed may be used up by storing weights, whatever is computed with them.
+_SHARE_OF_WEIGHTS = 0.5
 # A number that has no divisor with that of the probes searched at, so that times differ.
 _UNSEEN = 12
 # How much of the tolerance the search may use, from one attempt to the next: what the real kernels
 # add to the measured rounding is seen only at the end.
 _SHARES = (1.0, 0.5, 0.25)
-# A constant of more elements is a table, where an element that becomes zero is no guard.
-_GUARD_ELEMENTS = 16
-_NORMAL, _LARGEST = 2.0**-14, 65504.0
+_NORMAL = 2.0**-14
 _BEHIND_GUARDS = (
     *("Sqrt", "Reciprocal", "Pow", "Cast", "Expand", "Reshape", "Squeeze", "Unsqueeze"),
     *("Transpose", "Identity", "Slice", "Gather", "Where", "Clip", "Max", "Min"),
@@ -97,6 +98,7 @@ class Halved:
         outputs_before: Bytes of outputs a frame.
         outputs_after: Bytes of outputs a frame.
         measured: How many choices were measured.
+        kept_weights: Which tables are stored in float32, and the field that would show it.
     """
 
     path: Path | None
@@ -109,6 +111,7 @@ class Halved:
     outputs_before: int
     outputs_after: int
     measured: int
+    kept_weights: tuple[Kept, ...] = ()
 
 
 def write_float16(
@@ -177,11 +180,14 @@ def to_float16(
     *,
     outputs: bool = True,
     tolerances: Tolerances | None = None,
+    roundings: int = 1,
     budget: int = _BUDGET,
     limits: Limits | None = None,
     progress: Progress = lambda _: None,
 ) -> tuple[ir.Model, Halved]:
     """Return ``model`` converted, and how; see :func:`write_float16`.
+
+    ``roundings``: how often what storing outputs rounds may be added to the tolerances.
 
     Raises:
         RewriteFailed: No choice of nodes keeps the tolerances.
@@ -190,12 +196,13 @@ def to_float16(
     if outputs:
         _refuse_half_words(model, manifest)
     progress("running the model in float32")
-    measure = _Measure(model, manifest, probes, allowed, outputs)
+    measure = _Measure(model, manifest, probes, allowed, outputs, roundings)
     before, frame = weight_bytes(model), measure.frame_bytes
     opset = opset_of(model)
-    nodes = [node for node in model.graph if halves(node, opset)]
+    once = set(constant_nodes(model.graph))
+    nodes = [n for n in model.graph if n not in once and halves(n, opset)]
     boundary = Boundary(model.graph, opset)
-    if not nodes:
+    if not nodes and not measure.weights:
         raise RewriteFailed("computes nothing in float32", where="model")
     if not measure.rounded.holds:
         raise RewriteFailed(
@@ -206,19 +213,34 @@ def to_float16(
     guards = _guards(nodes, opset)
     spent, result = 0, None
     for share in _SHARES:
+        # Tables come first: they are what is stored, loaded and sent.
+        progress(f"measuring which of {len(measure.weights)} weights may be float16")
+        tables = largest_harmless(
+            range(len(measure.weights)),
+            measure.of_weights,
+            budget=budget,
+            allowed=share * _SHARE_OF_WEIGHTS,
+        )
+        stored = {measure.weights[k] for k in tables.given_up}
         progress(f"measuring which of {len(nodes)} nodes may round to float16")
+        measure.stored = tables.given_up
         free = [k for k, node in enumerate(nodes) if node not in guards]
         found = largest_harmless(free, measure, budget=budget, allowed=share)
-        spent += found.measured
+        spent += tables.measured + found.measured
         kept = _explain(nodes, guards, found.kept)
         kept += _islands(boundary, nodes, kept)
         casts = boundary.casts({one.node for one in kept})
         trial = model.clone()
-        _convert(trial, manifest, {one.node for one in kept}, outputs)
+        _convert(trial, manifest, {one.node for one in kept}, stored, outputs)
         progress("comparing the float16 model with the float32 one")
         parity = measure.of_model(trial, limits or Limits())
         if parity.holds:
-            result = (trial, kept, casts, parity)
+            weights = [
+                Kept(measure.weights[k], group.field, group.excess)
+                for group in tables.kept
+                for k in group.units
+            ]
+            result = (trial, kept, weights, casts, parity)
             break
     if result is None:
         raise RewriteFailed(
@@ -226,7 +248,7 @@ def to_float16(
             where="model",
             mend="Raise the tolerances in the manifest, or leave the model in float32.",
         )
-    trial, kept, casts, parity = result
+    trial, kept, weights, casts, parity = result
     return trial, Halved(
         None,
         len(nodes) - len(kept),
@@ -238,6 +260,7 @@ def to_float16(
         frame,
         frame // 2 if outputs else frame,
         spent,
+        tuple(weights),
     )
 
 
@@ -268,7 +291,9 @@ class _Measure:
         probes: Sequence[Probe],
         tolerances: Tolerances,
         outputs: bool,
+        roundings: int,
     ) -> None:
+        self.roundings = roundings
         declared = manifest.outputs
         assert declared.gaussians is not None
         if declared.appearance is None or declared.count is None:
@@ -282,6 +307,8 @@ class _Measure:
         self.space, self.tolerances = declared.appearance.space, tolerances
         self.probes, self.storage = probes, np.float16 if outputs else np.float32
         self._model = HalfModel(model)
+        self.weights = self._model.weights
+        self.stored: Collection[int] = ()
         self._references = [self._reference(probe) for probe in probes]
         self._unseen = [self._reference(probe) for probe in _unseen(manifest, probes)]
         self.rounded = self.parity(frozenset())
@@ -320,15 +347,25 @@ class _Measure:
         """Compare the outputs with the ``chosen`` units rounded, and stored as they will be."""
         flags = np.zeros(len(self._model.units), np.bool_)
         flags[list(chosen)] = True
-        runs = (self._model.run(probe.inputs, flags) for probe in self.probes)
+        stored = np.zeros(len(self.weights), np.bool_)
+        stored[list(self.stored)] = True
+        runs = (self._model.run(probe.inputs, flags, stored) for probe in self.probes)
         made = [self._stored_as(self._read(one)) for one in runs]
-        return compare(self._references, made, self.tolerances)
+        return self._compared(self._references, made)
+
+    def _compared(self, references: Sequence[Reference], made: Sequence[Made]) -> Parity:
+        return compare(references, made, self.tolerances, roundings=self.roundings)
 
     def __call__(self, chosen: Collection[int]) -> tuple[float, str]:
         """Return how much of the room that storage leaves is used up, and in which field."""
         used = {one.field: self._used(one) for one in self.parity(chosen).fields}
         worst = max(used, key=lambda field: used[field], default="")
         return used.get(worst, 0.0), worst
+
+    def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
+        """Return the same of storing these tables in float16, with nothing computed in it."""
+        self.stored = stored
+        return self(())
 
     def _used(self, field: FieldParity) -> float:
         """Return the share of a field's tolerance that is used, storage in float16 left out."""
@@ -353,7 +390,7 @@ class _Measure:
                     self._read(execution.samples[run.sample].outputs)
                     for run in execution.runs
                 ]
-                return compare(references, made, self.tolerances)
+                return self._compared(references, made)
 
 
 def _unseen(manifest: GeneratorManifest, probes: Sequence[Probe]) -> tuple[Probe, ...]:
@@ -369,21 +406,31 @@ def _excess(field: FieldParity) -> float:
 
 
 def _convert(
-    model: ir.Model, manifest: GeneratorManifest, keep: Collection[str], outputs: bool
+    model: ir.Model,
+    manifest: GeneratorManifest,
+    keep: Collection[str],
+    stored: Collection[str],
+    outputs: bool,
 ) -> None:
-    ToFloat16(keep, outputs=outputs)(model)
+    ToFloat16(keep, outputs=outputs, stored=stored)(model)
     declared = manifest.outputs
     assert declared.gaussians is not None
     assert declared.appearance is not None
     if outputs:
         if declared.appearance.space == "rgb":
             PadColor(declared.appearance.name)(model)
-        cells = declared.cells and replace(declared.cells, dtype="float16")
-        rows = replace(declared.gaussians, dtype="float16")
-        changed = replace(declared, gaussians=rows, cells=cells)
-        text = dumps(replace(manifest, outputs=changed), indent=None)
+        text = dumps(half_manifest(manifest), indent=None)
         model.metadata_props[MANIFEST_KEY] = text
     tidy(model)
+
+
+def half_manifest(manifest: GeneratorManifest) -> GeneratorManifest:
+    """Return what a manifest says once all outputs but the count are float16."""
+    declared = manifest.outputs
+    assert declared.gaussians is not None
+    cells = declared.cells and replace(declared.cells, dtype="float16")
+    rows = replace(declared.gaussians, dtype="float16")
+    return replace(manifest, outputs=replace(declared, gaussians=rows, cells=cells))
 
 
 def _guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
@@ -405,9 +452,9 @@ def _guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
             if array is None:
                 continue
             size = np.abs(array[np.isfinite(array)])
-            if (size > _LARGEST).any():
+            if (size > LARGEST).any():
                 found[node] = "a constant beyond 65,504"
-            elif array.size <= _GUARD_ELEMENTS and ((size > 0) & (size < _NORMAL)).any():
+            elif array.size <= GUARD_ELEMENTS and ((size > 0) & (size < _NORMAL)).any():
                 found[node] = "a guard that float16 makes zero"
                 front.append(node)
     while front:

@@ -1,9 +1,10 @@
 """A model that can compute any of its nodes as if in float16, chosen anew at every run."""
 
-__all__ = ["FLAGS", "HalfModel"]
+__all__ = ["FLAGS", "GUARD_ELEMENTS", "LARGEST", "HalfModel", "tables"]
 
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,16 @@ import numpy as np
 import onnx_ir as ir
 from jaxtyping import Bool
 
+from gsgen.sdk.constant_part import split_constants
 from gsgen.sdk.passes.base import is_op, opset_of
 from gsgen.sdk.passes.building import new_node, weight
 from gsgen.sdk.passes.to_float16 import FLOAT, HALF, halves, key_of, places_of
 from gsgen.sdk.saving import save_model
 
 FLAGS = "computed_in_float16"
+# A constant of more elements is a table, where an element that becomes zero is no guard.
+GUARD_ELEMENTS = 16
+LARGEST = 65504.0
 _NORMAL = np.float32(2.0**-14)
 # These hand numbers on as they are, so what a GPU does to subnormal ones does not matter yet.
 _MOVES = (
@@ -43,26 +48,99 @@ class HalfModel:
     65,504 is infinite. Where a node computes with a number below 2⁻¹⁴, that is zero, since a GPU may
     flush it.
 
+    What follows from weights alone is computed once, in float32, wherever the rest runs; its nodes
+    cannot be chosen. But any table of weights can be stored in float16, whatever reads it.
+
     Attributes:
         units: Name of each node that can be chosen, in the order of the graph.
+        weights: Name of each table that can be stored in float16.
     """
 
     def __init__(self, model: ir.Model) -> None:
-        copy = model.clone()
+        part = split_constants(model)
+        copy = part.rest
         opset = opset_of(copy)
         nodes = [node for node in copy.graph if halves(node, opset)]
         self.units = tuple(key_of(node) for node in nodes)
+        self._tables = {one.name or "": _array(one) for one in tables(model.graph)}
+        self.weights = tuple(self._tables)
         self._names = [value.name or "" for value in copy.graph.outputs]
+        self._between, self._remembered = list(part.between), _Remembered(b"", {})
+        _feed_tables(copy, self.weights)
         _instrument(copy, nodes, opset)
-        self._session = _session(copy)
+        self._session, self._once = _session(copy), None
+        if part.once is not None:
+            _feed_tables(part.once, self.weights)
+            self._once = _session(part.once)
 
     def run(
-        self, inputs: Mapping[str, np.ndarray], chosen: Bool[np.ndarray, " n"]
+        self,
+        inputs: Mapping[str, np.ndarray],
+        chosen: Bool[np.ndarray, " n"],
+        stored: Bool[np.ndarray, " w"] | None = None,
     ) -> dict[str, np.ndarray]:
-        """Return the outputs, in float32, with the ``chosen`` units rounded."""
-        fed = {**inputs, FLAGS: chosen} if self.units else dict(inputs)
-        made: Sequence[np.ndarray] = self._session.run(self._names, fed)
-        return dict(zip(self._names, made, strict=True))
+        """Return the outputs, in float32, with the ``chosen`` units and ``stored`` tables rounded."""
+        if stored is None:
+            stored = np.zeros(len(self.weights), np.bool_)
+        fed = {**inputs, **self._constants(stored), FLAGS: chosen}
+        return _run(self._session, self._names, fed)
+
+    def _constants(self, stored: Bool[np.ndarray, " w"]) -> Mapping[str, np.ndarray]:
+        """Return tables and what follows from them; those of the last choice are remembered."""
+        key = stored.tobytes()
+        if key != self._remembered.key or not self._remembered.arrays:
+            made = {
+                name: array.astype(np.float16).astype(np.float32) if half else array
+                for (name, array), half in zip(self._tables.items(), stored, strict=True)
+            }
+            if self._once is not None:
+                made |= _run(self._once, self._between, made)
+            self._remembered = _Remembered(key, made)
+        return self._remembered.arrays
+
+
+@dataclass(frozen=True, slots=True)
+class _Remembered:
+    """Tables and what follows from them, of one choice."""
+
+    key: bytes
+    arrays: Mapping[str, np.ndarray]
+
+
+def tables(graph: ir.Graph) -> list[ir.Value]:
+    """Return the float32 weights that are no guards, and fit float16's range."""
+    return [value for value in graph.initializers.values() if _is_table(value)]
+
+
+def _is_table(value: ir.Value) -> bool:
+    if value.dtype != FLOAT or value.const_value is None or value.is_graph_input():
+        return False
+    if value.const_value.size <= GUARD_ELEMENTS:
+        return False
+    return bool(np.abs(_array(value)).max(initial=0) <= LARGEST)
+
+
+def _array(value: ir.Value) -> np.ndarray:
+    assert value.const_value is not None
+    return np.asarray(value.const_value.numpy())
+
+
+def _run(
+    session: Any, names: list[str], given: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    taken = {one.name for one in session.get_inputs()}
+    fed = {name: value for name, value in given.items() if name in taken}
+    made: Sequence[np.ndarray] = session.run(names, fed)
+    return dict(zip(names, made, strict=True))
+
+
+def _feed_tables(model: ir.Model, names: Sequence[str]) -> None:
+    """Make inputs of tables, so that a run can have them rounded."""
+    for name in names:
+        value = model.graph.initializers.pop(name, None)
+        if value is not None:
+            value.const_value = None
+            model.graph.inputs.append(value)
 
 
 def _session(model: ir.Model) -> Any:

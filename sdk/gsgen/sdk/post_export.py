@@ -33,6 +33,7 @@ from gsgen.contract.roles import POST_PROCESS, ROLES
 from gsgen.contract.targets import load_target
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.finish import finish
+from gsgen.sdk.half_image import HalvedImage, halve_image
 from gsgen.sdk.parity import FieldParity, Parity
 from gsgen.sdk.placement import draft_of
 from gsgen.sdk.post_process import PostProcess
@@ -44,6 +45,7 @@ from gsgen.sdk.verification import check_contract, run_exported
 
 OUTPUT = "result"
 _PROBES = 4
+_HALF_PROBES = 3
 _CHANNELS = (3, 4)
 # Sizes at which a model of open size is traced, and at which it is compared.
 _TRACED, _OTHER = (64, 64), (48, 80)
@@ -63,6 +65,7 @@ class ExportedImage:
         parity: How closely it agrees with eager torch, in shares of the output's range.
         report: What the validator says; it conforms.
         changes: What the rewrites did to the graph.
+        halved: What became float16, where images did.
     """
 
     path: Path
@@ -70,6 +73,7 @@ class ExportedImage:
     parity: Parity
     report: Report
     changes: tuple[Change, ...] = ()
+    halved: HalvedImage | None = None
 
     @property
     def contents(self) -> str:
@@ -97,7 +101,8 @@ def export_post_process(
         model: The module; it is put into evaluation mode and moved to the CPU.
         path: Where the model goes; it is replaced only by a model that passed every check.
         name: What people call it; the file's stem where absent.
-        dtype: Of the images that come in and go out, of weights and of the arithmetic.
+        dtype: Of the images that come in and go out; float16 halves weights, too, and what of the
+            arithmetic does not show (:mod:`gsgen.sdk.half_image`).
         opset: ONNX operator set, 18 being the one that every runtime has kernels for.
         target: The consumer to rewrite and validate for.
         rewrite: Rewrite the graph so that it is captured; without, it stays as torch wrote it.
@@ -120,20 +125,41 @@ def export_post_process(
     progress("running the module in eager torch")
     wanted = [_run_eager(model, probe) for probe in probes]
     progress("tracing the graph")
-    module = _Positional(copy.deepcopy(model).half() if dtype == "float16" else model)
+    # Halving is left to the rewrite, which measures what has to stay float32.
+    halves = dtype == "float16" and rewrite
+    plain = not halves and dtype == "float16"
+    module = _Positional(copy.deepcopy(model).half() if plain else model)
     named = Named(tuple(probes[1].inputs), (OUTPUT,), _open_axes(model.inputs))
-    graph = trace_module(module, probes[1], named, opset, where=type(model).__name__)
+    example = _widened(probes[1]) if halves else probes[1]
+    graph = trace_module(module, example, named, opset, where=type(model).__name__)
     progress("rewriting the graph")
     changes = finish(graph, manifest, load_target(target), rewrite=rewrite)
+    allowed = model.half_tolerance if dtype == "float16" else model.tolerance
+    halved = None
+    if halves:
+        name = _image(model.inputs).name
+        sound = [
+            probe
+            for probe, image in zip(probes, wanted, strict=True)
+            if np.isfinite(image).all()
+        ]
+        halved = halve_image(graph, name, sound[:_HALF_PROBES], allowed, progress)
     with draft_of(path) as draft:
         save_model(graph, draft)
         progress(f"comparing with eager torch at {len(probes)} probes")
-        allowed = model.half_tolerance if dtype == "float16" else model.tolerance
         parity = _check_parity(draft, manifest, probes, wanted, allowed)
         report = check_contract(draft, target, settings, progress)
-    return ExportedImage(
-        path, manifest, parity, replace(report, path=str(path)), tuple(changes)
-    )
+    report = replace(report, path=str(path))
+    return ExportedImage(path, manifest, parity, report, tuple(changes), halved)
+
+
+def _widened(probe: Probe) -> Probe:
+    """Return a probe whose image is float32."""
+    inputs = {
+        name: value.astype(np.float32) if value.dtype == np.float16 else value
+        for name, value in probe.inputs.items()
+    }
+    return replace(probe, inputs=inputs)
 
 
 class _Positional(nn.Module):

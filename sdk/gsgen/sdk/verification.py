@@ -38,6 +38,8 @@ def check_parity(
     references: list[Reference],
     suspects: Suspects,
     progress: Callable[[str], None],
+    *,
+    roundings: int = 1,
 ) -> Parity:
     """Compare the file with eager torch, at the contract's probes and far from them.
 
@@ -47,6 +49,7 @@ def check_parity(
         references: What eager torch gave.
         suspects: What may explain a difference.
         progress: Called with a few words.
+        roundings: How often what storing outputs rounds may be added to the tolerances.
 
     Raises:
         ParityFailed: They differ; the error says where, and what of the module may be why.
@@ -54,10 +57,12 @@ def check_parity(
     progress(f"comparing with eager torch at {len(references)} probes")
     outputs = _run(path, manifest, [reference.probe for reference in references])
     tolerances = manifest.tolerances or Tolerances()
-    parity = compare(references, outputs, tolerances)
+    parity = compare(references, outputs, tolerances, roundings=roundings)
     if not parity.holds:
         near = _neighbours(suspects.generator, references, outputs, tolerances)
-        parity = compare(references, outputs, tolerances, neighbours=near)
+        parity = compare(
+            references, outputs, tolerances, roundings=roundings, neighbours=near
+        )
     if parity.holds:
         return parity
 

@@ -86,6 +86,10 @@ def _report(done: "Halved") -> "Iterator[str]":
     for why, names in reasons.items():
         more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
         yield f"  float32 for {why}: {', '.join(names[:_SHOWN])}{more}"
+    if done.kept_weights:
+        names = [one.node for one in done.kept_weights]
+        more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+        yield f"  stored in float32: {', '.join(names[:_SHOWN])}{more}"
     yield f"weights {done.bytes_before} → {done.bytes_after} bytes"
     yield f"outputs {done.outputs_before} → {done.outputs_after} bytes a frame"
     yield f"largest errors: {done.parity.describe()}"
@@ -99,6 +103,7 @@ def _document(done: "Halved") -> dict[str, object]:
         "path": str(done.path) if done.path else None,
         "halved": done.halved,
         "kept": [asdict(one) for one in done.kept],
+        "kept_weights": [asdict(one) for one in done.kept_weights],
         "casts": done.casts,
         "fields": [asdict(one) for one in done.parity.fields],
         "weights": {"before": done.bytes_before, "after": done.bytes_after},

@@ -72,16 +72,25 @@ class PadColor(passes.InPlacePass):
         rows = color.shape[0]
         if not isinstance(rows, int) or color.dtype != ir.DataType.FLOAT16:
             return passes.PassResult(model, modified=False)
-        ones = weight(graph, f"{self.name}_ones", np.ones((rows, 1), np.float16))
+        # One number, as a column of them would be stored; it is spread when a model is loaded.
+        one = weight(graph, f"{self.name}_one", np.ones((1, 1), np.float16))
+        size = weight(graph, f"{self.name}_rows", np.array([rows, 1], np.int64))
+        ones = new_node(
+            "Expand",
+            [one, size],
+            f"{self.name}_ones",
+            dtype=ir.DataType.FLOAT16,
+            shape=[rows, 1],
+        )
         joined = new_node(
             "Concat",
-            [color, ones],
+            [color, ones.outputs[0]],
             f"{self.name}_padded",
             dtype=color.dtype,
             shape=[rows, _RGB + 1],
             axis=1,
         )
-        append_output(graph, color, [joined])
+        append_output(graph, color, [ones, joined])
         return passes.PassResult(model, modified=True)
 
 

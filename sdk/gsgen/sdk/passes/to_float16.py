@@ -9,6 +9,7 @@ import numpy as np
 import onnx
 import onnx_ir as ir
 
+from gsgen.sdk.constant_part import constant_nodes
 from gsgen.sdk.passes.base import MAIN_DOMAIN, Exactness, Goal, is_op, opset_of
 from gsgen.sdk.passes.building import weight
 from gsgen.sdk.passes.refusal import CautiousRewrite
@@ -24,22 +25,31 @@ class ToFloat16(CautiousRewrite):
 
     Weights and tensors are half as large, and many devices compute twice as fast. Inputs of a frame
     stay float32. Where a float16 node meets a float32 one, one Cast stands, shared by all that read
-    it; a weight that both read is held twice::
+    it. A table that ``stored`` names is held in float16 whatever reads it, with a Cast for those
+    that compute in float32, which runtimes do once; another weight that both read is held twice::
 
         x → Mul → Add → y    →    x → Cast → Mul → Add → y float16
 
     Which nodes are kept is measured by :mod:`gsgen.sdk.float16`; run alone, this pass changes
     values as far as float16 rounds, and overflows beyond 65,504. Bodies of If, Loop and Scan stay
-    float32, as do operators that know no float16.
+    float32, as do operators that know no float16, and what follows from weights alone, which is
+    computed once.
     """
 
     name: ClassVar[str] = "to-float16"
     exactness: ClassVar[Exactness] = Exactness(relative=1e-2)
     wanted_by: ClassVar[str] = "whoever asks for it: `gsgen float16`"
 
-    def __init__(self, keep: Collection[str] = (), *, outputs: bool = True) -> None:
+    def __init__(
+        self,
+        keep: Collection[str] = (),
+        *,
+        outputs: bool = True,
+        stored: Collection[str] = (),
+    ) -> None:
         super().__init__()
         self.keep, self.outputs = frozenset(keep), outputs
+        self.stored = frozenset(stored)
 
     @classmethod
     def for_goal(cls, goal: Goal) -> None:
@@ -49,8 +59,11 @@ class ToFloat16(CautiousRewrite):
     def rewrite(self, model: ir.Model) -> None:
         """Convert nodes, weights and outputs, and put Casts between."""
         graph, opset = model.graph, opset_of(model)
+        once = set(constant_nodes(graph))
         chosen = [
-            node for node in graph if key_of(node) not in self.keep and halves(node, opset)
+            node
+            for node in graph
+            if node not in once and key_of(node) not in self.keep and halves(node, opset)
         ]
         wants = {(node, place) for node in chosen for place in places_of(node, opset)[0]}
         native = {
@@ -67,7 +80,7 @@ class ToFloat16(CautiousRewrite):
             if value in native:
                 value.type = ir.TensorType(HALF)
             if value.is_initializer() and not value.is_graph_input():
-                _convert_weight(graph, value, wants)
+                _convert_weight(graph, value, wants, stored=value.name in self.stored)
             else:
                 _convert_value(graph, value, wants, is_half=value in native)
         for index, value in enumerate(list(graph.outputs)):
@@ -156,20 +169,28 @@ def _readers(value: ir.Value) -> list[tuple[ir.Node, int]]:
     return [(node, place) for node, place in value.uses() if not is_op(node, *_INDIFFERENT)]
 
 
-def _convert_weight(graph: ir.Graph, value: ir.Value, wants: Wants) -> None:
+def _convert_weight(
+    graph: ir.Graph, value: ir.Value, wants: Wants, *, stored: bool
+) -> None:
     readers = _readers(value)
     half = [use for use in readers if use in wants]
-    if not half or value.const_value is None:
+    if not (half or stored) or value.const_value is None:
         return
     with np.errstate(over="ignore"):
         array = value.const_value.numpy().astype(np.float16)
-    if len(half) == len(readers) and not value.is_graph_output():
-        value.const_value = ir.tensor(array, name=value.name)
-        value.type = ir.TensorType(HALF)
+    full = [use for use in readers if use not in wants]
+    if value.is_graph_output() or (full and not stored):
+        copy = weight(graph, f"{value.name}_float16", array)
+        for node, place in half:
+            node.replace_input_with(place, copy)
         return
-    copy = weight(graph, f"{value.name}_float16", array)
-    for node, place in half:
-        node.replace_input_with(place, copy)
+    value.const_value = ir.tensor(array, name=value.name)
+    value.type = ir.TensorType(HALF)
+    if full:
+        cast = _cast(value, FLOAT)
+        _insert_behind(graph, value, cast)
+        for node, place in full:
+            node.replace_input_with(place, cast.outputs[0])
 
 
 def _convert_value(
@@ -226,7 +247,12 @@ class Boundary:
 
     def __init__(self, graph: ir.Graph, opset: int) -> None:
         self._graph = graph
-        self._places = {node: places_of(node, opset) for node in graph}
+        constant = set(constant_nodes(graph))
+        # What follows from weights is cast once, when a model is loaded.
+        self._constants = {value for node in constant for value in node.outputs}
+        self._places = {
+            node: places_of(node, opset) for node in graph if node not in constant
+        }
 
     def casts(self, keep: Collection[str]) -> int:
         """Return how many Casts stand between, those of outputs left out."""
@@ -239,7 +265,9 @@ class Boundary:
         return before - sum(self._needs(value, {*keep, key_of(node)}) for value in near)
 
     def _needs(self, value: ir.Value, keep: Collection[str]) -> bool:
-        if value.dtype != FLOAT or (value.is_initializer() and not value.is_graph_input()):
+        if value.dtype != FLOAT or value in self._constants:
+            return False
+        if value.is_initializer() and not value.is_graph_input():
             return False
         maker, output = value.producer(), value.index()
         native = maker is not None and output in self._halved(maker, keep)[1]
