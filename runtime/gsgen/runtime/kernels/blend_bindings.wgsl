@@ -19,16 +19,24 @@ const ZERO = vec4f(0.0);
 @group(1) @binding(0) var<storage, read> layers: array<vec4f>;
 @group(1) @binding(1) var<storage, read> layer_depths: array<f32>;
 
-// Depths of four pixels of a layer above each other; NOWHERE outside of the image.
+const STRIDE = CELLS;  // of layers, in arrays of cells
+
+// Where four pixels of a layer above each other are; those outside of the image are at its edge.
+fn places_of_layer(layer: u32, corner: vec2u) -> vec4u {
+    let last = frame.size - 1u;
+    let rows = min(corner.y + vec4u(0u, 1u, 2u, 3u), vec4u(last.y));
+    return (layer * frame.size.y + rows) * frame.size.x + min(corner.x, last.x);
+}
+
 fn depths_of_layer(layer: u32, corner: vec2u) -> vec4f {
-    let size = frame.size;
-    let at = (layer * size.y + corner.y) * size.x + corner.x;
-    var made = vec4f(NOWHERE);
-    for (var i = 0u; i < 4u; i++) {
-        if (corner.x < size.x && corner.y + i < size.y) {
-            made[i] = min(layer_depths[at + i * size.x], NOWHERE);
-        }
-    }
-    return made;
+    let at = places_of_layer(layer, corner);
+    let upper = vec2f(layer_depths[at.x], layer_depths[at.y]);
+    let lower = vec2f(layer_depths[at.z], layer_depths[at.w]);
+    return min(vec4f(upper, lower), vec4f(NOWHERE));
+}
+
+fn alphas_of_layer(layer: u32, corner: vec2u) -> vec4f {
+    let at = places_of_layer(layer, corner);
+    return vec4f(layers[at.x].a, layers[at.y].a, layers[at.z].a, layers[at.w].a);
 }
 //!end

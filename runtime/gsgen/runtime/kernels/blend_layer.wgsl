@@ -1,22 +1,14 @@
-                    // One layer into those pixels of a cell that have `reached` it, once. What a
-                    // finished pixel has left out passes on to it, as to the background.
-                    for (var i = 0u; i < 4u; i++) {
-                        if (reached[i]) {
-                            let line = LAYERu * frame.size.y + top_LAYER_CELL.y + i;
-                            let layer = layers[line * frame.size.x + top_LAYER_CELL.x];
-                            let rest = abs(through_CELL[i]);
-                            let passed = rest * (1.0 - layer.a);
-                            if (PICK) {
-                                red_CELL[i] += rest * layer.a * depth_LAYER_CELL[i];
-                                if (rest >= 0.5 && passed < 0.5) {
-                                    green_CELL[i] = depth_LAYER_CELL[i];
-                                }
-                            } else {
-                                red_CELL[i] += rest * layer.x;
-                                green_CELL[i] += rest * layer.y;
-                                blue_CELL[i] += rest * layer.z;
-                            }
-                            through_CELL[i] *= 1.0 - layer.a;
-                            depth_LAYER_CELL[i] = NOWHERE;
-                        }
-                    }
+        // One layer into a cell: into those pixels, too, whose splats are all before it. What a
+        // finished pixel has left out passes on to it, as to the background.
+        {
+            let last = (depth_LAYER_CELL < vec4f(NOWHERE)) & (lit_LAYER_CELL < ZERO);
+            let lit = select(max(lit_LAYER_CELL, ZERO), abs(through_CELL), last);
+            through_CELL *= select(vec4f(1.0), pass_LAYER_CELL, last);
+            if (PICK) {
+                let passed = lit * pass_LAYER_CELL;
+                let halved = (lit >= vec4f(0.5)) & (passed < vec4f(0.5));
+                red_CELL += (lit - passed) * depth_LAYER_CELL;
+                green_CELL = select(green_CELL, depth_LAYER_CELL, halved);
+            }
+            lights[LAYERu * STRIDE + CELLu] = lit;
+        }

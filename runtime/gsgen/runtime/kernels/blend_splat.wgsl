@@ -8,10 +8,10 @@
             let above = weight.y - 0.5 * shape.z * dx * dx - (bend * dy + shape.w * dx) * dy;
             if (any(above >= ZERO)) {
 //!repeat LAYER LAYERS
-                if (any(vec4f(weight.z) > depth_LAYER_CELL)) {
-                    let reached = vec4f(weight.z) > depth_LAYER_CELL;
-//!include blend_layer
-                }
+                // A layer that is met takes its light; blend_layer.wgsl gives it colours.
+                let met_LAYER = (vec4f(weight.z) > depth_LAYER_CELL) & (lit_LAYER_CELL < ZERO);
+                lit_LAYER_CELL = select(lit_LAYER_CELL, abs(through_CELL), met_LAYER);
+                through_CELL *= select(vec4f(1.0), pass_LAYER_CELL, met_LAYER);
 //!end
                 let before = select(ZERO, through_CELL, through_CELL > ZERO);
                 let alpha = select(ZERO, opacity(above), above >= ZERO);

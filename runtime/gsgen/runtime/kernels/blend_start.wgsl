@@ -12,6 +12,8 @@
     var taker_CELL = vec4u(ABSENT);
 //!repeat LAYER LAYERS
     let top_LAYER_CELL = corner + vec2u(CELLu / QUADS * (TILE / COLUMNS), CELLu % QUADS * 4u);
-    var depth_LAYER_CELL = depths_of_layer(LAYERu, top_LAYER_CELL);
+    let depth_LAYER_CELL = depths_of_layer(LAYERu, top_LAYER_CELL);
+    let pass_LAYER_CELL = 1.0 - alphas_of_layer(LAYERu, top_LAYER_CELL);
+    var lit_LAYER_CELL = vec4f(-1.0);  // how much light the layer takes, once it is met
 //!end
 //!end
