@@ -8,6 +8,7 @@ The checkpoints are made up, in the layout of each method's training code.
 import io
 import json
 import math
+import os
 import shlex
 import shutil
 import sys
@@ -127,7 +128,7 @@ def person(kind: str) -> Callable[[Path], list[str]]:
     def write(run: Path) -> list[str]:
         import gsgen.reference_plugins.synthetic as made
 
-        chosen = made.PersonOptions(count=6000, vertices=3000, nets=kind != "lhm")
+        chosen = made.PersonOptions(count=6000, vertices=3000, nets=kind == "r3")
         {"gauhuman": made.write_gauhuman, "lhm": made.write_lhm, "r3": made.write_r3}[kind](
             run, chosen
         )
@@ -343,8 +344,14 @@ def processed(model: Path, picture: np.ndarray) -> np.ndarray:
 # %%
 def make_all(folder: Path, names: list[str]) -> list[Made]:
     """Make families, two at a time."""
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+    apart = get_context("spawn")
+    with ProcessPoolExecutor(2, mp_context=apart, initializer=share_cores) as pool:
         return list(pool.map(make, names, [folder / name for name in names]))
+
+
+def share_cores() -> None:
+    """Keep torch to one thread: two processes would wait for each other's."""
+    os.environ["OMP_NUM_THREADS"] = "1"
 
 
 def show(made: list[Made], folder: Path, console: Console) -> None:

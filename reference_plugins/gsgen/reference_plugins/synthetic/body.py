@@ -193,14 +193,17 @@ def _on_tubes(
     flat = out - (out * axis).sum(axis=1, keepdims=True) * axis
     flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9)
     share = np.where(ended, np.round(share), share)
-    return begin + share * along + radius[:, None] * np.where(ended, out, flat)
+    made: Float[np.ndarray, "n 3"] = (
+        begin + share * along + radius[:, None] * np.where(ended, out, flat)
+    )
+    return made
 
 
 def _away(
     points: Float[np.ndarray, "n 3"], places: Float[np.ndarray, "j 3"]
 ) -> Float[np.ndarray, "n j"]:
     """Return how far points are from the bones that each joint turns: those that begin there."""
-    away = np.linalg.norm(points[:, None] - places[None], axis=2)
+    away: Float[np.ndarray, "n j"] = np.linalg.norm(points[:, None] - places[None], axis=2)
     for child, parent in enumerate(_PARENTS[len(places)]):
         if parent >= 0:
             near = _from_bone(points, places[parent], places[child])
@@ -246,7 +249,8 @@ def colors_of(
     colors[hair] = _COLORS["hair"]
     middle = begin[tube] + 0.5 * (end - begin)[tube]
     light = np.clip((points - middle)[:, 1:] @ [0.6, 0.8] / radius[tube], -1, 1)
-    return np.clip(colors * (0.85 + 0.3 * light[:, None]), 0, 1)
+    made: Float[np.ndarray, "n 3"] = np.clip(colors * (0.85 + 0.3 * light[:, None]), 0, 1)
+    return made
 
 
 def write_body(path: Path, options: PersonOptions = PersonOptions()) -> Path:

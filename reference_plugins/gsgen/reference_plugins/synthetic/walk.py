@@ -67,4 +67,5 @@ def _arm(swing: Float[np.ndarray, " f"], sign: float) -> Float[np.ndarray, "3 f"
         ]
     )
     length = np.linalg.norm(vector, axis=0)
-    return vector / length * 2 * np.arctan2(length, w)
+    turn: Float[np.ndarray, "3 f"] = vector / length * 2 * np.arctan2(length, w)
+    return turn
