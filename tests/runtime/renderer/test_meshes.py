@@ -10,8 +10,15 @@ from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
 from gsgen.runtime.errors import CapacityExceeded, SceneInvalid
 from gsgen.runtime.frame import NOTHING
-from gsgen.runtime.kernels.blend_tiles import NOWHERE
+from gsgen.runtime.kernels.blend_tiles import NOWHERE, BlendTiles, blend_reference
 from gsgen.runtime.kernels.draw_meshes import PlacedMesh, mesh_uniform, seen_reference
+from gsgen.runtime.kernels.kernel import Step, run
+from gsgen.runtime.kernels.project import (
+    Projected,
+    frame_uniform,
+    page_uniform,
+    project_reference,
+)
 from gsgen.runtime.kernels.shader import source
 from gsgen.runtime.mesh import Mesh, MeshData
 from gsgen.runtime.renderer import Renderer
@@ -151,6 +158,57 @@ def test_the_twin_sees_the_same(renderer: Renderer, name: str) -> None:
     )
     normal = best[there & ~edge][:, 4:7] @ seen_by.view[:3, :3]
     np.testing.assert_allclose(seen.normal[there & ~edge], normal, atol=2e-3)
+
+
+@pytest.mark.parametrize("variant", ["as it is", "without subgroups", "as on a GPU"])
+def test_two_layers_are_the_twins(device: Device, variant: str) -> None:
+    """A translucent layer that leans, before an opaque one that is not everywhere."""
+    other = Device(device.raw)
+    if variant != "as it is":
+        other.subgroups, other.software = False, variant == "without subgroups"
+    renderer, seen_by = Renderer(other), camera()
+    scene = Scene([cloud(250, 15)])
+    image = renderer.render(scene, seen_by).rgba
+    placed = renderer.placed(scene)
+    plan = renderer.plan(placed, seen_by, frozenset(["color"]))
+    rng = np.random.default_rng(16)
+    shown = rng.uniform(size=(2, 47, 61, 4)).astype(np.float32)
+    depths = np.stack(
+        [np.linspace(2.5, 6, 61 * 47).reshape(47, 61), np.full((47, 61), 6.5)]
+    )
+    depths[:, :9] = np.inf
+    depths[1, :, 40:] = NOWHERE
+    shown[1, ..., 3] = 1
+    shown[depths >= NOWHERE] = 0
+    depths = depths.astype(np.float32)
+    buffers = [
+        other.storage("layers", shown.nbytes),
+        other.storage("depths", depths.nbytes),
+    ]
+    for buffer, values in zip(buffers, (shown, depths), strict=True):
+        other.write(buffer, values)
+    kernel = BlendTiles(other, pick=False, layers=2).kernel
+    (own,) = plan.stages["blend"][0].binds
+    step = Step(
+        kernel, (own, kernel.bind(*buffers, group=1)), plan.stages["blend"][0].groups
+    )
+    encoder = other.raw.create_command_encoder()
+    run(encoder, [step], "layers")
+    other.raw.queue.submit([encoder.finish()])
+    seen = other.read(plan.images["color"], np.float32, image.size).reshape(image.shape)
+    frame = frame_uniform(seen_by, np.zeros(3))
+    page = page_uniform(scene.sets[0], seen_by, 0, 250, 250)
+    splats = project_reference(scene.sets[0].data, frame, page)
+    order = np.argsort(splats.depth.astype(np.float32), kind="stable")
+    order = order[splats.drawn[order]]
+    splats = Projected(*(getattr(splats, field)[order] for field in Projected.__slots__))
+    wanted = blend_reference(
+        splats, frame["origin"], (61, 47), list(zip(shown, depths, strict=True))
+    )
+    error = np.abs(seen - wanted)
+    assert np.quantile(error, 0.998) <= 1e-5  # the rest is at thresholds
+    assert error.max() <= 2e-2
+    assert np.abs(wanted - image).max() > 0.5
 
 
 def test_where_no_layer_is_the_shader_does_not_know_of_any(renderer: Renderer) -> None:

@@ -2,6 +2,7 @@
 
 __all__ = ["NOWHERE", "BlendTiles", "Layers", "blend_reference"]
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -95,7 +96,10 @@ class BlendTiles:
 
 
 def blend_reference(
-    splats: Projected, origin: Float[np.ndarray, "2"], size: tuple[int, int]
+    splats: Projected,
+    origin: Float[np.ndarray, "2"],
+    size: tuple[int, int],
+    layers: Sequence[tuple[Float[np.ndarray, "h w 4"], Float[np.ndarray, "h w"]]] = (),
 ) -> Float[np.ndarray, "h w 4"]:
     """What ``blend_tiles.wgsl`` must make of splats that are sorted, nearest first.
 
@@ -103,15 +107,27 @@ def blend_reference(
         splats: All of them drawn.
         origin: Of their means, in pixels of the image.
         size: Width and height of the image.
+        layers: Colours and depths of each, as :class:`Layers` has them.
     """
     width, height = size
     x = np.arange(width) + 0.5 - origin[0]
     y = np.arange(height)[:, None] + 0.5 - origin[1]
     through, live = np.ones((height, width)), np.ones((height, width), bool)
     color = np.zeros((height, width, 3))
-    for mean, conic, strength, own in zip(
-        splats.mean, splats.conic, splats.strength, splats.color, strict=True
+    waiting = [depth < NOWHERE for _, depth in layers]
+
+    def meet(reach: float) -> None:
+        nonlocal through, color
+        for number, (shown, depth) in enumerate(layers):
+            met = waiting[number] & (depth < reach)
+            waiting[number] = waiting[number] & ~met
+            color = color + np.where(met, through, 0)[..., None] * shown[..., :3]
+            through = np.where(met, through * (1 - shown[..., 3]), through)
+
+    for mean, conic, strength, own, far in zip(
+        splats.mean, splats.conic, splats.strength, splats.color, splats.depth, strict=True
     ):
+        meet(float(far))
         dx, dy = x - mean[0], y - mean[1]
         above = strength - 0.5 * (conic[0] * dx**2 + conic[2] * dy**2) - conic[1] * dx * dy
         alpha = np.minimum(layout.CULL_OPACITY * np.exp(above), MAX_ALPHA)
@@ -120,4 +136,5 @@ def blend_reference(
         drawn = live & (above >= 0)
         color += np.where(drawn, alpha * through, 0)[..., None] * own
         through = np.where(drawn, after, through)
+    meet(np.inf)
     return np.concatenate([color, 1 - through[..., None]], axis=-1)
