@@ -153,9 +153,40 @@ def test_a_rule_is_found_by_id_or_name_in_any_case(name, id):
         ("GV910", "Did you mean 'GV901'?"),
         ("opacity-rang", "Did you mean 'opacity-range'?"),
         ("zzz", "Known: opacity-range, rows-finite."),
+        ("opacity-range2", "Did you mean 'opacity-range'?"),
+        ("GV902", "Did you mean 'acme/GV902'?"),
+        ("GX901", "Ids begin with GV, acme/GV; `gsgen rules` lists them."),
+        (
+            "acme/GV7",
+            "Ids of acme/GV are acme/GV902 to acme/GV902; `gsgen rules` lists them.",
+        ),
     ],
 )
 def test_an_unknown_rule_names_the_nearest_of_its_sort(name, mend):
     with pytest.raises(UnknownName) as caught:
         REGISTRY.find(name, "--ignore")
     assert str(caught.value) == f"--ignore: unknown rule {name!r}\n  {mend}"
+
+
+ALL = Registry.of(made_up(f"GV{number:03}") for number in (1, 2, 3, 12, 21, 30, 31))
+
+
+@pytest.mark.parametrize(
+    ("typed", "mend"),
+    [
+        *(
+            (typed, "Did you mean 'GV003'?")
+            for typed in ("GV03", "gv3", "GV-003", "GV0003")
+        ),
+        ("GV903", "Did you mean 'GV003'?"),
+        ("GV013", "Did you mean 'GV003' or 'GV012' or 'GV031'?"),
+        ("GV011", "Ids of GV are GV001 to GV031; `gsgen rules` lists them."),
+        ("GV100", "Did you mean 'GV001'?"),
+        ("GV0031000", "Ids of GV are GV001 to GV031; `gsgen rules` lists them."),
+        ("GV777", "Ids of GV are GV001 to GV031; `gsgen rules` lists them."),
+    ],
+)
+def test_only_ids_that_exist_are_suggested(typed, mend):
+    with pytest.raises(UnknownName) as caught:
+        ALL.find(typed)
+    assert caught.value.mend == mend

@@ -11,6 +11,8 @@ __all__ = [
 
 from collections.abc import Iterable
 
+_MOST_LISTED = 12
+
 
 class GsgenError(Exception):
     """The base of all errors that are the input's fault, never ours.
@@ -60,6 +62,9 @@ class UnknownName(ConfigInvalid):
 
         names = sorted(known)
         close = get_close_matches(name, names, n=1, cutoff=0.5)
-        listed = ", ".join(names) if len(names) <= 12 else f"{len(names)} are known"
-        mend = f"Did you mean {close[0]!r}?" if close else f"Known: {listed or 'none'}."
+        short = len(names) <= _MOST_LISTED
+        all = (
+            f"Known: {', '.join(names) or 'none'}." if short else f"{len(names)} are known."
+        )
+        mend = f"Did you mean {close[0]!r}?" if close else all
         return cls(f"unknown {noun} {name!r}", where=where, mend=mend)

@@ -28,6 +28,9 @@ Check = Callable[[Any], Iterator[Breach]]
 
 _ID = re.compile(r"^(?:[a-z][a-z0-9-]*/)?[A-Z]{2}[0-9]{3}$")
 _SLUG = re.compile(r"^[a-z0-9]+(?:-[a-z0-9]+)*$")
+# An id as people type it: GV3, gv-03, GV0003.
+_TYPED = re.compile(r"((?:[a-z][a-z0-9-]*/)?[a-z]{2})[-_ ]?([0-9]{1,9})", re.IGNORECASE)
+_MOST_SUGGESTED = 3
 _LEVELS: dict[Scope, Level] = {
     "model": Level.STATIC,
     "execution": Level.VALUES,
@@ -201,6 +204,31 @@ class Registry:
         for one in self.rules.values():
             if name.lower() in (one.id.lower(), one.slug):
                 return one
-        codes, slugs = list(self.rules), [one.slug for one in self.rules.values()]
-        known = codes if any(letter.isdigit() for letter in name) else slugs
-        raise UnknownName.among("rule", name, known, where)
+        typed = _TYPED.fullmatch(name)
+        if typed is None:
+            slugs = [one.slug for one in self.rules.values()]
+            raise UnknownName.among("rule", name, slugs, where)
+        mend = _nearest(typed[1], int(typed[2]), list(self.rules))
+        raise UnknownName(f"unknown rule {name!r}", where=where, mend=mend)
+
+
+def _nearest(stem: str, number: int, ids: list[str]) -> str:
+    """Say which of ``ids`` may have been meant by an id that is none of them."""
+    owner, slash, letters = stem.rpartition("/")
+    family = f"{owner.lower()}{slash}{letters.upper()}"
+    code = f"{family}{number:03}"
+    kin = [one for one in ids if one[:-3] == family]
+    likely = [one for one in ids if one == code or one.endswith(f"/{code}")]
+    likely = likely or [one for one in kin if _mistyped(one, code)]
+    if 0 < len(likely) <= _MOST_SUGGESTED:
+        return f"Did you mean {' or '.join(map(repr, likely))}?"
+    if kin:
+        return f"Ids of {family} are {min(kin)} to {max(kin)}; `gsgen rules` lists them."
+    families = ", ".join(dict.fromkeys(one[:-3] for one in ids))
+    return f"Ids begin with {families}; `gsgen rules` lists them."
+
+
+def _mistyped(id: str, typed: str) -> bool:
+    """Say whether one digit is another, or digits stand in another order."""
+    wrong = sum(a != b for a, b in zip(id, typed, strict=False))
+    return len(id) == len(typed) and (wrong == 1 or sorted(id) == sorted(typed))
