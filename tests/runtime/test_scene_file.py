@@ -30,7 +30,7 @@ SMALL = ("--width", "48", "--height", "32")
 
 @pytest.fixture(scope="module")
 def renderer() -> Renderer:
-    return Renderer(Device.open())
+    return Renderer(Device.open(), rasteriser="tiles")
 
 
 @pytest.fixture(scope="module")
@@ -275,7 +275,7 @@ def test_what_is_no_json_says_so(tmp_path: Path, text: str, match: str) -> None:
 
 def test_what_fails_when_it_is_opened_says_where(folder: Path) -> None:
     cases: list[tuple[object, type[GsgenError], str]] = [
-        ("gone.ply", SceneUnreadable, r"models\[0\]\.path: "),
+        ("gone.ply", SceneUnreadable, r"models\[0\]\.path: \S+gone\.ply: cannot be read"),
         ("scene.json", SceneInvalid, r"models\[0\]\.path: is a scene file"),
         (
             A | {"inputs": {"tme": 1}},

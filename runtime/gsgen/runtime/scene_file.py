@@ -3,11 +3,11 @@
 __all__ = ["SceneFile", "is_scene_file", "open_scene", "read_scene"]
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Literal, final
+from typing import Any, Final, Literal, TypeVar, final
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +26,8 @@ from gsgen.runtime.sources import Source, open_source
 from gsgen.runtime.transforms import require_affine
 
 VERSION: Final = "1.0"
+Made = TypeVar("Made")
+
 _MARK: Final = "gsgen_scene"
 _LARGEST: Final = 64 << 20  # bytes: poses may be written out in it
 
@@ -198,14 +200,13 @@ def _stood(part: MeshPart) -> Source:
     )
 
 
-def _named(make: Any, where: str) -> Any:
+def _named(make: Callable[[], Made], where: str) -> Made:
     """Return what ``make`` makes; an error names the place in the scene file, too."""
     try:
         return make()
     except GsgenError as error:
-        raise type(error)(
-            error.what, where=f"{where}: {error.where}", mend=error.mend
-        ) from error
+        place = f"{where}: {error.where}" if error.where else where
+        raise type(error)(error.what, where=place, mend=error.mend) from error
 
 
 def _document(path: Path) -> Mapping[str, Any]:
