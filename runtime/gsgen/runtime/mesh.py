@@ -41,6 +41,7 @@ class MeshData:
         uv: As float32, or None.
         texture: [height, width, 4], or None.
         color_space: As given.
+        version: Grows with every update; who keeps a copy compares it.
 
     Raises:
         SceneInvalid: An array cannot be drawn; says which row and value.
@@ -52,6 +53,7 @@ class MeshData:
     uv: Float32[np.ndarray, "v 2"] | None
     texture: UInt8[np.ndarray, "h w 4"] | None
     color_space: Literal["srgb", "linear"]
+    version: int
 
     def __init__(
         self,
@@ -77,6 +79,16 @@ class MeshData:
         self.colors = _floats(colors, "colors", (3, 4), len(self.vertices))[:, :3]
         _require_one_of(color_space, ("srgb", "linear"), "color_space")
         self.color_space = color_space
+        self.version = 0
+
+    def update(self, vertices: Float[np.ndarray, "v 3"]) -> None:
+        """Move the vertices; how many there are stays, so that no buffer is made anew.
+
+        Raises:
+            SceneInvalid: There are more or fewer, or one is not finite.
+        """
+        self.vertices = _floats(vertices, "vertices", (3,), len(self.vertices))
+        self.version += 1
 
     def __len__(self) -> int:
         return len(self.faces)

@@ -50,9 +50,10 @@ class MeshResidency:
     def __init__(self, device: Device) -> None:
         self._device = device
         self._held: WeakKeyDictionary[MeshData, MeshBuffers] = WeakKeyDictionary()
+        self._versions: WeakKeyDictionary[MeshData, int] = WeakKeyDictionary()
 
     def buffers(self, data: MeshData) -> MeshBuffers:
-        """Return the buffers of ``data``, uploaded where it is new.
+        """Return the buffers of ``data``, uploaded where it is new or has moved.
 
         Raises:
             CapacityExceeded: An array or the texture is larger than the device binds.
@@ -66,6 +67,9 @@ class MeshResidency:
                 self._picture(_WHITE if data.texture is None else data.texture),
                 len(data),
             )
+        elif self._versions[data] != data.version:
+            self._device.write(self._held[data].vertices, data.vertices)
+        self._versions[data] = data.version
         return self._held[data]
 
     def _uploaded(self, label: str, values: np.ndarray) -> Any:

@@ -62,7 +62,7 @@ def test_every_cut_of_the_kernels_knows_meshes(device: Device, variant: str) -> 
     other = Device(device.raw)
     other.subgroups = False
     other.software = variant == "without subgroups"
-    compare(*MESH_SCENES["through_the_middle"](), Renderer(other))
+    compare(*MESH_SCENES["through_the_middle"](), Renderer(other, rasteriser="tiles"))
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +166,7 @@ def test_two_layers_are_the_twins(device: Device, variant: str) -> None:
     other = Device(device.raw)
     if variant != "as it is":
         other.subgroups, other.software = False, variant == "without subgroups"
-    renderer, seen_by = Renderer(other), camera()
+    renderer, seen_by = Renderer(other, rasteriser="tiles"), camera()
     scene = Scene([cloud(250, 15)])
     image = renderer.render(scene, seen_by).rgba
     placed = renderer.placed(scene)
@@ -231,8 +231,25 @@ def test_a_moving_mesh_makes_no_buffer_and_no_bind_group(
         monkeypatch.setattr(raw, name, lambda *_, label="", **__: made.append(label))
     for step in range(3):
         mesh = Mesh(shape, moved(0.1 * step, 0, 4))
+        shape.update(shape.vertices * np.float32(0.9))
         renderer.render(Scene([splats], meshes=[mesh]), camera())
     assert made == []
+
+
+def test_vertices_may_move(renderer: Renderer) -> None:
+    shape, other = wall(4), wall(3, 0.5)
+    scene = Scene([cloud(60, 17)], meshes=[shape])
+    before = renderer.render(scene, camera())
+    shape.update(other.vertices)
+    after = renderer.render(scene, camera())
+    assert not np.array_equal(before.rgba, after.rgba)
+    fresh = MeshData(other.vertices, shape.faces, shape.colors)
+    wanted = renderer.render(Scene([scene.sets[0]], meshes=[fresh]), camera())
+    assert np.array_equal(after.rgba, wanted.rgba)
+    with pytest.raises(
+        SceneInvalid, match=r"vertices: float32 \[3, 3\], wanted .* \[4, 3\]"
+    ):
+        shape.update(other.vertices[:3])
 
 
 def test_meshes_that_come_and_go(renderer: Renderer) -> None:
