@@ -71,6 +71,7 @@ class BlendTiles:
             CELLS=columns * quads,
             LANES=TILE // columns,
             PICK=pick,
+            MASKED=together and not panorama,
             POLYNOMIAL=device.software,
             **(ROUND if panorama else {}),
             **({"LAYERS": layers, "LAYERED": 1, "NOWHERE": NOWHERE} if layers else {}),

@@ -20,6 +20,7 @@ fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_id) local
         let shape = shapes[id];
         let weight = weights[id];
         let color = colors[id];
+        let cells = 0u;
 //!include blend_splat
         var most = ZERO;
 //!repeat CELL CELLS

@@ -47,16 +47,24 @@ fn outline(mean: vec2f, conic: vec3f, strength: f32, variance_yy: f32) -> Outlin
     return made;
 }
 
+// How far left and right of its mean a splat reaches, from one height above it to another.
+fn extent(made: Outline, heights: vec2f) -> vec2f {
+    let band = clamp(heights, vec2f(-made.half_height), vec2f(made.half_height));
+    let right_y = clamp(made.rightmost, band.x, band.y);
+    let left_y = clamp(-made.rightmost, band.x, band.y);
+    let right = made.lean * right_y
+        + sqrt(max(made.reach - right_y * right_y * made.inverse_yy, 0.0) * made.width) + EDGE;
+    let left = made.lean * left_y
+        - sqrt(max(made.reach - left_y * left_y * made.inverse_yy, 0.0) * made.width) - EDGE;
+    return vec2f(left, right);
+}
+
 // The first tile of a copy's span in a row of tiles, and one behind the last.
 fn span(made: Outline, row: u32, copy: u32) -> vec2u {
     let top = f32(row * TILE) + 0.5 - made.mean.y;
-    let band = clamp(vec2f(top, top + f32(TILE) - 1.0), vec2f(-made.half_height), vec2f(made.half_height));
-    let right_y = clamp(made.rightmost, band.x, band.y);
-    let left_y = clamp(-made.rightmost, band.x, band.y);
-    var right = made.lean * right_y
-        + sqrt(max(made.reach - right_y * right_y * made.inverse_yy, 0.0) * made.width) + EDGE;
-    var left = made.lean * left_y
-        - sqrt(max(made.reach - left_y * left_y * made.inverse_yy, 0.0) * made.width) - EDGE;
+    let ends = extent(made, vec2f(top, top + f32(TILE) - 1.0));
+    var left = ends.x;
+    var right = ends.y;
     var middle = made.mean.x;
     if (PANORAMA) {
         let most = 0.5 * frame.period + EDGE;
