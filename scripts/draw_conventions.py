@@ -31,7 +31,7 @@ PICTURES: dict[str, Callable[[Renderer], Image.Image]] = {
 def main(folder: Path) -> None:
     """Draw all pictures into ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
-    renderer = Renderer()
+    renderer = Renderer(rasteriser="tiles")
     for name, draw in PICTURES.items():
         picture = draw(renderer)
         if name.endswith(".png"):

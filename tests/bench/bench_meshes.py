@@ -69,7 +69,7 @@ def placed(data: MeshData, depth: float, scale: float) -> Mesh:
 
 
 def bench_meshes(splats: SplatData) -> None:
-    renderer = Renderer()
+    renderer = Renderer(rasteriser="tiles")
     fine, coarse = ball(230), ball(30)
     cases = {
         "one that is out of view": placed(coarse, -9, 1),

@@ -45,7 +45,7 @@ def least(action: Callable[[], object], after: Callable[[], object]) -> float:
 
 @pytest.fixture(scope="module")
 def renderer() -> Renderer:
-    return Renderer(Device.open())
+    return Renderer(Device.open(), rasteriser="tiles")
 
 
 def models(count: int) -> Scene:

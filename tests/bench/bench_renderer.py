@@ -76,7 +76,7 @@ def device() -> Device:
 
 @pytest.fixture(scope="module")
 def renderer(device: Device) -> Renderer:
-    return Renderer(device)
+    return Renderer(device, rasteriser="tiles")
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,7 @@ def flops() -> float:
 def bench_a_million(
     device: Device, scene: Scene, size: tuple[int, int], compact: bool
 ) -> None:
-    renderer = Renderer(device, compact=compact)
+    renderer = Renderer(device, rasteriser="tiles", compact=compact)
     camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=size[0], height=size[1])
     plan, placed, pairs = planned(renderer, scene, camera)
 
@@ -186,7 +186,7 @@ def bench_panorama(device: Device, scene: Scene) -> None:
     straight = Camera.look_at(eye, np.add(eye, toward).tolist(), width=1024, height=512)
     around = Camera.panorama(eye, toward, width=1024)
     for name, camera in (("pinhole", straight), ("panorama", around)):
-        one = Renderer(device)
+        one = Renderer(device, rasteriser="tiles")
         plan, placed, pairs = planned(one, scene, camera)
 
         def frame(
@@ -239,7 +239,7 @@ def bench_memory(device: Device, scene: Scene) -> None:
     camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=640, height=360)
     data = scene.sets[0].data
     for compact in (False, True):
-        renderer = Renderer(device, compact=compact)
+        renderer = Renderer(device, rasteriser="tiles", compact=compact)
         stay = []
         for degree in (0, 1, 2, 3):
             some = SplatData(data.rows, data.appearance[:, : 3 * (degree + 1) ** 2], "sh")

@@ -72,7 +72,7 @@ def bench_sums_beside_sorting(
         ("sorted", SplatSet(data), SORTED),
         ("summed", SplatSet(data, weighted=weighted), CELLED),
     ):
-        renderer, scene = Renderer(device), Scene([one])
+        renderer, scene = Renderer(device, rasteriser="tiles"), Scene([one])
         frame = renderer.render(scene, seen_by)
         seconds = []
         for _ in range(FRAMES):

@@ -26,7 +26,7 @@ SMALL = ("--width", "48", "--height", "32", "--frames", "3")
 
 @pytest.fixture(scope="module")
 def renderer() -> Renderer:
-    return Renderer(Device.open())
+    return Renderer(Device.open(), rasteriser="tiles")
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ LONG = 30  # seconds that a test waits for what must happen at once
 
 @pytest.fixture(scope="module")
 def renderer() -> Renderer:
-    return Renderer(Device.open())
+    return Renderer(Device.open(), rasteriser="tiles")
 
 
 @pytest.fixture(scope="module")

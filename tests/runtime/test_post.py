@@ -160,7 +160,7 @@ def test_a_player_runs_them_in_order(tmp_path: Path) -> None:
     brighter = darken("h,w").reworded("Mul (image, amount)", "Max (image, amount)")
     paths = [write(tmp_path, darken(), "dark"), write(tmp_path, brighter, "floor")]
     camera = Camera.orbit((0, 0, 0), 4, width=WIDTH, height=HEIGHT)
-    renderer, white = Renderer(), (1.0, 1.0, 1.0, 1.0)
+    renderer, white = Renderer(rasteriser="tiles"), (1.0, 1.0, 1.0, 1.0)
 
     def shown(*post: Path) -> np.ndarray:
         with GeneratorPlayer(

@@ -1,9 +1,10 @@
 """The renderer: a scene and a camera in, a frame out."""
 
-__all__ = ["Renderer"]
+__all__ = ["Drawn", "Renderer"]
 
 from collections.abc import Collection, Sequence
-from typing import Final, Literal, final
+from dataclasses import dataclass
+from typing import Any, Final, final
 
 import numpy as np
 from jaxtyping import Float32, Int64, UInt32
@@ -18,13 +19,33 @@ from gsgen.runtime.kernels.order_ties import TIED
 from gsgen.runtime.kernels.shader import ABSENT
 from gsgen.runtime.mesh_residency import MeshResidency
 from gsgen.runtime.plan import Kernels, Placed, Plan
+from gsgen.runtime.rasteriser import Asked, Rasteriser, choose
 from gsgen.runtime.residency import PAGE_ROWS, Residency
 from gsgen.runtime.scene import Scene
 
 _FIRST_PAIRS: Final = 1 << 16
 _ROOM: Final = 1.25  # over what a frame needed, so that the next need not grow again
+_PIXEL: Final = 16  # bytes
 _OUTPUTS: Final = ("color", "depth", "normal")
 _COLOR: Final[tuple[Output, ...]] = ("color",)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """An image that stayed on the device.
+
+    Attributes:
+        image: The buffer: four 32-bit words a pixel, as the kernels blend them.
+        row: Pixels from the beginning of a row to that of the next.
+        visible: How many Gaussians were drawn.
+        pairs: Of a tile and a splat that touches it.
+    """
+
+    image: Any
+    row: int
+    visible: int
+    pairs: int
 
 
 @final
@@ -37,7 +58,9 @@ class Renderer:
     Args:
         device: Where to draw; the fastest there is where absent.
         rasteriser: What blends colours: compute shaders, tile by tile, or the hardware, a quad a
-            splat. The hardware cannot stop at pixels that are finished.
+            splat. The hardware cannot stop at pixels that are finished. "auto" measures once which
+            is faster on a GPU (:mod:`gsgen.runtime.rasteriser`), and has tiles on a software
+            driver, and wherever a frame is more than colours.
         compact: Keep harmonics and colours in float16, and covariances in 16 bytes: 128 bytes a
             Gaussian of degree 3 instead of 232, 40 instead of 56 without harmonics, and less to
             read; pictures differ by less than 1e-3, or 4e-3 where a threshold is met.
@@ -45,6 +68,9 @@ class Renderer:
         published: Whether weighted sums count backgrounds as the method's own renderer does
             (Liu et al. 2025): what is behind keeps its whole weight in the numerator. Such
             pictures compare with that renderer's, and compose with nothing.
+
+    Attributes:
+        rasteriser: What blends colours, asked for or chosen.
 
     Raises:
         DeviceUnavailable: There is none, or it cannot blend what ``rasteriser`` asks for.
@@ -54,7 +80,7 @@ class Renderer:
         self,
         device: Device | None = None,
         *,
-        rasteriser: Literal["tiles", "quads"] = "tiles",
+        rasteriser: Asked = "auto",
         compact: bool = False,
         page_rows: int = PAGE_ROWS,
         published: bool = False,
@@ -65,12 +91,15 @@ class Renderer:
         self._residency = Residency(self.device, page_rows, compact=compact)
         self._mesh_residency = MeshResidency(self.device)
         self._pairs = _FIRST_PAIRS
-        self._quads = rasteriser == "quads"
-        if self._quads and not self.device.blends_floats:
+        if rasteriser == "quads" and not self.device.blends_floats:
             raise DeviceUnavailable(
                 f"{self.device.name} cannot blend 32-bit floats",
-                mend="Use rasteriser='tiles'.",
+                mend="Use the rasteriser 'tiles'.",
             )
+        self._chosen = rasteriser == "auto"
+        self.rasteriser: Rasteriser = (
+            choose(self.device, self._kernels) if rasteriser == "auto" else rasteriser
+        )
         self._key: object = None
         self._plan: Plan | None = None
 
@@ -94,14 +123,51 @@ class Renderer:
             CapacityExceeded: The scene or the image is larger than the device's buffers.
             SceneInvalid: The background or the outputs are none.
         """
+        _, counts, images = self._drawn(scene, camera, background, outputs)
+        return _frame(scene, camera, counts, images, float(background[3]))
+
+    def draw(
+        self,
+        scene: Scene,
+        camera: Camera,
+        *,
+        background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+        output: Output = "color",
+    ) -> Drawn:
+        """Draw ``scene``, and leave the image on the device, for what shows it from there.
+
+        Args:
+            scene: What to draw.
+            camera: From where, and how large.
+            background: Red, green, blue and alpha behind it all.
+            output: What to make.
+
+        Raises:
+            CapacityExceeded: The scene or the image is larger than the device's buffers.
+            SceneInvalid: The background or the output is none.
+        """
+        plan, counts, _ = self._drawn(scene, camera, background, (output,), fetch=False)
+        image = plan.images[output]
+        row = image.size // camera.height // _PIXEL
+        return Drawn(image, row, int(counts[Counts.VISIBLE]), int(counts[Counts.PAIRS]))
+
+    def _drawn(
+        self,
+        scene: Scene,
+        camera: Camera,
+        background: Sequence[float],
+        outputs: Collection[Output],
+        fetch: bool = True,
+    ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
+        """Draw until there is room for everything; images are empty without ``fetch``."""
         wanted = _known(outputs)
         if self._published:
             _require_alone(scene)
         behind = _premultiplied(background)
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
         plan = self.plan(placed, camera, wanted, meshes)
-        plan.submit(placed, camera, behind[:3], meshes=meshes)
-        counts, images = plan.collect()
+        plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
+        counts, images = plan.collect(fetch)
         while counts[TIED] or counts[Counts.WANTED_PAIRS] > plan.pair_capacity:
             if counts[TIED]:
                 for one in scene.sets:
@@ -110,9 +176,9 @@ class Renderer:
             else:
                 self._grow(int(counts[Counts.WANTED_PAIRS]))
             plan = self.plan(placed, camera, wanted, meshes)
-            plan.submit(placed, camera, behind[:3], meshes=meshes)
-            counts, images = plan.collect()
-        return _frame(scene, camera, counts, images, float(behind[3]))
+            plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
+            counts, images = plan.collect(fetch)
+        return plan, counts, images
 
     def placed(self, scene: Scene) -> list[Placed]:
         """Return each page of the scene with its set, uploaded where it is new or has changed."""
@@ -153,13 +219,17 @@ class Renderer:
                 size,
                 outputs,
                 self._pairs,
-                self._quads,
+                self._takes_quads(outputs),
                 panorama,
                 meshes,
                 self._published,
             )
             self._key = key
         return self._plan
+
+    def _takes_quads(self, outputs: frozenset[Output]) -> bool:
+        """Whether quads draw the colours; who has to list pairs for another output, blends them."""
+        return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
     def _grow(self, wanted: int) -> None:
         """Make room for more pairs, or say why there can be none."""

@@ -70,7 +70,7 @@ def prepare_render(trial: Trial) -> Iterator[Prepared]:
         raise LevelUnavailable("wgpu is not installed", mend="pip install 'gsgen[runtime]'")
     began = time.monotonic()
     try:
-        renderer = Renderer()
+        renderer = Renderer(rasteriser="tiles")
         frames = tuple(_drawn(trial, renderer))
     except (DeviceUnavailable, CapacityExceeded) as error:
         raise LevelUnavailable(error.what, mend=error.mend) from error

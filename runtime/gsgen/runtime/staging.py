@@ -2,7 +2,7 @@
 
 __all__ = ["Staging"]
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, final
 
 import numpy as np
@@ -32,9 +32,10 @@ class Staging:
             label="staging", size=size, usage="MAP_READ|COPY_DST"
         )
 
-    def encode(self, encoder: Any) -> None:
-        """Copy every source, once what is encoded before has run."""
-        for name, source in self._sources.items():
+    def encode(self, encoder: Any, names: Iterable[str] | None = None) -> None:
+        """Copy sources, all where absent, once what is encoded before has run."""
+        for name in self._sources if names is None else names:
+            source = self._sources[name]
             encoder.copy_buffer_to_buffer(
                 source, 0, self._buffer, self._offsets[name], source.size
             )

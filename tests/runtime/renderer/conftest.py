@@ -12,4 +12,4 @@ def device() -> Device:
 @pytest.fixture(scope="session")
 def renderer(device: Device) -> Renderer:
     """One for all tests: kernels are compiled once."""
-    return Renderer(device)
+    return Renderer(device, rasteriser="tiles")

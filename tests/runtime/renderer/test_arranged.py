@@ -100,7 +100,7 @@ def test_no_picture_shows_how_rows_are_arranged(device: Device, small: None) -> 
             SplatSet(first, turned(0.5, (0, 0, 1))),
         ]
     )
-    one = Renderer(device, page_rows=64)
+    one = Renderer(device, rasteriser="tiles", page_rows=64)
     before = one.render(scene, camera(), outputs=ALL)
     assert all(page.rows_of is None for _, page in one.placed(Scene([cloud(5)])))
     after = one.render(scene, camera(), outputs=ALL)
@@ -118,7 +118,7 @@ def test_what_changes_is_not_arranged_again(
     device: Device, renderer: Renderer, small: None
 ) -> None:
     data, other = cloud(100, 3), cloud(100, 4)
-    one, scene = Renderer(device), Scene([data])
+    one, scene = Renderer(device, rasteriser="tiles"), Scene([data])
 
     def arranged() -> bool:
         frame = one.render(scene, camera(), outputs=ALL)
@@ -136,7 +136,7 @@ def test_values_may_change_once_rows_are_arranged(
 ) -> None:
     data, other = cloud(100, 5), cloud(100, 6)
     data.update(count=60)
-    one, scene = Renderer(device), Scene([data])
+    one, scene = Renderer(device, rasteriser="tiles"), Scene([data])
     for _ in range(2):
         one.render(scene, camera())
     kept = {"count": 60} if change != "count" else {"count": 80}
@@ -151,7 +151,7 @@ def test_a_plane_seen_straight_on_is_not_arranged(device: Device, small: None) -
     """All its depths are one, and the earlier row is in front."""
     data = cloud(400, 7, opacity=(0.5, 0.9))
     data.rows[:, 2] = 4.0
-    one, scene = Renderer(device), Scene([data])
+    one, scene = Renderer(device, rasteriser="tiles"), Scene([data])
     before = one.render(scene, camera(), outputs=ALL)
     for _ in range(2):
         assert same(one.render(scene, camera(), outputs=ALL), before)

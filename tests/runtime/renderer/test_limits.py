@@ -11,7 +11,7 @@ from support.splat_scenes import camera, cloud, single
 
 
 def test_room_for_pairs_grows_by_itself(device: Device) -> None:
-    renderer = Renderer(device)
+    renderer = Renderer(device, rasteriser="tiles")
     scene = Scene([cloud(3000, size=2.0, depth=(2, 3), opacity=(0.01, 0.05))])
     frame = renderer.render(scene, camera(width=160, height=120))
     assert frame.pairs > 1 << 16  # more than there was room for at first

@@ -66,14 +66,19 @@ def test_what_is_no_covariance_is_not_drawn(
     data = cloud(2)
     data.rows[0, 4:] = wrong
     assert np.isnan(unpack_rows(pack_rows(data.rows))[0, 4:]).any()
-    assert Renderer(device, compact=True).render(Scene([data]), camera()).visible == 1
+    assert (
+        Renderer(device, rasteriser="tiles", compact=True)
+        .render(Scene([data]), camera())
+        .visible
+        == 1
+    )
 
 
 def test_packed_rows_are_read_as_they_were_packed(
     device: Device, renderer: Renderer
 ) -> None:
     """The picture of packed rows is that of what they unpack to, in several pages."""
-    small = Renderer(device, compact=True, page_rows=64)
+    small = Renderer(device, rasteriser="tiles", compact=True, page_rows=64)
     place = turned(0.6, (0.3, 1, 0), (1.2, 0.8, 1.0))
     for degree in (None, 0, 1, 3):
         data = cloud(150, 5, degree=degree)

@@ -23,7 +23,7 @@ RULES = ("GB018", "GB019")
 
 @pytest.fixture(autouse=True)
 def _one_device(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(showing, "Renderer", lambda: renderer)
+    monkeypatch.setattr(showing, "Renderer", lambda **_: renderer)
 
 
 def ran(report: Report) -> Report:
@@ -73,7 +73,7 @@ def test_cells_are_drawn_as_sums(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_without_an_adapter_the_level_is_skipped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def none() -> Renderer:
+    def none(**_: object) -> Renderer:
         raise DeviceUnavailable("no graphics adapter", mend="Install one.")
 
     monkeypatch.setattr(showing, "Renderer", none)

@@ -81,7 +81,7 @@ def test_rows_that_become_live_are_written_page_by_page(
 def test_a_count_that_grows_shows_the_same_as_at_once(
     device: Device, renderer: Renderer
 ) -> None:
-    small = Renderer(device, page_rows=64)
+    small = Renderer(device, rasteriser="tiles", page_rows=64)
     data = cloud(300, 6, degree=3)
     for count in (0, 70, 65, 300):
         data.update(count=count)

@@ -66,7 +66,7 @@ def test_one_model_in_two_places_is_on_the_device_once(device: Device) -> None:
 
 def test_pages_do_not_show(device: Device, renderer: Renderer) -> None:
     data = cloud(300, 6, degree=3)
-    small = Renderer(device, page_rows=64)
+    small = Renderer(device, rasteriser="tiles", page_rows=64)
     one, two = (each.render(Scene([data]), camera()) for each in (renderer, small))
     assert np.array_equal(one.rgba, two.rgba)
     fewer = Scene([SplatData(data.rows, data.appearance, "sh", count=70)])
@@ -75,7 +75,7 @@ def test_pages_do_not_show(device: Device, renderer: Renderer) -> None:
 
 
 def test_compact_colours_are_nearly_the_same(device: Device, renderer: Renderer) -> None:
-    small = Renderer(device, compact=True)
+    small = Renderer(device, rasteriser="tiles", compact=True)
     for degree in (None, 1, 2, 3):
         scene = Scene([cloud(200, 50, degree=degree)])
         exact, compact = (each.render(scene, camera()).rgba for each in (renderer, small))

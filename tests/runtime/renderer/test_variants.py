@@ -15,7 +15,7 @@ def test_the_picture_is_the_same(device: Device, variant: str) -> None:
     other = Device(device.raw)
     other.subgroups = False
     other.software = variant == "without subgroups"
-    renderer = Renderer(other)
+    renderer = Renderer(other, rasteriser="tiles")
     for name in ("many", "placed", "huge", "nothing", "panorama_seam"):
         scene, camera = SCENES[name]()
         seen = renderer.render(scene, camera, outputs=("color", "depth"))

@@ -23,7 +23,7 @@ def decibels(a: np.ndarray, b: np.ndarray) -> float:
 
 @pytest.fixture(scope="session")
 def published(device: Device) -> Renderer:
-    return Renderer(device, published=True)
+    return Renderer(device, rasteriser="tiles", published=True)
 
 
 @pytest.mark.parametrize("name", WEIGHTED)
@@ -125,7 +125,10 @@ def test_pages_do_not_show(device: Device) -> None:
     """Pages that end within cells, and more pairs than there is room for at first."""
     scene = Scene([summed(celled(400, 5, 5, size=1.5)), summed(celled(90, 3, 6))])
     seen_by = camera(width=400, height=300, fx=330.0, fy=330.0)
-    whole, paged = Renderer(device), Renderer(device, page_rows=64)
+    whole, paged = (
+        Renderer(device, rasteriser="tiles"),
+        Renderer(device, rasteriser="tiles", page_rows=64),
+    )
     whole._pairs = paged._pairs = 512
     one, two = (
         each.render(scene, seen_by, outputs=("color", "depth")) for each in (whole, paged)
@@ -140,7 +143,7 @@ def test_pages_do_not_show(device: Device) -> None:
 
 
 def test_values_change_without_new_buffers(device: Device) -> None:
-    renderer, seen_by = Renderer(device), camera()
+    renderer, seen_by = Renderer(device, rasteriser="tiles"), camera()
     data, later = celled(60, seed=40), celled(60, seed=41)
     first = renderer.render(Scene([summed(data)]), seen_by)
     plan = renderer._plan
@@ -174,7 +177,7 @@ def test_the_same_data_is_sorted_or_summed(renderer: Renderer) -> None:
 
 def test_cells_alone_are_sorted(device: Device) -> None:
     """Ten Gaussians of a cell take the room of one in columns, and list no pairs of their own."""
-    data, renderer = celled(200, 10, 44), Renderer(device)
+    data, renderer = celled(200, 10, 44), Renderer(device, rasteriser="tiles")
     blended = renderer.render(Scene([data]), camera())
     sorted_bytes = _columns(renderer)
     summed_up = renderer.render(Scene([summed(data)]), camera())

@@ -41,9 +41,9 @@ def bench_render(
         bool, typer.Option("--compact", help="Keep harmonics in float16.")
     ] = False,
     rasteriser: Annotated[
-        Literal["tiles", "quads"],
-        typer.Option(help="What blends: compute shaders, or the hardware."),
-    ] = "tiles",
+        Literal["auto", "tiles", "quads"],
+        typer.Option(help="What blends: compute shaders, the hardware, or the faster one."),
+    ] = "auto",
     size: Annotated[
         list[str] | None,
         typer.Option(
@@ -84,7 +84,8 @@ def bench_render(
         film = Film(sources, view, frames=frames, turn=_CIRCLE, renderer=renderer)
         cost = measure(film, progress)
     clear()
-    text = json.dumps(_document(scenes, cost), indent=2, ensure_ascii=False)
+    document = _document(scenes, cost) | {"rasteriser": renderer.rasteriser}
+    text = json.dumps(document, indent=2, ensure_ascii=False)
     if output is not None:
         write_text(output, text + "\n")
     if as_json:

@@ -1,6 +1,6 @@
 """`gsgen render`: splat files and generators as pictures."""
 
-__all__ = ["render"]
+__all__ = ["ModeName", "fed", "render"]
 
 import json
 import time as clock
@@ -147,6 +147,10 @@ def render(
             help="How the scene was trained. [default: the manifest's, or classic]"
         ),
     ] = None,
+    rasteriser: Annotated[
+        Literal["auto", "tiles", "quads"],
+        typer.Option(help="What blends: compute shaders, the hardware, or the faster one."),
+    ] = "auto",
     post: Annotated[
         list[Path] | None,
         typer.Option(
@@ -177,6 +181,7 @@ def render(
     from gsgen.contract.commands.progress import clear, progress
     from gsgen.runtime.commands.opening import opened, scene_files
     from gsgen.runtime.film import Film
+    from gsgen.runtime.renderer import Renderer
     from gsgen.runtime.scene_view import scene_view
     from gsgen.sdk.commands.sizes import sizes_of
 
@@ -187,7 +192,7 @@ def render(
     behind = _background(background, output, files)
     sizes = sizes_of(size, "--size")
     with opened(scenes, post or (), provider=provider, sizes=sizes) as (sources, models):
-        tracks, speed = _tracks(pose, inputs, sources)
+        tracks, speed = fed(pose, inputs, sources)
         film = Film(
             sources,
             view,
@@ -200,6 +205,7 @@ def render(
             turn=turn,
             tracks=tracks,
             post=models,
+            renderer=Renderer(rasteriser=rasteriser),
         )
         began = clock.perf_counter()
         film.write(
@@ -211,7 +217,7 @@ def render(
         _report(film, output, clock.perf_counter() - began, as_json)
 
 
-def _tracks(
+def fed(
     poses: list[str] | None, inputs: list[str] | None, sources: "list[Source]"
 ) -> "tuple[list[Track], float | None]":
     """Return what inputs are fed, and frames a second if a file of poses says so."""
