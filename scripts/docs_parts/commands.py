@@ -29,11 +29,15 @@ def _find(*words: str) -> Any:
 def command(*words: str) -> str:
     """Return what a command takes: its arguments and options."""
     found = _find(*words)
-    rows = [_row(parameter) for parameter in found.params if parameter.name != "help"]
+    rows = [_row(parameter) for parameter in found.params if _shown(parameter)]
     usage = f"```text\ngsgen {' '.join([*words, *_usage(found)])}\n```"
     if not rows:
         return usage
     return f"{usage}\n\n{table(('argument or option', 'takes', 'meaning'), rows)}"
+
+
+def _shown(parameter: Any) -> bool:
+    return parameter.name != "help" and not getattr(parameter, "hidden", False)
 
 
 def _usage(found: Any) -> list[str]:

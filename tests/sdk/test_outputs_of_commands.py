@@ -37,7 +37,7 @@ def test_a_folder_that_is_made_meanwhile_is_said(tmp_path: Path) -> None:
 def test_a_size_for_no_dimension_is_refused(tmp_path: Path, name: str, known: str) -> None:
     with pytest.raises(UnknownName) as caught:
         repair(find(name).write(tmp_path), tmp_path / "m.onnx", Request(sizes={"Q": 3}))
-    assert str(caught.value) == f"--pin: unknown dimension 'Q'\n  Known: {known}."
+    assert str(caught.value) == f"--size: unknown dimension 'Q'\n  Known: {known}."
     assert not (tmp_path / "m.onnx").exists()
 
 

@@ -1,3 +1,4 @@
+import json
 from pathlib import Path
 
 import numpy as np
@@ -128,8 +129,9 @@ def test_a_model_without_manifest_needs_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (("--pin", "N"), 2, "not SYMBOL=SIZE"),
-        (("--pin", "N=-3"), 2, "not SYMBOL=SIZE"),
+        (("--size", "N"), 2, "--size: 'N' is not SYMBOL=SIZE"),
+        (("--pin", "N=-3"), 2, "--pin: 'N=-3' is not SYMBOL=SIZE"),
+        (("--dry-run",), 2, "not both"),
         (("--manifest", "none.json"), 2, "none.json: cannot be read"),
         ((), 1, "nothing that has one right answer is broken"),
     ],
@@ -142,6 +144,26 @@ def test_what_cannot_be_done_is_said(
     assert ran.code == code
     assert said in ran.err
     assert not (tmp_path / "fixed.onnx").exists()
+
+
+def test_a_dry_run_says_as_json_what_would_change(tmp_path: Path) -> None:
+    source = find("symbolic_capacity").write(tmp_path)
+    here = sorted(tmp_path.iterdir())
+    ran = gsgen("fix", source, "--dry-run", "--json", "--size", "N=5")
+    assert ran.code == 0, ran.err
+    made = json.loads(ran.out)
+    assert made["path"] is None
+    assert made["repairs"] == [{"what": "dimension N is 5", "rule": "GO004"}]
+    assert [made[when]["verdict"] for when in ("before", "after")] == [
+        "invalid",
+        "conforms",
+    ]
+    assert made["after"]["subject"]["uri"] == str(source)
+    assert sorted(tmp_path.iterdir()) == here
+    fixed = tmp_path / "fixed.onnx"
+    ran = gsgen("fix", source, "-o", fixed, "--json", "--pin", "N=5")
+    assert json.loads(ran.out)["path"] == str(fixed)
+    assert validate(fixed).findings == ()
 
 
 def test_fixing_no_model_exits_4(tmp_path: Path) -> None:

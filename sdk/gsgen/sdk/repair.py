@@ -2,7 +2,9 @@
 
 __all__ = ["Repair", "Repaired", "Request", "repair"]
 
-from collections.abc import Callable, Mapping
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -73,11 +75,17 @@ class Repaired:
 
 def repair(
     source: Path,
-    target: Path,
+    target: Path | None,
     request: Request | None = None,
     settings: Settings | None = None,
 ) -> Repaired:
     """Write a repaired copy of ``source`` to ``target``; nothing ambiguous is guessed.
+
+    Args:
+        source: The model.
+        target: Where the copy goes; None repairs and judges it, and writes nothing.
+        request: What cannot be known from the model.
+        settings: How the two are judged.
 
     Raises:
         ModelUnreadable: ``source`` is no model.
@@ -88,7 +96,8 @@ def repair(
     request, settings = request or Request(), settings or Settings()
     before = validate(source, settings)
     subject = read_subject(open_model(source), settings.target, settings.limits)
-    refuse_overwriting(subject.file, target)
+    if target is not None:
+        refuse_overwriting(subject.file, target)
     broken = {finding.rule for finding in before.findings}
     manifest = request.manifest or _own_manifest(subject)
     steps, manifest = _steps(subject, manifest, broken, request)
@@ -102,13 +111,24 @@ def repair(
     for _, change in steps:
         change(model)
     model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
-    with draft_of(target) as draft:
+    with _draft(target, source) as draft:
         save_model(model, draft, beside=beside)
         after = validate(draft, settings)
         refuse_worse(before, after, "repaired")
     return Repaired(
-        tuple(step for step, _ in steps), before, replace(after, path=str(target))
+        tuple(step for step, _ in steps), before, replace(after, path=str(target or source))
     )
+
+
+@contextmanager
+def _draft(target: Path | None, source: Path) -> Iterator[Path]:
+    """Yield where the copy is written to be judged; without ``target`` it goes no further."""
+    if target is not None:
+        with draft_of(target) as draft:
+            yield draft
+        return
+    with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
+        yield Path(folder) / source.name
 
 
 def _check_symbols(model: ir.Model, sizes: Mapping[str, int]) -> None:
@@ -116,7 +136,7 @@ def _check_symbols(model: ir.Model, sizes: Mapping[str, int]) -> None:
     dims = (dim for value in ends if value.shape is not None for dim in value.shape)
     known = {dim.value for dim in dims if isinstance(dim, ir.SymbolicDim) and dim.value}
     for name in sizes.keys() - known:
-        raise UnknownName.among("dimension", name, known, "--pin")
+        raise UnknownName.among("dimension", name, known, "--size")
 
 
 Change = Callable[[ir.Model], passes.PassResult | None]

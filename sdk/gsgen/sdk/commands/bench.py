@@ -38,7 +38,9 @@ def bench(
     frames: Annotated[int, typer.Option(help="How many frames are measured.", min=1)] = 100,
     size: Annotated[
         list[str] | None,
-        typer.Option(help="SYMBOL=SIZE: give an open dimension a size; repeatable."),
+        typer.Option(
+            metavar="SYMBOL=SIZE", help="Give an open dimension a size; repeatable."
+        ),
     ] = None,
     capture: Annotated[
         bool,

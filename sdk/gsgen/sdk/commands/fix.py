@@ -2,6 +2,8 @@
 
 __all__ = ["fix"]
 
+import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,6 +13,7 @@ from gsgen.contract.errors import ConfigInvalid, GsgenError, ModelUnreadable
 
 if TYPE_CHECKING:
     from gsgen.contract.manifest import GeneratorManifest
+    from gsgen.sdk.repair import Repaired
 
 _UNREADABLE = 4
 
@@ -18,11 +21,16 @@ _UNREADABLE = 4
 def fix(
     model: Annotated[Path, typer.Argument(help="The ONNX file.", show_default=False)],
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="The repaired copy.", show_default=False)
-    ],
-    pin: Annotated[
+        Path | None, typer.Option("-o", "--output", help="The repaired copy.")
+    ] = None,
+    size: Annotated[
         list[str] | None,
-        typer.Option(help="SYMBOL=SIZE: give a symbolic dimension a size; repeatable."),
+        typer.Option(
+            metavar="SYMBOL=SIZE", help="Give an open dimension a size; repeatable."
+        ),
+    ] = None,
+    pin: Annotated[
+        list[str] | None, typer.Option(hidden=True, help="What --size was called.")
     ] = None,
     manifest: Annotated[
         Path | None, typer.Option(help="JSON file with the manifest to embed.")
@@ -36,6 +44,10 @@ def fix(
             help="What order the SH really have; they are reordered. Never guessed."
         ),
     ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Write nothing; say what would change.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
     """Write a repaired copy of MODEL, and list what was changed.
 
@@ -44,10 +56,14 @@ def fix(
     """
     from gsgen.contract.commands.output import show
     from gsgen.contract.reporters.text import render
+    from gsgen.sdk.commands.sizes import sizes_of
     from gsgen.sdk.repair import Request, repair
 
+    if (output is None) is not dry_run:
+        mend = "Give -o OUT.onnx, or --dry-run, and not both."
+        raise ConfigInvalid("where should the copy go?", where="--output", mend=mend)
     request = Request(
-        sizes=dict(_pinned(entry) for entry in pin or ()),
+        sizes=sizes_of(size, "--size") | sizes_of(pin, "--pin"),
         manifest=_manifest(manifest) if manifest else None,
         rename=rename,
         channel_major=sh_order is not None,
@@ -62,17 +78,24 @@ def fix(
     except GsgenError as error:
         typer.echo(f"gsgen: {error}", err=True)
         raise typer.Exit(1) from error
-    for one in done.repairs:
-        typer.echo(f"{one.rule}: {one.what}")
-    show(render(done.after))
+    if as_json:
+        typer.echo(json.dumps(_document(done, output), indent=2, ensure_ascii=False))
+    else:
+        for one in done.repairs:
+            typer.echo(f"{one.rule}: {one.what}")
+        show(render(done.after))
     raise typer.Exit(0 if done.after.verdict == "conforms" else 1)
 
 
-def _pinned(entry: str) -> tuple[str, int]:
-    symbol, sign, size = entry.partition("=")
-    if not sign or not (size.isascii() and size.isdigit() and int(size) > 0):
-        raise ConfigInvalid(f"{entry!r} is not SYMBOL=SIZE, such as N=65536", where="--pin")
-    return symbol, int(size)
+def _document(done: "Repaired", output: Path | None) -> dict[str, object]:
+    from gsgen.contract.reporters.machine import to_dict
+
+    return {
+        "path": str(output) if output else None,
+        "repairs": [asdict(one) for one in done.repairs],
+        "before": to_dict(done.before),
+        "after": to_dict(done.after),
+    }
 
 
 def _manifest(path: Path) -> "GeneratorManifest":

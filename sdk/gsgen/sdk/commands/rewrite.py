@@ -45,11 +45,14 @@ def rewrite(
             help="Operator set of the copy; by default the kernels decide.", min=7
         ),
     ] = None,
-    freeze: Annotated[
+    size: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="SYMBOL=SIZE", help="Give a symbolic dimension a size; repeatable."
+            metavar="SYMBOL=SIZE", help="Give an open dimension a size; repeatable."
         ),
+    ] = None,
+    freeze: Annotated[
+        list[str] | None, typer.Option(hidden=True, help="What --size was called.")
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Write nothing; say what would change.")
@@ -64,6 +67,7 @@ def rewrite(
     Exits 0 if it does, 1 if it would not (then nothing is written), 4 if MODEL is no model.
     """
     from gsgen.contract.targets import load_target
+    from gsgen.sdk.commands.sizes import sizes_of
     from gsgen.sdk.rewrite import rewrite_file
 
     chosen = load_target(target)
@@ -75,7 +79,7 @@ def rewrite(
     if (output is None) is not dry_run:
         mend = "Give -o OUT.onnx, or --dry-run, and not both."
         raise ConfigInvalid("where should the copy go?", where="--output", mend=mend)
-    sizes = dict(_sized(entry) for entry in freeze or ())
+    sizes = sizes_of(size, "--size") | sizes_of(freeze, "--freeze")
     try:
         done = rewrite_file(
             model,
@@ -105,15 +109,6 @@ def rewrite(
 
 def _split(names: list[str] | None) -> list[str]:
     return [name for entry in names or () for name in entry.split(",") if name]
-
-
-def _sized(entry: str) -> tuple[str, int]:
-    symbol, sign, size = entry.partition("=")
-    if not sign or not (size.isascii() and size.isdigit() and int(size) > 0):
-        raise ConfigInvalid(
-            f"{entry!r} is not SYMBOL=SIZE, such as N=65536", where="--freeze"
-        )
-    return symbol, int(size)
 
 
 def _list(target: str, as_json: bool) -> None:

@@ -25,13 +25,13 @@ class FreezeDimensions(CautiousRewrite):
     """
 
     name: ClassVar[str] = "freeze-dimensions"
-    wanted_by: ClassVar[str] = "whoever names a size: `--freeze N=1000`"
+    wanted_by: ClassVar[str] = "whoever names a size: `--size N=1000`"
 
     def __init__(self, sizes: Mapping[str, int]) -> None:
         super().__init__()
         for name, size in sizes.items():
             if size < 1:
-                raise ConfigInvalid(f"{name}={size}, wanted 1 or more", where="--freeze")
+                raise ConfigInvalid(f"{name}={size}, wanted 1 or more", where="--size")
         self.sizes = dict(sizes)
         self._frozen: set[str] = set()
 
@@ -50,7 +50,7 @@ class FreezeDimensions(CautiousRewrite):
         ends = {*model.graph.inputs, *model.graph.outputs}
         for name in self.sizes.keys() - names - self._frozen:
             declared = {dim for value in ends for dim in _symbols(value)}
-            raise UnknownName.among("dimension", name, declared, "--freeze")
+            raise UnknownName.among("dimension", name, declared, "--size")
         self._frozen |= names & self.sizes.keys()
         for value in _values(model):
             if value.shape is None:
