@@ -282,10 +282,10 @@ class Plan:
                 *pairs,
             ),
         )
-        add = self._kernels.scan.step(
+        add = self._kernels.scan.steps(
             self._counts, run_pairs, source=Counts.VISIBLE, block=walk, total=Counts.PAIRS
         )
-        return [measure, add, emit]
+        return [measure, *add, emit]
 
     def _group(self, pairs: list[Columns]) -> tuple[list[Step], Any]:
         """Return the steps, and the buffer of the splats of each tile after the other."""

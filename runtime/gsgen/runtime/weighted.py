@@ -208,10 +208,10 @@ class WeightedPart:
         measure, emit = self._kernels.bin(self._panorama).steps(
             self.counts, (self._frame, self.counts, order, circles, run_pairs, *pairs)
         )
-        add = self._kernels.scan.step(
+        add = self._kernels.scan.steps(
             self.counts, run_pairs, source=Counts.VISIBLE, block=walk, total=Counts.PAIRS
         )
-        return [measure, add, emit]
+        return [measure, *add, emit]
 
     def _group(self, pairs: list[Columns]) -> tuple[list[Step], Any]:
         """Return the steps, and the buffer of the cells of each tile after the other."""

@@ -126,26 +126,65 @@ def test_a_million_keys(device: Device) -> None:
     np.testing.assert_array_equal(bench(keys)[1], sort_reference(keys, 32))
 
 
-@pytest.mark.parametrize("n", [0, 1, 255, 256, 257, 10_000])
+@pytest.fixture(scope="module", params=["in one workgroup", "by blocks"])
+def scan(request: pytest.FixtureRequest, device: Device) -> Scan:
+    other = Device(device.raw)
+    other.software = request.param == "in one workgroup"
+    return Scan(other, 4096, 64, 256)
+
+
+@pytest.mark.parametrize("n", [0, 1, 255, 256, 257, 6144, 10_000, 300_001])
 @pytest.mark.parametrize("most", [5, 1 << 31])
-def test_scan(device: Device, n: int, most: int) -> None:
+def test_scan(device: Device, scan: Scan, n: int, most: int) -> None:
     numbers = np.random.default_rng(n).integers(0, most, n, np.uint32) // np.uint32(2)
-    scan = Scan(device, 4096, 64, 256)
-    counts = device.storage("counts", counting.BYTES)
-    buffer = device.storage("numbers", 4 * n)
+    counts, room = device.storage("counts", counting.BYTES), n + 5000
+    buffer = device.storage("numbers", 4 * room)
     made = counting.initial(n, 77)
+    behind = np.full(room - n, 7, np.uint32)  # is neither added nor touched
     device.write(counts, made)
-    device.write(buffer, numbers)
-    step = scan.step(counts, buffer, source=Counts.GAUSSIANS, block=1, total=Counts.PAIRS)
+    device.write(buffer, np.append(numbers, behind))
+    steps = scan.steps(counts, buffer, source=Counts.GAUSSIANS, block=1, total=Counts.PAIRS)
     encoder = device.raw.create_command_encoder()
-    run(encoder, [step], "scan")
+    run(encoder, steps, "scan")
     device.raw.queue.submit([encoder.finish()])
-    np.testing.assert_array_equal(
-        device.read(buffer, np.uint32, n), scan_reference(numbers)
-    )
+    left = device.read(buffer, np.uint32, room)
+    np.testing.assert_array_equal(left[:n], scan_reference(numbers))
+    np.testing.assert_array_equal(left[n:], behind)
     after = device.read(counts, np.uint32, counting.BYTES // 4)
     total = min(int(numbers.sum(dtype=np.uint64)), 0x7FFFFFFF)
     assert after[Counts.WANTED_PAIRS] == total
     assert after[Counts.PAIRS] == min(total, 77)
     assert after[Counts.SORT_PAIRS_GROUPS] == -(-min(total, 77) // 4096)
     assert after[Counts.SORT_PAIRS_GROUPS + 1 :][:2].tolist() == [1, 1]
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.integers(0, 9000),
+    st.integers(0, 4),
+    st.sampled_from([1, 3, 1000, 0x7FFFFFFF]),
+    st.integers(0, 1 << 32),
+)
+def test_any_scan(by_blocks: Scan, n: int, rows: int, most: int, seed: int) -> None:
+    """Of rows × ⌈n / 3⌉ numbers, whatever they are."""
+    device = by_blocks._device
+    length = rows * -(-n // 3)
+    rng = np.random.default_rng(seed)
+    numbers = rng.integers(0, most, length, np.uint32, endpoint=True)
+    counts = device.storage("counts", counting.BYTES)
+    buffer = device.storage("numbers", 4 * 4 * 3000)
+    device.write(counts, counting.initial(n, 0))
+    device.write(buffer, numbers)
+    steps = by_blocks.steps(counts, buffer, source=Counts.GAUSSIANS, block=3, rows=rows)
+    encoder = device.raw.create_command_encoder()
+    run(encoder, steps, "scan")
+    device.raw.queue.submit([encoder.finish()])
+    made = device.read(buffer, np.uint32, length)
+    np.testing.assert_array_equal(made, scan_reference(numbers))
+
+
+@pytest.fixture(scope="module")
+def by_blocks(device: Device) -> Scan:
+    other = Device(device.raw)
+    other.software = False
+    return Scan(other, 4096, 64, 256)

@@ -1,25 +1,15 @@
 // Scan: replace numbers by the sum of all before them, and say what the total was.
 //
-// One workgroup; each invocation sums a run, the sums are scanned, each writes its run.
+// One workgroup; each invocation sums a run, the sums are scanned, each writes its run. Where there
+// are many numbers, these are the sums of blocks of SHARE each, which scan_blocks.wgsl makes.
 
-struct Scan {
-    source: u32,      // which of the counts the length follows from
-    block: u32,       // length = rows × ⌈counts[source] / block⌉
-    rows: u32,
-    effect: u32,      // what the total is: 0 nothing new, 1 the visible splats, 2 the pairs
-}
+//!include scan_length
 
 @group(0) @binding(0) var<uniform> scan_of: Scan;
 @group(0) @binding(1) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(2) var<storage, read_write> numbers: array<u32>;
 
-const MANY = 0x7fffffffu;  // sums stop here instead of wrapping around
-
 var<workgroup> sums: array<u32, THREADS>;
-
-fn groups(amount: u32, size: u32) -> u32 {
-    return (amount + size - 1u) / size;
-}
 
 fn announce(slot: u32, amount: u32, sort_at: u32, walk_at: u32, walk_size: u32) {
     counts[slot] = amount;
@@ -29,7 +19,7 @@ fn announce(slot: u32, amount: u32, sort_at: u32, walk_at: u32, walk_size: u32) 
 
 @compute @workgroup_size(THREADS)
 fn scan(@builtin(local_invocation_id) local: vec3u) {
-    let length = scan_of.rows * groups(counts[scan_of.source], scan_of.block);
+    let length = groups(length_for(counts[scan_of.source]), SHARE);
     let run = groups(length, THREADS);
     let start = min(local.x * run, length);
     let end = min(start + run, length);

@@ -121,7 +121,7 @@ class RadixSort:
             self._device.write(uniform, words)
             before, after = columns[number % 2], columns[1 - number % 2]
             resources = (uniform, counts, *before, histogram, *after)
-            scan = self._scan.step(
+            scan = self._scan.steps(
                 counts,
                 histogram,
                 source=now,
@@ -131,7 +131,7 @@ class RadixSort:
             )
             made += [
                 Step(self._count, (self._count.bind(*resources),), dispatch),
-                scan,
+                *scan,
                 Step(self._scatter, (self._scatter.bind(*resources),), dispatch),
             ]
         return made, passes % 2

@@ -1,0 +1,86 @@
+// Scan, of many numbers: what goes before and after the scan (scan.wgsl) of the sums of blocks.
+//
+// `reduce` sums each block of THREADS × RUN numbers; `spread` replaces the numbers of each by the
+// sum of all before them, once the blocks' own sums have been. No workgroup waits for another.
+
+//!include scan_length
+
+@group(0) @binding(0) var<uniform> scan_of: Scan;
+@group(0) @binding(1) var<storage, read> counts: array<u32>;
+@group(0) @binding(2) var<storage, read_write> numbers: array<u32>;
+@group(0) @binding(3) var<storage, read_write> block_sums: array<u32>;
+
+const BLOCK = THREADS * RUN;
+
+var<workgroup> held: array<u32, BLOCK>;
+var<workgroup> sums: array<u32, THREADS>;
+
+@compute @workgroup_size(THREADS)
+fn reduce(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
+    let length = length_for(counts[scan_of.source]);
+    let start = group.x * BLOCK;
+    let end = min(start + BLOCK, length);
+    var sum = 0u;
+    for (var i = start + local.x; i < end; i += THREADS) {
+        sum = min(sum + numbers[i], MANY);
+    }
+    sums[local.x] = sum;
+    workgroupBarrier();
+    for (var half = THREADS / 2u; half > 0u; half /= 2u) {
+        if (local.x < half) {
+            sums[local.x] = min(sums[local.x] + sums[local.x + half], MANY);
+        }
+        workgroupBarrier();
+    }
+    if (local.x == 0u && start < length) {
+        block_sums[group.x] = sums[0];
+    }
+}
+
+@compute @workgroup_size(THREADS)
+fn spread(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
+    let length = length_for(counts[scan_of.source]);
+    let start = group.x * BLOCK;
+    for (var k = local.x; k < BLOCK; k += THREADS) {
+        var own = 0u;
+        if (start + k < length) {
+            own = numbers[start + k];
+        }
+        held[k] = own;
+    }
+    workgroupBarrier();
+    let run = local.x * RUN;
+    var sum = 0u;
+    for (var k = run; k < run + RUN; k++) {
+        sum = min(sum + held[k], MANY);
+    }
+    sums[local.x] = sum;
+    workgroupBarrier();
+    for (var reach = 1u; reach < THREADS; reach *= 2u) {
+        var below = 0u;
+        if (local.x >= reach) {
+            below = sums[local.x - reach];
+        }
+        workgroupBarrier();
+        sums[local.x] = min(sums[local.x] + below, MANY);
+        workgroupBarrier();
+    }
+    var place = 0u;
+    if (start < length) {
+        place = block_sums[group.x];
+    }
+    if (local.x > 0u) {
+        place = min(place + sums[local.x - 1u], MANY);
+    }
+    for (var k = run; k < run + RUN; k++) {
+        let own = held[k];
+        held[k] = place;
+        place = min(place + own, MANY);
+    }
+    workgroupBarrier();
+    for (var k = local.x; k < BLOCK; k += THREADS) {
+        if (start + k < length) {
+            numbers[start + k] = held[k];
+        }
+    }
+}
