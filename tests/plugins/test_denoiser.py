@@ -326,3 +326,18 @@ def test_rows_are_nothing_that_an_image_has(tmp_path: Path) -> None:
     with pytest.raises(ConfigInvalid, match="no rows"):
         run_export(lambda: model, ExportRequest(out, capacity=3), "denoiser")
     assert not out.exists()
+
+
+def test_a_network_on_latents_needs_its_autoencoder(tmp_path: Path) -> None:
+    run = write_denoiser(tmp_path / "run", CONDITIONAL, latent=True)
+    size: dict[str, Any] = {"size": "8x8", "embeddings": run / "prompt_embeds.npz"}
+    with pytest.raises(ConfigInvalid, match="4 channels works on latents") as caught:
+        command.build(run / "unet", result="network", **size)
+    assert "--vae DIR" in str(caught.value)
+    whole = command.build(run, **size)
+    (tmp_path / "other").mkdir()
+    (run / "vae").rename(tmp_path / "other" / "vae")
+    for place in (tmp_path / "other", tmp_path / "other" / "vae"):
+        parted = command.build(run, vae=place, **size)
+        image = torch.rand(1, 3, 8, 8)
+        assert torch.equal(parted(image), whole(image))

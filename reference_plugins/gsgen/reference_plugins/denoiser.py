@@ -157,6 +157,10 @@ def _last(read: DiffusionCheckpoint) -> int:
 
 def _require(read: DiffusionCheckpoint, step: Step, context: Tensor | None) -> None:
     options = read.unet.options
+    if read.autoencoder is None and options.context is not None and options.inputs == 4:
+        what = "a conditional U-Net of 4 channels works on latents, and there is no autoencoder"
+        mend = "Give the folder that holds unet/ and vae/, or --vae DIR."
+        raise ConfigInvalid(what, where=str(read.folder), mend=mend)
     outer = options if read.autoencoder is None else read.autoencoder.options
     if not {outer.inputs, outer.outputs} <= set(_CHANNELS):
         what = f"takes {outer.inputs} channels and gives {outer.outputs}, wanted 3 or 4 of each"

@@ -77,7 +77,8 @@ class _Moving(nn.Module):
         slope = row[1:] - row[:-1]
         below, share = self.cell(along)
         low = torch.index_select(row, 0, below)
-        return low + torch.index_select(slope, 0, below) * share
+        made: Tensor = low + torch.index_select(slope, 0, below) * share
+        return made
 
 
 class _Plane(nn.Module):

@@ -141,14 +141,15 @@ class LevelGate(nn.Module):
         middle, furthest, *fading = self.limits(self.anchor)
         offset = middle - centre
         square = (offset * offset).sum(dim=1, keepdim=True)
-        visible = (square <= furthest).to(square.dtype)
+        visible: Tensor = (square <= furthest).to(square.dtype)
         if not fading:
             return visible
         start, least, most = fading
         logarithm = torch.log(square.clamp(min=_SMALLEST_SQUARE))
         fraction = start - (0.5 * self.per_level) * logarithm
         bounded = torch.minimum(torch.maximum(fraction, least), most)
-        return visible * bounded
+        seen: Tensor = visible * bounded
+        return seen
 
 
 @final

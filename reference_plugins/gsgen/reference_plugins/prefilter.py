@@ -99,4 +99,5 @@ class Prefilter(nn.Module):
         """Return how far the ellipsoid's axes reach along a direction of camera space."""
         local = direction @ turn.transpose(0, 1)
         (root,) = self.axes()
-        return (root * local[:, :, None]).sum(dim=1)
+        reach: Tensor = (root * local[:, :, None]).sum(dim=1)
+        return reach

@@ -98,8 +98,12 @@ class DiffusionCheckpoint:
         return f"{self.folder}: {', '.join(parts)}; sides are multiples of {self.stride}"
 
 
-def read_diffusion(folder: Path) -> DiffusionCheckpoint:
+def read_diffusion(folder: Path, vae: Path | None = None) -> DiffusionCheckpoint:
     """Read a checkpoint.
+
+    Args:
+        folder: What holds ``unet/``, or a U-Net itself.
+        vae: The autoencoder's folder; ``vae/`` in the first one where absent, if there is one.
 
     Raises:
         CheckpointInvalid: Something is missing, does not fit the rest, or is not supported.
@@ -109,8 +113,10 @@ def read_diffusion(folder: Path) -> DiffusionCheckpoint:
     digest = hashlib.sha256()
     _add(digest, first)
     autoencoder = None
-    if (folder / "vae").is_dir():
-        autoencoder, second = _network(folder / "vae", AutoencoderOptions.of, Autoencoder)
+    if vae is not None or (folder / "vae").is_dir():
+        home = vae or folder / "vae"
+        home = home / "vae" if (home / "vae").is_dir() else home
+        autoencoder, second = _network(home, AutoencoderOptions.of, Autoencoder)
         _add(digest, second)
         latent = autoencoder.options.latent
         if (unet.options.inputs, unet.options.outputs) != (latent, latent):

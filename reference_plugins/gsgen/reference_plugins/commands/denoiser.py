@@ -26,6 +26,13 @@ Folder = Annotated[
         "--checkpoint", help="Folder with unet/, vae/ and scheduler/.", show_default=False
     ),
 ]
+Vae = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder of the autoencoder, for a U-Net on latents that lies elsewhere.",
+        show_default="DIR/vae, if it is there",
+    ),
+]
 Timestep = Annotated[
     float, typer.Option(help="At which timestep the step is taken.", min=0)
 ]
@@ -60,6 +67,7 @@ Result = Annotated[
 
 def build(
     checkpoint: Folder,
+    vae: Vae = None,
     timestep: Timestep = 199.0,
     timestep_input: Steers = False,
     size: Size = None,
@@ -75,7 +83,7 @@ def build(
     from gsgen.reference_plugins.denoiser import Denoiser, Step
 
     given = None if size is None else read_size(size)
-    read = read_diffusion(checkpoint)
+    read = read_diffusion(checkpoint, vae)
     note(read.describe())
     sides = _trained(read) if size is None else given
     if sides and (sides[0] % read.stride or sides[1] % read.stride):
