@@ -14,6 +14,7 @@ from gsgen.runtime.kernels.blend_tiles import NOWHERE
 from gsgen.runtime.kernels.kernel import Kernel, Step
 from gsgen.runtime.kernels.project import Projected
 from gsgen.runtime.kernels.shader import MAX_ALPHA, ROUND, TILE
+from gsgen.runtime.kernels.subgroups import lanes
 
 FINISHED: Final = 0.01
 """A pixel through which less light passes takes no further cell (Liu et al. 2025, their code)."""
@@ -21,7 +22,7 @@ FINISHED: Final = 0.01
 
 @final
 class BlendWsr:
-    """``blend_wsr.wgsl``.
+    """``blend_wsr.wgsl``, or ``blend_wsr_subgroups.wgsl`` where that is faster.
 
     Args:
         device: Where it runs.
@@ -40,14 +41,16 @@ class BlendWsr:
         layers: int = 0,
     ) -> None:
         columns, quads = (2, 4) if device.software else (1, 1)  # as in blend_tiles.py
+        together = device.software and lanes(device) == TILE // columns
         self.kernel = Kernel(
             device,
-            "blend_wsr",
+            "blend_wsr_subgroups" if together else "blend_wsr",
             "blend",
             ("urrrrrrw", "w") if layers else ("urrrrrrw",),
             COLUMNS=columns,
             QUADS=quads,
             PARTS=columns * quads,
+            LANES=TILE // columns,
             PICK=pick,
             PUBLISHED=published,
             POLYNOMIAL=device.software,
