@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from gsgen.runtime.scene import Box, Scene, SplatSet
     from gsgen.runtime.scene_file import open_scene
     from gsgen.runtime.splat_data import SplatData
+    from gsgen.runtime.window import view
 
 __all__ = [
     "NOTHING",
@@ -48,6 +49,7 @@ __all__ = [
     "open_cameras",
     "open_scene",
     "read_mesh",
+    "view",
 ]
 
 _HOME = {
@@ -72,6 +74,7 @@ _HOME = {
     "open_cameras": "camera_files",
     "open_scene": "scene_file",
     "read_mesh": "mesh_files",
+    "view": "window",
 }
 
 __getattr__ = attributes(__name__, _HOME)

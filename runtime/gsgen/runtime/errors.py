@@ -3,6 +3,7 @@
 __all__ = [
     "CapacityExceeded",
     "DeviceUnavailable",
+    "DisplayUnavailable",
     "SceneInvalid",
     "SceneUnreadable",
     "placed",
@@ -13,6 +14,10 @@ from gsgen.contract.errors import GsgenError
 
 class DeviceUnavailable(GsgenError):
     """There is no graphics adapter to draw with, or it refuses what is needed."""
+
+
+class DisplayUnavailable(GsgenError):
+    """There is no screen to open a window on, or what opens one is not installed."""
 
 
 class CapacityExceeded(GsgenError):

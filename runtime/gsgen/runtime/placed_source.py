@@ -95,6 +95,11 @@ class PlacedSource(Source):
         local = None if camera is None else local_camera(camera, self._transform)
         self._inner.start(local, {**values, **self._fixed}, frame)
 
+    @property
+    def ready(self) -> bool:
+        """Whether the source is done."""
+        return self._inner.ready
+
     def finish(self) -> None:
         """Wait for the source."""
         self._inner.finish()

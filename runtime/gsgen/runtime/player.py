@@ -1,6 +1,6 @@
 """Players: generators and the renderer joined, so that one computes while the other draws."""
 
-__all__ = ["GeneratorPlayer", "Player", "Shot"]
+__all__ = ["GeneratorPlayer", "Player", "Shot", "composed"]
 
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -83,11 +83,7 @@ class Player:
             what = f"works on colours, but {made} is what is made"
             raise ConfigInvalid(what, where=post[0].name)
         self._sources, self._post = list(sources), list(post)
-        self.scene = Scene(
-            [one.splats(sh_degree, antialias) for one in sources],
-            color_space=_common_space(sources),
-            meshes=[mesh for one in sources for mesh in one.meshes],
-        )
+        self.scene = composed(sources, sh_degree, antialias)
         self.renderer = renderer or Renderer()
         self._background, self._outputs = background, outputs
         self._begun = 0
@@ -155,6 +151,28 @@ def _each(values: Sequence[Values]) -> Iterator[Values]:
     """Yield the values, and then nothing to be changed."""
     yield from values
     yield from repeat({})
+
+
+def composed(
+    sources: Sequence[Source],
+    sh_degree: int | None = None,
+    antialias: Literal["classic", "mip"] | None = None,
+) -> Scene:
+    """Return sources as one scene, which follows them as they change.
+
+    Args:
+        sources: What is drawn.
+        sh_degree: Use no harmonics above this; None for all.
+        antialias: How the scene was trained; None for what each source says.
+
+    Raises:
+        ConfigInvalid: Colour spaces differ.
+    """
+    return Scene(
+        [one.splats(sh_degree, antialias) for one in sources],
+        color_space=_common_space(sources),
+        meshes=[mesh for one in sources for mesh in one.meshes],
+    )
 
 
 def _common_space(sources: Sequence[Source]) -> Literal["srgb", "linear"]:

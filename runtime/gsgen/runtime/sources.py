@@ -82,6 +82,11 @@ class Source(ABC):
             GsgenError: A value does not fit, or the model fails; it names model, input and frame.
         """
 
+    @property
+    def ready(self) -> bool:
+        """Whether :meth:`finish` would return at once."""
+        return True
+
     @abstractmethod
     def abandon(self) -> None:
         """Wait for the moment that was begun, if any; what is wrong with it concerns nobody."""
@@ -247,6 +252,11 @@ class GeneratorSource(Source):
         """Begin to run the model."""
         self.abandon()
         self._begun = frame, self._inference.start(camera, values)
+
+    @property
+    def ready(self) -> bool:
+        """Whether the model is done."""
+        return self._begun is None or self._begun[1].done()
 
     def finish(self) -> None:
         """Wait for the model, and take over what it changed."""

@@ -1,0 +1,59 @@
+// Present: show an image that was drawn, on a surface whose bytes are sRGB.
+//
+// One triangle covers the surface. What the image's four words mean depends on the mode; they
+// are as `blend_tiles` leaves them. Depths are grey, near is bright and nothing is black;
+// normals are (n + 1) / 2 in world space.
+
+//!include surface
+
+struct Showing {
+    turn: mat3x3f,  // camera → world
+    size: vec2f,    // of the image, in pixels
+    scale: vec2f,   // pixels of the image for each of the surface
+    row: u32,       // pixels from one row to the next
+    mode: u32,
+    near: f32,      // what is white
+    far: f32,       // what is nearly black
+    is_linear: u32,
+}
+
+@group(0) @binding(0) var<uniform> showing: Showing;
+@group(0) @binding(1) var<storage, read> image: array<vec4f>;
+
+@vertex
+fn corner_of(@builtin(vertex_index) corner: u32) -> @builtin(position) vec4f {
+    return covering(corner);
+}
+
+@fragment
+fn color_at(@builtin(position) place: vec4f) -> @location(0) vec4f {
+    let at = vec2u(clamp(floor(place.xy * showing.scale), vec2f(0.0), showing.size - 1.0));
+    let pixel = image[at.y * showing.row + at.x];
+    switch showing.mode {
+        case MODE_DEPTH: {
+            return grey(select(0.0, pixel.x / pixel.w, pixel.w > 0.0));
+        }
+        case MODE_MEDIAN: {
+            return grey(pixel.y);
+        }
+        case MODE_NORMAL: {
+            let normal = showing.turn * pixel.xyz;
+            let size = length(normal);
+            let shown = select(vec3f(0.0), (normal / size + 1.0) / 2.0, size > 0.0);
+            return vec4f(shown, 1.0);
+        }
+        case MODE_ALPHA: {
+            return vec4f(pixel.www, 1.0);
+        }
+        default: {
+            let color = clamp(pixel.rgb, vec3f(0.0), vec3f(1.0));
+            return vec4f(select(color, srgb_of_linear(color), showing.is_linear == 1u), 1.0);
+        }
+    }
+}
+
+// A depth that is 0 is none.
+fn grey(depth: f32) -> vec4f {
+    let share = clamp((depth - showing.near) / max(showing.far - showing.near, 1e-12), 0.0, 1.0);
+    return vec4f(vec3f(select(0.0, 1.0 - 0.9 * share, depth > 0.0)), 1.0);
+}

@@ -1,0 +1,45 @@
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.conformance.fixtures import find
+from gsgen.runtime.device import Device
+from gsgen.runtime.painter import Painter
+from gsgen.runtime.scene_source import sources_of
+from gsgen.runtime.splat_data import SplatData
+from gsgen.runtime.stage import Stage
+from support.viewers import Hand
+
+
+@pytest.fixture(scope="session")
+def painter() -> Painter:
+    device = Device.open()
+    return Painter(lambda: device)
+
+
+@pytest.fixture(scope="module")
+def cloud() -> SplatData:
+    rng = np.random.default_rng(3)
+    rows = np.zeros((300, 10), np.float32)
+    rows[:, :3] = rng.normal(size=(300, 3)) * 0.5
+    rows[:, 3], rows[:, [4, 7, 9]] = 0.8, 0.01
+    return SplatData(rows, rng.uniform(size=(300, 27)).astype(np.float32) - 0.3, "sh")
+
+
+@pytest.fixture
+def still(cloud: SplatData, painter: Painter) -> Hand:
+    return Hand(Stage(sources_of(cloud)), painter)
+
+
+@pytest.fixture(scope="module")
+def drift(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return find("drift").write(tmp_path_factory.mktemp("drift"))
+
+
+@pytest.fixture
+def moving(drift: Path, painter: Painter) -> Iterator[Hand]:
+    hand = Hand(Stage(sources_of(drift), frames=11, fps=10), painter)
+    yield hand
+    hand.viewer.stage.close()

@@ -1,0 +1,427 @@
+"""What is on the surface after what was done, pixel by pixel."""
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.runtime.camera import Camera
+from gsgen.runtime.device import Device
+from gsgen.runtime.errors import DeviceUnavailable, SceneUnreadable
+from gsgen.runtime.painter import Painter
+from gsgen.runtime.pictures import MODES, picture_of
+from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.scene import Scene
+from gsgen.runtime.scene_source import sources_of
+from gsgen.runtime.sources import GeneratorSource
+from gsgen.runtime.splat_data import SplatData
+from gsgen.runtime.stage import Stage
+from gsgen.runtime.viewpoint import viewpoint
+from support.viewers import SIZE, Hand
+
+
+def expected(
+    hand: Hand, painter: Painter, mode: str = "color", **options: object
+) -> np.ndarray:
+    """Return what `gsgen render` would draw."""
+    viewer = hand.viewer
+    camera = viewer.controls.camera(*SIZE)
+    frame = painter.renderer.render(
+        viewer.stage.scene(),
+        camera,
+        outputs=(MODES[mode],),
+        background=(0, 0, 0, 1),
+        **options,
+    )
+    made = picture_of(frame, mode, viewer.stage.depths(camera))
+    made = made[..., :3] if made.ndim == 3 else np.repeat(made[..., None], 3, axis=-1)
+    return made.astype(int)
+
+
+@pytest.mark.parametrize(("key", "mode"), list(zip("12345", MODES, strict=True)))
+def test_each_mode_is_that_of_render(
+    still: Hand, painter: Painter, key: str, mode: str
+) -> None:
+    still.key(key)
+    made = still.bare()[..., :3]
+    wanted = expected(still, painter, mode)
+    assert np.abs(made - wanted).max() <= 1
+    assert len(np.unique(wanted)) > 20  # there is something to be compared
+
+
+def test_linear_colours_are_shown_as_srgb(cloud: SplatData, painter: Painter) -> None:
+    hand = Hand(Stage(sources_of(Scene([cloud], "linear"))), painter)
+    plain = Hand(Stage(sources_of(cloud)), painter).bare()
+    made = hand.bare()
+    assert np.abs(made[..., :3] - expected(hand, painter)).max() <= 1
+    assert made[..., :3].mean() > plain[..., :3].mean() + 1
+
+
+def test_dragging_turns_it_and_r_turns_it_back(still: Hand) -> None:
+    first = still.bare()
+    still.drag((80, 60), (110, 70))
+    turned = still.bare()
+    assert np.abs(turned - first).mean() > 2
+    still.key("r")
+    assert np.array_equal(still.bare(), first)
+
+
+def test_shift_middle_and_right_drags_are_other_drags(still: Hand) -> None:
+    first, ends = still.bare(), ((80, 60), (110, 70))
+    made = {}
+    for button, held in ((1, ()), (1, ("Shift",)), (2, ()), (3, ())):
+        still.drag(*ends, button, *held)
+        made[button, held] = still.bare()
+        still.key("r")
+    assert np.array_equal(made[1, ("Shift",)], made[3, ()])
+    others = [first, made[1, ()], made[3, ()], made[2, ()]]
+    for number, one in enumerate(others):
+        for other in others[:number]:
+            assert not np.array_equal(one, other)
+
+
+def test_moving_without_a_button_is_nothing(still: Hand) -> None:
+    first = still.bare()
+    still.send("pointer_move", x=9, y=9, button=0, modifiers=())
+    assert np.array_equal(still.bare(), first)
+
+
+def test_keys_fly_while_they_are_held(still: Hand) -> None:
+    still.look()
+    eye = still.viewer.controls.eye
+    still.press("w")
+    still.look(0.1)
+    near = still.viewer.controls.eye
+    assert near[2] > eye[2]
+    still.send("key_up", key="w", modifiers=())
+    still.look(0.1)
+    np.testing.assert_array_equal(still.viewer.controls.eye, near)
+    still.press("Shift", "Shift")
+    still.press("W", "Shift")
+    still.look(0.1)
+    fast = still.viewer.controls.eye
+    assert fast[2] - near[2] == pytest.approx(4 * (near[2] - eye[2]))
+
+
+def test_double_click_looks_at_what_is_there(painter: Painter) -> None:
+    row = np.array([[0.6, 0.3, 0.5, 0.95, 0.01, 0, 0, 0.01, 0, 0.01]], np.float32)
+    hand = Hand(
+        Stage(sources_of(SplatData(row, np.ones((1, 3), np.float32), "rgb"))), painter
+    )
+    bright = hand.bare()[..., :3].sum(axis=-1)
+    y, x = np.unravel_index(bright.argmax(), bright.shape)
+    hand.send("double_click", x=float(x), y=float(y), button=1, modifiers=())
+    np.testing.assert_allclose(hand.viewer.controls.pivot, row[0, :3], atol=0.02)
+    after = hand.bare()[..., :3].sum(axis=-1)
+    assert after[60, 80] > 0.9 * bright.max()
+    hand.send("double_click", x=2.0, y=2.0, button=1, modifiers=())  # nothing is there
+    np.testing.assert_allclose(hand.viewer.controls.pivot, row[0, :3], atol=1e-6)
+
+
+def test_harmonics_antialias_and_backgrounds_go_round(still: Hand) -> None:
+    first = still.bare()
+    seen = [first]
+    for _ in range(4):
+        still.key("g")
+        seen.append(still.bare())
+    assert still.viewer.stage.sh_degree == 3
+    assert not np.array_equal(seen[1], first)  # degree 0
+    assert np.array_equal(seen[4], first)  # 3 is more than there is
+    still.key("g")
+    still.key("x")
+    still.key("x")
+    assert still.viewer.stage.antialias == "mip"
+    assert not np.array_equal(still.bare(), first)
+    still.key("x")
+    still.key("b")
+    assert still.bare()[0, 0].tolist() == [255, 255, 255, 255]
+    for _ in range(3):
+        still.key("b")
+    assert np.array_equal(still.bare(), first)
+
+
+def test_help_and_numbers_lie_over_the_picture(still: Hand) -> None:
+    bare = still.bare()
+    told = still.look()
+    changed = np.abs(told - bare).max(axis=-1) > 0
+    assert changed[10:40, 10:60].mean() > 0.9  # its paper
+    assert not changed[:9].any()
+    assert not changed[:, :9].any()
+    still.key("h")
+    helped = still.look()
+    assert (np.abs(helped - bare).max(axis=-1) > 0).mean() > 0.5
+    still.key("Escape")  # closes the help first
+    assert not still.viewer.closed
+    assert np.array_equal(still.look(), told)
+    still.key("Escape")
+    assert still.viewer.closed
+
+
+def test_it_plays_as_fast_as_it_says(moving: Hand) -> None:
+    moving.settled()
+    assert moving.viewer.stage.number == 0
+    moving.key(" ")
+    numbers = []
+    for _ in range(12):
+        moving.look(0.1)
+        numbers.append(moving.viewer.stage.number)
+    assert numbers[:3] == [1, 2, 3]
+    assert numbers[-2:] == [0, 1]  # it begins again
+    moving.key(" ")
+    moving.look(1.0)
+    assert moving.viewer.stage.number == 1
+
+
+def test_a_frame_of_the_slider_is_that_of_a_film(
+    moving: Hand, drift: Path, painter: Painter
+) -> None:
+    first = moving.settled()
+    slider = moving.viewer.slider
+    assert slider is not None
+    y = slider.at[1] + 5
+    for x in range(slider.at[0], SIZE[0]):
+        if slider.share(x) > 0.45:
+            break
+    moving.drag((x, y), (x, y))
+    number = moving.viewer.stage.number
+    assert number in (4, 5, 6)
+    made = moving.bare()
+    source = GeneratorSource(drift)
+    source.update(None, {"time": number / 10})
+    frame = painter.renderer.render(
+        Scene([source.data]), moving.viewer.controls.camera(*SIZE), background=(0, 0, 0, 1)
+    )
+    source.close()
+    above = slice(0, slider.at[1])
+    assert np.abs(made[above, :, :3] - frame.srgb8[above, :, :3].astype(int)).max() <= 1
+    assert not np.array_equal(made[above], first[above])
+    moving.key("ArrowLeft")
+    assert moving.viewer.stage.number == number - 1
+    moving.key("Home")
+    moving.key("ArrowLeft")
+    assert moving.viewer.stage.number == 10
+    moving.drag((slider.at[0] + 3, y), (slider.at[0] + 3, y))
+    assert moving.viewer.stage.playing
+
+
+def test_pictures_go_on_while_a_model_computes(
+    moving: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The camera follows the hand; the frame is taken when it is done."""
+    moving.settled()
+    ready = [False]
+    monkeypatch.setattr(GeneratorSource, "ready", property(lambda self: ready[0]))
+    before = moving.bare()
+    moving.key("ArrowRight")
+    moving.look()
+    assert moving.viewer.stage.busy
+    version = moving.viewer.stage.version
+    moving.drag((80, 50), (110, 60))
+    turned = moving.look()
+    assert np.abs(turned - before).mean() > 0.5
+    assert moving.viewer.stage.busy
+    assert moving.viewer.stage.version == version
+    ready[0] = True
+    moving.look()
+    assert moving.viewer.stage.version == version + 1
+
+
+def test_what_fails_is_told_and_the_window_stays(
+    moving: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    moving.settled()
+
+    def fail(self: GeneratorSource) -> None:
+        raise ConfigInvalid("is 7", where="drift.onnx, frame 1")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(GeneratorSource, "finish", fail)
+        moving.key("ArrowRight")
+        for _ in range(200):
+            moving.look()
+            if moving.viewer.message:
+                break
+            time.sleep(0.01)
+        assert "drift.onnx, frame 1: is 7" in moving.viewer.message
+    moving.key("ArrowRight")
+    moving.settled()
+    assert moving.viewer.message == ""
+
+
+def test_p_saves_the_picture_and_a_camera_that_render_takes(
+    cloud: SplatData, painter: Painter, tmp_path: Path
+) -> None:
+    hand = Hand(Stage(sources_of(cloud)), painter, folder=tmp_path / "new")
+    hand.drag((80, 60), (110, 70))
+    wanted = hand.bare()
+    hand.key("p")
+    hand.key("p")
+    assert sorted(one.name for one in (tmp_path / "new").iterdir()) == [
+        "view_001.json",
+        "view_001.png",
+        "view_002.json",
+        "view_002.png",
+    ]
+    with Image.open(tmp_path / "new/view_001.png") as image:
+        assert np.abs(np.asarray(image).astype(int) - wanted).max() <= 1
+    file = tmp_path / "new/view_001.json"
+    camera = viewpoint(str(file)).cameras[0]
+    np.testing.assert_allclose(camera.view, hand.viewer.controls.camera(*SIZE).view)
+    assert json.loads(hand.said[0]) == json.loads(file.read_text())
+    assert str(file) in hand.said[1]
+
+
+def test_another_size_is_another_picture(still: Hand, painter: Painter) -> None:
+    still.look()
+    still.canvas.set_logical_size(90, 70)
+    still.key("i")
+    made = still.look()
+    assert made.shape == (70, 90, 4)
+    camera = still.viewer.controls.camera(90, 70)
+    frame = painter.renderer.render(
+        still.viewer.stage.scene(), camera, background=(0, 0, 0, 1)
+    )
+    assert np.abs(made - frame.srgb8.astype(int)).max() <= 1
+
+
+def test_a_lost_device_is_opened_again(cloud: SplatData) -> None:
+    opened: list[Device] = []
+
+    def open_device() -> Device:
+        opened.append(Device.open())
+        return opened[-1]
+
+    hand = Hand(Stage(sources_of(cloud)), Painter(open_device))
+    before = hand.bare()
+    opened[0].raw.destroy()
+    hand.look()
+    assert len(opened) == 2
+    assert "lost" in hand.viewer.message
+    hand.key("i")
+    assert np.array_equal(hand.look(), before)
+    hand.drag((80, 60), (90, 60))
+    assert not np.array_equal(hand.look(), before)  # and it is drawn there
+
+
+def test_a_device_that_does_not_come_back_ends_it(cloud: SplatData) -> None:
+    opened: list[Device] = []
+
+    def open_device() -> Device:
+        if opened:
+            raise DeviceUnavailable("no graphics adapter")
+        opened.append(Device.open())
+        return opened[-1]
+
+    hand = Hand(Stage(sources_of(cloud)), Painter(open_device))
+    hand.look()
+    opened[0].raw.destroy()
+    hand.viewer.mode = "alpha"
+    with pytest.raises(DeviceUnavailable, match="lost, and cannot be opened again"):
+        hand.look()
+
+
+def test_too_much_for_the_memory_is_told(
+    still: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import wgpu
+
+    def full(*_: object, **__: object) -> None:
+        raise wgpu.GPUOutOfMemoryError("Out of memory")
+
+    still.canvas.set_logical_size(400, 300)
+    with monkeypatch.context() as patch:
+        patch.setattr(Renderer, "draw", full)
+        black = still.look()
+    assert "memory of" in still.viewer.message
+    assert "Make the window smaller" in still.viewer.message
+    assert black[-1, :, :3].max() == 0  # nothing is behind the message
+    still.key("i")
+    assert still.look()[..., :3].max() > 60  # it is tried again
+
+
+def test_dropped_files_take_its_place(
+    moving: Hand, cloud: SplatData, painter: Painter, tmp_path: Path
+) -> None:
+    path = tmp_path / "other.npz"
+    np.savez(path, gaussians=cloud.rows, appearance=cloud.appearance)
+    hand = Hand(
+        Stage(sources_of(cloud)), painter, reopen=lambda paths: Stage(sources_of(paths))
+    )
+    hand.settled()
+    hand.viewer.drop([tmp_path / "nothing.ply"])
+    assert "nothing.ply" in hand.viewer.message
+    assert hand.viewer.stage.frames == 1
+    hand.viewer.drop([path])
+    assert hand.viewer.message == ""
+    assert hand.viewer.stage.sources[0].name == str(path)
+    assert hand.bare()[..., :3].max() > 60
+
+
+def test_coarse_pictures_follow_a_hand_that_is_faster(
+    still: Hand, painter: Painter
+) -> None:
+    fine = still.bare()
+    painter.seconds = 0.5
+    still.send("pointer_down", x=80, y=60, button=1, modifiers=())
+    still.send("pointer_move", x=81, y=60, button=0, modifiers=())
+    still.look()
+    drawn = painter.drawn
+    assert drawn is not None
+    assert drawn.row == SIZE[0] // 4
+    still.send("pointer_move", x=80, y=60, button=0, modifiers=())
+    still.send("pointer_up", x=80, y=60, button=1, modifiers=())
+    assert np.abs(still.bare() - fine).max() <= 1
+
+
+def test_files_that_cannot_be_read_say_so(tmp_path: Path) -> None:
+    (tmp_path / "bad.ply").write_bytes(b"nothing")
+    with pytest.raises(SceneUnreadable, match=r"bad\.ply"):
+        sources_of(tmp_path / "bad.ply")
+
+
+def test_view_shows_a_scene_on_any_canvas(cloud: SplatData) -> None:
+    from rendercanvas.offscreen import OffscreenRenderCanvas
+
+    from gsgen.runtime import view
+
+    canvas = OffscreenRenderCanvas(size=SIZE)
+    assert view(Scene([cloud]), canvas=canvas, size=SIZE) is canvas
+    made = np.asarray(canvas.draw())
+    assert made.shape == (*SIZE[::-1], 4)
+    assert made[..., :3].max() > 60
+
+
+@pytest.mark.parametrize("kind", ["orthographic", "panorama"])
+def test_other_cameras_are_looked_through_too(
+    cloud: SplatData, painter: Painter, kind: str
+) -> None:
+    words = {"flat": True} if kind == "orthographic" else {"around": True}
+    view = viewpoint("look-at:0,0,-4,0,0,0", *SIZE, **words)
+    hand = Hand(Stage(sources_of(cloud)), painter, view=view)
+    assert np.abs(hand.bare()[..., :3] - expected(hand, painter)).max() <= 1
+    rows = cloud.rows
+    ahead = rows[np.abs(rows[:, :2]).sum(axis=1).argmin(), :3]
+    camera: Camera = hand.viewer.controls.camera(*SIZE)
+    local = camera.view[:3, :3] @ ahead + camera.view[:3, 3]
+    if kind == "orthographic":
+        place = camera.fx * local[:2] + [camera.cx, camera.cy]
+    else:
+        turn = np.array(
+            [np.arctan2(local[0], local[2]), np.arcsin(local[1] / np.linalg.norm(local))]
+        )
+        place = turn * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    hand.send("double_click", x=place[0], y=place[1], button=1, modifiers=())
+    pivot = hand.viewer.controls.pivot - camera.eye
+    along = camera.view[:3, :3] @ pivot
+    if kind == "panorama":
+        np.testing.assert_allclose(
+            pivot / np.linalg.norm(pivot),
+            (ahead - camera.eye) / np.linalg.norm(local),
+            atol=0.05,
+        )
+    else:
+        np.testing.assert_allclose(along[:2], local[:2], atol=0.05)
