@@ -12,9 +12,10 @@ from gsgen.formats import ply_properties, read_ply_columns
 from gsgen.reference_plugins.checkpoints.anchors import read_anchors
 from gsgen.reference_plugins.checkpoints.cfg_args import read_cfg_args
 from gsgen.reference_plugins.checkpoints.deformations import read_deformation
-from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
+from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid, NotInCheckpoint
 from gsgen.reference_plugins.checkpoints.folder import find_iteration
 from gsgen.reference_plugins.checkpoints.hexplanes import read_hexplanes
+from gsgen.reference_plugins.checkpoints.model_config import read_model_config
 from gsgen.reference_plugins.checkpoints.script_archive import read_script_state
 from gsgen.reference_plugins.synthetic import (
     AnchorOptions,
@@ -108,9 +109,38 @@ def test_the_last_iteration_is_taken_and_coarse_ones_are_not(tmp_path: Path) -> 
         (tmp_path / "point_cloud" / name).mkdir(parents=True)
     assert find_iteration(tmp_path)[0] == 30000
     assert find_iteration(tmp_path, 7000)[1].name == "iteration_7000"
-    with pytest.raises(CheckpointInvalid) as caught:
+    with pytest.raises(NotInCheckpoint) as caught:
         find_iteration(tmp_path, 8)
     assert caught.value.mend == "There are: 7000, 30000."
+
+
+def test_folders_a_little_off_name_the_right_one(tmp_path: Path) -> None:
+    runs = [tmp_path / "scene" / name for name in ("a", "b", "c", "d")]
+    for run in runs:
+        (run / "point_cloud" / "iteration_5").mkdir(parents=True)
+    (tmp_path / "scene" / "other").mkdir()
+    named = f"{runs[0]} or {runs[1]} or {runs[2]}"
+    wrong = {
+        tmp_path: f"Did you mean {named}? (1 more look right.)",
+        runs[3] / "point_cloud" / "iteration_5": f"Did you mean {runs[3]}?",
+        runs[3] / "point_cloud": f"Did you mean {runs[3]}?",
+        tmp_path
+        / "scene"
+        / "other": "Give the folder that training wrote: the one with cfg_args in it.",
+    }
+    for folder, mend in wrong.items():
+        with pytest.raises(CheckpointInvalid) as caught:
+            find_iteration(folder)
+        assert (caught.value.mend, caught.value.exit_code) == (mend, 4)
+
+
+def test_a_folder_above_those_of_networks_names_the_outermost(tmp_path: Path) -> None:
+    for name in ("run/unet", "run/vae"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "config.json").write_text("{}")
+    with pytest.raises(CheckpointInvalid) as caught:
+        read_model_config(tmp_path)
+    assert caught.value.mend == f"Did you mean {tmp_path / 'run'}?"
 
 
 # ===== tensors

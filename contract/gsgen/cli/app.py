@@ -36,7 +36,7 @@ def main() -> None:
 
 def _fail(error: GsgenError) -> None:
     typer.echo(f"gsgen: {error}", err=True)
-    sys.exit(_USAGE)
+    sys.exit(error.exit_code)
 
 
 def build(commands: list[Command]) -> typer.Typer:

@@ -3,6 +3,7 @@
 __all__ = [
     "ConfigInvalid",
     "GsgenError",
+    "InputUnreadable",
     "LayoutMismatch",
     "ManifestInvalid",
     "ModelUnreadable",
@@ -10,6 +11,7 @@ __all__ = [
 ]
 
 from collections.abc import Iterable
+from typing import ClassVar
 
 _MOST_LISTED = 12
 
@@ -21,7 +23,10 @@ class GsgenError(Exception):
         what: What was wrong, with the offending value.
         where: The file, tensor, row or option it was found in.
         mend: The next thing to do or type; empty if there is nothing to say.
+        exit_code: What a command ends with that the error stops.
     """
+
+    exit_code: ClassVar[int] = 2
 
     def __init__(self, what: str, *, where: str = "", mend: str = "") -> None:
         self.what = what
@@ -34,8 +39,14 @@ class GsgenError(Exception):
         return f"{head}\n  {self.mend}" if self.mend else head
 
 
-class ModelUnreadable(GsgenError):
-    """The file is not an ONNX model that can be judged at all (exit code 4)."""
+class InputUnreadable(GsgenError):
+    """A file or folder is missing, damaged, or holds something else than is read (exit code 4)."""
+
+    exit_code: ClassVar[int] = 4
+
+
+class ModelUnreadable(InputUnreadable):
+    """The file is not an ONNX model that can be judged at all."""
 
 
 class ManifestInvalid(GsgenError):

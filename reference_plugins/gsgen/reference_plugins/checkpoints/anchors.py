@@ -31,7 +31,7 @@ from torch import Tensor
 
 from gsgen.formats import FormatError, ply_properties, read_ply_columns
 from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs, read_cfg_args
-from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
+from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid, NotInCheckpoint
 from gsgen.reference_plugins.checkpoints.folder import find_iteration, required_file
 from gsgen.reference_plugins.checkpoints.script_archive import read_script_state
 from gsgen.reference_plugins.checkpoints.states import Shape, checked, load_state
@@ -369,16 +369,16 @@ def require_appearance(
     """Return ``appearance`` if the checkpoint has it.
 
     Raises:
-        CheckpointInvalid: It has none, or not so many; ``option`` is what the user gave.
+        NotInCheckpoint: It has none, or not so many; ``option`` is what the user gave.
     """
     embedding = read.nets.embedding
     if appearance is None:
         return None
     if embedding is None:
         what = "the checkpoint has no appearance embedding"
-        raise CheckpointInvalid(what, where=option, mend="Leave the option out.")
+        raise NotInCheckpoint(what, where=option, mend="Leave the option out.")
     if appearance >= len(embedding):
         what = f"{appearance} is not one of the {len(embedding)} training cameras"
         mend = f"Give 0 to {len(embedding) - 1}."
-        raise CheckpointInvalid(what, where=option, mend=mend)
+        raise NotInCheckpoint(what, where=option, mend=mend)
     return appearance

@@ -24,7 +24,7 @@ from gsgen.formats import FormatError, read_ply_columns
 from gsgen.reference_plugins.checkpoints.array_pickles import read_array_pickle
 from gsgen.reference_plugins.checkpoints.bodies import Body, read_body, required_body
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
-from gsgen.reference_plugins.checkpoints.folder import required_file
+from gsgen.reference_plugins.checkpoints.folder import likely_folders, required_file
 from gsgen.reference_plugins.checkpoints.reasons import reason_of
 
 JOINTS = 55
@@ -180,12 +180,15 @@ def _face_dirs(path: Path) -> Any:
 def _avatar_file(folder: Path) -> Path:
     if folder.is_file():
         return folder
-    found = sorted(folder.glob("*.pth")) if folder.is_dir() else []
+    if not folder.is_dir():
+        raise CheckpointInvalid("is no file and no folder", where=str(folder))
+    found = sorted(folder.glob("*.pth"))
     if len(found) != 1:
         names = ", ".join(path.name for path in found) or "none"
         mend = "Give the file itself, or a folder with one .pth in it."
+        near = "" if found else likely_folders(folder, lambda one: any(one.glob("*.pth")))
         what = f"holds {len(found)} files .pth ({names})"
-        raise CheckpointInvalid(what, where=str(folder), mend=mend)
+        raise CheckpointInvalid(what, where=str(folder), mend=near or mend)
     return found[0]
 
 

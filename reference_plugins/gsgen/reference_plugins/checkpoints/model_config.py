@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
-from gsgen.reference_plugins.checkpoints.folder import required_file
+from gsgen.reference_plugins.checkpoints.folder import likely_folders
 
 _MOST_BYTES = 1 << 20
 
@@ -114,7 +114,12 @@ def read_model_config(folder: Path, name: str = "config.json") -> ModelConfig:
     Raises:
         CheckpointInvalid: It is missing, or holds no JSON object.
     """
-    path = required_file(folder / name, "the options")
+    path = folder / name
+    if not path.is_file():
+        near = likely_folders(
+            folder, lambda one: (one / name).is_file() or (one / "unet" / name).is_file()
+        )
+        raise CheckpointInvalid("is missing: the options", where=str(path), mend=near)
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise ValueError(f"has {path.stat().st_size:,} bytes")

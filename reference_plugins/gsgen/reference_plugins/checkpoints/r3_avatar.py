@@ -21,7 +21,8 @@ from torch import Tensor
 from gsgen.reference_plugins.checkpoints.bodies import Body
 from gsgen.reference_plugins.checkpoints.canonical import Canonical
 from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs, read_cfg_args
-from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
+from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid, NotInCheckpoint
+from gsgen.reference_plugins.checkpoints.folder import likely_folders
 from gsgen.reference_plugins.checkpoints.gauhuman import read_body_of
 from gsgen.reference_plugins.checkpoints.pose_nets import PoseNets, read_pose_nets
 from gsgen.reference_plugins.checkpoints.reasons import reason_of
@@ -156,12 +157,13 @@ def _find(folder: Path, iteration: int | None) -> Path:
     found = {int(match[1]): child for match, child in matches if match}
     if not found:
         mend = "Give the folder that training wrote: the planes are in no other file."
+        mend = likely_folders(folder, lambda one: any(one.glob("chkpnt*.pth"))) or mend
         raise CheckpointInvalid("holds no chkpntN.pth", where=str(folder), mend=mend)
     wanted = max(found) if iteration is None else iteration
     if wanted not in found:
         known = ", ".join(map(str, sorted(found)))
         what = f"has no iteration {wanted}"
-        raise CheckpointInvalid(what, where=str(folder), mend=f"There are: {known}.")
+        raise NotInCheckpoint(what, where=str(folder), mend=f"There are: {known}.")
     return found[wanted]
 
 

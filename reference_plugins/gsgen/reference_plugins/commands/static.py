@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gsgen.contract.errors import GsgenError
+from gsgen.contract.errors import InputUnreadable
 from gsgen.sdk.export_request import OPSETS, ExportRequest
 from gsgen.sdk.plugin import Plugin
 
@@ -158,7 +158,7 @@ def _read(file: Path) -> "Splats | PointCloud | PackedRows":
         try:
             content = open_splats(file)
         except FormatError as error:
-            raise GsgenError(str(error)) from error
+            raise InputUnreadable(str(error)) from error
     for warning in caught:
         typer.echo(f"note: {warning.message}", err=True)
     return content
