@@ -1,4 +1,5 @@
-// Where a Gaussian is in the image, and how large. Needs frame.wgsl, page.wgsl and panorama.wgsl.
+// Where a cell is in the image, and how large, worked out as project.wgsl does for Gaussians.
+// Needs frame.wgsl, page.wgsl and panorama.wgsl.
 
 struct Flat {
     depth: f32,    // along the camera's +z; in a panorama from its centre
