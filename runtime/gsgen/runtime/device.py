@@ -89,7 +89,7 @@ class Device:
 
         Args:
             label: What it holds; errors name it.
-            size: Rounded up to whole words.
+            size: Rounded up to whole words of 16 bytes, which kernels may read it by.
             extra: More usages, as wgpu spells them.
 
         Raises:
@@ -103,7 +103,7 @@ class Device:
             )
         usage = "STORAGE|COPY_DST|COPY_SRC" + (f"|{extra}" if extra else "")
         return self.raw.create_buffer(
-            label=label, size=max(16, -(-size // 4) * 4), usage=usage
+            label=label, size=max(16, -(-size // 16) * 16), usage=usage
         )
 
     def uniform(self, label: str, size: int) -> Any:

@@ -26,7 +26,7 @@ from gsgen.runtime.kernels.draw_meshes import (
 from gsgen.runtime.kernels.draw_quads import DrawQuads, QuadsStep
 from gsgen.runtime.kernels.kernel import Step, run
 from gsgen.runtime.kernels.normals import NormalsKernel
-from gsgen.runtime.kernels.order_ties import TIED, OrderTies
+from gsgen.runtime.kernels.order_ties import OrderTies
 from gsgen.runtime.kernels.project import (
     FRAME,
     PAGE,
@@ -356,7 +356,7 @@ class Plan:
         if clock is not None:
             clock.begin()
         encoder.clear_buffer(self._ranges)
-        encoder.clear_buffer(self._counts, 4 * TIED, 4)
+        encoder.clear_buffer(self._counts, 4 * Counts.TIED, 4)
         if self._weighted is not None:
             self._weighted.clear(encoder)
         if self._meshes is not None:

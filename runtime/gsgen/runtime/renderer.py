@@ -15,7 +15,6 @@ from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInval
 from gsgen.runtime.frame import NOTHING, Frame, Output
 from gsgen.runtime.kernels.counts import Counts
 from gsgen.runtime.kernels.draw_meshes import PlacedMesh
-from gsgen.runtime.kernels.order_ties import TIED
 from gsgen.runtime.kernels.shader import ABSENT
 from gsgen.runtime.mesh_residency import MeshResidency
 from gsgen.runtime.plan import Kernels, Placed, Plan
@@ -168,8 +167,8 @@ class Renderer:
         plan = self.plan(placed, camera, wanted, meshes)
         plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
         counts, images = plan.collect(fetch)
-        while counts[TIED] or counts[Counts.WANTED_PAIRS] > plan.pair_capacity:
-            if counts[TIED]:
+        while counts[Counts.TIED] or counts[Counts.WANTED_PAIRS] > plan.pair_capacity:
+            if counts[Counts.TIED]:
                 for one in scene.sets:
                     self._residency.leave(one.data)
                 placed = self._pages(scene)

@@ -11,7 +11,6 @@ from gsgen.runtime.kernels.counts import Counts
 from gsgen.runtime.kernels.kernel import run
 from gsgen.runtime.kernels.order_ties import (
     MOST_TIED,
-    TIED,
     OrderTies,
     order_ties_reference,
 )
@@ -84,7 +83,7 @@ def ordered(
     encoder = device.raw.create_command_encoder()
     run(encoder, [OrderTies(device, walk).step(len(keys), *buffers)], "ties")
     device.raw.queue.submit([encoder.finish()])
-    tied = device.read(buffers[0], np.uint32, 8)[TIED]
+    tied = device.read(buffers[0], np.uint32, 8)[Counts.TIED]
     return bool(tied), device.read(buffers[3], np.uint32, len(keys))
 
 

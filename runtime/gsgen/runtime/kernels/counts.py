@@ -29,6 +29,8 @@ class Counts(IntEnum):
     PAIR_CAPACITY = 4
     DRAWN = 5
     """Gaussians of the cells that are drawn, where it is cells that are sorted."""
+    TIED = 6
+    """Whether more splats are at one depth than are put in order."""
     SORT_VISIBLE_GROUPS = 8
     WALK_VISIBLE_GROUPS = 12
     SORT_PAIRS_GROUPS = 16

@@ -1,6 +1,6 @@
 """Order ties: splats of one depth stand as their sets have them, wherever they are in memory."""
 
-__all__ = ["MOST_TIED", "TIED", "OrderTies", "order_ties_reference"]
+__all__ = ["MOST_TIED", "OrderTies", "order_ties_reference"]
 
 from typing import Any, Final, final
 
@@ -14,9 +14,6 @@ from gsgen.runtime.kernels.kernel import Kernel, Step
 
 MOST_TIED: Final = 64
 """Splats of one depth that are put in order; where there are more, rows are not arranged."""
-
-TIED: Final = 7
-"""Which word of the frame's counts says that there were more: one that no count has."""
 
 
 @final
@@ -38,7 +35,6 @@ class OrderTies:
             THREADS=WALK_THREADS,
             RUN=walk,
             MOST_TIED=MOST_TIED,
-            TIED=TIED,
             **PLACES,
         )
 

@@ -14,8 +14,8 @@ struct Digit {
 
 @group(0) @binding(0) var<uniform> digit: Digit;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
-@group(0) @binding(2) var<storage, read> keys_in: array<u32>;
-@group(0) @binding(3) var<storage, read> values_in: array<u32>;
+@group(0) @binding(2) var<storage, read> keys_in: array<vec4u>;    // four at once: drivers on
+@group(0) @binding(3) var<storage, read> values_in: array<vec4u>;  // CPUs pay by the read
 @group(0) @binding(4) var<storage, read_write> histogram: array<u32>;
 @group(0) @binding(5) var<storage, read_write> keys_out: array<u32>;
 @group(0) @binding(6) var<storage, read_write> values_out: array<u32>;
@@ -31,11 +31,16 @@ fn count_run(block: u32, thread: u32, total: u32) {
     let start = block * BLOCK + thread * RUN;
     let end = min(start + RUN, total);
     let mask = (1u << digit.bits) - 1u;
-    for (var i = start; i < end; i++) {
-        let key = keys_in[i];
-        if (digit.first == 0u || key != ABSENT) {
-            counters[((key >> digit.shift) & mask) * THREADS + thread] += 1u;
+    for (var i = start; i < end; i += 4u) {
+        let keys = keys_in[i / 4u];
+//!repeat AT FOUR
+        {
+            let key = keys[AT];
+            if (i + ATu < end && (digit.first == 0u || key != ABSENT)) {
+                counters[((key >> digit.shift) & mask) * THREADS + thread] += 1u;
+            }
         }
+//!end
     }
 }
 
@@ -77,18 +82,23 @@ fn scatter(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) lo
     let start = group.x * BLOCK + local.x * RUN;
     let end = min(start + RUN, total);
     let mask = (1u << digit.bits) - 1u;
-    for (var i = start; i < end; i++) {
-        let key = keys_in[i];
-        if (digit.first == 0u || key != ABSENT) {
-            let at = ((key >> digit.shift) & mask) * THREADS + local.x;
-            let place = counters[at];
-            counters[at] = place + 1u;
-            keys_out[place] = key;
-            if (digit.first == 0u) {
-                values_out[place] = values_in[i];
-            } else {
-                values_out[place] = i;
+    for (var i = start; i < end; i += 4u) {
+        let keys = keys_in[i / 4u];
+        var values = vec4u(i, i + 1u, i + 2u, i + 3u);
+        if (digit.first == 0u) {
+            values = values_in[i / 4u];
+        }
+//!repeat AT FOUR
+        {
+            let key = keys[AT];
+            if (i + ATu < end && (digit.first == 0u || key != ABSENT)) {
+                let at = ((key >> digit.shift) & mask) * THREADS + local.x;
+                let place = counters[at];
+                counters[at] = place + 1u;
+                keys_out[place] = key;
+                values_out[place] = values[AT];
             }
         }
+//!end
     }
 }
