@@ -19,6 +19,7 @@ from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
 
 CELLS, PER_CELL, FRAMES = 50_000, 5, 5
+PAIR_BYTES = 16  # two columns of a key and a value
 SORTED = ("keys of Gaussians", "values of Gaussians", "histogram")
 CELLED = ("keys of cells", "values of cells", "keys of weighted", "circles", "spans")
 
@@ -82,6 +83,7 @@ def bench_sums_beside_sorting(
         taken[name] = min(seconds)
         sizes = renderer._plan.buffers.items()
         own = sum(held.size for label, held in sizes if label.startswith(columns))
+        own += PAIR_BYTES * frame.pairs
         say(
             f"{name:7} {min(seconds):6.3f} CPU-s  {frame.pairs:9,} pairs  "
             f"{own / len(data):5.1f} bytes a Gaussian to bring them into order"
