@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from xml.etree.ElementTree import fromstring
 
 import numpy as np
 import pytest
@@ -65,3 +66,14 @@ def test_a_panorama_is_twice_as_wide_as_high(folder: Path) -> None:
     assert (
         image.max(axis=(0, 2)) > 30
     ).all()  # from the middle of the cloud: something all around
+
+
+def test_a_panorama_in_a_jpeg_says_so_to_viewers(folder: Path) -> None:
+    words = ("--panorama", "--width", "64", "-o", "around.jpg")
+    assert gsgen("render", "cloud.npz", *words, cwd=folder).code == 0
+    with Image.open(folder / "around.jpg") as image:
+        told = fromstring(image.info["xmp"])[0][0].attrib
+    term = "{http://ns.google.com/photos/1.0/panorama/}"
+    assert told[f"{term}ProjectionType"] == "equirectangular"
+    assert told[f"{term}FullPanoWidthPixels"] == "64"
+    assert told[f"{term}FullPanoHeightPixels"] == "32"

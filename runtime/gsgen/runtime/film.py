@@ -127,7 +127,7 @@ class Film:
             pictures.save_film(path, self._pictures(watch), fps or self._fps())
         elif suffix in pictures.SUFFIXES and self.frames == 1:
             for picture in self._pictures(watch):
-                pictures.save_picture(path, picture)
+                pictures.save_picture(path, picture, self.shot(0).camera)
         elif not suffix or path.is_dir():
             for number, picture in enumerate(self._pictures(watch)):
                 pictures.save_picture(path / f"frame_{number:04}.png", picture)

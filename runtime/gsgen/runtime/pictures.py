@@ -22,8 +22,10 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from gsgen.runtime import mp4
+from gsgen.runtime.camera import Camera
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.frame import Frame, Output
+from gsgen.runtime.gpano import gpano
 from gsgen.sdk.placement import draft_of
 
 Mode = Literal["color", "depth", "median-depth", "normal", "alpha"]
@@ -100,18 +102,36 @@ def _bytes(made: np.ndarray) -> UInt8[np.ndarray, "..."]:
     return np.asarray(np.rint(np.clip(made, 0, 1) * 255), np.uint8)
 
 
-def save_picture(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> None:
+def save_picture(
+    path: Path, picture: UInt8[np.ndarray, "h w *c"], camera: Camera | None = None
+) -> None:
     """Write an image file, of the format that the suffix names; whole or not at all.
+
+    Args:
+        path: Where to.
+        picture: What.
+        camera: Of a panorama, which a JPEG then says it is.
 
     Raises:
         SceneInvalid: The image library is missing or cannot write such a file.
     """
     image = _image()
+    said = _said_of(camera, picture) if path.suffix.lower() in (".jpg", ".jpeg") else {}
     with draft_of(path) as draft:
         try:
-            image.fromarray(_fitting(path, picture)).save(draft)
+            image.fromarray(_fitting(path, picture)).save(draft, **said)
         except (ValueError, OSError) as error:
             raise SceneInvalid(f"cannot be written: {error}", where=str(path)) from error
+
+
+def _said_of(
+    camera: Camera | None, picture: UInt8[np.ndarray, "h w *c"]
+) -> dict[str, bytes]:
+    """Return the metadata of a picture, unless a model made it another size."""
+    if camera is None or picture.shape[:2] != (camera.height, camera.width):
+        return {}
+    packet = gpano(camera)
+    return {} if packet is None else {"xmp": packet}
 
 
 def save_array(path: Path, made: Float32[np.ndarray, "h w *c"]) -> None:
