@@ -83,6 +83,19 @@ def replacing(path: FilePath) -> Iterator[BinaryIO]:
             raise FileUnwritable(f"cannot be written: {error.strerror or error}") from error
 
 
+def make_folder(path: FilePath) -> None:
+    """Make the folder that ``path`` is to be written in, and those above it.
+
+    Raises:
+        FileUnwritable: It cannot be made.
+    """
+    with naming(path):
+        try:
+            Path(path).parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise FileUnwritable(f"cannot be written: {error.strerror or error}") from error
+
+
 def _require_regular(path: FilePath) -> None:
     try:
         status = os.stat(path)

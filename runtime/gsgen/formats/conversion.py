@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from gsgen.formats._files import FilePath
+from gsgen.formats._files import FilePath, make_folder
 from gsgen.formats.codecs import CODECS, Codec
 from gsgen.formats.errors import NotSupported
 from gsgen.formats.loss import Difference, differences
@@ -58,7 +58,7 @@ def convert(
 
     Args:
         source: A file that ``open_splats`` reads. Packed rows become splats.
-        target: Where to; a file that is there is replaced.
+        target: Where to; a file that is there is replaced, a folder that is not is made.
         codec: The format of the target.
         sh_degree: Drop harmonics above this degree.
         write: Writes instead of the codec, say with other options.
@@ -84,6 +84,7 @@ def convert(
     splats = splats_of_rows(content) if isinstance(content, PackedRows) else content
     kept = _cut(splats, min(codec.most_degree, 4 if sh_degree is None else sh_degree))
     step(f"writing {target}")
+    make_folder(target)
     writer(target, kept)
     step(f"comparing {target} with {source}")
     back = codec.read(target)
@@ -111,6 +112,7 @@ def _points(
             mend="write a PLY file; `gsgen export static` makes a generator of them",
             path=str(source),
         )
+    make_folder(target)
     write_ply(target, points)
     sizes = before, Path(target).stat().st_size
     return Conversion(
