@@ -11,54 +11,11 @@ from gsgen.runtime.kernels.counts import Counts
 from gsgen.runtime.kernels.kernel import run
 from gsgen.runtime.kernels.scan import Scan, scan_reference
 from gsgen.runtime.kernels.shader import ABSENT
-from gsgen.runtime.kernels.sort import Columns, Cut, RadixSort, cut_for, sort_reference
+from gsgen.runtime.kernels.sort import Cut, cut_for, sort_reference
+from support.sorting import GPU, KEYS, Bench, keys_of
 
 ROOM = 1 << 16
-GPU = Cut(256, 16, 4, 4)  # how work is cut where there are many invocations
-
-
-class Bench:
-    """A sort of up to ``room`` keys, with what it reads and writes."""
-
-    def __init__(
-        self, device: Device, cut: Cut, bits: int, room: int, compact: bool
-    ) -> None:
-        self.device, self.room, self.compact = device, room, compact
-        self.scan = Scan(device, cut.block, 64, 256)
-        sort = RadixSort(device, cut, self.scan)
-        self.counts = device.storage("counts", counting.BYTES, extra="INDIRECT")
-        self.columns = [
-            Columns(device.storage("keys", 4 * room), device.storage("values", 4 * room))
-            for _ in range(2)
-        ]
-        self.block = cut.block
-        self.steps, self.at = sort.steps(
-            self.counts,
-            sort.histogram(room),
-            self.columns,
-            bits=bits,
-            source=Counts.VISIBLE,
-            groups=Counts.SORT_VISIBLE_GROUPS,
-            compacting=room if compact else None,
-        )
-
-    def __call__(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the sorted keys, and the places that they came from."""
-        counts = counting.initial(len(keys), 0)
-        counts[Counts.VISIBLE] = len(keys)
-        counts[Counts.SORT_VISIBLE_GROUPS] = -(-len(keys) // self.block)
-        self.device.write(self.counts, counts)
-        self.device.write(self.columns[0].keys, keys)
-        self.device.write(self.columns[0].values, np.arange(len(keys), dtype=np.uint32))
-        encoder = self.device.raw.create_command_encoder()
-        run(encoder, self.steps, "sort")
-        self.device.raw.queue.submit([encoder.finish()])
-        kept = int(self.device.read(self.counts, np.uint32, 2)[Counts.VISIBLE])
-        keys_out, values_out = self.columns[self.at]
-        return (
-            self.device.read(keys_out, np.uint32, kept),
-            self.device.read(values_out, np.uint32, kept),
-        )
+MANY = 300_000
 
 
 @pytest.fixture(scope="module", params=["this device", "many invocations"])
@@ -71,21 +28,8 @@ def compacting(device: Device, cut: Cut) -> Bench:
     return Bench(device, cut, 32, ROOM, compact=True)
 
 
-def keys_of(n: int, kind: str, seed: int = 0) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    if kind == "random":
-        return rng.integers(0, ABSENT, n, np.uint32)
-    if kind == "few":
-        return rng.integers(0, 3, n, np.uint32) << np.uint32(20)
-    if kind == "depths":
-        return rng.uniform(0.01, 1000, n).astype(np.float32).view(np.uint32)
-    keys = rng.integers(0, ABSENT, n, np.uint32)
-    keys[rng.random(n) < 0.6] = ABSENT
-    return keys
-
-
-@pytest.mark.parametrize("kind", ["random", "few", "depths", "absent"])
-@pytest.mark.parametrize("n", [0, 1, 7, 8, 4095, 4096, 4097, 65_536])
+@pytest.mark.parametrize("kind", KEYS)
+@pytest.mark.parametrize("n", [0, 1, 7, 4096, 4097, 65_536])
 def test_sorted_is_numpys(compacting: Bench, n: int, kind: str) -> None:
     # Keys behind the n are absent: the first pass looks at all there is room for.
     keys = np.full(ROOM, ABSENT, np.uint32)
@@ -119,11 +63,20 @@ def test_low_bits_with_values(device: Device, cut: Cut, bits: int, n: int) -> No
     np.testing.assert_array_equal(keys_out, keys[wanted])
 
 
-def test_a_million_keys(device: Device) -> None:
-    keys = keys_of(1_000_000, "depths", seed=4)
-    keys[::7] = ABSENT
-    bench = Bench(device, cut_for(device), 32, len(keys), compact=True)
-    np.testing.assert_array_equal(bench(keys)[1], sort_reference(keys, 32))
+@pytest.mark.parametrize("kind", KEYS)
+def test_many_keys(many: Bench, kind: str) -> None:
+    """As many as let the scan of a GPU go by blocks; `make fuzz-sort` has four million."""
+    keys = keys_of(MANY, kind, seed=4)
+    keys_out, places = many(keys)
+    wanted = sort_reference(keys, 32)
+    np.testing.assert_array_equal(places, wanted)
+    np.testing.assert_array_equal(keys_out, keys[wanted])
+
+
+@pytest.fixture(scope="module", params=["this device", "small blocks"])
+def many(request: pytest.FixtureRequest, device: Device) -> Bench:
+    cut = cut_for(device) if request.param == "this device" else Cut(256, 4, 4, 4)
+    return Bench(device, cut, 32, MANY, compact=True)
 
 
 @pytest.fixture(scope="module", params=["in one workgroup", "by blocks"])
