@@ -10,6 +10,7 @@ from pathlib import Path
 
 import onnx_ir as ir
 from onnx_ir import passes
+from onnx_ir.passes.common import NameFixPass
 
 from gsgen.contract.config import Settings
 from gsgen.contract.engine import validate
@@ -110,6 +111,7 @@ def repair(
     beside = has_external_weights(model)
     for _, change in steps:
         change(model)
+    NameFixPass()(model)
     model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
     with _draft(target, source) as draft:
         save_model(model, draft, beside=beside)

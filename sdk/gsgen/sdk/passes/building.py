@@ -33,7 +33,10 @@ def weight(graph: ir.Graph, name: str, array: np.ndarray) -> ir.Value:
 
 
 def free_name(graph: ir.Graph, name: str) -> str:
-    """Return ``name`` with as many underscores behind it as make it new to the graph."""
+    """Return ``name`` with as many underscores behind it as make it new to the graph.
+
+    Subgraphs are not asked, which would take long: what they call alike is renamed at the end.
+    """
     values = [*graph.inputs, *graph.initializers.values()]
     values += [value for node in graph for value in node.outputs]
     taken = {value.name for value in values}
@@ -65,7 +68,7 @@ def new_node(
 def append_output(graph: ir.Graph, old: ir.Value, nodes: Sequence[ir.Node]) -> None:
     """Let the last of ``nodes`` make the graph output that ``old`` was, under the same name."""
     name = old.name
-    old.name = f"{name}_before_{nodes[-1].name}"
+    old.name = free_name(graph, f"{name}_before_{nodes[-1].name}")
     graph.extend(nodes)
     made = nodes[-1].outputs[0]
     made.name = name
@@ -156,7 +159,9 @@ def remake(old: ir.Value, made: ir.Value) -> None:
         made.shape = old.shape
     ir.convenience.replace_all_uses_with(old, made, replace_graph_outputs=True)
     if output:
-        old.name = f"{name}_replaced"
+        graph = made.graph
+        assert isinstance(graph, ir.Graph)
+        old.name = free_name(graph, f"{name}_replaced")
         made.name = name
 
 

@@ -15,7 +15,8 @@ import numpy as np
 import onnx_ir as ir
 from onnx_ir import passes
 
-from gsgen.sdk.passes.building import append_output, new_node, weight
+from gsgen.contract.errors import GsgenError
+from gsgen.sdk.passes.building import append_output, free_name, new_node, weight
 
 _RGB = 3
 
@@ -128,6 +129,10 @@ class SilencePadding(passes.InPlacePass):
         return passes.PassResult(model, modified=True)
 
 
+def _key_of(names: Mapping[str, str], wanted: str) -> str:
+    return next(old for old, new in names.items() if new == wanted)
+
+
 class RenameOutputs(passes.InPlacePass):
     """Rename outputs, so that a viewer that goes by names finds them (TV101, TV102)."""
 
@@ -136,12 +141,24 @@ class RenameOutputs(passes.InPlacePass):
         self.names = names
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Rename values; a name that is taken inside the graph makes way."""
+        """Rename values; a name that is taken inside the graph makes way.
+
+        Raises:
+            GsgenError: An input has the name, or another output.
+        """
         wanted = {old: new for old, new in self.names.items() if old != new}
-        for node in model.graph:
-            for value in node.outputs:
-                if value.name in wanted.values() and value not in model.graph.outputs:
-                    value.name = f"{value.name}_inner"
+        graph = model.graph
+        ends = {*graph.inputs, *(v for v in graph.outputs if v.name not in wanted)}
+        for value in ends:
+            if value.name in wanted.values():
+                what = (
+                    f"has the name that output {_key_of(wanted, value.name)!r} was to get"
+                )
+                raise GsgenError(what, where=value.name)
+        inner = [value for node in graph for value in node.outputs]
+        for value in (*inner, *graph.initializers.values()):
+            if value.name in wanted.values() and value not in graph.outputs:
+                value.name = free_name(graph, f"{value.name}_inner")
         for value in model.graph.outputs:
             value.name = wanted.get(value.name or "", value.name)
         return passes.PassResult(model, modified=bool(wanted))

@@ -11,7 +11,7 @@ import onnx_ir as ir
 
 from gsgen.sdk.constant_part import constant_nodes
 from gsgen.sdk.passes.base import MAIN_DOMAIN, Exactness, Goal, is_op, opset_of
-from gsgen.sdk.passes.building import weight
+from gsgen.sdk.passes.building import free_name, weight
 from gsgen.sdk.passes.refusal import CautiousRewrite
 
 FLOAT, HALF = ir.DataType.FLOAT, ir.DataType.FLOAT16
@@ -213,7 +213,7 @@ def _convert_output(graph: ir.Graph, index: int, value: ir.Value, *, is_half: bo
         return
     name = value.name
     weight = graph.initializers.pop(name or "", None)
-    value.name = f"{name}_{'float32' if is_half else 'float16'}"
+    value.name = free_name(graph, f"{name}_{'float32' if is_half else 'float16'}")
     if weight is not None:
         graph.register_initializer(weight)
     cast = _cast(value, wanted)
