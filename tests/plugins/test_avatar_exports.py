@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
-import torch
 
 from gsgen.contract.config import Settings
 from gsgen.contract.errors import ConfigInvalid
@@ -25,10 +24,9 @@ from gsgen.reference_plugins.synthetic import (
 )
 from gsgen.sdk import GaussianGenerator, export
 from gsgen.sdk.exporter import Exported
-from gsgen.sdk.packing import Packed, PackedGenerator
 from support.captured import assert_captured
 from support.commands import shared
-from support.plugin_checks import MARGIN, acceptance, eager, run
+from support.plugin_checks import MARGIN, acceptance, eager, run, stored, weights_of
 
 BUILD: dict[str, Callable[[Path], GaussianGenerator]] = {
     "gauhuman_plain": gauhuman.build,
@@ -83,17 +81,22 @@ def test_the_model_agrees_with_the_method_three_times_better_than_asked(case: Ca
             assert error <= EXPECTED[field] / MARGIN, (field, error)
 
 
-def test_half_precision_agrees_as_well_as_asked(case: Case) -> None:
-    tool = acceptance()
+def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
+    case: Case, tmp_path: Path
+) -> None:
+    tool, path = acceptance(), tmp_path / "half.onnx"
+    live = case.name == "lhm"
+    settings = Settings(level=Level.LIVE if live else Level.STATIC)
+    made = export(case.generator, path, dtype="float16", target="webgpu", settings=settings)
+    if live:
+        assert_captured(made.report)
     for index, (given, target) in enumerate(tool.targets(case.name)):
-        packed = PackedGenerator(case.generator, Packed(torch.float16, len(target["xyz"])))
-        with torch.no_grad():
-            tensors = [torch.from_numpy(value) for value in case.feeds(given).values()]
-            rows, color, _ = packed(*tensors)
-        agrees, errors = tool.check(
-            case.name, index, rows.numpy(), color.numpy(), "f16", target
-        )
+        rows, color = run(path, case.feeds(given))[:2]
+        agrees, errors = tool.check(case.name, index, rows, color, "f16", target)
         assert agrees, errors
+    assert made.halved is not None
+    kept = sum(weights_of(path, {one.node for one in made.halved.kept_weights}))
+    assert stored(path) - kept <= 0.55 * (stored(case.made.path) - kept)
 
 
 def test_it_runs_in_webgpu_and_no_replay_is_stale(case: Case) -> None:

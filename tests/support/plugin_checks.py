@@ -6,6 +6,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+import onnx
 import onnxruntime
 import torch
 
@@ -71,6 +72,19 @@ def acceptance() -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def stored(model: Path) -> int:
+    """Return how many bytes of float weights a model holds; indices stay as they are."""
+    floats = (onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT16)
+    weights = onnx.load(model).graph.initializer
+    return sum(len(one.raw_data) for one in weights if one.data_type in floats)
+
+
+def weights_of(model: Path, names: set[str]) -> list[int]:
+    """Return how many bytes the weights called so have."""
+    weights = onnx.load(model).graph.initializer
+    return [len(tensor.raw_data) for tensor in weights if tensor.name in names]
 
 
 def run(model: Path, feeds: dict[str, Any]) -> list[np.ndarray]:

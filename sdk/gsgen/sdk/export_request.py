@@ -28,7 +28,7 @@ class ExportRequest:
     Attributes:
         output: The file.
         name: What people call it; the file's stem where absent.
-        dtype: Of both outputs.
+        dtype: Of the outputs, and in float16 of weights, too.
         capacity: Rows of the outputs; as many as there are Gaussians where absent.
         opset: ONNX operator set.
         target: The consumer to write and to validate for.
@@ -57,7 +57,10 @@ def _request(
         str | None, typer.Option(help="Name in the manifest.", show_default="the file's")
     ] = None,
     dtype: Annotated[
-        Literal["float32", "float16"], typer.Option(help="Of the outputs.")
+        Literal["float32", "float16"],
+        typer.Option(
+            help="Of the outputs; float16 halves weights, too, where that is unseen."
+        ),
     ] = "float32",
     capacity: Annotated[
         int | None,

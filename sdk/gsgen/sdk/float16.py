@@ -52,7 +52,7 @@ from gsgen.sdk.unit_search import Sensitivity, largest_harmless
 _BUDGET = 200
 _LEAST_ROOM = 1e-3
 # How much of what is allowed may be used up by storing weights, whatever is computed with them.
-_SHARE_OF_WEIGHTS = 0.5
+_SHARE_OF_WEIGHTS, _SHARE_WITHOUT_NODES = 0.5, 0.6
 # A number that has no divisor with that of the probes searched at, so that times differ.
 _UNSEEN = 12
 # How much of the tolerance the search may use, from one attempt to the next: what the real kernels
@@ -180,6 +180,7 @@ def to_float16(
     *,
     outputs: bool = True,
     tolerances: Tolerances | None = None,
+    arithmetic: bool = True,
     roundings: int = 1,
     budget: int = _BUDGET,
     limits: Limits | None = None,
@@ -187,7 +188,8 @@ def to_float16(
 ) -> tuple[ir.Model, Halved]:
     """Return ``model`` converted, and how; see :func:`write_float16`.
 
-    ``roundings``: how often what storing outputs rounds may be added to the tolerances.
+    Without ``arithmetic``, weights and outputs become float16, and every node computes in float32 as
+    before. ``roundings``: how often what storing outputs rounds may be added to the tolerances.
 
     Raises:
         RewriteFailed: No choice of nodes keeps the tolerances.
@@ -219,15 +221,17 @@ def to_float16(
             range(len(measure.weights)),
             measure.of_weights,
             budget=budget,
-            allowed=share * _SHARE_OF_WEIGHTS,
+            allowed=share * (_SHARE_OF_WEIGHTS if arithmetic else _SHARE_WITHOUT_NODES),
         )
         stored = {measure.weights[k] for k in tables.given_up}
         progress(f"measuring which of {len(nodes)} nodes may round to float16")
         measure.stored = tables.given_up
-        free = [k for k, node in enumerate(nodes) if node not in guards]
+        free = [k for k, n in enumerate(nodes) if arithmetic and n not in guards]
         found = largest_harmless(free, measure, budget=budget, allowed=share)
         spent += tables.measured + found.measured
         kept = _explain(nodes, guards, found.kept)
+        if not arithmetic:
+            kept = [Kept(key_of(node), "weights alone are halved") for node in nodes]
         kept += _islands(boundary, nodes, kept)
         casts = boundary.casts({one.node for one in kept})
         trial = model.clone()
