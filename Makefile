@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-.PHONY: setup demo test check types style drivers bench fuzz fuzz-formats pictures docs wheel clean
+.PHONY: setup demo test check types style drivers bench fuzz fuzz-formats fuzz-sort pictures docs wheel clean
 
 setup: $(READY)
 
@@ -22,9 +22,11 @@ $(READY): pyproject.toml constraints.txt
 	$(PIP) -e '.[all]' --group dev
 	@touch $@
 
-# The software Vulkan driver that tests and `gsgen doctor` use where there is no GPU.
+# The software Vulkan driver that tests and `gsgen doctor` use where there is no GPU, and another
+# one that tests compare it with.
 drivers:
 	scripts/drivers.sh
+	scripts/swiftshader.sh
 
 demo: setup
 	@scripts/drivers.sh || echo "demo: going on, with pictures only where there is a GPU"
@@ -60,6 +62,10 @@ fuzz: setup
 FORMAT_COUNT ?= 5000
 fuzz-formats: setup
 	PYTHONPATH=tests $(BIN)/python -m fuzz.formats --count $(FORMAT_COUNT) --seed $(SEED)
+
+# Sorts of up to four million keys on every software driver: some minutes.
+fuzz-sort: setup drivers
+	PYTHONPATH=tests $(BIN)/python -m fuzz.sort
 
 # The pictures of the plugins' pages, drawn anew from synthetic checkpoints: a minute or two.
 pictures: setup drivers

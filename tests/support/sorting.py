@@ -97,3 +97,15 @@ class Bench:
             self.device.read(keys_out, np.uint32, kept),
             self.device.read(values_out, np.uint32, kept),
         )
+
+
+def scanned(scan: Scan, device: Device, numbers: np.ndarray) -> np.ndarray:
+    """Return what a scan makes of numbers."""
+    counts = device.storage("counts", counting.BYTES)
+    buffer = device.storage("numbers", 4 * len(numbers))
+    device.write(counts, counting.initial(len(numbers), 0))
+    device.write(buffer, numbers)
+    encoder = device.raw.create_command_encoder()
+    run(encoder, scan.steps(counts, buffer, source=Counts.GAUSSIANS, block=1), "scan")
+    device.raw.queue.submit([encoder.finish()])
+    return device.read(buffer, np.uint32, len(numbers))

@@ -1,0 +1,38 @@
+"""Sort up to four million keys of every kind on every software driver here, and say how long it took.
+
+Run by ``make fuzz-sort``.
+"""
+
+import json
+import subprocess
+import sys
+
+from support.drivers import DRIVERS, description, environment
+
+SIZES = ("0", "1", "4097", "1000000", "4000000")
+
+
+def main() -> int:
+    """Return 1 if a driver sorts otherwise than NumPy does, or there is none."""
+    failed, tried = False, 0
+    for driver in DRIVERS:
+        found = description(driver)
+        if found is None:
+            sys.stdout.write(f"{driver} is not installed, so it was not tried\n")
+            continue
+        tried += 1
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", "support.driver_report", "-", *SIZES],
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment(found),
+        )
+        told = json.loads(done.stdout or "{}")
+        wrong = [*told.get("unsorted", ["nothing: it stopped"]), *told.get("unscanned", ())]
+        sys.stdout.write(f"{driver}: {', '.join(wrong) or 'all sorted as NumPy does'}\n")
+        failed |= bool(wrong)
+    return int(failed or not tried)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
