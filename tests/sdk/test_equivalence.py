@@ -41,3 +41,18 @@ def test_weights_in_a_file_of_any_name_are_granted_their_memory(tmp_path: Path) 
     ir.save(model, tmp_path / "in.onnx", external_data="weights.bin")
     granted = _room(tmp_path / "in.onnx", Limits(memory=1)).memory
     assert granted > Limits(memory=1).for_model(array.nbytes).memory
+
+
+@pytest.mark.parametrize(("divisor", "unjudged"), [(0, ("y",)), (2, ())])
+def test_an_output_without_numbers_is_not_judged(
+    tmp_path: Path, divisor: int, unjudged: tuple[str, ...]
+) -> None:
+    text = f"""g (float[2] x) => (float[2] y, float[0, 2] e, float[2] z)
+        <float zero = {{0}}, float d = {{{divisor}}}, float[0, 2] none = {{}}>
+        {{ q = Mul (x, zero) y = Div (q, d) e = Identity (none) z = Neg (x) }}"""
+    ir.save(parsed(text), tmp_path / "m.onnx")
+    probes = [Probe(str(i), {"x": np.full(2, i, np.float32)}) for i in range(2)]
+    files = tmp_path / "m.onnx", tmp_path / "m.onnx"
+    made = compare_files(*files, ["y", "e", "z"], probes, Limits(), BITS, "a pass")
+    assert made.differences == ()
+    assert made.unjudged == (*unjudged, "e")

@@ -345,6 +345,22 @@ def test_the_command_reports_what_changed(tmp_path: Path) -> None:
     assert f"wrote {tmp_path / 'out.onnx'}" in ran.output
 
 
+def test_outputs_that_are_no_numbers_prove_nothing(tmp_path: Path) -> None:
+    text = (
+        "g (float[2,3] x) => (float[2,3] y) <float zero = {0}> "
+        "{ q = Mul (x, zero) n = Div (q, zero) r = Round (n) y = Identity (r) }"
+    )
+    words = str(written(tmp_path / "in.onnx", text)), "--dry-run", "--target", "webgpu"
+    ran = gsgen(*words)
+    assert ran.exit_code == 0, ran.output
+    assert "nothing differs; y could not be judged" in ran.stdout
+    assert "equal bits" not in ran.stdout
+    assert (
+        "y: no finite number at any of 5 probes, so the rewrite is not proven" in ran.stderr
+    )
+    assert json.loads(gsgen(*words, "--json").stdout)["unjudged"] == ["y"]
+
+
 def test_the_command_prints_json(tmp_path: Path) -> None:
     source = written(tmp_path / "in.onnx", ROUNDED)
     ran = gsgen(str(source), "--dry-run", "--json", "--target", "webgpu")

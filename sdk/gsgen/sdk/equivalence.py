@@ -1,6 +1,6 @@
 """Say whether two files compute the same: run both at the same probes, and compare outputs."""
 
-__all__ = ["Difference", "compare_files", "probes_of"]
+__all__ = ["Comparison", "Difference", "compare_files", "probes_of"]
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -40,6 +40,20 @@ class Difference:
     largest: float
     allowed: float
     probe: str
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What became of all outputs.
+
+    Attributes:
+        differences: The largest difference of each output that differs.
+        unjudged: Outputs without a finite number at any probe: whatever a rewrite did to them,
+            nothing would have differed.
+    """
+
+    differences: tuple[Difference, ...]
+    unjudged: tuple[str, ...]
 
 
 def probes_of(subject: Subject, sizes: Mapping[str, int]) -> tuple[Probe, ...]:
@@ -124,8 +138,8 @@ def compare_files(
     limits: Limits,
     allowed: Exactness,
     blamed: str,
-) -> list[Difference]:
-    """Run both files, and return the largest difference of each output that differs.
+) -> Comparison:
+    """Run both files, and return how far their outputs differ.
 
     Args:
         before: A model.
@@ -146,8 +160,10 @@ def compare_files(
         _must_run(old, probes, before.name, "as it came")
         _must_run(new, probes, blamed, "rewritten")
         worst: dict[str, Difference] = {}
+        judged: set[str] = set()
         for index, probe in enumerate(probes):
             a, b = (one.samples[one.runs[index].sample].outputs for one in (old, new))
+            judged |= {name for name, value in a.items() if _says_something(value)}
             for one in _differences(a, b, probe, allowed):
                 known = worst.get(one.output)
                 if known is None or _excess(one) > _excess(known):
@@ -162,7 +178,15 @@ def compare_files(
             where=blamed,
             mend="Nothing was written. Leave the pass out with --skip, and please report it.",
         )
-    return list(worst.values())
+    unjudged = tuple(name for name in outputs if name not in judged)
+    return Comparison(tuple(worst.values()), unjudged)
+
+
+def _says_something(value: np.ndarray) -> bool:
+    """Say whether there is a number in ``value`` that could have come out otherwise."""
+    if value.dtype.kind == "f":
+        return bool(np.isfinite(value).any())
+    return value.size > 0
 
 
 def _room(model: Path, limits: Limits) -> Limits:

@@ -108,6 +108,7 @@ class Rewritten:
         probes: At how many sets of inputs the two were compared.
         differences: The largest difference of each output; absent where bits are equal.
         refusals: What passes left as it was, because they could not prove that they may change it.
+        unjudged: Outputs that have no finite number at any probe, so that nothing was compared.
     """
 
     path: Path | None
@@ -117,6 +118,7 @@ class Rewritten:
     probes: int
     differences: tuple[Difference, ...]
     refusals: tuple[Refusal, ...] = ()
+    unjudged: tuple[str, ...] = ()
 
 
 def rewrite_graph(
@@ -189,6 +191,7 @@ def rewrite_file(
     prepare(model)
     changes: list[Change] = []
     differences: list[Difference] = []
+    unjudged: tuple[str, ...] = ()
     with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
         known = source
         for name, passes in (("exact", _exact(chosen)), ("all", chosen)):
@@ -203,9 +206,11 @@ def rewrite_file(
             progress(f"comparing outputs at {len(probes)} probes")
             allowed = reduce(or_, (one.exactness for one in fresh), BITS)
             outputs = [tensor.name for tensor in subject.graph.outputs]
-            differences += compare_files(
+            compared = compare_files(
                 known, draft, outputs, probes, limits, allowed, _names(fresh)
             )
+            differences += compared.differences
+            unjudged = compared.unjudged
             changes += fresh
             known = draft
         progress("judging the result by the rules")
@@ -223,6 +228,7 @@ def rewrite_file(
         len(probes),
         tuple(differences),
         tuple(_refusals(chosen)),
+        unjudged,
     )
 
 

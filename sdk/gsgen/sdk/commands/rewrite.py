@@ -105,6 +105,12 @@ def rewrite(
         return
     for line in _report(done):
         typer.echo(line)
+    if done.unjudged:
+        typer.echo(
+            f"gsgen: {', '.join(done.unjudged)}: no finite number at any of {done.probes} probes, "
+            "so the rewrite is not proven",
+            err=True,
+        )
 
 
 def _split(names: list[str] | None) -> list[str]:
@@ -166,10 +172,11 @@ def _counted(change: "Change") -> str:
 
 
 def _compared(done: "Rewritten") -> str:
-    if not done.differences:
-        return "equal bits"
     parts = [f"{one.output} differs by {one.largest:.2g}" for one in done.differences]
-    return ", ".join(parts)
+    if not done.unjudged:
+        return ", ".join(parts) or "equal bits"
+    blank = f"{', '.join(done.unjudged)} could not be judged, for want of any finite number"
+    return "; ".join([", ".join(parts) or "nothing differs", blank])
 
 
 def _document(done: "Rewritten") -> dict[str, object]:
@@ -183,5 +190,6 @@ def _document(done: "Rewritten") -> dict[str, object]:
         "after": asdict(done.after),
         "probes": done.probes,
         "differences": [asdict(one) for one in done.differences],
+        "unjudged": done.unjudged,
         "left": [asdict(one) for one in done.refusals],
     }
