@@ -142,6 +142,34 @@ def test_external_weights_and_foreign_fields_come_along(tmp_path: Path) -> None:
     assert told_of_vectors(made.model) == []
 
 
+def test_a_copy_is_whole_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Weights in a folder of their own are written beside their place, as the model is."""
+    sketch = find("weights_beside").draw()
+    (kept,) = sketch.beside.values()
+    where = {
+        name: replace(one, location="w/c.bin") for name, one in sketch.external.items()
+    }
+    (tmp_path / "w").mkdir()
+    moved = replace(sketch, external=where, beside={"w/c.bin": kept})
+    moved.write(tmp_path / "m.onnx")
+    target = tmp_path / "there" / "m.onnx"
+    record_vectors(tmp_path / "m.onnx", tmp_path / "out", target, count=1)
+    assert told_of_vectors(target) == []
+    before = {path: path.read_bytes() for path in target.parent.rglob("*.*")}
+    assert sorted(path.name for path in before) == ["c.bin", "m.onnx"]
+
+    def full(source: Path, copy: Path) -> None:
+        Path(copy).write_bytes(b"half of")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("gsgen.contract.vector_files.shutil.copyfile", full)
+    with pytest.raises(ConfigInvalid, match="cannot be written: No space left"):
+        record_vectors(tmp_path / "m.onnx", tmp_path / "out2", target, count=1)
+    assert {path: path.read_bytes() for path in target.parent.rglob("*.*")} == before
+
+
 def test_what_cannot_be_promised_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
     out = tmp_path / "out"
     for name, told in (

@@ -41,15 +41,12 @@ def test_a_size_for_no_dimension_is_refused(tmp_path: Path, name: str, known: st
     assert not (tmp_path / "m.onnx").exists()
 
 
-def test_weights_in_another_file_stay_in_one(tmp_path: Path) -> None:
+def test_small_weights_in_another_file_come_into_the_model(tmp_path: Path) -> None:
     source = find("weights_beside").write(tmp_path)
     target = tmp_path / "elsewhere" / "fixed.onnx"
     done = repair(source, target, Request(rename=True))
     assert done.after.verdict == "conforms"
-    assert sorted(file.name for file in target.parent.iterdir()) == [
-        "fixed.onnx",
-        "fixed.onnx.data",
-    ]
+    assert [file.name for file in target.parent.iterdir()] == ["fixed.onnx"]
     assert validate(target).findings == ()
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from onnx import numpy_helper
 
 from gsgen.contract.config import Settings
+from gsgen.contract.drafts import draft_of
 from gsgen.contract.engine import validate
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 from gsgen.contract.finding import Level, Severity
@@ -233,13 +234,14 @@ def _write_model(file: ModelFile, vectors: tuple[TestVector, ...], model: Path) 
     document["test_vectors"] = to_json(vectors)
     text = json.dumps(document, ensure_ascii=False)
     try:
-        model.parent.mkdir(parents=True, exist_ok=True)
-        for location in dict.fromkeys(ref.location for ref in file.external):
-            aim = model.parent / location
-            if aim.resolve() != (file.path.parent / location).resolve():
-                aim.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(file.path.parent / location, aim)
-        write_manifest_text(file.path, text, model)
+        with draft_of(model) as draft:
+            for location in dict.fromkeys(ref.location for ref in file.external):
+                weights = file.path.parent / location
+                if (model.parent / location).resolve() != weights.resolve():
+                    copy = draft.parent / location
+                    copy.parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(weights, copy)
+            write_manifest_text(file.path, text, draft)
     except OSError as error:
         raise ConfigInvalid(
             f"cannot be written: {error.strerror}", where=str(model)
