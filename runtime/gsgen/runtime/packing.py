@@ -60,7 +60,8 @@ def _side(
 def _over(
     number: Float64[np.ndarray, " n"], side: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
-    return np.divide(number, side, where=side != 0, out=np.zeros_like(number))
+    made = np.zeros_like(number)
+    return np.asarray(np.divide(number, side, where=side != 0, out=made))
 
 
 def unpack_rows(packed: UInt32[np.ndarray, "n 8"]) -> Float32[np.ndarray, "n 10"]:
