@@ -1,14 +1,11 @@
 """Every command that reads a file ends with 4 where it cannot, whatever it would have done."""
 
-import gc
-import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from gsgen.cli.app import main
 from gsgen.sdk.plugin import find_plugins
+from support.commands import gsgen_here
 
 # What is typed for MODEL, where the file named is none.
 MODELS = {
@@ -33,25 +30,11 @@ SCENES = {
     "render": ("render", "MODEL", "-o", "out.png"),
 }
 METHODS = sorted(set(find_plugins()) - {"static"})
-Run = Callable[..., tuple[int, str]]
 
 
-@pytest.fixture
-def run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> Iterator[Run]:
-    """Run a command line in this process and an empty folder; return its code and its trouble."""
+@pytest.fixture(autouse=True)
+def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
-    threshold = gc.get_threshold()
-
-    def run(*words: str) -> tuple[int, str]:
-        monkeypatch.setattr(sys, "argv", ["gsgen", *words])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return ended.value.code, capsys.readouterr().err
-
-    yield run
-    gc.set_threshold(*threshold)
 
 
 @pytest.mark.parametrize("file", ["gone", "text"])
@@ -63,27 +46,27 @@ def run(
     ],
 )
 def test_a_file_that_cannot_be_read_is_4(
-    run: Run, words: tuple[str, ...], suffix: str, file: str
+    words: tuple[str, ...], suffix: str, file: str
 ) -> None:
     Path(f"text{suffix}").write_text("this is nothing of the sort")
     named = f"{file}{suffix}"
-    code, said = run(*(named if word == "MODEL" else word for word in words))
-    assert code == 4, said
-    assert named in said
+    ran = gsgen_here(*(named if word == "MODEL" else word for word in words))
+    assert ran.code == 4, ran.err
+    assert named in ran.err
     assert not list(Path.cwd().glob("out.*"))
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("folder", ["gone", "empty"])
-def test_a_checkpoint_that_cannot_be_read_is_4(run: Run, method: str, folder: str) -> None:
+def test_a_checkpoint_that_cannot_be_read_is_4(method: str, folder: str) -> None:
     Path("empty").mkdir()
-    code, said = run("export", method, "--checkpoint", folder, "-o", "out.onnx")
-    assert code == 4, said
-    assert said.rpartition("gsgen: ")[2].startswith(folder)
+    ran = gsgen_here("export", method, "--checkpoint", folder, "-o", "out.onnx")
+    assert ran.code == 4, ran.err
+    assert ran.err.rpartition("gsgen: ")[2].startswith(folder)
     assert not Path("out.onnx").exists()
 
 
-def test_wrong_options_are_2(run: Run) -> None:
+def test_wrong_options_are_2() -> None:
     Path("text.onnx").write_text("no model")
     for words in (
         ("export", "static", "gone.ply", "-o", "out.onnx", "--level", "values2"),
@@ -92,5 +75,5 @@ def test_wrong_options_are_2(run: Run) -> None:
         ("validate", "text.onnx", "--target", "core2"),
         ("explain", "GV03"),
     ):
-        code, said = run(*words)
-        assert code == 2, (words, said)
+        ran = gsgen_here(*words)
+        assert ran.code == 2, (words, ran.err)

@@ -8,11 +8,11 @@ import pytest
 
 from gsgen.contract.engine import validate
 from gsgen.contract.reporters.machine import to_dict
-from support.commands import gsgen
+from support.commands import gsgen, gsgen_here
 
 
 def test_the_command_and_the_library_find_the_same(nan: Path, dim: Path) -> None:
-    ran = gsgen("validate", nan, dim, "--format", "json")
+    ran = gsgen_here("validate", nan, dim, "--format", "json")
     for document, path in zip(json.loads(ran.out)["reports"], (nan, dim), strict=True):
         made = to_dict(validate(path))
         assert document["findings"] == made["findings"]
@@ -21,7 +21,7 @@ def test_the_command_and_the_library_find_the_same(nan: Path, dim: Path) -> None
 
 
 def test_code_scanning_reads_sarif(nan: Path) -> None:
-    ran = gsgen("validate", nan, "--format", "sarif")
+    ran = gsgen_here("validate", nan, "--format", "sarif")
     assert ran.code == 1
     (run,) = json.loads(ran.out)["runs"]
     assert "GV001" in {result["ruleId"] for result in run["results"]}
@@ -29,13 +29,13 @@ def test_code_scanning_reads_sarif(nan: Path) -> None:
 
 def test_test_runners_read_junit(nan: Path, tmp_path: Path) -> None:
     report = tmp_path / "report.xml"
-    assert gsgen("validate", nan, "--format", "junit", "-o", report).code == 1
+    assert gsgen_here("validate", nan, "--format", "junit", "-o", report).code == 1
     assert ElementTree.parse(report).getroot().get("failures") != "0"
 
 
 @pytest.mark.parametrize("name", ["markdown", "md"])
 def test_pull_requests_read_markdown(nan: Path, name: str) -> None:
-    ran = gsgen("validate", nan, "--format", name)
+    ran = gsgen_here("validate", nan, "--format", name)
     assert ran.code == 1
     assert ran.out.startswith("### ❌ `")
 
@@ -44,17 +44,17 @@ def test_github_gets_annotations_and_a_summary_page(nan: Path, tmp_path: Path) -
     summary = tmp_path / "summary.md"
     summary.write_text("before\n")
     env = {"GITHUB_STEP_SUMMARY": str(summary)}
-    ran = gsgen("validate", nan, "--format", "github", env=env)
+    ran = gsgen_here("validate", nan, "--format", "github", env=env)
     assert ran.code == 1
     assert ran.out.startswith("::error file=")
-    page = gsgen("validate", nan, "--format", "md").out
+    page = gsgen_here("validate", nan, "--format", "md").out
     assert summary.read_text("utf-8") == f"before\n{page}"
 
 
 def test_other_formats_leave_the_summary_page_alone(nan: Path, tmp_path: Path) -> None:
     summary = tmp_path / "summary.md"
     env = {"GITHUB_STEP_SUMMARY": str(summary)}
-    assert gsgen("validate", nan, "--format", "json", env=env).code == 1
+    assert gsgen_here("validate", nan, "--format", "json", env=env).code == 1
     assert not summary.exists()
 
 
@@ -62,14 +62,14 @@ def test_a_summary_page_that_cannot_be_written_is_trouble(
     nan: Path, tmp_path: Path
 ) -> None:
     env = {"GITHUB_STEP_SUMMARY": str(tmp_path)}
-    ran = gsgen("validate", nan, "--format", "github", env=env)
+    ran = gsgen_here("validate", nan, "--format", "github", env=env)
     assert ran.code == 2
     assert ran.out.startswith("::error file=")
     assert f"{tmp_path}: cannot be written: Is a directory" in ran.err
 
 
 def test_quiet_prints_a_line_a_model(good: Path, nan: Path) -> None:
-    ran = gsgen("validate", good, nan, "-q")
+    ran = gsgen_here("validate", good, nan, "-q")
     assert ran.code == 1
     first, second, last = ran.out.splitlines()
     assert first.startswith(f"{good}: conforms: ")
@@ -81,13 +81,13 @@ def test_a_baseline_forgives_what_it_lists_and_no_more(
     good: Path, nan: Path, dim: Path, tmp_path: Path
 ) -> None:
     baseline = tmp_path / "baseline.json"
-    assert gsgen("validate", nan, "--format", "json", "-o", baseline).code == 1
-    ran = gsgen("validate", nan, "--baseline", baseline)
+    assert gsgen_here("validate", nan, "--format", "json", "-o", baseline).code == 1
+    ran = gsgen_here("validate", nan, "--baseline", baseline)
     assert ran.code == 0
     assert f" known from {baseline}" in ran.out
     assert "GV001 error" not in ran.out
-    assert gsgen("validate", good, "--format", "json", "-o", baseline).code == 0
-    assert gsgen("validate", nan, "--baseline", baseline).code == 1
+    assert gsgen_here("validate", good, "--format", "json", "-o", baseline).code == 0
+    assert gsgen_here("validate", nan, "--baseline", baseline).code == 1
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_a_baseline_that_is_none_exits_2(
     baseline = tmp_path / "baseline.json"
     if text is not None:
         baseline.write_text(text)
-    ran = gsgen("validate", good, "--baseline", baseline)
+    ran = gsgen_here("validate", good, "--baseline", baseline)
     assert ran.code == 2
     assert f"gsgen: {baseline}: {said}" in ran.err
     assert "Traceback" not in ran.err
@@ -109,13 +109,13 @@ def test_a_baseline_that_is_none_exits_2(
 def test_a_waiver_is_shown_with_its_reason(nan: Path) -> None:
     config = nan.parent / "gsgen.toml"
     config.write_text('[[waive]]\nrule = "rows-finite"\nreason = "Row 7 is a marker."\n')
-    ran = gsgen("validate", nan, cwd=nan.parent)
+    ran = gsgen_here("validate", nan, cwd=nan.parent)
     assert ran.code == 0
     assert (
         "  GV001 waived: rows-finite\n    output gaussians: Row 7 is a marker.\n" in ran.out
     )
     config.write_text('[[waive]]\nrule = "GV001"\n')
-    ran = gsgen("validate", nan, cwd=nan.parent)
+    ran = gsgen_here("validate", nan, cwd=nan.parent)
     assert ran.code == 2
     assert "'reason' is a required property" in ran.err
 

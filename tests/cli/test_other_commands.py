@@ -6,7 +6,7 @@ import onnx
 import pytest
 
 from gsgen.contract.installed import installed_rules
-from support.commands import ROOT, gsgen
+from support.commands import ROOT, gsgen, gsgen_here
 
 
 def test_help_lists_every_command() -> None:
@@ -23,13 +23,13 @@ def test_version_is_the_distribution_s() -> None:
 
 
 def test_explain_takes_ids_and_names_in_any_case() -> None:
-    by_id, by_name = gsgen("explain", "gv003"), gsgen("explain", "opacity-range")
+    by_id, by_name = gsgen_here("explain", "gv003"), gsgen_here("explain", "opacity-range")
     assert by_id.out == by_name.out
     assert "## Why" in by_id.out
     assert "## How to mend it" in by_id.out
     wrong = gsgen("explain", "GV03")
     assert wrong.code == 2
-    assert "Did you mean" in wrong.err
+    assert "Did you mean 'GV003'?" in wrong.err
 
 
 def test_rules_as_json_is_the_catalogue() -> None:
@@ -140,14 +140,14 @@ def test_export_static_says_when_packed_rows_do_not_conform(tmp_path: Path) -> N
         (b"ply\nformat binary_little_endian 1.0\nelement vertex 5\nend_header\n", "x"),
     ],
 )
-def test_export_static_of_a_bad_file_exits_2_and_writes_nothing(
+def test_export_static_of_a_bad_file_exits_4_and_writes_nothing(
     tmp_path: Path, content: bytes | None, words: str
 ) -> None:
     path = tmp_path / "in.ply"
     if content is not None:
         path.write_bytes(content)
-    ran = gsgen("export", "static", path, "-o", tmp_path / "m.onnx")
-    assert ran.code == 2
+    ran = gsgen_here("export", "static", path, "-o", tmp_path / "m.onnx")
+    assert ran.code == 4
     assert words in ran.err
     assert "Traceback" not in ran.err
     assert {entry.name for entry in tmp_path.iterdir()} <= {"in.ply"}

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from support.commands import gsgen
+from support.commands import gsgen, gsgen_here
 
 
 def test_a_good_model_conforms(good: Path) -> None:
@@ -23,7 +23,7 @@ def test_a_broken_model_exits_1_and_says_what_where_and_how_to_mend(nan: Path) -
 
 
 def test_json_has_the_same_verdict(nan: Path) -> None:
-    ran = gsgen("validate", nan, "--format", "json")
+    ran = gsgen_here("validate", nan, "--format", "json")
     document = json.loads(ran.out)
     assert document["verdict"] == "invalid"
     assert [finding["rule"] for finding in document["findings"]] == ["GV001"]
@@ -34,7 +34,7 @@ def test_json_has_the_same_verdict(nan: Path) -> None:
 
 def test_output_goes_to_a_file_whole(nan: Path, tmp_path: Path) -> None:
     target = tmp_path / "deep" / "report.json"
-    ran = gsgen("validate", nan, "--format", "json", "-o", target)
+    ran = gsgen_here("validate", nan, "--format", "json", "-o", target)
     assert ran.code == 1
     assert ran.out == ""
     assert json.loads(target.read_text())["verdict"] == "invalid"
@@ -42,7 +42,7 @@ def test_output_goes_to_a_file_whole(nan: Path, tmp_path: Path) -> None:
 
 
 def test_several_models_give_several_reports(good: Path, nan: Path) -> None:
-    ran = gsgen("validate", good, nan, "--format", "json")
+    ran = gsgen_here("validate", good, nan, "--format", "json")
     assert ran.code == 1
     assert [r["verdict"] for r in json.loads(ran.out)["reports"]] == ["conforms", "invalid"]
 
@@ -52,7 +52,7 @@ def test_an_unreadable_file_exits_4_and_the_others_are_still_judged(
 ) -> None:
     empty = tmp_path / "empty.onnx"
     empty.touch()
-    ran = gsgen("validate", empty, good)
+    ran = gsgen_here("validate", empty, good)
     assert ran.code == 4
     assert f"gsgen: {empty}: is empty" in ran.err
     assert "conforms" in ran.out
@@ -73,7 +73,7 @@ def test_an_unreadable_file_exits_4_and_the_others_are_still_judged(
 def test_what_fails_is_for_the_user_to_say(
     dim: Path, options: tuple[str, ...], code: int
 ) -> None:
-    assert gsgen("validate", dim, *options).code == code
+    assert gsgen_here("validate", dim, *options).code == code
 
 
 @pytest.mark.parametrize(
@@ -94,24 +94,24 @@ def test_what_fails_is_for_the_user_to_say(
 def test_a_wrong_option_exits_2_and_names_itself(
     good: Path, options: tuple[str, ...], words: str
 ) -> None:
-    ran = gsgen("validate", good, *options)
+    ran = gsgen_here("validate", good, *options)
     assert ran.code == 2
     assert words in ran.err
     assert "Traceback" not in ran.err
 
 
 def test_an_unknown_command_names_the_nearest() -> None:
-    ran = gsgen("validat")
+    ran = gsgen_here("validat")
     assert ran.code == 2
     assert ran.err == "gsgen: unknown command 'validat'\n  Did you mean 'validate'?\n"
 
 
 def test_configuration_is_found_in_the_folder_and_the_command_line_wins(dim: Path) -> None:
     (dim.parent / "gsgen.toml").write_text('[validate]\nfail_on = "warning"\n')
-    assert gsgen("validate", dim, cwd=dim.parent).code == 1
-    assert gsgen("validate", dim, "--fail-on", "error", cwd=dim.parent).code == 0
+    assert gsgen_here("validate", dim, cwd=dim.parent).code == 1
+    assert gsgen_here("validate", dim, "--fail-on", "error", cwd=dim.parent).code == 0
     (dim.parent / "gsgen.toml").write_text('[validate]\nfail-on = "warning"\n')
-    ran = gsgen("validate", dim, cwd=dim.parent)
+    ran = gsgen_here("validate", dim, cwd=dim.parent)
     assert ran.code == 2
     assert "unknown key 'fail-on'" in ran.err
     assert "'fail_on'" in ran.err
@@ -119,7 +119,7 @@ def test_configuration_is_found_in_the_folder_and_the_command_line_wins(dim: Pat
 
 def test_levels_that_cannot_run_are_named_and_do_not_pass_in_silence(good: Path) -> None:
     none = {"WGPUPY_WGPU_ADAPTER_NAME": "an adapter that is not here"}
-    ran = gsgen("validate", good, "--level", "render", env=none)
+    ran = gsgen_here("validate", good, "--level", "render", env=none)
     assert ran.code == 0
     assert "level render did not run" in ran.out
     assert "no graphics adapter" in ran.out
@@ -131,7 +131,7 @@ def test_a_model_without_manifest_is_judged_all_the_same(good: Path) -> None:
     model = onnx.load(good)
     del model.metadata_props[:]
     onnx.save(model, good)
-    ran = gsgen("validate", good)
+    ran = gsgen_here("validate", good)
     assert ran.code == 0
     assert "GM001 warning manifest-present" in ran.out
-    assert gsgen("validate", good, "--strict").code == 1
+    assert gsgen_here("validate", good, "--strict").code == 1

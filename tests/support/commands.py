@@ -1,14 +1,19 @@
 """What several test folders share: where data is, and how a user runs the program."""
 
+import gc
+import io
 import os
 import resource
 import subprocess
 import sys
-import time
+from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
+
+from gsgen.cli.app import main
 
 ROOT = Path(__file__).parents[2]
 SHARED = Path(os.environ.get("GSGEN_SHARED", ROOT.parent / "shared"))
@@ -16,19 +21,26 @@ SHARED = Path(os.environ.get("GSGEN_SHARED", ROOT.parent / "shared"))
 
 @dataclass(frozen=True, slots=True)
 class Ran:
-    """A finished command."""
+    """A finished command.
+
+    Attributes:
+        code: Its exit code.
+        out: What it printed.
+        err: Its trouble.
+        seconds: Processor time that it and its children took; 0 where that was not measured.
+    """
 
     code: int
     out: str
     err: str
-    seconds: float
+    seconds: float = 0.0
 
 
 def gsgen(
     *words: str | Path, cwd: Path | None = None, env: dict[str, str] | None = None
 ) -> Ran:
     """Run the command line in a process of its own, as a user does."""
-    began = time.monotonic()
+    began = _children_seconds()
     done = subprocess.run(
         [sys.executable, "-m", "gsgen.cli", *map(str, words)],
         capture_output=True,
@@ -37,7 +49,40 @@ def gsgen(
         env=os.environ | {"COLUMNS": "200"} | (env or {}),
         timeout=300,
     )
-    return Ran(done.returncode, done.stdout, done.stderr, time.monotonic() - began)
+    took = _children_seconds() - began
+    return Ran(done.returncode, done.stdout, done.stderr, took)
+
+
+def gsgen_here(
+    *words: str | Path, cwd: Path | None = None, env: dict[str, str] | None = None
+) -> Ran:
+    """Run the command line in this process, which saves the second that a start takes.
+
+    For tests of what a command does. Others start it as a user does: see :func:`gsgen`.
+    """
+    out, err, threshold = io.StringIO(), io.StringIO(), gc.get_threshold()
+    environment = {"COLUMNS": "200"} | (env or {})
+    with (
+        patch.object(sys, "argv", ["gsgen", *map(str, words)]),
+        patch.dict(os.environ, environment),
+        chdir(cwd or Path.cwd()),
+        redirect_stdout(out),
+        redirect_stderr(err),
+        pytest.raises(SystemExit) as ended,
+    ):
+        main()
+    gc.set_threshold(*threshold)
+    code = ended.value.code
+    return Ran(
+        code if isinstance(code, int) else int(code is not None),
+        out.getvalue(),
+        err.getvalue(),
+    )
+
+
+def _children_seconds() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def children_peak_bytes() -> int:
