@@ -55,6 +55,17 @@ def test_rules_of_the_level_are_judged_with_what_was_prepared(good):
     assert report.runtime_seconds > 100
 
 
+def test_a_rule_that_cannot_be_judged_here_is_skipped_with_its_reason(good):
+    def prepare(trial):
+        yield Prepared(CONTEXT, unjudged={"acme/AC001": "no such unit"})
+
+    rules = [made_up(f"acme/AC00{k}", told, over="live", needs=()) for k in (1, 2)]
+    report = judged(good, prepare, *rules)
+    outcome = report.outcome("acme/AC001")
+    assert (outcome.status, outcome.reason) == ("skipped", "no such unit")
+    assert report.outcome("acme/AC002").status == "fail"
+
+
 def test_a_level_that_cannot_run_is_skipped_with_its_reason(good):
     def prepare(trial):
         raise LevelUnavailable("no such device", mend="buy one")

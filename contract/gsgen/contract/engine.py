@@ -254,7 +254,9 @@ class _Validation:
             self.environment.update(prepared.environment)
             self.runtime_seconds += prepared.seconds
             for rule in rules:
-                if self.board.is_ready(rule):
+                if rule.id in prepared.unjudged:
+                    self.board.skip([rule], prepared.unjudged[rule.id])
+                elif self.board.is_ready(rule):
                     self.board.judge(rule, prepared.context)
                     self.board.settle([rule], items=prepared.items)
 

@@ -35,12 +35,14 @@ class Prepared:
         items: How many things were looked at, such as frames.
         environment: What ran: name → version, device or state, for the report.
         seconds: How long it took.
+        unjudged: Id of a rule that cannot be judged here, though the level ran → why.
     """
 
     context: Any
     items: int = 1
     environment: Mapping[str, str] = field(default_factory=dict)
     seconds: float = 0.0
+    unjudged: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

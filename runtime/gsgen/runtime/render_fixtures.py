@@ -39,3 +39,15 @@ def grows_out_of_nothing() -> Sketch:
         "gaussians = Concat <axis = 1> (moved, opacity, wide)",
     )
     return growing.weighing(least=f32(1e-9)).declaring(antialias="mip")
+
+
+@breaks("GB020", level=Level.RENDER)
+def opaque_behind_opaque() -> Sketch:
+    """A black sheet that fills the view, and a white one behind it: a hundredth of it shows, or not."""
+    sheets = still(2)
+    rows, colors = (np.array(sheets.weights[name]) for name in ("rows", "colors"))
+    rows[:, :3], rows[:, 3] = (0.0, 0.0, 0.0), 1.0
+    rows[:, COVARIANCE] = 0.0
+    rows[:, [4, 7, 9]] = 30.0**2
+    colors[0], colors[1] = -1.7, 1.7
+    return sheets.weighing(rows=rows, colors=colors)

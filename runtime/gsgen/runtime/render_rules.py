@@ -25,6 +25,7 @@ def _prepare(trial: Trial) -> AbstractContextManager[Prepared]:
 
 RUNNER = Runner(Level.RENDER, "drawing frames", _prepare)
 
+_LEAST_AGREEMENT = 60
 _NEEDS = ("GV025", "GO001", "GO002", "GO005", "GO008")
 
 
@@ -78,6 +79,32 @@ def every_frame_shows(showing: "Showing") -> Iterator[Breach]:
         if frame.live and not _is_seen(frame.covered):
             saw = f"{frame.visible} of {frame.live} rows are drawn at {frame.probe!r}, none visibly"
             yield Breach.at("picture", saw, "a pixel that something covers")
+
+
+@rule(
+    "GB020",
+    "rasterisers-agree",
+    Severity.WARNING,
+    over="render",
+    fixture="opaque_behind_opaque",
+    needs=(*_NEEDS, "GB018"),
+)
+def rasterisers_agree(showing: "Showing") -> Iterator[Breach]:
+    """Compute tiles and the hardware's quads draw the same picture, to 60 dB.
+
+    Why:
+        Viewers blend in one of two ways: tiles leave out what is behind a pixel that is finished,
+        quads draw it. Up to a hundredth of the light is between them. A model of sheets that are
+        as good as opaque, one behind the other, looks different from viewer to viewer.
+
+    Mend:
+        Leave out what is hidden behind opaque Gaussians that are much wider than a pixel, or give
+        both the same colour.
+    """
+    for frame in showing.frames:
+        if frame.agreement is not None and frame.agreement < _LEAST_AGREEMENT:
+            saw = f"{frame.agreement:.1f} dB between tiles and quads at {frame.probe!r}"
+            yield Breach.at("picture", saw, f"at least {_LEAST_AGREEMENT} dB")
 
 
 def _is_seen(covered: float) -> bool:

@@ -1,6 +1,6 @@
 """Draw a model's outputs as a viewer would: what the rules of level ``render`` look at."""
 
-__all__ = ["Showing", "Shown", "prepare_render"]
+__all__ = ["Showing", "Shown", "decibels", "prepare_render"]
 
 import time
 from collections.abc import Iterator
@@ -16,7 +16,9 @@ from gsgen.contract.manifest import GeneratorManifest
 from gsgen.contract.probes import Probe, as_tensor
 from gsgen.contract.runner import LevelUnavailable, Prepared
 from gsgen.runtime.camera import Camera
+from gsgen.runtime.device import Device
 from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable
+from gsgen.runtime.frame import Frame
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.sources import direction
@@ -25,6 +27,8 @@ from gsgen.runtime.splat_data import SplatData
 _WIDTH: Final = 640
 _HEIGHT: Final = 360
 _FRAMES: Final = 5
+_AGREEMENT: Final = "GB020"
+_LEAST_ERROR: Final = 1e-20  # equal pictures have 200 dB
 _FOV_Y: Final = 50.0
 _DISTANCE: Final = 2.2  # half diagonals of the bounds, as the probes' own cameras have it
 
@@ -38,12 +42,14 @@ class Shown:
         live: How many rows are live.
         visible: How many Gaussians were drawn.
         covered: The most that any pixel is covered, in [0, 1].
+        agreement: Of the two rasterisers, in decibels; None where only one of them can draw it.
     """
 
     probe: str
     live: int
     visible: int
     covered: float
+    agreement: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +77,8 @@ def prepare_render(trial: Trial) -> Iterator[Prepared]:
     began = time.monotonic()
     try:
         renderer = Renderer(rasteriser="tiles")
-        frames = tuple(_drawn(trial, renderer))
+        quads = _quads(renderer.device)
+        frames = tuple(_drawn(trial, renderer, quads))
     except (DeviceUnavailable, CapacityExceeded) as error:
         raise LevelUnavailable(error.what, mend=error.mend) from error
     yield Prepared(
@@ -79,10 +86,26 @@ def prepare_render(trial: Trial) -> Iterator[Prepared]:
         items=len(frames),
         environment={"renderer": renderer.device.name},
         seconds=time.monotonic() - began,
+        unjudged=_unjudged(trial, renderer.device),
     )
 
 
-def _drawn(trial: Trial, renderer: Renderer) -> Iterator[Shown]:
+def _quads(device: Device) -> Renderer | None:
+    """Return a renderer that draws by quads, or None: the device has none."""
+    return Renderer(device, rasteriser="quads") if device.blends_floats else None
+
+
+def _unjudged(trial: Trial, device: Device) -> dict[str, str]:
+    """Return which rules cannot be judged, and why."""
+    manifest = trial.subject.generator
+    if manifest is not None and manifest.blend == "wsr":
+        return {_AGREEMENT: "weighted sums have one way to be drawn"}
+    if not device.blends_floats:
+        return {_AGREEMENT: f"{device.name} cannot blend 32-bit floats, so it has no quads"}
+    return {}
+
+
+def _drawn(trial: Trial, renderer: Renderer, quads: Renderer | None) -> Iterator[Shown]:
     manifest = trial.subject.generator
     assert manifest is not None  # the rules are of generators alone
     outputs, runs = manifest.outputs, trial.execution.runs
@@ -106,8 +129,20 @@ def _drawn(trial: Trial, renderer: Renderer) -> Iterator[Shown]:
         )
         weighted = manifest.weighted_sum if manifest.blend == "wsr" else None
         scene = Scene([SplatSet(data, antialias=manifest.antialias, weighted=weighted)])
-        frame = renderer.render(scene, _camera(manifest, probe))
-        yield Shown(probe.label, count, frame.visible, float(frame.alpha.max()))
+        camera = _camera(manifest, probe)
+        frame = renderer.render(scene, camera)
+        other = None
+        if quads is not None and weighted is None:
+            other = decibels(frame, quads.render(scene, camera))
+        yield Shown(probe.label, count, frame.visible, float(frame.alpha.max()), other)
+
+
+def decibels(a: Frame, b: Frame) -> float:
+    """Return how alike the colours of two frames are: the peak signal-to-noise ratio of 1, in dB."""
+    assert a.rgba is not None
+    assert b.rgba is not None
+    error = np.square(a.rgba[..., :3].astype(np.float64) - b.rgba[..., :3]).mean()
+    return float(-10 * np.log10(max(error, _LEAST_ERROR)))
 
 
 def _chosen(trial: Trial) -> list[int]:
