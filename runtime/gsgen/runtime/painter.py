@@ -68,23 +68,11 @@ class Painter:
 
     def _begin(self) -> None:
         self.renderer = Renderer(self._open())
+        self._alive = self.renderer.device.uniform("alive", 16)
         self._present: Present | None = None
         self._configured: Any = None
         self._shown: tuple[object, View] | None = None
         self.drawn: Drawn | None = None
-
-    def target(self, context: Any) -> Any:
-        """Return the texture of a surface (a rendercanvas ``WgpuContext``) that is next shown."""
-        device = self.renderer.device
-        if self._configured is not context:
-            # The shader makes bytes of sRGB itself, so that panels are blended as they look.
-            preferred = context.get_preferred_format(device.raw.adapter)
-            chosen = preferred.removesuffix("-srgb")
-            if context.get_configuration() is not None:
-                context.unconfigure()  # its texture was of a device that is lost
-            context.configure(device=device.raw, format=chosen)
-            self._present, self._configured = Present(device, chosen), context
-        return context.get_current_texture()
 
     def view(self, stage: Stage, wish: Wish) -> View:
         """Return a picture of a stage, drawn anew where anything is not as it was.
@@ -105,16 +93,29 @@ class Painter:
         self._shown = wish.key(stage), view  # a post-process model may have moved the stage
         return view
 
-    def show(self, target: Any, view: View | None, panels: Sequence[Panel]) -> None:
+    def show(self, context: Any, view: View | None, panels: Sequence[Panel]) -> None:
         """Show a picture, or nothing, and panels over it.
 
         Args:
-            target: Of :meth:`target`.
+            context: Of the surface, a rendercanvas ``WgpuContext``.
             view: Of :meth:`view`.
             panels: What lies over it.
+
+        Raises:
+            RuntimeError: The device is lost.
         """
-        assert self._present is not None  # there is a target
-        self._present(target, view, panels)
+        if self.lost():
+            raise RuntimeError("the graphics device was lost")
+        device = self.renderer.device
+        if self._present is None or self._configured is not context:
+            # The shader makes bytes of sRGB itself, so that panels are blended as they look.
+            preferred = context.get_preferred_format(device.raw.adapter)
+            chosen = preferred.removesuffix("-srgb")
+            if context.get_configuration() is not None:
+                context.unconfigure()  # its texture was of a device that is lost
+            context.configure(device=device.raw, format=chosen)
+            self._present, self._configured = Present(device, chosen), context
+        self._present(context.get_current_texture(), view, panels)
 
     def _drawn(self, stage: Stage, wish: Wish) -> View:
         import wgpu
@@ -163,13 +164,13 @@ class Painter:
     def lost(self) -> bool:
         """Say whether the device is: it refuses what no device refuses.
 
-        wgpu-py 0.32 has no promise of a loss (``lost_async`` is not implemented).
+        wgpu-py 0.32 has no promise of a loss (``lost_async`` is not implemented), and wgpu-native
+        ends the process where a surface is asked for a texture of a lost device.
         """
         import wgpu
 
-        device = self.renderer.device
         try:
-            device.write(device.uniform("alive", 16), np.zeros(4, np.float32))
+            self.renderer.device.write(self._alive, np.zeros(4, np.float32))
         except wgpu.GPUError:
             return True
         return False

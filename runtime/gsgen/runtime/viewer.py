@@ -141,8 +141,7 @@ class Viewer:
         except (wgpu.GPUError, RuntimeError) as error:
             if not self._painter.lost():
                 raise
-            self._painter.recover()
-            self.message = "The graphics device was lost. It was opened again."
+            self._recover()
             try:
                 return self._draw(context)
             except (wgpu.GPUError, RuntimeError):
@@ -151,11 +150,15 @@ class Viewer:
                     mend="Show fewer Gaussians or a smaller window; see `gsgen doctor`.",
                 ) from error
 
+    def _recover(self) -> None:
+        self._painter.recover()
+        self.message = "The graphics device was lost. It was opened again."
+
     def _draw(self, context: Any) -> bool:
         now = self._clock()
         passed, self._last = min(now - self._last, _LONGEST), now
-        target = self._painter.target(context)
-        self._size = (target.size[0], target.size[1])
+        width, height = context.physical_size
+        self._size = (max(1, width), max(1, height))
         flying = self.controls.fly(self._held, passed, self._shift)
         self.stage.advance(passed)
         self._guarded(self.stage.take)
@@ -170,7 +173,7 @@ class Viewer:
         except GsgenError as error:
             self.message, self.stage.playing = str(error), False
         self._tell(now, moving)
-        self._painter.show(target, view, self._laid())
+        self._painter.show(context, view, self._laid())
         return moving or self.stage.busy
 
     def _guarded(self, do: Callable[[], None]) -> None:

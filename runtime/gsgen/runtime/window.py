@@ -1,9 +1,8 @@
 """Windows: a viewer in whatever shows pictures and takes events, through rendercanvas."""
 
-__all__ = ["attach", "open_window", "require_display", "view"]
+__all__ = ["attach", "open_window", "require_display", "take_drops", "view"]
 
 import sys
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -42,7 +41,8 @@ def attach(viewer: Viewer, canvas: Any) -> Callable[[], Exception | None]:
 
     def draw() -> None:
         if viewer.closed or ended:
-            return canvas.close()
+            canvas.close()
+            return
         try:
             again = viewer.draw(context)
         except (
@@ -77,12 +77,14 @@ def require_display() -> None:
             f"a window needs {error.name}, which is not installed",
             mend="pip install 'gsgen[runtime]'",
         ) from error
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        works = glfw.init()
+    told: list[str] = []
+    before = glfw.set_error_callback(
+        lambda _, text: told.append(text.decode("utf-8", "replace"))
+    )
+    works = glfw.init()
+    glfw.set_error_callback(before)
     if not works:
-        reason = f": {caught[-1].message}" if caught else ""
-        raise DisplayUnavailable(f"no window can be opened here{reason}")
+        raise DisplayUnavailable(": ".join(["no window can be opened here", *told[-1:]]))
 
 
 def open_window(viewer: Viewer, title: str, size: tuple[int, int]) -> None:
@@ -104,21 +106,24 @@ def open_window(viewer: Viewer, title: str, size: tuple[int, int]) -> None:
     width, height = (max(1, round(side * shrink)) for side in size)
     canvas = GlfwRenderCanvas(size=(width, height), title=title, max_fps=_FASTEST)
     failure = attach(viewer, canvas)
-    _take_drops(viewer, canvas)
+    take_drops(viewer, canvas)
     loop.run()
     if (error := failure()) is not None:
         raise error
 
 
-def _take_drops(viewer: Viewer, canvas: Any) -> None:
-    """Let files be dropped; rendercanvas 2.7 has no such event, but a glfw window it does not hide."""
+def take_drops(viewer: Viewer, canvas: Any) -> None:
+    """Let files be dropped on a window.
+
+    rendercanvas 2.7 has no such event; the window that its glfw canvas holds does.
+    """
     import glfw
 
     window = getattr(canvas, "_window", None)
     if window is None:
         return
 
-    def dropped(_: Any, paths: Sequence[str]) -> None:
+    def dropped(_: Any, paths: Any, *__: Any) -> None:
         viewer.drop([Path(path) for path in paths])
         canvas.request_draw()
 

@@ -2,25 +2,32 @@
 
 import json
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
 from gsgen.runtime.errors import DeviceUnavailable, SceneUnreadable
+from gsgen.runtime.mesh import MeshData
 from gsgen.runtime.painter import Painter
 from gsgen.runtime.pictures import MODES, picture_of
+from gsgen.runtime.post import PostProcessor
 from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.scene import Scene
-from gsgen.runtime.scene_source import sources_of
+from gsgen.runtime.scene import Scene, SplatSet
+from gsgen.runtime.scene_source import SceneSource, sources_of
 from gsgen.runtime.sources import GeneratorSource
 from gsgen.runtime.splat_data import SplatData
 from gsgen.runtime.stage import Stage
 from gsgen.runtime.viewpoint import viewpoint
+from gsgen.runtime.window import take_drops
 from support.viewers import SIZE, Hand
 
 
@@ -425,3 +432,68 @@ def test_other_cameras_are_looked_through_too(
         )
     else:
         np.testing.assert_allclose(along[:2], local[:2], atol=0.05)
+
+
+def test_post_process_models_work_on_what_is_shown(
+    cloud: SplatData, painter: Painter, tmp_path: Path
+) -> None:
+    post = PostProcessor(find("post_process").write(tmp_path), "cpu")
+    stage = Stage(sources_of(cloud), post=[post])
+    hand = Hand(stage, painter)
+    made = hand.bare()[..., :3]
+    camera = hand.viewer.controls.camera(*SIZE)
+    frame = stage.frame(stage.player(painter.renderer, (0, 0, 0, 1), "color"), camera)
+    assert np.abs(made - frame.srgb8[..., :3].astype(int)).max() <= 1
+    assert np.abs(made - expected(hand, painter)).max() > 10  # it does something
+    hand.key("5")  # what is no colour is as it was
+    assert np.abs(hand.bare()[..., :3] - expected(hand, painter, "alpha")).max() <= 1
+    stage.close()
+
+
+def test_meshes_and_placed_models_are_seen_and_told(
+    cloud: SplatData, painter: Painter
+) -> None:
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [0, 1, 0]], np.float32)
+    mesh = MeshData(corners, np.array([[0, 1, 2]], np.int32))
+    turn = np.diag([2.0, 2, 2, 1])
+    scene = Scene([SplatSet(cloud, turn, degree=0)], meshes=[mesh])
+    hand = Hand(Stage(sources_of(scene)), painter)
+    assert np.abs(hand.bare()[..., :3] - expected(hand, painter)).max() <= 1
+    center, reach = SceneSource(SplatSet(cloud)).extent()
+    far = hand.viewer.stage.sources[0].extent()
+    np.testing.assert_allclose(far[0], 2 * center)
+    assert far[1] == pytest.approx(2 * reach)
+
+
+def test_files_that_are_dropped_on_a_window_are_opened(
+    cloud: SplatData, painter: Painter, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """glfw gives what is dropped to who asked for it; there is no screen here to drop on."""
+    glfw = pytest.importorskip("glfw")
+    asked: list[Any] = []
+    monkeypatch.setattr(glfw, "set_drop_callback", lambda *words: asked.append(words))
+    opened: list[Sequence[Path]] = []
+
+    def reopen(paths: Sequence[Path]) -> Stage:
+        opened.append(paths)
+        return Stage(sources_of(cloud))
+
+    hand = Hand(Stage(sources_of(cloud)), painter, reopen=reopen)
+    take_drops(hand.viewer, SimpleNamespace(_window="window", request_draw=lambda: None))
+    ((window, dropped),) = asked
+    assert window == "window"
+    dropped(window, [str(tmp_path / "a.ply"), str(tmp_path / "b.ply")])
+    assert opened == [[tmp_path / "a.ply", tmp_path / "b.ply"]]
+
+
+def test_what_nobody_foresaw_ends_the_window(
+    still: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fall(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("odd")
+
+    monkeypatch.setattr(Renderer, "draw", fall)
+    with pytest.raises(ZeroDivisionError):
+        still.look()
+    still.canvas.draw()
+    assert still.canvas.get_closed()
