@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-.PHONY: setup demo test check types style drivers bench fuzz fuzz-formats fuzz-sort pictures docs wheel clean
+.PHONY: setup demo test check types style drivers bench fuzz fuzz-formats fuzz-sort pictures gallery docs wheel clean
 
 setup: $(READY)
 
@@ -70,6 +70,10 @@ fuzz-sort: setup drivers
 # The pictures of the plugins' pages, drawn anew from synthetic checkpoints: a minute or two.
 pictures: setup drivers
 	$(BIN)/python scripts/write_pictures.py
+
+# The pictures of the gallery, by running all that stands on its page: two minutes or more.
+gallery: setup drivers
+	$(BIN)/python scripts/write_gallery.py
 
 docs: setup
 	$(PIP) --group docs

@@ -1,0 +1,45 @@
+"""The picture of a frame's stages is drawn anew, and names the stages that there are."""
+
+import importlib.util
+import inspect
+import re
+import sys
+from types import ModuleType
+
+import pytest
+
+from gsgen.runtime import plan, weighted
+from support.commands import ROOT
+
+
+@pytest.fixture(scope="module")
+def script() -> ModuleType:
+    path = ROOT / "scripts" / "draw_data_flow.py"
+    spec = importlib.util.spec_from_file_location("draw_data_flow", path)
+    assert spec is not None
+    assert spec.loader is not None
+    made = importlib.util.module_from_spec(spec)
+    sys.modules["draw_data_flow"] = made  # dataclasses look their module up
+    spec.loader.exec_module(made)
+    return made
+
+
+def stages() -> set[str]:
+    """Return the names of all stages that plans record."""
+    text = inspect.getsource(plan) + inspect.getsource(weighted)
+    named = re.findall(r'stages\["([\w ]+)"\]', text)
+    begun = re.findall(r'^ *(?:stages = \{)?"([\w ]+)": self\._project', text, re.MULTILINE)
+    return {*named, *begun}
+
+
+def test_the_picture_is_current(script: ModuleType) -> None:
+    advice = "run: .venv/bin/python scripts/draw_data_flow.py"
+    assert script.PICTURE.read_text("utf-8") == script.drawn(), advice
+
+
+def test_it_has_every_stage_and_no_other(script: ModuleType) -> None:
+    assert len(stages()) >= 14
+    boxes = [one for one in script.BOXES if one.fill == script.STAGE]
+    words = {word.strip(",") for one in boxes for word in f"{one.name} {one.below}".split()}
+    assert {name.partition(" ")[0] for name in stages()} <= words
+    assert {one.name for one in boxes} <= stages()
