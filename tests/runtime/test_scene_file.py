@@ -297,6 +297,16 @@ def test_other_json_is_no_scene(tmp_path: Path) -> None:
     assert not is_scene_file(tmp_path / "absent.json")
 
 
+@pytest.mark.parametrize(
+    "text", ['{"meshes": ["a.glb"]}', '{"models": [', '{"gsgen_scene": "1.0",}']
+)
+def test_a_scene_of_any_name_is_one(tmp_path: Path, text: str) -> None:
+    """What is wrong with a broken one is told in its own words, not in those of splat files."""
+    path = tmp_path / "room.json"
+    path.write_text(text)
+    assert is_scene_file(path)
+
+
 def test_a_placed_source_closes_what_it_places(folder: Path) -> None:
     inner = open_source(folder / "drift.onnx")
     turn = turned(np.pi / 2, (0, 0, 1), 2)

@@ -29,6 +29,7 @@ VERSION: Final = "1.0"
 Made = TypeVar("Made")
 
 _MARK: Final = "gsgen_scene"
+_MARKS: Final = frozenset({_MARK, "models", "meshes"})
 _LARGEST: Final = 64 << 20  # bytes: poses may be written out in it
 
 
@@ -104,11 +105,14 @@ def is_scene_file(path: Path) -> bool:
     """Say whether a file is JSON that calls itself a scene, or has models or meshes."""
     if path.suffix.lower() != ".json" or not path.is_file():
         return False
+    text = path.read_bytes()[:_LARGEST]
     try:
-        made = json.loads(path.read_bytes()[:_LARGEST])
-    except (ValueError, RecursionError):
-        return path.name == "scene.json"  # it is told then what is wrong with it
-    named = isinstance(made, dict) and bool({_MARK, "models"} & made.keys())
+        made = json.loads(text)
+    except (ValueError, RecursionError):  # it is told then what is wrong with it
+        return path.name == "scene.json" or any(
+            f'"{name}"'.encode() in text for name in _MARKS
+        )
+    named = isinstance(made, dict) and bool(_MARKS & made.keys())
     return named or path.name == "scene.json"
 
 
