@@ -198,6 +198,12 @@ def fewer_live_than_rows() -> tuple[Scene, Camera]:
 
 
 @named
+def none_live_of_some() -> tuple[Scene, Camera]:
+    data = cloud(50, 50, degree=2)
+    return Scene([SplatData(data.rows, data.appearance, "sh", count=0), single()]), camera()
+
+
+@named
 def antialiased() -> tuple[Scene, Camera]:
     return Scene([SplatSet(cloud(300, 41, size=0.01), antialias="mip")]), camera()
 

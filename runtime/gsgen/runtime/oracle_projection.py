@@ -150,7 +150,7 @@ def colors(one: SplatSet, camera: Camera) -> Float[np.ndarray, "n 3"]:
         away = np.tile(camera.view[2, :3], (len(rows), 1))
     toward = away @ (left @ right)
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-    sh = channels.reshape(len(rows), -1, 3)
+    sh = channels.reshape(len(rows), channels.shape[1] // 3, 3)  # there may be no rows
     degree = degree_of(sh.shape[1])
     degree = degree if one.degree is None else min(degree, one.degree)
     weights = basis(toward, degree)
