@@ -121,6 +121,7 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
         (("FILE", "--time", "0.5"), 2, "--time: no scene has a time"),
         (("FILE", "--background", "puce"), 2, "'puce' is no colour"),
         (("FILE", "--fov", "180"), 2, "--fov: 180.0 degrees"),
+        (("FILE", "--turn", "nan"), 2, "--turn: is nan, wanted degrees"),
         (("MODEL", "--post", "nowhere.onnx"), 4, "nowhere.onnx"),
         (("MODEL", "--post", "MODEL"), 2, "is a gaussian-generator, wanted a post-process"),
         (("MODEL", "--post", "POST", "--mode", "alpha", "--input", "x=1"), 2, "input 'x'"),

@@ -69,6 +69,8 @@ class Film:
         post: Sequence[PostProcessor] = (),
         renderer: Renderer | None = None,
     ) -> None:
+        if turn is not None and not np.isfinite(turn):
+            raise ConfigInvalid(f"is {turn}, wanted degrees", where="--turn")
         self.sources, self._view, self._mode = list(sources), view, mode
         takers: list[Taker] = [*sources, *post]
         self._score = Score(takers, tracks, time)
