@@ -1,6 +1,9 @@
+import re
 import subprocess
 import sys
 
+from gsgen.contract.installed import installed_rules
+from gsgen.contract.manifest import CONTRACT
 from support.commands import ROOT
 from support.pages import pages
 
@@ -19,3 +22,14 @@ def test_every_marker_is_closed():
     for page in pages():
         text = page.read_text("utf-8")
         assert text.count("<!-- generated: ") == text.count("<!-- end generated -->"), page
+
+
+def test_what_is_counted_by_hand_is_counted_right():
+    changes = (ROOT / "CHANGELOG.md").read_text("utf-8")
+    rules = [one for one in installed_rules().rules.values() if "/" not in one.id]
+    (counted,) = re.findall(r"(\d+) rules of (\w+) families", changes)
+    assert counted == (str(len(rules)), "ten")
+    assert len({one.family for one in rules}) == 10
+    specification = (ROOT / "docs" / "spec" / "index.md").read_text("utf-8")
+    assert specification.startswith(f"# The contract, version {CONTRACT}\n")
+    assert f"The contract, version {CONTRACT}:" in changes
