@@ -78,11 +78,12 @@ def require_display() -> None:
             mend="pip install 'gsgen[runtime]'",
         ) from error
     told: list[str] = []
-    before = glfw.set_error_callback(
+    reporter: Any = glfw  # its stubs say of errors that they are str; they are bytes
+    before = reporter.set_error_callback(
         lambda _, text: told.append(text.decode("utf-8", "replace"))
     )
     works = glfw.init()
-    glfw.set_error_callback(before)
+    reporter.set_error_callback(before)
     if not works:
         raise DisplayUnavailable(": ".join(["no window can be opened here", *told[-1:]]))
 

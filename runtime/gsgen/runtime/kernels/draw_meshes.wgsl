@@ -73,10 +73,7 @@ fn linear_of_srgb(color: vec3f) -> vec3f {
     return select(curved, color / 12.92, color <= vec3f(0.04045));
 }
 
-fn srgb_of_linear(color: vec3f) -> vec3f {
-    let curved = 1.055 * pow(max(color, vec3f(0.0)), vec3f(1.0 / 2.4)) - 0.055;
-    return select(curved, 12.92 * color, color <= vec3f(0.0031308));
-}
+//!include srgb
 
 fn texel(at: vec2i, size: vec2i) -> vec3f {
     return textureLoad(picture, (at + size) % size, 0).xyz;

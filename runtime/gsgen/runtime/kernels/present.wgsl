@@ -4,6 +4,7 @@
 // are as `blend_tiles` leaves them. Depths are grey, near is bright and nothing is black;
 // normals are (n + 1) / 2 in world space.
 
+//!include srgb
 //!include surface
 
 struct Showing {
