@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gsgen.formats import open_splats, write_ply
-from support.commands import gsgen
+from support.commands import gsgen, gsgen_here
 from support.splat_files import scene
 
 
@@ -34,14 +34,14 @@ def test_a_conversion_says_what_was_lost(source, tmp_path):
 
 
 def test_nothing_lost_is_said_too(source, tmp_path):
-    ran = gsgen("convert", source, tmp_path / "a.ply", "--encoding", "ascii")
+    ran = gsgen_here("convert", source, tmp_path / "a.ply", "--encoding", "ascii")
     assert ran.code == 0
     assert ran.out.splitlines()[1:] == ["nothing was lost"]
 
 
 def test_programs_read_json(source, tmp_path):
     target = tmp_path / "new" / "folder" / "a"
-    ran = gsgen("convert", source, target, "--format", "splat", "--json")
+    ran = gsgen_here("convert", source, target, "--format", "splat", "--json")
     assert ran.code == 0, ran.err
     assert target.is_file()
     told = json.loads(ran.out)
@@ -54,7 +54,7 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
     rows = np.zeros((2, 10), np.float32)
     rows[:, [3, 4, 7, 9]] = 0.5
     np.savez(tmp_path / "a.npz", gaussians=rows, appearance=np.ones((2, 3), np.float32))
-    assert gsgen("convert", tmp_path / "a.npz", tmp_path / "a.ply").code == 0
+    assert gsgen_here("convert", tmp_path / "a.npz", tmp_path / "a.ply").code == 0
     assert len(open_splats(tmp_path / "a.ply")) == 2
 
 
@@ -86,7 +86,7 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
     ],
 )
 def test_what_cannot_be_done_is_said_with_a_code(source, tmp_path, words, code, said):
-    ran = gsgen("convert", source, *words, cwd=tmp_path)
+    ran = gsgen_here("convert", source, *words, cwd=tmp_path)
     assert ran.code == code
     assert ran.err.startswith(f"gsgen: {said}")
     assert not list(tmp_path.iterdir())

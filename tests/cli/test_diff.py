@@ -4,14 +4,14 @@ from pathlib import Path
 import numpy as np
 
 from gsgen.conformance.fixtures import find
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 
 def test_a_model_does_not_differ_from_its_copy(tmp_path: Path) -> None:
     path = find("drift").write(tmp_path)
     copy = tmp_path / "copy.onnx"
     copy.write_bytes(path.read_bytes())
-    ran = gsgen("diff", path, copy)
+    ran = gsgen_here("diff", path, copy)
     assert ran.code == 0
     assert "no difference" in ran.out
     assert ran.out.count("equal bits") == 3
@@ -24,11 +24,11 @@ def test_values_that_differ_are_counted_and_placed(tmp_path: Path) -> None:
     moved = sketch.weights["center"].copy()
     moved[2, 1] += 0.25
     sketch.weighing(center=moved).write(b)
-    ran = gsgen("diff", a, b)
+    ran = gsgen_here("diff", a, b)
     assert ran.code == 1
     assert "output  gaussians: up to 0.25 apart, 1 rows differ" in ran.out
     assert "output  appearance: equal bits" in ran.out
-    assert gsgen("diff", a, b, "--tolerance", "0.3").code == 0
+    assert gsgen_here("diff", a, b, "--tolerance", "0.3").code == 0
 
 
 def test_what_is_declared_and_how_it_is_built_are_compared(tmp_path: Path) -> None:
@@ -38,7 +38,7 @@ def test_what_is_declared_and_how_it_is_built_are_compared(tmp_path: Path) -> No
     sketch.declaring(family="4d").reworded("Mul (speed, time)", "Add (speed, time)").write(
         b
     )
-    facts = json.loads(gsgen("diff", a, b, "--json").out)["facts"]
+    facts = json.loads(gsgen_here("diff", a, b, "--json").out)["facts"]
     listed = {(fact["kind"], fact["what"]): fact["second"] for fact in facts}
     assert listed[("contract", "family")] == "4d"
     assert ("graph", "operator Mul") in listed
@@ -46,7 +46,7 @@ def test_what_is_declared_and_how_it_is_built_are_compared(tmp_path: Path) -> No
 
 def test_models_with_other_inputs_are_not_run(tmp_path: Path) -> None:
     a, b = find("drift").write(tmp_path), find("camera_position").write(tmp_path)
-    ran = gsgen("diff", a, b)
+    ran = gsgen_here("diff", a, b)
     assert ran.code == 1
     assert "not compared: the models take different inputs" in ran.out
 
@@ -55,12 +55,12 @@ def test_nan_equals_nan(tmp_path: Path) -> None:
     path = find("nan_row").write(tmp_path)
     copy = tmp_path / "copy.onnx"
     copy.write_bytes(path.read_bytes())
-    assert gsgen("diff", path, copy).code == 0
+    assert gsgen_here("diff", path, copy).code == 0
 
 
 def test_a_file_that_is_no_model_exits_4(tmp_path: Path) -> None:
     (tmp_path / "no.onnx").write_bytes(bytes(np.arange(9, dtype=np.uint8)))
-    assert gsgen("diff", tmp_path / "no.onnx", find("drift").write(tmp_path)).code == 4
+    assert gsgen_here("diff", tmp_path / "no.onnx", find("drift").write(tmp_path)).code == 4
 
 
 def test_cells_are_compared_as_rows_are(tmp_path: Path) -> None:
@@ -70,7 +70,7 @@ def test_cells_are_compared_as_rows_are(tmp_path: Path) -> None:
     sketch.altered(
         "cell_rows", np.s_[1, 4], 0.25 + sketch.weights["cell_rows"][1, 4]
     ).write(b)
-    ran = gsgen("diff", a, b)
+    ran = gsgen_here("diff", a, b)
     assert ran.code == 1
     assert "output  cells: up to 0.25 apart, 1 rows differ" in ran.out
     assert "output  gaussians: equal bits" in ran.out

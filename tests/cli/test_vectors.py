@@ -21,7 +21,7 @@ from gsgen.contract.manifest_json import loads
 from gsgen.contract.model import MANIFEST_KEY, open_model
 from gsgen.contract.vector_files import VectorsRefused, record_vectors
 from gsgen.contract.vectors import MOST_SEEDS
-from support.commands import gsgen
+from support.commands import gsgen, gsgen_here
 
 
 def written(folder: Path, name: str, **said: object) -> Path:
@@ -205,17 +205,17 @@ def test_what_only_bears_the_name_of_a_vector_goes_and_links_lose_nothing(
 def test_standing_vectors_are_replaced_only_by_force(tmp_path: Path) -> None:
     source = written(tmp_path, "drift")
     record_vectors(source, tmp_path / "out", count=3)
-    again = gsgen("vectors", source, "--into", tmp_path / "out")
+    again = gsgen_here("vectors", source, "--into", tmp_path / "out")
     assert again.code == 2
     assert "holds test_data_set_0 already" in again.err
-    forced = gsgen(
+    forced = gsgen_here(
         "vectors", source, "--into", tmp_path / "out", "--count", "1", "--force", "--json"
     )
     (one,) = json.loads(forced.out)["vectors"]
     assert one["inputs"] == "all inputs zero"
     sets = sorted(path.name for path in (tmp_path / "out").glob("test_data_set_*"))
     assert sets == ["test_data_set_0"]
-    assert gsgen("vectors", tmp_path / "none.onnx").code == 4
+    assert gsgen_here("vectors", tmp_path / "none.onnx").code == 4
 
 
 def test_the_manifest_is_the_only_thing_that_changes(tmp_path: Path) -> None:

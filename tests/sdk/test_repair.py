@@ -14,7 +14,7 @@ from gsgen.contract.manifest_json import loads
 from gsgen.contract.model import open_model
 from gsgen.contract.targets import load_target
 from gsgen.sdk.repair import Request, repair
-from support.commands import gsgen
+from support.commands import gsgen, gsgen_here
 
 
 def emitted(path: Path, **inputs: np.ndarray) -> dict[str, np.ndarray]:
@@ -140,7 +140,7 @@ def test_what_cannot_be_done_is_said(
     tmp_path: Path, words: tuple[str, ...], code: int, said: str
 ) -> None:
     source = find("drift").write(tmp_path)
-    ran = gsgen("fix", source, "-o", tmp_path / "fixed.onnx", *words)
+    ran = gsgen_here("fix", source, "-o", tmp_path / "fixed.onnx", *words)
     assert ran.code == code
     assert said in ran.err
     assert not (tmp_path / "fixed.onnx").exists()
@@ -149,7 +149,7 @@ def test_what_cannot_be_done_is_said(
 def test_a_dry_run_says_as_json_what_would_change(tmp_path: Path) -> None:
     source = find("symbolic_capacity").write(tmp_path)
     here = sorted(tmp_path.iterdir())
-    ran = gsgen("fix", source, "--dry-run", "--json", "--size", "N=5")
+    ran = gsgen_here("fix", source, "--dry-run", "--json", "--size", "N=5")
     assert ran.code == 0, ran.err
     made = json.loads(ran.out)
     assert made["path"] is None
@@ -161,11 +161,11 @@ def test_a_dry_run_says_as_json_what_would_change(tmp_path: Path) -> None:
     assert made["after"]["subject"]["uri"] == str(source)
     assert sorted(tmp_path.iterdir()) == here
     fixed = tmp_path / "fixed.onnx"
-    ran = gsgen("fix", source, "-o", fixed, "--json", "--pin", "N=5")
+    ran = gsgen_here("fix", source, "-o", fixed, "--json", "--pin", "N=5")
     assert json.loads(ran.out)["path"] == str(fixed)
     assert validate(fixed).findings == ()
 
 
 def test_fixing_no_model_exits_4(tmp_path: Path) -> None:
     (tmp_path / "m.onnx").write_bytes(b"no")
-    assert gsgen("fix", tmp_path / "m.onnx", "-o", tmp_path / "f.onnx").code == 4
+    assert gsgen_here("fix", tmp_path / "m.onnx", "-o", tmp_path / "f.onnx").code == 4

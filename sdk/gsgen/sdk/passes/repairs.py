@@ -129,10 +129,6 @@ class SilencePadding(passes.InPlacePass):
         return passes.PassResult(model, modified=True)
 
 
-def _key_of(names: Mapping[str, str], wanted: str) -> str:
-    return next(old for old, new in names.items() if new == wanted)
-
-
 class RenameOutputs(passes.InPlacePass):
     """Rename outputs, so that a viewer that goes by names finds them (TV101, TV102)."""
 
@@ -149,12 +145,10 @@ class RenameOutputs(passes.InPlacePass):
         wanted = {old: new for old, new in self.names.items() if old != new}
         graph = model.graph
         ends = {*graph.inputs, *(v for v in graph.outputs if v.name not in wanted)}
-        for value in ends:
-            if value.name in wanted.values():
-                what = (
-                    f"has the name that output {_key_of(wanted, value.name)!r} was to get"
-                )
-                raise GsgenError(what, where=value.name)
+        taken = {value.name for value in ends}
+        for old, new in wanted.items():
+            if new in taken:
+                raise GsgenError(f"has the name that output {old!r} was to get", where=new)
         inner = [value for node in graph for value in node.outputs]
         for value in (*inner, *graph.initializers.values()):
             if value.name in wanted.values() and value not in graph.outputs:
