@@ -7,6 +7,8 @@ A comment before a block says what comes of it:
     <!-- gallery: small.jpg 2 x4 = a.png b.png -->   the same, each pixel enlarged to 4 × 4
     <!-- gallery: garden.jpg = a.png; needs data.npz -->  left out where that file is missing
 
+Data lie in `data/garden` of the folder that GSGEN_SHARED names, as for the demo.
+
 All run in one folder, in the order of the page, as a reader would run them. A picture keeps, as
 the comment of its JPEG, a digest of the blocks that it comes from: a test sees when they changed.
 """
