@@ -244,6 +244,7 @@ WRONG = {
     ),
     "camera": ({"models": [A], "camera": {"fx": 1}}, r"camera: lacks view"),
     "width": ({"models": [A], "width": 0}, "width: is 0, wanted a whole number from 1"),
+    "fov": ({"models": [A], "fov": 180}, "fov: is 180 degrees, wanted more than 0"),
     "up": ({"models": [A], "up": "y"}, "up: unknown word 'y'"),
 }
 
@@ -281,6 +282,11 @@ def test_what_fails_when_it_is_opened_says_where(folder: Path) -> None:
             A | {"inputs": {"tme": 1}},
             UnknownName,
             r"models\[0\]\.inputs: unknown input 'tme'",
+        ),
+        (
+            {"path": "drift.onnx", "inputs": {"time": 7}},
+            GsgenError,
+            r"models\[0\]: \S+drift\.onnx, frame 0, input time: is 7",
         ),
     ]
     for model, kind, match in cases:

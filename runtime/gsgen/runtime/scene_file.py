@@ -140,7 +140,7 @@ def read_scene(path: str | Path) -> SceneFile:
         camera=_camera(told, file.parent),
         width=told.side("width"),
         height=told.side("height"),
-        fov=told.number("fov", low=0, high=180),
+        fov=_fov(told),
         up=told.choice("up", ("+x", "-x", "+y", "-y", "+z", "-z")) or "-y",
         kind=told.choice("kind", ("pinhole", "orthographic", "panorama")),
     )
@@ -187,8 +187,11 @@ def _opened(model: Model, provider: str, sizes: Mapping[str, int] | None) -> Sou
         )
     except GsgenError as error:
         inner.close()
+        joint = ": " if error.where.startswith(inner.name) else "."
         where = (
-            error.where if model.where in error.where else f"{model.where}.{error.where}"
+            error.where
+            if model.where in error.where
+            else f"{model.where}{joint}{error.where}"
         )
         raise type(error)(error.what, where=where, mend=error.mend) from error
 
@@ -329,6 +332,13 @@ def _background(told: Fields) -> tuple[float, float, float, float] | None:
         return None
     text = ",".join(map(str, given)) if isinstance(given, list) else str(given)
     return color_of(text, told.place("background"))
+
+
+def _fov(told: Fields) -> float | None:
+    given = told.number("fov", low=0, high=180)
+    if given in (0, 180):
+        told.refuse("fov", f"is {given:g} degrees, wanted more than 0 and less than 180")
+    return given
 
 
 def _camera(told: Fields, folder: Path) -> str | Camera | None:
