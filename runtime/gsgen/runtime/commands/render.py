@@ -262,4 +262,6 @@ def _report(film: "Film", output: Path, seconds: float, as_json: bool) -> None:
         f"{seconds:.2f} s on {said['device']}"
     )
     if said["gaussians"] and not said["visible"]:
-        typer.echo("note: no Gaussian is in front of the camera", err=True)
+        typer.echo(
+            "note: no Gaussian is seen: none is in front of the camera and opaque", err=True
+        )
