@@ -72,6 +72,16 @@ def test_a_disk_shows_its_normal_whichever_way_it_is_turned(renderer: Renderer) 
     assert middle[2] < 0  # towards the camera
 
 
+def test_a_needle_shows_which_of_its_short_axes_is_the_shorter(renderer: Renderer) -> None:
+    needle = single(variance=(0.1, 3e-4, 2.7e-4))
+    for angle in np.linspace(0.1, 1.3, 7):
+        turn = turned(angle, (1, 0.3, 0.2))
+        turn[:3, 3] = np.array([0, 0, 3]) - turn[:3, :3] @ [0, 0, 3]
+        scene = Scene([SplatSet(needle, turn)])
+        frame = renderer.render(scene, camera(), outputs=("normal",))
+        np.testing.assert_allclose(frame.normal[23, 30], -turn[:3, 2], atol=5e-3)
+
+
 def test_ids_name_the_set_and_the_row(renderer: Renderer) -> None:
     near, far = single(depth=2), cloud(30, depth=(5, 8))
     scene = Scene([far, near])

@@ -1,8 +1,10 @@
 // Normals: the direction in which each drawn Gaussian of one page is thinnest, towards the camera.
 //
 // One invocation per Gaussian. The eigenvalues of the covariance are those of Smith 1961, the
-// eigenvector is the longest of the cross products of two rows of Σ − λI. A ball has no thinnest
-// direction; it looks at the camera.
+// eigenvector of one that is far from the others is the longest of the cross products of two rows
+// of Σ − λI. Of a needle that is its axis; which of the short axes is the shorter, its section
+// says, which has no large numbers in it. A ball has no thinnest direction, nor has a needle that
+// is round; they look at the camera.
 
 @group(0) @binding(0) var<storage, read> keys: array<u32>;
 @group(0) @binding(1) var<storage, read_write> normals: array<vec4f>;  // in camera space
@@ -18,6 +20,27 @@ fn longest(a: vec3f, b: vec3f) -> vec3f {
     return select(a, b, dot(b, b) > dot(a, a));
 }
 
+// The eigenvector of a matrix for an eigenvalue that is the only one of its kind; not of length 1.
+fn along(s: mat3x3f, value: f32) -> vec3f {
+    let one = mat3x3f(vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), vec3f(0.0, 0.0, 1.0));
+    let rest = s - value * one;
+    return longest(cross(rest[0], rest[1]), longest(cross(rest[0], rest[2]), cross(rest[1], rest[2])));
+}
+
+// The thinnest direction across the axis of a needle: that of its 2×2 section.
+fn across(s: mat3x3f, axis: vec3f, most: f32) -> vec3f {
+    let side = normalize(select(vec3f(0.0, axis.z, -axis.y), vec3f(-axis.z, 0.0, axis.x), abs(axis.x) > abs(axis.y)));
+    let other = cross(axis, side);
+    let half = (dot(side, s * side) - dot(other, s * other)) / 2.0;
+    let mixed = dot(side, s * other);
+    let radius = length(vec2f(half, mixed));
+    if (!(2.0 * radius > ROUND * most)) {
+        return vec3f(0.0);
+    }
+    let found = select(vec2f(radius - half, -mixed), vec2f(-mixed, radius + half), half >= 0.0);
+    return normalize(found.x * side + found.y * other);
+}
+
 fn thinnest(covariance: mat3x3f) -> vec3f {
     let scale = max(max(covariance[0].x, covariance[1].y), covariance[2].z);
     let s = covariance * (1.0 / scale);
@@ -30,15 +53,14 @@ fn thinnest(covariance: mat3x3f) -> vec3f {
     }
     let one = mat3x3f(vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), vec3f(0.0, 0.0, 1.0));
     let unit = (s - mean * one) * (1.0 / spread);
-    let angle = acos(clamp(determinant(unit) / 2.0, -1.0, 1.0)) / 3.0;
-    let least = mean + 2.0 * spread * cos(angle + 2.0943951023931953);
-    let rest = s - least * one;
-    let found = longest(cross(rest[0], rest[1]), longest(cross(rest[0], rest[2]), cross(rest[1], rest[2])));
-    let size = length(found);
-    if (!(size > ROUND * spread * spread)) {
-        return vec3f(0.0);
+    let bent = determinant(unit) / 2.0;
+    let angle = acos(clamp(bent, -1.0, 1.0)) / 3.0;
+    if (bent > 0.0) {  // the longest axis is alone, and the others may be nearly equal
+        let most = mean + 2.0 * spread * cos(angle);
+        return across(s, normalize(along(s, most)), most);
     }
-    return found / size;
+    let least = mean + 2.0 * spread * cos(angle + 2.0943951023931953);
+    return normalize(along(s, least));
 }
 
 @compute @workgroup_size(THREADS)
