@@ -20,6 +20,7 @@ __all__ = [
     "PostProcessManifest",
     "PostProcessOutputs",
     "Producer",
+    "ReferenceImage",
     "Space",
     "TestVector",
     "Tolerances",
@@ -242,6 +243,27 @@ class TestVector:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ReferenceImage:
+    """A picture beside the model, and from where the model must look like it; pixels from its corner.
+
+    Its camera looks along +z, x is right and y down; colours are over black.
+    """
+
+    path: Annotated[str, Hint("A PNG in the model's folder or below it.", min_length=1)]
+    sha256: Sha256
+    inputs: Annotated[str, Hint("Which probe, by its label.", min_length=1)]
+    view: Annotated[
+        tuple[tuple[float, float, float, float], ...],
+        Hint("World to camera: the first three rows of the matrix."),
+    ]
+    focal: Annotated[tuple[float, float], Hint("Focal lengths in x and y, in pixels.")]
+    center: Annotated[tuple[float, float], Hint("Principal point, in pixels.")]
+    psnr: Annotated[AboveZero, Hint("Least peak signal-to-noise ratio, in decibels.")] = (
+        40.0
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Common:
     """What a manifest of any kind says."""
 
@@ -275,6 +297,7 @@ class GeneratorManifest(_Common):
     weighted_sum: WeightedSum | None = None
     capture: Capture = Capture()
     tolerances: Tolerances | None = None
+    reference_images: tuple[ReferenceImage, ...] = ()
     kind: Literal["gaussian-generator"] = "gaussian-generator"
 
 

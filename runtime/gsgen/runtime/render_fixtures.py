@@ -1,10 +1,14 @@
 """Example models that break a rule of level ``render``, and show nothing wrong before."""
 
-__all__ = ["render_fixtures"]
+__all__ = ["png_of", "render_fixtures", "with_reference"]
 
+import hashlib
+import io
 import sys
+from dataclasses import replace
 
 import numpy as np
+from jaxtyping import UInt8
 
 from gsgen.conformance.fixtures import Fixture
 from gsgen.conformance.fixtures.arrays import f32
@@ -14,6 +18,7 @@ from gsgen.conformance.fixtures.moving import drifting
 from gsgen.conformance.fixtures.sketch import Sketch
 from gsgen.contract.finding import Level
 from gsgen.contract.layout import COVARIANCE
+from gsgen.contract.manifest import ReferenceImage
 
 
 def render_fixtures() -> list[Fixture]:
@@ -51,3 +56,36 @@ def opaque_behind_opaque() -> Sketch:
     rows[:, [4, 7, 9]] = 30.0**2
     colors[0], colors[1] = -1.7, 1.7
     return sheets.weighing(rows=rows, colors=colors)
+
+
+@breaks("GB021", level=Level.RENDER)
+def looks_otherwise() -> Sketch:
+    """The picture beside the model is all red; the model is not."""
+    red = np.zeros((36, 64, 3), np.uint8)
+    red[..., 0] = 255
+    return with_reference(still(), png_of(red))
+
+
+def with_reference(sketch: Sketch, png: bytes, **changes: object) -> Sketch:
+    """Return a copy that declares a picture of 64×36 pixels, seen from four units away."""
+    straight = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 4.0))
+    one = ReferenceImage(
+        path="reference.png",
+        sha256=hashlib.sha256(png).hexdigest(),
+        inputs="no inputs",
+        view=straight,
+        focal=(50.0, 50.0),
+        center=(32.0, 18.0),
+    )
+    declared = replace(one, **changes)  # type: ignore[arg-type]
+    beside = replace(sketch, beside={"reference.png": png})
+    return beside.declaring(reference_images=(declared,))
+
+
+def png_of(picture: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    """Return a picture as a PNG file."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, "png")
+    return file.getvalue()

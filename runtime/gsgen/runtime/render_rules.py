@@ -107,5 +107,34 @@ def rasterisers_agree(showing: "Showing") -> Iterator[Breach]:
             yield Breach.at("picture", saw, f"at least {_LEAST_AGREEMENT} dB")
 
 
+@rule(
+    "GB021",
+    "reference-images-match",
+    Severity.WARNING,
+    over="render",
+    fixture="looks_otherwise",
+    needs=(*_NEEDS, "GM002", "GM003", "GM005"),
+)
+def reference_images_match(showing: "Showing") -> Iterator[Breach]:
+    """Every picture that the manifest declares is beside the model, and the model draws it.
+
+    Why:
+        Tensors that agree to a tolerance say little to whoever wants to know that a model looks
+        as it did at its author's. A picture, its camera and a least number of decibels do.
+
+    Mend:
+        Give the file along with the model. If the model is right, draw the picture anew, with
+        `gsgen render` and the camera that is declared, and put its SHA-256 into
+        "reference_images". Models without pictures are fine.
+    """
+    for number, one in enumerate(showing.references):
+        place = f"manifest reference_images.{number}"
+        if one.given is None:
+            yield Breach.at(place, f"{one.path!r}: {one.problem}", "a PNG to compare with")
+        elif one.given < one.wanted:
+            saw = f"{one.path!r}: {one.given:.1f} dB"
+            yield Breach.at(place, saw, f"at least {one.wanted:g} dB")
+
+
 def _is_seen(covered: float) -> bool:
     return covered >= CULL_OPACITY

@@ -1,6 +1,6 @@
 """Draw a model's outputs as a viewer would: what the rules of level ``render`` look at."""
 
-__all__ = ["Showing", "Shown", "decibels", "prepare_render"]
+__all__ = ["Compared", "Showing", "Shown", "decibels", "prepare_render"]
 
 import time
 from collections.abc import Iterator
@@ -17,8 +17,13 @@ from gsgen.contract.probes import Probe, as_tensor
 from gsgen.contract.runner import LevelUnavailable, Prepared
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
-from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable
+from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
 from gsgen.runtime.frame import Frame
+from gsgen.runtime.reference_image import (
+    ReferenceUnreadable,
+    read_reference,
+    reference_camera,
+)
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.sources import direction
@@ -28,6 +33,8 @@ _WIDTH: Final = 640
 _HEIGHT: Final = 360
 _FRAMES: Final = 5
 _AGREEMENT: Final = "GB020"
+_REFERENCES: Final = "GB021"
+_MOST_REFERENCES: Final = 16
 _LEAST_ERROR: Final = 1e-20  # equal pictures have 200 dB
 _FOV_Y: Final = 50.0
 _DISTANCE: Final = 2.2  # half diagonals of the bounds, as the probes' own cameras have it
@@ -53,16 +60,35 @@ class Shown:
 
 
 @dataclass(frozen=True, slots=True)
+class Compared:
+    """A declared picture beside what the model draws.
+
+    Attributes:
+        path: As declared.
+        wanted: The least decibels.
+        given: Those there are; None where nothing can be compared.
+        problem: Why not; empty where it was.
+    """
+
+    path: str
+    wanted: float
+    given: float | None = None
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Showing:
     """The frames of a model, drawn.
 
     Attributes:
         frames: In the order of the probes.
         device: What drew them.
+        references: The pictures that the manifest declares.
     """
 
     frames: tuple[Shown, ...]
     device: str
+    references: tuple[Compared, ...] = ()
 
 
 @contextmanager
@@ -79,10 +105,11 @@ def prepare_render(trial: Trial) -> Iterator[Prepared]:
         renderer = Renderer(rasteriser="tiles")
         quads = _quads(renderer.device)
         frames = tuple(_drawn(trial, renderer, quads))
+        references = tuple(_compared(trial, renderer))
     except (DeviceUnavailable, CapacityExceeded) as error:
         raise LevelUnavailable(error.what, mend=error.mend) from error
     yield Prepared(
-        context=Showing(frames, renderer.device.name),
+        context=Showing(frames, renderer.device.name, references),
         items=len(frames),
         environment={"renderer": renderer.device.name},
         seconds=time.monotonic() - began,
@@ -98,43 +125,88 @@ def _quads(device: Device) -> Renderer | None:
 def _unjudged(trial: Trial, device: Device) -> dict[str, str]:
     """Return which rules cannot be judged, and why."""
     manifest = trial.subject.generator
+    reasons = {}
     if manifest is not None and manifest.blend == "wsr":
-        return {_AGREEMENT: "weighted sums have one way to be drawn"}
-    if not device.blends_floats:
-        return {_AGREEMENT: f"{device.name} cannot blend 32-bit floats, so it has no quads"}
-    return {}
+        reasons[_AGREEMENT] = "weighted sums have one way to be drawn"
+    elif not device.blends_floats:
+        reasons[_AGREEMENT] = (
+            f"{device.name} cannot blend 32-bit floats, so it has no quads"
+        )
+    if manifest is not None and manifest.reference_images and find_spec("PIL") is None:
+        reasons[_REFERENCES] = "pillow is not installed"
+    return reasons
 
 
 def _drawn(trial: Trial, renderer: Renderer, quads: Renderer | None) -> Iterator[Shown]:
     manifest = trial.subject.generator
     assert manifest is not None  # the rules are of generators alone
-    outputs, runs = manifest.outputs, trial.execution.runs
-    assert outputs.gaussians is not None
-    assert outputs.appearance is not None
     for number in _chosen(trial):
         probe = trial.plan.probes[number]
-        tensors = trial.execution.samples[runs[number].sample].outputs
-        rows = np.asarray(tensors[outputs.gaussians.name])
-        count = len(rows)
-        if outputs.count is not None:
-            count = int(np.clip(tensors[outputs.count.name].reshape(-1)[0], 0, len(rows)))
-        color = np.asarray(tensors[outputs.appearance.name])
-        data = SplatData(
-            rows,
-            color,
-            outputs.appearance.space,
-            count=count,
-            cells=np.asarray(tensors[outputs.cells.name]) if outputs.cells else None,
-            per_cell=outputs.cells.per_cell if outputs.cells else 1,
-        )
-        weighted = manifest.weighted_sum if manifest.blend == "wsr" else None
-        scene = Scene([SplatSet(data, antialias=manifest.antialias, weighted=weighted)])
-        camera = _camera(manifest, probe)
+        scene, camera = _scene(trial, number), _camera(manifest, probe)
         frame = renderer.render(scene, camera)
         other = None
-        if quads is not None and weighted is None:
+        if quads is not None and scene.sets[0].weighted is None:
             other = decibels(frame, quads.render(scene, camera))
-        yield Shown(probe.label, count, frame.visible, float(frame.alpha.max()), other)
+        live, covered = scene.sets[0].data.count, float(frame.alpha.max())
+        yield Shown(probe.label, live, frame.visible, covered, other)
+
+
+def _scene(trial: Trial, number: int) -> Scene:
+    """Return what the model gave for a probe."""
+    manifest = trial.subject.generator
+    assert manifest is not None
+    outputs = manifest.outputs
+    assert outputs.gaussians is not None
+    assert outputs.appearance is not None
+    sample = trial.execution.runs[number].sample
+    tensors = trial.execution.samples[sample].outputs
+    rows = np.asarray(tensors[outputs.gaussians.name])
+    count = len(rows)
+    if outputs.count is not None:
+        count = int(np.clip(tensors[outputs.count.name].reshape(-1)[0], 0, len(rows)))
+    data = SplatData(
+        rows,
+        np.asarray(tensors[outputs.appearance.name]),
+        outputs.appearance.space,
+        count=count,
+        cells=np.asarray(tensors[outputs.cells.name]) if outputs.cells else None,
+        per_cell=outputs.cells.per_cell if outputs.cells else 1,
+    )
+    weighted = manifest.weighted_sum if manifest.blend == "wsr" else None
+    one = SplatSet(data, antialias=manifest.antialias, weighted=weighted)
+    return Scene([one], outputs.appearance.color_space)
+
+
+def _compared(trial: Trial, renderer: Renderer) -> Iterator[Compared]:
+    """Compare the pictures that the manifest declares with what is drawn."""
+    manifest = trial.subject.generator
+    if manifest is None or find_spec("PIL") is None:
+        return
+    labels = [probe.label for probe in trial.plan.probes[: trial.plan.values]]
+    for number, one in enumerate(manifest.reference_images):
+        if number >= _MOST_REFERENCES:
+            few = f"there are {_MOST_REFERENCES} before it, the most that are looked at"
+            yield Compared(one.path, one.psnr, problem=few)
+            return
+        if one.inputs not in labels:
+            known = (
+                f"no probe is called {one.inputs!r}; there are {', '.join(labels[:5])}, …"
+            )
+            yield Compared(one.path, one.psnr, problem=known)
+            continue
+        try:
+            wanted = read_reference(trial.subject.file.path.parent, one)
+            height, width = wanted.shape[:2]
+            camera = reference_camera(one, width, height)
+        except (ReferenceUnreadable, SceneInvalid) as error:
+            yield Compared(one.path, one.psnr, problem=str(error).partition("\n")[0])
+            continue
+        frame = renderer.render(
+            _scene(trial, labels.index(one.inputs)), camera, background=(0, 0, 0, 1)
+        )
+        error = np.square(frame.srgb8[..., :3] / 255 - wanted.astype(np.float64)).mean()
+        given = float(-10 * np.log10(max(error, _LEAST_ERROR)))
+        yield Compared(one.path, one.psnr, given)
 
 
 def decibels(a: Frame, b: Frame) -> float:

@@ -7,20 +7,25 @@ import numpy as np
 import pytest
 
 from gsgen.conformance.fixtures import find
+from gsgen.conformance.fixtures.clouds import still
+from gsgen.conformance.fixtures.sketch import Sketch
 from gsgen.contract.config import Settings
 from gsgen.contract.engine import validate
 from gsgen.contract.finding import Level
-from gsgen.contract.manifest import WeightedSum
+from gsgen.contract.manifest import GeneratorManifest, WeightedSum
 from gsgen.contract.report import Report
 from gsgen.runtime import showing
+from gsgen.runtime.camera import Camera
 from gsgen.runtime.errors import DeviceUnavailable
 from gsgen.runtime.frame import Frame
-from gsgen.runtime.render_fixtures import render_fixtures
+from gsgen.runtime.reference_image import ReferenceUnreadable, read_reference
+from gsgen.runtime.render_fixtures import png_of, render_fixtures, with_reference
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.scene import Scene
+from gsgen.runtime.splat_data import SplatData
 
 RENDER = Settings(level=Level.RENDER)
-RULES = ("GB018", "GB019", "GB020")
+RULES = ("GB018", "GB019", "GB020", "GB021")
 
 
 @pytest.fixture(autouse=True)
@@ -64,7 +69,12 @@ def test_good_models_are_seen(name: str, tmp_path: Path) -> None:
     report = ran(validate(find(name).write(tmp_path), RENDER))
     assert not report.findings
     alike = "skipped" if name == "weighted_sum" else "pass"
-    assert status(report) == {"GB018": "pass", "GB019": "pass", "GB020": alike}
+    assert status(report) == {
+        "GB018": "pass",
+        "GB019": "pass",
+        "GB020": alike,
+        "GB021": "pass",
+    }
     assert "renderer" in report.environment
 
 
@@ -78,6 +88,90 @@ def test_a_device_without_quads_judges_no_agreement(
     outcome = next(one for one in report.outcomes if one.rule.id == "GB020")
     assert outcome.status == "skipped"
     assert "cannot blend 32-bit floats" in outcome.reason
+
+
+def drawn_reference(renderer: Renderer) -> bytes:
+    """What the model of the fixtures draws at the camera that they declare."""
+    weights = still().weights
+    data = SplatData(weights["rows"], weights["colors"], "sh")
+    view = np.eye(4)
+    view[2, 3] = 4
+    camera = Camera(view, 50, 50, 32, 18, 64, 36)
+    frame = renderer.render(Scene([data]), camera, background=(0, 0, 0, 1))
+    return png_of(frame.srgb8[..., :3])
+
+
+def compared(sketch: Sketch, folder: Path, **changes: object) -> showing.Compared:
+    """Return what becomes of the picture of a sketch, without judging the model."""
+    path = folder / "model.onnx"
+    sketch.write(path)
+    manifest = sketch.manifest
+    assert isinstance(manifest, GeneratorManifest)
+    outputs = {"gaussians": sketch.weights["rows"], "color": sketch.weights["colors"],
+               "num_points": sketch.weights["live"]}  # fmt: skip
+    trial = Mock(
+        plan=Mock(probes=[Mock(label="no inputs")], values=1),
+        execution=Mock(runs=[Mock(sample=0)], samples=[Mock(outputs=outputs)]),
+    )
+    trial.subject.generator, trial.subject.file.path = manifest, path
+    return next(iter(showing._compared(trial, changes.pop("renderer"))))
+
+
+def test_a_picture_that_the_model_draws_is_the_same(
+    renderer: Renderer, tmp_path: Path
+) -> None:
+    png = drawn_reference(renderer)
+    seen = compared(with_reference(still(), png), tmp_path, renderer=renderer)
+    assert seen.given is not None
+    assert seen.given > 55  # bytes of the file round by half a 255th
+    other = with_reference(still(), png, center=(34.0, 18.0))
+    moved = compared(other, tmp_path, renderer=renderer)
+    assert moved.given is not None
+    assert moved.given < 40
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"path": "gone.png"}, "no such file"),
+        ({"path": "../reference.png"}, "not in the model's folder"),
+        ({"path": "/etc/hostname"}, "not in the model's folder"),
+        ({"path": "a\\b.png"}, "not in the model's folder"),
+        ({"sha256": "0" * 64}, "sha256"),
+        ({"inputs": "noon"}, "no probe is called 'noon'"),
+        ({"focal": (0.0, 50.0)}, "fx"),
+        ({"view": ((0.0,) * 4,) * 3}, "view"),
+        ({"view": ((0.0,) * 4,) * 2}, "has 2 rows, wanted 3"),
+    ],
+)
+def test_a_picture_that_cannot_be_compared_says_why(
+    renderer: Renderer, tmp_path: Path, changes: dict[str, object], problem: str
+) -> None:
+    sketch = with_reference(still(), png_of(np.zeros((36, 64, 3), np.uint8)), **changes)
+    seen = compared(sketch, tmp_path, renderer=renderer)
+    assert seen.given is None
+    assert problem in seen.problem
+
+
+def test_files_that_are_no_picture_and_too_large_ones(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (40, 40, 3), np.uint8)
+    for content, problem in (
+        (b"not a picture", "no PNG"),
+        (png_of(np.zeros((1, 5000, 3), np.uint8)), "4096 a side at most"),
+        (png_of(noise)[:2000], "no PNG"),
+    ):
+        sketch = with_reference(still(), content)
+        sketch.write(tmp_path / "model.onnx")
+        with pytest.raises(ReferenceUnreadable, match=problem):
+            read_reference(tmp_path, sketch.manifest.reference_images[0])
+    with (tmp_path / "reference.png").open("wb") as file:
+        file.truncate(33 << 20)
+    with pytest.raises(ReferenceUnreadable, match="more than 33,554,432 bytes"):
+        read_reference(tmp_path, sketch.manifest.reference_images[0])
+    (tmp_path / "reference.png").unlink()
+    (tmp_path / "reference.png").symlink_to("/etc/hostname")
+    with pytest.raises(ReferenceUnreadable, match="not in the model's folder"):
+        read_reference(tmp_path, sketch.manifest.reference_images[0])
 
 
 def test_decibels_are_those_of_colours() -> None:
