@@ -4,19 +4,22 @@ import numpy as np
 import pytest
 import torch
 
+from gsgen.contract.config import Settings
 from gsgen.contract.errors import GsgenError
+from gsgen.contract.finding import Level
 from gsgen.reference_plugins.checkpoints.anchors import (
     AnchorCheckpoint,
     read_anchors,
 )
+from gsgen.reference_plugins.layers import proportion
 from gsgen.reference_plugins.octree_gs import MODES, Levels, OctreeGS
 from gsgen.reference_plugins.prefilter import Prefilter
 from gsgen.reference_plugins.scaffold_gs import ScaffoldGS
 from gsgen.reference_plugins.selection import Frustum, Selection
 from gsgen.reference_plugins.synthetic import AnchorOptions, write_octree, write_scaffold
-from gsgen.sdk import GaussianGenerator
+from gsgen.sdk import GaussianGenerator, export
 from support.commands import shared
-from support.plugin_checks import assert_like, camera, eager
+from support.plugin_checks import assert_like, camera, eager, run
 from support.plugin_oracles import anchors
 
 ROUNDS = 12
@@ -217,6 +220,34 @@ def test_decoding_fewer_anchors_gives_the_same_rows_in_front(
             for name in ("opacity", "covariance", "rgb"):
                 a, b = getattr(some, name)[:count], getattr(everything, name)[rows]
                 torch.testing.assert_close(a, b, atol=1e-6, rtol=1e-5)
+
+
+def test_gaussians_far_smaller_than_their_anchor_are_exported(tmp_path: Path) -> None:
+    place = write_scaffold(tmp_path, AnchorOptions(anchors=6, per_anchor=2, united=True))
+    file = place / "point_cloud/iteration_30000/checkpoints.pth"
+    nets = torch.load(file, weights_only=True)
+    shrunk = torch.tensor([-11.0, -13.0, -12.0, 0, 0, 0, 0]).repeat(2)
+    nets["cov_mlp"]["2.bias"] += shrunk
+    torch.save(nets, file)
+    read = read_anchors(place)
+    settings = Settings(level=Level.STATIC)
+    export(ScaffoldGS(read.cloud, read.nets), tmp_path / "small.onnx", settings=settings)
+    view = camera(np.random.default_rng(0))
+    rows, *_ = run(tmp_path / "small.onnx", {"camera": view})
+    wanted = anchors(read, view, None, octree=False)
+    np.testing.assert_array_less(wanted.covariance[:, [0, 3, 5]], 1e-7)
+    trace = wanted.covariance[:, [0, 3, 5]].sum(axis=1, keepdims=True)
+    error = np.abs(rows[wanted.kept, 4:] - wanted.covariance) / trace
+    assert error.max() < 1e-5
+
+
+@pytest.mark.parametrize("logit", [-200.0, -90.0, -79.0, -20.0, -5.0, 0.0, 5.0, 200.0])
+def test_proportions_are_exact_however_small(logit: float) -> None:
+    made = proportion(torch.tensor([logit])).item()
+    if logit < -79:
+        assert 0 <= made < 1e-34
+    else:
+        assert made == pytest.approx(1 / (1 + np.exp(-logit)), rel=1e-6)
 
 
 def test_fewer_anchors_need_something_that_says_which(tmp_path: Path) -> None:

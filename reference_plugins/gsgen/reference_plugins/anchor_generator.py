@@ -13,6 +13,7 @@ from gsgen.contract.errors import GsgenError
 from gsgen.reference_plugins.anchor_heads import AnchorHeads, Asked, Decoded
 from gsgen.reference_plugins.checkpoints.anchors import AnchorCloud, AnchorNets
 from gsgen.reference_plugins.constants import Constants
+from gsgen.reference_plugins.layers import proportion
 from gsgen.reference_plugins.planes import covariance_planes, stacked
 from gsgen.reference_plugins.selection import Selection, culling
 from gsgen.sdk import Cells, GaussianGenerator, Gaussians, inputs
@@ -167,7 +168,7 @@ class AnchorGenerator(GaussianGenerator):
         self, factors: tuple[Tensor, ...], rows: Int[Tensor, " n"] | None
     ) -> list[Float[Tensor, "n k"]]:
         """Return how large Gaussians are along each axis, as a share of their anchor's scale."""
-        return [torch.sigmoid(factor) for factor in factors]
+        return [proportion(factor) for factor in factors]
 
     def weighed(self, opacity: Float[Tensor, "n k"], now: Decoding) -> Float[Tensor, "n k"]:
         """Return what a renderer takes as opacity, of what the network says."""

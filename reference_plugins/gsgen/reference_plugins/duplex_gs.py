@@ -23,6 +23,7 @@ from gsgen.contract.manifest import WeightedSum
 from gsgen.reference_plugins.anchor_generator import AnchorGenerator, Decoding
 from gsgen.reference_plugins.checkpoints.anchors import AnchorCloud
 from gsgen.reference_plugins.checkpoints.cells import CellCheckpoint
+from gsgen.reference_plugins.layers import proportion
 from gsgen.reference_plugins.octree_gs import LevelGate, Levels
 from gsgen.reference_plugins.planes import covariance_planes, stacked
 from gsgen.reference_plugins.selection import Selection
@@ -124,7 +125,7 @@ class DuplexGS(AnchorGenerator):
         """Keep Gaussians within their cell."""
         limit = self.placed()[1]
         limit = limit if rows is None else torch.index_select(limit, 0, rows)
-        return [torch.minimum(torch.sigmoid(factor), limit) for factor in factors]
+        return [torch.minimum(proportion(factor), limit) for factor in factors]
 
     def weighed(self, opacity: Float[Tensor, "n k"], now: Decoding) -> Float[Tensor, "n k"]:
         """Weigh opacities, where that was asked for."""

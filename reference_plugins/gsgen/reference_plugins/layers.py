@@ -1,9 +1,22 @@
 """Layers of small networks, stored as the matrices that they multiply with."""
 
-__all__ = ["Dense"]
+__all__ = ["Dense", "proportion"]
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+
+# exp of it is a number of float32, and that of float16 infinite: both give no proportion.
+_MOST = 80.0
+
+
+def proportion(logit: Tensor) -> Tensor:
+    """Return the sigmoid, as exact for small results as for large ones.
+
+    ONNX Runtime's own is off by 1e-7 on a CPU however small its result, so that what is a hundred
+    thousandth of a scale, or less, would be of another shape.
+    """
+    return torch.reciprocal(1 + torch.exp((-logit).clamp(max=_MOST)))
 
 
 class Dense(nn.Module):
