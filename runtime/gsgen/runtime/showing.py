@@ -204,8 +204,8 @@ def _compared(trial: Trial, renderer: Renderer) -> Iterator[Compared]:
         frame = renderer.render(
             _scene(trial, labels.index(one.inputs)), camera, background=(0, 0, 0, 1)
         )
-        error = np.square(frame.srgb8[..., :3] / 255 - wanted.astype(np.float64)).mean()
-        given = float(-10 * np.log10(max(error, _LEAST_ERROR)))
+        apart = np.square(frame.srgb8[..., :3] / 255 - wanted.astype(np.float64)).mean()
+        given = float(-10 * np.log10(max(apart, _LEAST_ERROR)))
         yield Compared(one.path, one.psnr, given)
 
 
