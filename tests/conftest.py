@@ -14,6 +14,8 @@ _ON = {
     name: value for name, value in os.environ.items() if name.startswith("COVERAGE_PROCESS")
 }
 
+os.environ["GSGEN_NO_CACHE"] = "1"  # no test keeps what it measured of a driver
+
 
 def pytest_configure(config: pytest.Config) -> None:
     if "PYTEST_XDIST_WORKER" in os.environ:  # started, and measured already
