@@ -48,7 +48,7 @@ def test_every_cut_of_the_kernels_sums(
     other = Device(device.raw)
     other.subgroups = False
     other.software = variant == "without subgroups"
-    cut = Renderer(other)
+    cut = Renderer(other, rasteriser="tiles")
     scene, seen_by = WEIGHTED["many_cells"]()
     one, two = (
         each.render(scene, seen_by, outputs=("color", "depth")) for each in (renderer, cut)
