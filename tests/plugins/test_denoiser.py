@@ -245,7 +245,8 @@ def test_steps_that_cannot_be_taken_are_refused(tmp_path: Path) -> None:
         command.build(plain, timestep=1000.0)
     with pytest.raises(GsgenError, match="no size"):
         command.build(plain, size="0x12")
-    conditional = write_denoiser(tmp_path / "cond", CONDITIONAL)
+    of_images = CONDITIONAL | {"in_channels": 3, "out_channels": 3}
+    conditional = write_denoiser(tmp_path / "cond", of_images)
     (conditional / "prompt_embeds.npz").unlink()
     with pytest.raises(GsgenError, match="--embeddings"):
         command.build(conditional)

@@ -9,9 +9,10 @@ from gsgen.contract.errors import GsgenError
 from gsgen.contract.manifest import GeneratorManifest, GeneratorOutputs
 from gsgen.contract.probes import Probe
 from gsgen.sdk import ExportFailed, GeneratorInvalid, ParityFailed, export
-from gsgen.sdk.diagnosis import Outputs, Suspects, explain
+from gsgen.sdk.diagnosis import Suspects, explain
 from gsgen.sdk.eager import run_eager
 from gsgen.sdk.hazards import Watch
+from gsgen.sdk.parity import Made
 from support import hazards
 from support.generators import Drift, Growing, Lit, Skinned
 
@@ -121,9 +122,9 @@ def explained(
 ) -> tuple[str, str]:
     """Explain a model that always emits its first frame, or one that follows."""
 
-    def run(probes: list[Probe]) -> list[Outputs]:
+    def run(probes: list[Probe]) -> list[Made]:
         moments = [0.0 if frozen else float(p.inputs["time"][0]) for p in probes]
-        return [(np.full((3, 10), t), np.zeros((3, 48)), 3) for t in moments]
+        return [Made(np.full((3, 10), t), np.zeros((3, 48)), 3) for t in moments]
 
     module = module.eval()
     references = [run_eager(module, probe) for probe in PROBES]

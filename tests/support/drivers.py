@@ -39,7 +39,7 @@ def on_driver(driver: str, module: str, *words: str, seconds: float = 600) -> An
     """Run ``python -m module`` on a driver, and return the JSON that it prints last."""
     found = description(driver)
     if found is None:
-        pytest.skip(f"{driver} is not installed; `make drivers` says how")
+        pytest.fail(f"{driver} is not installed; `make drivers` installs it")
     done = subprocess.run(
         [sys.executable, "-P", "-m", module, *words],
         capture_output=True,
