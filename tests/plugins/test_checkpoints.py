@@ -1,6 +1,7 @@
 import pickle
 import warnings
 import zipfile
+from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 
@@ -61,6 +62,25 @@ def test_literals_are_read_and_unknown_ones_do_no_harm(tmp_path: Path) -> None:
     )
 
 
+def test_what_python_prints_without_a_literal_is_read(tmp_path: Path) -> None:
+    """As argparse prints infinities, and options whose names are no identifiers."""
+    printed = Namespace(far=float("inf"), near=[-float("inf")], **{"some-key": 3})
+    assert repr(printed) == "Namespace(far=inf, near=[-inf], **{'some-key': 3})"
+    read = read_cfg_args(cfg(tmp_path, repr(printed)))
+    assert read.values == {"far": np.inf, "near": [-np.inf], "some-key": 3}
+    assert np.isnan(read_cfg_args(cfg(tmp_path, "Namespace(a=nan)")).number("a", 0))
+
+
+def test_networks_that_no_method_has_are_named(tmp_path: Path) -> None:
+    run = write_scaffold(tmp_path, AnchorOptions(anchors=4, united=True))
+    (united,) = run.rglob("checkpoints.pth")
+    change(united, lambda nets: nets.update(vi_mlp=nets["cov_mlp"]))
+    read_anchors(run)
+    change(united, lambda nets: nets.update(mystery=nets["cov_mlp"]))
+    with pytest.raises(CheckpointInvalid, match=r"unexpected: mystery; known are"):
+        read_anchors(run)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -69,6 +89,8 @@ def test_literals_are_read_and_unknown_ones_do_no_harm(tmp_path: Path) -> None:
         ("__import__('os').system('touch ran')", "is no Namespace"),
         ("Namespace(1, 2)", "is no Namespace"),
         ("Namespace(**{'a': 1})", "is no Namespace"),
+        ("Namespace(**{'a-b': open('x')})", "an option is .*, wanted a literal"),
+        ("Namespace(**x)", "is no Namespace"),
         ("Namespace(a=1", "cannot be parsed"),
         ("", "cannot be parsed"),
         ("Namespace(a=" + "-" * 100_000 + "1)", "cannot be parsed|wanted a literal"),

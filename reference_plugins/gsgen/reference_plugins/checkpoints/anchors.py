@@ -43,6 +43,7 @@ _SCALES = tuple(f"scale_{i}" for i in range(6))
 _ROTATION = tuple(f"rot_{i}" for i in range(4))
 _LEVELS = ("level", "extra_level", "info")
 _UNITED = "checkpoints.pth"
+_UNUSED = ("vi_mlp",)  # Duplex-GS saves it, and does not ask it
 _DIRECTION = 3
 _CHANNELS = {"opacity_mlp": 1, "cov_mlp": 7, "color_mlp": 3}
 
@@ -276,6 +277,10 @@ def _states(place: Path) -> States:
     if united.is_file():
         found = load_state(united, "the networks")
         names = {"appearance": "embedding", "feature_bank_mlp": "bank"}
+        known = {*_CHANNELS, *names, *_UNUSED}
+        if unknown := sorted(str(key) for key in found if found[key] and key not in known):
+            what = f"unexpected: {', '.join(unknown)}; known are {', '.join(sorted(known))}"
+            raise CheckpointInvalid(what, where=str(united))
         return {names.get(key, key): (united, found[key]) for key in found if found[key]}
     files = {name: f"{name}.pt" for name in _CHANNELS}
     files |= {"bank": "feature_bank_mlp.pt", "embedding": "embedding_appearance.pt"}

@@ -103,17 +103,38 @@ def _parsed(path: Path) -> dict[str, Any]:
         and isinstance(tree.func, ast.Name)
         and tree.func.id == "Namespace"
         and not tree.args
-        and all(keyword.arg for keyword in tree.keywords)
+        and all(keyword.arg or _is_unspellable(keyword.value) for keyword in tree.keywords)
     ):
         raise CheckpointInvalid("is no Namespace(…)", where=str(path), mend=mend)
-    return {str(keyword.arg): _literal(keyword, path) for keyword in tree.keywords}
+    values: dict[str, Any] = {}
+    for keyword in tree.keywords:
+        value = _literal(keyword, path)
+        values |= {keyword.arg: value} if keyword.arg else value
+    return values
+
+
+def _is_unspellable(value: ast.expr) -> bool:
+    """Whether this is how argparse prints options whose names are no identifiers: ``**{'a-b': 1}``."""
+    return isinstance(value, ast.Dict) and all(
+        isinstance(key, ast.Constant)
+        and isinstance(key.value, str)
+        and not key.value.isidentifier()
+        for key in value.keys
+    )
 
 
 def _literal(keyword: ast.keyword, path: Path) -> Any:
     try:
-        return ast.literal_eval(keyword.value)
+        return ast.literal_eval(_NotFinite().visit(keyword.value))
     except (ValueError, TypeError, RecursionError, MemoryError) as error:
         seen = ast.unparse(keyword.value)[:80]
         raise CheckpointInvalid(
-            f"{keyword.arg} is {seen}, wanted a literal", where=str(path)
+            f"{keyword.arg or 'an option'} is {seen}, wanted a literal", where=str(path)
         ) from error
+
+
+class _NotFinite(ast.NodeTransformer):
+    """Reads ``inf`` and ``nan``, as Python prints numbers that have no literal."""
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        return ast.Constant(float(node.id)) if node.id in ("inf", "nan") else node
