@@ -70,4 +70,4 @@ def test_an_unknown_role_names_the_nearest():
 def test_a_name_like_no_role_says_how_many_are_known():
     with pytest.raises(UnknownName) as caught:
         role("xyz")
-    assert str(caught.value) == f"unknown role 'xyz'\n  Known: {len(ROLES)} are known."
+    assert str(caught.value) == f"unknown role 'xyz'\n  {len(ROLES)} are known."

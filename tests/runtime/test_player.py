@@ -87,11 +87,11 @@ def test_the_next_frame_is_computed_while_one_is_drawn(
         drawing[began("submit")].set()
         submit(self, *args, **rest)
 
-    def watched_collect(self: Plan) -> object:
+    def watched_collect(self: Plan, *args: object) -> object:
         frame = began("collect")
         if frame + 1 < len(TIMES):
             assert inferring[frame + 1].wait(LONG), "nobody computes the next frame"
-        return collect(self)
+        return collect(self, *args)
 
     drift.render(CAMERA, time=0.75)  # so that no frame below is as the one before
     monkeypatch.setattr(FrameSession, "run", watched_run)

@@ -6,9 +6,18 @@ import json
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from gsgen.runtime.commands.options import (
+    Height,
+    Provider,
+    RasteriserName,
+    Scenes,
+    Sizes,
+    Width,
+)
 
 if TYPE_CHECKING:
     from gsgen.runtime.frame_cost import FrameCost, Span
@@ -19,42 +28,20 @@ _MEGA = 1e6
 
 
 def bench_render(
-    scenes: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Splat files, meshes, ONNX generators and scene.json; several are one scene.",
-            show_default=False,
-        ),
-    ],
+    scenes: Scenes,
     camera: Annotated[
         str | None,
         typer.Option(help="As for render. [default: a full turn around everything]"),
     ] = None,
-    width: Annotated[
-        int | None, typer.Option(help="Pixels. [default: the camera's, or 1280]", min=1)
-    ] = None,
-    height: Annotated[
-        int | None, typer.Option(help="Pixels. [default: the camera's, or 720]", min=1)
-    ] = None,
+    width: Width = None,
+    height: Height = None,
     frames: Annotated[int, typer.Option(help="How many frames are measured.", min=1)] = 30,
     compact: Annotated[
         bool, typer.Option("--compact", help="Keep harmonics in float16.")
     ] = False,
-    rasteriser: Annotated[
-        Literal["auto", "tiles", "quads"],
-        typer.Option(help="What blends: compute shaders, the hardware, or the faster one."),
-    ] = "auto",
-    size: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="SYMBOL=SIZE",
-            help="Give an open dimension of a model a size; repeatable.",
-        ),
-    ] = None,
-    provider: Annotated[
-        Literal["auto", "cpu", "webgpu", "cuda"],
-        typer.Option(help="What ONNX Runtime runs generators on."),
-    ] = "cpu",
+    rasteriser: RasteriserName = "auto",
+    size: Sizes = None,
+    provider: Provider = "cpu",
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
     output: Annotated[
         Path | None,

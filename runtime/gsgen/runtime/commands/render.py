@@ -6,11 +6,24 @@ import json
 import time as clock
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.runtime.commands.options import (
+    Antialias,
+    Axis,
+    FieldOfView,
+    Height,
+    Post,
+    Provider,
+    RasteriserName,
+    Scenes,
+    ShDegree,
+    Sizes,
+    Width,
+)
 
 if TYPE_CHECKING:
     from gsgen.runtime.film import Film
@@ -39,13 +52,7 @@ class ModeName(StrEnum):
 
 
 def render(
-    scenes: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Splat files, meshes, ONNX generators and scene.json; several are one scene.",
-            show_default=False,
-        ),
-    ],
+    scenes: Scenes,
     output: Annotated[
         Path,
         typer.Option(
@@ -63,19 +70,10 @@ def render(
             "[default: an orbit from where everything is seen]"
         ),
     ] = None,
-    width: Annotated[
-        int | None, typer.Option(help="Pixels. [default: the camera's, or 1280]", min=1)
-    ] = None,
-    height: Annotated[
-        int | None, typer.Option(help="Pixels. [default: the camera's, or 720]", min=1)
-    ] = None,
-    fov: Annotated[
-        float | None, typer.Option(help="Vertical field of view, in degrees. [default: 50]")
-    ] = None,
-    up: Annotated[
-        Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None,
-        typer.Option(help="Which axis points up. [default: the manifest's, or -y]"),
-    ] = None,
+    width: Width = None,
+    height: Height = None,
+    fov: FieldOfView = None,
+    up: Axis = None,
     orthographic: Annotated[
         bool,
         typer.Option(
@@ -137,37 +135,12 @@ def render(
         float | None,
         typer.Option(help="Of a film. [default: the manifest's, or 25]", min=0.1, max=100),
     ] = None,
-    sh_degree: Annotated[
-        int | None,
-        typer.Option(help="Use no harmonics above this degree.", min=0, max=3),
-    ] = None,
-    antialias: Annotated[
-        Literal["classic", "mip"] | None,
-        typer.Option(
-            help="How the scene was trained. [default: the manifest's, or classic]"
-        ),
-    ] = None,
-    rasteriser: Annotated[
-        Literal["auto", "tiles", "quads"],
-        typer.Option(help="What blends: compute shaders, the hardware, or the faster one."),
-    ] = "auto",
-    post: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="A post-process model that the picture goes through; repeatable, in this order."
-        ),
-    ] = None,
-    size: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="SYMBOL=SIZE",
-            help="Give an open dimension of a model a size; repeatable.",
-        ),
-    ] = None,
-    provider: Annotated[
-        Literal["auto", "cpu", "webgpu", "cuda"],
-        typer.Option(help="What ONNX Runtime runs models on."),
-    ] = "cpu",
+    sh_degree: ShDegree = None,
+    antialias: Antialias = None,
+    rasteriser: RasteriserName = "auto",
+    post: Post = None,
+    size: Sizes = None,
+    provider: Provider = "cpu",
     as_json: Annotated[
         bool, typer.Option("--json", help="Print what was drawn as JSON.")
     ] = False,

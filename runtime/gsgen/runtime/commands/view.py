@@ -5,10 +5,20 @@ __all__ = ["view"]
 import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gsgen.runtime.commands.options import (
+    Antialias,
+    Axis,
+    FieldOfView,
+    Post,
+    Provider,
+    Scenes,
+    ShDegree,
+    Sizes,
+)
 from gsgen.runtime.commands.render import ModeName, fed
 
 if TYPE_CHECKING:
@@ -16,13 +26,7 @@ if TYPE_CHECKING:
 
 
 def view(
-    scenes: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Splat files, meshes, ONNX generators and scene.json; several are one scene.",
-            show_default=False,
-        ),
-    ],
+    scenes: Scenes,
     camera: Annotated[
         str | None,
         typer.Option(
@@ -37,13 +41,8 @@ def view(
         int | None,
         typer.Option(help="Of the window. [default: the camera's, or 720]", min=1),
     ] = None,
-    fov: Annotated[
-        float | None, typer.Option(help="Vertical field of view, in degrees. [default: 50]")
-    ] = None,
-    up: Annotated[
-        Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None,
-        typer.Option(help="Which axis points up. [default: the manifest's, or -y]"),
-    ] = None,
+    fov: FieldOfView = None,
+    up: Axis = None,
     orthographic: Annotated[
         bool, typer.Option("--orthographic", help="No perspective.")
     ] = False,
@@ -93,32 +92,11 @@ def view(
     play: Annotated[
         bool, typer.Option("--play/--no-play", help="Whether time goes on at once.")
     ] = True,
-    sh_degree: Annotated[
-        int | None, typer.Option(help="Use no harmonics above this degree.", min=0, max=3)
-    ] = None,
-    antialias: Annotated[
-        Literal["classic", "mip"] | None,
-        typer.Option(
-            help="How the scene was trained. [default: the manifest's, or classic]"
-        ),
-    ] = None,
-    post: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="A post-process model that the picture goes through; repeatable, in this order."
-        ),
-    ] = None,
-    size: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="SYMBOL=SIZE",
-            help="Give an open dimension of a model a size; repeatable.",
-        ),
-    ] = None,
-    provider: Annotated[
-        Literal["auto", "cpu", "webgpu", "cuda"],
-        typer.Option(help="What ONNX Runtime runs models on."),
-    ] = "cpu",
+    sh_degree: ShDegree = None,
+    antialias: Antialias = None,
+    post: Post = None,
+    size: Sizes = None,
+    provider: Provider = "cpu",
     pictures: Annotated[
         Path, typer.Option(help="The folder where pictures are saved.")
     ] = Path(),
