@@ -227,9 +227,8 @@ def make(name: str, folder: Path) -> Made:
     """Export, judge, time and draw a family; ``commands.txt`` keeps what was typed and said."""
     family, log, model = FAMILIES[name], folder / "commands.txt", folder / f"{name}.onnx"
     run, report = folder / "run", folder / "report.json"
-    shutil.rmtree(
-        run, ignore_errors=True
-    )  # an earlier demo's checkpoint may have other files
+    # An earlier demo's checkpoint may have other files.
+    shutil.rmtree(run, ignore_errors=True)
     run.mkdir(parents=True)
     log.write_text("", "utf-8")
     words = family.write(run)
