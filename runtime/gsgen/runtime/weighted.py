@@ -17,7 +17,7 @@ from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
 from gsgen.runtime.frame import Output
 from gsgen.runtime.kernels import counts as counting
-from gsgen.runtime.kernels.bin_cells import BinCells
+from gsgen.runtime.kernels.bin_tiles import BinTiles
 from gsgen.runtime.kernels.blend_tiles import Layers
 from gsgen.runtime.kernels.blend_wsr import BlendWsr
 from gsgen.runtime.kernels.counts import Counts
@@ -55,7 +55,7 @@ class WeightedKernels:
             lambda half, words, panorama: ProjectKernel(device, half, words, panorama, True)
         )
         self.cells = cache(lambda panorama: ProjectCells(device, panorama))
-        self.bin = cache(lambda panorama: BinCells(device, cut.walk, panorama))
+        self.bin = cache(lambda panorama: BinTiles(device, cut.walk, panorama, cells=True))
         self.blend = cache(
             lambda pick, panorama, published, layers: BlendWsr(
                 device, pick, panorama, published, layers

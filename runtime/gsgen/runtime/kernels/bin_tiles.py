@@ -13,24 +13,28 @@ from gsgen.runtime.kernels.kernel import Kernel, Step
 from gsgen.runtime.kernels.shader import ROUND, TILE
 
 WALK_THREADS: Final = 64
-_BINDINGS = "urrrrrwww"
+_BINDINGS = {"bin_tiles": "urrrrrwww", "bin_cells": "urrrwww"}
 
 
 @final
 class BinTiles:
-    """``bin_tiles.wgsl``.
+    """``bin_tiles.wgsl``, or ``bin_cells.wgsl`` for cells in place of splats.
 
     Args:
         device: Where it runs.
         walk: How many splats an invocation walks along.
         panorama: Whether the image is one.
+        cells: Whether it is cells whose tiles are listed.
     """
 
-    def __init__(self, device: Device, walk: int, panorama: bool = False) -> None:
+    def __init__(
+        self, device: Device, walk: int, panorama: bool = False, *, cells: bool = False
+    ) -> None:
+        shader = "bin_cells" if cells else "bin_tiles"
         constants = {"THREADS": WALK_THREADS, "RUN": walk, **PLACES}
         constants |= ROUND if panorama else {}
         self._measure, self._emit = (
-            Kernel(device, "bin_tiles", entry, (_BINDINGS,), **constants)
+            Kernel(device, shader, entry, (_BINDINGS[shader],), **constants)
             for entry in ("measure", "emit")
         )
 
@@ -38,8 +42,8 @@ class BinTiles:
         """Return measuring and emitting; between them the measures are to be scanned.
 
         Args:
-            counts: The frame's counts.
-            resources: What ``bin_tiles.wgsl`` binds, in its order.
+            counts: The frame's counts, or those of its cells.
+            resources: What the shader binds, in its order.
         """
         dispatch = (counts, 4 * Counts.WALK_VISIBLE_GROUPS)
         return (

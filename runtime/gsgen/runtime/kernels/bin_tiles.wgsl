@@ -17,28 +17,15 @@
 
 //!include tile_span
 
-@compute @workgroup_size(THREADS)
-fn measure(@builtin(global_invocation_id) invocation: vec3u) {
-    let visible = counts[VISIBLE];
-    let end = min((invocation.x + 1u) * RUN, visible);
-    var pairs = 0u;
-    for (var rank = invocation.x * RUN; rank < end; rank++) {
-        pairs += u32(colors[order[rank]].w);
-    }
-    if (invocation.x * RUN < visible) {
-        run_pairs[invocation.x] = pairs;
-    }
+fn tiles_of(id: u32) -> u32 {
+    return u32(colors[id].w);
 }
+
+//!include measure_runs
 
 @compute @workgroup_size(THREADS)
 fn emit(@builtin(global_invocation_id) invocation: vec3u) {
-    let visible = counts[VISIBLE];
-    let end = min((invocation.x + 1u) * RUN, visible);
-    let room = counts[PAIR_CAPACITY];
-    var place = 0u;
-    if (invocation.x * RUN < visible) {
-        place = run_pairs[invocation.x];
-    }
+//!include begin_run
     for (var rank = invocation.x * RUN; rank < end; rank++) {
         let id = order[rank];
         let shape = shapes[id];

@@ -27,17 +27,7 @@ fn scan(@builtin(local_invocation_id) local: vec3u) {
     for (var i = start; i < end; i++) {
         sum = min(sum + numbers[i], MANY);
     }
-    sums[local.x] = sum;
-    workgroupBarrier();
-    for (var reach = 1u; reach < THREADS; reach *= 2u) {
-        var below = 0u;
-        if (local.x >= reach) {
-            below = sums[local.x - reach];
-        }
-        workgroupBarrier();
-        sums[local.x] = min(sums[local.x] + below, MANY);
-        workgroupBarrier();
-    }
+//!include scan_sums
     var place = 0u;
     if (local.x > 0u) {
         place = sums[local.x - 1u];

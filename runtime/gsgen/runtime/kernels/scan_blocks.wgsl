@@ -54,17 +54,7 @@ fn spread(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) loc
     for (var k = run; k < run + RUN; k++) {
         sum = min(sum + held[k], MANY);
     }
-    sums[local.x] = sum;
-    workgroupBarrier();
-    for (var reach = 1u; reach < THREADS; reach *= 2u) {
-        var below = 0u;
-        if (local.x >= reach) {
-            below = sums[local.x - reach];
-        }
-        workgroupBarrier();
-        sums[local.x] = min(sums[local.x] + below, MANY);
-        workgroupBarrier();
-    }
+//!include scan_sums
     var place = 0u;
     if (start < length) {
         place = block_sums[group.x];
