@@ -1,6 +1,6 @@
 """Blend: composite each tile's splats, front to back."""
 
-__all__ = ["NOWHERE", "BlendTiles", "Layers", "blend_reference"]
+__all__ = ["NOWHERE", "BlendTiles", "Layers", "blend_reference", "grain"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -43,6 +43,30 @@ class Layers:
     normals: Any = None
 
 
+def grain(
+    device: Device, panorama: bool, layers: int
+) -> tuple[bool, dict[str, int | float | bool]]:
+    """Say how a tile is shared among invocations, whichever way it is blended.
+
+    Returns:
+        Whether its invocations are one subgroup that reads splats together, and the constants of
+        the shader.
+    """
+    # A CPU's vector is as wide as half a tile: one invocation takes two columns, top to
+    # bottom. A GPU wants many invocations.
+    columns, quads = (2, 4) if device.software else (1, 1)
+    constants: dict[str, int | float | bool] = {
+        "COLUMNS": columns,
+        "QUADS": quads,
+        "CELLS": columns * quads,
+        "LANES": TILE // columns,
+        "POLYNOMIAL": device.software,
+    }
+    constants |= ROUND if panorama else {}
+    constants |= {"LAYERS": layers, "LAYERED": 1, "NOWHERE": NOWHERE} if layers else {}
+    return device.software and lanes(device) == TILE // columns, constants
+
+
 @final
 class BlendTiles:
     """``blend_tiles.wgsl``, or ``blend_subgroups.wgsl`` where that is faster.
@@ -57,24 +81,15 @@ class BlendTiles:
     def __init__(
         self, device: Device, pick: bool, panorama: bool = False, layers: int = 0
     ) -> None:
-        # A CPU's vector is as wide as half a tile: one invocation takes two columns, top to
-        # bottom. A GPU wants many invocations.
-        columns, quads = (2, 4) if device.software else (1, 1)
-        together = device.software and lanes(device) == TILE // columns
+        together, constants = grain(device, panorama, layers)
         self.kernel = Kernel(
             device,
             "blend_subgroups" if together else "blend_tiles",
             "blend",
             ("urrrrrw", "rr") if layers else ("urrrrrw",),
-            COLUMNS=columns,
-            QUADS=quads,
-            CELLS=columns * quads,
-            LANES=TILE // columns,
             PICK=pick,
             MASKED=together and not panorama,
-            POLYNOMIAL=device.software,
-            **(ROUND if panorama else {}),
-            **({"LAYERS": layers, "LAYERED": 1, "NOWHERE": NOWHERE} if layers else {}),
+            **constants,
         )
 
     def step(

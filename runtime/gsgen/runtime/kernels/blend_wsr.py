@@ -10,11 +10,10 @@ from jaxtyping import Bool, Float
 
 from gsgen.contract import layout
 from gsgen.runtime.device import Device
-from gsgen.runtime.kernels.blend_tiles import NOWHERE
+from gsgen.runtime.kernels.blend_tiles import grain
 from gsgen.runtime.kernels.kernel import Kernel, Step
 from gsgen.runtime.kernels.project import Projected
-from gsgen.runtime.kernels.shader import MAX_ALPHA, ROUND, TILE
-from gsgen.runtime.kernels.subgroups import lanes
+from gsgen.runtime.kernels.shader import MAX_ALPHA, TILE
 
 FINISHED: Final = 0.01
 """A pixel through which less light passes takes no further cell (Liu et al. 2025, their code)."""
@@ -40,23 +39,17 @@ class BlendWsr:
         published: bool = False,
         layers: int = 0,
     ) -> None:
-        columns, quads = (2, 4) if device.software else (1, 1)  # as in blend_tiles.py
-        together = device.software and lanes(device) == TILE // columns
+        together, constants = grain(device, panorama, layers)
         self.kernel = Kernel(
             device,
             "blend_wsr_subgroups" if together else "blend_wsr",
             "blend",
             ("urrrrrrw", "w") if layers else ("urrrrrrw",),
-            COLUMNS=columns,
-            QUADS=quads,
-            PARTS=columns * quads,
-            LANES=TILE // columns,
+            PARTS=constants["CELLS"],  # cells are something else here
             PICK=pick,
             PUBLISHED=published,
-            POLYNOMIAL=device.software,
             FINISHED=FINISHED,
-            **(ROUND if panorama else {}),
-            **({"LAYERS": layers, "LAYERED": 1, "NOWHERE": NOWHERE} if layers else {}),
+            **constants,
         )
 
     def step(
