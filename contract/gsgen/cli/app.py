@@ -11,6 +11,7 @@ import typer
 
 from gsgen.cli.commands import Command, escaped, find_commands
 from gsgen.contract.errors import GsgenError, UnknownName
+from gsgen.contract.interrupts import INTERRUPTED, ending_at_interrupts
 
 _USAGE = 2
 _INTERNAL = 3
@@ -18,6 +19,18 @@ _INTERNAL = 3
 
 def main() -> None:
     """Run the program on the process's arguments, and exit with the contract's codes."""
+    try:
+        with ending_at_interrupts() as interrupts:
+            _run()
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+    except SystemExit:
+        if interrupts.seen.is_set():  # a window's loop takes Ctrl-C as a wish to close
+            sys.exit(INTERRUPTED)
+        raise
+
+
+def _run() -> None:
     gc.set_threshold(50_000)  # imports make many objects and hardly any garbage
     arguments = sys.argv[1:]
     commands = find_commands()
@@ -32,6 +45,12 @@ def main() -> None:
     except BrokenPipeError:  # the reader of our output went away: `gsgen rules | head`
         sys.stderr.close()
         sys.exit(_USAGE)
+    except Exception:  # a crash is neither a verdict nor a wrong option
+        import traceback
+
+        typer.echo(traceback.format_exc(), err=True)
+        typer.echo("gsgen: internal error: this is a fault of gsgen, not yours", err=True)
+        sys.exit(_INTERNAL)
 
 
 def _fail(error: GsgenError) -> None:

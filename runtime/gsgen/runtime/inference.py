@@ -70,14 +70,16 @@ class Inference:
     def __init__(
         self, path: Path, provider: str, sizes: Mapping[str, int] | None = None
     ) -> None:
-        from gsgen.sdk.binding import FrameSession
+        from gsgen.sdk.binding import FrameSession, Stop
 
+        self._stop = Stop()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="gsgen inference")
         try:
             opened = self._worker.submit(
-                FrameSession, path, provider=provider, sizes=sizes
+                FrameSession, path, provider=provider, sizes=sizes, stop=self._stop
             ).result()
         except BaseException:
+            self.interrupt()  # it may never end by itself
             self._worker.shutdown()
             raise
         self.session: FrameSession = opened
@@ -115,10 +117,16 @@ class Inference:
             from gsgen.sdk.binding import SessionClosed
 
             raise SessionClosed("the session was closed", where=str(self.session.path))
+        self._stop.reset()
         return self._worker.submit(self._compute, camera, values)
 
+    def interrupt(self) -> None:
+        """End what was begun, which fails; another frame can be begun after."""
+        self._stop.now()
+
     def close(self) -> None:
-        """Wait for what was begun, and release the session; doing it twice does no harm."""
+        """End what was begun, and release the session; doing it twice does no harm."""
+        self.interrupt()
         self._worker.shutdown()
         self.session.close()
 

@@ -118,6 +118,10 @@ class Player:
             self._finish()
             if before is not None:
                 yield self._draw(*before)
+        except KeyboardInterrupt:
+            for source in self._sources:
+                source.interrupt()
+            raise
         finally:
             for source in self._sources:  # where nobody wants the rest
                 source.abandon()

@@ -91,6 +91,9 @@ class Source(ABC):
     def abandon(self) -> None:
         """Wait for the moment that was begun, if any; what is wrong with it concerns nobody."""
 
+    def interrupt(self) -> None:  # noqa: B027 - what computes nothing has nothing to end
+        """End what computes the moment that was begun, which fails."""
+
     def update(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
         """Bring the Gaussians to a moment; see :meth:`start` and :meth:`finish`."""
         self.start(camera, values, frame)
@@ -267,6 +270,13 @@ class GeneratorSource(Source):
             self._take(future.result())
         except GsgenError as error:
             raise placed(error, self.name, frame) from error
+        except KeyboardInterrupt:
+            self.interrupt()
+            raise
+
+    def interrupt(self) -> None:
+        """End the run of the model."""
+        self._inference.interrupt()
 
     def abandon(self) -> None:
         """Wait for the model. It makes a whole frame again after one that failed."""

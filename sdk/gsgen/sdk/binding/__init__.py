@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     )
     from gsgen.sdk.binding.frame import Frame
     from gsgen.sdk.binding.session import FrameSession
+    from gsgen.sdk.binding.stop import Stop
 
 __all__ = [
     "CameraLike",
@@ -35,6 +36,7 @@ __all__ = [
     "RunFailed",
     "SessionClosed",
     "SizeUnknown",
+    "Stop",
 ]
 
 _HOME = {
@@ -50,6 +52,7 @@ _HOME = {
     "RunFailed": "errors",
     "SessionClosed": "errors",
     "SizeUnknown": "errors",
+    "Stop": "stop",
 }
 
 __getattr__ = attributes(__name__, _HOME)

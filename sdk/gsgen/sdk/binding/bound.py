@@ -16,6 +16,7 @@ from gsgen.contract.errors import GsgenError
 from gsgen.sdk.binding.buffers import Buffer, make_buffer
 from gsgen.sdk.binding.errors import RunFailed, SizeUnknown
 from gsgen.sdk.binding.placed import words
+from gsgen.sdk.binding.stop import Stop
 
 # A run with this graph number is neither captured nor replayed.
 _NO_GRAPH = ("gpu_graph_id", "-1")
@@ -111,6 +112,7 @@ class Bound:
         shapes: Mapping[str, tuple[int, ...]],
         start: Mapping[str, np.ndarray],
         memory: str,
+        stop: Stop | None = None,
     ) -> None:
         """Bind everything.
 
@@ -119,18 +121,18 @@ class Bound:
             shapes: Input name → shape.
             start: Input name → the tensor that it holds at first.
             memory: Where buffers are: ``cpu``, ``gpu`` or ``cuda``.
+            stop: Ends its runs.
 
         Raises:
             RunFailed: An output is too large to hold, or the session cannot be run even to learn
                 its outputs' shapes.
         """
-        import onnxruntime
-
+        stop = stop or Stop()
         self.session = session
         self._memory = memory
         self._read: dict[str, np.ndarray] = {}
         self._binding = session.io_binding()
-        self._plainly = onnxruntime.RunOptions()
+        self._options, self._plainly = stop.options(), stop.options()
         self._plainly.add_run_config_entry(*_NO_GRAPH)
         self.inputs = {
             one.name: self._bind_input(one, shapes[one.name])
@@ -148,7 +150,7 @@ class Bound:
     def run(self) -> None:
         """Compute a frame; a session that captures records the first and replays the others."""
         self._read.clear()
-        self.session.run_with_iobinding(self._binding)
+        self.session.run_with_iobinding(self._binding, self._options)
 
     def run_plainly(self) -> None:
         """Compute a frame by launching every kernel anew, whatever the session does else."""

@@ -19,6 +19,7 @@ from typing import Any, Literal, get_args
 from gsgen.contract.errors import UnknownName
 from gsgen.sdk.binding.errors import FellBack, ProviderUnavailable
 from gsgen.sdk.binding.placed import CPU, words
+from gsgen.sdk.binding.stop import Stop
 from gsgen.sdk.binding.webgpu import (
     DRIVER,
     PACKAGE,
@@ -74,12 +75,14 @@ class Opening:
         capture: Commands are recorded once and replayed.
         sizes: Symbol → size of a dimension.
         threads: Threads of the CPU provider; 0 lets ONNX Runtime decide.
+        stop: Ends its runs; None where nobody does.
     """
 
     choice: Choice
     capture: bool = False
     sizes: Mapping[str, int] = field(default_factory=dict)
     threads: int = 0
+    stop: Stop | None = None
 
     def without_capture(self) -> "Opening":
         """Return the same, for a session that computes every frame anew."""

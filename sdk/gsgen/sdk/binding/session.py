@@ -33,6 +33,7 @@ from gsgen.sdk.binding.placed import CPU, Node
 from gsgen.sdk.binding.port import Port
 from gsgen.sdk.binding.providers import Choice, Opening, Provider, choose
 from gsgen.sdk.binding.sources import read_sources
+from gsgen.sdk.binding.stop import Stop
 from gsgen.sdk.binding.warm_up import Ready, get_ready
 
 # All sessions on WebGPU share one device, which is not made for several threads.
@@ -72,6 +73,7 @@ class FrameSession:
         sizes: Mapping[str, int] | None = None,
         manifest: Manifest | None = None,
         threads: int = 0,
+        stop: Stop | None = None,
     ) -> None:
         """Open the model, bind its buffers and run it; nothing is left to do in the first frame.
 
@@ -83,6 +85,7 @@ class FrameSession:
                 it has no symbol.
             manifest: Stands in for the embedded one.
             threads: Threads of the CPU provider; 0 lets ONNX Runtime decide.
+            stop: Ends runs of a model that takes too long, those of this call, too.
 
         Raises:
             ModelUnreadable: The file is no ONNX model.
@@ -96,7 +99,8 @@ class FrameSession:
         self._number = -1
         self._sources = sources = read_sources(self.path, manifest)
         known, choice = sources.sizes(sizes or {}), choose(provider)
-        opening = Opening(choice, capture and choice.provider != "cpu", known, threads)
+        capture = capture and choice.provider != "cpu"
+        opening = Opening(choice, capture, known, threads, stop)
         with _lock_of(choice):
             ready = get_ready(sources, opening)
         self._ready: Ready | None = ready

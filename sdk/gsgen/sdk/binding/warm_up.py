@@ -93,7 +93,8 @@ def _open(sources: Sources, opening: Opening) -> Ready:
     inputs = [sources.port(one, opening.sizes) for one in specs(session.get_inputs())]
     ports = {port.name: port for port in inputs}
     shapes = {port.name: port.shape for port in inputs}
-    bound = Bound(session, shapes, _defaults(ports), MEMORY[opening.choice.provider])
+    memory = MEMORY[opening.choice.provider]
+    bound = Bound(session, shapes, _defaults(ports), memory, opening.stop)
     return Ready(opening.choice, bound, ports, placement(session), captured=True)
 
 
