@@ -1,7 +1,6 @@
 import pickle
 import warnings
 import zipfile
-from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import torch
 
 from gsgen.formats import ply_properties, read_ply_columns
 from gsgen.reference_plugins.checkpoints.anchors import read_anchors
-from gsgen.reference_plugins.checkpoints.cfg_args import read_cfg_args
 from gsgen.reference_plugins.checkpoints.deformations import read_deformation
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid, NotInCheckpoint
 from gsgen.reference_plugins.checkpoints.folder import find_iteration
@@ -46,31 +44,6 @@ class Evil:
         return (eval, ("__import__('pathlib').Path('ran').write_text('x')",))
 
 
-# ===== cfg_args
-
-
-def test_literals_are_read_and_unknown_ones_do_no_harm(tmp_path: Path) -> None:
-    text = "Namespace(a=1, b=-2.5, c='x', d=True, e=None, f=[1, 2], g={'k': [3]})"
-    read = read_cfg_args(cfg(tmp_path, text))
-    assert read.values == {
-        "a": 1, "b": -2.5, "c": "x", "d": True, "e": None, "f": [1, 2], "g": {"k": [3]},
-    }  # fmt: skip
-    assert (read.integer("a", 0), read.number("a", 0), read.flag("zz", True)) == (
-        1,
-        1,
-        True,
-    )
-
-
-def test_what_python_prints_without_a_literal_is_read(tmp_path: Path) -> None:
-    """As argparse prints infinities, and options whose names are no identifiers."""
-    printed = Namespace(far=float("inf"), near=[-float("inf")], **{"some-key": 3})
-    assert repr(printed) == "Namespace(far=inf, near=[-inf], **{'some-key': 3})"
-    read = read_cfg_args(cfg(tmp_path, repr(printed)))
-    assert read.values == {"far": np.inf, "near": [-np.inf], "some-key": 3}
-    assert np.isnan(read_cfg_args(cfg(tmp_path, "Namespace(a=nan)")).number("a", 0))
-
-
 def test_networks_that_no_method_has_are_named(tmp_path: Path) -> None:
     run = write_scaffold(tmp_path, AnchorOptions(anchors=4, united=True))
     (united,) = run.rglob("checkpoints.pth")
@@ -79,48 +52,6 @@ def test_networks_that_no_method_has_are_named(tmp_path: Path) -> None:
     change(united, lambda nets: nets.update(mystery=nets["cov_mlp"]))
     with pytest.raises(CheckpointInvalid, match=r"unexpected: mystery; known are"):
         read_anchors(run)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("Namespace(a=__import__('os').system('touch ran'))", "wanted a literal"),
-        ("Namespace(a=[x for x in (1,)])", "wanted a literal"),
-        ("__import__('os').system('touch ran')", "is no Namespace"),
-        ("Namespace(1, 2)", "is no Namespace"),
-        ("Namespace(**{'a': 1})", "is no Namespace"),
-        ("Namespace(**{'a-b': open('x')})", "an option is .*, wanted a literal"),
-        ("Namespace(**x)", "is no Namespace"),
-        ("Namespace(a=1", "cannot be parsed"),
-        ("", "cannot be parsed"),
-        ("Namespace(a=" + "-" * 100_000 + "1)", "cannot be parsed|wanted a literal"),
-        ("Namespace(a='" + "x" * (1 << 20) + "')", "is larger"),
-    ],
-)
-def test_what_is_no_namespace_of_literals_is_refused(
-    text: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(CheckpointInvalid, match=words):
-        read_cfg_args(cfg(tmp_path, text))
-    assert not (tmp_path / "ran").exists()
-
-
-@pytest.mark.parametrize(
-    ("take", "words"),
-    [
-        (lambda c: c.flag("a"), "a is 1, wanted True or False"),
-        (lambda c: c.integer("b", 0), "b is 'x', wanted a whole number"),
-        (lambda c: c.number("d", 0), "d is True, wanted a number"),
-        (lambda c: c.word("b", "y", ("y", "z")), "b is 'x', wanted 'y' or 'z'"),
-    ],
-)
-def test_an_option_of_another_kind_is_refused(
-    take: Callable, words: str, tmp_path: Path
-) -> None:
-    read = read_cfg_args(cfg(tmp_path, "Namespace(a=1, b='x', d=True)"))
-    with pytest.raises(CheckpointInvalid, match=words):
-        take(read)
 
 
 # ===== folders

@@ -11,6 +11,7 @@ from gsgen.reference_plugins.commands.options import (
     Iteration,
     Loop,
     note,
+    tell,
 )
 from gsgen.sdk.plugin import Plugin
 
@@ -36,7 +37,7 @@ def build(
     from gsgen.sdk import inputs
 
     read = read_deformation(checkpoint, iteration)
-    note(read.describe())
+    tell(read.describe(), read.cfg)
     if not read.cfg.present:
         note(f"note: there is no {read.cfg.path}; the kind is taken from the network")
     if read.operations > _HEAVY:

@@ -12,6 +12,7 @@ from gsgen.reference_plugins.commands.options import (
     Iteration,
     MaxAnchors,
     note,
+    tell,
     warn_of,
 )
 from gsgen.sdk.plugin import Plugin
@@ -65,7 +66,10 @@ def build(
 
     read = read_cells(checkpoint, iteration)
     levels = Levels.of(read.anchors)
-    note(f"{describe_cells(read)}; {levels.mode} to whole levels, fork {levels.fork:g}")
+    tell(
+        f"{describe_cells(read)}; {levels.mode} to whole levels, fork {levels.fork:g}",
+        read.anchors.cfg,
+    )
     if blend == "alpha":
         note(
             "note: the method blends by a weighted sum of cells; this model is blended by "

@@ -21,7 +21,7 @@ from gsgen.reference_plugins.commands.options import (
     Fps,
     Iteration,
     Loop,
-    note,
+    tell,
 )
 from gsgen.sdk.plugin import Plugin
 
@@ -48,7 +48,7 @@ def build(
     from gsgen.reference_plugins.gauhuman import GauHuman
 
     read = read_gauhuman(checkpoint, iteration, body)
-    note(read.describe())
+    tell(read.describe(), read.cfg)
     warn_of_body(read.cfg)
     told = read_motion(motion, read.body.joints) if motion else None
     avatar = GauHuman(

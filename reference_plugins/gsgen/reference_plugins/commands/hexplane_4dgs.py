@@ -13,6 +13,7 @@ from gsgen.reference_plugins.commands.options import (
     Iteration,
     Loop,
     note,
+    tell,
 )
 from gsgen.sdk.plugin import Plugin
 
@@ -44,7 +45,7 @@ def build(
     from gsgen.sdk import inputs
 
     read = read_hexplanes(checkpoint, iteration)
-    note(read.describe())
+    tell(read.describe(), read.cfg)
     if read.flags.mask == "empty_voxel":
         note("warning: empty_voxel is honoured, but was never compared with the original")
     time = inputs.time(frames=frames, fps=fps, loop=loop or None)

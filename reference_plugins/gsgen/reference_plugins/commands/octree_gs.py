@@ -10,7 +10,7 @@ from gsgen.reference_plugins.commands.options import (
     CullOption,
     Iteration,
     MaxAnchors,
-    note,
+    tell,
     warn_of,
 )
 from gsgen.sdk.plugin import Plugin
@@ -43,7 +43,10 @@ def build(
 
     read = read_anchors(checkpoint, iteration, octree=True)
     levels = Levels.of(read)
-    note(f"{describe_anchors(read)}; {levels.mode} to whole levels, fork {levels.fork:g}")
+    tell(
+        f"{describe_anchors(read)}; {levels.mode} to whole levels, fork {levels.fork:g}",
+        read.cfg,
+    )
     warn_of(read.cfg, _HONOURED)
     selection = Selection(cull, max_anchors)
     appearance = require_appearance(read, appearance_id, "--appearance-id")

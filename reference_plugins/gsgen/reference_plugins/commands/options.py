@@ -10,6 +10,7 @@ __all__ = [
     "Loop",
     "MaxAnchors",
     "note",
+    "tell",
     "warn_of",
 ]
 
@@ -70,6 +71,16 @@ def note(text: str) -> None:
     """Say something about the checkpoint, on a line of its own even while progress is shown."""
     clear = "\r\x1b[2K" if sys.stderr.isatty() else ""
     typer.echo(f"{clear}{text}", err=True)
+
+
+def tell(what: str, cfg: "CfgArgs") -> None:
+    """Say what a checkpoint holds, and which options of its run are no literals.
+
+    Nothing was wanted of those: whoever reads one that is none has refused it before.
+    """
+    note(what)
+    for name, printed in cfg.printed().items():
+        note(f"warning: {name}={printed!r:.80} in {cfg.path} is no literal; it is not read")
 
 
 def warn_of(cfg: "CfgArgs", expected: Mapping[str, tuple[Any, str]]) -> None:

@@ -26,6 +26,7 @@ from gsgen.reference_plugins.commands.options import (
     Iteration,
     Loop,
     note,
+    tell,
 )
 from gsgen.sdk.plugin import Plugin
 
@@ -73,7 +74,7 @@ def build(
     from gsgen.reference_plugins.r3_avatar import R3Avatar
 
     read = read_r3(checkpoint, iteration, body, dataset)
-    note(read.describe())
+    tell(read.describe(), read.cfg)
     warn_of_body(read.cfg)
     told = read_motion(motion, read.body.joints) if motion else None
     # A motion shows a frame of training with each of its own, so it needs no more.

@@ -11,6 +11,7 @@ from gsgen.reference_plugins.commands.options import (
     Iteration,
     MaxAnchors,
     note,
+    tell,
 )
 from gsgen.sdk.plugin import Plugin
 
@@ -38,7 +39,7 @@ def build(
     from gsgen.reference_plugins.selection import Selection
 
     read = read_anchors(checkpoint, iteration)
-    note(describe_anchors(read))
+    tell(describe_anchors(read), read.cfg)
     if not read.cfg.present:
         note(
             f"note: there is no {read.cfg.path}; flags are taken from the networks' shapes"
