@@ -1,9 +1,11 @@
 """Body models, motions and checkpoints of people: what is read, and what is refused."""
 
+import io
 import json
 import os
 import pickle
 import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -69,6 +71,28 @@ def test_an_avatar_of_lhm_runs_nothing(tmp_path: Path) -> None:
     with pytest.raises(CheckpointInvalid, match="system"):
         read_lhm(folder)
     assert not (tmp_path / "harmed").exists()
+
+
+@pytest.mark.parametrize("module", ["numpy.core", "numpy._core"])
+def test_numbers_of_numpy_beside_the_tensors_do_no_harm(
+    module: str, tmp_path: Path
+) -> None:
+    """Learning rates, the extent of a scene: old and new NumPy name them differently."""
+    files = {
+        write_r3(tmp_path / "r3") / "chkpnt60000.pth": lambda: read_r3(tmp_path / "r3"),
+        write_lhm(tmp_path / "lhm") / "avatar.pth": lambda: read_lhm(tmp_path / "lhm"),
+    }
+    for path, read in files.items():
+        rewritten = io.BytesIO()
+        with zipfile.ZipFile(path) as old, zipfile.ZipFile(rewritten, "w") as new:
+            for name in old.namelist():
+                data = old.read(name)
+                if name.endswith("data.pkl"):
+                    assert b"numpy._core.multiarray" in data
+                    data = data.replace(b"numpy._core", module.encode())
+                new.writestr(name, data)
+        path.write_bytes(rewritten.getvalue())
+        assert len(read().body.parents) in (24, 55)
 
 
 # As Python 2 wrote them: protocol 0 and the module names of that time.

@@ -9,7 +9,6 @@ point, which comes with LHM's weights, as does the list of vertices that must no
 
 __all__ = ["Face", "LHMCheckpoint", "read_face", "read_lhm"]
 
-import pickle
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +24,7 @@ from gsgen.reference_plugins.checkpoints.array_pickles import read_array_pickle
 from gsgen.reference_plugins.checkpoints.bodies import Body, read_body, required_body
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 from gsgen.reference_plugins.checkpoints.folder import likely_folders, required_file
-from gsgen.reference_plugins.checkpoints.reasons import reason_of
+from gsgen.reference_plugins.checkpoints.tensor_files import load_tensors
 
 JOINTS = 55
 BETAS = 10
@@ -194,11 +193,7 @@ def _avatar_file(folder: Path) -> Path:
 
 def _tensors(path: Path) -> dict[str, Tensor]:
     mend = f"Wanted the list {', '.join(_FIELDS)}, as Visionary's fork of LHM saves it."
-    try:
-        read = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError) as error:
-        what = f"cannot be read: {reason_of(error)}"
-        raise CheckpointInvalid(what, where=str(path), mend=mend) from error
+    read = load_tensors(path, mend)
     if not isinstance(read, list | tuple) or len(read) != len(_FIELDS):
         seen = f"a {type(read).__name__}"
         if isinstance(read, list | tuple):

@@ -7,7 +7,6 @@ training code has. ``torch.load(weights_only=True)`` is told to put an inert cla
 
 __all__ = ["DATASETS", "R3Checkpoint", "read_r3"]
 
-import pickle
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -25,8 +24,8 @@ from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid, NotInC
 from gsgen.reference_plugins.checkpoints.folder import likely_folders
 from gsgen.reference_plugins.checkpoints.gauhuman import read_body_of
 from gsgen.reference_plugins.checkpoints.pose_nets import PoseNets, read_pose_nets
-from gsgen.reference_plugins.checkpoints.reasons import reason_of
 from gsgen.reference_plugins.checkpoints.states import Shape, checked
+from gsgen.reference_plugins.checkpoints.tensor_files import Inert, load_tensors
 
 # Data set → the pose id at which time is 0 (R3-Avatar, gaussian_renderer/__init__.py).
 DATASETS = {"dna": 50, "zju": 150, "hifi4g": 75, "mvhuman": 75}
@@ -56,14 +55,8 @@ _CLASSES = (
 Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
 
 
-class _Shell:
-    """Stands for a class of the file: keeps what it was given and does nothing."""
-
-    def __init__(self) -> None:
-        self.given: dict[str, Any] = {}
-
-    def __setstate__(self, state: Any) -> None:
-        self.given = state if isinstance(state, dict) else {}
+class _Shell(Inert):
+    """Stands for a module of the file, whose tensors are wanted."""
 
     def tensors(self, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
         """Yield what ``state_dict`` would."""
@@ -180,13 +173,7 @@ def _guessed(cfg: CfgArgs) -> str:
 
 def _fields(path: Path) -> Any:
     mend = "Wanted what R3-Avatar's training saves; code in files is not run."
-    inert: list[Any] = [(_Shell, name) for name in _CLASSES]
-    try:
-        with torch.serialization.safe_globals(inert):
-            read = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError) as error:
-        what = f"cannot be read: {reason_of(error)}"
-        raise CheckpointInvalid(what, where=str(path), mend=mend) from error
+    read = load_tensors(path, mend, [(_Shell, name) for name in _CLASSES])
     fields = read[0] if isinstance(read, tuple) and len(read) == 2 else None
     if not isinstance(fields, tuple) or len(fields) != _FIELDS:
         what = f"is no pair of {_FIELDS} fields and an iteration"

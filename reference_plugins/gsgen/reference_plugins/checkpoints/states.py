@@ -2,7 +2,6 @@
 
 __all__ = ["Shape", "checked", "load_state", "part"]
 
-import pickle
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from torch import Tensor
 
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 from gsgen.reference_plugins.checkpoints.folder import required_file
-from gsgen.reference_plugins.checkpoints.reasons import reason_of
+from gsgen.reference_plugins.checkpoints.tensor_files import load_tensors
 
 # None stands for any size.
 Shape = tuple[int | None, ...]
@@ -31,15 +30,8 @@ def load_state(path: Path, what: str) -> dict[str, Any]:
         CheckpointInvalid: The file is missing, damaged, or holds more than tensors.
     """
     required_file(path, what)
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError) as error:
-        mend = (
-            "Wanted a file of tensors, as torch.save writes it; code in files is not run."
-        )
-        raise CheckpointInvalid(
-            f"cannot be read: {reason_of(error)}", where=str(path), mend=mend
-        ) from error
+    mend = "Wanted a file of tensors, as torch.save writes it; code in files is not run."
+    state = load_tensors(path, mend)
     if not isinstance(state, dict):
         raise CheckpointInvalid(
             f"holds a {type(state).__name__}, wanted a state dict", where=str(path)

@@ -149,7 +149,11 @@ def _lhm_tensors(
         neutral,
         rng.normal(size=10),
     ]
-    return [*(torch.from_numpy(one.astype(np.float32)) for one in arrays), 7.3, True]
+    return [
+        *(torch.from_numpy(one.astype(np.float32)) for one in arrays),
+        np.float64(7.3),
+        True,
+    ]
 
 
 def write_r3(folder: Path, options: PersonOptions = _CORRECTED) -> Path:
@@ -203,7 +207,9 @@ def _r3_fields(
     return (
         *(3, *parameters, nn.Parameter(torch.from_numpy(splats.rotation))),
         nn.Parameter(torch.from_numpy(splats.logit_opacity)[:, None]),
-        *(torch.zeros(0), torch.zeros(len(xyz), 1), torch.zeros(len(xyz), 1), {}, 1.0),
+        *(torch.zeros(0), torch.zeros(len(xyz), 1), torch.zeros(len(xyz), 1)),
+        # Numbers that NumPy computed, as they are in what training saves.
+        *({"state": {}, "param_groups": [{"lr": np.float64(1.6e-6)}]}, np.float64(1.1)),
         _filled(classes["BodyPoseRefiner"](), pose),
         _filled(classes["LBSOffsetDecoder"](), weights),
         *(
