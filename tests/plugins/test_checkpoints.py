@@ -122,6 +122,57 @@ def test_networks_in_one_file_or_in_many_are_the_same(tmp_path: Path) -> None:
     assert torch.equal(many.embedding, one.embedding)  # type: ignore[arg-type]
 
 
+def _as_first(nets: dict, place: Path) -> None:
+    nets["mlp_feature_bank"] = nets.pop("feature_bank_mlp")
+    torch.save(nets, place / "checkpoint.pth")
+
+
+def _one_by_one(nets: dict, place: Path) -> None:
+    for name, state in nets.items():
+        file = {"appearance": "embedding_appearance"}.get(name, name)
+        torch.save(state, place / f"{file}.pt", _use_new_zipfile_serialization="o" in name)
+
+
+def _wrapped(nets: dict, place: Path) -> None:
+    for prefix in ("_orig_mod.", "module."):
+        nets = {n: {prefix + k: v for k, v in s.items()} for n, s in nets.items()}
+    torch.save(nets, place / "checkpoints.pth")
+
+
+def _of_other_kinds(nets: dict, place: Path) -> None:
+    """Doubles, parameters that want gradients, and tensors that are not contiguous."""
+    for state in nets.values():
+        for name, value in state.items():
+            other = torch.stack([value.double()] * 2, dim=-1)[..., 0]
+            state[name] = torch.nn.Parameter(other)
+    torch.save(nets, place / "checkpoints.pth")
+
+
+@pytest.mark.parametrize("save", [_as_first, _one_by_one, _wrapped, _of_other_kinds])
+def test_networks_are_read_however_they_were_saved(save: Callable, tmp_path: Path) -> None:
+    first = save is _as_first  # which knew no appearances, and always the distance
+    chosen = AnchorOptions(
+        anchors=4, bank=True, distance=(True, True, True), cameras=0 if first else 3,
+        appearance=0 if first else 2, united=True,
+    )  # fmt: skip
+    wanted = read_anchors(write_scaffold(tmp_path, chosen)).nets
+    if first:
+        cfg(tmp_path, "Namespace(feat_dim=16, n_offsets=5, use_feat_bank=True, lod=0)")
+        wanted = read_anchors(tmp_path).nets
+    (united,) = tmp_path.rglob("checkpoints.pth")
+    nets = torch.load(united, weights_only=True)
+    united.unlink()
+    save(nets, united.parent)
+    seen = read_anchors(tmp_path).nets
+    assert wanted.color.distance
+    for net in ("opacity", "covariance", "color", "bank"):
+        for layer in ("hidden", "hidden_bias", "out", "out_bias", "distance"):
+            a, b = (getattr(getattr(one, net), layer) for one in (seen, wanted))
+            assert a == b if layer == "distance" else torch.equal(a, b)
+    if not first:
+        assert torch.equal(seen.embedding, wanted.embedding)  # type: ignore[arg-type]
+
+
 def _archive(path: Path, payload: object, order: bytes = b"little") -> None:
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("net/data.pkl", pickle.dumps(payload, 2))

@@ -2,7 +2,8 @@
 
 The layout is that of Scaffold-GS (``scene/gaussian_model.py``: ``save_ply``,
 ``save_mlp_checkpoints``) and of Octree-GS, which adds levels. Networks are either one TorchScript
-file each or, in the mode ``unite``, state dicts in one ``checkpoints.pth``.
+file each, or state dicts in one file: ``checkpoints.pth`` of the mode ``unite``, and
+``checkpoint.pth`` of the first versions of Scaffold-GS.
 """
 
 __all__ = [
@@ -33,8 +34,12 @@ from gsgen.formats import FormatError, ply_properties, read_ply_columns
 from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid, NotInCheckpoint
 from gsgen.reference_plugins.checkpoints.folder import find_iteration, required_file
-from gsgen.reference_plugins.checkpoints.script_archive import read_script_state
-from gsgen.reference_plugins.checkpoints.states import Shape, checked, load_state
+from gsgen.reference_plugins.checkpoints.states import (
+    Shape,
+    checked,
+    load_network,
+    load_state,
+)
 
 _OFFSET = re.compile(r"f_offset_(\d+)")
 _FEATURE = re.compile(r"f_anchor_feat_(\d+)")
@@ -42,7 +47,13 @@ _XYZ = ("x", "y", "z")
 _SCALES = tuple(f"scale_{i}" for i in range(6))
 _ROTATION = tuple(f"rot_{i}" for i in range(4))
 _LEVELS = ("level", "extra_level", "info")
-_UNITED = "checkpoints.pth"
+# The first versions of Scaffold-GS wrote the latter.
+_UNITED = ("checkpoints.pth", "checkpoint.pth")
+_RENAMED = {
+    "appearance": "embedding",
+    "feature_bank_mlp": "bank",
+    "mlp_feature_bank": "bank",
+}
 _UNUSED = ("vi_mlp",)  # Duplex-GS saves it, and does not ask it
 _DIRECTION = 3
 _CHANNELS = {"opacity_mlp": 1, "cov_mlp": 7, "color_mlp": 3}
@@ -273,22 +284,18 @@ States = Mapping[str, tuple[Path, Mapping[str, Any]]]
 
 def _states(place: Path) -> States:
     """Return each network's file and state dict, from one file or from many."""
-    united = place / _UNITED
-    if united.is_file():
+    for united in (place / name for name in _UNITED if (place / name).is_file()):
         found = load_state(united, "the networks")
-        names = {"appearance": "embedding", "feature_bank_mlp": "bank"}
-        known = {*_CHANNELS, *names, *_UNUSED}
+        known = {*_CHANNELS, *_RENAMED, *_UNUSED}
         if unknown := sorted(str(key) for key in found if found[key] and key not in known):
             what = f"unexpected: {', '.join(unknown)}; known are {', '.join(sorted(known))}"
             raise CheckpointInvalid(what, where=str(united))
-        return {names.get(key, key): (united, found[key]) for key in found if found[key]}
+        return {_RENAMED.get(key, key): (united, found[key]) for key in found if found[key]}
     files = {name: f"{name}.pt" for name in _CHANNELS}
     files |= {"bank": "feature_bank_mlp.pt", "embedding": "embedding_appearance.pt"}
     paths = {name: place / file for name, file in files.items()}
     return {
-        name: (path, read_script_state(path))
-        for name, path in paths.items()
-        if path.is_file()
+        name: (path, load_network(path)) for name, path in paths.items() if path.is_file()
     }
 
 
@@ -299,7 +306,7 @@ def _embedding(path: Path, state: Mapping[str, Any], cfg: CfgArgs) -> Tensor:
 
 def _head(name: str, states: States, place: Path, cfg: CfgArgs, sizes: _Sizes) -> Mlp:
     if name not in states:
-        mend = f"Networks are {', '.join(_CHANNELS)} (.pt each), or all in {_UNITED}."
+        mend = f"Networks are {', '.join(_CHANNELS)} (.pt each), or all in {_UNITED[0]}."
         raise CheckpointInvalid("is missing", where=str(place / f"{name}.pt"), mend=mend)
     path, state = states[name]
     known = sizes.width + _DIRECTION + sizes.level

@@ -5,7 +5,7 @@ and one raw file for each storage, inside an uncompressed zip; a pickle reader t
 and nothing else finds them by the names that ``state_dict`` would give.
 """
 
-__all__ = ["read_script_state"]
+__all__ = ["is_script_archive", "read_script_state"]
 
 import pickle
 import sys
@@ -32,6 +32,14 @@ _DTYPES = {
     "ByteStorage": torch.uint8,
     "BoolStorage": torch.bool,
 }
+
+
+def is_script_archive(path: Path) -> bool:
+    """Whether ``torch.jit.save`` wrote the file, and not ``torch.save``: it has constants."""
+    if not zipfile.is_zipfile(path):
+        return False
+    with zipfile.ZipFile(path) as archive:
+        return any(name.endswith("/constants.pkl") for name in archive.namelist())
 
 
 def read_script_state(path: Path) -> dict[str, Tensor]:

@@ -1,6 +1,6 @@
 """State dicts, read safely and checked name by name before anything is made of them."""
 
-__all__ = ["Shape", "checked", "load_state", "part"]
+__all__ = ["Shape", "checked", "load_network", "load_state", "part"]
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -11,12 +11,18 @@ from torch import Tensor
 
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 from gsgen.reference_plugins.checkpoints.folder import required_file
+from gsgen.reference_plugins.checkpoints.script_archive import (
+    is_script_archive,
+    read_script_state,
+)
 from gsgen.reference_plugins.checkpoints.tensor_files import load_tensors
 
 # None stands for any size.
 Shape = tuple[int | None, ...]
 
 _SHOWN = 12
+# What training on several GPUs, and compiling, put before every name.
+_WRAPPERS = ("module.", "_orig_mod.")
 
 
 def load_state(path: Path, what: str) -> dict[str, Any]:
@@ -36,7 +42,26 @@ def load_state(path: Path, what: str) -> dict[str, Any]:
         raise CheckpointInvalid(
             f"holds a {type(state).__name__}, wanted a state dict", where=str(path)
         )
-    return state
+    return {name: _unwrapped(value) for name, value in _unwrapped(state).items()}
+
+
+def load_network(path: Path) -> dict[str, Any]:
+    """Read the tensors of one network, of a TorchScript archive or of a state dict.
+
+    Raises:
+        CheckpointInvalid: The file is missing, damaged, or holds more than tensors.
+    """
+    if path.is_file() and is_script_archive(path):
+        return dict(read_script_state(path))
+    return load_state(path, "a network")
+
+
+def _unwrapped(value: Any) -> Any:
+    """Return a state dict as if its network had not been wrapped; anything else as it is."""
+    for prefix in 2 * _WRAPPERS if isinstance(value, dict) and value else ():
+        if all(str(name).startswith(prefix) for name in value):
+            value = {str(name).removeprefix(prefix): one for name, one in value.items()}
+    return value
 
 
 def part(state: Mapping[str, Any], prefix: str) -> dict[str, Any]:
@@ -104,6 +129,6 @@ def _trouble(name: str, value: Any, shape: Shape) -> str:
     if not fits:
         words = ", ".join("any" if size is None else str(size) for size in shape)
         return f"{name} is {list(value.shape)}, wanted [{words}]"
-    if not torch.isfinite(value).all():
+    if not torch.isfinite(value.to(torch.float32)).all():
         return f"{name} holds NaN or infinity"
     return ""
