@@ -1,4 +1,5 @@
 import pickle
+import shutil
 import warnings
 import zipfile
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from gsgen.reference_plugins.checkpoints.folder import find_iteration
 from gsgen.reference_plugins.checkpoints.hexplanes import read_hexplanes
 from gsgen.reference_plugins.checkpoints.model_config import read_model_config
 from gsgen.reference_plugins.checkpoints.script_archive import read_script_state
+from gsgen.reference_plugins.commands import octree_gs
 from gsgen.reference_plugins.synthetic import (
     AnchorOptions,
     HexPlaneOptions,
@@ -75,8 +77,6 @@ def test_folders_a_little_off_name_the_right_one(tmp_path: Path) -> None:
     named = f"{runs[0]} or {runs[1]} or {runs[2]}"
     wrong = {
         tmp_path: f"Did you mean {named}? (1 more look right.)",
-        runs[3] / "point_cloud" / "iteration_5": f"Did you mean {runs[3]}?",
-        runs[3] / "point_cloud": f"Did you mean {runs[3]}?",
         tmp_path
         / "scene"
         / "other": "Give the folder that training wrote: the one with cfg_args in it.",
@@ -85,6 +85,60 @@ def test_folders_a_little_off_name_the_right_one(tmp_path: Path) -> None:
         with pytest.raises(CheckpointInvalid) as caught:
             find_iteration(folder)
         assert (caught.value.mend, caught.value.exit_code) == (mend, 4)
+
+
+@pytest.mark.parametrize("write", [write_octree, write_hexplane, write_deformable])
+def test_what_lies_in_a_run_stands_for_it(
+    write: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = write(tmp_path / "run")
+    read = {
+        write_octree: lambda *given: read_anchors(*given, octree=True),
+        write_hexplane: read_hexplanes,
+        write_deformable: read_deformation,
+    }[write]
+    (last,) = (run / "point_cloud").glob("iteration_*")
+    number = int(last.name.partition("_")[2])
+    shutil.copytree(last, run / "point_cloud/iteration_7")
+    if write is write_deformable:
+        shutil.copytree(run / f"deform/{last.name}", run / "deform/iteration_7")
+    monkeypatch.chdir(run / "point_cloud")
+    parts = {
+        run / "cfg_args": number,
+        Path(): number,
+        run / "point_cloud/iteration_7": 7,
+        run / "point_cloud/iteration_7/point_cloud.ply": 7,
+        next(last.glob("*.p*")): number,
+    }
+    parts |= {run / "deform/iteration_7/deform.pth": 7} if (run / "deform").is_dir() else {}
+    for given, meant in parts.items():
+        seen = read(given)
+        assert (seen.iteration, seen.folder.resolve()) == (meant, run)
+    assert read(Path(), 7).iteration == 7
+    with pytest.raises(NotInCheckpoint, match=rf"is iteration 7, not {number}"):
+        read(run / "point_cloud/iteration_7", number)
+    with pytest.raises(CheckpointInvalid, match="does not exist"):
+        read(run / "nowhere")
+    (run / "notes.txt").write_text("")
+    with pytest.raises(CheckpointInvalid, match="is no folder"):
+        read(run / "notes.txt")
+
+
+def test_an_iteration_by_itself_will_do(tmp_path: Path) -> None:
+    run = write_octree(tmp_path / "run", AnchorOptions(anchors=5, iteration=40000))
+    wanted = octree_gs.build(run)
+    for name, number in (("iteration_40000", 40000), ("moved", 0)):
+        shutil.copytree(run / "point_cloud/iteration_40000", tmp_path / name)
+        with pytest.raises(
+            CheckpointInvalid, match="cfg_args"
+        ):  # it says which levels are seen
+            read_anchors(tmp_path / name, octree=True)
+        shutil.copy(run / "cfg_args", tmp_path / name)
+        assert read_anchors(tmp_path / name, octree=True).iteration == number
+        made = octree_gs.build(tmp_path / name)
+        assert made.producer == wanted.producer
+        with pytest.raises(NotInCheckpoint, match="by itself"):
+            read_anchors(tmp_path / name, 5, octree=True)
 
 
 def test_a_folder_above_those_of_networks_names_the_outermost(tmp_path: Path) -> None:

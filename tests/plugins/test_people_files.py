@@ -17,7 +17,7 @@ import torch
 
 from gsgen.reference_plugins.checkpoints.array_pickles import read_array_pickle
 from gsgen.reference_plugins.checkpoints.bodies import read_body
-from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
+from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid, NotInCheckpoint
 from gsgen.reference_plugins.checkpoints.gauhuman import read_gauhuman
 from gsgen.reference_plugins.checkpoints.lhm import read_face, read_lhm
 from gsgen.reference_plugins.checkpoints.motions import read_motion
@@ -265,6 +265,20 @@ def test_the_data_set_is_asked_for_where_it_cannot_be_told(tmp_path: Path) -> No
     with pytest.raises(CheckpointInvalid, match="--dataset, one of dna, zju"):
         read_r3(folder)
     assert read_r3(folder, dataset="dna").origin == 50
+
+
+def test_what_lies_in_a_run_of_people_stands_for_it(tmp_path: Path) -> None:
+    run = write_r3(tmp_path / "r3")
+    for given in (run / "chkpnt60000.pth", run / "cfg_args"):
+        assert read_r3(given).path == run / "chkpnt60000.pth"
+    with pytest.raises(NotInCheckpoint, match="has no iteration 5"):
+        read_r3(run / "chkpnt60000.pth", 5)
+    with pytest.raises(CheckpointInvalid, match="does not exist"):
+        read_r3(run / "nowhere")
+    run = write_gauhuman(tmp_path / "gauhuman", PersonOptions(nets=True))
+    for place in ("point_cloud/iteration_1200/point_cloud.ply", "mlp_ckpt/iteration_1200"):
+        read = read_gauhuman(run / place)
+        assert (read.iteration, read.nets is not None) == (1200, True)
 
 
 def test_sample_points_have_to_be_as_many_as_gaussians(tmp_path: Path) -> None:

@@ -33,7 +33,11 @@ from torch import Tensor
 from gsgen.formats import FormatError, ply_properties, read_ply_columns
 from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid, NotInCheckpoint
-from gsgen.reference_plugins.checkpoints.folder import find_iteration, required_file
+from gsgen.reference_plugins.checkpoints.folder import (
+    find_iteration,
+    required_file,
+    within_run,
+)
 from gsgen.reference_plugins.checkpoints.states import (
     Shape,
     checked,
@@ -162,13 +166,14 @@ def read_anchors(
     """Read an anchor checkpoint.
 
     Args:
-        folder: What training wrote.
+        folder: What training wrote, or what is in it of an iteration.
         iteration: The last where absent.
         octree: Anchors have levels (Octree-GS).
 
     Raises:
         CheckpointInvalid: Something is missing, or does not fit the rest.
     """
+    folder, iteration = within_run(folder, iteration)
     number, place = find_iteration(folder, iteration)
     cfg = read_cfg_args(folder, required=octree)
     ply = required_file(place / "point_cloud.ply", "the anchors")

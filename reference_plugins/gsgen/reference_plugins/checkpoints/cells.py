@@ -29,7 +29,11 @@ from gsgen.reference_plugins.checkpoints.anchors import (
 )
 from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
-from gsgen.reference_plugins.checkpoints.folder import find_iteration, required_file
+from gsgen.reference_plugins.checkpoints.folder import (
+    find_iteration,
+    required_file,
+    within_run,
+)
 
 _MAX_DEGREE = 3
 _COLUMNS = {
@@ -87,12 +91,13 @@ def read_cells(folder: Path, iteration: int | None = None) -> CellCheckpoint:
     """Read a checkpoint of Duplex-GS.
 
     Args:
-        folder: What training wrote.
+        folder: What training wrote, or what is in it of an iteration.
         iteration: The last where absent.
 
     Raises:
         CheckpointInvalid: Something is missing, or does not fit the rest.
     """
+    folder, iteration = within_run(folder, iteration)
     number, place = find_iteration(folder, iteration)
     cfg = read_cfg_args(folder, required=True)
     ply = required_file(place / "point_cloud.ply", "the cells")

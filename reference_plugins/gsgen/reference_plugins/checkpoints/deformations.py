@@ -17,7 +17,7 @@ from torch import Tensor
 from gsgen.reference_plugins.checkpoints.canonical import Canonical, read_canonical
 from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
-from gsgen.reference_plugins.checkpoints.folder import find_iteration
+from gsgen.reference_plugins.checkpoints.folder import find_iteration, within_run
 from gsgen.reference_plugins.checkpoints.states import Shape, checked, load_state
 
 OCTAVES = 10
@@ -96,12 +96,13 @@ def read_deformation(folder: Path, iteration: int | None = None) -> DeformationC
     """Read a checkpoint of Deformable-3D-Gaussians.
 
     Args:
-        folder: What training wrote.
+        folder: What training wrote, or what is in it of an iteration.
         iteration: The last where absent.
 
     Raises:
         CheckpointInvalid: Something is missing, or does not fit the rest.
     """
+    folder, iteration = within_run(folder, iteration)
     number, place = find_iteration(folder, iteration)
     cfg = read_cfg_args(folder)
     canonical = read_canonical(place / "point_cloud.ply")

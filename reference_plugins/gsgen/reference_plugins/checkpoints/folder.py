@@ -1,6 +1,6 @@
 """Find the files of a training run."""
 
-__all__ = ["find_iteration", "likely_folders", "required_file", "source_name"]
+__all__ = ["find_iteration", "likely_folders", "required_file", "source_name", "within_run"]
 
 import re
 from collections.abc import Callable, Iterator
@@ -10,9 +10,40 @@ from pathlib import Path
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid, NotInCheckpoint
 
 _ITERATION = re.compile(r"iteration_(\d+)")
+_CLOUD = "point_cloud"
+# Where methods put what belongs to an iteration.
+_PARENTS = (_CLOUD, "deform", "mlp_ckpt")
+# Files of a run that stand for it.
+_STANDING = re.compile(r"cfg_args|point_cloud\.ply|.*\.pth?")
 _LEVELS = 2
 _MOST_LOOKED_AT = 500
 _MOST_NAMED = 3
+
+
+def within_run(given: Path, iteration: int | None = None) -> tuple[Path, int | None]:
+    """Return the training run that a path lies in, and which iteration is meant.
+
+    Args:
+        given: The run's folder, or one of an iteration in it, or a file in either.
+        iteration: Which one is asked for besides.
+
+    Raises:
+        NotInCheckpoint: The path is of another iteration.
+    """
+    file = given.is_file() and _STANDING.fullmatch(given.name) is not None
+    place = given.parent if file else given
+    whole = place.absolute()
+    match = _ITERATION.fullmatch(whole.name)
+    if match and whole.parent.name in _PARENTS:
+        number = int(match[1])
+        if iteration not in (None, number):
+            mend = "Leave out --iteration, or give the folder of the run."
+            what = f"is iteration {number}, not {iteration}"
+            raise NotInCheckpoint(what, where=str(given), mend=mend)
+        return whole.parent.parent, number
+    if whole.name in _PARENTS and not (place / _CLOUD).exists():
+        return whole.parent, iteration
+    return place, iteration
 
 
 def find_iteration(folder: Path, iteration: int | None = None) -> tuple[int, Path]:
@@ -20,16 +51,26 @@ def find_iteration(folder: Path, iteration: int | None = None) -> tuple[int, Pat
 
     Args:
         folder: What holds ``point_cloud/iteration_N``; other names, such as
-            ``coarse_iteration_N``, are passed over.
+            ``coarse_iteration_N``, are passed over. Or what was in such a folder, by itself: then
+            the number is that of its name, or 0.
         iteration: N.
 
     Raises:
         CheckpointInvalid: There is no such folder; likely ones nearby are named.
         NotInCheckpoint: There are other iterations; they are named.
     """
-    parent = folder / "point_cloud"
+    parent = folder / _CLOUD
     if not folder.is_dir():
-        raise CheckpointInvalid("is no folder", where=str(folder))
+        what = "is no folder" if folder.exists() else "does not exist"
+        mend = "Give the folder that training wrote: the one with cfg_args in it."
+        raise CheckpointInvalid(what, where=str(folder), mend=mend)
+    if (folder / f"{_CLOUD}.ply").is_file() and not parent.is_dir():
+        match = _ITERATION.fullmatch(folder.absolute().name)
+        number = int(match[1]) if match else 0
+        if iteration not in (None, number):
+            what = f"holds an iteration by itself, {number}, not {iteration}"
+            raise NotInCheckpoint(what, where=str(folder), mend="Leave out --iteration.")
+        return number, folder
     if not parent.is_dir():
         mend = "Give the folder that training wrote: the one with cfg_args in it."
         mend = likely_folders(folder, lambda one: (one / parent.name).is_dir()) or mend

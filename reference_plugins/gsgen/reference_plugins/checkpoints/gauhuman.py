@@ -13,7 +13,7 @@ from gsgen.reference_plugins.checkpoints.bodies import Body, read_body, required
 from gsgen.reference_plugins.checkpoints.canonical import Canonical, read_canonical
 from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
-from gsgen.reference_plugins.checkpoints.folder import find_iteration
+from gsgen.reference_plugins.checkpoints.folder import find_iteration, within_run
 from gsgen.reference_plugins.checkpoints.pose_nets import PoseNets, read_pose_nets
 from gsgen.reference_plugins.checkpoints.states import load_state
 
@@ -59,13 +59,14 @@ def read_gauhuman(
     """Read a checkpoint of GauHuman.
 
     Args:
-        folder: What training wrote.
+        folder: What training wrote, or what is in it of an iteration.
         iteration: The last where absent.
         body: The body model; looked for under ``assets`` where absent.
 
     Raises:
         CheckpointInvalid: Something is missing, or does not fit the rest.
     """
+    folder, iteration = within_run(folder, iteration)
     number, place = find_iteration(folder, iteration)
     cfg = read_cfg_args(folder)
     model = read_body_of(folder, cfg, body)

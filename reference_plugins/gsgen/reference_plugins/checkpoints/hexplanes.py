@@ -26,7 +26,7 @@ from torch import Tensor
 from gsgen.reference_plugins.checkpoints.canonical import Canonical, read_canonical
 from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
-from gsgen.reference_plugins.checkpoints.folder import find_iteration
+from gsgen.reference_plugins.checkpoints.folder import find_iteration, within_run
 from gsgen.reference_plugins.checkpoints.states import Shape, checked, load_state, part
 
 # What each head changes, and how many numbers it gives.
@@ -158,12 +158,13 @@ def read_hexplanes(folder: Path, iteration: int | None = None) -> HexPlaneCheckp
     """Read a checkpoint of 4DGaussians.
 
     Args:
-        folder: What training wrote.
+        folder: What training wrote, or what is in it of an iteration.
         iteration: The last where absent; those of the coarse stage do not count.
 
     Raises:
         CheckpointInvalid: Something is missing, or does not fit the rest.
     """
+    folder, iteration = within_run(folder, iteration)
     number, place = find_iteration(folder, iteration)
     cfg = read_cfg_args(folder, required=True)
     flags = Flags.of(cfg)

@@ -17,13 +17,14 @@ def producer_of(source: str, folder: Path, iteration: int) -> Producer:
 
     Args:
         source: Where the method's code is.
-        folder: What training wrote.
+        folder: What training wrote, or an iteration of it by itself.
         iteration: Which one was read.
 
     The digest is that of the contents of all PLY and torch files of the iteration, one after
     another in the order of their paths.
     """
     places = [folder / place / f"iteration_{iteration}" for place in _PLACES]
+    places = places if places[0].is_dir() else [folder]
     files = [
         file for place in places for file in place.glob("*") if file.suffix in _WEIGHTS
     ]

@@ -21,7 +21,7 @@ from gsgen.reference_plugins.checkpoints.bodies import Body
 from gsgen.reference_plugins.checkpoints.canonical import Canonical
 from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid, NotInCheckpoint
-from gsgen.reference_plugins.checkpoints.folder import likely_folders
+from gsgen.reference_plugins.checkpoints.folder import likely_folders, within_run
 from gsgen.reference_plugins.checkpoints.gauhuman import read_body_of
 from gsgen.reference_plugins.checkpoints.pose_nets import PoseNets, read_pose_nets
 from gsgen.reference_plugins.checkpoints.states import Shape, checked
@@ -114,7 +114,7 @@ def read_r3(
     """Read a checkpoint of R3-Avatar.
 
     Args:
-        folder: What training wrote.
+        folder: What training wrote, or its ``chkpntN.pth``.
         iteration: The last where absent.
         body: The body model; looked for under ``assets`` where absent.
         dataset: Which reader training used; guessed from ``source_path`` where absent.
@@ -123,6 +123,7 @@ def read_r3(
         CheckpointInvalid: Something is missing, or does not fit the rest.
     """
     path = _find(folder, iteration)
+    folder = path.parent
     cfg = read_cfg_args(folder)
     origin = DATASETS[dataset or _guessed(cfg)]
     model = read_body_of(folder, cfg, body)
@@ -144,8 +145,14 @@ def read_r3(
 
 
 def _find(folder: Path, iteration: int | None) -> Path:
+    named = _FILE.fullmatch(folder.name) if folder.is_file() else None
+    if named and iteration in (None, int(named[1])):
+        return folder
+    folder, iteration = within_run(folder, iteration)
     if not folder.is_dir():
-        raise CheckpointInvalid("is no folder", where=str(folder))
+        what = "is no folder" if folder.exists() else "does not exist"
+        mend = "Give the folder that training wrote, or its chkpntN.pth."
+        raise CheckpointInvalid(what, where=str(folder), mend=mend)
     matches = ((_FILE.fullmatch(child.name), child) for child in folder.iterdir())
     found = {int(match[1]): child for match, child in matches if match}
     if not found:

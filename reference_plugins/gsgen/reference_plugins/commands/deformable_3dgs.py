@@ -44,7 +44,7 @@ def build(
         note(f"warning: {read.operations / 1e9:.0f} GFLOP a frame is slow on most machines")
     time = inputs.time(frames=frames, fps=fps, loop=loop or None)
     made = Deformable3DGS(read.canonical, read.net, time)
-    made.producer = producer_of(_SOURCE, checkpoint, read.iteration)
+    made.producer = producer_of(_SOURCE, read.folder, read.iteration)
     return made
 
 

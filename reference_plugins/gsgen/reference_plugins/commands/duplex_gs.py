@@ -85,7 +85,7 @@ def build(
         appearance=appearance,
         selection=Selection(cull, max_anchors),
     )
-    made.producer = producer_of(_SOURCE, checkpoint, read.anchors.iteration)
+    made.producer = producer_of(_SOURCE, read.anchors.folder, read.anchors.iteration)
     return made
 
 

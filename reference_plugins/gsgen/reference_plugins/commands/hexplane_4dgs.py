@@ -50,7 +50,7 @@ def build(
         note("warning: empty_voxel is honoured, but was never compared with the original")
     time = inputs.time(frames=frames, fps=fps, loop=loop or None)
     made = HexPlane4DGS(read.canonical, read.nets, read.flags, time, bake=bake)
-    made.producer = producer_of(_SOURCE, checkpoint, read.iteration)
+    made.producer = producer_of(_SOURCE, read.folder, read.iteration)
     return made
 
 

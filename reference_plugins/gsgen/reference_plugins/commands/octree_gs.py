@@ -53,7 +53,7 @@ def build(
     made = OctreeGS(
         read.cloud, read.nets, levels, appearance=appearance, selection=selection
     )
-    made.producer = producer_of(_SOURCE, checkpoint, read.iteration)
+    made.producer = producer_of(_SOURCE, read.folder, read.iteration)
     return made
 
 

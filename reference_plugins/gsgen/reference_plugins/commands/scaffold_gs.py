@@ -47,7 +47,7 @@ def build(
     selection = Selection(cull, max_anchors)
     appearance = require_appearance(read, appearance_id, "--appearance-id")
     made = ScaffoldGS(read.cloud, read.nets, appearance=appearance, selection=selection)
-    made.producer = producer_of(_SOURCE, checkpoint, read.iteration)
+    made.producer = producer_of(_SOURCE, read.folder, read.iteration)
     return made
 
 
