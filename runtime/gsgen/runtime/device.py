@@ -2,12 +2,20 @@
 
 __all__ = ["Device"]
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Final, Self, final
+from weakref import WeakSet
 
 import numpy as np
 from jaxtyping import Shaped
 
-from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable
+from gsgen.runtime.errors import (
+    CapacityExceeded,
+    DeviceLost,
+    DeviceUnavailable,
+    MemoryFull,
+)
 
 STORAGE_BUFFERS: Final = 8
 """How many storage buffers a kernel may bind: what every WebGPU device has."""
@@ -15,6 +23,11 @@ STORAGE_BUFFERS: Final = 8
 _SUBGROUPS: Final = "subgroup"
 _BLENDING: Final = "float32-blendable"
 _CLOCK: Final = "timestamp-query"
+_AGAIN = (
+    "Try again; if that happens again, draw a smaller image or fewer Gaussians, or on another "
+    "device: see `gsgen doctor`."
+)
+_LESS = "Draw fewer Gaussians or a smaller image, or close what else uses the device."
 _MEND = "Install a Vulkan driver; without a GPU, Mesa's lavapipe 25 or newer. See `gsgen doctor`."
 
 
@@ -27,6 +40,8 @@ class Device:
         name: What the adapter calls itself.
         software: Whether the driver runs on the CPU; kernels are cut differently then.
         largest_binding: Bytes that one binding may have.
+        largest_buffer: Bytes that one buffer may have.
+        largest_texture: Pixels that a texture may have, a side.
         subgroups: Whether shaders may use operations of subgroups; none has to.
         blends_floats: Whether its rasteriser can blend 32-bit floats.
         has_clock: Whether it can say when a pass begins and ends.
@@ -40,10 +55,13 @@ class Device:
         self.subgroups = _SUBGROUPS in raw.features
         self.blends_floats = _BLENDING in raw.features
         self.has_clock = _CLOCK in raw.features
+        self.largest_buffer = int(raw.limits["max-buffer-size"])
         self.largest_binding = min(
-            int(raw.limits["max-storage-buffer-binding-size"]),
-            int(raw.limits["max-buffer-size"]),
+            int(raw.limits["max-storage-buffer-binding-size"]), self.largest_buffer
         )
+        self.largest_texture = int(raw.limits["max-texture-dimension-2d"])
+        self._buffers: WeakSet[Any] = WeakSet()
+        self._alive = self.uniform("alive", 16)
 
     @classmethod
     def open(cls) -> Self:
@@ -94,6 +112,7 @@ class Device:
 
         Raises:
             CapacityExceeded: No binding may be that large.
+            MemoryFull: There is no memory for it.
         """
         if size > self.largest_binding:
             raise CapacityExceeded(
@@ -102,15 +121,122 @@ class Device:
                 mend="Draw fewer Gaussians or a smaller image.",
             )
         usage = "STORAGE|COPY_DST|COPY_SRC" + (f"|{extra}" if extra else "")
-        return self.raw.create_buffer(
-            label=label, size=max(16, -(-size // 16) * 16), usage=usage
-        )
+        return self._buffer(label, max(16, -(-size // 16) * 16), usage)
 
     def uniform(self, label: str, size: int) -> Any:
         """Return a new uniform buffer of ``size`` bytes."""
-        return self.raw.create_buffer(
-            label=label, size=-(-size // 16) * 16, usage="UNIFORM|COPY_DST"
+        return self._buffer(label, -(-size // 16) * 16, "UNIFORM|COPY_DST")
+
+    def readable(self, label: str, size: int) -> Any:
+        """Return a new buffer of ``size`` bytes that this process can read.
+
+        Raises:
+            CapacityExceeded: No buffer may be that large.
+            MemoryFull: There is no memory for it.
+        """
+        return self._buffer(label, size, "MAP_READ|COPY_DST")
+
+    def _buffer(self, label: str, size: int, usage: str) -> Any:
+        import wgpu
+
+        if size > self.largest_buffer:
+            raise CapacityExceeded(
+                f"would take {size:,} bytes; {self.name} has buffers of {self.largest_buffer:,} "
+                "at most",
+                where=label,
+                mend="Draw a smaller image, or ask for fewer outputs.",
+            )
+        try:
+            made = self.raw.create_buffer(label=label, size=size, usage=usage)
+        except wgpu.GPUOutOfMemoryError as error:
+            held = sum(buffer.size for buffer in self._buffers)
+            raise MemoryFull(
+                f"needs {size:,} bytes, and the memory of {self.name} is full: buffers hold "
+                f"{held:,} bytes already",
+                where=label,
+                mend=_LESS,
+            ) from error
+        self._buffers.add(made)
+        return made
+
+    def texture(self, label: str, size: tuple[int, int], format: str, usage: str) -> Any:
+        """Return a new texture of one level.
+
+        Args:
+            label: What it holds; errors name it.
+            size: Width and height, in pixels.
+            format: Of a pixel, as wgpu spells it.
+            usage: As wgpu spells it.
+
+        Raises:
+            CapacityExceeded: No texture may be that large.
+        """
+        width, height = size
+        most = self.largest_texture
+        if max(size) > most:
+            raise CapacityExceeded(
+                f"is {width}×{height}; {self.name} has textures of {most}×{most} at most",
+                where=label,
+                mend="Make it smaller.",
+            )
+        return self.raw.create_texture(
+            label=label, size=(width, height, 1), format=format, usage=usage
         )
+
+    @property
+    def lost(self) -> bool:
+        """Whether the device went away: it refuses what no device refuses.
+
+        wgpu-py 0.32 has no promise of a loss (``lost_async`` is not implemented).
+        """
+        import wgpu
+
+        try:
+            self.write(self._alive, np.zeros(4, np.float32))
+        except wgpu.GPUError:
+            return True
+        return False
+
+    @contextmanager
+    def minding(self) -> Iterator[None]:
+        """Say in our words what the device refuses in the block.
+
+        Raises:
+            DeviceLost: It went away.
+            MemoryFull: It has no memory left.
+        """
+        import wgpu
+
+        try:
+            yield
+        except wgpu.GPUOutOfMemoryError as error:
+            raise MemoryFull(f"the memory of {self.name} is full", mend=_LESS) from error
+        except (wgpu.GPUError, RuntimeError) as error:
+            if not self.lost:
+                raise
+            raise self._gone() from error
+
+    def submit(self, encoder: Any) -> None:
+        """Let the device do what an encoder has recorded.
+
+        Raises:
+            DeviceLost: It went away; wgpu-native would end the process.
+        """
+        self.require()
+        self.raw.queue.submit([encoder.finish()])
+
+    def require(self) -> None:
+        """Make sure that the device is there, before what would end the process without it.
+
+        Raises:
+            DeviceLost: It went away.
+        """
+        if self.lost:
+            raise self._gone()
+
+    def _gone(self) -> DeviceLost:
+        what = f"the graphics device was lost: {self.name}"
+        return DeviceLost(what, mend=_AGAIN)
 
     def write(self, buffer: Any, data: Shaped[np.ndarray, "..."], offset: int = 0) -> None:
         """Copy an array into a buffer; odd halves are filled up to a whole word."""

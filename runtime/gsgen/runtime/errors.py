@@ -2,8 +2,10 @@
 
 __all__ = [
     "CapacityExceeded",
+    "DeviceLost",
     "DeviceUnavailable",
     "DisplayUnavailable",
+    "MemoryFull",
     "SceneInvalid",
     "SceneUnreadable",
     "placed",
@@ -16,12 +18,20 @@ class DeviceUnavailable(GsgenError):
     """There is no graphics adapter to draw with, or it refuses what is needed."""
 
 
+class DeviceLost(DeviceUnavailable):
+    """The device went away while it was drawn with: a driver was reset, or a GPU taken out."""
+
+
 class DisplayUnavailable(GsgenError):
     """There is no screen to open a window on, or what opens one is not installed."""
 
 
 class CapacityExceeded(GsgenError):
     """A scene or an image is larger than the device's buffers can be."""
+
+
+class MemoryFull(CapacityExceeded):
+    """The device has no memory left for a buffer that it could have otherwise."""
 
 
 class SceneInvalid(GsgenError):

@@ -93,14 +93,15 @@ def measure(film: Film, watch: Callable[[str], None] = lambda _: None) -> FrameC
         film: What is measured; some frames more are drawn before it.
         watch: Is told what is being done.
     """
+    device, camera = film.player.renderer.device, film.shot(0).camera
     watch("warming up")
     for number in range(min(film.frames, _UNMEASURED)):
         film.draw(number)
     watch(f"drawing {film.frames} frames")
     played = _play(film)
     watch("measuring stages")
-    staged = _stage(film)
-    device, camera = film.player.renderer.device, film.shot(0).camera
+    with device.minding():
+        staged = _stage(film)
     return FrameCost(
         device=device.name,
         software=device.software,

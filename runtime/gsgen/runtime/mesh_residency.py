@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import UInt8
 
 from gsgen.runtime.device import Device
-from gsgen.runtime.errors import CapacityExceeded
 from gsgen.runtime.mesh import MeshData
 
 _NO_UV = np.zeros((1, 2), np.float32)
@@ -79,21 +78,10 @@ class MeshResidency:
 
     def _picture(self, texture: UInt8[np.ndarray, "h w 4"]) -> Any:
         height, width = texture.shape[:2]
-        raw = self._device.raw
-        most = int(raw.limits["max-texture-dimension-2d"])
-        if max(height, width) > most:
-            raise CapacityExceeded(
-                f"is {width}×{height}; {self._device.name} has textures of {most}×{most} at most",
-                where="mesh texture",
-                mend="Scale the texture down.",
-            )
-        made = raw.create_texture(
-            label="mesh texture",
-            size=(width, height, 1),
-            format="rgba8unorm",
-            usage="TEXTURE_BINDING|COPY_DST",
+        made = self._device.texture(
+            "mesh texture", (width, height), "rgba8unorm", "TEXTURE_BINDING|COPY_DST"
         )
-        raw.queue.write_texture(
+        self._device.raw.queue.write_texture(
             {"texture": made},
             np.ascontiguousarray(texture),
             {"bytes_per_row": 4 * width, "rows_per_image": height},

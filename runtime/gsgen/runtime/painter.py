@@ -11,10 +11,11 @@ import numpy as np
 
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
-from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable
+from gsgen.runtime.errors import DeviceUnavailable
 from gsgen.runtime.frame import Frame
 from gsgen.runtime.pictures import MODES, Mode
 from gsgen.runtime.present import Panel, Present, View
+from gsgen.runtime.rasteriser import Asked
 from gsgen.runtime.renderer import Drawn, Renderer
 from gsgen.runtime.stage import Stage
 
@@ -50,6 +51,8 @@ class Painter:
 
     Args:
         open_device: Opens a device, now and when one was lost.
+        rasteriser: What blends, as :class:`Renderer` has it.
+        compact: Keep Gaussians in fewer bytes, as :class:`Renderer` has it.
 
     Attributes:
         renderer: What draws.
@@ -60,15 +63,24 @@ class Painter:
         DeviceUnavailable: There is nothing to draw with.
     """
 
-    def __init__(self, open_device: Callable[[], Device] = Device.open) -> None:
+    def __init__(
+        self,
+        open_device: Callable[[], Device] = Device.open,
+        *,
+        rasteriser: Asked = "auto",
+        compact: bool = False,
+    ) -> None:
         self._open = open_device
+        self._rasteriser: Asked = rasteriser
+        self._compact = compact
         self._uploads: Any = None
         self.seconds = 0.0
         self._begin()
 
     def _begin(self) -> None:
-        self.renderer = Renderer(self._open())
-        self._alive = self.renderer.device.uniform("alive", 16)
+        self.renderer = Renderer(
+            self._open(), rasteriser=self._rasteriser, compact=self._compact
+        )
         self._present: Present | None = None
         self._configured: Any = None
         self._shown: tuple[object, View] | None = None
@@ -83,6 +95,7 @@ class Painter:
 
         Raises:
             CapacityExceeded: It is more than the device has room for.
+            DeviceLost: The device went away.
             GsgenError: It cannot be drawn, or a post-process model fails.
         """
         if self._shown is not None and self._shown[0] == wish.key(stage):
@@ -102,11 +115,16 @@ class Painter:
             panels: What lies over it.
 
         Raises:
-            RuntimeError: The device is lost.
+            DeviceLost: The device went away.
         """
-        if self.lost():
-            raise RuntimeError("the graphics device was lost")
         device = self.renderer.device
+        device.require()  # wgpu-native ends the process where a surface asks a lost device
+        with device.minding():
+            self._show(device, context, view, panels)
+
+    def _show(
+        self, device: Device, context: Any, view: View | None, panels: Sequence[Panel]
+    ) -> None:
         if self._present is None or self._configured is not context:
             # The shader makes bytes of sRGB itself, so that panels are blended as they look.
             preferred = context.get_preferred_format(device.raw.adapter)
@@ -118,28 +136,16 @@ class Painter:
         self._present(context.get_current_texture(), view, panels)
 
     def _drawn(self, stage: Stage, wish: Wish) -> View:
-        import wgpu
-
         camera, output = wish.camera, MODES[wish.mode]
         self._shown = None  # its buffers may go now
         depths = stage.depths(camera)
-        try:
-            if stage.post and wish.mode == "color":
-                player = stage.player(self.renderer, wish.background, output)
-                frame = stage.frame(player, camera)
-                drawn, camera = self._uploaded(frame), _resized(camera, frame)
-                return View(drawn, camera, wish.mode, depths, frame.color_space)
-            scene = stage.scene()
-            drawn = self.renderer.draw(
-                scene, camera, background=wish.background, output=output
-            )
-        except wgpu.GPUOutOfMemoryError as error:
-            name = self.renderer.device.name
-            raise CapacityExceeded(
-                f"the memory of {name} is full",
-                where=f"{camera.width}×{camera.height}",
-                mend="Make the window smaller, show fewer Gaussians, or close what else draws.",
-            ) from error
+        if stage.post and wish.mode == "color":
+            player = stage.player(self.renderer, wish.background, output)
+            frame = stage.frame(player, camera)
+            drawn, camera = self._uploaded(frame), _resized(camera, frame)
+            return View(drawn, camera, wish.mode, depths, frame.color_space)
+        scene = stage.scene()
+        drawn = self.renderer.draw(scene, camera, background=wish.background, output=output)
         return View(drawn, camera, wish.mode, depths, scene.color_space)
 
     def _uploaded(self, frame: Frame) -> Drawn:
@@ -147,9 +153,11 @@ class Painter:
         assert frame.rgba is not None  # colours were asked for
         device, size = self.renderer.device, frame.rgba.nbytes
         if self._uploads is None or self._uploads[:2] != (device, size):
-            self._uploads = device, size, device.storage("shown image", size)
+            with device.minding():
+                self._uploads = device, size, device.storage("shown image", size)
         image = self._uploads[2]
-        device.write(image, np.ascontiguousarray(frame.rgba, np.float32))
+        with device.minding():
+            device.write(image, np.ascontiguousarray(frame.rgba, np.float32))
         return Drawn(image, frame.rgba.shape[1], frame.visible, frame.pairs)
 
     def frame(self, stage: Stage, wish: Wish) -> Frame:
@@ -160,20 +168,6 @@ class Painter:
         """
         player = stage.player(self.renderer, wish.background, MODES[wish.mode])
         return stage.frame(player, wish.camera)
-
-    def lost(self) -> bool:
-        """Say whether the device is: it refuses what no device refuses.
-
-        wgpu-py 0.32 has no promise of a loss (``lost_async`` is not implemented), and wgpu-native
-        ends the process where a surface is asked for a texture of a lost device.
-        """
-        import wgpu
-
-        try:
-            self.renderer.device.write(self._alive, np.zeros(4, np.float32))
-        except wgpu.GPUError:
-            return True
-        return False
 
     def recover(self) -> None:
         """Open the device again; what is shown next is uploaded to it.

@@ -371,7 +371,7 @@ class Plan:
         if clock is not None:
             clock.encode(encoder)
         self._staging.encode(encoder, None if fetch else self._held)
-        device.raw.queue.submit([encoder.finish()])
+        device.submit(encoder)
 
     def collect(self, fetch: bool = True) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Wait for the frame; return the counts, and each image as [height, width, 4] words.

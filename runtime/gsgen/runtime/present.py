@@ -145,7 +145,7 @@ class Present:
                 showing.draw(3)
         showing.end()
         self._laid = laid  # what is no more shown goes
-        self._device.raw.queue.submit([encoder.finish()])
+        self._device.submit(encoder)
 
     def _bind(self, image: Any) -> Any:
         if self._bound is None or self._bound[0] is not image:

@@ -2,7 +2,8 @@
 
 __all__ = ["Drawn", "Renderer"]
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -11,15 +12,20 @@ from jaxtyping import Float32, Int64, UInt32
 
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
-from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
+from gsgen.runtime.errors import (
+    CapacityExceeded,
+    DeviceUnavailable,
+    MemoryFull,
+    SceneInvalid,
+)
 from gsgen.runtime.frame import NOTHING, Frame, Output
 from gsgen.runtime.kernels.counts import Counts
-from gsgen.runtime.kernels.draw_meshes import PlacedMesh
+from gsgen.runtime.kernels.mesh_place import PlacedMesh
 from gsgen.runtime.kernels.shader import ABSENT
 from gsgen.runtime.mesh_residency import MeshResidency
 from gsgen.runtime.plan import Kernels, Placed, Plan
 from gsgen.runtime.rasteriser import Asked, Rasteriser, choose
-from gsgen.runtime.residency import PAGE_ROWS, Residency
+from gsgen.runtime.residency import PAGE_ROWS, Residency, bytes_of
 from gsgen.runtime.scene import Scene
 
 _FIRST_PAIRS: Final = 1 << 16
@@ -84,9 +90,10 @@ class Renderer:
         page_rows: int = PAGE_ROWS,
         published: bool = False,
     ) -> None:
-        self._published = published
+        self._published, self._compact = published, compact
         self.device = device or Device.open()
-        self._kernels = Kernels(self.device)
+        with self.device.minding():
+            self._kernels = Kernels(self.device)
         self._residency = Residency(self.device, page_rows, compact=compact)
         self._mesh_residency = MeshResidency(self.device)
         self._pairs = _FIRST_PAIRS
@@ -96,9 +103,10 @@ class Renderer:
                 mend="Use the rasteriser 'tiles'.",
             )
         self._chosen = rasteriser == "auto"
-        self.rasteriser: Rasteriser = (
-            choose(self.device, self._kernels) if rasteriser == "auto" else rasteriser
-        )
+        with self.device.minding():
+            self.rasteriser: Rasteriser = (
+                choose(self.device, self._kernels) if rasteriser == "auto" else rasteriser
+            )
         self._key: object = None
         self._plan: Plan | None = None
 
@@ -120,6 +128,8 @@ class Renderer:
 
         Raises:
             CapacityExceeded: The scene or the image is larger than the device's buffers.
+            DeviceLost: The device went away.
+            MemoryFull: The device has no memory for the scene or the image.
             SceneInvalid: The background or the outputs are none.
         """
         _, counts, images = self._drawn(scene, camera, background, outputs)
@@ -143,6 +153,8 @@ class Renderer:
 
         Raises:
             CapacityExceeded: The scene or the image is larger than the device's buffers.
+            DeviceLost: The device went away.
+            MemoryFull: The device has no memory for the scene or the image.
             SceneInvalid: The background or the output is none.
         """
         plan, counts, _ = self._drawn(scene, camera, background, (output,), fetch=False)
@@ -163,6 +175,27 @@ class Renderer:
         if self._published:
             _require_alone(scene)
         behind = _premultiplied(background)
+        with self._minding(scene, camera):
+            return self._fitted(scene, camera, behind, wanted, fetch)
+
+    @contextmanager
+    def _minding(self, scene: Scene, camera: Camera) -> Iterator[None]:
+        """Add to an error of the device what the scene takes."""
+        try:
+            with self.device.minding():
+                yield
+        except MemoryFull as error:
+            self._plan, self._key = None, None  # whoever draws something smaller needs it
+            raise _too_large(scene, camera, error, self._compact) from error
+
+    def _fitted(
+        self,
+        scene: Scene,
+        camera: Camera,
+        behind: np.ndarray,
+        wanted: frozenset[Output],
+        fetch: bool,
+    ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
         plan = self.plan(placed, camera, wanted, meshes)
         plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
@@ -241,6 +274,21 @@ class Renderer:
                 mend="Draw a smaller image, or step back from the largest Gaussians.",
             )
         self._pairs = min(int(wanted * _ROOM), most)
+
+
+def _too_large(
+    scene: Scene, camera: Camera, error: MemoryFull, compact: bool
+) -> MemoryFull:
+    """Return an error that says what the Gaussians take, and what would be less."""
+    sets = list(dict.fromkeys(one.data for one in scene.sets))
+    now, less = (sum(bytes_of(one, compact=how) for one in sets) for how in (compact, True))
+    count = sum(map(len, sets))
+    what = f"{error.what}; {count:,} Gaussians take {now:,} bytes of it"
+    mend = "Draw fewer of them, or without harmonics: `gsgen convert --sh-degree 0`."
+    if less < now:
+        mend = f"With `--compact` (`compact=True`) they take {less:,}. {mend}"
+    mend = f"{mend} A smaller image than {camera.width}×{camera.height} takes less, too."
+    return MemoryFull(what, where=error.where, mend=mend)
 
 
 def _require_alone(scene: Scene) -> None:

@@ -1,6 +1,6 @@
 """What is on the GPU: the rows of every set, in pages that no binding outgrows."""
 
-__all__ = ["PAGE_ROWS", "Page", "Residency", "stride"]
+__all__ = ["PAGE_ROWS", "Page", "Residency", "bytes_of", "stride"]
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -33,6 +33,15 @@ def stride(channels: int, half: bool) -> int:
     """
     size = channels * (2 if half else 4)
     return 0 if size <= _WORD // 2 else -(-size // _WORD)
+
+
+def bytes_of(data: SplatData, *, compact: bool) -> int:
+    """Return how many bytes the rows of a set, their appearance and its cells take on the GPU."""
+    half = compact or data.appearance.dtype == np.float16
+    row = PACKED_BYTES if compact and data.cells is None else 4 * layout.ROW
+    row += _row_bytes(stride(data.appearance.shape[1], half))
+    cells = 0 if data.cells is None else 4 * layout.ROW * len(data.cells)
+    return len(data) * row + cells
 
 
 def _row_bytes(stride: int) -> int:

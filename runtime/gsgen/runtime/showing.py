@@ -107,7 +107,8 @@ def prepare_render(trial: Trial) -> Iterator[Prepared]:
         frames = tuple(_drawn(trial, renderer, quads))
         references = tuple(_compared(trial, renderer))
     except (DeviceUnavailable, CapacityExceeded) as error:
-        raise LevelUnavailable(error.what, mend=error.mend) from error
+        what = f"{error.where}: {error.what}" if error.where else error.what
+        raise LevelUnavailable(what, mend=error.mend) from error
     yield Prepared(
         context=Showing(frames, renderer.device.name, references),
         items=len(frames),

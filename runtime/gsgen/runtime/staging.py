@@ -28,9 +28,7 @@ class Staging:
         for name, buffer in self._sources.items():
             self._offsets[name] = size
             size += -(-buffer.size // _ALIGNMENT) * _ALIGNMENT
-        self._buffer = device.raw.create_buffer(
-            label="staging", size=size, usage="MAP_READ|COPY_DST"
-        )
+        self._buffer = device.readable("what comes back from the device", size)
 
     def encode(self, encoder: Any, names: Iterable[str] | None = None) -> None:
         """Copy sources, all where absent, once what is encoded before has run."""

@@ -17,7 +17,7 @@ from gsgen.contract.errors import GsgenError
 from gsgen.contract.spherical_harmonics import MAX_DEGREE
 from gsgen.runtime import pictures
 from gsgen.runtime.camera import Camera
-from gsgen.runtime.errors import DeviceUnavailable
+from gsgen.runtime.errors import DeviceLost, DeviceUnavailable
 from gsgen.runtime.painter import Painter, Wish
 from gsgen.runtime.pictures import MODES, Mode
 from gsgen.runtime.present import Panel, View
@@ -134,21 +134,17 @@ class Viewer:
         Raises:
             DeviceUnavailable: The device was lost, and there is no other.
         """
-        import wgpu
-
         try:
             return self._draw(context)
-        except (wgpu.GPUError, RuntimeError) as error:
-            if not self._painter.lost():
-                raise
+        except DeviceLost:
             self._recover()
-            try:
-                return self._draw(context)
-            except (wgpu.GPUError, RuntimeError):
-                raise DeviceUnavailable(
-                    f"the graphics device was lost, and lost again: {error}",
-                    mend="Show fewer Gaussians or a smaller window; see `gsgen doctor`.",
-                ) from error
+        try:
+            return self._draw(context)
+        except DeviceLost as error:
+            raise DeviceUnavailable(
+                "the graphics device was lost, and lost again",
+                mend="Show fewer Gaussians or a smaller window; see `gsgen doctor`.",
+            ) from error
 
     def _recover(self) -> None:
         self._painter.recover()
@@ -170,6 +166,8 @@ class Viewer:
         try:
             wish = Wish(camera, self.mode, self._background)
             view = self._painter.view(self.stage, wish)
+        except DeviceLost:
+            raise
         except GsgenError as error:
             self.message, self.stage.playing = str(error), False
         self._tell(now, moving)
@@ -180,6 +178,8 @@ class Viewer:
         """Do something; what is wrong with it is shown, and ends nothing."""
         try:
             do()
+        except DeviceLost:
+            self._recover()
         except GsgenError as error:
             self.message = str(error)
 

@@ -4,9 +4,16 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.device import Device
-from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
+from gsgen.runtime.errors import (
+    CapacityExceeded,
+    DeviceLost,
+    DeviceUnavailable,
+    SceneInvalid,
+)
 from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.residency import Residency, bytes_of
 from gsgen.runtime.scene import Scene
+from gsgen.runtime.splat_data import SplatData
 from support.splat_scenes import camera, cloud, single
 
 
@@ -34,6 +41,52 @@ def test_an_image_that_is_too_large_is_an_error(
     monkeypatch.setattr(renderer.device, "largest_binding", 1 << 20)
     with pytest.raises(CapacityExceeded, match="color image: would take 4,194,304 bytes"):
         renderer.render(Scene([single()]), camera(width=512, height=512))
+
+
+def test_what_no_device_has_is_an_error_before_it_is_asked(device: Device) -> None:
+    with pytest.raises(CapacityExceeded, match="much: would take 1,099,511,627,776 bytes"):
+        device.readable("much", 1 << 40)
+    with pytest.raises(CapacityExceeded, match=r"wide: is 1000000×8; .* has textures of"):
+        device.texture("wide", (1_000_000, 8), "rgba8unorm", "COPY_DST")
+
+
+@pytest.mark.parametrize("compact", [False, True])
+@pytest.mark.parametrize("half", [False, True])
+def test_what_gaussians_take_is_known_before(
+    device: Device, half: bool, compact: bool
+) -> None:
+    rng = np.random.default_rng(0)
+    dtype = np.float16 if half else np.float32
+    colors = rng.uniform(size=(64, 27)).astype(dtype)
+    data = SplatData(np.zeros((64, 10), dtype), colors, "sh")
+    residency = Residency(device, 32, compact=compact)
+    pages = residency.pages(data)
+    held = sum(page.rows.size + page.appearance.size for page in pages)
+    assert held == bytes_of(data, compact=compact)
+
+
+def test_a_lost_device_says_so_whatever_it_is_asked() -> None:
+    device = Device.open()
+    scene, renderer = Scene([single()]), Renderer(device, rasteriser="tiles")
+    renderer.render(scene, camera())
+    assert not device.lost
+    device.raw.destroy()
+    assert device.lost
+    with pytest.raises(DeviceLost, match="the graphics device was lost"):
+        renderer.render(scene, camera())
+    with pytest.raises(DeviceLost, match="the graphics device was lost"):
+        renderer.render(scene, camera(width=9, height=9), outputs=("depth", "normal"))
+    with pytest.raises(DeviceLost, match="the graphics device was lost"):
+        Renderer(device)
+    with pytest.raises(DeviceLost, match="the graphics device was lost"):
+        device.submit(device.raw.create_command_encoder())
+
+
+def test_what_is_wrong_with_a_device_that_is_there_stays_as_it_is(device: Device) -> None:
+    import wgpu
+
+    with pytest.raises(wgpu.GPUValidationError), device.minding():
+        device.raw.create_buffer(size=1 << 62, usage="STORAGE")
 
 
 def test_kernels_bind_no_more_than_every_device_has(device: Device) -> None:

@@ -28,6 +28,7 @@ from gsgen.runtime.splat_data import SplatData
 from gsgen.runtime.stage import Stage
 from gsgen.runtime.viewpoint import viewpoint
 from gsgen.runtime.window import take_drops
+from support.failing_devices import memory_of
 from support.viewers import SIZE, Hand
 
 
@@ -331,20 +332,12 @@ def test_a_device_that_does_not_come_back_ends_it(cloud: SplatData) -> None:
         hand.look()
 
 
-def test_too_much_for_the_memory_is_told(
-    still: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import wgpu
-
-    def full(*_: object, **__: object) -> None:
-        raise wgpu.GPUOutOfMemoryError("Out of memory")
-
+def test_too_much_for_the_memory_is_told(still: Hand) -> None:
     still.canvas.set_logical_size(400, 300)
-    with monkeypatch.context() as patch:
-        patch.setattr(Renderer, "draw", full)
+    with memory_of(1 << 20):
         black = still.look()
     assert "memory of" in still.viewer.message
-    assert "Make the window smaller" in still.viewer.message
+    assert "smaller image" in still.viewer.message
     assert black[-1, :, :3].max() == 0  # nothing is behind the message
     still.key("i")
     assert still.look()[..., :3].max() > 60  # it is tried again

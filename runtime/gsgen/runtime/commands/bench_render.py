@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gsgen.runtime.commands.options import (
+    Compact,
     Height,
     Provider,
     RasteriserName,
@@ -36,9 +37,7 @@ def bench_render(
     width: Width = None,
     height: Height = None,
     frames: Annotated[int, typer.Option(help="How many frames are measured.", min=1)] = 30,
-    compact: Annotated[
-        bool, typer.Option("--compact", help="Keep harmonics in float16.")
-    ] = False,
+    compact: Compact = False,
     rasteriser: RasteriserName = "auto",
     size: Sizes = None,
     provider: Provider = "cpu",

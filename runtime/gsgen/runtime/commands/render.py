@@ -14,6 +14,7 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.commands.options import (
     Antialias,
     Axis,
+    Compact,
     FieldOfView,
     Height,
     Post,
@@ -138,6 +139,7 @@ def render(
     sh_degree: ShDegree = None,
     antialias: Antialias = None,
     rasteriser: RasteriserName = "auto",
+    compact: Compact = False,
     post: Post = None,
     size: Sizes = None,
     provider: Provider = "cpu",
@@ -178,7 +180,7 @@ def render(
             turn=turn,
             tracks=tracks,
             post=models,
-            renderer=Renderer(rasteriser=rasteriser),
+            renderer=Renderer(rasteriser=rasteriser, compact=compact),
         )
         began = clock.perf_counter()
         film.write(

@@ -100,6 +100,7 @@ class DrawQuads:
     def __init__(
         self, device: Device, tested: bool = False, panorama: bool = False
     ) -> None:
+        self._device = device
         raw = self._raw = device.raw
         kinds = ["uniform"] + ["read-only-storage"] * 5
         entries = [
@@ -172,9 +173,6 @@ class DrawQuads:
         )
 
     def _texture(self, size: tuple[int, int]) -> Any:
-        return self._raw.create_texture(
-            label="quads",
-            size=(*size, 1),
-            format="rgba32float",
-            usage="RENDER_ATTACHMENT|COPY_SRC",
+        return self._device.texture(
+            "image of quads", size, "rgba32float", "RENDER_ATTACHMENT|COPY_SRC"
         )

@@ -23,6 +23,6 @@ def lanes(device: Device) -> int:
     sizes = device.storage("subgroup sizes", 4 * _THREADS)
     encoder = device.raw.create_command_encoder(label="subgroups")
     run(encoder, [Step(kernel, (kernel.bind(sizes),), (1, 1, 1))], "subgroups")
-    device.raw.queue.submit([encoder.finish()])
+    device.submit(encoder)
     found = device.read(sizes, np.uint32, _THREADS)
     return int(found[0]) if (found == found[0]).all() else 0
