@@ -10,8 +10,9 @@ from typer.testing import CliRunner
 
 from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import GsgenError
-from gsgen.runtime import window
+from gsgen.runtime import painter, window
 from gsgen.runtime.commands.view import view
+from gsgen.runtime.painter import Painter
 from gsgen.runtime.viewer import HELP, Viewer
 from support.commands import gsgen
 
@@ -51,12 +52,19 @@ def test_without_a_screen_it_says_what_draws_the_same(
 
 
 def test_options_reach_the_viewer(
-    drift: Path, tmp_path: Path, opened: list[tuple[Viewer, str, tuple[int, int]]]
+    drift: Path,
+    tmp_path: Path,
+    opened: list[tuple[Viewer, str, tuple[int, int]]],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    painted: dict[str, object] = {}
+    monkeypatch.setattr(
+        painter, "Painter", lambda **words: painted.update(words) or Painter()
+    )
     done = ran(
         str(drift), "--width", "300", "--height", "200", "--mode", "depth",
         "--frames", "7", "--fps", "5", "--camera", "look-at:0,0,-4,0,0,0",
-        "--pictures", str(tmp_path), "--sh-degree", "1",
+        "--pictures", str(tmp_path), "--sh-degree", "1", "--rasteriser", "quads", "--compact",
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     (viewer, title, size) = opened[0]
@@ -64,6 +72,7 @@ def test_options_reach_the_viewer(
     assert (viewer.mode, viewer.stage.frames, viewer.stage.fps) == ("depth", 7, 5)
     assert (viewer.stage.playing, viewer.stage.sh_degree) == (True, 1)
     np.testing.assert_allclose(viewer.controls.eye, [0, 0, -4], atol=1e-9)
+    assert painted == {"rasteriser": "quads", "compact": True}
 
 
 def test_a_time_stands_still(
