@@ -13,7 +13,7 @@ from gsgen.contract.layout import decode
 from gsgen.formats import PackedRows, PointCloud, open_splats, write_ply
 from gsgen.reference_plugins.static import from_content, neighbour_scale, write_scene
 from gsgen.reference_plugins.synthetic import torus_knot
-from support.commands import gsgen, shared
+from support.commands import gsgen, gsgen_here, shared
 
 
 def emitted(path: Path) -> dict[str, np.ndarray]:
@@ -49,7 +49,10 @@ def test_splats_are_activated_as_the_paper_says(
     np.testing.assert_allclose(made.position, splats.position, rtol=exact, atol=exact)
     wanted = 1 / (1 + np.exp(-splats.logit_opacity.astype(np.float64)))
     np.testing.assert_allclose(made.opacity, wanted, atol=exact)
-    np.testing.assert_allclose(made.sh, splats.sh, rtol=exact, atol=exact)
+    assert made.sh is not None
+    kept = splats.sh.shape[1]
+    np.testing.assert_allclose(made.sh[:, :kept], splats.sh, rtol=exact, atol=exact)
+    assert (made.sh[:, kept:] == 0).all()
     scales = np.sort(np.exp(splats.log_scale.astype(np.float64)), axis=1)
     seen = np.sqrt(np.maximum(np.linalg.eigvalsh(symmetric(made.covariance)), 0))
     np.testing.assert_allclose(seen, scales, rtol=0.002 if dtype == "float32" else 0.2)
@@ -62,6 +65,26 @@ def test_exported_splats_conform_to_every_target(tmp_path: Path) -> None:
     for target in known_targets().values():
         settings = Settings(target=target, fail_on=Severity.INFO)
         assert validate(tmp_path / "m.onnx", settings).findings == ()
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("words", ["--dtype float16", "--target visionary"])
+def test_harmonics_are_of_a_degree_that_is_taken(
+    degree: int, words: str, tmp_path: Path
+) -> None:
+    knot = torus_knot(7, degree=degree)
+    write_ply(tmp_path / "knot.ply", knot)
+    ran = gsgen_here(
+        "export", "static", "knot.ply", "-o", "knot.onnx", *words.split(), cwd=tmp_path
+    )
+    assert ran.code == 0, ran.err
+    _, color, _ = onnxruntime.InferenceSession(tmp_path / "knot.onnx").run(None, {})
+    wide = 48 if "visionary" in words else (12, 12, 48, 48)[degree]
+    assert color.shape == (7, wide)
+    kept = knot.sh.reshape(7, -1)
+    np.testing.assert_allclose(color[:, : kept.shape[1]], kept, atol=1e-3)
+    assert (color[:, kept.shape[1] :] == 0).all()
+    assert ("are written as degree" in ran.err) == (degree in (0, 2) and "float16" in words)
 
 
 def test_padding_rows_are_zero(tmp_path: Path) -> None:

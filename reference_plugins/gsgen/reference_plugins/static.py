@@ -99,7 +99,8 @@ def from_content(
         opacity: Of bare points, in (0, 1].
         appearance: What packed rows with three channels hold, RGB where absent.
         sh_degree: Cut SH to this degree, or fill up to it with zeros; points become SH with it,
-            and raw RGB without. Packed rows stay as they are.
+            and raw RGB without. Packed rows stay as they are. In float16 a degree of 0 or 2 is
+            filled up to the next.
 
     Raises:
         GsgenError: Packed rows have a number of channels that means nothing.
@@ -116,6 +117,8 @@ def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> StaticS
     notes: tuple[str, ...] = ()
     if splats.degree > degree:
         notes = (f"SH degree {splats.degree} is cut to {degree}",)
+    degree, more = _in_words(degree, dtype)
+    notes += more
     with np.errstate(
         over="ignore"
     ):  # exp(-(-inf)) is inf, and 1 / (1 + inf) is the 0 it means
@@ -132,6 +135,14 @@ def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> StaticS
     return StaticScene(*layout.encode(gaussians, _type(dtype)), "sh", source, notes)
 
 
+def _in_words(degree: int, dtype: Dtype) -> tuple[int, tuple[str, ...]]:
+    """Return a degree whose rows fill words of four bytes (rule GO015), and what was done."""
+    if dtype == "float32" or degree % 2:
+        return degree, ()
+    note = f"SH of degree {degree} are written as degree {degree + 1}: rows fill words"
+    return degree + 1, (note,)
+
+
 def _of_degree(sh: Float[np.ndarray, "n k 3"], degree: int) -> Float[np.ndarray, "n l 3"]:
     """Cut SH to a degree, or fill it up with zeros."""
     made = np.zeros((len(sh), coefficients(degree), 3), sh.dtype)
@@ -145,6 +156,9 @@ def _from_points(
 ) -> StaticScene:
     scale = neighbour_scale(points.position)
     n = len(points)
+    notes: tuple[str, ...] = ()
+    if sh_degree is not None:
+        sh_degree, notes = _in_words(sh_degree, dtype)
     covariance = np.zeros((n, 6))
     covariance[:, [0, 3, 5]] = (scale**2)[:, None]
     gaussians = layout.Gaussians(
@@ -158,7 +172,7 @@ def _from_points(
     )
     space: Literal["sh", "rgb"] = "rgb" if sh_degree is None else "sh"
     source = f"{n:,} coloured points"
-    return StaticScene(*layout.encode(gaussians, _type(dtype)), space, source)
+    return StaticScene(*layout.encode(gaussians, _type(dtype)), space, source, notes)
 
 
 def _constant_term(color: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 1 3"]:

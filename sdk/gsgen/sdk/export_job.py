@@ -68,6 +68,8 @@ def _export(
     from gsgen.contract.finding import Level
     from gsgen.contract.targets import load_target
     from gsgen.sdk.exporter import export
+    from gsgen.sdk.filled import fill_harmonics
+    from gsgen.sdk.generator import GaussianGenerator
     from gsgen.sdk.post_export import export_post_process
     from gsgen.sdk.post_process import PostProcess
 
@@ -91,6 +93,9 @@ def _export(
             settings=settings,
             progress=progress,
         )
+    if isinstance(made, GaussianGenerator):
+        half = request.dtype == "float16"
+        fill_harmonics(made, half=half, target=request.target, tell=_note)
     return export(
         made,
         request.output,
@@ -103,6 +108,11 @@ def _export(
         settings=settings,
         progress=progress,
     )
+
+
+def _note(text: str) -> None:
+    clear()
+    typer.echo(text, err=True)
 
 
 def _show_failure(error: GsgenError) -> None:

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from gsgen.contract.report import Report
     from gsgen.formats import PackedRows, PointCloud, Splats
 
+# Consumers that read harmonics of one degree alone (rule TV104).
+_ONE_DEGREE = {"visionary": 3}
+
 
 def static(
     file: Annotated[
@@ -97,12 +100,14 @@ def static(
     ] = None,
 ) -> None:
     """Export FILE as a generator without inputs."""
-    from gsgen.formats import PackedRows
+    from gsgen.formats import PackedRows, Splats
     from gsgen.reference_plugins.static import from_content, write_scene
 
     settings = _settings(target, level)
     content = _read(file)
     typer.echo(f"{file}: {_describe(content)}", err=True)
+    if target in _ONE_DEGREE and isinstance(content, Splats) and sh_degree is None:
+        sh_degree = _ONE_DEGREE[target]
     scene = from_content(
         content, dtype=dtype, opacity=opacity, appearance=appearance, sh_degree=sh_degree
     )
@@ -156,7 +161,7 @@ def _read(file: Path) -> "Splats | PointCloud | PackedRows":
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", FormatWarning)
         try:
-            content = open_splats(file)
+            content = open_splats(file, drop_invalid=True)
         except FormatError as error:
             raise InputUnreadable(str(error)) from error
     for warning in caught:

@@ -1,0 +1,49 @@
+"""Spherical harmonics of a degree that consumers take: what a checkpoint lacks is 0."""
+
+__all__ = ["fill_harmonics"]
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from gsgen.contract.spherical_harmonics import MAX_DEGREE, coefficients, degree_of
+from gsgen.sdk.generator import GaussianGenerator, Gaussians
+
+# Consumers that read rows of one width alone (rule TV104).
+_ONE_WIDTH = ("visionary",)
+
+
+def fill_harmonics(
+    generator: GaussianGenerator, *, half: bool, target: str, tell: Callable[[str], None]
+) -> None:
+    """Let ``generator`` give spherical harmonics of a degree that is taken.
+
+    Rows of float16 have to fill words of four bytes (rule GO015), which those of degree 0 and 2
+    do not; and some consumers read degree 3 alone. Coefficients of 0 show nothing.
+
+    Args:
+        generator: From now on it returns such harmonics.
+        half: Outputs are float16.
+        target: The consumer.
+        tell: Called once with what was done, where something is.
+    """
+    told: list[int] = []
+
+    def fill(_module: Any, _given: Any, made: Any) -> Any:
+        if not isinstance(made, Gaussians) or made.sh is None:
+            return made
+        degree = degree_of(made.sh.shape[1])
+        wanted = degree + 1 if half and made.sh.shape[1] % 2 else degree
+        wanted = MAX_DEGREE if target in _ONE_WIDTH else wanted
+        if wanted == degree:
+            return made
+        if not told:
+            why = f"{target} reads no other" if target in _ONE_WIDTH else "rows fill words"
+            tell(f"note: SH of degree {degree} are written as degree {wanted}: {why}")
+            told.append(degree)
+        missing = coefficients(wanted) - made.sh.shape[1]
+        return replace(made, sh=torch.nn.functional.pad(made.sh, (0, 0, 0, missing)))
+
+    generator.register_forward_hook(fill)
