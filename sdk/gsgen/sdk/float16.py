@@ -27,6 +27,7 @@ from gsgen.sdk.constant_part import constant_nodes
 from gsgen.sdk.equivalence import probes_of
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.half_model import GUARD_ELEMENTS, LARGEST, HalfModel
+from gsgen.sdk.half_table import LEAST_ELEMENTS
 from gsgen.sdk.parity import FieldParity, Made, Parity, Reference, compare
 from gsgen.sdk.passes.base import is_op, opset_of
 from gsgen.sdk.passes.building import known_array
@@ -47,7 +48,7 @@ from gsgen.sdk.saving import (
     save_model,
     weight_bytes,
 )
-from gsgen.sdk.unit_search import Sensitivity, largest_harmless
+from gsgen.sdk.unit_search import Search, Sensitivity, largest_harmless
 
 _BUDGET = 200
 _LEAST_ROOM = 1e-3
@@ -217,12 +218,8 @@ def to_float16(
     for share in _SHARES:
         # Tables come first: they are what is stored, loaded and sent.
         progress(f"measuring which of {len(measure.weights)} weights may be float16")
-        tables = largest_harmless(
-            range(len(measure.weights)),
-            measure.of_weights,
-            budget=budget,
-            allowed=share * (_SHARE_OF_WEIGHTS if arithmetic else _SHARE_WITHOUT_NODES),
-        )
+        portion = share * (_SHARE_OF_WEIGHTS if arithmetic else _SHARE_WITHOUT_NODES)
+        tables = _choose_tables(measure, budget, portion)
         stored = {measure.weights[k] for k in tables.given_up}
         progress(f"measuring which of {len(nodes)} nodes may round to float16")
         measure.stored = tables.given_up
@@ -265,6 +262,24 @@ def to_float16(
         frame // 2 if outputs else frame,
         spent,
         tuple(weights),
+    )
+
+
+def _choose_tables(measure: "_Measure", budget: int, allowed: float) -> Search:
+    """Find tables to store in 16 bits: large ones first, since small ones hardly matter."""
+    large = [k for k, size in enumerate(measure.sizes) if size >= LEAST_ELEMENTS]
+    first = largest_harmless(large, measure.of_weights, budget=budget, allowed=allowed)
+    small = [k for k, size in enumerate(measure.sizes) if size < LEAST_ELEMENTS]
+    second = largest_harmless(
+        small,
+        lambda more: measure.of_weights([*first.given_up, *more]),
+        budget=budget - first.measured,
+        allowed=allowed,
+    )
+    return Search(
+        first.given_up | second.given_up,
+        (*first.kept, *second.kept),
+        first.measured + second.measured,
     )
 
 
@@ -311,7 +326,7 @@ class _Measure:
         self.space, self.tolerances = declared.appearance.space, tolerances
         self.probes, self.storage = probes, np.float16 if outputs else np.float32
         self._model = HalfModel(model)
-        self.weights = self._model.weights
+        self.weights, self.sizes = self._model.weights, self._model.sizes
         self.stored: Collection[int] = ()
         self._references = [self._reference(probe) for probe in probes]
         self._unseen = [self._reference(probe) for probe in _unseen(manifest, probes)]

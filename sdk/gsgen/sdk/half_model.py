@@ -13,6 +13,7 @@ import onnx_ir as ir
 from jaxtyping import Bool
 
 from gsgen.sdk.constant_part import split_constants
+from gsgen.sdk.half_table import half_table
 from gsgen.sdk.passes.base import is_op, opset_of
 from gsgen.sdk.passes.building import new_node, weight
 from gsgen.sdk.passes.to_float16 import FLOAT, HALF, halves, key_of, places_of
@@ -49,11 +50,12 @@ class HalfModel:
     flush it.
 
     What follows from weights alone is computed once, in float32, wherever the rest runs; its nodes
-    cannot be chosen. But any table of weights can be stored in float16, whatever reads it.
+    cannot be chosen. But any table of weights can be stored in 16 bits a number, whatever reads it.
 
     Attributes:
         units: Name of each node that can be chosen, in the order of the graph.
-        weights: Name of each table that can be stored in float16.
+        weights: Name of each table that can be stored as :func:`gsgen.sdk.half_table.half_table` has it.
+        sizes: Numbers in each of them.
     """
 
     def __init__(self, model: ir.Model) -> None:
@@ -63,7 +65,9 @@ class HalfModel:
         nodes = [node for node in copy.graph if halves(node, opset)]
         self.units = tuple(key_of(node) for node in nodes)
         self._tables = {one.name or "": _array(one) for one in tables(model.graph)}
+        self._halves: dict[str, np.ndarray] = {}
         self.weights = tuple(self._tables)
+        self.sizes = tuple(array.size for array in self._tables.values())
         self._names = [value.name or "" for value in copy.graph.outputs]
         self._between, self._remembered = list(part.between), _Remembered(b"", {})
         _feed_tables(copy, self.weights)
@@ -85,12 +89,18 @@ class HalfModel:
         fed = {**inputs, **self._constants(stored), FLAGS: chosen}
         return _run(self._session, self._names, fed)
 
+    def _halved(self, name: str) -> np.ndarray:
+        """Return a table as 16 bits a number hold it."""
+        if name not in self._halves:
+            self._halves[name] = half_table(self._tables[name]).decoded
+        return self._halves[name]
+
     def _constants(self, stored: Bool[np.ndarray, " w"]) -> Mapping[str, np.ndarray]:
         """Return tables and what follows from them; those of the last choice are remembered."""
         key = stored.tobytes()
         if key != self._remembered.key or not self._remembered.arrays:
             made = {
-                name: array.astype(np.float16).astype(np.float32) if half else array
+                name: self._halved(name) if half else array
                 for (name, array), half in zip(self._tables.items(), stored, strict=True)
             }
             if self._once is not None:

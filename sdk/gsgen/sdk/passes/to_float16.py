@@ -10,8 +10,9 @@ import onnx
 import onnx_ir as ir
 
 from gsgen.sdk.constant_part import constant_nodes
+from gsgen.sdk.half_table import HalfTable, half_table
 from gsgen.sdk.passes.base import MAIN_DOMAIN, Exactness, Goal, is_op, opset_of
-from gsgen.sdk.passes.building import free_name, weight
+from gsgen.sdk.passes.building import free_name, new_node, weight
 from gsgen.sdk.passes.refusal import CautiousRewrite
 
 FLOAT, HALF = ir.DataType.FLOAT, ir.DataType.FLOAT16
@@ -176,21 +177,46 @@ def _convert_weight(
     half = [use for use in readers if use in wants]
     if not (half or stored) or value.const_value is None:
         return
-    with np.errstate(over="ignore"):
-        array = value.const_value.numpy().astype(np.float16)
+    array = value.const_value.numpy()
     full = [use for use in readers if use not in wants]
-    if value.is_graph_output() or (full and not stored):
+    if full and stored and not value.is_graph_output():
+        _store(graph, value, half_table(array), wants)
+        return
+    with np.errstate(over="ignore"):
+        array = array.astype(np.float16)
+    if value.is_graph_output() or full:
         copy = weight(graph, f"{value.name}_float16", array)
         for node, place in half:
             node.replace_input_with(place, copy)
         return
     value.const_value = ir.tensor(array, name=value.name)
     value.type = ir.TensorType(HALF)
-    if full:
-        cast = _cast(value, FLOAT)
-        _insert_behind(graph, value, cast)
-        for node, place in full:
-            node.replace_input_with(place, cast.outputs[0])
+
+
+def _store(graph: ir.Graph, value: ir.Value, table: HalfTable, wants: Wants) -> None:
+    """Hold a weight as ``table``, for readers in either dtype."""
+    value.const_value = ir.tensor(table.numbers, name=value.name)
+    value.type = ir.TensorType(value.const_value.dtype)
+    if table.step is None or table.start is None:
+        _convert_value(graph, value, wants, is_half=True)
+        return
+    readers = _readers(value)
+    numbers = _cast(value, FLOAT)
+    name = f"{value.name}_scaled"
+    step = weight(graph, f"{value.name}_step", table.step)
+    start = weight(graph, f"{value.name}_start", table.start)
+    scaled = new_node(
+        "Mul", [numbers.outputs[0], step], name, dtype=FLOAT, shape=value.shape
+    )
+    name = f"{value.name}_moved"
+    moved = new_node(
+        "Add", [scaled.outputs[0], start], name, dtype=FLOAT, shape=value.shape
+    )
+    for node in (moved, scaled, numbers):
+        _insert_behind(graph, value, node)
+    for node, place in readers:
+        node.replace_input_with(place, moved.outputs[0])
+    _convert_value(graph, moved.outputs[0], wants, is_half=False)
 
 
 def _convert_value(
