@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -5,12 +6,14 @@ import numpy as np
 import pytest
 import torch
 
+from gsgen.formats import write_ply
 from gsgen.reference_plugins.checkpoints.deformations import read_deformation
 from gsgen.reference_plugins.checkpoints.hexplanes import read_hexplanes
 from gsgen.reference_plugins.deformable_3dgs import Deformable3DGS
 from gsgen.reference_plugins.hexplane_4dgs import HexPlane4DGS
 from gsgen.reference_plugins.synthetic import (
     HexPlaneOptions,
+    torus_knot,
     write_deformable,
     write_hexplane,
 )
@@ -60,6 +63,16 @@ def test_hexplane_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
 def test_fewer_harmonics_stay_fewer(degree: int, tmp_path: Path) -> None:
     generator = made(tmp_path, HexPlaneOptions(count=5, degree=degree))
     assert eager(generator, moment(0.5))[1].shape == (5, 3 * (degree + 1) ** 2)
+
+
+def test_harmonics_that_no_renderer_draws_are_cut(tmp_path: Path) -> None:
+    folder = write_hexplane(tmp_path, HexPlaneOptions(count=5))
+    sh = np.random.default_rng(0).normal(size=(5, 25, 3)).astype(np.float32)
+    knot = replace(torus_knot(5), sh=sh)
+    write_ply(folder / "point_cloud/iteration_30000/point_cloud.ply", knot)
+    read = read_hexplanes(folder)
+    assert "5 Gaussians of SH degree 3 (cut from 4)" in read.describe()
+    np.testing.assert_array_equal(read.canonical.sh.numpy(), knot.sh[:, :16])
 
 
 def test_time_beyond_its_range_stands_still(tmp_path: Path) -> None:

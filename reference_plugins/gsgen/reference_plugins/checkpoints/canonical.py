@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from gsgen.contract.spherical_harmonics import MAX_DEGREE, coefficients
 from gsgen.formats import FormatError, PointCloud, read_ply
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 from gsgen.reference_plugins.checkpoints.folder import required_file
@@ -25,6 +26,7 @@ class Canonical:
         log_scale: Logarithms of the standard deviations.
         logit_opacity: Opacity before the sigmoid.
         sh: Spherical harmonics, coefficient by coefficient.
+        stored: The degree in the file, where ``sh`` was cut to what renderers draw.
     """
 
     position: Float[Tensor, "n 3"]
@@ -32,6 +34,7 @@ class Canonical:
     log_scale: Float[Tensor, "n 3"]
     logit_opacity: Float[Tensor, "n 1"]
     sh: Float[Tensor, "n k 3"]
+    stored: int | None = None
 
     def __len__(self) -> int:
         return self.position.shape[0]
@@ -40,6 +43,11 @@ class Canonical:
     def degree(self) -> int:
         """Of the spherical harmonics."""
         return math.isqrt(self.sh.shape[1]) - 1
+
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+        cut = "" if self.stored is None else f" (cut from {self.stored})"
+        return f"{len(self):,} Gaussians of SH degree {self.degree}{cut}"
 
 
 def read_canonical(path: Path) -> Canonical:
@@ -61,5 +69,6 @@ def read_canonical(path: Path) -> Canonical:
         torch.from_numpy(read.rotation),
         torch.from_numpy(read.log_scale),
         torch.from_numpy(read.logit_opacity)[:, None],
-        torch.from_numpy(read.sh),
+        torch.from_numpy(read.sh[:, : coefficients(MAX_DEGREE)]),
+        read.degree if read.degree > MAX_DEGREE else None,
     )

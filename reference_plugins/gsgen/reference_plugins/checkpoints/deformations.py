@@ -86,8 +86,8 @@ class DeformationCheckpoint:
         kind = "Blender" if self.net.time is not None else "real"
         motion = "screws (6 degrees of freedom)" if self.net.has_six_degrees else "shifts"
         return (
-            f"{self.folder}: iteration {self.iteration}, {len(self.canonical):,} Gaussians of SH "
-            f"degree {self.canonical.degree}, {len(self.net.layers)} layers of "
+            f"{self.folder}: iteration {self.iteration}, {self.canonical.describe()}, "
+            f"{len(self.net.layers)} layers of "
             f"{self.net.layers[0][0].shape[0]}, {kind} time, {motion}"
         )
 

@@ -48,8 +48,8 @@ class GauHumanCheckpoint:
         """Say in one line what it holds."""
         nets = "pose and weight networks" if self.nets is not None else "no networks"
         return (
-            f"{self.folder}: iteration {self.iteration}, {len(self.canonical):,} Gaussians of SH "
-            f"degree {self.canonical.degree}, {nets}; {self.body.describe()}"
+            f"{self.folder}: iteration {self.iteration}, {self.canonical.describe()}, "
+            f"{nets}; {self.body.describe()}"
         )
 
 

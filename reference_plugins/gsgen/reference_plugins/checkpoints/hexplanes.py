@@ -134,7 +134,7 @@ class HexPlaneCheckpoint:
         sizes = ["×".join(map(str, _sizes(planes))) for planes in grids]
         parts = [
             f"iteration {self.iteration}",
-            f"{len(self.canonical):,} Gaussians of SH degree {self.canonical.degree}",
+            self.canonical.describe(),
             f"planes of {grids[0][0].shape[0]} channels at {', '.join(sizes)}",
             f"{len(self.nets.feature)} layers of {self.nets.feature[0][0].shape[0]}",
             f"heads {', '.join(self.flags.active)}",

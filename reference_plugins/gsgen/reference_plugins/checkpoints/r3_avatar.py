@@ -99,8 +99,8 @@ class R3Checkpoint:
     def describe(self) -> str:
         """Say in one line what it holds."""
         return (
-            f"{self.path}: {len(self.canonical):,} Gaussians of SH degree "
-            f"{self.canonical.degree}, {len(self.grids)} × 6 planes, time 0 at pose "
+            f"{self.path}: {self.canonical.describe()}, "
+            f"{len(self.grids)} × 6 planes, time 0 at pose "
             f"{self.origin}; {self.body.describe()}"
         )
 
