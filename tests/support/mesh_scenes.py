@@ -8,7 +8,7 @@ import numpy as np
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.mesh import Mesh, MeshData
 from gsgen.runtime.scene import Scene, SplatSet
-from support.splat_scenes import camera, cloud, turned
+from support.splat_scenes import all_around, camera, cloud, turned
 
 MESH_SCENES: dict[str, Callable[[], tuple[Scene, Camera]]] = {}
 
@@ -173,3 +173,85 @@ def far_from_the_origin() -> tuple[Scene, Camera]:
     view = np.eye(4)
     view[:3, 3] = -away
     return Scene(sets, meshes=meshes), replace(here, view=view)
+
+
+@named
+def panorama_room() -> tuple[Scene, Camera]:
+    """A room around the eye, whose walls some splats are behind, and a ball in it."""
+    room = Mesh(ball(4, 6), moved(0.3, 0.2, -0.4, np.diag([3.0, 3, 3, 1])), "headlight")
+    inner = Mesh(ball(3, 5, 2), moved(0.5, 0.6, 1.4, np.diag([0.5, 0.5, 0.5, 1])))
+    seen_by = Camera.panorama((0, 0, 0), (1, 0, 1), up=(0.1, -1, 0.2), width=64)
+    return Scene([all_around(150, 20)], meshes=[room, inner]), seen_by
+
+
+@named
+def panorama_seam() -> tuple[Scene, Camera]:
+    """Behind the eye, on both edges of the picture: splats before a leaning wall and behind it."""
+    leaning = quad([[-2, -1, -2], [2, -1, -4], [2.5, 1.5, -5], [-2, 1, -2]])
+    data = all_around(150, 21, size=0.2)
+    data.rows[:, 0] *= 0.3
+    data.rows[:, 2] = -np.abs(data.rows[:, 2]) - 0.7
+    return Scene([data], meshes=[leaning]), Camera.panorama((0, 0, 0), width=72)
+
+
+@named
+def panorama_poles() -> tuple[Scene, Camera]:
+    """A floor and a ceiling that have the poles inside, and small triangles near them."""
+    floor = quad([[-3, 1.2, -2], [3, 1.3, -1], [2, 1, 4], [-3, 1.5, 3]])
+    ceiling = MeshData(
+        np.array([[-2, -1.5, -2], [3, -1, -1], [0, -2, 4]]),
+        np.array([[0, 1, 2]]),
+        np.eye(3, dtype=np.float32),
+    )
+    small = Mesh(ball(3, 4, 3), moved(0.1, -0.7, 0.1, np.diag([0.2, 0.2, 0.2, 1])))
+    return Scene([all_around(80, 22)], meshes=[floor, ceiling, small]), Camera.panorama(
+        (0.05, 0.02, 0.03), width=66, height=35
+    )
+
+
+@named
+def panorama_around_the_eye() -> tuple[Scene, Camera]:
+    """Large triangles that pass close by the eye, with corners on all sides of it."""
+    rng = np.random.default_rng(23)
+    points = rng.normal(size=(12, 3)) * rng.uniform(0.4, 6, (12, 1))
+    colors = rng.uniform(0.1, 0.9, (12, 3))
+    data = MeshData(points, np.arange(12).reshape(4, 3), colors)
+    close = quad([[-5, 0.03, -4], [6, 0.02, -5], [5, 0.04, 6], [-4, 0.03, 5]], seed=4)
+    far = quad([[-900, 3, -1000], [900, 3, -1000], [900, 3, 1000], [-900, 3, 1000]])
+    placed = Mesh(data, moved(0.3, -0.2, 0.1, turned(0.6, (1, 2, 3))), "headlight")
+    return Scene([all_around(80, 24)], meshes=[placed, close, far]), Camera.panorama(
+        (0, 0, 0), (1, 0, -1), width=64
+    )
+
+
+@named
+def panorama_near() -> tuple[Scene, Camera]:
+    """What is nearer than the near distance is not there: a ball is cut open by it."""
+    ring = Mesh(ball(4, 7), moved(0.2, 0.3, -0.4, np.diag([1.0, 1, 1, 1])))
+    seen_by = Camera.panorama((0, 0, 0), width=64, near=0.8)
+    return Scene([all_around(80, 25)], meshes=[ring]), seen_by
+
+
+@named
+def panorama_textured() -> tuple[Scene, Camera]:
+    """A texture across the seam, in linear light, far from the origin."""
+    picture = np.random.default_rng(26).integers(0, 256, (5, 7, 3), np.uint8)
+    uv = np.array([[-0.3, 0], [1.6, 0.1], [1.4, 1.2], [0, 1]], np.float32)
+    corners = [[-4, -2, -3], [4, -2, -2], [4, 1, -2], [-4, 2, -4]]
+    away = moved(1e4, -3e3, 7e3)
+    wall_of_it = Mesh(quad(corners, uv=uv, texture=picture), away, "headlight")
+    scene = Scene(
+        [SplatSet(all_around(60, 26), away)], color_space="linear", meshes=[wall_of_it]
+    )
+    return scene, Camera.panorama(away[:3, 3], width=64)
+
+
+@named
+def panorama_part() -> tuple[Scene, Camera]:
+    """From over the left shoulder to behind the right one, and up to the pole."""
+    part = {"longitudes": (100.0, 250.0), "latitudes": (-30.0, 90.0)}
+    room = Mesh(ball(4, 5, 5), np.diag([2.5, 2.5, 2.5, 1]))
+    meshes = [room, quad([[-1, -1, -2], [1, -1, -2], [1, 1, -2], [-1, 1, -2]])]
+    return Scene([all_around(150, 27)], meshes=meshes), Camera.panorama(
+        (0, 0, 0), width=60, **part
+    )

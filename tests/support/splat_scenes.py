@@ -254,7 +254,7 @@ def far_from_the_origin() -> tuple[Scene, Camera]:
     return Scene([SplatSet(cloud(200, 47, degree=3), away)]), there
 
 
-def _all_around(n: int, seed: int, degree: int | None = None, **kind: object) -> SplatData:
+def all_around(n: int, seed: int, degree: int | None = None, **kind: object) -> SplatData:
     """Random Gaussians in all directions, as many near the poles as anywhere."""
     data = cloud(n, seed, degree=degree, **kind)  # type: ignore[arg-type]
     rng = np.random.default_rng(seed)
@@ -269,7 +269,7 @@ def panorama() -> tuple[Scene, Camera]:
     """All degrees, in sets of which one is turned; and values that are not finite."""
     placed = turned(0.7, (1, 2, 3), 1.3)
     placed[:3, 3] = 0.3, -0.2, 0.5
-    sets = [_all_around(60, 60 + d, degree=d) for d in range(4)]
+    sets = [all_around(60, 60 + d, degree=d) for d in range(4)]
     wrong = np.float32([np.nan, np.inf, -np.inf])
     sets[0].rows[np.arange(30), np.arange(30) % 10] = wrong[np.arange(30) // 10]
     around = Camera.panorama(
@@ -281,7 +281,7 @@ def panorama() -> tuple[Scene, Camera]:
 @named
 def panorama_seam() -> tuple[Scene, Camera]:
     """Half of what there is lies behind, across both edges of the image."""
-    data = _all_around(160, 64, size=0.3)
+    data = all_around(160, 64, size=0.3)
     data.rows[::2, 0] *= 0.05
     data.rows[::2, 2] = -np.abs(data.rows[::2, 2]) - 0.5
     return Scene([data]), Camera.panorama((0, 0, 0), width=96)
@@ -290,7 +290,7 @@ def panorama_seam() -> tuple[Scene, Camera]:
 @named
 def panorama_poles() -> tuple[Scene, Camera]:
     """Centres from the poles to ten degrees away, and one at each pole."""
-    data = _all_around(150, 65, size=0.05, thin=1.0)
+    data = all_around(150, 65, size=0.05, thin=1.0)
     data.rows[:, [0, 2]] *= 0.15
     data.rows[:2, [0, 2]] = 0
     data.rows[:2, 1] = -2, 2
@@ -299,7 +299,7 @@ def panorama_poles() -> tuple[Scene, Camera]:
 
 @named
 def panorama_huge() -> tuple[Scene, Camera]:
-    data = _all_around(40, 66, size=20.0, opacity=(0.02, 0.2))
+    data = all_around(40, 66, size=20.0, opacity=(0.02, 0.2))
     return Scene([data]), Camera.panorama((0, 0, 0), width=70)
 
 
@@ -307,6 +307,6 @@ def panorama_huge() -> tuple[Scene, Camera]:
 def panorama_part() -> tuple[Scene, Camera]:
     """From over the left shoulder to behind the right one, from below the horizon to the pole."""
     part = {"longitudes": (100.0, 250.0), "latitudes": (-90.0, 10.0)}
-    return Scene([_all_around(200, 67, degree=1)]), Camera.panorama(
+    return Scene([all_around(200, 67, degree=1)]), Camera.panorama(
         (0, 0, 0), width=90, **part
     )

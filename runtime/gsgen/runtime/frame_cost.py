@@ -11,7 +11,7 @@ import numpy as np
 
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.film import Film
-from gsgen.runtime.kernels.draw_meshes import PlacedMesh
+from gsgen.runtime.kernels.mesh_place import PlacedMesh
 from gsgen.runtime.plan import Placed, Plan
 from gsgen.runtime.stage_clock import StageClock
 

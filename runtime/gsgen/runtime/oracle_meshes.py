@@ -30,7 +30,7 @@ class Surface:
     """The first surface that each pixel's ray meets.
 
     Attributes:
-        depth: Along the camera's +z; infinite where there is none.
+        depth: Along the camera's +z, or from a panorama's centre; infinite where there is none.
         color: In the scene's colour space.
         normal: Unit vectors in world space that point towards the camera.
         fragile: Pixels at an edge of what is seen, where a rasteriser may decide otherwise.
@@ -49,7 +49,7 @@ def cast(
 
     Args:
         meshes: In the order in which they are drawn.
-        camera: A pinhole or an orthographic camera.
+        camera: Of any kind.
         color_space: Of the colours that are returned.
     """
     start, ahead = _rays(camera)
@@ -94,13 +94,19 @@ def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         start = np.stack([across, down, none], -1) @ to_world + camera.eye
         return start, np.stack([none, none, one], -1) @ to_world
     start = np.broadcast_to(camera.eye, (*shape, 3))
+    if camera.kind == "panorama":  # points of the unit sphere by longitude and latitude
+        level = np.cos(down)
+        around = [level * np.sin(across), np.sin(down), level * np.cos(across)]
+        return start, np.stack(around, -1) @ to_world
     return start, np.stack([across, down, one], -1) @ to_world
 
 
 def _window(triangle: np.ndarray, camera: Camera) -> tuple[slice, slice]:
-    """Return rows and columns that the triangle may cover: all, if it is partly behind."""
+    """Return rows and columns that the triangle may cover: all, where that is not plain."""
     at = triangle @ camera.view[:3, :3].T + camera.view[:3, 3]
     everything = slice(0, camera.height), slice(0, camera.width)
+    if camera.kind == "panorama":
+        return everything
     if camera.kind == "pinhole":
         if not (at[:, 2] > 0.5 * camera.near).all():
             return everything

@@ -16,15 +16,10 @@ from gsgen.runtime.kernels import counts as counting
 from gsgen.runtime.kernels.bin_tiles import WALK_THREADS, BinTiles
 from gsgen.runtime.kernels.blend_tiles import BlendTiles, Layers
 from gsgen.runtime.kernels.counts import Counts
-from gsgen.runtime.kernels.draw_meshes import (
-    PLACE,
-    DrawMeshes,
-    MeshesStep,
-    PlacedMesh,
-    mesh_uniform,
-)
+from gsgen.runtime.kernels.draw_meshes import DrawMeshes, MeshesStep
 from gsgen.runtime.kernels.draw_quads import DrawQuads, QuadsStep
 from gsgen.runtime.kernels.kernel import Step, run
+from gsgen.runtime.kernels.mesh_place import PLACE, PlacedMesh, mesh_rays, mesh_uniform
 from gsgen.runtime.kernels.normals import NormalsKernel
 from gsgen.runtime.kernels.order_ties import OrderTies
 from gsgen.runtime.kernels.project import (
@@ -74,7 +69,7 @@ class Kernels:
             lambda: WeightedKernels(device, self.cut, self.scan, self.sort, self.ranges)
         )
         self.quads = cache(lambda tested, panorama: DrawQuads(device, tested, panorama))
-        self.meshes = cache(lambda: DrawMeshes(device))
+        self.meshes = cache(lambda panorama: DrawMeshes(device, panorama))
 
 
 @final
@@ -213,8 +208,9 @@ class Plan:
 
     def _draw_meshes(self, meshes: Sequence[PlacedMesh]) -> list[Step]:
         """Make what draws meshes; return what makes a layer of them, if tiles are blended."""
-        self._meshes = self._kernels.meshes().step(
-            self._size, meshes, self._mesh_slots, self._layers
+        self._mesh_rays = self._storage("rays of meshes", 8 * sum(self._size))
+        self._meshes = self._kernels.meshes(self._panorama).step(
+            self._size, meshes, self._mesh_slots, self._mesh_rays, self._layers
         )
         return list(self._meshes.layers)
 
@@ -348,6 +344,8 @@ class Plan:
             pages.append((one, base, page.capacity, live))
             base += page.capacity
         device.write(self._slots, page_uniforms(pages, camera))
+        if self._meshes is not None:
+            device.write(self._mesh_rays, mesh_rays(camera))
         for slot, mesh in enumerate(meshes):
             device.write(
                 self._mesh_slots, mesh_uniform(mesh, camera), slot * PLACE.itemsize

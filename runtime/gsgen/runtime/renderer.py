@@ -20,7 +20,7 @@ from gsgen.runtime.errors import (
 )
 from gsgen.runtime.frame import NOTHING, Frame, Output
 from gsgen.runtime.kernels.counts import Counts
-from gsgen.runtime.kernels.draw_meshes import PlacedMesh
+from gsgen.runtime.kernels.mesh_place import PlacedMesh
 from gsgen.runtime.kernels.shader import ABSENT
 from gsgen.runtime.mesh_residency import MeshResidency
 from gsgen.runtime.plan import Kernels, Placed, Plan

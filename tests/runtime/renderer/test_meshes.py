@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsgen.runtime import oracle
+from gsgen.runtime import oracle, oracle_meshes
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
 from gsgen.runtime.errors import CapacityExceeded, SceneInvalid
 from gsgen.runtime.frame import NOTHING
 from gsgen.runtime.kernels.blend_tiles import NOWHERE, BlendTiles, blend_reference
-from gsgen.runtime.kernels.draw_meshes import PlacedMesh, mesh_uniform, seen_reference
+from gsgen.runtime.kernels.draw_meshes import seen_reference
 from gsgen.runtime.kernels.kernel import Step, run
+from gsgen.runtime.kernels.mesh_place import PlacedMesh, mesh_rays, mesh_uniform
 from gsgen.runtime.kernels.project import (
     Projected,
     frame_uniform,
@@ -23,7 +24,8 @@ from gsgen.runtime.kernels.shader import source
 from gsgen.runtime.mesh import Mesh, MeshData
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.scene import Scene
-from support.mesh_scenes import MESH_SCENES, ball, moved, wall
+from gsgen.runtime.splat_data import SplatData
+from support.mesh_scenes import MESH_SCENES, ball, moved, quad, wall
 from support.splat_scenes import camera, cloud, single, turned
 
 BEHIND = (0.1, 0.4, 0.7, 0.5)
@@ -70,7 +72,17 @@ def quads(device: Device) -> Renderer:
     return Renderer(device, rasteriser="quads")
 
 
-@pytest.mark.parametrize("name", ["through_the_middle", "several", "flat_camera", "alone"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "through_the_middle",
+        "several",
+        "flat_camera",
+        "alone",
+        "panorama_seam",
+        "panorama_poles",
+    ],
+)
 def test_quads_are_hidden_by_meshes_too(quads: Renderer, name: str) -> None:
     scene, seen_by = MESH_SCENES[name]()
     seen = quads.render(scene, seen_by, background=BEHIND, outputs=EVERYTHING)
@@ -136,7 +148,17 @@ def test_many_triangles_are_as_two(renderer: Renderer) -> None:
     assert np.abs(many.rgba - two.rgba)[~edge].max() <= 1e-4
 
 
-@pytest.mark.parametrize("name", ["several", "near_plane", "textured", "flat_camera"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "several",
+        "near_plane",
+        "textured",
+        "flat_camera",
+        "panorama_poles",
+        "panorama_textured",
+    ],
+)
 def test_the_twin_sees_the_same(renderer: Renderer, name: str) -> None:
     scene, seen_by = MESH_SCENES[name]()
     scene = Scene([], color_space=scene.color_space, meshes=scene.meshes)
@@ -145,7 +167,7 @@ def test_the_twin_sees_the_same(renderer: Renderer, name: str) -> None:
     best = np.full((*size[::-1], 8), NOWHERE)
     for placed in renderer.placed_meshes(scene):
         place = mesh_uniform(placed, seen_by)
-        made = seen_reference(placed.mesh.data, place)
+        made = seen_reference(placed.mesh.data, place, mesh_rays(seen_by))
         best = np.where(made[..., 7:] < best[..., 7:], made, best)
     there = best[..., 7] < NOWHERE
     edge = oracle.render(scene, seen_by).fragile
@@ -260,10 +282,93 @@ def test_meshes_that_come_and_go(renderer: Renderer) -> None:
     assert np.array_equal(without.rgba, again.rgba)
 
 
-def test_cameras_that_show_no_meshes_say_so(renderer: Renderer) -> None:
-    around = camera().all_around(64, 32)
-    with pytest.raises(SceneInvalid, match="meshes are drawn for pinhole and orthographic"):
-        renderer.render(Scene([], meshes=[wall(3)]), around)
+def test_nothing_shows_through_a_panorama_s_joints(renderer: Renderer) -> None:
+    """Rooms around the eye have no holes, where corners meet pixels' centres, either."""
+    places = [(0, 0, 0), (0.37, -0.21, 0.53), (0, 0.9, 0), (0.001, -0.98, 0.0001)]
+    ends = np.concatenate([np.eye(3), -np.eye(3)])  # each straight at a pixel, or at a pole
+    sides = [[x, y, z] for x in (0, 3) for y in (1, 4) for z in (2, 5)]
+    for shape in (MeshData(ends, np.array(sides)), ball(30, 45), ball(16, 33)):
+        room = Mesh(shape, np.diag([1.7, 1.9, 1.8, 1]))
+        for place in places:
+            for width, height in ((33, 17), (128, 64)):
+                seen_by = Camera.panorama(place, width=width, height=height)
+                frame = renderer.render(Scene([], meshes=[room]), seen_by)
+                assert (frame.alpha == 1).all(), (len(shape), place, width)
+
+
+def test_a_panorama_s_mesh_is_where_a_splat_of_the_same_place_is(
+    renderer: Renderer,
+) -> None:
+    """In all directions, a small triangle around a direction hides the splat just behind it."""
+    rng = np.random.default_rng(30)
+    for toward in [*rng.normal(size=(6, 3)), (0, 0, -1), (0, 1, 0), (0, -1, 0)]:
+        ahead = np.array(toward) / np.linalg.norm(toward)
+        side = np.cross(ahead, np.eye(3)[np.argmin(np.abs(ahead))])
+        up = np.cross(ahead, side)
+        corners = 3 * ahead + np.stack([side - up, up, -side - up]) * 1.5
+        shape = MeshData(corners, FACE, np.full((3, 3), 0.25))
+        rows = np.zeros((1, 10), np.float32)
+        rows[0, 3], rows[0, [4, 7, 9]] = 0.9, 0.01
+        for distance, hidden in ((3.05, True), (2.95, False)):
+            rows[0, :3] = distance * ahead
+            splat = SplatData(rows, np.ones((1, 3), np.float32), "rgb")
+            seen_by = Camera.panorama((0, 0, 0), width=96)
+            frame = renderer.render(Scene([splat], meshes=[shape]), seen_by)
+            assert frame.alpha.max() == 1
+            brightest = frame.rgba[..., :3].max()
+            assert brightest == pytest.approx(0.25) if hidden else brightest > 0.5
+
+
+def test_plans_know_a_mesh_all_around_from_one_ahead(renderer: Renderer) -> None:
+    scene, around = MESH_SCENES["panorama_poles"]()
+    ahead = camera(width=around.width, height=around.height)
+    first = renderer.render(scene, around).rgba
+    renderer.render(scene, ahead)
+    assert np.array_equal(renderer.render(scene, around).rgba, first)
+
+
+def test_slivers_have_the_colours_of_their_pixels(renderer: Renderer) -> None:
+    """Triangles in planes that almost pass through the eye, with corners near and far."""
+    rng = np.random.default_rng(0)
+    upright = rng.normal(size=(40, 1, 3))
+    upright /= np.linalg.norm(upright, axis=-1, keepdims=True)
+    pixel, depth = (
+        rng.uniform(0, (160, 120), (40, 3, 2)),
+        np.exp(rng.uniform(0, 3, (40, 3))),
+    )
+    seen_by = Camera(np.eye(4), 100.0, 100.0, 80.0, 60.0, 160, 120)
+    points = np.concatenate([(pixel - (80, 60)) / 100, np.ones((40, 3, 1))], -1)
+    points *= depth[..., None]
+    apart = rng.choice([0.003, 0.01, 0.03], (40, 1, 1))
+    points -= ((points * upright).sum(-1, keepdims=True) - apart) * upright
+    colors = rng.uniform(size=(120, 3))
+    shape = MeshData(points.reshape(-1, 3), np.arange(120).reshape(40, 3), colors)
+    for kind in (seen_by, seen_by.all_around(96, 48)):
+        wanted = oracle_meshes.cast([Mesh(shape)], kind, "srgb")
+        seen = renderer.render(Scene([], meshes=[shape]), kind, outputs=EVERYTHING)
+        firm = ~wanted.fragile & np.isfinite(wanted.depth)
+        assert firm.sum() > 40
+        assert np.abs(seen.rgba[firm][:, :3] - wanted.color[firm]).max() <= 3e-6
+        np.testing.assert_allclose(seen.depth[firm], wanted.depth[firm], rtol=3e-4)
+
+
+@pytest.mark.parametrize("around", [False, True])
+def test_a_floor_to_the_horizon_is_as_far_as_it_should_be(
+    renderer: Renderer, around: bool
+) -> None:
+    """Corners are kilometres away; the floor under the eye is not."""
+    floor = quad([[-9e3, 1, -9e3], [9e3, 1, -8e3], [9e3, 1, 9e3], [-8e3, 1, 9e3]])
+    seen_by = camera().all_around(64, 32) if around else camera(fx=20.0, fy=20.0)
+    placed = Mesh(floor, turned(0.6, (1, 2, 3)))
+    view = seen_by.view @ turned(0.6, (1, 2, 3)).T
+    frame = renderer.render(
+        Scene([], meshes=[placed]), replace(seen_by, view=view), outputs=("depth",)
+    )
+    rays = mesh_rays(seen_by).astype(float)[seen_by.width :]
+    down = rays[:, 0]  # of the direction; the floor is one unit below
+    there = down > 0.03
+    wanted = np.broadcast_to(1 / down[there, None], frame.depth[there].shape)
+    np.testing.assert_allclose(frame.depth[there], wanted, rtol=2e-5)
 
 
 def test_a_texture_that_is_too_large(renderer: Renderer) -> None:

@@ -1,103 +1,31 @@
 """Draw meshes: opaque triangles through the hardware's rasteriser, as a layer among the splats."""
 
-__all__ = ["DrawMeshes", "MeshesStep", "PlacedMesh", "mesh_uniform", "seen_reference"]
+__all__ = ["DrawMeshes", "MeshesStep", "seen_reference"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal, final
+from typing import Any, Final, final
 
 import numpy as np
-from jaxtyping import Float, Shaped, UInt32
+from jaxtyping import Float, Float32, Shaped, UInt32
 
-from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
-from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.frame import srgb_of_linear
 from gsgen.runtime.kernels.blend_tiles import NOWHERE, Layers
 from gsgen.runtime.kernels.kernel import Kernel, Step
+from gsgen.runtime.kernels.mesh_place import PLACE, TO_LINEAR, TO_SRGB, PlacedMesh
 from gsgen.runtime.kernels.shader import TILE, source
-from gsgen.runtime.mesh import Mesh, MeshData
+from gsgen.runtime.mesh import MeshData
 from gsgen.runtime.mesh_residency import MeshBuffers
 
 AMBIENT: Final = 0.2
 """What a headlight leaves of a colour where the surface is seen from the side."""
-_FIELDS: Final = {
-    "linear": ("(3,4)f4", 0),
-    "eye": ("3f4", 48),
-    "shaded": ("u4", 60),
-    "eye_rest": ("3f4", 64),
-    "conversion": ("u4", 76),
-    "focal": ("2f4", 80),
-    "center": ("2f4", 88),
-    "size": ("2f4", 96),
-    "near": ("f4", 104),
-    "is_flat": ("u4", 108),
-    "textured": ("u4", 112),
-}
-PLACE: Final = np.dtype(
-    {
-        "names": list(_FIELDS),
-        "formats": [form for form, _ in _FIELDS.values()],
-        "offsets": [offset for _, offset in _FIELDS.values()],
-        "itemsize": 256,  # a step that every device can bind at
-    }
-)
-"""The bytes of ``struct Place`` in draw_meshes.wgsl."""
-
-_TO_LINEAR: Final = 1
-_TO_SRGB: Final = 2
 _PIXEL: Final = 16  # bytes, of four floats
 _ROW: Final = (
     256 // _PIXEL
 )  # pixels: what a row of a copied texture has to be a multiple of
 _FLOATS: Final = "rgba32float"
 DEPTHS: Final = "depth32float"
-_KINDS: Final = ("pinhole", "orthographic")
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class PlacedMesh:
-    """A mesh of a scene, and where its arrays are on the GPU.
-
-    Attributes:
-        mesh: What is drawn.
-        buffers: Of its data.
-        color_space: Of the scene.
-    """
-
-    mesh: Mesh
-    buffers: MeshBuffers
-    color_space: Literal["srgb", "linear"]
-
-
-def mesh_uniform(placed: PlacedMesh, camera: Camera) -> Shaped[np.ndarray, ""]:
-    """Return what all triangles of a mesh share, worked out in float64.
-
-    Raises:
-        SceneInvalid: The camera is neither a pinhole nor orthographic.
-    """
-    if camera.kind not in _KINDS:
-        raise SceneInvalid(
-            f"is {camera.kind}: meshes are drawn for {' and '.join(_KINDS)} cameras alone",
-            where="camera.kind",
-            mend="Leave the meshes out, or take a pinhole camera.",
-        )
-    made = np.zeros((), PLACE)
-    mesh, data = placed.mesh, placed.mesh.data
-    linear, offset = mesh.transform[:3, :3], mesh.transform[:3, 3]
-    eye = np.linalg.solve(linear, camera.eye - offset)
-    made["linear"][:, :3] = (camera.view[:3, :3] @ linear).T  # WGSL matrices are columns
-    made["eye"] = eye
-    made["eye_rest"] = eye - made["eye"].astype(np.float64)
-    made["shaded"] = mesh.shading == "headlight"
-    if data.color_space != placed.color_space:
-        made["conversion"] = _TO_LINEAR if placed.color_space == "linear" else _TO_SRGB
-    made["focal"], made["center"] = (camera.fx, camera.fy), (camera.cx, camera.cy)
-    made["size"], made["near"] = (camera.width, camera.height), camera.near
-    made["is_flat"] = camera.kind == "orthographic"
-    made["textured"] = data.texture is not None
-    return made
 
 
 @final
@@ -107,7 +35,7 @@ class MeshesStep:
 
     Attributes:
         pipeline: What draws.
-        draws: For each mesh its bind group and how many corners it has.
+        draws: For each mesh its bind group, and how many corners and instances are drawn.
         color: Texture of colours, and 1 where a mesh is; over the background.
         surface: Texture of normals and depths.
         depth: View of the texture of near / z, which the rasteriser compares.
@@ -118,7 +46,7 @@ class MeshesStep:
     """
 
     pipeline: Any
-    draws: tuple[tuple[Any, int], ...]
+    draws: tuple[tuple[Any, int, int], ...]
     color: Any
     surface: Any
     depth: Any
@@ -151,9 +79,9 @@ class MeshesStep:
             timestamp_writes=stamps,
         )
         drawing.set_pipeline(self.pipeline)
-        for bind, corners in self.draws:
+        for bind, corners, instances in self.draws:
             drawing.set_bind_group(0, bind)
-            drawing.draw(corners)
+            drawing.draw(corners, instances)
         drawing.end()
         if self.layers:
             for texture, copy in zip((self.color, self.surface), self.copies, strict=True):
@@ -179,26 +107,29 @@ class DrawMeshes:
 
     Args:
         device: Where it runs.
+        panorama: Whether the image is one: a triangle then has a box of four corners.
     """
 
-    def __init__(self, device: Device) -> None:
-        self._device = device
+    def __init__(self, device: Device, panorama: bool = False) -> None:
+        self._device, self._panorama = device, panorama
         raw = device.raw
         kinds = [{"buffer": {"type": "uniform"}}]
-        kinds += [{"buffer": {"type": "read-only-storage"}} for _ in range(4)]
+        kinds += [{"buffer": {"type": "read-only-storage"}} for _ in range(5)]
         kinds += [{"texture": {"sample_type": "float"}}]
         entries = [
             {"binding": at, "visibility": "VERTEX|FRAGMENT", **kind}
             for at, kind in enumerate(kinds)
         ]
         self._layout = raw.create_bind_group_layout(label="meshes", entries=entries)
-        code = source("draw_meshes", AMBIENT=AMBIENT)
+        code = source("draw_meshes", AMBIENT=AMBIENT, PANORAMA=panorama)
         module = raw.create_shader_module(label="draw_meshes", code=code)
+        entry = "corner_around" if panorama else "corner_of"
+        topology = "triangle-strip" if panorama else "triangle-list"
         self._pipeline = raw.create_render_pipeline(
             label="meshes",
             layout=raw.create_pipeline_layout(bind_group_layouts=[self._layout]),
-            vertex={"module": module, "entry_point": "corner_of", "buffers": []},
-            primitive={"topology": "triangle-list", "cull_mode": "none"},
+            vertex={"module": module, "entry_point": entry, "buffers": []},
+            primitive={"topology": topology, "cull_mode": "none"},
             depth_stencil={
                 "format": DEPTHS,
                 "depth_write_enabled": True,
@@ -221,6 +152,7 @@ class DrawMeshes:
         size: tuple[int, int],
         meshes: Sequence[PlacedMesh],
         slots: Any,
+        rays: Any,
         layers: Layers | None,
     ) -> MeshesStep:
         """Return the drawing of meshes.
@@ -229,6 +161,7 @@ class DrawMeshes:
             size: Width and height of the image, in pixels.
             meshes: What is drawn; nothing but their buffers is kept.
             slots: Uniform buffer with a :data:`PLACE` for each.
+            rays: Buffer of what :func:`mesh_rays` makes.
             layers: Where the layer goes, or None where nobody reads it.
         """
         usage = "RENDER_ATTACHMENT|COPY_SRC"
@@ -252,7 +185,7 @@ class DrawMeshes:
         return MeshesStep(
             self._pipeline,
             tuple(
-                (self._bound(one.buffers, slots, slot), 3 * one.buffers.count)
+                (self._bound(one.buffers, slots, slot, rays), *self._corners(one.buffers))
                 for slot, one in enumerate(meshes)
                 if one.buffers.count
             ),
@@ -265,11 +198,15 @@ class DrawMeshes:
             () if layers is None else self._laid(size, row, copies, layers),
         )
 
-    def _bound(self, one: MeshBuffers, slots: Any, slot: int) -> Any:
+    def _corners(self, one: MeshBuffers) -> tuple[int, int]:
+        """Return how many corners are drawn, and how often."""
+        return (4, one.count) if self._panorama else (3 * one.count, 1)
+
+    def _bound(self, one: MeshBuffers, slots: Any, slot: int, rays: Any) -> Any:
         buffers = [(slots, slot * PLACE.itemsize, PLACE.itemsize)]
         buffers += [
             (buffer, 0, buffer.size)
-            for buffer in (one.vertices, one.faces, one.colors, one.uvs)
+            for buffer in (rays, one.vertices, one.faces, one.colors, one.uvs)
         ]
         resources: list[Any] = [
             {"buffer": buffer, "offset": offset, "size": length}
@@ -307,7 +244,7 @@ class DrawMeshes:
 
 
 def seen_reference(
-    data: MeshData, place: Shaped[np.ndarray, ""]
+    data: MeshData, place: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "h w 8"]:
     """What ``draw_meshes.wgsl`` must see of a mesh: colour and 1, normal, depth.
 
@@ -316,42 +253,81 @@ def seen_reference(
     Args:
         data: The triangles.
         place: What :func:`mesh_uniform` makes.
+        rays: What :func:`mesh_rays` makes.
     """
     width, height = (int(side) for side in place["size"])
-    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1) + 0.5
-    slope = (pixels - place["center"]) / place["focal"].astype(np.float64)
-    flat = bool(place["is_flat"])
-    ray = np.concatenate([slope * (not flat), np.ones((height, width, 1))], -1)
+    across, down = np.float64(rays[:width]), np.float64(rays[width:, None])
+    ray = _direction_reference(across, down, place)
     linear = np.asarray(place["linear"], np.float64)[:, :3].T
     offset = data.vertices - np.float64(place["eye"]) - np.float64(place["eye_rest"])
     at = offset @ linear.T
     made = np.zeros((height, width, 8))
     made[..., 7] = NOWHERE
     for face in data.faces:
-        a, b, c = at[face]
-        across = np.cross(b - a, c - a)
-        size = np.linalg.norm(across)
+        upright = np.cross(at[face[1]] - at[face[0]], at[face[2]] - at[face[0]])
+        size = np.linalg.norm(upright)
         if not size > 0:
             continue
-        start = np.zeros((height, width, 3))
-        start[..., :2] = slope * (1 if flat else a[2]) - a[:2]
-        p, q = np.cross(ray, c - a), np.cross(start, b - a)
+        beside = [_beside_reference(corner, across, down, place) for corner in at[face]]
+        areas = np.stack(
+            [
+                beside[i][0] * beside[j][1] - beside[i][1] * beside[j][0]
+                for i, j in ((1, 2), (2, 0), (0, 1))
+            ],
+            -1,
+        )
         with np.errstate(all="ignore"):
-            facing = p @ (b - a)
-            u, v = (start * p).sum(-1) / facing, (ray * q).sum(-1) / facing
-            depth = a[2] + q @ (c - a) / facing
-            inside = (u >= 0) & (v >= 0) & (u + v <= 1) & (depth > place["near"])
+            weights = areas / areas.sum(axis=-1, keepdims=True)
+            depth = sum(weights[..., i] * beside[i][2] for i in range(3))
+            inside = (weights >= 0).all(axis=-1) & (depth > place["near"])
         nearer = inside & (depth < made[..., 7])
-        weights = np.stack([1 - u[nearer] - v[nearer], u[nearer], v[nearer]], -1)
-        toward = (ray[nearer] @ across) / size
-        upright = across / size * np.where(toward > 0, -1, 1)[:, None]
-        color = _color_reference(data, face, weights, int(place["conversion"]))
+        toward = ray[nearer] @ upright / size
+        facing = upright / size * np.where(toward > 0, -1, 1)[:, None]
+        color = _color_reference(data, face, weights[nearer], int(place["conversion"]))
         if place["shaded"]:
             slant = np.abs(toward) / np.linalg.norm(ray[nearer], axis=-1)
             color = color * (AMBIENT + (1 - AMBIENT) * slant)[:, None]
         one = np.ones((len(color), 1))
-        made[nearer] = np.concatenate([color, one, upright, depth[nearer][:, None]], -1)
+        made[nearer] = np.concatenate([color, one, facing, depth[nearer][:, None]], -1)
     return made
+
+
+def _beside_reference(
+    at: Float[np.ndarray, "3"],
+    across: Float[np.ndarray, "w 2"],
+    down: Float[np.ndarray, "h 1 2"],
+    place: Shaped[np.ndarray, ""],
+) -> tuple[Float[np.ndarray, "h w"], ...]:
+    """Return how far a point is to the right of each pixel's ray, how far below, and its depth."""
+    x, y, z = at
+    if not place["period"]:
+        scale = 1 if place["is_flat"] else z
+        right, below = x - across[:, 0] * scale, y - down[..., 0] * scale
+        depth = np.broadcast_to(z, (len(down), len(across)))
+        return (
+            np.broadcast_to(right, depth.shape),
+            np.broadcast_to(below, depth.shape),
+            depth,
+        )
+    level = across[:, 0] * x + across[:, 1] * z
+    right = np.broadcast_to(across[:, 1] * x - across[:, 0] * z, (len(down), len(across)))
+    sine, cosine = down[..., 0], down[..., 1]
+    return right, cosine * y - sine * level, sine * y + cosine * level
+
+
+def _direction_reference(
+    across: Float[np.ndarray, "w 2"],
+    down: Float[np.ndarray, "h 1 2"],
+    place: Shaped[np.ndarray, ""],
+) -> Float[np.ndarray, "h w 3"]:
+    shape = len(down), len(across)
+    (x, z), (y, level) = across.T, (down[..., 0], down[..., 1])
+    made = [x * level, np.broadcast_to(y, shape), z * level]
+    if not place["period"]:
+        slope = 0 if place["is_flat"] else 1
+        made = [np.broadcast_to(slope * x, shape), np.broadcast_to(slope * y, shape)]
+        made.append(np.ones(shape))
+    return np.stack(made, -1)
 
 
 def _color_reference(
@@ -369,7 +345,7 @@ def _color_reference(
             column, row = ((low + step) % size).T
             sums += share[:, None] * data.texture[row, column, :3] / 255
         color = color * sums
-    if conversion == _TO_LINEAR:
+    if conversion == TO_LINEAR:
         curved = ((color + 0.055) / 1.055) ** 2.4
         return np.asarray(np.where(color <= 0.04045, color / 12.92, curved))
-    return srgb_of_linear(color) if conversion == _TO_SRGB else color
+    return srgb_of_linear(color) if conversion == TO_SRGB else color

@@ -1,12 +1,18 @@
-// Draw meshes: the hardware's rasteriser says which pixels a triangle covers; what is seen there is
-// worked out from the pixel's ray and the triangle's plane.
+// Draw meshes: the hardware's rasteriser says which pixels a triangle may cover; what is seen there
+// is worked out from the pixel's ray and the triangle's corners.
 //
-// So depths do not suffer from the grid that rasterisers snap corners to, and are the same on
-// every driver. Möller & Trumbore 1997, with the ray's origin at the depth of the first corner,
-// where little is cancelled.
+// Seen along a ray, a triangle is flat: its corners are so far to the right of the ray and so far
+// below it. The areas that they span with the ray are the weights of the corners at the point
+// that the ray meets, wherever they are, behind the camera, too. Depths so do not suffer from the
+// grid that rasterisers snap corners to, and are the same on every driver (Woop et al. 2013).
+//
+// In a panorama edges are bent. There the rasteriser gets a box that has all of the triangle,
+// and the areas say whether the ray meets it. Triangles that share an edge leave no gap: both
+// compare the same two products.
 
 struct Place {
     linear: mat3x3f,     // local → camera, without the translation
+    upright: mat3x3f,    // the same for normals: the transpose of its inverse
     eye: vec3f,          // the camera centre in local space, rounded …
     shaded: u32,         // 1: by a light at the camera
     eye_rest: vec3f,     // … and what the rounding left
@@ -17,14 +23,16 @@ struct Place {
     near: f32,
     is_flat: u32,        // 1: an orthographic camera
     textured: u32,
+    period: f32,         // of a panorama: pixels that a whole turn has
 }
 
 @group(0) @binding(0) var<uniform> place: Place;
-@group(0) @binding(1) var<storage, read> vertices: array<f32>;
-@group(0) @binding(2) var<storage, read> faces: array<u32>;
-@group(0) @binding(3) var<storage, read> colors: array<f32>;
-@group(0) @binding(4) var<storage, read> uvs: array<vec2f>;
-@group(0) @binding(5) var picture: texture_2d<f32>;
+@group(0) @binding(1) var<storage, read> rays: array<vec2f>;  // of columns, then of rows: a slope, or sine and cosine of an angle
+@group(0) @binding(2) var<storage, read> vertices: array<f32>;
+@group(0) @binding(3) var<storage, read> faces: array<u32>;
+@group(0) @binding(4) var<storage, read> colors: array<f32>;
+@group(0) @binding(5) var<storage, read> uvs: array<vec2f>;
+@group(0) @binding(6) var picture: texture_2d<f32>;
 
 struct Corner {
     @builtin(position) clip: vec4f,
@@ -32,27 +40,48 @@ struct Corner {
     @location(1) @interpolate(flat) a: vec3f,  // the corners in camera space
     @location(2) @interpolate(flat) b: vec3f,
     @location(3) @interpolate(flat) c: vec3f,
+    @location(4) @interpolate(flat) upright: vec3f,  // the unit normal; zero where there is none
+    @location(5) @interpolate(flat) height: f32,     // of the plane over the camera, along it
 }
 
 struct Seen {
     @location(0) color: vec4f,    // and 1 where a mesh is
-    @location(1) surface: vec4f,  // normal in camera space, depth along +z
+    @location(1) surface: vec4f,  // normal in camera space, depth
     @builtin(frag_depth) nearness: f32,
 }
 
-fn in_camera(vertex: u32) -> vec3f {
-    let at = vec3f(vertices[3u * vertex], vertices[3u * vertex + 1u], vertices[3u * vertex + 2u]);
-    return place.linear * ((at - place.eye) - place.eye_rest);
+fn local(vertex: u32) -> vec3f {
+    return vec3f(vertices[3u * vertex], vertices[3u * vertex + 1u], vertices[3u * vertex + 2u]);
+}
+
+fn offset(at: vec3f) -> vec3f {
+    return (at - place.eye) - place.eye_rest;
+}
+
+//!include panorama
+
+fn triangle(face: u32) -> Corner {
+    let a = local(faces[3u * face]);
+    let b = local(faces[3u * face + 1u]);
+    let c = local(faces[3u * face + 2u]);
+    // The plane is found in local space, where floors are level and rounding has not been.
+    let across = cross(b - a, c - a);
+    let turned = place.upright * across;
+    let size = distance_of(turned);
+    let has_area = any(across != vec3f(0.0)) && size > 0.0;
+    var made: Corner;
+    made.face = face;
+    made.a = place.linear * offset(a);
+    made.b = place.linear * offset(b);
+    made.c = place.linear * offset(c);
+    made.upright = select(vec3f(0.0), turned / size, has_area);
+    made.height = dot(across / size, offset(a));
+    return made;
 }
 
 @vertex
 fn corner_of(@builtin(vertex_index) index: u32) -> Corner {
-    let face = index / 3u;
-    var made: Corner;
-    made.face = face;
-    made.a = in_camera(faces[3u * face]);
-    made.b = in_camera(faces[3u * face + 1u]);
-    made.c = in_camera(faces[3u * face + 2u]);
+    var made = triangle(index / 3u);
     let which = index % 3u;
     let at = select(select(made.c, made.b, which == 1u), made.a, which == 0u);
     if (place.is_flat == 1u) {
@@ -64,6 +93,18 @@ fn corner_of(@builtin(vertex_index) index: u32) -> Corner {
         let pixel = place.focal * at.xy + place.center * at.z;
         made.clip = vec4f(2.0 * pixel / place.size - at.z, place.near, at.z);
     }
+    made.clip.y = -made.clip.y;
+    return made;
+}
+
+//!include mesh_box
+
+@vertex
+fn corner_around(@builtin(vertex_index) which: u32, @builtin(instance_index) face: u32) -> Corner {
+    var made = triangle(face);
+    let box = box_around(made.a, made.b, made.c);
+    let pixel = select(box.xy, box.zw, vec2<bool>((which & 1u) == 1u, which >= 2u));
+    made.clip = vec4f(2.0 * pixel / place.size - 1.0, 0.5, 1.0);
     made.clip.y = -made.clip.y;
     return made;
 }
@@ -111,39 +152,57 @@ fn color_at(face: u32, weights: vec3f) -> vec3f {
     return color;
 }
 
+// A point as the ray of a pixel has it: how far to the right, how far below, and its depth.
+// across, down: what `rays` has for the pixel.
+fn beside(at: vec3f, across: vec2f, down: vec2f) -> vec3f {
+    if (PANORAMA) {
+        let level = across.x * at.x + across.y * at.z;
+        let right = across.y * at.x - across.x * at.z;
+        return vec3f(right, down.y * at.y - down.x * level, down.x * at.y + down.y * level);
+    }
+    let slope = vec2f(across.x, down.x);
+    return vec3f(at.xy - slope * select(at.z, 1.0, place.is_flat == 1u), at.z);
+}
+
+fn direction(across: vec2f, down: vec2f) -> vec3f {
+    if (PANORAMA) {
+        return vec3f(across.x * down.y, down.x, across.y * down.y);
+    }
+    return select(vec3f(across.x, down.x, 1.0), vec3f(0.0, 0.0, 1.0), place.is_flat == 1u);
+}
+
 @fragment
 fn seen_at(corner: Corner) -> Seen {
-    let slope = (corner.clip.xy - place.center) / place.focal;
-    let is_flat = place.is_flat == 1u;
-    let ray = select(vec3f(slope, 1.0), vec3f(0.0, 0.0, 1.0), is_flat);
-    let ab = corner.b - corner.a;
-    let ac = corner.c - corner.a;
-    let across = cross(ab, ac);
-    let size = length(across);
-    let start = select(corner.a.z * slope, slope, is_flat);
-    let offset = vec3f(start - corner.a.xy, 0.0);
-    let p = cross(ray, ac);
-    let facing = dot(ab, p);
-    if (!(size > 0.0 && abs(facing) > 0.0)) {
+    let pixel = vec2u(corner.clip.xy);
+    let across = rays[pixel.x];
+    let down = rays[u32(place.size.x) + pixel.y];
+    let a = beside(corner.a, across, down);
+    let b = beside(corner.b, across, down);
+    let c = beside(corner.c, across, down);
+    let ahead = vec3f(b.x * c.y, c.x * a.y, a.x * b.y);
+    let back = vec3f(b.y * c.x, c.y * a.x, a.y * b.x);
+    if (PANORAMA && !(all(ahead >= back) || all(ahead <= back))) {
         discard;
     }
-    let q = cross(offset, ab);
-    let ahead = corner.a.z + dot(ac, q) / facing;
-    // Where the rasteriser has snapped a corner outwards, a steep plane would run away.
-    let least = min(min(corner.a.z, corner.b.z), corner.c.z);
-    let most = max(max(corner.a.z, corner.b.z), corner.c.z);
-    let depth = clamp(ahead, least, most);
-    if (!(depth > place.near)) {
+    // Where the rasteriser has snapped a corner outwards, the nearest point of the triangle counts.
+    var weights = ahead - back;
+    weights = select(max(weights, vec3f(0.0)), min(weights, vec3f(0.0)), weights.x + weights.y + weights.z < 0.0);
+    weights /= weights.x + weights.y + weights.z;
+    let ray = direction(across, down);
+    let toward = dot(corner.upright, ray);
+    let start = select(vec3f(0.0), vec3f(across.x, down.x, 0.0), place.is_flat == 1u);
+    let least = min(a.z, min(b.z, c.z));
+    let most = max(a.z, max(b.z, c.z));
+    let met = (corner.height - dot(corner.upright, start)) / toward;
+    let mean = weights.x * a.z + weights.y * b.z + weights.z * c.z;
+    let depth = select(clamp(met, least, most), mean, most - least < mean);
+    if (!(depth > place.near && abs(toward) > 0.0)) {
         discard;
     }
-    let u = clamp(dot(offset, p) / facing, 0.0, 1.0);
-    let v = clamp(dot(ray, q) / facing, 0.0, 1.0 - u);
-    let upright = across / size;
-    let toward = dot(upright, ray);
     var made: Seen;
     let shade = select(1.0, AMBIENT + (1.0 - AMBIENT) * abs(toward) / length(ray), place.shaded == 1u);
-    made.color = vec4f(shade * color_at(corner.face, vec3f(1.0 - u - v, u, v)), 1.0);
-    made.surface = vec4f(select(upright, -upright, toward > 0.0), depth);
+    made.color = vec4f(shade * color_at(corner.face, weights), 1.0);
+    made.surface = vec4f(select(corner.upright, -corner.upright, toward > 0.0), depth);
     made.nearness = place.near / depth;
     return made;
 }
