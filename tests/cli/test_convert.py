@@ -98,3 +98,72 @@ def test_a_source_that_cannot_be_read_exits_4(tmp_path):
     ran = gsgen("convert", bad, tmp_path / "a.spz")
     assert ran.code == 4
     assert ran.err.startswith(f"gsgen: {bad}: header line 2: 'nonsense'\nwanted format, ")
+
+
+@pytest.fixture
+def trained(tmp_path: Path) -> Path:
+    """Fifty splats, two of which a training run has spoiled."""
+    file = tmp_path / "trained.ply"
+    write_ply(file, scene(50, 0))
+    raw = bytearray(file.read_bytes())
+    body, row = len(raw) - 50 * 14 * 4, 14 * 4
+    raw[body + 7 * row : body + 7 * row + 4] = np.float32(np.nan).tobytes()
+    raw[body + 30 * row + 8 : body + 30 * row + 12] = np.float32(np.inf).tobytes()
+    file.write_bytes(raw)
+    return file
+
+
+SAID = "2 of 50 rows cannot be drawn and are left out; row 7 is the first, where x is nan"
+
+
+def test_rows_that_cannot_be_drawn_are_left_out_where_asked(trained: Path) -> None:
+    target = trained.with_name("kept.ply")
+    ran = gsgen_here("convert", trained, target)
+    assert ran.code == 4
+    assert "property x: 1 of 50 rows, row 7 is nan" in ran.err
+    assert "--drop-invalid" in ran.err
+    assert not target.exists()
+    ran = gsgen_here("convert", trained, target, "--drop-invalid")
+    assert ran.code == 0, ran.err
+    assert ran.err == f"note: {trained}: {SAID}\n"
+    assert ran.out.splitlines()[0].startswith(f"{target}: 48 splats")
+    ran = gsgen_here("convert", trained, target, "--drop-invalid", "--json")
+    assert json.loads(ran.out)["notes"] == [f"{trained}: {SAID}"]
+    assert len(open_splats(target)) == 48
+    assert gsgen_here("convert", target, trained.with_name("again.spz")).err == ""
+
+
+@pytest.mark.parametrize("command", ["render", "export"])
+def test_a_few_rows_do_not_keep_a_scene_from_being_used(
+    trained: Path, command: str
+) -> None:
+    words = {
+        "render": ("render", trained, "-o", trained.with_name("a.png"), "--width", "64"),
+        "export": ("export", "static", trained, "-o", trained.with_name("a.onnx")),
+    }[command]
+    ran = gsgen_here(*words)
+    assert ran.code == 0, ran.err
+    assert f"note: {trained}: {SAID}" in ran.err
+    assert "48" in (ran.out if command == "render" else ran.err)
+
+
+@pytest.mark.parametrize("way", ["itself", "another spelling", "a symlink", "a hard link"])
+def test_a_source_is_not_replaced_unless_that_is_wished(
+    source: Path, tmp_path: Path, way: str
+) -> None:
+    file = tmp_path / "a.ply"
+    file.write_bytes(source.read_bytes())
+    target = file if way == "itself" else tmp_path / "b.ply"
+    if way == "another spelling":
+        target = tmp_path / ".." / tmp_path.name / "a.ply"
+    elif way == "a symlink":
+        target.symlink_to(file)
+    elif way == "a hard link":
+        target.hardlink_to(file)
+    ran = gsgen_here("convert", file, target, "--sh-degree", "0")
+    assert ran.code == 2
+    assert f"gsgen: {target}: is the same file as {file}" in ran.err
+    assert "--force" in ran.err
+    assert file.read_bytes() == source.read_bytes()
+    assert gsgen_here("convert", file, target, "--sh-degree", "0", "--force").code == 0
+    assert open_splats(target).degree == 0

@@ -38,10 +38,17 @@ def require_finite(
             return
     expected = " or ".join(["a finite number", *(f"{value:+}" for value in infinite)])
     for column, label in zip(table.T, labels, strict=True):
-        kept = np.isfinite(column)
-        for value in infinite:
-            kept |= column == value
-        _require(kept, column, label, expected)
+        _require(meaning_something(column, infinite), column, label, expected)
+
+
+def meaning_something(
+    values: Float32[np.ndarray, "..."], infinite: Sequence[float] = ()
+) -> Bool[np.ndarray, "..."]:
+    """Return which values are finite or one of ``infinite``."""
+    kept = np.isfinite(values)
+    for value in infinite:
+        kept |= values == value
+    return np.asarray(kept)
 
 
 def require_colors(table: Float32[np.ndarray, "n 3"], labels: Sequence[str]) -> None:

@@ -51,6 +51,7 @@ def convert(
     codec: Codec,
     *,
     sh_degree: int | None = None,
+    drop_invalid: bool = False,
     write: Callable[[FilePath, Splats], None] | None = None,
     step: Callable[[str], None] = lambda words: None,
 ) -> Conversion:
@@ -61,6 +62,7 @@ def convert(
         target: Where to; a file that is there is replaced, a folder that is not is made.
         codec: The format of the target.
         sh_degree: Drop harmonics above this degree.
+        drop_invalid: Leave out rows of a PLY file that cannot be drawn, and warn of them.
         write: Writes instead of the codec, say with other options.
         step: Is told what is being done.
 
@@ -78,7 +80,7 @@ def convert(
         )
     step(f"reading {source}")
     before = Path(source).stat().st_size if Path(source).is_file() else 0
-    content = open_splats(source)
+    content = open_splats(source, drop_invalid=drop_invalid)
     if isinstance(content, PointCloud):
         return _points(source, target, codec, content, before)
     splats = splats_of_rows(content) if isinstance(content, PackedRows) else content

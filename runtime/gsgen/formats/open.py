@@ -4,17 +4,25 @@ from gsgen.formats._bytes import contents
 from gsgen.formats._files import FilePath
 from gsgen.formats.codecs import codec_of_suffix, recognised
 from gsgen.formats.errors import NotRecognised
+from gsgen.formats.ply import read_ply
 from gsgen.formats.splats import PackedRows, PointCloud, Splats
 
 __all__ = ["open_splats"]
 
 
-def open_splats(path: FilePath) -> Splats | PointCloud | PackedRows:
+def open_splats(
+    path: FilePath, *, drop_invalid: bool = False
+) -> Splats | PointCloud | PackedRows:
     """Read the file at ``path``, whose format its content tells and not its name.
 
     It is a PLY file (plain or compressed), SPZ, GLB, SOG (an archive or its meta.json),
     KSPLAT, SPLAT or NPZ. SPLAT has no header: it is what else is a number of plausible
     records. Only if nothing fits, the name says which reader explains what is wrong.
+
+    Args:
+        path: The file.
+        drop_invalid: Leave out rows of a PLY file that cannot be drawn, and warn of them
+            (FormatWarning); see :func:`read_ply`.
 
     Returns:
         ``Splats``; or ``PointCloud`` where a PLY or NPZ file holds points, or
@@ -34,4 +42,6 @@ def open_splats(path: FilePath) -> Splats | PointCloud | PackedRows:
             mend="if it is of another format, convert it to one of these first",
             path=str(path),
         )
+    if drop_invalid and codec.name == "ply":
+        return read_ply(path, drop_invalid=True)
     return codec.read(path)

@@ -196,7 +196,7 @@ class StillSource(Source):
     def __init__(self, path: Path) -> None:
         self.name = str(path)
         try:
-            content = open_splats(path)
+            content = open_splats(path, drop_invalid=True)
         except FormatError as error:
             raise SceneUnreadable(str(error)) from error
         self.data = _drawable(content)

@@ -1,3 +1,4 @@
+import re
 import struct
 
 import numpy as np
@@ -5,7 +6,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsgen.formats import FormatError, PointCloud, Splats, read_ply
+from gsgen.formats import (
+    FormatError,
+    FormatWarning,
+    PointCloud,
+    Splats,
+    ValueInvalid,
+    open_splats,
+    read_ply,
+)
 
 CODES = {
     "char": "b",
@@ -279,8 +288,47 @@ def test_what_cannot_be_drawn_is_refused_by_name_row_and_count(
     with pytest.raises(FormatError) as caught:
         read_ply(file)
     assert str(caught.value) == (
-        f"{file}: property {name}: 2 of 5 rows, row 2 is {value}\nwanted {wanted}"
+        f"{file}: property {name}: 2 of 5 rows, row 2 is {value}\nwanted {wanted}\n"
+        "`gsgen convert --drop-invalid` writes a file without such rows"
     )
+    text = (
+        f"{file}: 2 of 5 rows cannot be drawn and are left out; row 2 is the first, "
+        f"where {name} is {value}"
+    )
+    with pytest.warns(FormatWarning, match=re.escape(text)):
+        kept = read_ply(file, drop_invalid=True)
+    rest = tmp_path / "rest.ply"
+    rest.write_bytes(
+        naive_ply(dict.fromkeys(names, "float"), [table[n] for n in (0, 1, 3)], encoding)
+    )
+    wanted = read_ply(rest, drop_invalid=True)  # which has nothing to be warned of
+    for array in ("position", "rotation", "log_scale", "logit_opacity", "sh"):
+        np.testing.assert_array_equal(getattr(kept, array), getattr(wanted, array))
+
+
+@pytest.mark.parametrize(
+    "names", [splat_properties(0), ["x", "y", "z", "red", "green", "blue"]]
+)
+def test_where_no_row_can_be_drawn_nothing_is_read(tmp_path, names):
+    rows = [[np.nan, *[0.5] * (len(names) - 1)] for _ in range(3)]
+    file = tmp_path / "bad.ply"
+    file.write_bytes(naive_ply(dict.fromkeys(names, "float"), rows))
+    with pytest.raises(ValueInvalid, match="property x: 3 of 3 rows, row 0 is nan"):
+        open_splats(file, drop_invalid=True)
+
+
+def test_points_that_are_nowhere_are_left_out_if_wished(tmp_path):
+    names = ["x", "y", "z", "red", "green", "blue"]
+    rows = [[1, 2, 3, 0.5, 0.5, 0.5], [1, np.inf, 3, 0.5, 0.5, 0.5]]
+    file = tmp_path / "cloud.ply"
+    file.write_bytes(naive_ply(dict.fromkeys(names, "float"), rows))
+    with pytest.raises(ValueInvalid, match="property y: 1 of 2 rows"):
+        open_splats(file)
+    with pytest.warns(
+        FormatWarning, match=r"1 of 2 rows .* row 1 is the first, where y is inf"
+    ):
+        cloud = open_splats(file, drop_invalid=True)
+    assert cloud.position.tolist() == [[1, 2, 3]]
 
 
 def test_a_double_too_large_for_a_float_is_refused(tmp_path):

@@ -40,6 +40,13 @@ def convert(
         int | None,
         typer.Option(help="Drop harmonics above this degree.", min=0, max=4),
     ] = None,
+    drop_invalid: Annotated[
+        bool,
+        typer.Option(
+            "--drop-invalid",
+            help="Leave out rows of a PLY that cannot be drawn (NaN, infinite), and say how many.",
+        ),
+    ] = False,
     spz_version: Annotated[
         int | None,
         typer.Option(
@@ -52,6 +59,9 @@ def convert(
         Literal["ascii", "binary_little_endian", "binary_big_endian"] | None,
         typer.Option(help="Of PLY. [default: binary_little_endian]"),
     ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Let TARGET be SOURCE, which is replaced.")
+    ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print what was done and lost as JSON.")
     ] = False,
@@ -66,6 +76,8 @@ def convert(
     from gsgen.formats.conversion import convert as run
 
     codec = _codec(format, target)
+    if not force:
+        _refuse_itself(source, target)
     write = _writer(codec, spz_version, encoding)
     reading = True
 
@@ -77,16 +89,26 @@ def convert(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", FormatWarning)
         try:
-            done = run(source, target, codec, sh_degree=sh_degree, write=write, step=step)
+            done = run(
+                source,
+                target,
+                codec,
+                sh_degree=sh_degree,
+                drop_invalid=drop_invalid,
+                write=write,
+                step=step,
+            )
         except FormatError as error:
             clear()
             typer.echo(f"gsgen: {error}", err=True)
             unreadable = reading and error.path == str(source)
             raise typer.Exit(_UNREADABLE if unreadable else _FAILED) from error
     clear()
-    for note in dict.fromkeys(str(warning.message) for warning in caught):
+    notes = list(dict.fromkeys(str(warning.message) for warning in caught))
+    for note in notes:
         typer.echo(f"note: {note}", err=True)
-    typer.echo(json.dumps(_as_dict(done), indent=2) if as_json else _as_text(done))
+    told = _as_dict(done) | {"notes": notes}
+    typer.echo(json.dumps(told, indent=2) if as_json else _as_text(done))
 
 
 def _codec(name: str | None, target: Path) -> "Codec":
@@ -108,6 +130,20 @@ def _codec(name: str | None, target: Path) -> "Codec":
             mend=f"Let it end in {', '.join(suffixes)}, or give --format.",
         )
     return codec
+
+
+def _refuse_itself(source: Path, target: Path) -> None:
+    """Refuse a target that is the source, by whatever name: what is lost would be lost for good."""
+    try:
+        same = source.samefile(target)
+    except OSError:  # one is not there, or closed to us; reading and writing say so
+        return
+    if same:
+        raise ConfigInvalid(
+            f"is the same file as {source}, which would be replaced",
+            where=str(target),
+            mend="Name another file, or replace it with --force.",
+        )
 
 
 def _writer(
