@@ -101,3 +101,54 @@ class TestMine(GeneratorConformance):
     ran = run_pytest(folder, "--gsgen-level=values")
     assert ran.names("failure") == ["test_mine.TestMine::test_basic[GV003-opacity-range]"]
     assert "reproduce: gsgen repro opacity_is_logits.onnx --rule GV003" in ran.out
+
+
+UNMADE = """
+from gsgen.contract.errors import GsgenError
+
+def build():
+    raise GsgenError("GV003 output gaussians: 4 of 5 rows", where="mine.onnx", mend="Squash it.")
+
+class TestRefused(GeneratorConformance):
+    @pytest.fixture
+    def model(self):
+        return build()
+
+class TestCrashing(GeneratorConformance):
+    @pytest.fixture
+    def model(self):
+        return {}["weights"]
+
+class TestTwice(GeneratorConformance):
+    @pytest.fixture(params=["camera_and_proj", "nothing"])
+    def model(self, request):
+        return HERE / f"{request.param}.onnx"
+
+    def test_mine(self):
+        pass
+"""
+
+
+def test_a_model_that_cannot_be_made_is_one_error_and_not_one_for_each_rule(
+    folder: Path,
+) -> None:
+    write(folder, "camera_and_proj")
+    (folder / "test_mine.py").write_text(HEAD + UNMADE)
+    ran = run_pytest(folder, "--gsgen-level=static")
+    assert ran.code == 1
+    errors = [name.partition("::")[0] for name in ran.names("error")]
+    wanted = ["TestRefused", "TestCrashing", "TestTwice"]
+    assert errors == [f"test_mine.{name}" for name in wanted]
+    assert "test_mine.TestTwice::test_mine" in ran.names("passed")
+    held = "test_mine.TestTwice::test_camera[GI001-view-is-4x4-camera_and_proj]"
+    assert held in ran.names("passed")
+    told = ran.out.partition("ERROR at setup of TestRefused")[2].partition("____ ERROR")[0]
+    assert "mine.onnx: GV003 output gaussians: 4 of 5 rows\n  Squash it." in told
+    assert "test_mine.py:16: return build()" in told
+    assert "\nE  " not in told  # no traceback
+    crash = ran.out.partition("ERROR at setup of TestCrashing")[2].partition("____ ERROR")[
+        0
+    ]
+    assert 'return {}["weights"]' in crash
+    assert "KeyError: 'weights'" in crash
+    assert "there is no model to judge, as the error of test_" in ran.out

@@ -6,7 +6,8 @@ reads models is imported when one is given.
 
 __all__: list[str] = []
 
-from collections.abc import Iterator
+import sys
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from gsgen.conformance.testing import Check
 
 _MARK = "gsgen_rules"
+_CLASSES = "gsgen.conformance.generator"  # loaded if a test inherits from our class
 _SUFFIX = ".onnx"
 
 
@@ -108,14 +110,33 @@ def pytest_collection_modifyitems(
         items += stale_entries(session)
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Make a crashed rule an error of its test, not a failure."""
+    """Make a crashed rule an error of its test, and skip tests of a model that cannot be judged."""
+    if _CLASSES in sys.modules:
+        from gsgen.conformance.unjudged import skip_if_noted
+
+        skip_if_noted(item)
     check = _check_of(item)
     if check is not None:
         from gsgen.conformance.bench import properties
 
         item.user_properties += properties(check.run, check.case)
         check.prepare()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Say once, and in few words, why the model of a conformance class cannot be judged."""
+    report = yield
+    if call.when == "setup" and report.failed and _CLASSES in sys.modules:
+        from gsgen.conformance.unjudged import note, wants_model
+
+        if wants_model(item):
+            note(item, call, report)
+    return report
 
 
 @pytest.hookimpl(wrapper=True)
