@@ -5,7 +5,7 @@ training code has. ``torch.load(weights_only=True)`` is told to put an inert cla
 (Yifever20002/R3Avatars, ``scene/gaussian_model.py``: ``capture``).
 """
 
-__all__ = ["DATASETS", "R3Checkpoint", "read_r3"]
+__all__ = ["DATASETS", "R3Checkpoint", "guessed_dataset", "read_r3"]
 
 import re
 from collections.abc import Iterator, Mapping
@@ -29,6 +29,15 @@ from gsgen.reference_plugins.checkpoints.tensor_files import Inert, load_tensors
 
 # Data set → the pose id at which time is 0 (R3-Avatar, gaussian_renderer/__init__.py).
 DATASETS = {"dna": 50, "zju": 150, "hifi4g": 75, "mvhuman": 75}
+# What a path holds by which training picks the reader, in its order (its scene/__init__.py).
+_MARKS = {
+    "zju_mocap": "zju",
+    "DNA-Rendering": "dna",
+    "HiFi4G": "hifi4g",
+    "MVHumanNet": "mvhuman",
+}
+# Which body each data set is fitted with (its scripts).
+_BODIES = {"dna": "smplx", "zju": "smpl", "hifi4g": "smpl", "mvhuman": "smplx"}
 
 _FILE = re.compile(r"chkpnt(\d+)\.pth")
 _FIELDS = 19
@@ -117,7 +126,7 @@ def read_r3(
         folder: What training wrote, or its ``chkpntN.pth``.
         iteration: The last where absent.
         body: The body model; looked for under ``assets`` where absent.
-        dataset: Which reader training used; guessed from ``source_path`` where absent.
+        dataset: Which reader training used; guessed from ``cfg_args`` where absent.
 
     Raises:
         CheckpointInvalid: Something is missing, or does not fit the rest.
@@ -125,7 +134,7 @@ def read_r3(
     path = _find(folder, iteration)
     folder = path.parent
     cfg = read_cfg_args(folder)
-    origin = DATASETS[dataset or _guessed(cfg)]
+    origin = DATASETS[dataset or guessed_dataset(cfg)]
     model = read_body_of(folder, cfg, body)
     fields = _fields(path)
     nets = read_pose_nets(
@@ -167,15 +176,26 @@ def _find(folder: Path, iteration: int | None) -> Path:
     return found[wanted]
 
 
-def _guessed(cfg: CfgArgs) -> str:
-    source = cfg.word("source_path", "").lower()
-    found = [name for name in DATASETS if name in source]
-    if len(found) != 1:
-        known = ", ".join(DATASETS)
-        what = f"source_path is {source!r}, which does not say the kind of data"
-        mend = f"Say which reader training used: --dataset, one of {known}."
-        raise CheckpointInvalid(what, where=str(cfg.path), mend=mend)
-    return found[0]
+def guessed_dataset(cfg: CfgArgs) -> str:
+    """Return whose data a run was trained on: by its path, or else by the name of the run.
+
+    Raises:
+        CheckpointInvalid: Neither says so.
+    """
+    source, name = cfg.word("source_path", ""), cfg.word("exp_name", "")
+    body = cfg.word("smpl_type", "smpl")
+    for mark, dataset in _MARKS.items():
+        if mark in source:
+            return dataset
+    for text in (source, name):
+        found = [one for one in DATASETS if one in text.lower()]
+        fitting = [one for one in found if _BODIES[one] == body]
+        if len(found) == 1 or len(fitting) == 1:
+            return (found if len(found) == 1 else fitting)[0]
+    known = ", ".join(DATASETS)
+    what = f"source_path is {source!r}, which does not say the kind of data"
+    mend = f"Say which reader training used: --dataset, one of {known}."
+    raise CheckpointInvalid(what, where=str(cfg.path), mend=mend)
 
 
 def _fields(path: Path) -> Any:
