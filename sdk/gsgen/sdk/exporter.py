@@ -125,8 +125,8 @@ def export(
         generator: The module; it is put into evaluation mode and moved to the CPU.
         path: Where the model goes; it is replaced only by a model that passed every check.
         name: What people call it; the file's stem where absent.
-        dtype: Of all outputs but the count; float16 halves weights, too, wherever that does not
-            show; arithmetic stays float32 (:mod:`gsgen.sdk.float16`).
+        dtype: Of all outputs but the count; float16 stores weights in 16 bits, too, wherever that
+            does not show; arithmetic stays float32 (:mod:`gsgen.sdk.float16`).
         capacity: Rows of the outputs; as many as there are Gaussians where absent.
         opset: ONNX operator set, 18 being the one that every runtime has kernels for.
         target: The consumer to rewrite and validate for.

@@ -26,8 +26,9 @@ class ToFloat16(CautiousRewrite):
 
     Weights and tensors are half as large, and many devices compute twice as fast. Inputs of a frame
     stay float32. Where a float16 node meets a float32 one, one Cast stands, shared by all that read
-    it. A table that ``stored`` names is held in float16 whatever reads it, with a Cast for those
-    that compute in float32, which runtimes do once; another weight that both read is held twice::
+    it. A table that ``stored`` names is held in 16 bits a number whatever reads it: as float16, or as
+    uint16 in even steps where that is closer (:mod:`gsgen.sdk.half_table`), with a Cast, a Mul and an
+    Add that runtimes compute once. Another weight that both read is held twice::
 
         x → Mul → Add → y    →    x → Cast → Mul → Add → y float16
 
