@@ -39,7 +39,7 @@ class HalfTable:
         numbers = self.numbers.astype(np.float32)
         if self.step is None or self.start is None:
             return numbers
-        return numbers * self.step + self.start
+        return np.asarray(numbers * self.step + self.start)
 
 
 def half_table(array: Float32[np.ndarray, "..."]) -> HalfTable:
