@@ -17,11 +17,12 @@ import torch
 
 from gsgen.reference_plugins.checkpoints.array_pickles import read_array_pickle
 from gsgen.reference_plugins.checkpoints.bodies import read_body
+from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid, NotInCheckpoint
 from gsgen.reference_plugins.checkpoints.gauhuman import read_gauhuman
 from gsgen.reference_plugins.checkpoints.lhm import read_face, read_lhm
 from gsgen.reference_plugins.checkpoints.motions import read_motion
-from gsgen.reference_plugins.checkpoints.r3_avatar import read_r3
+from gsgen.reference_plugins.checkpoints.r3_avatar import guessed_dataset, read_r3
 from gsgen.reference_plugins.synthetic import (
     PersonOptions,
     write_body,
@@ -265,6 +266,31 @@ def test_the_data_set_is_asked_for_where_it_cannot_be_told(tmp_path: Path) -> No
     with pytest.raises(CheckpointInvalid, match="--dataset, one of dna, zju"):
         read_r3(folder)
     assert read_r3(folder, dataset="dna").origin == 50
+
+
+@pytest.mark.parametrize(
+    ("options", "dataset"),
+    [
+        ({"source_path": "../dataset/DNA-Rendering/0012_03"}, "dna"),
+        ({"source_path": "/home/edna/zju_mocap/my_377"}, "zju"),  # as training decides
+        ({"source_path": "/HiFi4G/MVHumanNet/a"}, "hifi4g"),
+        ({"source_path": "/data/MvHuman/100003"}, "mvhuman"),
+        ({"source_path": "/data/scene", "exp_name": "hifi4g_mono/4K_Actor1"}, "hifi4g"),
+        ({"exp_name": "dna_stage1/zju_377", "smpl_type": "smpl"}, "zju"),  # by its body
+        ({"exp_name": "dna_stage1/zju_377", "smpl_type": "smplx"}, "dna"),
+        ({"exp_name": "zju_hifi4g"}, None),
+        ({}, None),
+    ],
+)
+def test_whose_data_it_is_follows_from_paths_and_names(
+    options: dict[str, str], dataset: str | None, tmp_path: Path
+) -> None:
+    cfg = CfgArgs(tmp_path, options)
+    if dataset is not None:
+        assert guessed_dataset(cfg) == dataset
+        return
+    with pytest.raises(CheckpointInvalid, match="--dataset, one of"):
+        guessed_dataset(cfg)
 
 
 def test_what_lies_in_a_run_of_people_stands_for_it(tmp_path: Path) -> None:

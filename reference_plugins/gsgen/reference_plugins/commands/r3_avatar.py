@@ -39,7 +39,7 @@ Dataset = Annotated[
     Literal["dna", "zju", "hifi4g", "mvhuman"] | None,
     typer.Option(
         help="Whose data it was trained on: that says how poses are timed.",
-        show_default="as source_path in cfg_args says",
+        show_default="as source_path or exp_name in cfg_args says",
     ),
 ]
 PoseIds = Annotated[
@@ -70,11 +70,13 @@ def build(
 ) -> "GaussianGenerator":
     """Read a checkpoint, say what is in it, and return its generator."""
     from gsgen.reference_plugins.checkpoints.motions import read_motion
-    from gsgen.reference_plugins.checkpoints.r3_avatar import read_r3
+    from gsgen.reference_plugins.checkpoints.r3_avatar import guessed_dataset, read_r3
     from gsgen.reference_plugins.r3_avatar import R3Avatar
 
     read = read_r3(checkpoint, iteration, body, dataset)
     tell(read.describe(), read.cfg)
+    if dataset is None:
+        note(f"note: by {read.cfg.path} its data are of {guessed_dataset(read.cfg)}")
     warn_of_body(read.cfg)
     told = read_motion(motion, read.body.joints) if motion else None
     # A motion shows a frame of training with each of its own, so it needs no more.
