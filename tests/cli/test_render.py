@@ -22,7 +22,7 @@ from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.sources import Source, open_source
 from gsgen.runtime.tracks import Track
 from gsgen.runtime.viewpoint import viewpoint
-from support.commands import gsgen
+from support.commands import gsgen, gsgen_here
 
 FRONT = "look-at:0,0,-4,0,0,0"
 SMALL = ("--width", "48", "--height", "32")
@@ -356,3 +356,29 @@ def test_an_orbit_leaves_out_what_cannot_be_seen(tmp_path: Path) -> None:
     rows[:, 3] = 0  # nothing can be seen: all count
     np.savez(tmp_path / "a.npz", gaussians=rows, appearance=np.ones((100, 3), np.float32))
     assert open_source(tmp_path / "a.npz").extent()[1] > 500
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("film.gif", "transparent or not"),
+        ("film.mp4", ".mp4 has no transparency"),
+        ("one.jpg", ".jpg has no transparency"),
+        ("one.png", ""),
+    ],
+)
+def test_what_becomes_of_transparency_is_said(
+    file: Path, tmp_path: Path, name: str, said: str
+) -> None:
+    frames = "3" if name.startswith("film") else "1"
+    ran = gsgen_here(
+        "render", file, "-o", tmp_path / name, "--background", "transparent",
+        "--frames", frames, "--width", "48", "--height", "32",
+    )  # fmt: skip
+    assert ran.code == 0, ran.err
+    assert said in ran.err
+    assert bool(ran.err) is bool(said)
+    if name.endswith((".gif", ".png")):
+        with Image.open(tmp_path / name) as image:
+            alpha = np.asarray(image.convert("RGBA"))[..., 3]
+        assert alpha.min() == 0 and alpha.max() > 200  # noqa: PT018

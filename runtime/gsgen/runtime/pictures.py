@@ -3,6 +3,7 @@
 __all__ = [
     "FILMS",
     "MODES",
+    "OPAQUE",
     "SUFFIXES",
     "Mode",
     "array_of",
@@ -25,6 +26,7 @@ from gsgen.runtime import mp4
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.frame import Frame, Output
+from gsgen.runtime.gif import save_gif
 from gsgen.runtime.gpano import gpano
 from gsgen.sdk.placement import draft_of
 
@@ -45,7 +47,9 @@ SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 FILMS: Final = (".gif", ".mp4")
 """The suffixes that one film can have."""
 
-_MILLISECONDS: Final = 1000
+OPAQUE: Final = (".jpg", ".jpeg", ".mp4", ".bmp")
+"""The suffixes of formats without transparency."""
+
 _SHARE: Final = 2.0  # percent of the depths, at each end, that the grey scale leaves out
 
 
@@ -143,6 +147,8 @@ def save_array(path: Path, made: Float32[np.ndarray, "h w *c"]) -> None:
 def save_film(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: float) -> None:
     """Write an MP4, or an animated GIF that repeats for ever; whole or not at all.
 
+    An MP4 stands on black; what is transparent in a GIF, :func:`save_gif` says.
+
     Raises:
         SceneInvalid: The image library is missing or cannot write such a file.
     """
@@ -153,21 +159,14 @@ def save_film(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: flo
         with draft_of(path) as draft:
             draft.write_bytes(film)
         return
-    frames = [image.fromarray(_fitting(path, one)) for one in pictures]
+    made = list(pictures)
     with draft_of(path) as draft:
-        frames[0].save(
-            draft,
-            save_all=True,
-            append_images=frames[1:],
-            duration=round(_MILLISECONDS / fps),
-            loop=0,
-        )
+        save_gif(draft, made, fps)
 
 
 def _fitting(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> np.ndarray:
-    """Return the picture without alpha where the format has none."""
-    opaque = path.suffix.lower() in (".jpg", ".jpeg", ".gif", ".mp4", ".bmp", ".ppm")
-    if picture.ndim == 3 and picture.shape[2] == 4 and opaque:
+    """Return the picture without alpha where the format has none: on black."""
+    if picture.ndim == 3 and picture.shape[2] == 4 and path.suffix.lower() in OPAQUE:
         alpha = picture[..., 3:] / 255
         return np.asarray(np.rint(picture[..., :3] * alpha), np.uint8)
     return picture

@@ -162,9 +162,9 @@ def render(
 
     files = list(scene_files(scenes).values())
     view = scene_view(files, camera, width, height, fov, up, orthographic, panorama)
-    for note in view.notes:
-        typer.echo(f"note: {note}", err=True)
     behind = _background(background, output, files)
+    for note in (*view.notes, *_of_transparency(output, behind, mode.shown)):
+        typer.echo(f"note: {note}", err=True)
     sizes = sizes_of(size, "--size")
     with opened(scenes, post or (), provider=provider, sizes=sizes) as (sources, models):
         tracks, speed = fed(pose, inputs, sources)
@@ -222,6 +222,25 @@ def _background(
     if text is None:
         text = "transparent" if output.suffix.lower() == ".npy" else "black"
     return color_of(text, "--background")
+
+
+def _of_transparency(
+    output: Path, behind: tuple[float, float, float, float], mode: "Mode"
+) -> list[str]:
+    """Say what becomes of a background that can be seen through, where the format cannot."""
+    from gsgen.runtime.pictures import OPAQUE
+
+    suffix = output.suffix.lower()
+    if behind[3] == 1 or mode != "color":
+        return []
+    if suffix in OPAQUE:
+        return [f"{suffix} has no transparency: the background is blended with black"]
+    if suffix == ".gif":
+        return [
+            "pixels of a .gif are transparent or not: opaque is what is covered by half or more; "
+            "a folder of pictures keeps all of it"
+        ]
+    return []
 
 
 def _report(film: "Film", output: Path, seconds: float, as_json: bool) -> None:
