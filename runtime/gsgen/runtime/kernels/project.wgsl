@@ -18,12 +18,10 @@
 @group(1) @binding(3) var<storage, read> cells: array<vec2f>;  // five pairs a cell; the second ends in its visibility
 //!end
 
-const LARGEST = 3.4e38;
-const LARGEST_VARIANCE = 1e30;  // pixels²; the reciprocal still has all its digits
-
 //!include page
 //!include tile_span
 //!include panorama
+//!include flatten
 //!include circle
 
 var<private> own: u32;  // the row of this invocation's Gaussian
@@ -65,10 +63,7 @@ fn splat_key(index: u32) -> u32 {
     let offset = (center.position - page.eye) - page.eye_rest;
     let at = page.linear * offset;
     let inside = all(center.position >= page.clip_low) && all(center.position <= page.clip_high);
-    var depth = at.z;
-    if (PANORAMA) {
-        depth = distance_of(at);
-    }
+    let depth = depth_of(at);
     if (!(depth > frame.near && depth <= LARGEST && inside)) {
         return ABSENT;
     }
@@ -82,57 +77,31 @@ fn splat_key(index: u32) -> u32 {
     }
     opacity = min(opacity, 1.0);
 
-    let inverse = select(1.0 / at.z, 1.0, is_flat());
-    let slope = at.xy * inverse;
-    let bent = select(clamp(slope, frame.slope_low, frame.slope_high), vec2f(0.0), is_flat());
-
-    // Rows of the Jacobian times the rotation: how the pixel moves with the local position.
-    let turned = transpose(page.linear);
-    var jx = frame.focal.x * inverse * (turned[0] - bent.x * turned[2]);
-    var jy = frame.focal.y * inverse * (turned[1] - bent.y * turned[2]);
-    var mean = frame.focal * slope + frame.center;
-    if (PANORAMA) {
-        let sight = sight_around(at, depth);
-        jx = frame.focal.x * (turned * sight.jx);
-        jy = frame.focal.y * (turned * sight.jy);
-        mean = frame.focal * sight.angles + frame.center;
-        let middle = 0.5 * f32(frame.size.x) - frame.origin.x;
-        mean.x = middle + nearest(mean.x - middle);
-    }
-    let sigma = read_covariance(own);
-    let sx = sigma * jx;
-    let sy = sigma * jy;
-    let plain = vec3f(dot(jx, sx), dot(jx, sy), dot(jy, sy));
-    let wide = vec3f(plain.x + DILATION, plain.y, plain.z + DILATION);
-    // In units of a power of two, so that nothing overflows and nothing is rounded.
-    let unit = bitcast<f32>(bitcast<u32>(max(wide.x, wide.z)) & 0x7f800000u);
-    let scaled = wide / unit;
-    let determinant = scaled.x * scaled.z - scaled.y * scaled.y;
-    let sound = wide.x > 0.0 && wide.z > 0.0 && max(wide.x, wide.z) <= LARGEST_VARIANCE;
-    if (!(sound && determinant > 0.0)) {
+    let ellipse = flatten(at, depth, read_covariance(own));
+    if (!ellipse.sound) {
         return ABSENT;
     }
-
     if (page.mip != 0u) {
-        let bare = plain / unit;
+        let bare = ellipse.plain / ellipse.unit;
         let product = bare.x * bare.z - bare.y * bare.y;
-        opacity *= sqrt(max(product / determinant, 0.0));
+        opacity *= sqrt(max(product / ellipse.determinant, 0.0));
         if (!(opacity >= CULL_OPACITY)) {
             return ABSENT;
         }
     }
     let strength = log(opacity / CULL_OPACITY);
-    var half_extent = sqrt(2.0 * strength * wide.xz);
+    var half_extent = sqrt(2.0 * strength * ellipse.wide.xz);
     if (PANORAMA) {
         half_extent.x = LARGEST;  // it may reach over the seam; `span` knows
     }
     let low = 0.5 - frame.origin;
     let high = vec2f(frame.size) - 0.5 - frame.origin;
-    if (!(all(mean + half_extent >= low) && all(mean - half_extent <= high))) {
+    if (!(all(ellipse.mean + half_extent >= low) && all(ellipse.mean - half_extent <= high))) {
         return ABSENT;
     }
-    let conic = vec3f(scaled.z, -scaled.y, scaled.x) / determinant / unit;
-    let made = outline(mean, conic, strength, wide.z);
+    let scaled = ellipse.scaled;
+    let conic = vec3f(scaled.z, -scaled.y, scaled.x) / ellipse.determinant / ellipse.unit;
+    let made = outline(ellipse.mean, conic, strength, ellipse.wide.z);
     var tiles = 0u;
     for (var line = made.rows.x; line < made.rows.y; line++) {
         var behind = 0u;
@@ -148,10 +117,10 @@ fn splat_key(index: u32) -> u32 {
     if (!all(abs(color) <= vec3f(LARGEST)) || tiles == 0u) {
         return ABSENT;
     }
-    shapes[index] = vec4f(mean, conic.xy);
-    var extent = wide.z;
+    shapes[index] = vec4f(ellipse.mean, conic.xy);
+    var extent = ellipse.wide.z;
     if (WEIGHTED) {
-        let radius = circle(scaled, determinant, unit, SPLAT_REACH);
+        let radius = circle(scaled, ellipse.determinant, ellipse.unit, SPLAT_REACH);
         extent = min(radius * radius, LARGEST);
     }
     weights[index] = vec4f(conic.z, strength, depth, extent);

@@ -32,12 +32,13 @@ fn count_drawn(first: u32) {
 fn cell_key(own: u32, index: u32) -> u32 {
     let center = read_center(own);
     let at = page.linear * ((center.position - page.eye) - page.eye_rest);
-    let made = flatten(at, read_covariance(own));
-    if (!(made.sound && center.opacity > 0.0 && center.opacity <= LARGEST)) {
+    let depth = depth_of(at);
+    let made = flatten(at, depth, read_covariance(own));
+    let is_there = depth > frame.near && depth <= LARGEST;
+    if (!(made.sound && is_there && center.opacity > 0.0 && center.opacity <= LARGEST)) {
         return ABSENT;
     }
-    let determinant = made.wide.x * made.wide.z - made.wide.y * made.wide.y;
-    let radius = circle(made.wide, determinant, made.unit, CELL_REACH);
+    let radius = circle(made.scaled, made.determinant, made.unit, CELL_REACH);
     var tiles = 0u;
     var behind = 0u;
 //!repeat COPY COPIES
@@ -55,7 +56,7 @@ fn cell_key(own: u32, index: u32) -> u32 {
     let first = page.first_gaussian + own * page.per_cell;
     spans[index] = vec4u(first, page.per_cell, bitcast<vec2u>(vec2f(page.inverse_divisor, page.behind)));
     count_drawn(first);
-    return bitcast<u32>(made.depth);
+    return bitcast<u32>(depth);
 }
 
 @compute @workgroup_size(THREADS)
