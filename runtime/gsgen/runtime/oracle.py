@@ -28,7 +28,7 @@ _FINISHED: Final = 1e-4
 
 # Within these shares of a threshold, float32 may decide otherwise.
 _BAND: Final = 2e-3
-_TIE: Final = 1e-6
+_TIE: Final = 1e-12  # of a depth: two floats tell more, even where they are added up
 _TOUCH: Final = 1e-4  # a Gaussian and a mesh so near to each other
 # Within so many pixels of half a turn, it may find the other side of a Gaussian.
 _HALF_TURN: Final = 2e-3

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt32
 
 from gsgen.runtime.camera import Camera
+from gsgen.runtime.depth_order import DepthOrder
 from gsgen.runtime.device import Device
 from gsgen.runtime.frame import Output
 from gsgen.runtime.kernels import counts as counting
@@ -21,7 +22,6 @@ from gsgen.runtime.kernels.draw_quads import DrawQuads, QuadsStep
 from gsgen.runtime.kernels.kernel import Step, run
 from gsgen.runtime.kernels.mesh_place import PLACE, PlacedMesh, mesh_rays, mesh_uniform
 from gsgen.runtime.kernels.normals import NormalsKernel
-from gsgen.runtime.kernels.order_ties import OrderTies
 from gsgen.runtime.kernels.project import (
     FRAME,
     PAGE,
@@ -31,7 +31,7 @@ from gsgen.runtime.kernels.project import (
 )
 from gsgen.runtime.kernels.scan import Scan
 from gsgen.runtime.kernels.shader import ABSENT, TILE
-from gsgen.runtime.kernels.sort import KEY_BITS, Columns, RadixSort, cut_for
+from gsgen.runtime.kernels.sort import Columns, RadixSort, cut_for
 from gsgen.runtime.kernels.tile_ranges import RANGE_BLOCK, TileRanges
 from gsgen.runtime.residency import Page
 from gsgen.runtime.scene import SplatSet
@@ -64,7 +64,7 @@ class Kernels:
             )
         )
         self.normals = cache(lambda packed: NormalsKernel(device, packed))
-        self.ties = cache(lambda: OrderTies(device, self.cut.walk))
+        self.order = DepthOrder(device, self.cut, self.sort)
         self.weighted = cache(
             lambda: WeightedKernels(device, self.cut, self.scan, self.sort, self.ranges)
         )
@@ -87,6 +87,7 @@ class Plan:
         panorama: Whether the image is one.
         meshes: Meshes among the Gaussians; nothing but their buffers is kept.
         published: Whether weighted sums count backgrounds as the method's own renderer does.
+        deep: Whether depths are sorted by all their bits, for very many share the leading ones.
 
     Attributes:
         stages: What a frame does, stage by stage.
@@ -109,6 +110,7 @@ class Plan:
         panorama: bool = False,
         meshes: Sequence[PlacedMesh] = (),
         published: bool = False,
+        deep: bool = False,
     ) -> None:
         summed, placed = _weighted(placed), _sorted(placed)
         self._weighted: WeightedPart | None = None
@@ -116,7 +118,7 @@ class Plan:
         self._meshes: MeshesStep | None = None
         self._layers: Layers | None = None
         self._device, self._kernels = device, kernels
-        self._size, self._panorama = size, panorama
+        self._size, self._panorama, self._deep = size, panorama, deep
         self._tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
         self.pair_capacity = pair_capacity
         self._gaussians = sum(page.capacity for _, page in placed)
@@ -172,10 +174,11 @@ class Plan:
     ) -> dict[str, list[Step]]:
         """Record the frame, stage by stage."""
         n = self._gaussians
-        columns = [self._columns(f"Gaussians {side}", n) for side in "ab"]
+        columns = (self._columns("Gaussians a", n), self._columns("Gaussians b", n))
         colors = self._storage("colors", _VEC4 * n)
-        stages = {"project": self._project(placed, columns[0].keys, colors)}
-        stages["sort"], order = self._sort_by_depth(columns)
+        lows = self._storage("lows", 4 * n)
+        stages = {"project": self._project(placed, columns[0].keys, colors, lows)}
+        stages["sort"], order = self._sort_by_depth(columns, lows)
         if quads and "color" in outputs:
             self._quads = self._draw_quads(order, colors)
             outputs = outputs - {"color"}
@@ -228,9 +231,11 @@ class Plan:
             self._storage(f"values of {name}", 4 * length),
         )
 
-    def _project(self, placed: Sequence[Placed], keys: Any, colors: Any) -> list[Step]:
+    def _project(
+        self, placed: Sequence[Placed], keys: Any, colors: Any, lows: Any
+    ) -> list[Step]:
         made = []
-        outputs = (self._frame, keys, *self._splats, colors)
+        outputs = (self._frame, keys, *self._splats, colors, lows)
         for slot, (_, page) in enumerate(placed):
             kernel = self._kernels.project(
                 page.half, page.stride, self._panorama, page.packed
@@ -244,24 +249,16 @@ class Plan:
             for slot, (_, page) in enumerate(placed)
         ]
 
-    def _sort_by_depth(self, columns: list[Columns]) -> tuple[list[Step], Any]:
+    def _sort_by_depth(
+        self, columns: tuple[Columns, Columns], lows: Any
+    ) -> tuple[list[Step], Any]:
         """Return the steps, and the buffer of drawn Gaussians, nearest first."""
-        steps, at = self._kernels.sort.steps(
-            self._counts,
-            self._kernels.sort.histogram(self._gaussians),
-            columns,
-            bits=KEY_BITS,
-            source=Counts.VISIBLE,
-            groups=Counts.SORT_VISIBLE_GROUPS,
-            compacting=self._gaussians,
-        )
+        n, origins = self._gaussians, None
         if self._origins is not None:
-            origins = self._storage("origins", 4 * self._gaussians)
+            origins = self._storage("origins", 4 * n)
             self._device.write(origins, self._origins)
-            keys, order = columns[at]
-            ties = self._kernels.ties()
-            steps.append(ties.step(self._gaussians, self._counts, keys, origins, order))
-        return steps, columns[at].values
+        spare = self._storage("keys of Gaussians c", 4 * n) if self._deep else None
+        return self._kernels.order.steps(n, self._counts, columns, lows, origins, spare)
 
     def _bin(self, order: Any, colors: Any, pairs: Columns) -> list[Step]:
         walk = self._kernels.cut.walk
@@ -354,7 +351,7 @@ class Plan:
         if clock is not None:
             clock.begin()
         encoder.clear_buffer(self._ranges)
-        encoder.clear_buffer(self._counts, 4 * Counts.TIED, 4)
+        encoder.clear_buffer(self._counts, 4 * Counts.TIED, 8)  # and UNSORTED
         if self._weighted is not None:
             self._weighted.clear(encoder)
         if self._meshes is not None:

@@ -107,6 +107,8 @@ class Renderer:
             self.rasteriser: Rasteriser = (
                 choose(self.device, self._kernels) if rasteriser == "auto" else rasteriser
             )
+        self._deep = False
+        self._things: object = None
         self._key: object = None
         self._plan: Plan | None = None
 
@@ -200,17 +202,24 @@ class Renderer:
         plan = self.plan(placed, camera, wanted, meshes)
         plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
         counts, images = plan.collect(fetch)
-        while counts[Counts.TIED] or counts[Counts.WANTED_PAIRS] > plan.pair_capacity:
+        while self._wants(counts, plan):
             if counts[Counts.TIED]:
                 for one in scene.sets:
                     self._residency.leave(one.data)
                 placed = self._pages(scene)
-            else:
-                self._grow(int(counts[Counts.WANTED_PAIRS]))
             plan = self.plan(placed, camera, wanted, meshes)
             plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
             counts, images = plan.collect(fetch)
         return plan, counts, images
+
+    def _wants(self, counts: np.ndarray, plan: Plan) -> bool:
+        """Say whether a frame has to be drawn again, and make room for what it was short of."""
+        short = int(counts[Counts.WANTED_PAIRS]) > plan.pair_capacity
+        if short:
+            self._grow(int(counts[Counts.WANTED_PAIRS]))
+        if counts[Counts.UNSORTED]:
+            self._deep = True
+        return bool(short or counts[Counts.UNSORTED] or counts[Counts.TIED])
 
     def placed(self, scene: Scene) -> list[Placed]:
         """Return each page of the scene with its set, uploaded where it is new or has changed."""
@@ -241,7 +250,9 @@ class Renderer:
         size, panorama = (camera.width, camera.height), camera.kind == "panorama"
         pages = tuple((page, one.weighted is None) for one, page in placed)
         things = (pages, tuple(one.buffers for one in meshes))
-        key = (things, size, outputs, self._pairs, panorama)
+        if things != self._things:
+            self._things, self._deep = things, False  # others may have depths farther apart
+        key = (things, size, outputs, self._pairs, panorama, self._deep)
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
             self._plan = Plan(
@@ -255,6 +266,7 @@ class Renderer:
                 panorama,
                 meshes,
                 self._published,
+                self._deep,
             )
             self._key = key
         return self._plan

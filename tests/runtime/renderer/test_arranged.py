@@ -6,14 +6,6 @@ import pytest
 from gsgen.runtime import residency
 from gsgen.runtime.curve import along_curve
 from gsgen.runtime.device import Device
-from gsgen.runtime.kernels import counts as counting
-from gsgen.runtime.kernels.counts import Counts
-from gsgen.runtime.kernels.kernel import run
-from gsgen.runtime.kernels.order_ties import (
-    MOST_TIED,
-    OrderTies,
-    order_ties_reference,
-)
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
@@ -54,37 +46,6 @@ def test_the_curve_knows_points_that_are_none() -> None:
     assert along_curve(points[1:2]).tolist() == [0]
     assert along_curve(np.ones((3, 3), np.float32)).tolist() == [0, 1, 2]
     assert along_curve(np.zeros((0, 3), np.float32)).tolist() == []
-
-
-@pytest.mark.parametrize("walk", [1, 4, 64])
-def test_ties_are_put_in_order(device: Device, walk: int) -> None:
-    rng = np.random.default_rng(walk)
-    lengths = np.concatenate([np.ones(200, int), [MOST_TIED, 2, 3, 40], np.ones(50, int)])
-    rng.shuffle(lengths)
-    keys = np.repeat(np.arange(len(lengths), dtype=np.uint32) * 3, lengths)
-    origins, order = (rng.permutation(len(keys)).astype(np.uint32) for _ in range(2))
-    tied, made = ordered(device, walk, keys, origins, order)
-    assert not tied
-    np.testing.assert_array_equal(made, order_ties_reference(keys, origins, order))
-    assert not np.array_equal(made, order)
-    keys = np.sort(np.append(keys, np.full(MOST_TIED + 1, 5, np.uint32)))
-    order = np.arange(len(keys), dtype=np.uint32)
-    assert ordered(device, walk, keys, order[::-1], order)[0]
-
-
-def ordered(
-    device: Device, walk: int, keys: np.ndarray, origins: np.ndarray, order: np.ndarray
-) -> tuple[bool, np.ndarray]:
-    counts = counting.initial(len(keys), 0)
-    counts[Counts.VISIBLE] = len(keys)
-    buffers = [device.storage("words", 4 * len(keys) + 64) for _ in range(4)]
-    for buffer, words in zip(buffers, (counts[:8], keys, origins, order), strict=True):
-        device.write(buffer, words)
-    encoder = device.raw.create_command_encoder()
-    run(encoder, [OrderTies(device, walk).step(len(keys), *buffers)], "ties")
-    device.raw.queue.submit([encoder.finish()])
-    tied = device.read(buffers[0], np.uint32, 8)[Counts.TIED]
-    return bool(tied), device.read(buffers[3], np.uint32, len(keys))
 
 
 def test_no_picture_shows_how_rows_are_arranged(device: Device, small: None) -> None:

@@ -30,7 +30,9 @@ class Counts(IntEnum):
     DRAWN = 5
     """Gaussians of the cells that are drawn, where it is cells that are sorted."""
     TIED = 6
-    """Whether more splats are at one depth than are put in order."""
+    """Whether more splats are at one depth than are put in order as their sets have them."""
+    UNSORTED = 7
+    """Whether more splats have one key than are put in order by the rest of their depths."""
     SORT_VISIBLE_GROUPS = 8
     WALK_VISIBLE_GROUPS = 12
     SORT_PAIRS_GROUPS = 16

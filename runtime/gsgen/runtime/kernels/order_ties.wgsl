@@ -1,13 +1,46 @@
-// Order ties: sorted splats of one depth stand as their sets have them.
+// Order ties: sorted splats whose keys are the same stand by the rest of their depths.
 //
-// Where rows are arranged in memory, a stable sort leaves equal depths as they are there. Each
-// invocation looks at RUN sorted splats, and orders every tie that begins among them. One of more
-// than MOST_TIED is left as it is, and announced: then rows must not be arranged.
+// Of depths that are the same altogether, the one comes first that its set has first; where rows
+// are ARRANGED in memory, a stable sort has left them as they are there. Each invocation looks at
+// RUN sorted splats, and orders every tie that begins among them: by insertion, for it is short.
+// One of more than MOST_TIED is left as it is, and nobody writes there; if it is not in order
+// anyway, that is announced: as UNSORTED where depths are not, as TIED where only sets are not.
 
 @group(0) @binding(0) var<storage, read_write> counts: array<atomic<u32>>;
 @group(0) @binding(1) var<storage, read> keys: array<u32>;
-@group(0) @binding(2) var<storage, read> origins: array<u32>;  // where splats are by the order of the sets
+@group(0) @binding(2) var<storage, read> lows: array<u32>;  // by splat: bits that sort as what a key leaves of a depth
 @group(0) @binding(3) var<storage, read_write> order: array<u32>;
+//!repeat ONCE ARRANGED
+@group(0) @binding(4) var<storage, read> origins: array<u32>;  // by splat: where it is by the order of the sets
+//!end
+
+struct Rank {
+    low: u32,
+    origin: u32,
+}
+
+fn rank_of(splat: u32) -> Rank {
+    var made = Rank(lows[splat], splat);
+//!repeat ONCE ARRANGED
+    made.origin = origins[splat];
+//!end
+    return made;
+}
+
+fn is_after(a: Rank, b: Rank) -> bool {
+    return a.low > b.low || (a.low == b.low && a.origin > b.origin);
+}
+
+// Announce what is wrong with two neighbours in a tie that is too long.
+fn check(place: u32) {
+    let one = rank_of(order[place]);
+    let next = rank_of(order[place + 1u]);
+    if (one.low > next.low) {
+        atomicStore(&counts[UNSORTED], 1u);
+    } else if (is_after(one, next)) {
+        atomicStore(&counts[TIED], 1u);
+    }
+}
 
 fn order_tie(first: u32, key: u32, visible: u32) {
     var last = first + 2u;
@@ -15,13 +48,16 @@ fn order_tie(first: u32, key: u32, visible: u32) {
         last += 1u;
     }
     if (last - first > MOST_TIED) {
-        atomicStore(&counts[TIED], 1u);
+        for (var i = first; i < first + MOST_TIED; i++) {
+            check(i);
+        }
         return;
     }
     for (var i = first + 1u; i < last; i++) {
         let own = order[i];
+        let rank = rank_of(own);
         var place = i;
-        while (place > first && origins[order[place - 1u]] > origins[own]) {
+        while (place > first && is_after(rank_of(order[place - 1u]), rank)) {
             order[place] = order[place - 1u];
             place -= 1u;
         }
@@ -47,8 +83,12 @@ fn order_ties(@builtin(global_invocation_id) invocation: vec3u) {
         if (i + 1u < visible) {
             next = keys[i + 1u];
         }
-        if (key == next && key != before) {
-            order_tie(i, key, visible);
+        if (key == next) {
+            if (key != before) {
+                order_tie(i, key, visible);
+            } else if (i >= MOST_TIED && keys[i - MOST_TIED] == key) {
+                check(i);  // the first of the tie are checked where it begins
+            }
         }
         before = key;
         key = next;

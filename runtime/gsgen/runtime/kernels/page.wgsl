@@ -22,6 +22,11 @@ struct Page {
     inverse_range: f32,   // 1 / the depth where weights end; 0 where they do not
     inverse_divisor: f32, // 1 / what opacity is divided by
     behind: f32,          // weight of what is behind
+    // For exact depths:
+    linear_rest: mat3x3f, // what rounding `linear` left
+    eye_at: vec3f,        // where the rounded `eye` is in camera space …
+    nothing: u32,         // 0, which compilers do not know
+    eye_at_rest: vec3f,   // … and what rounding that left
 }
 
 struct Center {

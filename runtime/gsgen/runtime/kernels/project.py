@@ -5,6 +5,7 @@ __all__ = [
     "NO_HARMONICS",
     "PAGE",
     "ProjectKernel",
+    "depth_reference",
     "frame_uniform",
     "page_uniform",
     "page_uniforms",
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Shaped, UInt32
 
 from gsgen.contract import layout
 from gsgen.contract.geometry import symmetric
@@ -64,7 +65,7 @@ FRAME: Final = _bytes(
 """The bytes of ``struct Frame`` in frame.wgsl."""
 
 PAGE: Final = _bytes(
-    256,  # a step that every device can bind at
+    512,  # two steps that every device can bind at
     {
         "linear": ("(3,4)f4", 0),
         "local_to_sh": ("(3,4)f4", 48),
@@ -85,6 +86,10 @@ PAGE: Final = _bytes(
         "inverse_range": ("f4", 200),
         "inverse_divisor": ("f4", 204),
         "behind": ("f4", 208),
+        "linear_rest": ("(3,4)f4", 224),
+        "eye_at": ("3f4", 272),
+        "nothing": ("u4", 284),
+        "eye_at_rest": ("3f4", 288),
     },
 )
 """The bytes of ``struct Page`` in page.wgsl."""
@@ -162,7 +167,13 @@ def page_uniforms(
     if camera.kind == "orthographic":
         made["forward"] = np.linalg.solve(linear, camera.view[2, :3][:, None])[:, :, 0]
     made["eye"] = eye
-    made["eye_rest"] = eye - made["eye"].astype(np.float64)
+    eye_rest = eye - made["eye"].astype(np.float64)
+    made["eye_rest"] = eye_rest
+    columns = turned.transpose(0, 2, 1)
+    made["linear_rest"][:, :, :3] = columns - made["linear"][:, :, :3].astype(np.float64)
+    eye_at = -(turned @ eye_rest[:, :, None])[:, :, 0]
+    made["eye_at"] = eye_at
+    made["eye_at_rest"] = eye_at - made["eye_at"].astype(np.float64)
     clips = [one.clip for one in sets]
     made["clip_low"] = [(-np.inf,) * 3 if one is None else one.low for one in clips]
     made["clip_high"] = [(np.inf,) * 3 if one is None else one.high for one in clips]
@@ -205,12 +216,13 @@ class ProjectKernel:
             device,
             "project",
             "project",
-            ("uwwww", "urrr" if weighted else "urr"),
+            ("uwwww", "urrr") if weighted else ("uwwwww", "urr"),
             THREADS=_THREADS,
             HALF_APPEARANCE=half,
             STRIDE=stride,
             NO_HARMONICS=NO_HARMONICS,
             WEIGHTED=weighted,
+            SORTED=not weighted,
             PACKED=packed,
             **(ROUND if panorama else {}),
         )
@@ -262,9 +274,11 @@ def project_reference(
 ) -> Projected:
     """What ``project.wgsl`` must make of ``data`` and the two uniforms."""
     rows = data.rows.astype(np.float64)
-    linear, to_sh = (
-        np.asarray(page[name], np.float64)[:, :3].T for name in ("linear", "local_to_sh")
+    linear, rest, to_sh = (
+        np.asarray(page[name], np.float64)[:, :3].T
+        for name in ("linear", "linear_rest", "local_to_sh")
     )
+    linear = linear + rest
     offset = rows[:, :3] - np.float64(page["eye"]) - np.float64(page["eye_rest"])
     with np.errstate(all="ignore"):
         at = offset @ linear.T
@@ -309,6 +323,17 @@ def project_reference(
             turns = np.round((mean[:, 0] - middle) / frame["period"])
             mean[:, 0] -= turns * frame["period"]
     return Projected(drawn, mean, conic, strength, depth, np.maximum(color, 0))
+
+
+def depth_reference(
+    depth: Float[np.ndarray, " n"],
+) -> tuple[UInt32[np.ndarray, " n"], UInt32[np.ndarray, " n"]]:
+    """What ``exact_depth.wgsl`` must make of depths: keys, and the bits of what they leave."""
+    high = depth.astype(np.float32)
+    low = (depth - high.astype(np.float64)).astype(np.float32)
+    bits = low.view(np.uint32)
+    ordered = np.where(low < 0, ~bits, bits ^ np.uint32(0x80000000))
+    return high.view(np.uint32), np.where(low == 0, np.uint32(0x80000000), ordered)
 
 
 def _straight(

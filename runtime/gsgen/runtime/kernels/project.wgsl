@@ -10,6 +10,9 @@
 @group(0) @binding(2) var<storage, read_write> shapes: array<vec4f>;   // mean, conic xx xy
 @group(0) @binding(3) var<storage, read_write> weights: array<vec4f>;  // conic yy, strength, depth, variance yy; WEIGHTED: its circle's radius² at the end
 @group(0) @binding(4) var<storage, read_write> colors: array<vec4f>;   // red, green, blue, and how many tiles
+//!repeat ONCE SORTED
+@group(0) @binding(5) var<storage, read_write> lows: array<u32>;       // the rest of depths, as bits that sort as it does
+//!end
 
 @group(1) @binding(0) var<uniform> page: Page;
 @group(1) @binding(1) var<storage, read> rows: array<vec2u>;
@@ -22,9 +25,11 @@
 //!include tile_span
 //!include panorama
 //!include flatten
+//!include exact_depth
 //!include circle
 
 var<private> own: u32;  // the row of this invocation's Gaussian
+var<private> low: u32;  // and what its key leaves of its depth
 
 fn channels(group: u32) -> vec4f {
     if (HALF_APPEARANCE && STRIDE == 0u) {
@@ -61,9 +66,16 @@ fn color_of(offset: vec3f) -> vec3f {
 fn splat_key(index: u32) -> u32 {
     let center = read_center(own);
     let offset = (center.position - page.eye) - page.eye_rest;
-    let at = page.linear * offset;
+    var at = page.linear * offset;
     let inside = all(center.position >= page.clip_low) && all(center.position <= page.clip_high);
-    let depth = depth_of(at);
+    let distance = depth_of(at);
+    var depth = distance;
+//!repeat ONCE SORTED
+    let exact = exact_depth(center.position, distance);
+    depth = exact.x;
+    low = order_of(exact.y);
+    at.z = select(depth, at.z, PANORAMA);
+//!end
     if (!(depth > frame.near && depth <= LARGEST && inside)) {
         return ABSENT;
     }
@@ -77,7 +89,7 @@ fn splat_key(index: u32) -> u32 {
     }
     opacity = min(opacity, 1.0);
 
-    let ellipse = flatten(at, depth, read_covariance(own));
+    let ellipse = flatten(at, distance, read_covariance(own));
     if (!ellipse.sound) {
         return ABSENT;
     }
@@ -135,12 +147,15 @@ fn project(@builtin(global_invocation_id) invocation: vec3u) {
         return;
     }
     let index = page.base + own;
+    var key = ABSENT;
     if (own < page.count) {
-        keys[index] = splat_key(index);
-    } else {
-        keys[index] = ABSENT;
+        key = splat_key(index);
     }
-    if (WEIGHTED && keys[index] == ABSENT) {
+    keys[index] = key;
+//!repeat ONCE SORTED
+    lows[index] = select(low, ABSENT, key == ABSENT);
+//!end
+    if (WEIGHTED && key == ABSENT) {
         weights[index] = vec4f(0.0, -LARGEST, 0.0, 0.0);  // nothing sorts it out
     }
 }

@@ -93,6 +93,7 @@ class RadixSort:
         source: Counts,
         groups: Counts,
         compacting: int | None = None,
+        given: Any = None,
     ) -> tuple[list[Step], int]:
         """Return the steps of a sort, and which of ``columns`` has the result.
 
@@ -106,6 +107,8 @@ class RadixSort:
             compacting: If given, the first pass takes as many keys as this, with their places
                 as values, leaves out those that are ABSENT, and announces the rest as
                 ``source``.
+            given: Keys that a compacting sort reads first, in place of those of ``columns``, and
+                leaves as they are.
         """
         passes = -(-bits // self._cut.digit_bits)
         width = -(-bits // passes)
@@ -121,6 +124,8 @@ class RadixSort:
             words = np.array([number * width, digits, now, first], np.uint32)
             self._device.write(uniform, words)
             before, after = columns[number % 2], columns[1 - number % 2]
+            if first and given is not None:
+                before = Columns(given, given)  # it reads no values
             resources = (uniform, counts, *before, histogram, *after)
             scan = self._scan.steps(
                 counts,
