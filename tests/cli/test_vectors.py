@@ -19,7 +19,8 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.manifest import TestVector as Vector
 from gsgen.contract.manifest_json import loads
 from gsgen.contract.model import MANIFEST_KEY, open_model
-from gsgen.contract.vector_files import VectorsRefused, record_vectors
+from gsgen.contract.recording import RecordingRefused
+from gsgen.contract.vector_files import record_vectors
 from gsgen.contract.vectors import MOST_SEEDS
 from support.commands import gsgen, gsgen_here
 
@@ -177,7 +178,7 @@ def test_what_cannot_be_promised_is_refused_and_leaves_nothing(tmp_path: Path) -
         ("count_is_int64", "breaks GO011 at output num_points"),
         ("seeded_random", "gives other outputs when it is run again"),
     ):
-        with pytest.raises(VectorsRefused, match=told) as caught:
+        with pytest.raises(RecordingRefused, match=told) as caught:
             record_vectors(find(name).write(tmp_path), out, count=1)
         assert f"{name}.onnx" in caught.value.where
         assert not out.exists()

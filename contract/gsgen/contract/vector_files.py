@@ -5,9 +5,8 @@ The layout is that of the ONNX model zoo: a folder with ``model.onnx`` and, for 
 inputs and outputs.
 """
 
-__all__ = ["Recorded", "VectorsRefused", "record_vectors"]
+__all__ = ["Recorded", "record_vectors"]
 
-import json
 import re
 import shutil
 import tempfile
@@ -20,25 +19,25 @@ import numpy as np
 from onnx import numpy_helper
 
 from gsgen.contract.config import Settings
-from gsgen.contract.drafts import draft_of
-from gsgen.contract.engine import validate
-from gsgen.contract.errors import ConfigInvalid, GsgenError
-from gsgen.contract.finding import Level, Severity
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.finding import Level
 from gsgen.contract.manifest import TestVector
-from gsgen.contract.model import ModelFile, open_model, write_manifest_text
 from gsgen.contract.plan import fetched_outputs, make_plan
 from gsgen.contract.probes import Probe
-from gsgen.contract.sandbox import Execution, execute
+from gsgen.contract.recording import (
+    RecordingRefused,
+    executed,
+    recordable,
+    recorded_copy,
+)
+from gsgen.contract.sandbox import Execution
 from gsgen.contract.schema import to_json
-from gsgen.contract.subject import Subject, read_subject
+from gsgen.contract.subject import Subject
 from gsgen.contract.worker import digest_of
 
 MODEL = "model.onnx"
+_COUNT = 3
 _SET = re.compile(r"^test_data_set_[0-9]+$")
-
-
-class VectorsRefused(GsgenError):
-    """The model is not one whose outputs can be promised."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +60,7 @@ def record_vectors(
     folder: Path,
     model: Path | None = None,
     *,
-    count: int = 3,
+    count: int | None = None,
     seed: int = 0,
     settings: Settings | None = None,
     force: bool = False,
@@ -73,7 +72,8 @@ def record_vectors(
         source: A model with a manifest; it stays as it is, unless ``model`` is the same file.
         folder: Gets a folder ``test_data_set_k`` for each vector.
         model: The copy with the digests; ``folder/model.onnx`` where absent.
-        count: How many probes, spread over the set that validation runs, all zeros first.
+        count: How many probes, spread over the set that validation runs, all zeros first;
+            three where absent, or all where there are fewer.
         seed: Seed of that set.
         settings: Limits of running it.
         force: Replace vectors that stand in ``folder`` already.
@@ -81,7 +81,7 @@ def record_vectors(
 
     Raises:
         ModelUnreadable: ``source`` is not an ONNX model.
-        VectorsRefused: It has no manifest, breaks a static rule, fails, or gives other outputs
+        RecordingRefused: It has no manifest, breaks a static rule, fails, or gives other outputs
             when it is run again.
         ConfigInvalid: There are fewer probes, the folder holds vectors, or cannot be written.
     """
@@ -98,7 +98,9 @@ def record_vectors(
     probes = _chosen(make_plan(subject, Level.VALUES, seed).probes, count)
     progress(f"running {len(probes)} probes twice in ONNX Runtime")
     with _staged(folder) as stage:
-        with _executed(subject, probes) as execution:
+        names = [tensor.name for tensor in subject.graph.outputs]
+        twice = [probe for probe in probes for _ in range(2)]
+        with executed(subject, names, twice) as execution:
             vectors = tuple(
                 _write(stage / f"test_data_set_{index}", subject, probe, outputs, seed)
                 for index, (probe, outputs) in enumerate(
@@ -106,7 +108,8 @@ def record_vectors(
                 )
             )
         progress(f"writing {model.name}")
-        _write_model(subject.file, vectors, model)
+        with recorded_copy(subject.file, {"test_vectors": to_json(vectors)}, model):
+            pass
         for path in standing:
             _remove(path)
         for made in sorted(stage.iterdir()):
@@ -126,35 +129,22 @@ def _remove(path: Path) -> None:
 
 
 def _subject(source: Path, settings: Settings) -> Subject:
-    file = open_model(source)
-    subject = read_subject(file, settings.target, settings.limits)
-    where = str(source)
-    if subject.parsed is None:
-        mend = (
-            f"`gsgen inspect {source} --emit-manifest` derives one; correct it, and embed it "
-            f"with `gsgen fix {source} --manifest FILE -o OUT.onnx`."
-        )
-        raise VectorsRefused("has no manifest that could hold them", where=where, mend=mend)
-    report = validate(source, replace(settings, level=Level.STATIC))
-    broken = [one for one in report.findings if one.severity >= Severity.ERROR]
-    if broken:
-        what = f"breaks {broken[0].rule} at {broken[0].where}: {broken[0].message}"
-        mend = (
-            f"What a broken model gives is no promise; `gsgen validate {source}` says more."
-        )
-        raise VectorsRefused(what, where=where, mend=mend)
+    subject = recordable(source, settings)
     # Without a manifest, all outputs that numpy can hold are fetched.
     fetched = fetched_outputs(replace(subject, parsed=None, candidate=None))
     unread = [one.name for one in subject.graph.outputs if one.name not in fetched]
     if unread:
         what = f"output {unread[0]!r} has a dtype that numpy cannot hold"
-        raise VectorsRefused(what, where=where)
+        raise RecordingRefused(what, where=str(source))
     return subject
 
 
-def _chosen(probes: tuple[Probe, ...], count: int) -> list[Probe]:
+def _chosen(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
+    if count is None:
+        count = min(_COUNT, len(probes))
     if count > len(probes):
-        what = f"{count} vectors, and the model has {len(probes)} probes"
+        have = "1 probe" if len(probes) == 1 else f"{len(probes)} probes"
+        what = f"{count} vectors, and the model has {have}"
         raise ConfigInvalid(what, where="--count", mend=f"--count {len(probes)} takes all.")
     if count < 1:
         raise ConfigInvalid(f"{count} vectors, wanted 1 or more", where="--count")
@@ -182,18 +172,6 @@ def _staged(folder: Path) -> Iterator[Path]:
         raise
 
 
-@contextmanager
-def _executed(subject: Subject, probes: list[Probe]) -> Iterator[Execution]:
-    file = subject.file
-    names = [tensor.name for tensor in subject.graph.outputs]
-    twice = [probe for probe in probes for _ in range(2)]
-    with execute(file.path, names, twice, subject.granted) as execution:
-        if execution.fault is not None:
-            what = f"does not run: {execution.fault.message}"
-            raise VectorsRefused(what, where=str(file.path))
-        yield execution
-
-
 def _outputs(
     source: Path, probes: list[Probe], execution: Execution
 ) -> Iterator[tuple[Probe, dict[str, np.ndarray]]]:
@@ -202,7 +180,7 @@ def _outputs(
         if first.sample != second.sample:
             what = f"gives other outputs when it is run again, at {probe.label!r}"
             mend = "Remove random operators, and state that is kept between runs."
-            raise VectorsRefused(what, where=str(source), mend=mend)
+            raise RecordingRefused(what, where=str(source), mend=mend)
         yield probe, execution.samples[first.sample].outputs
 
 
@@ -226,23 +204,3 @@ def _write(
 def _write_tensor(path: Path, name: str, value: np.ndarray) -> None:
     tensor = numpy_helper.from_array(np.array(value, order="C"), name)
     path.write_bytes(tensor.SerializeToString())
-
-
-def _write_model(file: ModelFile, vectors: tuple[TestVector, ...], model: Path) -> None:
-    """Write the copy; only its list of vectors is changed, fields that we do not know stay."""
-    document = json.loads(file.manifest_text or "{}")
-    document["test_vectors"] = to_json(vectors)
-    text = json.dumps(document, ensure_ascii=False)
-    try:
-        with draft_of(model) as draft:
-            for location in dict.fromkeys(ref.location for ref in file.external):
-                weights = file.path.parent / location
-                if (model.parent / location).resolve() != weights.resolve():
-                    copy = draft.parent / location
-                    copy.parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copyfile(weights, copy)
-            write_manifest_text(file.path, text, draft)
-    except OSError as error:
-        raise ConfigInvalid(
-            f"cannot be written: {error.strerror}", where=str(model)
-        ) from error
