@@ -112,6 +112,91 @@ def test_networks_of_any_shape_agree_with_the_oracle(seed: int, tmp_path: Path) 
     assert off(read.unet(image, torch.tensor([t]), context), wanted) <= 3e-5
 
 
+# SDXL in small: a vector of the prompt and six numbers about the image, of 4 features each.
+XL = CONDITIONAL | {
+    "down_block_types": ["DownBlock2D", "CrossAttnDownBlock2D"],
+    "up_block_types": ["CrossAttnUpBlock2D", "UpBlock2D"],
+    "attention_head_dim": 2,
+    "use_linear_projection": True,
+    "addition_embed_type": "text_time",
+    "addition_time_embed_dim": 4,
+    "projection_class_embeddings_input_dim": 10 + 6 * 4,
+    "in_channels": 3,
+    "out_channels": 3,
+}
+
+
+def encoded(path: Path, **more: Any) -> dict[str, torch.Tensor]:
+    """Write what the text encoders of SDXL make of a prompt, and return it."""
+    rng = np.random.default_rng(1)
+    made = {
+        "prompt_embeds": rng.normal(size=(1, 5, 12)).astype(np.float32),
+        "pooled_prompt_embeds": rng.normal(size=(1, 10)).astype(np.float32),
+    }
+    np.savez(path, **made, **more)
+    return {name: torch.from_numpy(array) for name, array in made.items()}
+
+
+@pytest.mark.parametrize(
+    ("given", "ids", "wanted"),
+    [
+        ({}, None, (6.0, 8.0, 0.0, 0.0, 6.0, 8.0)),
+        ({}, "512,768,1,2,1024,1536", (512.0, 768.0, 1.0, 2.0, 1024.0, 1536.0)),
+        (
+            {"time_ids": np.array([[9, 8, 7, 6, 5, 4]])},
+            None,
+            (9.0, 8.0, 7.0, 6.0, 5.0, 4.0),
+        ),
+        ({"time_ids": np.zeros((1, 6))}, "1,2,3,4,5,6", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)),
+    ],
+)
+def test_a_network_is_told_of_the_prompt_as_a_whole_and_of_the_image(
+    given: dict[str, Any], ids: str | None, wanted: tuple[float, ...], tmp_path: Path
+) -> None:
+    folder = write_denoiser(tmp_path, XL)
+    prompt = encoded(folder / "prompt_embeds.npz", **given)
+    made = command.build(folder, size="6x8", result="network", timestep=30, time_ids=ids)
+    config = json.loads((folder / "unet" / "config.json").read_text())
+    weights = read_safetensors(folder / "unet" / "diffusion_pytorch_model.safetensors")
+    assert "add_embedding.linear_1.weight" in weights
+    image = torch.rand(1, 3, 6, 8)
+    expected = unet(
+        config,
+        weights,
+        image,
+        30,
+        prompt["prompt_embeds"],
+        prompt["pooled_prompt_embeds"],
+        wanted,
+    )
+    assert off(made(image), expected) <= 3e-5
+    other = unet(config, weights, image, 30, *prompt.values(), [n + 1 for n in wanted])
+    assert off(made(image), other) > 1e-3
+
+
+def test_what_a_network_is_told_has_to_fit(tmp_path: Path) -> None:
+    folder = write_denoiser(tmp_path, XL)
+    path = folder / "prompt_embeds.npz"
+    with pytest.raises(GsgenError, match=r"(?s)has the arrays.*wants prompt_embeds"):
+        command.build(folder, size="6x8")  # that of a network without
+    encoded(path, other=np.zeros(1))
+    with pytest.raises(GsgenError, match=r"has the arrays .*other"):
+        command.build(folder, size="6x8")
+    encoded(path)
+    with pytest.raises(GsgenError, match=r"(?s)any size tell none.*--time-ids HEIGHT"):
+        command.build(folder, size="any")
+    with pytest.raises(GsgenError, match=r"10 \+ 5 × 4 is 30, wanted 34"):
+        command.build(folder, size="6x8", time_ids="1,2,3,4,5")
+    with pytest.raises(GsgenError, match="'1,two' is no list of numbers"):
+        command.build(folder, size="6x8", time_ids="1,two")
+    path.unlink()
+    with pytest.raises(GsgenError, match=r"takes conditioning \[1, L, 12\]; nothing"):
+        command.build(folder, size="6x8")
+    plain = write_denoiser(tmp_path / "plain")
+    with pytest.raises(GsgenError, match="takes no time_ids"):
+        command.build(plain, time_ids="1,2,3,4,5,6")
+
+
 @pytest.mark.parametrize("prediction", ["epsilon", "v_prediction", "sample"])
 def test_noise_is_taken_away_by_the_closed_form(prediction: str, tmp_path: Path) -> None:
     schedule = {"prediction_type": prediction, "beta_schedule": "linear"}
@@ -215,6 +300,7 @@ def test_pickled_weights_and_old_names_are_read(tmp_path: Path) -> None:
         ("block_out_channels", [8], "list of 1 kinds"),
         ("block_out_channels", [8, 32], "wanted"),
         ("layers_per_block", "two", "whole number"),
+        ("class_embed_type", "timestep", "supported"),
     ],
 )
 def test_networks_of_another_kind_are_refused(

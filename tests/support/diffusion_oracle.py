@@ -1,7 +1,7 @@
 """A U-Net in float64 that walks a checkpoint's names and options, not the plugin's modules."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -16,21 +16,32 @@ def unet(
     x: torch.Tensor,
     t: float,
     context: torch.Tensor | None = None,
+    pooled: torch.Tensor | None = None,
+    numbers: Sequence[float] = (),
 ) -> torch.Tensor:
-    """What UNet2DModel or UNet2DConditionModel gives."""
+    """What UNet2DModel or UNet2DConditionModel gives.
+
+    Args:
+        cfg: Its configuration.
+        w: Its weights.
+        x: The image.
+        t: The timestep.
+        context: A vector for each token of the prompt, [1, L, D].
+        pooled: One for all of it, [1, P], of networks that are told of the image.
+        numbers: What they are told of it.
+    """
     w = {name: value.double() for name, value in w.items()}
     groups, eps = cfg["norm_num_groups"], cfg.get("norm_eps", 1e-5)
     conditional = cfg["_class_name"] == "UNet2DConditionModel"
-    half = cfg["block_out_channels"][0] // 2
-    rates = [
-        math.exp(-math.log(10000) * i / (half - cfg.get("freq_shift", 0)))
-        for i in range(half)
-    ]
-    sines, cosines = [math.sin(t * r) for r in rates], [math.cos(t * r) for r in rates]
-    flip = cfg.get("flip_sin_to_cos", True)
-    time = torch.tensor([cosines + sines if flip else sines + cosines], dtype=torch.float64)
+    time = waves(cfg, t, cfg["block_out_channels"][0])
     time = linear(w, "time_embedding.linear_1", time)
-    time = F.silu(linear(w, "time_embedding.linear_2", F.silu(time)))
+    time = linear(w, "time_embedding.linear_2", F.silu(time))
+    if pooled is not None:
+        told = [waves(cfg, n, cfg["addition_time_embed_dim"]) for n in numbers]
+        vector = torch.cat([pooled.double(), *told], dim=1)
+        vector = F.silu(linear(w, "add_embedding.linear_1", vector))
+        time = time + linear(w, "add_embedding.linear_2", vector)
+    time = F.silu(time)
 
     def residual(name: str, x: torch.Tensor, shrink: float = 1.0) -> torch.Tensor:
         h = conv(w, f"{name}.conv1", F.silu(norm(w, f"{name}.norm1", x, groups, eps)))
@@ -103,6 +114,19 @@ def unet(
             x = x.repeat_interleave(2, dim=2).repeat_interleave(2, dim=3)
             x = conv(w, f"up_blocks.{level}.upsamplers.0.conv", x)
     return conv(w, "conv_out", F.silu(norm(w, "conv_norm_out", x, groups, eps)))
+
+
+def waves(cfg: Mapping[str, Any], value: float, width: int) -> torch.Tensor:
+    """Sines and cosines of one number."""
+    half = width // 2
+    rates = [
+        math.exp(-math.log(10000) * i / (half - cfg.get("freq_shift", 0)))
+        for i in range(half)
+    ]
+    sines = [math.sin(value * r) for r in rates]
+    cosines = [math.cos(value * r) for r in rates]
+    flip = cfg.get("flip_sin_to_cos", True)
+    return torch.tensor([cosines + sines if flip else sines + cosines], dtype=torch.float64)
 
 
 def linear(w: Weights, name: str, x: torch.Tensor) -> torch.Tensor:

@@ -59,12 +59,14 @@ class Denoiser(PostProcess):
     family = "diffusion"
 
     context: Tensor | None
+    vector: Tensor | None
 
     def __init__(
         self,
         read: DiffusionCheckpoint,
         step: Step,
         context: Float[Tensor, "1 m d"] | None = None,
+        vector: Float[Tensor, "1 v"] | None = None,
     ) -> None:
         """Take a checkpoint's networks.
 
@@ -72,12 +74,14 @@ class Denoiser(PostProcess):
             read: The checkpoint.
             step: How the step is taken.
             context: Conditioning vectors, where the network takes them.
+            vector: What is added to the embedded time, where the network wants that
+                (:func:`gsgen.reference_plugins.diffusion.unet.added_vector`).
 
         Raises:
             ConfigInvalid: The step cannot be taken with this checkpoint.
         """
         super().__init__()
-        _require(read, step, context)
+        _require(read, step, context, vector)
         self.unet, self.autoencoder = read.unet, read.autoencoder
         self.stride, self.step = read.stride, step
         self.noise = None if step.raw else read.noise
@@ -95,6 +99,7 @@ class Denoiser(PostProcess):
             declared.append(inputs.timestep(step.timestep, range=(0, last)))
         self.inputs = declared
         self.register_buffer("context", context)
+        self.register_buffer("vector", vector)
 
     def forward(
         self, image: Float[Tensor, "1 c h w"], timestep: Float[Tensor, "1"] | None = None
@@ -117,9 +122,11 @@ class Denoiser(PostProcess):
         return F.pad(image, (0, right, 0, below), mode="replicate")
 
     def _stepped(self, image: Tensor, timestep: Tensor | None) -> Tensor:
-        coded = image if self.autoencoder is None else self.autoencoder.encode(image)
+        coded, entered = image, list[Tensor]()
+        if self.autoencoder is not None:
+            coded, entered = self.autoencoder.encode(image)
         moment = torch.tensor([self.step.timestep]) if timestep is None else timestep
-        predicted: Tensor = self.unet(coded, moment, self.context)
+        predicted: Tensor = self.unet(coded, moment, self.context, self.vector)
         made = predicted
         if self.noise is not None:
             # √ᾱ is small at late timesteps, so this is computed in float32.
@@ -127,7 +134,9 @@ class Denoiser(PostProcess):
             how = self.noise.prediction
             clean = _clean(how, coded.float(), predicted.float(), kept, lost)
             made = clean.to(image.dtype)
-        return made if self.autoencoder is None else self.autoencoder.decode(made)
+        if self.autoencoder is not None:
+            made = self.autoencoder.decode(made, entered)
+        return made
 
     def _shares(self, timestep: Tensor | None) -> tuple[Share, Share]:
         """Return √ᾱ and √(1 − ᾱ) of the timestep, which is rounded to one that there is."""
@@ -155,7 +164,9 @@ def _last(read: DiffusionCheckpoint) -> int:
     return _STEPS - 1 if read.noise is None else len(read.noise.kept) - 1
 
 
-def _require(read: DiffusionCheckpoint, step: Step, context: Tensor | None) -> None:
+def _require(
+    read: DiffusionCheckpoint, step: Step, context: Tensor | None, vector: Tensor | None
+) -> None:
     options = read.unet.options
     if read.autoencoder is None and options.context is not None and options.inputs == 4:
         what = "a conditional U-Net of 4 channels works on latents, and there is no autoencoder"
@@ -181,6 +192,11 @@ def _require(read: DiffusionCheckpoint, step: Step, context: Tensor | None) -> N
         what = f"the network takes conditioning [1, L, {options.context}]; {seen}"
         mend = "Give --embeddings FILE.npz: what the text encoder makes of the prompt."
         raise ConfigInvalid(what, where="--embeddings", mend=mend)
+    if (options.vector is None) != (vector is None):
+        what = "takes no" if options.vector is None else "wants a"
+        raise ConfigInvalid(
+            f"the network {what} vector beside the prompt", where="--embeddings"
+        )
 
 
 def _fits(context: Tensor | None, width: int) -> bool:

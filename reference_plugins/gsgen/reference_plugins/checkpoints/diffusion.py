@@ -2,31 +2,34 @@
 
 A folder holds ``unet/`` and, where the U-Net works on latents, ``vae/``; ``scheduler/`` says how
 noise was added. Each network is a ``config.json`` and ``diffusion_pytorch_model.safetensors`` (or
-``.bin``). The folder of a U-Net alone will do, too.
+``.bin``). The folder of a U-Net alone will do, too. LoRA files, and what Difix trained, are added
+to the weights as they are read.
 """
 
 __all__ = ["DiffusionCheckpoint", "Noise", "read_diffusion"]
 
 import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from gsgen.reference_plugins.checkpoints.difix import Difix, fused, read_difix
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
+from gsgen.reference_plugins.checkpoints.lora import Adapter, merge, read_lora
+from gsgen.reference_plugins.checkpoints.lora_homes import homes_of
 from gsgen.reference_plugins.checkpoints.model_config import ModelConfig, read_model_config
 from gsgen.reference_plugins.checkpoints.safetensors import read_safetensors
 from gsgen.reference_plugins.checkpoints.states import checked, load_state
-from gsgen.reference_plugins.diffusion.autoencoder import Autoencoder
+from gsgen.reference_plugins.diffusion.autoencoder import SKIP, Autoencoder
 from gsgen.reference_plugins.diffusion.options import AutoencoderOptions, UNetOptions
 from gsgen.reference_plugins.diffusion.unet import UNet
 
-_Options = TypeVar("_Options")
 _Net = TypeVar("_Net", bound=nn.Module)
 
 Prediction = Literal["epsilon", "v_prediction", "sample"]
@@ -62,6 +65,8 @@ class DiffusionCheckpoint:
         autoencoder: What carries images to latents, where there is one.
         noise: How noise was added, where the folder says it.
         digest: SHA-256 of the weights' files, one after the other.
+        added: What was added to the weights, in words.
+        warnings: What of it has no effect, in words.
     """
 
     folder: Path
@@ -69,6 +74,8 @@ class DiffusionCheckpoint:
     autoencoder: Autoencoder | None
     noise: Noise | None
     digest: str
+    added: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def stride(self) -> int:
@@ -91,66 +98,125 @@ class DiffusionCheckpoint:
         parts += [f"conditioning of {options.context}"] if options.context else []
         if self.autoencoder is not None:
             pixels = self.autoencoder.options.stride
-            parts.append(f"autoencoder, 1/{pixels} of the size")
+            skips = self.autoencoder.options.skips is not None
+            what = "autoencoder" + " with skip connections" * skips
+            parts.append(f"{what}, 1/{pixels} of the size")
         if self.noise is not None:
             steps = f"{len(self.noise.kept)} timesteps"
             parts.append(f"{steps}, predicts {self.noise.prediction}")
+        parts += [f"LoRA {one}" for one in self.added]
         return f"{self.folder}: {', '.join(parts)}; sides are multiples of {self.stride}"
 
 
-def read_diffusion(folder: Path, vae: Path | None = None) -> DiffusionCheckpoint:
+def read_diffusion(
+    folder: Path,
+    vae: Path | None = None,
+    *,
+    difix: Path | None = None,
+    loras: Sequence[tuple[Path, float]] = (),
+) -> DiffusionCheckpoint:
     """Read a checkpoint.
 
     Args:
         folder: What holds ``unet/``, or a U-Net itself.
         vae: The autoencoder's folder; ``vae/`` in the first one where absent, if there is one.
+        difix: What Difix trained on top.
+        loras: LoRA files, and what each is multiplied by.
 
     Raises:
         CheckpointInvalid: Something is missing, does not fit the rest, or is not supported.
     """
+    change = Difix() if difix is None else read_difix(difix)
     place = folder / "unet" if (folder / "unet").is_dir() else folder
-    unet, first = _network(place, UNetOptions.of, UNet)
-    digest = hashlib.sha256()
-    _add(digest, first)
+    unet = _network(place, _unet, change.unet, difix)
+    read: list[_Read[Any]] = [unet]
     autoencoder = None
     if vae is not None or (folder / "vae").is_dir():
         home = vae or folder / "vae"
         home = home / "vae" if (home / "vae").is_dir() else home
-        autoencoder, second = _network(home, AutoencoderOptions.of, Autoencoder)
-        _add(digest, second)
-        latent = autoencoder.options.latent
-        if (unet.options.inputs, unet.options.outputs) != (latent, latent):
-            seen = f"{unet.options.inputs} to {unet.options.outputs} channels"
-            what = f"takes {seen}, but the autoencoder's latents have {latent}"
-            raise CheckpointInvalid(what, where=str(place / "config.json"))
+        coder = _network(home, _autoencoder, change.vae, difix)
+        _require_latents(unet.network, coder.network, place)
+        read.append(coder)
+        autoencoder = coder.network
+    elif change.vae:
+        what = "adds to an autoencoder, and there is none"
+        raise CheckpointInvalid(what, where=str(difix), mend="Give --vae DIR.")
     schedule = folder / "scheduler" / _SCHEDULE
     noise = (
         _noise(read_model_config(schedule.parent, _SCHEDULE))
         if schedule.is_file()
         else None
     )
-    return DiffusionCheckpoint(folder, unet, autoencoder, noise, digest.hexdigest())
+    adapters = [(one.inside, 1.0) for one in read if one.inside is not None]
+    adapters += [(read_lora(path), scale) for path, scale in loras]
+    homes = homes_of(unet.network, autoencoder)
+    files = [one.path for one in read] + ([] if difix is None else [difix])
+    files += [adapter.path for adapter, _ in adapters if adapter.path not in files]
+    return DiffusionCheckpoint(
+        folder,
+        unet.network,
+        autoencoder,
+        noise,
+        _digest(files),
+        added=tuple(merge(adapter, scale, homes) for adapter, scale in adapters),
+        warnings=tuple(_text_left_out(one) for one, _ in adapters if one.text),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Read(Generic[_Net]):
+    """A network, the file of its weights, and the LoRA that they were saved with, if any."""
+
+    network: _Net
+    path: Path
+    inside: Adapter | None
 
 
 def _network(
     place: Path,
-    options: Callable[[ModelConfig], _Options],
-    network: Callable[[_Options], _Net],
-) -> tuple[_Net, Path]:
+    network: Callable[[ModelConfig, Mapping[str, Any]], _Net],
+    change: Mapping[str, Any],
+    changed_by: Path | None,
+) -> _Read[_Net]:
     config = read_model_config(place)
+    path, state = _weights(place)
+    plain, inside = fused(state | dict(change), changed_by or path)
     # Built without memory behind it: the file's tensors take the places of its own.
     try:
         with torch.device("meta"):
-            made = network(options(config))
+            made = network(config, plain)
     except (ValueError, ZeroDivisionError) as error:  # torch refuses a size
         raise CheckpointInvalid(
             f"makes no network: {error}", where=str(config.path)
         ) from error
-    path, state = _weights(place)
     wanted = {name: tuple(value.shape) for name, value in made.state_dict().items()}
-    read = checked(path, _renamed(state, wanted), wanted)
+    read = checked(changed_by or path, _renamed(plain, wanted), wanted)
     made.load_state_dict(read, strict=True, assign=True)
-    return made.eval().requires_grad_(False), path
+    return _Read(made.eval().requires_grad_(False), path, inside)
+
+
+def _unet(config: ModelConfig, _: Mapping[str, Any]) -> UNet:
+    return UNet(UNetOptions.of(config))
+
+
+def _autoencoder(config: ModelConfig, state: Mapping[str, Any]) -> Autoencoder:
+    skips = any(name.startswith(f"decoder.{SKIP}") for name in state)
+    return Autoencoder(AutoencoderOptions.of(config, skips=skips))
+
+
+def _require_latents(unet: UNet, autoencoder: Autoencoder, place: Path) -> None:
+    latent = autoencoder.options.latent
+    if (unet.options.inputs, unet.options.outputs) != (latent, latent):
+        seen = f"{unet.options.inputs} to {unet.options.outputs} channels"
+        what = f"takes {seen}, but the autoencoder's latents have {latent}"
+        raise CheckpointInvalid(what, where=str(place / "config.json"))
+
+
+def _text_left_out(adapter: Adapter) -> str:
+    return (
+        f"{adapter.path}: {len(adapter.text)} tensors are of the text encoder, which is not "
+        "exported: --embeddings has to hold what it makes of the prompt with them"
+    )
 
 
 def _weights(place: Path) -> tuple[Path, dict[str, Any]]:
@@ -203,7 +269,10 @@ def _noise(config: ModelConfig) -> Noise:
     return Noise(torch.cumprod(1 - beta, dim=0), prediction)
 
 
-def _add(digest: "hashlib._Hash", path: Path) -> None:
-    with path.open("rb") as stream:
-        while block := stream.read(1 << 20):
-            digest.update(block)
+def _digest(paths: Sequence[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in paths:
+        with path.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()

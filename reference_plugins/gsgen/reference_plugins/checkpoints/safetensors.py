@@ -3,7 +3,7 @@
 Layout: https://github.com/huggingface/safetensors#format. Nothing in such a file can be run.
 """
 
-__all__ = ["read_safetensors", "write_safetensors"]
+__all__ = ["is_safetensors", "read_metadata", "read_safetensors", "write_safetensors"]
 
 import json
 import math
@@ -19,6 +19,7 @@ from gsgen.reference_plugins.checkpoints.folder import required_file
 
 _LENGTH = 8
 _MOST_HEADER = 100_000_000
+_METADATA = "__metadata__"
 _DTYPES = {
     "F64": torch.float64,
     "F32": torch.float32,
@@ -51,17 +52,51 @@ def read_safetensors(path: Path) -> dict[str, Tensor]:
         raise CheckpointInvalid(f"cannot be read: {reason}", where=str(path)) from error
 
 
-def _tensors(data: bytearray) -> dict[str, Tensor]:
+def is_safetensors(path: Path) -> bool:
+    """Whether a file is one by its name, or begins as one."""
+    if path.suffix == ".safetensors":
+        return True
+    with path.open("rb") as stream:
+        return stream.read(_LENGTH + 1)[_LENGTH:] == b"{"
+
+
+def read_metadata(path: Path) -> dict[str, str]:
+    """Read what a file says of itself: texts by name, none where it says nothing.
+
+    Raises:
+        CheckpointInvalid: It is missing or damaged.
+    """
+    required_file(path, "the weights")
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(_LENGTH)
+            size = path.stat().st_size - _LENGTH
+            header = _header(start + stream.read(min(size, _MOST_HEADER)), size + _LENGTH)[
+                0
+            ]
+        told = header.get(_METADATA, {})
+        return {str(name): str(value) for name, value in told.items()}
+    except (OSError, ValueError, AttributeError, RecursionError) as error:
+        raise CheckpointInvalid(f"cannot be read: {error}", where=str(path)) from error
+
+
+def _header(data: bytes | bytearray, size: int) -> tuple[dict[str, Any], int]:
+    """Return the header of a file of ``size`` bytes that begins so, and where it ends."""
     length = int.from_bytes(data[:_LENGTH], "little")
-    if len(data) < _LENGTH or length > min(_MOST_HEADER, len(data) - _LENGTH):
-        raise ValueError(f"the header is said to have {length:,} of {len(data):,} bytes")
+    if size < _LENGTH or length > min(_MOST_HEADER, size - _LENGTH):
+        raise ValueError(f"the header is said to have {length:,} of {size:,} bytes")
     header = json.loads(data[_LENGTH : _LENGTH + length].decode("utf-8"))
     if not isinstance(header, dict):
         raise ValueError("the header is no object")
+    return header, _LENGTH + length
+
+
+def _tensors(data: bytearray) -> dict[str, Tensor]:
+    header, start = _header(data, len(data))
     return {
-        name: _tensor(data, _LENGTH + length, name, entry)
+        name: _tensor(data, start, name, entry)
         for name, entry in header.items()
-        if name != "__metadata__"
+        if name != _METADATA
     }
 
 
@@ -83,9 +118,17 @@ def _tensor(data: bytearray, start: int, name: str, entry: Any) -> Tensor:
     return torch.frombuffer(part, dtype=dtype).reshape(shape)
 
 
-def write_safetensors(path: Path, tensors: Mapping[str, Tensor]) -> None:
-    """Write tensors one after the other, in the order of their names."""
-    header: dict[str, Any] = {"__metadata__": {"format": "pt"}}
+def write_safetensors(
+    path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str] | None = None
+) -> None:
+    """Write tensors one after the other, in the order of their names.
+
+    Args:
+        path: The file.
+        tensors: By name.
+        metadata: What the file says of itself besides ``format``.
+    """
+    header: dict[str, Any] = {_METADATA: {"format": "pt", **(metadata or {})}}
     parts, at = [], 0
     for name in sorted(tensors):
         value = tensors[name].detach().cpu().contiguous()

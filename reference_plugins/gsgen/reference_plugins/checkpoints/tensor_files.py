@@ -3,6 +3,7 @@
 __all__ = ["Inert", "load_tensors"]
 
 import pickle
+import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,19 @@ _NUMPY = (
         for core in ("core", "_core")
         for name in ("scalar", "_reconstruct")
     ),
+)
+
+# What the reader stumbles over in a file that is none of torch's.
+_DAMAGED = (
+    pickle.UnpicklingError,
+    struct.error,
+    AttributeError,
+    EOFError,
+    LookupError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
 )
 
 
@@ -50,6 +64,6 @@ def load_tensors(path: Path, mend: str, known: Sequence[tuple[type, str]] = ()) 
     try:
         with torch.serialization.safe_globals(inert):
             return torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError) as error:
+    except _DAMAGED as error:
         what = f"cannot be read: {reason_of(error)}"
         raise CheckpointInvalid(what, where=str(path), mend=mend) from error

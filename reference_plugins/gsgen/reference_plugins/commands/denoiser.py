@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from gsgen.reference_plugins.checkpoints.diffusion import DiffusionCheckpoint
+    from gsgen.reference_plugins.checkpoints.embeddings import Embeddings
     from gsgen.reference_plugins.denoiser import Denoiser
 
 _EMBEDDINGS = "prompt_embeds.npz"
@@ -33,6 +34,22 @@ Vae = Annotated[
         show_default="DIR/vae, if it is there",
     ),
 ]
+Lora = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--lora",
+        help="FILE[:SCALE]: add a LoRA to the weights, SCALE times (once if absent). Once for each.",
+        show_default="none",
+    ),
+]
+DifixFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--difix",
+        help="The model.pkl of Difix: its U-Net, LoRA and skip connections, over DIR.",
+        show_default="none",
+    ),
+]
 Timestep = Annotated[
     float, typer.Option(help="At which timestep the step is taken.", min=0)
 ]
@@ -46,11 +63,19 @@ Size = Annotated[
         show_default="that of training",
     ),
 ]
-Embeddings = Annotated[
+EmbeddingsFile = Annotated[
     Path | None,
     typer.Option(
-        help="What the text encoder makes of the prompt: npz with one array [1, L, D].",
+        help="What the text encoder makes of the prompt: npz with one array [1, L, D]; of SDXL "
+        "prompt_embeds, pooled_prompt_embeds and, if they are not to follow the size, time_ids.",
         show_default=f"DIR/{_EMBEDDINGS}",
+    ),
+]
+TimeIds = Annotated[
+    str | None,
+    typer.Option(
+        help="What SDXL is told of the image: height,width,top,left,height,width.",
+        show_default="those of the embeddings, or the size of images",
     ),
 ]
 Values = Annotated[
@@ -68,10 +93,13 @@ Result = Annotated[
 def build(
     checkpoint: Folder,
     vae: Vae = None,
+    lora: Lora = None,
+    difix: DifixFile = None,
     timestep: Timestep = 199.0,
     timestep_input: Steers = False,
     size: Size = None,
-    embeddings: Embeddings = None,
+    embeddings: EmbeddingsFile = None,
+    time_ids: TimeIds = None,
     values: Values = "signed",
     result: Result = "image",
 ) -> "Denoiser":
@@ -83,17 +111,38 @@ def build(
     from gsgen.reference_plugins.denoiser import Denoiser, Step
 
     given = None if size is None else read_size(size)
-    read = read_diffusion(checkpoint, vae)
+    loras = [_scaled(word) for word in lora or ()]
+    read = read_diffusion(checkpoint, vae, difix=difix, loras=loras)
     note(read.describe())
+    for warning in read.warnings:
+        note(f"warning: {warning}")
     sides = _trained(read) if size is None else given
     if sides and (sides[0] % read.stride or sides[1] % read.stride):
         note(
             f"note: sides are no multiples of {read.stride}; images are continued by their edge"
         )
     step = Step(timestep, timestep_input, sides, values == "unit", result == "network")
-    made = Denoiser(read, step, _context(read, checkpoint, embeddings))
+    prompt = _conditioning(read, checkpoint, embeddings)
+    made = Denoiser(read, step, prompt.context, _vector(read, prompt, time_ids, sides))
     made.producer = Producer(f"gsgen {version('gsgen')}", weights_sha256=read.digest)
     return made
+
+
+def _scaled(word: str) -> tuple[Path, float]:
+    """Return the file and the scale that ``FILE[:SCALE]`` says."""
+    import math
+
+    name, colon, text = word.rpartition(":")
+    if not colon or Path(word).exists():
+        return Path(word), 1.0
+    try:
+        scale = float(text)
+    except ValueError:
+        return Path(word), 1.0  # a colon of the file's own
+    if not math.isfinite(scale):
+        mend = "Write it as FILE or FILE:0.8."
+        raise ConfigInvalid(f"{text!r} is no scale", where="--lora", mend=mend)
+    return Path(name), scale
 
 
 def _trained(read: "DiffusionCheckpoint") -> tuple[int, int]:
@@ -104,30 +153,64 @@ def _trained(read: "DiffusionCheckpoint") -> tuple[int, int]:
     return read.size
 
 
-def _context(
+def _conditioning(
     read: "DiffusionCheckpoint", folder: Path, embeddings: Path | None
-) -> "Tensor | None":
+) -> "Embeddings":
     """Return the conditioning: of the file given, or of the one that lies in the folder."""
-    import numpy as np
-    import torch
+    from gsgen.reference_plugins.checkpoints.embeddings import Embeddings, read_embeddings
 
-    usual = folder / _EMBEDDINGS
-    if embeddings is None and (read.unet.options.context is None or not usual.is_file()):
-        return None
+    usual, options = folder / _EMBEDDINGS, read.unet.options
+    if embeddings is None and (options.context is None or not usual.is_file()):
+        return Embeddings()
     path = embeddings or usual
+    found = read_embeddings(path, pooled=options.vector is not None)
+    note(f"conditioning: {path}, {found.describe()}")
+    return found
+
+
+def _vector(
+    read: "DiffusionCheckpoint",
+    prompt: "Embeddings",
+    ids: str | None,
+    size: tuple[int, int] | None,
+) -> "Tensor | None":
+    """Return what is added to the embedded time: the prompt, and numbers about the image."""
+    from gsgen.reference_plugins.diffusion.unet import added_vector
+
+    if read.unet.options.vector is None:
+        if ids is not None:
+            raise ConfigInvalid("the network takes no time_ids", where="--time-ids")
+        return None
+    if prompt.pooled is None:
+        return None  # that nothing was given is said of the conditioning as a whole
+    numbers = prompt.numbers if ids is None else _numbers(ids)
+    if numbers is None:
+        if size is None:
+            mend = "Give --time-ids HEIGHT,WIDTH,0,0,HEIGHT,WIDTH."
+            what = "images of any size tell none"
+            raise ConfigInvalid(what, where="--time-ids", mend=mend)
+        numbers = (*map(float, size), 0.0, 0.0, *map(float, size))
+        note(f"time_ids: {','.join(f'{one:g}' for one in numbers)}, the size of images")
     try:
-        with np.load(path, allow_pickle=False) as arrays:
-            names = list(arrays)
-            if len(names) != 1:
-                raise ValueError(f"has {len(names)} arrays, wanted one")
-            found = np.asarray(arrays[names[0]], np.float32)
-    except (OSError, ValueError, TypeError, EOFError) as error:
-        what = f"cannot be read as npz: {error}"
-        raise ConfigInvalid(what, where=str(path)) from error
-    if not np.isfinite(found).all():
-        raise ConfigInvalid("holds NaN or infinity", where=str(path))
-    note(f"conditioning: {path}, {list(found.shape)}")
-    return torch.from_numpy(found)
+        return added_vector(prompt.pooled, numbers, read.unet.options)
+    except ValueError as error:
+        what = f"the pooled prompt and time_ids do not fit the network: {error}"
+        raise ConfigInvalid(what, where="--time-ids") from error
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    import math
+
+    try:
+        made = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        made = ()
+    if not made or not all(map(math.isfinite, made)):
+        mend = "Write them as 1024,1024,0,0,1024,1024."
+        raise ConfigInvalid(
+            f"{text!r} is no list of numbers", where="--time-ids", mend=mend
+        )
+    return made
 
 
 PLUGIN = Plugin(

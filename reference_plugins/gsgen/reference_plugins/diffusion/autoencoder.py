@@ -1,6 +1,13 @@
-"""The autoencoder that carries images to latents and back (AutoencoderKL of diffusers)."""
+"""The autoencoder that carries images to latents and back (AutoencoderKL of diffusers).
 
-__all__ = ["Autoencoder"]
+That of Difix hands what it saw of an image past the latent, as skip connections from levels of the
+encoder to those of the decoder (Wu et al. 2025 take them from Parmar et al. 2024, "One-Step Image
+Translation with Text-to-Image Models").
+"""
+
+__all__ = ["SKIP", "Autoencoder"]
+
+from collections.abc import Sequence
 
 import torch.nn.functional as F  # noqa: N812
 from jaxtyping import Float
@@ -15,6 +22,8 @@ from gsgen.reference_plugins.diffusion.blocks import (
 from gsgen.reference_plugins.diffusion.options import AutoencoderOptions
 
 _EPS = 1e-6
+# What the convolutions of skip connections are called, numbered from 1 on: the coarsest.
+SKIP = "skip_conv_"
 
 
 class _Level(nn.Module):
@@ -77,12 +86,14 @@ class _Encoder(nn.Module):
         self.conv_norm_out = nn.GroupNorm(options.groups, channels[-1], eps=_EPS)
         self.conv_out = nn.Conv2d(channels[-1], 2 * options.latent, 3, padding=1)
 
-    def forward(self, image: Tensor) -> Tensor:
+    def forward(self, image: Tensor) -> tuple[Tensor, list[Tensor]]:
         image = self.conv_in(image)
+        entered = []
         for level in self.down_blocks:
+            entered.append(image)
             image = level(image)
         made: Tensor = self.conv_out(F.silu(self.conv_norm_out(self.mid_block(image))))
-        return made
+        return made, entered
 
 
 class _Decoder(nn.Module):
@@ -101,10 +112,19 @@ class _Decoder(nn.Module):
             self.up_blocks.append(level)
         self.conv_norm_out = nn.GroupNorm(options.groups, channels[-1], eps=_EPS)
         self.conv_out = nn.Conv2d(channels[-1], options.outputs, 3, padding=1)
+        self.skips = options.skips
+        for index in range(0 if options.skips is None else len(channels)):
+            before = channels[max(index - 1, 0)]
+            entered = channels[min(index + 1, len(channels) - 1)]
+            skip = nn.Conv2d(entered, before, 1, bias=False)
+            setattr(self, f"{SKIP}{index + 1}", skip)
 
-    def forward(self, latent: Tensor) -> Tensor:
+    def forward(self, latent: Tensor, entered: Sequence[Tensor] = ()) -> Tensor:
         image = self.mid_block(self.conv_in(latent))
-        for level in self.up_blocks:
+        for index, level in enumerate(self.up_blocks):
+            if self.skips is not None:
+                skip = getattr(self, f"{SKIP}{index + 1}")
+                image = image + skip(entered[-1 - index] * self.skips)
             image = level(image)
         made: Tensor = self.conv_out(F.silu(self.conv_norm_out(image)))
         return made
@@ -123,18 +143,22 @@ class Autoencoder(nn.Module):
         self.quant_conv = nn.Conv2d(wide, wide, 1) if before else None
         self.post_quant_conv = nn.Conv2d(latent, latent, 1) if behind else None
 
-    def encode(self, image: Float[Tensor, "b c h w"]) -> Float[Tensor, "b l i j"]:
-        """Return the latent of an image, scaled as the U-Net wants it."""
-        moments = self.encoder(image)
+    def encode(
+        self, image: Float[Tensor, "b c h w"]
+    ) -> tuple[Float[Tensor, "b l i j"], list[Tensor]]:
+        """Return the latent of an image, scaled as the U-Net wants it, and what skips it."""
+        moments, entered = self.encoder(image)
         if self.quant_conv is not None:
             moments = self.quant_conv(moments)
         mean: Tensor = moments[:, : self.options.latent]
-        return (mean - self.options.shift) * self.options.scale
+        return (mean - self.options.shift) * self.options.scale, entered
 
-    def decode(self, latent: Float[Tensor, "b l i j"]) -> Float[Tensor, "b c h w"]:
-        """Return the image of a latent."""
+    def decode(
+        self, latent: Float[Tensor, "b l i j"], entered: Sequence[Tensor] = ()
+    ) -> Float[Tensor, "b c h w"]:
+        """Return the image of a latent, and of what skipped it."""
         plain = latent / self.options.scale + self.options.shift
         if self.post_quant_conv is not None:
             plain = self.post_quant_conv(plain)
-        image: Tensor = self.decoder(plain)
+        image: Tensor = self.decoder(plain, entered)
         return image

@@ -1,6 +1,6 @@
 """What a ``config.json`` of diffusers says, and which of it these networks can be."""
 
-__all__ = ["AutoencoderOptions", "UNetOptions"]
+__all__ = ["AutoencoderOptions", "UNetOptions", "VectorOptions"]
 
 from dataclasses import dataclass
 
@@ -21,7 +21,6 @@ _SAME = {
     "resnet_time_scale_shift": ("default", "scale_shift"),
     "downsample_type": ("conv",),
     "upsample_type": ("conv",),
-    "addition_embed_type": (None,),
     "encoder_hid_dim": (None,),
     "encoder_hid_dim_type": (None,),
     "time_cond_proj_dim": (None,),
@@ -39,6 +38,35 @@ _SAME = {
     "attn_norm_num_groups": (None,),
     "reverse_transformer_layers_per_block": (None,),
 }
+
+
+@dataclass(frozen=True, slots=True)
+class VectorOptions:
+    """What is added to the embedded time, as in SDXL: of the prompt, and numbers about the image.
+
+    Attributes:
+        length: Of the vector: what the text encoder pools, and features of each number.
+        features: Sines and cosines of one number.
+    """
+
+    length: int
+    features: int
+
+    @classmethod
+    def of(cls, config: ModelConfig) -> "VectorOptions | None":
+        """Return what a configuration says; None where nothing is added.
+
+        Raises:
+            CheckpointInvalid: Something of another kind is added.
+        """
+        if config.one_of("addition_embed_type", (None, "text_time")) is None:
+            return None
+        length = config.integer("projection_class_embeddings_input_dim", 0)
+        features = config.integer("addition_time_embed_dim", 0)
+        if features % 2 or features >= length:
+            what = f"is {features}, wanted an even number below {length}"
+            raise config.wrong("addition_time_embed_dim", what)
+        return cls(length, features)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +97,7 @@ class UNetOptions:
         centre: The image is brought from 0 … 1 to −1 … 1 first.
         attends: The middle has attention.
         sample: Height and width that training saw, if told.
+        vector: What is added to the embedded time, if anything is.
     """
 
     inputs: int
@@ -93,6 +122,7 @@ class UNetOptions:
     centre: bool
     attends: bool
     sample: tuple[int, int] | None
+    vector: VectorOptions | None
 
     @property
     def stride(self) -> int:
@@ -147,6 +177,7 @@ class UNetOptions:
             centre=config.flag("center_input_sample", False),
             attends=config.flag("add_attention", True),
             sample=config.size("sample_size"),
+            vector=VectorOptions.of(config) if conditional else None,
         )
 
     @property
@@ -196,6 +227,8 @@ class AutoencoderOptions:
         shift: What is taken off before.
         attends: The middle has attention.
         quantised: There are 1×1 convolutions before and behind the latent.
+        skips: What enters each level of the encoder enters the decoder at that size, too, times
+            this and through a 1×1 convolution (Difix); None where it does not.
     """
 
     inputs: int
@@ -208,6 +241,7 @@ class AutoencoderOptions:
     shift: float
     attends: bool
     quantised: tuple[bool, bool]
+    skips: float | None = None
 
     @property
     def stride(self) -> int:
@@ -215,12 +249,18 @@ class AutoencoderOptions:
         return int(2 ** (len(self.channels) - 1))
 
     @classmethod
-    def of(cls, config: ModelConfig) -> "AutoencoderOptions":
+    def of(cls, config: ModelConfig, *, skips: bool = False) -> "AutoencoderOptions":
         """Return what a configuration says.
+
+        Args:
+            config: The configuration.
+            skips: There are weights for skip connections.
 
         Raises:
             CheckpointInvalid: It is no such autoencoder.
         """
+        if skips:
+            config.one_of("ignore_skip", (False,), False)
         config.one_of("_class_name", ("AutoencoderKL",))
         config.one_of("act_fn", ("silu",), "silu")
         config.one_of("latents_mean", (None,), None)
@@ -243,4 +283,5 @@ class AutoencoderOptions:
                 config.flag("use_quant_conv", True),
                 config.flag("use_post_quant_conv", True),
             ),
+            skips=config.number("gamma", 1.0) if skips else None,
         )

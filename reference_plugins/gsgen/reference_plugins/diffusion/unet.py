@@ -1,8 +1,9 @@
 """U-Nets that predict noise (UNet2DModel and UNet2DConditionModel of diffusers)."""
 
-__all__ = ["UNet", "time_features"]
+__all__ = ["UNet", "added_vector", "time_features"]
 
 import math
+from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F  # noqa: N812
@@ -39,6 +40,31 @@ def time_features(
     angle = moment[:, None].float() * torch.exp(exponent)[None]
     parts = [torch.sin(angle), torch.cos(angle)]
     return torch.cat(parts[::-1] if flip else parts, dim=1)
+
+
+def added_vector(
+    pooled: Float[Tensor, "1 p"], numbers: Sequence[float], options: UNetOptions
+) -> Float[Tensor, "1 v"]:
+    """Return what SDXL adds to the embedded time, before its layers (Podell et al. 2023, section 2.2).
+
+    Args:
+        pooled: What the text encoder makes of the prompt as a whole.
+        numbers: Of the image: its height and width, where it was cut off, and the size wanted.
+        options: Of a U-Net that takes such a vector.
+
+    Raises:
+        ValueError: Together, they are of another length than the U-Net wants.
+    """
+    vector = options.vector
+    assert vector is not None
+    features = time_features(
+        torch.tensor(numbers), vector.features, flip=options.flip, shift=options.shift
+    )
+    made = torch.cat([pooled.float(), features.reshape(1, -1)], dim=1)
+    if made.shape[1] != vector.length:
+        seen = f"{pooled.shape[1]} + {len(numbers)} × {vector.features}"
+        raise ValueError(f"{seen} is {made.shape[1]}, wanted {vector.length}")
+    return made
 
 
 class _Level(nn.Module):
@@ -170,11 +196,11 @@ def _attended(block: nn.Module, image: Tensor, context: Tensor | None) -> Tensor
     return made
 
 
-class _TimeEmbedding(nn.Module):
-    def __init__(self, options: UNetOptions) -> None:
+class _Embedding(nn.Module):
+    def __init__(self, inputs: int, width: int) -> None:
         super().__init__()
-        self.linear_1 = nn.Linear(options.channels[0], options.time)
-        self.linear_2 = nn.Linear(options.time, options.time)
+        self.linear_1 = nn.Linear(inputs, width)
+        self.linear_2 = nn.Linear(width, width)
 
     def forward(self, features: Tensor) -> Tensor:
         made: Tensor = self.linear_2(F.silu(self.linear_1(features)))
@@ -193,7 +219,12 @@ class UNet(nn.Module):
         self.conv_in = nn.Conv2d(
             options.inputs, options.channels[0], first, padding=(first - 1) // 2
         )
-        self.time_embedding = _TimeEmbedding(options)
+        self.time_embedding = _Embedding(options.channels[0], options.time)
+        self.add_embedding = (
+            None
+            if options.vector is None
+            else _Embedding(options.vector.length, options.time)
+        )
         self.down_blocks = nn.ModuleList(_Down(options, index) for index in steps)
         self.mid_block = (
             None if options.middle is None else _Middle(options, options.middle)
@@ -211,6 +242,7 @@ class UNet(nn.Module):
         image: Float[Tensor, "b i h w"],
         moment: Float[Tensor, " b"],
         context: Float[Tensor, "b m d"] | None = None,
+        vector: Float[Tensor, "b v"] | None = None,
     ) -> Float[Tensor, "b o h w"]:
         """Return what the network predicts.
 
@@ -218,12 +250,15 @@ class UNet(nn.Module):
             image: Sides are multiples of the options' stride.
             moment: The timestep.
             context: Conditioning vectors, where the network takes them.
+            vector: What is added to the embedded time, where something is (:func:`added_vector`).
         """
         options = self.options
         features = time_features(
             moment, options.channels[0], flip=options.flip, shift=options.shift
         )
         time = self.time_embedding(features.to(image.dtype))
+        if self.add_embedding is not None:
+            time = time + self.add_embedding(vector)
         image = self.conv_in(2 * image - 1 if options.centre else image)
         kept = [image]
         for down in self.down_blocks:
