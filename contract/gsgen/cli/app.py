@@ -5,9 +5,10 @@ __all__ = ["build", "main"]
 import gc
 import sys
 from importlib.metadata import version
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from gsgen.cli.commands import Command, escaped, find_commands
 from gsgen.contract.errors import GsgenError, UnknownName
@@ -34,12 +35,14 @@ def _run() -> None:
     gc.set_threshold(50_000)  # imports make many objects and hardly any garbage
     arguments = sys.argv[1:]
     commands = find_commands()
+    if arguments[:1] == ["help"] and "help" not in commands:
+        arguments = [*arguments[1:], "--help"]
     named = next((word for word in arguments if not word.startswith("-")), None)
     if named is not None and named not in commands:
         _fail(UnknownName.among("command", named, commands))
     wanted = [commands[named]] if named else list(commands.values())
     try:
-        build(wanted)()
+        build(wanted)(arguments)
     except GsgenError as error:
         _fail(error)
     except BrokenPipeError:  # the reader of our output went away: `gsgen rules | head`
@@ -62,6 +65,7 @@ def build(commands: list[Command]) -> typer.Typer:
     """Return an app with ``commands``; only those are imported, so that start-up stays short."""
     app = typer.Typer(
         name="gsgen",
+        cls=_Sorted,
         help="Export, validate and draw Gaussian Generators: ONNX models that emit 3D Gaussians.",
         epilog=_epilog(commands),
         no_args_is_help=True,
@@ -77,6 +81,14 @@ def build(commands: list[Command]) -> typer.Typer:
         else:
             app.command(command.name, context_settings=command.context)(loaded)
     return app
+
+
+class _Sorted(TyperGroup):
+    """A group whose help lists its commands by name, groups among them."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all commands."""
+        return sorted(super().list_commands(ctx))
 
 
 def _epilog(commands: list[Command]) -> str | None:

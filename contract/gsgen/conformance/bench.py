@@ -54,6 +54,7 @@ class Bench:
             bench = config.stash[_BENCH] = cls(config)
             try:
                 _ = bench.settings, bench.suites, bench.expected
+                _ = bench.option("dump") and bench.dumps
             except GsgenError as error:
                 raise pytest.UsageError(f"gsgen: {error}") from error
         return config.stash[_BENCH]

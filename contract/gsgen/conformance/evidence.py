@@ -12,6 +12,7 @@ from pathlib import Path
 from gsgen.conformance.cases import Case
 from gsgen.conformance.replay import ONE_PROBE, Arrays, Replay, plan_for, replay, save
 from gsgen.contract.config import Settings
+from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.finding import Finding
 from gsgen.contract.plan import Plan
 from gsgen.contract.probes import Probe
@@ -60,6 +61,15 @@ class Dumps:
 
     folder: Path
     most: int | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a file, before any work is done.
+
+        Raises:
+            ConfigInvalid: ``folder`` is one.
+        """
+        if self.folder.exists() and not self.folder.is_dir():
+            raise ConfigInvalid("is a file, wanted a folder", where=str(self.folder))
 
 
 def gather(

@@ -12,6 +12,7 @@ import numpy as np
 from gsgen.contract.behaviour import Trial
 from gsgen.contract.board import Board
 from gsgen.contract.config import Settings
+from gsgen.contract.drafts import draft_of
 from gsgen.contract.emission import Emission, chunks, read_emission
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.finding import Finding, Level
@@ -120,6 +121,9 @@ def save(path: Path, runs: Sequence[tuple[Probe, Arrays]]) -> None:
 
     The first run's arrays are called ``input.NAME`` and ``output.NAME``, the second's
     ``2.input.NAME`` and so on; ``probe`` and ``2.probe`` are their labels.
+
+    Raises:
+        GsgenError: The file cannot be written.
     """
     arrays: Arrays = {}
     for number, (probe, outputs) in enumerate(runs, start=1):
@@ -127,6 +131,5 @@ def save(path: Path, runs: Sequence[tuple[Probe, Arrays]]) -> None:
         arrays[f"{head}probe"] = np.asarray(probe.label)
         arrays |= {f"{head}input.{name}": array for name, array in probe.inputs.items()}
         arrays |= {f"{head}output.{name}": array for name, array in outputs.items()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("wb") as file:
+    with draft_of(path) as draft, draft.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]  # none is called `allow_pickle`

@@ -75,7 +75,7 @@ def _severities(
     for entry in entries:
         name, sign, word = entry.partition("=")
         if not sign:
-            mend = "Write it as GV004=error."
+            mend = f"Write it as {name}=error."
             raise ConfigInvalid(f"{entry!r} has no '='", where=where, mend=mend)
         made[registry.find(name, where).id] = Severity.parse(word, where)
     return made

@@ -1,13 +1,15 @@
 """Put files in their place only when they are whole."""
 
-__all__ = ["draft_of", "refuse_folder"]
+__all__ = ["draft_of", "refuse_folder", "refuse_itself", "refuse_model"]
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from gsgen.contract.errors import GsgenError
+from gsgen.contract.errors import ConfigInvalid, GsgenError
+
+_MODEL = ".onnx"
 
 
 @contextmanager
@@ -49,6 +51,37 @@ def refuse_folder(path: Path) -> None:
     if path.is_dir():
         mend = f"Name a file in it, such as {path / 'model.onnx'}."
         raise GsgenError("is a folder, wanted a file to write", where=str(path), mend=mend)
+
+
+def refuse_itself(path: Path, sources: Iterable[Path]) -> None:
+    """Refuse to write over what is read, by whatever name, before any work is done.
+
+    Raises:
+        ConfigInvalid: ``path`` is one of ``sources``, which would be lost.
+    """
+    if path.exists() and any(one.exists() and path.samefile(one) for one in sources):
+        what = "is the file that is read, and would be lost"
+        raise ConfigInvalid(what, where=str(path), mend="Name another file.")
+
+
+def refuse_model(path: Path, models: Iterable[Path] = ()) -> None:
+    """Refuse a model's place for what is none, a report for example, before any work is done.
+
+    Whoever writes `-o drift.onnx` for a report took the option for that of a copy, and would
+    lose the model.
+
+    Args:
+        path: Where something is to be written.
+        models: What is read, by whatever names.
+
+    Raises:
+        ConfigInvalid: ``path`` is one of the models, or ends as models do.
+    """
+    refuse_itself(path, models)
+    if path.suffix.lower() == _MODEL:
+        mend = f"Name another file, such as {path.with_suffix('.txt')}."
+        what = f"ends in {_MODEL}, and what is written there is no model"
+        raise ConfigInvalid(what, where=str(path), mend=mend)
 
 
 def _unwritten(path: Path, error: OSError) -> GsgenError:

@@ -48,9 +48,20 @@ _DIGITS = 100  # Python refuses to read numbers of thousands
 
 # First bytes of files that people pass by mistake.
 _LOOKALIKES = (
-    (b"PK\x03\x04", "a zip archive (a torch checkpoint or an npz)"),
+    (b"PK\x03\x04", "a zip archive (a torch checkpoint, an npz or SOG splats)"),
     (b"ply", "a PLY point cloud: turn it into a model with `gsgen export static`"),
+    (b"glTF", "a GLB: turn its splats into a model with `gsgen export static`"),
+    (
+        b"\x1f\x8b",
+        "a gzip file (SPZ splats, which `gsgen export static` takes, or an archive)",
+    ),
+    (b"\x93NUMPY", "a NumPy array"),
+    (b"\x89HDF", "an HDF5 file"),
+    (b"\x89PNG", "a picture"),
+    (b"\xff\xd8\xff", "a picture"),
     (b"\x80\x02", "a pickle"),
+    (b"\x80\x04", "a pickle"),
+    (b"\x80\x05", "a pickle"),
     (b"<", "an XML or HTML page"),
     (b"{", "a JSON document"),
     (b"version https://git-lfs", "a git LFS pointer: fetch the file with `git lfs pull`"),
@@ -208,10 +219,23 @@ def _not_onnx(path: Path, what: str, head: bytes) -> ModelUnreadable:
     for magic, name in _LOOKALIKES:
         if head.startswith(magic):
             return ModelUnreadable(f"is not an ONNX model but {name}", where=str(path))
+    if head[8:9] == b"{" and head[:8].endswith(bytes(3)):
+        what = "is not an ONNX model but weights in safetensors"
+        return ModelUnreadable(what, where=str(path))
+    if _is_text(head):
+        return ModelUnreadable("is not an ONNX model but text", where=str(path))
     mend = (
         "Write the file again; a partial download or an interrupted export looks like this."
     )
     return ModelUnreadable(what, where=str(path), mend=mend)
+
+
+def _is_text(head: bytes) -> bool:
+    """Say whether a file begins as text does; a model begins with a field of one byte."""
+    written = head.decode("utf-8", errors="ignore")
+    return len(written) >= len(head) - 3 and all(
+        sign.isprintable() or sign in "\t\r\n" for sign in written
+    )
 
 
 def _detach_external(parts: list[Body]) -> Iterator[ExternalRef]:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from gsgen.contract.drafts import refuse_model
+
 if TYPE_CHECKING:
     from gsgen.sdk.generator import GaussianGenerator
     from gsgen.sdk.post_process import PostProcess
@@ -46,6 +48,15 @@ class ExportRequest:
     level: str = "behaviour"
     rewrite: bool = True
     report: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a model's place for the report.
+
+        Raises:
+            ConfigInvalid: The report would replace a model.
+        """
+        if self.report is not None:
+            refuse_model(self.report, [self.output])
 
 
 def _request(

@@ -180,8 +180,7 @@ def export(
         slack = (_HALF_SLACK, _HALF_ROUNDINGS) if halves else (None, 1)
         parity = check_parity(draft, manifest, references, suspects, progress, *slack)
         check_memory(generator, described.watch, references)
-        report = check_contract(draft, target, settings, progress)
-    report = replace(report, path=str(path))
+        report = check_contract(draft, path, target, settings, progress)
     return Exported(path, manifest, parity, report, tuple(changes), halved)
 
 

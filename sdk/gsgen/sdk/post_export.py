@@ -148,8 +148,7 @@ def export_post_process(
         save_model(graph, draft)
         progress(f"comparing with eager torch at {len(probes)} probes")
         parity = _check_parity(draft, manifest, probes, wanted, allowed)
-        report = check_contract(draft, target, settings, progress)
-    report = replace(report, path=str(path))
+        report = check_contract(draft, path, target, settings, progress)
     return ExportedImage(path, manifest, parity, report, tuple(changes), halved)
 
 

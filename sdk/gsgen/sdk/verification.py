@@ -171,6 +171,7 @@ def check_memory(
 
 
 def check_contract(
+    draft: Path,
     path: Path,
     target: str,
     settings: Settings | None,
@@ -182,7 +183,8 @@ def check_contract(
         ExportRejected: It breaks a rule; the error carries the report.
     """
     base = settings or Settings(level=Level.BEHAVIOUR)
-    report = validate(path, replace(base, target=load_target(target)), progress=progress)
+    settings = replace(base, target=load_target(target))
+    report = replace(validate(draft, settings, progress=progress), path=str(path))
     if report.verdict != "conforms":
         broken = [
             finding for finding in report.findings if finding.severity >= Severity.ERROR

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.contract.commands.options import Config, FailOn, LevelName, TargetName
+from gsgen.contract.commands.options import AsJson, Config, FailOn, LevelName, TargetName
 from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from gsgen.conformance.evidence import Dumps
     from gsgen.conformance.expected import ExpectedFailure
     from gsgen.conformance.summary import Entry
     from gsgen.contract.config import Settings
@@ -45,11 +46,13 @@ def conformance(
         typer.Option(help="Folder for inputs and outputs of failing probes (.npz)."),
     ] = None,
     format: Annotated[Format, typer.Option(help="How to print the result.")] = Format.TEXT,
+    as_json: AsJson = False,
 ) -> None:
     """Test each MODEL suite by suite, and say how to reproduce what fails.
 
     Exits 0 if all pass, 1 if not, 2 for wrong options, 3 if a rule crashed, 4 if no model.
     """
+    from gsgen.conformance.evidence import Dumps
     from gsgen.conformance.expected import read_expected
     from gsgen.conformance.suite import find_suite
     from gsgen.conformance.summary import exit_code
@@ -62,8 +65,9 @@ def conformance(
     )
     suites = [find_suite(name).name for name in suite or ()]
     expected = read_expected(xfails, registry) if xfails else ()
-    entries = [_test(model, settings, suites, expected, dump) for model in models]
-    _print(entries, format)
+    dumps = Dumps(dump) if dump else None
+    entries = [_test(model, settings, suites, expected, dumps) for model in models]
+    _print(entries, Format.JSON if as_json else format)
     _refuse_strangers(entries, settings, expected)
     raise typer.Exit(exit_code(entries))
 
@@ -73,9 +77,8 @@ def _test(
     settings: "Settings",
     suites: "list[str]",
     expected: "Sequence[ExpectedFailure]",
-    dump: Path | None,
+    dumps: "Dumps | None",
 ) -> "Entry":
-    from gsgen.conformance.evidence import Dumps
     from gsgen.conformance.run import run_model
     from gsgen.contract.commands.progress import progress
     from gsgen.contract.report import Unreadable
@@ -86,7 +89,7 @@ def _test(
             settings,
             suites=suites,
             expected=expected,
-            dumps=Dumps(dump) if dump else None,
+            dumps=dumps,
             progress=progress,
         )
     except ModelUnreadable as error:

@@ -40,9 +40,12 @@ def repro(
     """
     from gsgen.conformance.repro import reproduce
     from gsgen.contract.configure import make_settings
+    from gsgen.contract.drafts import refuse_model
     from gsgen.contract.errors import ModelUnreadable
     from gsgen.contract.installed import installed_rules
 
+    if dump:
+        refuse_model(dump, [model])
     registry = installed_rules()
     wanted = registry.find(rule, "--rule")
     settings = make_settings(

@@ -3,6 +3,7 @@
 __all__ = ["diff"]
 
 import json
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -38,7 +39,7 @@ def diff(
     if as_json:
         made = {
             "facts": [asdict(one) for one in facts],
-            "outputs": [asdict(one) | {"largest": str(one.largest)} for one in outputs],
+            "outputs": [asdict(one) | {"largest": _finite(one.largest)} for one in outputs],
             "not_compared": reason or None,
         }
         typer.echo(json.dumps(made, indent=2, ensure_ascii=False))
@@ -59,3 +60,8 @@ def diff(
     if not facts and not apart and not reason:
         typer.echo("no difference")
     raise typer.Exit(int(bool(facts or apart or reason)))
+
+
+def _finite(number: float) -> float | None:
+    """Return a number as JSON has it: null where it has none, as for shapes that differ."""
+    return number if math.isfinite(number) else None

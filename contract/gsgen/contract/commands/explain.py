@@ -8,8 +8,13 @@ import typer
 
 
 def explain(
-    rule: Annotated[
-        str, typer.Argument(help="A rule's id or name, such as GV003 or opacity-range.")
+    rules: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="RULE...",
+            help="A rule's id or name, such as GV003 or opacity-range.",
+            show_default=False,
+        ),
     ],
 ) -> None:
     """Say what RULE wants, why, and how to mend a model that breaks it."""
@@ -17,4 +22,5 @@ def explain(
     from gsgen.contract.rule_pages import page
 
     registry = installed_rules()
-    typer.echo(page(registry.find(rule), registry))
+    found = [registry.find(name) for name in rules]
+    typer.echo("\n".join(page(one, registry) for one in found))

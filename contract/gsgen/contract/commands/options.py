@@ -1,6 +1,15 @@
 """Options that several commands have: written once, so that they mean and say the same."""
 
-__all__ = ["Config", "FailOn", "LevelName", "Memory", "Seed", "TargetName", "Timeout"]
+__all__ = [
+    "AsJson",
+    "Config",
+    "FailOn",
+    "LevelName",
+    "Memory",
+    "Seed",
+    "TargetName",
+    "Timeout",
+]
 
 from pathlib import Path
 from typing import Annotated
@@ -26,6 +35,9 @@ FailOn = Annotated[
     typer.Option(
         help="Lowest severity that fails: error, warning or info.", show_default="error"
     ),
+]
+AsJson = Annotated[
+    bool, typer.Option("--json", help="The same as --format json; others have this alone.")
 ]
 Config = Annotated[
     Path | None,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.contract.commands.options import (
+    AsJson,
     Config,
     FailOn,
     LevelName,
@@ -58,6 +59,7 @@ def validate(
     level: LevelName = None,
     target: TargetName = None,
     format: Annotated[Format, typer.Option(help="How to print the report.")] = Format.TEXT,
+    as_json: AsJson = False,
     fail_on: FailOn = None,
     ignore: Annotated[
         list[str] | None,
@@ -96,8 +98,11 @@ def validate(
     Exits 0 if all conform, 1 if not, 2 for wrong options, 3 if a rule crashed, 4 if no model.
     """
     from gsgen.contract.configure import make_settings
+    from gsgen.contract.drafts import refuse_model
     from gsgen.contract.installed import installed_rules
 
+    if output:
+        refuse_model(output, models)
     registry = installed_rules()
     settings = make_settings(
         registry,
@@ -111,6 +116,7 @@ def validate(
         memory=memory,
         strict=strict,
     )
+    format = Format.JSON if as_json else format
     known = _baseline(baseline) if baseline else None
     entries = [_judge(model, settings, registry, known) for model in models]
     _print(entries, format, output, verbose, quiet)

@@ -36,9 +36,13 @@ def vectors(
         ),
     ] = None,
     count: Annotated[
-        int,
-        typer.Option(help="How many, spread over the probes of `gsgen validate`.", min=1),
-    ] = 3,
+        int | None,
+        typer.Option(
+            help="How many, spread over the probes of `gsgen validate`.",
+            show_default="3, or all where there are fewer",
+            min=1,
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the probe set.", min=0)] = 0,
     force: Annotated[
         bool, typer.Option("--force", help="Replace vectors that the folder has.")

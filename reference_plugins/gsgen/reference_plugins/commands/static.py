@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from gsgen.contract.drafts import refuse_itself
 from gsgen.contract.errors import InputUnreadable
 from gsgen.sdk.export_request import OPSETS, ExportRequest
 from gsgen.sdk.plugin import Plugin
@@ -103,6 +104,7 @@ def static(
     from gsgen.formats import PackedRows, Splats
     from gsgen.reference_plugins.static import from_content, write_scene
 
+    refuse_itself(output, [file])
     settings = _settings(target, level)
     content = _read(file)
     typer.echo(f"{file}: {_describe(content)}", err=True)

@@ -64,9 +64,12 @@ def bench(
     Exits 0 if all were measured, 1 if one failed or crashed, or is not here and was asked for.
     """
     from gsgen.contract.commands.output import write_text
+    from gsgen.contract.drafts import refuse_model
     from gsgen.sdk.binding.providers import installed
     from gsgen.sdk.commands.sizes import sizes_of
 
+    if output is not None:
+        refuse_model(output, models)
     _need_models(models)
     sizes = sizes_of(size, "--size")
     chosen = [str(one) for one in provider or installed()]

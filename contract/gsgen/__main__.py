@@ -1,0 +1,5 @@
+"""`python -m gsgen` is `gsgen`."""
+
+from gsgen.cli import main
+
+main()

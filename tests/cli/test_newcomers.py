@@ -1,0 +1,131 @@
+"""What people type who have not read everything: nothing is lost, and each word says what to do."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gsgen.conformance.fixtures import find
+from support.commands import gsgen, gsgen_here
+
+
+@pytest.fixture
+def logits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    find("opacity_is_logits").write(tmp_path)
+    return Path("opacity_is_logits.onnx")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("validate", "MODEL", "-o", "MODEL"),
+        ("validate", "MODEL", "--json", "-o", "link.txt"),
+        ("bench", "MODEL", "-o", "MODEL"),
+        ("repro", "MODEL", "--rule", "GV003", "--dump", "MODEL"),
+        ("export", "static", "splats.ply", "-o", "splats.ply"),
+        ("export", "static", "splats.ply", "-o", "new.onnx", "--report", "MODEL"),
+    ],
+    ids=" ".join,
+)
+def test_no_report_and_no_model_replaces_what_is_read(
+    logits: Path, words: tuple[str, ...]
+) -> None:
+    Path("link.txt").symlink_to(logits)
+    head = "ply\nformat ascii 1.0\nelement vertex 1\n"
+    names = ("x", "y", "z", "red", "green", "blue")
+    head += "".join(f"property float {name}\n" for name in names)
+    Path("splats.ply").write_text(f"{head}end_header\n0 0 0 1 1 1\n")
+    before = {path: path.read_bytes() for path in Path().iterdir()}
+    ran = gsgen_here(*(str(logits) if word == "MODEL" else word for word in words))
+    assert ran.code == 2
+    assert "and would be lost" in ran.err or "is no model" in ran.err
+    assert {path: path.read_bytes() for path in Path().iterdir()} == before
+
+
+def test_a_report_is_no_model(logits: Path) -> None:
+    ran = gsgen_here("validate", logits, "-o", "copy.onnx")
+    assert ran.code == 2
+    assert ran.err == (
+        "gsgen: copy.onnx: ends in .onnx, and what is written there is no model\n"
+        "  Name another file, such as copy.txt.\n"
+    )
+
+
+def test_a_file_is_no_folder_for_dumps(logits: Path) -> None:
+    ran = gsgen_here("conformance", logits, "--dump", logits)
+    assert (ran.code, ran.err) == (2, f"gsgen: {logits}: is a file, wanted a folder\n")
+
+
+@pytest.mark.parametrize("command", ["validate", "conformance"])
+def test_json_is_an_option_of_every_command_that_reports(
+    command: str, logits: Path
+) -> None:
+    short = gsgen_here(command, logits, "--level", "static", "--json")
+    long = gsgen_here(command, logits, "--level", "static", "--format", "json")
+    assert short.code == long.code == 0
+    assert json.loads(short.out).keys() == json.loads(long.out).keys()
+
+
+def test_numbers_are_numbers_in_json(logits: Path, good: Path) -> None:
+    ran = gsgen_here("diff", good, good, "--json")
+    assert {one["largest"] for one in json.loads(ran.out)["outputs"]} == {0.0}
+
+
+def test_a_model_without_inputs_has_one_vector(logits: Path) -> None:
+    ran = gsgen_here("vectors", logits, "--count", "2")
+    assert (ran.code, "2 vectors, and the model has 1 probe\n" in ran.err) == (2, True)
+    model = find("still_rgb").write(Path())
+    assert gsgen_here("vectors", model).code == 0
+    assert [path.name for path in Path("still_rgb-vectors").glob("test*")] == [
+        "test_data_set_0"
+    ]
+
+
+def test_several_rules_are_explained() -> None:
+    ran = gsgen_here("explain", "GV003", "rows-finite")
+    assert ran.out.count("\n## How to mend it") == 2
+
+
+@pytest.mark.parametrize("words", [("help",), ("help", "validate")])
+def test_help_is_a_word(words: tuple[str, ...]) -> None:
+    ran = gsgen_here(*words)
+    assert ran.code == 0
+    assert f"gsgen {' '.join(words[1:])}".strip() in ran.out
+
+
+def test_commands_are_listed_by_name() -> None:
+    lines = gsgen_here("--help").out.partition("Commands")[2].splitlines()
+    names = [line.split()[1] for line in lines if line.startswith("│ ") and line[2] != " "]
+    assert names == sorted(names)
+    assert {"export", "validate", "view"} <= set(names)
+
+
+def test_python_m_gsgen_is_gsgen() -> None:
+    words = [sys.executable, "-m", "gsgen", "--version"]
+    ran = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert (ran.returncode, ran.stdout) == (0, gsgen("--version").out)
+
+
+@pytest.mark.parametrize(
+    ("content", "seen"),
+    [
+        (b"# Models\n\nare \xc3\xa4 here\n", "text"),
+        (b"\x10\x00\x00\x00\x00\x00\x00\x00{}        ", "weights in safetensors"),
+        (b"glTF\x02\x00\x00\x00", "a GLB: turn its splats into a model"),
+        (b"\x80\x05\x95\x00\x00", "a pickle"),
+    ],
+)
+def test_a_file_of_another_kind_is_named(content: bytes, seen: str, tmp_path: Path) -> None:
+    path = tmp_path / "some.onnx"
+    path.write_bytes(content)
+    ran = gsgen_here("validate", path)
+    assert ran.code == 4
+    assert f"some.onnx: is not an ONNX model but {seen}" in ran.err
+
+
+def test_the_rule_that_was_meant_is_in_the_cure(logits: Path) -> None:
+    ran = gsgen_here("validate", logits, "--severity", "GV003")
+    assert "Write it as GV003=error." in ran.err
