@@ -8,6 +8,7 @@ from gsgen.contract.spherical_harmonics import (
     coefficients,
     degree_of,
     evaluate,
+    largest_sum,
 )
 
 
@@ -108,3 +109,22 @@ def test_other_counts_have_no_degree(count):
         ValueError, match=rf"^{count} is no number of SH .*\(1, 4, 9, 16\)$"
     ):
         degree_of(count)
+
+
+@pytest.mark.parametrize("count", [0, 1, 37])
+@pytest.mark.parametrize("degree", [0, 1, 3])
+def test_the_largest_sum_is_that_of_every_direction_and_channel(count, degree):
+    rng = np.random.default_rng(count + degree)
+    directions = rng.normal(size=(9, 3))
+    weights = basis(directions / np.linalg.norm(directions, axis=1)[:, None], degree)
+    sh = rng.normal(size=(count, (degree + 1) ** 2, 3))
+    wanted = np.abs(np.einsum("dk,nkc->ndc", weights, sh)).max(axis=(1, 2), initial=0)
+    np.testing.assert_allclose(largest_sum(weights, sh), wanted, rtol=1e-12)
+
+
+def test_a_sum_without_a_number_has_no_size():
+    sh = np.zeros((2, 4, 3))
+    sh[1, 2, 0] = np.nan
+    sizes = largest_sum(basis(np.eye(3), 1), sh)
+    assert sizes[0] == 0
+    assert np.isnan(sizes[1])

@@ -18,7 +18,7 @@ from gsgen.contract.layout import (
     VISIBILITY,
 )
 from gsgen.contract.report import Tolerance
-from gsgen.contract.spherical_harmonics import basis, degree_of
+from gsgen.contract.spherical_harmonics import basis, degree_of, largest_sum
 
 # Relative errors that the storage of both may add, and kernels that sum in another order.
 _ROUNDING = {"float16": 2.0**-10, "float32": 2.0**-20}
@@ -173,6 +173,4 @@ def _colors_apart(is_sh: bool, a: np.ndarray, b: np.ndarray) -> Measured:
     weights = basis(_AXES, degree_of(shape[1]))
     x, y = a.reshape(shape), b.reshape(shape)
     between = _difference(x, y)
-    error = np.abs(np.einsum("dk,nkc->ndc", weights, between)).max(axis=(1, 2))
-    largest = np.einsum("dk,nkc->ndc", np.abs(weights), np.abs(x)).max(axis=(1, 2))
-    return error, largest
+    return largest_sum(weights, between), largest_sum(np.abs(weights), np.abs(x))

@@ -5,7 +5,15 @@ Rendering" (the constants of its published code), and the appendix of the glTF
 extension KHR_gaussian_splatting, which lists the same polynomials.
 """
 
-__all__ = ["COEFFICIENTS", "MAX_DEGREE", "basis", "coefficients", "degree_of", "evaluate"]
+__all__ = [
+    "COEFFICIENTS",
+    "MAX_DEGREE",
+    "basis",
+    "coefficients",
+    "degree_of",
+    "evaluate",
+    "largest_sum",
+]
 
 import math
 
@@ -70,6 +78,19 @@ def basis(
             -_C3[0] * x * (xx - 3 * yy),
         ]
     return np.stack(columns, axis=-1)
+
+
+def largest_sum(
+    weights: Float[np.ndarray, "d k"], sh: Float[np.ndarray, "n k c"]
+) -> Float[np.ndarray, " n"]:
+    """Return the largest |Σ Y_k c_k| of each Gaussian over directions and channels.
+
+    ``weights`` are values of :func:`basis`; one product of two matrices does it for all rows.
+    """
+    count, _, channels = sh.shape
+    rows = np.swapaxes(sh, 1, 2).reshape(count * channels, weights.shape[1])
+    sums = np.abs(rows @ weights.T).reshape(count, channels * len(weights))
+    return np.asarray(sums.max(axis=1))
 
 
 def evaluate(

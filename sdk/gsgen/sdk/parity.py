@@ -26,7 +26,7 @@ from jaxtyping import Bool, Float
 from gsgen.contract import layout
 from gsgen.contract.manifest import Tolerances
 from gsgen.contract.probes import Probe
-from gsgen.contract.spherical_harmonics import basis, degree_of
+from gsgen.contract.spherical_harmonics import basis, degree_of, largest_sum
 
 DIRECTIONS = 64
 
@@ -358,18 +358,9 @@ def _appearance(
     assert wanted.sh is not None
     sh = wanted.sh[part]
     weights = basis(fibonacci_directions(DIRECTIONS), degree_of(sh.shape[1]))
-    error = _brightest(weights, seen.reshape(sh.shape) - sh)
-    largest = _brightest(np.abs(weights), np.abs(sh))
+    error = largest_sum(weights, seen.reshape(sh.shape) - sh)
+    largest = largest_sum(np.abs(weights), np.abs(sh))
     return "appearance", error, tolerances.appearance + rounding * largest
-
-
-def _brightest(
-    weights: Float[np.ndarray, "d k"], sh: Float[np.ndarray, "n k c"]
-) -> Float[np.ndarray, " n"]:
-    """Return the largest size of a colour that harmonics have, over directions and channels."""
-    rows = np.swapaxes(sh, 1, 2).reshape(-1, sh.shape[1])  # one product of two matrices
-    sizes = np.abs(rows @ weights.T).max(axis=1, initial=0.0)
-    return np.asarray(sizes.reshape(len(sh), -1).max(axis=1, initial=0.0))
 
 
 def _rounding(dtype: str) -> float:
