@@ -7,7 +7,6 @@ here, and a file is known by the shapes in it (Loper et al. 2015, "SMPL"; Pavlak
 
 __all__ = ["Body", "read_body", "required_body"]
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from gsgen.reference_plugins.checkpoints.array_archives import read_npz
 from gsgen.reference_plugins.checkpoints.array_pickles import read_array_pickle
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 
@@ -138,12 +138,8 @@ def _arrays(path: Path) -> dict[str, Any]:
         zipped = file.read(4) == b"PK\x03\x04"
     if not zipped:
         return read_array_pickle(path)
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            # Only what is needed: the published files hold pickled objects besides.
-            return {n: archive[n] for n in (*_NEEDED, *_HANDS) if n in archive.files}
-    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise CheckpointInvalid(f"cannot be read: {error}", where=str(path)) from error
+    # Only what is needed: the published files hold pickled objects besides.
+    return read_npz(path, (*_NEEDED, *_HANDS))
 
 
 def _numbers(path: Path, name: str, value: Any) -> Float[np.ndarray, "..."]:

@@ -9,7 +9,6 @@ point, which comes with LHM's weights, as does the list of vertices that must no
 
 __all__ = ["Face", "LHMCheckpoint", "read_face", "read_lhm"]
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from gsgen.formats import FormatError, read_ply_columns
+from gsgen.reference_plugins.checkpoints.array_archives import read_npz
 from gsgen.reference_plugins.checkpoints.array_pickles import read_array_pickle
 from gsgen.reference_plugins.checkpoints.bodies import Body, read_body, required_body
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
@@ -166,11 +166,7 @@ def _face_dirs(path: Path) -> Any:
     if path.suffix != ".npz":
         read = read_array_pickle(path)
     else:
-        try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-                read = {n: archive[n] for n in ("shapedirs",) if n in archive.files}
-        except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-            raise CheckpointInvalid(f"cannot be read: {error}", where=str(path)) from error
+        read = read_npz(path, ("shapedirs",))
     if "shapedirs" not in read:
         raise CheckpointInvalid("lacks shapedirs", where=str(path))
     return read["shapedirs"]
@@ -249,11 +245,7 @@ def _points(path: Path) -> Float[np.ndarray, "n 3"]:
 
 def _stiff(path: Path, vertices: int) -> Bool[np.ndarray, " v"]:
     required_file(path, "which vertices do not turn; it comes with LHM's weights")
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            masks = archive["masks"] if "masks" in archive.files else np.zeros(0)
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise CheckpointInvalid(f"cannot be read: {error}", where=str(path)) from error
+    masks = read_npz(path, ("masks",)).get("masks", np.zeros(0))
     if masks.shape != (vertices,):
         what = f"masks is {list(masks.shape)}, wanted [{vertices}]"
         raise CheckpointInvalid(what, where=str(path))

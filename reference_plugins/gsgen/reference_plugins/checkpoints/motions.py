@@ -13,7 +13,6 @@ __all__ = ["Motion", "read_motion"]
 
 import json
 import re
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from gsgen.reference_plugins.checkpoints.array_archives import read_npz
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 
 # Of root and body, which all bodies share.
@@ -126,14 +126,7 @@ def _number(path: Path) -> tuple[int, str]:
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            read = {
-                name: np.asarray(archive[name]) for name in _KNOWN if name in archive.files
-            }
-    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        what = f"cannot be read: {error}"
-        raise CheckpointInvalid(what, where=str(path), mend=_kinds()) from error
+    read = read_npz(path, _KNOWN, _kinds())
     for name, array in read.items():
         if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
             what = f"{name} holds {array.dtype}, wanted finite numbers"

@@ -35,11 +35,17 @@ _DTYPES = {
 
 
 def is_script_archive(path: Path) -> bool:
-    """Whether ``torch.jit.save`` wrote the file, and not ``torch.save``: it has constants."""
-    if not zipfile.is_zipfile(path):
-        return False
-    with zipfile.ZipFile(path) as archive:
-        return any(name.endswith("/constants.pkl") for name in archive.namelist())
+    """Whether ``torch.jit.save`` wrote the file, and not ``torch.save``: it has constants.
+
+    An archive too damaged to be listed is one for :func:`read_script_state` to refuse.
+    """
+    try:
+        if not zipfile.is_zipfile(path):
+            return False
+        with zipfile.ZipFile(path) as archive:
+            return any(name.endswith("/constants.pkl") for name in archive.namelist())
+    except (zipfile.BadZipFile, ValueError, RuntimeError, OSError):
+        return True
 
 
 def read_script_state(path: Path) -> dict[str, Tensor]:

@@ -3,6 +3,7 @@
 __all__ = ["Inert", "load_tensors"]
 
 import pickle
+import warnings
 import struct
 from collections.abc import Sequence
 from pathlib import Path
@@ -62,7 +63,10 @@ def load_tensors(path: Path, mend: str, known: Sequence[tuple[type, str]] = ()) 
     """
     inert: list[Any] = [*((Inert, name) for name in _NUMPY), *known]
     try:
-        with torch.serialization.safe_globals(inert):
+        with torch.serialization.safe_globals(inert), warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore"
+            )  # of other protocols of pickle, which are read, too
             return torch.load(path, map_location="cpu", weights_only=True)
     except _DAMAGED as error:
         what = f"cannot be read: {reason_of(error)}"
