@@ -80,7 +80,7 @@ def _warn_of(
     names: Sequence[str],
 ) -> None:
     """Warn of the rows that are left out, and say what is wrong with the first of them."""
-    kept = fine.all(axis=1)
+    kept = np.asarray(fine.all(axis=1))
     row, left = int(np.argmin(kept)), len(kept) - int(np.count_nonzero(kept))
     column = int(np.argmin(fine[row]))
     text = (

@@ -9,11 +9,13 @@ __all__ = [
     "array_of",
     "depth_range",
     "picture_of",
+    "png_of",
     "save_array",
     "save_film",
     "save_picture",
 ]
 
+import io
 from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
@@ -126,6 +128,17 @@ def save_picture(
             image.fromarray(_fitting(path, picture)).save(draft, **said)
         except (ValueError, OSError) as error:
             raise SceneInvalid(f"cannot be written: {error}", where=str(path)) from error
+
+
+def png_of(picture: UInt8[np.ndarray, "h w *c"]) -> bytes:
+    """Return a picture as a PNG file.
+
+    Raises:
+        SceneInvalid: The image library is missing.
+    """
+    file = io.BytesIO()
+    _image().fromarray(picture).save(file, "png")
+    return file.getvalue()
 
 
 def _said_of(

@@ -1,6 +1,12 @@
 """Reference images: pictures beside a model that it must draw, read within bounds."""
 
-__all__ = ["ReferenceUnreadable", "read_reference", "reference_camera"]
+__all__ = [
+    "BEHIND",
+    "MOST_REFERENCES",
+    "ReferenceUnreadable",
+    "read_reference",
+    "reference_camera",
+]
 
 import hashlib
 import io
@@ -14,6 +20,12 @@ from gsgen.contract.errors import GsgenError
 from gsgen.contract.manifest import ReferenceImage
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.errors import SceneInvalid
+
+BEHIND: Final = (0.0, 0.0, 0.0, 1.0)
+"""What is behind the pictures, which have no alpha."""
+
+MOST_REFERENCES: Final = 16
+"""How many pictures of a model are looked at."""
 
 _MOST_BYTES: Final = 32 << 20
 _MOST_SIDE: Final = 4096

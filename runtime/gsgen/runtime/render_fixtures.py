@@ -1,14 +1,12 @@
 """Example models that break a rule of level ``render``, and show nothing wrong before."""
 
-__all__ = ["png_of", "render_fixtures", "with_reference"]
+__all__ = ["render_fixtures", "with_reference"]
 
 import hashlib
-import io
 import sys
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import UInt8
 
 from gsgen.conformance.fixtures import Fixture
 from gsgen.conformance.fixtures.arrays import f32
@@ -61,6 +59,8 @@ def opaque_behind_opaque() -> Sketch:
 @breaks("GB021", level=Level.RENDER)
 def looks_otherwise() -> Sketch:
     """The picture beside the model is all red; the model is not."""
+    from gsgen.runtime.pictures import png_of
+
     red = np.zeros((36, 64, 3), np.uint8)
     red[..., 0] = 255
     return with_reference(still(), png_of(red))
@@ -80,12 +80,3 @@ def with_reference(sketch: Sketch, png: bytes, **changes: object) -> Sketch:
     declared = replace(one, **changes)  # type: ignore[arg-type]
     beside = replace(sketch, beside={"reference.png": png})
     return beside.declaring(reference_images=(declared,))
-
-
-def png_of(picture: UInt8[np.ndarray, "h w 3"]) -> bytes:
-    """Return a picture as a PNG file."""
-    from PIL import Image
-
-    file = io.BytesIO()
-    Image.fromarray(picture).save(file, "png")
-    return file.getvalue()

@@ -123,9 +123,8 @@ def reference_images_match(showing: "Showing") -> Iterator[Breach]:
         as it did at its author's. A picture, its camera and a least number of decibels do.
 
     Mend:
-        Give the file along with the model. If the model is right, draw the picture anew, with
-        `gsgen render` and the camera that is declared, and put its SHA-256 into
-        "reference_images". Models without pictures are fine.
+        Give the file along with the model. If the model is right, draw its pictures anew:
+        `gsgen references MODEL -o MODEL --force`. Models without pictures are fine.
     """
     for number, one in enumerate(showing.references):
         place = f"manifest reference_images.{number}"

@@ -1,9 +1,17 @@
 """Draw a model's outputs as a viewer would: what the rules of level ``render`` look at."""
 
-__all__ = ["Compared", "Showing", "Shown", "decibels", "prepare_render"]
+__all__ = [
+    "Compared",
+    "Showing",
+    "Shown",
+    "decibels",
+    "prepare_render",
+    "probe_camera",
+    "scene_of",
+]
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -20,6 +28,8 @@ from gsgen.runtime.device import Device
 from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
 from gsgen.runtime.frame import Frame
 from gsgen.runtime.reference_image import (
+    BEHIND,
+    MOST_REFERENCES,
     ReferenceUnreadable,
     read_reference,
     reference_camera,
@@ -34,7 +44,6 @@ _HEIGHT: Final = 360
 _FRAMES: Final = 5
 _AGREEMENT: Final = "GB020"
 _REFERENCES: Final = "GB021"
-_MOST_REFERENCES: Final = 16
 _LEAST_ERROR: Final = 1e-20  # equal pictures have 200 dB
 _FOV_Y: Final = 50.0
 _DISTANCE: Final = 2.2  # half diagonals of the bounds, as the probes' own cameras have it
@@ -143,7 +152,7 @@ def _drawn(trial: Trial, renderer: Renderer, quads: Renderer | None) -> Iterator
     assert manifest is not None  # the rules are of generators alone
     for number in _chosen(trial):
         probe = trial.plan.probes[number]
-        scene, camera = _scene(trial, number), _camera(manifest, probe)
+        scene, camera = _scene(trial, number), probe_camera(manifest, probe)
         frame = renderer.render(scene, camera)
         other = None
         if quads is not None and scene.sets[0].weighted is None:
@@ -156,11 +165,20 @@ def _scene(trial: Trial, number: int) -> Scene:
     """Return what the model gave for a probe."""
     manifest = trial.subject.generator
     assert manifest is not None
+    sample = trial.execution.runs[number].sample
+    return scene_of(manifest, trial.execution.samples[sample].outputs)
+
+
+def scene_of(manifest: GeneratorManifest, tensors: Mapping[str, np.ndarray]) -> Scene:
+    """Return what a run of a model gave as a scene.
+
+    Args:
+        manifest: What its outputs mean; gaussians and appearance are declared.
+        tensors: Output name → what it held.
+    """
     outputs = manifest.outputs
     assert outputs.gaussians is not None
     assert outputs.appearance is not None
-    sample = trial.execution.runs[number].sample
-    tensors = trial.execution.samples[sample].outputs
     rows = np.asarray(tensors[outputs.gaussians.name])
     count = len(rows)
     if outputs.count is not None:
@@ -185,8 +203,8 @@ def _compared(trial: Trial, renderer: Renderer) -> Iterator[Compared]:
         return
     labels = [probe.label for probe in trial.plan.probes[: trial.plan.values]]
     for number, one in enumerate(manifest.reference_images):
-        if number >= _MOST_REFERENCES:
-            few = f"there are {_MOST_REFERENCES} before it, the most that are looked at"
+        if number >= MOST_REFERENCES:
+            few = f"there are {MOST_REFERENCES} before it, the most that are looked at"
             yield Compared(one.path, one.psnr, problem=few)
             return
         if one.inputs not in labels:
@@ -203,7 +221,7 @@ def _compared(trial: Trial, renderer: Renderer) -> Iterator[Compared]:
             yield Compared(one.path, one.psnr, problem=str(error).partition("\n")[0])
             continue
         frame = renderer.render(
-            _scene(trial, labels.index(one.inputs)), camera, background=(0, 0, 0, 1)
+            _scene(trial, labels.index(one.inputs)), camera, background=BEHIND
         )
         apart = np.square(frame.srgb8[..., :3] / 255 - wanted.astype(np.float64)).mean()
         given = float(-10 * np.log10(max(apart, _LEAST_ERROR)))
@@ -231,7 +249,7 @@ def _chosen(trial: Trial) -> list[int]:
     ]
 
 
-def _camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
+def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
     """Return the camera that the inputs describe, or one that looks at the bounds."""
     given = {one.role: probe.inputs[one.name] for one in manifest.inputs}
     order = manifest.space.matrix_order if manifest.space else "column"

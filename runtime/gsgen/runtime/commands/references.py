@@ -1,0 +1,109 @@
+"""`gsgen references`: record what a model looks like, for whoever draws it elsewhere."""
+
+__all__ = ["references"]
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gsgen.contract.commands.options import Config, Memory, Timeout
+
+if TYPE_CHECKING:
+    from gsgen.runtime.reference_files import References
+
+
+def references(
+    model: Annotated[Path, typer.Argument(help="The ONNX file.", show_default=False)],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="The copy of MODEL that declares the pictures; they go to a folder beside it.",
+            show_default=False,
+        ),
+    ],
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            help="As for render. [default: the probes', or from where everything is seen]"
+        ),
+    ] = None,
+    count: Annotated[
+        int | None,
+        typer.Option(
+            help="How many, spread over the probes of `gsgen validate`; 16 at most.",
+            show_default="3, or all where there are fewer",
+            min=1,
+        ),
+    ] = None,
+    width: Annotated[
+        int | None,
+        typer.Option(
+            help="Pixels; the height follows from the camera.",
+            show_default="640",
+            min=16,
+            max=4096,
+        ),
+    ] = None,
+    psnr: Annotated[
+        float,
+        typer.Option(
+            help="Least decibels that a picture drawn elsewhere must have.", min=1
+        ),
+    ] = 50.0,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace pictures that the copy has.")
+    ] = False,
+    config: Config = None,
+    timeout: Timeout = None,
+    memory: Memory = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Draw reference images of MODEL, and write a copy of it that declares them.
+
+    `gsgen validate --level render` draws them again (rule GB021). Exits 0 if they were written, 2
+    if they cannot be or an option is wrong, 4 if no model.
+    """
+    from gsgen.contract.commands.progress import clear, progress
+    from gsgen.contract.configure import make_settings
+    from gsgen.contract.installed import installed_rules
+    from gsgen.runtime.reference_files import record_references
+
+    settings = make_settings(
+        installed_rules(), config=config, timeout=timeout, memory=memory
+    )
+    try:
+        made = record_references(
+            model,
+            output,
+            camera=camera,
+            count=count,
+            width=width,
+            psnr=psnr,
+            settings=settings,
+            force=force,
+            progress=progress,
+        )
+    finally:
+        clear()
+    for label in made.empty:
+        typer.echo(f"note: nothing is seen at {label!r}", err=True)
+    _print(made, as_json)
+
+
+def _print(made: "References", as_json: bool) -> None:
+    if as_json:
+        listed = [asdict(image) for image in made.images]
+        said = {"model": str(made.model), "device": made.device, "reference_images": listed}
+        typer.echo(json.dumps(said, indent=2))
+        return
+    for image in made.images:
+        typer.echo(f"{made.model.parent / image.path}: {image.inputs}")
+    typer.echo(
+        f"{made.model}: declares them, drawn on {made.device}; "
+        f"`gsgen validate {made.model} --level render` draws them again"
+    )
