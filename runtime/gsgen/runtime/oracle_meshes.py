@@ -19,7 +19,7 @@ from gsgen.runtime.mesh import Mesh
 
 _AMBIENT: Final = 0.2
 # Rasterisers snap corners to a grid: what changes within so many pixels is theirs to decide.
-_SNAP: Final = 1 / 64
+_SNAP: Final = 1 / 1024
 _SHIFTS: Final = np.array([[0, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]]) * _SNAP
 _JUMP: Final = 1e-2  # of colours, normals, and depths by their share
 

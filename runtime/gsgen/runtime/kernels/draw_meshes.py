@@ -20,6 +20,8 @@ from gsgen.runtime.mesh_residency import MeshBuffers
 
 AMBIENT: Final = 0.2
 """What a headlight leaves of a colour where the surface is seen from the side."""
+_CORNERS: Final = 3
+_CORNERS_AROUND: Final = 6  # of a box that has a triangle of a panorama
 _PIXEL: Final = 16  # bytes, of four floats
 _ROW: Final = (
     256 // _PIXEL
@@ -35,7 +37,8 @@ class MeshesStep:
 
     Attributes:
         pipeline: What draws.
-        draws: For each mesh its bind group, and how many corners and instances are drawn.
+        draws: For each mesh its bind group and how many triangles it has.
+        corners: How many are drawn for a triangle.
         color: Texture of colours, and 1 where a mesh is; over the background.
         surface: Texture of normals and depths.
         depth: View of the texture of near / z, which the rasteriser compares.
@@ -46,7 +49,8 @@ class MeshesStep:
     """
 
     pipeline: Any
-    draws: tuple[tuple[Any, int, int], ...]
+    draws: tuple[tuple[Any, int], ...]
+    corners: int
     color: Any
     surface: Any
     depth: Any
@@ -79,9 +83,9 @@ class MeshesStep:
             timestamp_writes=stamps,
         )
         drawing.set_pipeline(self.pipeline)
-        for bind, corners, instances in self.draws:
+        for bind, triangles in self.draws:
             drawing.set_bind_group(0, bind)
-            drawing.draw(corners, instances)
+            drawing.draw(self.corners * triangles)
         drawing.end()
         if self.layers:
             for texture, copy in zip((self.color, self.surface), self.copies, strict=True):
@@ -107,11 +111,11 @@ class DrawMeshes:
 
     Args:
         device: Where it runs.
-        panorama: Whether the image is one: a triangle then has a box of four corners.
+        panorama: Whether the image is one.
     """
 
     def __init__(self, device: Device, panorama: bool = False) -> None:
-        self._device, self._panorama = device, panorama
+        self._device = device
         raw = device.raw
         kinds = [{"buffer": {"type": "uniform"}}]
         kinds += [{"buffer": {"type": "read-only-storage"}} for _ in range(5)]
@@ -121,15 +125,16 @@ class DrawMeshes:
             for at, kind in enumerate(kinds)
         ]
         self._layout = raw.create_bind_group_layout(label="meshes", entries=entries)
-        code = source("draw_meshes", AMBIENT=AMBIENT, PANORAMA=panorama)
+        self._corners = _CORNERS_AROUND if panorama else _CORNERS
+        code = source(
+            "draw_meshes", AMBIENT=AMBIENT, PANORAMA=panorama, CORNERS=self._corners
+        )
         module = raw.create_shader_module(label="draw_meshes", code=code)
-        entry = "corner_around" if panorama else "corner_of"
-        topology = "triangle-strip" if panorama else "triangle-list"
         self._pipeline = raw.create_render_pipeline(
             label="meshes",
             layout=raw.create_pipeline_layout(bind_group_layouts=[self._layout]),
-            vertex={"module": module, "entry_point": entry, "buffers": []},
-            primitive={"topology": topology, "cull_mode": "none"},
+            vertex={"module": module, "entry_point": "corner_of", "buffers": []},
+            primitive={"topology": "triangle-list", "cull_mode": "none"},
             depth_stencil={
                 "format": DEPTHS,
                 "depth_write_enabled": True,
@@ -185,10 +190,11 @@ class DrawMeshes:
         return MeshesStep(
             self._pipeline,
             tuple(
-                (self._bound(one.buffers, slots, slot, rays), *self._corners(one.buffers))
+                (self._bound(one.buffers, slots, slot, rays), one.buffers.count)
                 for slot, one in enumerate(meshes)
                 if one.buffers.count
             ),
+            self._corners,
             color,
             surface,
             depth.create_view(),
@@ -197,10 +203,6 @@ class DrawMeshes:
             size,
             () if layers is None else self._laid(size, row, copies, layers),
         )
-
-    def _corners(self, one: MeshBuffers) -> tuple[int, int]:
-        """Return how many corners are drawn, and how often."""
-        return (4, one.count) if self._panorama else (3 * one.count, 1)
 
     def _bound(self, one: MeshBuffers, slots: Any, slot: int, rays: Any) -> Any:
         buffers = [(slots, slot * PLACE.itemsize, PLACE.itemsize)]
@@ -248,16 +250,13 @@ def seen_reference(
 ) -> Float[np.ndarray, "h w 8"]:
     """What ``draw_meshes.wgsl`` must see of a mesh: colour and 1, normal, depth.
 
-    The corners of triangles are not snapped to a grid, so edges may differ.
-
     Args:
         data: The triangles.
         place: What :func:`mesh_uniform` makes.
         rays: What :func:`mesh_rays` makes.
     """
     width, height = (int(side) for side in place["size"])
-    across, down = np.float64(rays[:width]), np.float64(rays[width:, None])
-    ray = _direction_reference(across, down, place)
+    ray = _direction_reference(place, rays)
     linear = np.asarray(place["linear"], np.float64)[:, :3].T
     offset = data.vertices - np.float64(place["eye"]) - np.float64(place["eye_rest"])
     at = offset @ linear.T
@@ -268,17 +267,14 @@ def seen_reference(
         size = np.linalg.norm(upright)
         if not size > 0:
             continue
-        beside = [_beside_reference(corner, across, down, place) for corner in at[face]]
-        areas = np.stack(
-            [
-                beside[i][0] * beside[j][1] - beside[i][1] * beside[j][0]
-                for i, j in ((1, 2), (2, 0), (0, 1))
-            ],
-            -1,
+        x, y, z = np.moveaxis(
+            [_beside_reference(one, place, rays) for one in at[face]], -1, 0
         )
+        after, last = [1, 2, 0], [2, 0, 1]
+        areas = x[after] * y[last] - y[after] * x[last]
         with np.errstate(all="ignore"):
-            weights = areas / areas.sum(axis=-1, keepdims=True)
-            depth = sum(weights[..., i] * beside[i][2] for i in range(3))
+            weights = np.moveaxis(areas / areas.sum(axis=0), 0, -1)
+            depth = (weights * np.moveaxis(z, 0, -1)).sum(axis=-1)
             inside = (weights >= 0).all(axis=-1) & (depth > place["near"])
         nearer = inside & (depth < made[..., 7])
         toward = ray[nearer] @ upright / size
@@ -294,40 +290,39 @@ def seen_reference(
 
 def _beside_reference(
     at: Float[np.ndarray, "3"],
-    across: Float[np.ndarray, "w 2"],
-    down: Float[np.ndarray, "h 1 2"],
     place: Shaped[np.ndarray, ""],
-) -> tuple[Float[np.ndarray, "h w"], ...]:
+    rays: Float32[np.ndarray, "n 2"],
+) -> Float[np.ndarray, "h w 3"]:
     """Return how far a point is to the right of each pixel's ray, how far below, and its depth."""
+    (sine, cosine), (down_sine, down_cosine) = _angles(place, rays)
     x, y, z = at
-    if not place["period"]:
+    if place["period"]:
+        level = sine * x + cosine * z
+        right, below = cosine * x - sine * z, down_cosine * y - down_sine * level
+        made = np.broadcast_arrays(right, below, down_sine * y + down_cosine * level)
+    else:
         scale = 1 if place["is_flat"] else z
-        right, below = x - across[:, 0] * scale, y - down[..., 0] * scale
-        depth = np.broadcast_to(z, (len(down), len(across)))
-        return (
-            np.broadcast_to(right, depth.shape),
-            np.broadcast_to(below, depth.shape),
-            depth,
-        )
-    level = across[:, 0] * x + across[:, 1] * z
-    right = np.broadcast_to(across[:, 1] * x - across[:, 0] * z, (len(down), len(across)))
-    sine, cosine = down[..., 0], down[..., 1]
-    return right, cosine * y - sine * level, sine * y + cosine * level
+        made = np.broadcast_arrays(x - sine * scale, y - down_sine * scale, z)
+    return np.stack(made, -1)
 
 
 def _direction_reference(
-    across: Float[np.ndarray, "w 2"],
-    down: Float[np.ndarray, "h 1 2"],
-    place: Shaped[np.ndarray, ""],
+    place: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "h w 3"]:
-    shape = len(down), len(across)
-    (x, z), (y, level) = across.T, (down[..., 0], down[..., 1])
-    made = [x * level, np.broadcast_to(y, shape), z * level]
-    if not place["period"]:
-        slope = 0 if place["is_flat"] else 1
-        made = [np.broadcast_to(slope * x, shape), np.broadcast_to(slope * y, shape)]
-        made.append(np.ones(shape))
-    return np.stack(made, -1)
+    """Return the direction of each pixel's ray, along which depths are counted."""
+    (x, z), (y, level) = _angles(place, rays)
+    if place["period"]:
+        return np.stack(np.broadcast_arrays(x * level, y, z * level), -1)
+    slope = 0 if place["is_flat"] else 1
+    return np.stack(np.broadcast_arrays(slope * x, slope * y, 1.0), -1)
+
+
+def _angles(
+    place: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
+) -> tuple[Float[np.ndarray, "2 1 w"], Float[np.ndarray, "2 h 1"]]:
+    """Return the two numbers that columns have, and those that rows have."""
+    width, wide = int(place["size"][0]), rays.T.astype(np.float64)
+    return wide[:, None, :width], wide[:, width:, None]
 
 
 def _color_reference(

@@ -1,14 +1,13 @@
-// Draw meshes: the hardware's rasteriser says which pixels a triangle may cover; what is seen there
-// is worked out from the pixel's ray and the triangle's corners.
+// Draw meshes: the hardware's rasteriser goes to the pixels that a triangle may cover, and keeps what
+// is nearest; what is seen at a pixel is worked out from its ray and the triangle's corners.
 //
 // Seen along a ray, a triangle is flat: its corners are so far to the right of the ray and so far
 // below it. The areas that they span with the ray are the weights of the corners at the point
-// that the ray meets, wherever they are, behind the camera, too. Depths so do not suffer from the
-// grid that rasterisers snap corners to, and are the same on every driver (Woop et al. 2013).
+// that the ray meets, wherever they are, behind the camera, too (Woop et al. 2013).
 //
-// In a panorama edges are bent. There the rasteriser gets a box that has all of the triangle,
-// and the areas say whether the ray meets it. Triangles that share an edge leave no gap: both
-// compare the same two products.
+// The rasteriser gets a little more than the triangle, and the areas say whether a ray meets it:
+// what grid a rasteriser snaps corners to shows nowhere, and edges may be bent, as panoramas have
+// them. Triangles that share an edge leave no gap: both compare the same two products.
 
 struct Place {
     linear: mat3x3f,     // local → camera, without the translation
@@ -79,31 +78,12 @@ fn triangle(face: u32) -> Corner {
     return made;
 }
 
+//!include mesh_cover
+
 @vertex
 fn corner_of(@builtin(vertex_index) index: u32) -> Corner {
-    var made = triangle(index / 3u);
-    let which = index % 3u;
-    let at = select(select(made.c, made.b, which == 1u), made.a, which == 0u);
-    if (place.is_flat == 1u) {
-        // Nothing divides by depth, so pixels can be left to the fragment shader.
-        let pixel = place.focal * at.xy + place.center;
-        made.clip = vec4f(2.0 * pixel / place.size - 1.0, 0.5, 1.0);
-    } else {
-        // near / z is the depth: clipping at z = near, and precise however far.
-        let pixel = place.focal * at.xy + place.center * at.z;
-        made.clip = vec4f(2.0 * pixel / place.size - at.z, place.near, at.z);
-    }
-    made.clip.y = -made.clip.y;
-    return made;
-}
-
-//!include mesh_box
-
-@vertex
-fn corner_around(@builtin(vertex_index) which: u32, @builtin(instance_index) face: u32) -> Corner {
-    var made = triangle(face);
-    let box = box_around(made.a, made.b, made.c);
-    let pixel = select(box.xy, box.zw, vec2<bool>((which & 1u) == 1u, which >= 2u));
+    var made = triangle(index / CORNERS);
+    let pixel = cover(index % CORNERS, made.a, made.b, made.c);
     made.clip = vec4f(2.0 * pixel / place.size - 1.0, 0.5, 1.0);
     made.clip.y = -made.clip.y;
     return made;
@@ -181,13 +161,11 @@ fn seen_at(corner: Corner) -> Seen {
     let c = beside(corner.c, across, down);
     let ahead = vec3f(b.x * c.y, c.x * a.y, a.x * b.y);
     let back = vec3f(b.y * c.x, c.y * a.x, a.y * b.x);
-    if (PANORAMA && !(all(ahead >= back) || all(ahead <= back))) {
+    if (!(all(ahead >= back) || all(ahead <= back))) {
         discard;
     }
-    // Where the rasteriser has snapped a corner outwards, the nearest point of the triangle counts.
-    var weights = ahead - back;
-    weights = select(max(weights, vec3f(0.0)), min(weights, vec3f(0.0)), weights.x + weights.y + weights.z < 0.0);
-    weights /= weights.x + weights.y + weights.z;
+    let areas = ahead - back;
+    let weights = areas / (areas.x + areas.y + areas.z);
     let ray = direction(across, down);
     let toward = dot(corner.upright, ray);
     let start = select(vec3f(0.0), vec3f(across.x, down.x, 0.0), place.is_flat == 1u);

@@ -1,0 +1,153 @@
+// What a rasteriser is given, so that it comes to all pixels that a triangle may cover: the triangle
+// a little larger or, where that is not plain, one around a box that has all of it. It may be too
+// large: each pixel's ray decides. Needs panorama.wgsl and `place`.
+
+struct Box {
+    low: vec2f,   // pixels: the left and the upper edge
+    high: vec2f,  // the right and the lower edge
+}
+
+const MARGIN = 0.125;    // pixels: rasterisers may round corners to sixteenths
+const ROUNDING = 2e-6;   // of angles, and of positions by the triangle's size
+const MOST_GROWTH = 4.0;
+const FARTHEST = 3e4;    // pixels, in which the margin has its digits
+const FAR_AWAY = 1e30;
+const HALF_TURN = 3.1415927;
+
+fn joined(a: Box, b: Box) -> Box {
+    return Box(min(a.low, b.low), max(a.high, b.high));
+}
+
+// Of a point that is ahead.
+fn pixels_per_unit(at: vec3f) -> vec2f {
+    return place.focal * select(1.0 / at.z, 1.0, place.is_flat == 1u);
+}
+
+fn pixel_of(at: vec3f) -> vec2f {
+    return pixels_per_unit(at) * at.xy + place.center;
+}
+
+// extent: of the triangle.
+fn slack_at(at: vec3f, extent: f32) -> vec2f {
+    return pixels_per_unit(at) * (ROUNDING * extent);
+}
+
+fn box_at(at: vec3f, extent: f32) -> Box {
+    return Box(pixel_of(at) - slack_at(at, extent), pixel_of(at) + slack_at(at, extent));
+}
+
+// What of an edge is ahead of the near plane.
+fn box_along(a: vec3f, b: vec3f, extent: f32) -> Box {
+    if (!(max(a.z, b.z) > place.near)) {
+        return Box(vec2f(FAR_AWAY), vec2f(-FAR_AWAY));
+    }
+    let cut = mix(a, b, clamp((place.near - a.z) / (b.z - a.z), 0.0, 1.0));
+    let start = select(vec3f(cut.xy, place.near), a, a.z > place.near);
+    let end = select(vec3f(cut.xy, place.near), b, b.z > place.near);
+    return joined(box_at(start, extent), box_at(end, extent));
+}
+
+fn box_ahead(a: vec3f, b: vec3f, c: vec3f, extent: f32) -> Box {
+    return joined(box_along(a, b, extent), joined(box_along(b, c, extent), box_along(c, a, extent)));
+}
+
+// Latitude of a point, a little less and a little more.
+fn latitudes_at(at: vec3f, extent: f32) -> vec2f {
+    let slack = ROUNDING * (1.0 + extent / max(length(at), SMALLEST));
+    return turn_of(at.y, length(at.xz)) + vec2f(-slack, slack);
+}
+
+// Of the corner `a`, and of the point of the edge to `b` where the latitude turns round: there
+// y / ρ has no derivative along the edge. Elsewhere it is extreme at corners.
+fn latitudes_along(a: vec3f, b: vec3f, extent: f32) -> vec2f {
+    let step = b - a;
+    let level = dot(a.xz, step.xz);
+    let top = step.y * dot(a.xz, a.xz) - a.y * level;
+    let bottom = a.y * dot(step.xz, step.xz) - step.y * level;
+    let share = select(0.0, clamp(top / bottom, 0.0, 1.0), abs(bottom) > 0.0);
+    let corner = latitudes_at(a, extent);
+    let turning = latitudes_at(a + share * step, extent);
+    return vec2f(min(corner.x, turning.x), max(corner.y, turning.y));
+}
+
+// In a panorama. Along an edge longitude goes one way, so it is extreme at corners; where they
+// span half a turn, the triangle is above or below the camera, and has the pole.
+fn box_around(corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> Box {
+    let most = max(max(abs(corner_a), abs(corner_b)), abs(corner_c));
+    let unit = max(max(most.x, most.y), max(most.z, SMALLEST));
+    let a = corner_a / unit;
+    let b = corner_b / unit;
+    let c = corner_c / unit;
+    let extent = max(length(a), max(length(b), length(c)));
+
+    let first = turn_of(a.x, a.z);
+    var others = vec2f(turn_of(b.x, b.z), turn_of(c.x, c.z)) - first;
+    others -= 2.0 * HALF_TURN * round(others / (2.0 * HALF_TURN));
+    let level = min(length(a.xz), min(length(b.xz), length(c.xz)));
+    let slack = ROUNDING * (1.0 + extent / max(level, SMALLEST));
+    let left = min(min(others.x, others.y), 0.0) - slack;
+    let right = max(max(others.x, others.y), 0.0) + slack;
+    let is_around = !(right - left < 0.99 * HALF_TURN);
+
+    let ab = latitudes_along(a, b, extent);
+    let bc = latitudes_along(b, c, extent);
+    let ca = latitudes_along(c, a, extent);
+    var upper = min(ab.x, min(bc.x, ca.x));
+    var lower = max(ab.y, max(bc.y, ca.y));
+    if (is_around && max(a.y, max(b.y, c.y)) >= 0.0) {
+        lower = HALF_TURN;
+    }
+    if (is_around && min(a.y, min(b.y, c.y)) <= 0.0) {
+        upper = -HALF_TURN;
+    }
+
+    var low = place.focal * vec2f(first + left, upper) + place.center;
+    var high = place.focal * vec2f(first + right, lower) + place.center;
+    // Of the places a whole turn apart, the one farthest to the right that is in the image.
+    let turns = place.period * floor((low.x - MARGIN - place.size.x) / place.period + 1.0);
+    low.x -= turns;
+    high.x -= turns;
+    if (is_around || high.x + MARGIN > place.period) {
+        low.x = 0.0;  // there is another one at the left edge
+        high.x = place.size.x;
+    }
+    return Box(low, high);
+}
+
+fn inside_image(box: Box) -> Box {
+    let low = clamp(box.low - MARGIN, vec2f(0.0), place.size);
+    return Box(low, clamp(box.high + MARGIN, low, place.size));
+}
+
+// A corner of what covers a triangle that is no panorama's, in pixels.
+fn cover_ahead(which: u32, a: vec3f, b: vec3f, c: vec3f) -> vec2f {
+    let extent = max(distance_of(a), max(distance_of(b), distance_of(c)));
+    let p = pixel_of(a);
+    let q = pixel_of(b);
+    let r = pixel_of(c);
+    // Larger around the centre of its incircle, each side moves as far.
+    let sides = vec3f(distance(q, r), distance(r, p), distance(p, q));
+    let center = (sides.x * p + sides.y * q + sides.z * r) / (sides.x + sides.y + sides.z);
+    let area = abs((q.x - p.x) * (r.y - p.y) - (q.y - p.y) * (r.x - p.x));
+    let radius = area / (sides.x + sides.y + sides.z);
+    let slack = max(slack_at(a, extent), max(slack_at(b, extent), slack_at(c, extent)));
+    let growth = 1.0 + (MARGIN + max(slack.x, slack.y)) / radius;
+    let is_ahead = min(a.z, min(b.z, c.z)) > place.near || place.is_flat == 1u;
+    let is_small = all(max(abs(p), max(abs(q), abs(r))) < vec2f(FARTHEST));
+    if (is_ahead && is_small && growth < MOST_GROWTH) {
+        let own = select(select(r, q, which == 1u), p, which == 0u);
+        return center + growth * (own - center);
+    }
+    let box = inside_image(box_ahead(a, b, c, extent));  // and as much again
+    return box.low + 2.0 * (box.high - box.low) * vec2f(vec2u(which & 1u, which >> 1u));
+}
+
+// A corner of what covers a triangle: of three, or in a panorama of the six of two triangles.
+fn cover(which: u32, a: vec3f, b: vec3f, c: vec3f) -> vec2f {
+    if (!PANORAMA) {
+        return cover_ahead(which, a, b, c);
+    }
+    let box = inside_image(box_around(a, b, c));
+    let corner = select(which, which - 2u, which > 2u);
+    return select(box.low, box.high, vec2<bool>((corner & 1u) == 1u, corner >= 2u));
+}
