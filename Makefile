@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-.PHONY: setup demo test check types style drivers bench fuzz fuzz-formats fuzz-sort pictures gallery docs wheel clean
+.PHONY: setup demo test check types style drivers bench exactness fuzz fuzz-formats fuzz-sort pictures gallery docs wheel clean
 
 setup: $(READY)
 
@@ -49,6 +49,12 @@ style:
 # Throughput, start-up and memory, as ratios against a baseline measured in the same run.
 bench: setup
 	$(BIN)/python -m pytest tests/bench -o python_files='bench_*.py' -o python_functions='bench_*' -s -q
+
+# All pixels of a million Gaussians beside the float64 oracle, and what is behind the worst: some
+# minutes, and ten times as long for SIZE=1280x720.
+SIZE ?= 640x360
+exactness: setup drivers
+	$(BIN)/python tests/bench/exactness.py --size $(SIZE)
 
 # Mutants of models and manifests, which must not crash, hang or bloat the validator. A run that
 # was stopped goes on where it was; what failed is kept in out/fuzz, with the way to see it again.

@@ -98,8 +98,8 @@ def floor(
 ) -> dict[str, float]:
     """Return the least bytes of each stage, as the renderer is built."""
     return {
-        "project": gaussians * (row + 4) + visible * (harmonics + 3 * 16 + 4),
-        "sort": gaussians * 4 * 2 + visible * (8 + 3 * (4 + 8 + 8)),
+        "project": gaussians * (row + 8) + visible * (harmonics + 3 * 16),
+        "sort": gaussians * 4 * 2 + visible * (8 + 3 * (4 + 8 + 8) + 4),
         "bin": visible * (4 + 16) + visible * (4 + 32) + pairs * 8,
         "group": pairs * 2 * (4 + 8 + 8) + pairs * 4,
         "blend": pairs * (4 + 48) + pixels * 16,
@@ -252,7 +252,8 @@ def bench_memory(device: Device, scene: Scene) -> None:
             f"bytes stay per Gaussian (goal {GOAL_BYTES} at degree 0, and what is above it)"
         )
     plan, _, pairs = planned(renderer, scene, camera)
-    of_gaussians = ("keys of G", "values of G", "shapes", "weights", "colors", "origins")
+    of_gaussians = ("keys of G", "values of G", "lows", "shapes", "weights", "colors")
+    of_gaussians += ("origins",)
     splats = sum(
         buffer.size
         for name, buffer in plan.buffers.items()

@@ -248,7 +248,7 @@ def floors(
     last = -(-frame.camera.width // TILE) * -(-frame.camera.height // TILE) - 1
     grouping = -(-last.bit_length() // frame.renderer._kernels.cut.digit_bits)
     amounts = {
-        "project": gaussians * (row + 4) + visible * (appearance + 48),
+        "project": gaussians * (row + 8) + visible * (appearance + 48),
         "sort": gaussians * 8 + visible * (8 + (passes - 1) * 20),
     }
     if pairs:

@@ -8,31 +8,50 @@ from pathlib import Path
 
 import numpy as np
 
+from gsgen.runtime import oracle
 from gsgen.runtime.device import Device
 from gsgen.runtime.kernels.scan import Scan, scan_reference
 from gsgen.runtime.kernels.sort import Cut, cut_for, sort_reference
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.scene import Scene
 from support.golden_case import golden_case
+from support.near_ties import NEAR_TIES
 from support.sorting import KEYS, Bench, keys_of, scanned
 
 
-def pictures(device: Device, golden: Path) -> dict[str, float]:
-    """Return the largest error of the golden picture, by each way to draw it."""
-    data, camera, image = golden_case(golden)
+def ways(device: Device) -> dict[str, Renderer]:
+    """Return each way to draw."""
     alike = Device(device.raw)
     alike.software, alike.subgroups = False, False
-    ways = {
+    return {
         "tiles": Renderer(device, rasteriser="tiles"),
         "tiles, cut as for a GPU": Renderer(alike, rasteriser="tiles"),
         "quads": Renderer(device, rasteriser="quads"),
     }
+
+
+def pictures(ways: dict[str, Renderer], golden: Path) -> dict[str, float]:
+    """Return the largest error of the golden picture, by each way to draw it."""
+    data, camera, image = golden_case(golden)
     errors = {}
     for name, renderer in ways.items():
         seen = renderer.render(Scene([data]), camera).rgba
         assert seen is not None
         errors[name] = float(np.abs(seen - image).max())
     return errors
+
+
+def disordered(ways: dict[str, Renderer]) -> list[str]:
+    """Draw near ties by tiles; return in which the oracle finds another order."""
+    wrong = []
+    for name in ("tilted", "plane_of_rounded_rows"):
+        scene, camera = NEAR_TIES[name]()
+        wanted = oracle.render(scene, camera)
+        for way in [way for way in ways if "tiles" in way]:
+            error = np.abs(ways[way].render(scene, camera).rgba - wanted.rgba)
+            if not error[~wanted.fragile].max() <= 2e-5:
+                wrong.append(f"{name} by {way}")
+    return wrong
 
 
 def unsorted(device: Device, sizes: list[int]) -> list[str]:
@@ -77,7 +96,8 @@ def main() -> None:
     golden, *sizes = sys.argv[1:]
     report: dict[str, object] = {"driver": device.name, "software": device.software}
     if golden != "-":
-        report["pictures"] = pictures(device, Path(golden))
+        report["pictures"] = pictures(drawn := ways(device), Path(golden))
+        report["disordered"] = disordered(drawn)
     report["unscanned"] = unscanned(device)
     report["unsorted"] = unsorted(device, [int(size) for size in sizes])
     sys.stdout.write(json.dumps(report) + "\n")

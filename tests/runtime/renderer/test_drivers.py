@@ -1,4 +1,4 @@
-"""Every software driver draws the golden picture, and sorts as NumPy does.
+"""Every software driver draws the golden picture, orders near ties, and sorts as NumPy does.
 
 The other tests run on one driver, whichever is first; these name theirs.
 """
@@ -20,5 +20,6 @@ def test_the_golden_and_the_sort(driver: str) -> None:
     assert told["software"]
     assert set(told["pictures"]) == {"tiles", "tiles, cut as for a GPU", "quads"}
     assert max(told["pictures"].values()) <= BAR, told["pictures"]
+    assert told["disordered"] == []
     assert told["unscanned"] == []
     assert told["unsorted"] == []

@@ -14,30 +14,20 @@
 @group(0) @binding(4) var<storage, read> origins: array<u32>;  // by splat: where it is by the order of the sets
 //!end
 
-struct Rank {
-    low: u32,
-    origin: u32,
-}
-
-fn rank_of(splat: u32) -> Rank {
-    var made = Rank(lows[splat], splat);
+fn origin_of(splat: u32) -> u32 {
 //!repeat ONCE ARRANGED
-    made.origin = origins[splat];
+    return origins[splat];
 //!end
-    return made;
-}
-
-fn is_after(a: Rank, b: Rank) -> bool {
-    return a.low > b.low || (a.low == b.low && a.origin > b.origin);
+    return splat;
 }
 
 // Announce what is wrong with two neighbours in a tie that is too long.
 fn check(place: u32) {
-    let one = rank_of(order[place]);
-    let next = rank_of(order[place + 1u]);
-    if (one.low > next.low) {
+    let one = order[place];
+    let next = order[place + 1u];
+    if (lows[one] > lows[next]) {
         atomicStore(&counts[UNSORTED], 1u);
-    } else if (is_after(one, next)) {
+    } else if (lows[one] == lows[next] && origin_of(one) > origin_of(next)) {
         atomicStore(&counts[TIED], 1u);
     }
 }
@@ -55,10 +45,15 @@ fn order_tie(first: u32, key: u32, visible: u32) {
     }
     for (var i = first + 1u; i < last; i++) {
         let own = order[i];
-        let rank = rank_of(own);
+        let low = lows[own];
         var place = i;
-        while (place > first && is_after(rank_of(order[place - 1u]), rank)) {
-            order[place] = order[place - 1u];
+        while (place > first) {
+            let before = order[place - 1u];
+            let its_low = lows[before];
+            if (its_low < low || (its_low == low && origin_of(before) < origin_of(own))) {
+                break;
+            }
+            order[place] = before;
             place -= 1u;
         }
         order[place] = own;
