@@ -362,16 +362,6 @@ def test_without_options_the_networks_say_what_they_take(tmp_path: Path) -> None
     assert nets.bank is not None
 
 
-def test_a_relative_is_sent_to_its_own_plugin(tmp_path: Path) -> None:
-    write_octree(tmp_path / "octree", AnchorOptions(anchors=3, united=True))
-    write_scaffold(tmp_path / "scaffold", AnchorOptions(anchors=3, united=True))
-    with pytest.raises(CheckpointInvalid, match="Octree-GS") as caught:
-        read_anchors(tmp_path / "octree")
-    assert "gsgen export octree-gs" in caught.value.mend
-    with pytest.raises(CheckpointInvalid, match="Scaffold-GS"):
-        read_anchors(tmp_path / "scaffold", octree=True)
-
-
 @pytest.mark.parametrize("flag", ["no_grid", "all off"])
 def test_what_never_worked_or_never_moves_is_refused(flag: str, tmp_path: Path) -> None:
     off = dict.fromkeys(("no_dx", "no_ds", "no_dr", "no_do", "no_dshs"), True)

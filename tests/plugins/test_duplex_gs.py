@@ -13,14 +13,14 @@ from gsgen.contract.finding import Level
 from gsgen.contract.geometry import covariance_upper
 from gsgen.contract.manifest import CellsOutput
 from gsgen.contract.spherical_harmonics import basis, degree_of
-from gsgen.reference_plugins.checkpoints.anchors import Mlp, read_anchors
+from gsgen.reference_plugins.checkpoints.anchors import Mlp
 from gsgen.reference_plugins.checkpoints.cells import CellCheckpoint, read_cells
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 from gsgen.reference_plugins.commands import duplex_gs
 from gsgen.reference_plugins.duplex_gs import DuplexGS
 from gsgen.reference_plugins.octree_gs import MODES, Levels
 from gsgen.reference_plugins.selection import Selection
-from gsgen.reference_plugins.synthetic import AnchorOptions, write_duplex, write_octree
+from gsgen.reference_plugins.synthetic import AnchorOptions, write_duplex
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.scene import Scene
 from gsgen.runtime.sources import GeneratorSource
@@ -268,15 +268,6 @@ def test_only_so_many_cells_are_decoded_where_asked(tmp_path: Path) -> None:
 
 
 # ===== Trouble
-
-
-def test_checkpoints_of_relatives_are_refused_by_name(tmp_path: Path) -> None:
-    octree = write_octree(tmp_path / "octree", AnchorOptions(united=True))
-    with pytest.raises(CheckpointInvalid, match=r"(?s)no cells.*gsgen export octree-gs"):
-        read_cells(octree)
-    duplex = write_duplex(tmp_path / "duplex", AnchorOptions(united=True))
-    with pytest.raises(CheckpointInvalid, match="gsgen export duplex-gs"):
-        read_anchors(duplex, octree=True)
 
 
 def test_options_of_another_run_are_refused(tmp_path: Path) -> None:

@@ -38,6 +38,7 @@ from gsgen.reference_plugins.checkpoints.folder import (
     required_file,
     within_run,
 )
+from gsgen.reference_plugins.checkpoints.methods import refuse_other_method
 from gsgen.reference_plugins.checkpoints.states import (
     Shape,
     checked,
@@ -175,6 +176,7 @@ def read_anchors(
     """
     folder, iteration = within_run(folder, iteration)
     number, place = find_iteration(folder, iteration)
+    refuse_other_method("octree-gs" if octree else "scaffold-gs", folder, place)
     cfg = read_cfg_args(folder, required=octree)
     ply = required_file(place / "point_cloud.ply", "the anchors")
     cloud = _read_cloud(ply, octree)
@@ -199,7 +201,6 @@ def require_sizes(cfg: CfgArgs, cloud: AnchorCloud, ply: Path) -> None:
 def _read_cloud(path: Path, octree: bool) -> AnchorCloud:
     try:
         names = ply_properties(path)
-        _require_method(path, names, octree)
         offsets, features = numbered(_OFFSET, names), numbered(_FEATURE, names)
         groups = {"position": _XYZ, "scale": _SCALES, "rotation": _ROTATION}
         groups |= {"offset": offsets, "feature": features}
@@ -224,17 +225,6 @@ def _read_cloud(path: Path, octree: bool) -> AnchorCloud:
         read["rotation"],
         **columns,
     )
-
-
-def _require_method(path: Path, names: tuple[str, ...], octree: bool) -> None:
-    """Refuse a checkpoint of a relative, whose anchors mean something else."""
-    duplex = any(name.startswith("anchor_size_") for name in names)
-    seen = "octree-gs" if "level" in names else "scaffold-gs"
-    if not duplex and (seen == "octree-gs") == octree:
-        return
-    made = "Duplex-GS" if duplex else "Octree-GS" if seen == "octree-gs" else "Scaffold-GS"
-    mend = f"Export it with `gsgen export {'duplex-gs' if duplex else seen}`."
-    raise CheckpointInvalid(f"is a checkpoint of {made}", where=str(path), mend=mend)
 
 
 def numbered(pattern: re.Pattern[str], names: tuple[str, ...]) -> tuple[str, ...]:

@@ -34,6 +34,7 @@ from gsgen.reference_plugins.checkpoints.folder import (
     required_file,
     within_run,
 )
+from gsgen.reference_plugins.checkpoints.methods import refuse_other_method
 
 _MAX_DEGREE = 3
 _COLUMNS = {
@@ -99,6 +100,7 @@ def read_cells(folder: Path, iteration: int | None = None) -> CellCheckpoint:
     """
     folder, iteration = within_run(folder, iteration)
     number, place = find_iteration(folder, iteration)
+    refuse_other_method("duplex-gs", folder, place)
     cfg = read_cfg_args(folder, required=True)
     ply = required_file(place / "point_cloud.ply", "the cells")
     read = _columns(ply)
@@ -123,12 +125,6 @@ def read_cells(folder: Path, iteration: int | None = None) -> CellCheckpoint:
 def _columns(path: Path) -> dict[str, Tensor]:
     try:
         names = ply_properties(path)
-        if "anchor_size_0" not in names:
-            seen = "octree-gs" if "level" in names else "scaffold-gs"
-            mend = f"Anchors are exported with `gsgen export {seen}`."
-            raise CheckpointInvalid(
-                "has no cells (anchor_size_0)", where=str(path), mend=mend
-            )
         groups = {name: numbered(pattern, names) for name, pattern in _NUMBERED.items()}
         if not groups["offset"] or len(groups["offset"]) % 3 or not groups["feature"]:
             what = (

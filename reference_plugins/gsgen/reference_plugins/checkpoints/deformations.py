@@ -18,6 +18,7 @@ from gsgen.reference_plugins.checkpoints.canonical import Canonical, read_canoni
 from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 from gsgen.reference_plugins.checkpoints.folder import find_iteration, within_run
+from gsgen.reference_plugins.checkpoints.methods import refuse_other_method
 from gsgen.reference_plugins.checkpoints.states import Shape, checked, load_state
 
 OCTAVES = 10
@@ -104,6 +105,7 @@ def read_deformation(folder: Path, iteration: int | None = None) -> DeformationC
     """
     folder, iteration = within_run(folder, iteration)
     number, place = find_iteration(folder, iteration)
+    refuse_other_method("deformable-3dgs", folder, place)
     cfg = read_cfg_args(folder)
     canonical = read_canonical(place / "point_cloud.ply")
     path = folder / "deform" / f"iteration_{number}" / "deform.pth"

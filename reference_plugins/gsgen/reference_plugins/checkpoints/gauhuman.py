@@ -14,6 +14,7 @@ from gsgen.reference_plugins.checkpoints.canonical import Canonical, read_canoni
 from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 from gsgen.reference_plugins.checkpoints.folder import find_iteration, within_run
+from gsgen.reference_plugins.checkpoints.methods import refuse_other_method
 from gsgen.reference_plugins.checkpoints.pose_nets import PoseNets, read_pose_nets
 from gsgen.reference_plugins.checkpoints.states import load_state
 
@@ -68,6 +69,7 @@ def read_gauhuman(
     """
     folder, iteration = within_run(folder, iteration)
     number, place = find_iteration(folder, iteration)
+    refuse_other_method("gauhuman", folder, place)
     cfg = read_cfg_args(folder)
     model = read_body_of(folder, cfg, body)
     path = folder / "mlp_ckpt" / f"iteration_{number}" / "ckpt.pth"

@@ -27,6 +27,7 @@ from gsgen.reference_plugins.checkpoints.canonical import Canonical, read_canoni
 from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 from gsgen.reference_plugins.checkpoints.folder import find_iteration, within_run
+from gsgen.reference_plugins.checkpoints.methods import refuse_other_method
 from gsgen.reference_plugins.checkpoints.states import Shape, checked, load_state, part
 
 # What each head changes, and how many numbers it gives.
@@ -166,6 +167,7 @@ def read_hexplanes(folder: Path, iteration: int | None = None) -> HexPlaneCheckp
     """
     folder, iteration = within_run(folder, iteration)
     number, place = find_iteration(folder, iteration)
+    refuse_other_method("hexplane-4dgs", folder, place)
     cfg = read_cfg_args(folder, required=True)
     flags = Flags.of(cfg)
     canonical = read_canonical(place / "point_cloud.ply")

@@ -23,6 +23,7 @@ from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid, NotInCheckpoint
 from gsgen.reference_plugins.checkpoints.folder import likely_folders, within_run
 from gsgen.reference_plugins.checkpoints.gauhuman import read_body_of
+from gsgen.reference_plugins.checkpoints.methods import refuse_other_method
 from gsgen.reference_plugins.checkpoints.pose_nets import PoseNets, read_pose_nets
 from gsgen.reference_plugins.checkpoints.states import Shape, checked
 from gsgen.reference_plugins.checkpoints.tensor_files import Inert, load_tensors
@@ -165,6 +166,7 @@ def _find(folder: Path, iteration: int | None) -> Path:
     matches = ((_FILE.fullmatch(child.name), child) for child in folder.iterdir())
     found = {int(match[1]): child for match, child in matches if match}
     if not found:
+        refuse_other_method("r3-avatar", folder, _last(folder))
         mend = "Give the folder that training wrote: the planes are in no other file."
         mend = likely_folders(folder, lambda one: any(one.glob("chkpnt*.pth"))) or mend
         raise CheckpointInvalid("holds no chkpntN.pth", where=str(folder), mend=mend)
@@ -174,6 +176,12 @@ def _find(folder: Path, iteration: int | None) -> Path:
         what = f"has no iteration {wanted}"
         raise NotInCheckpoint(what, where=str(folder), mend=f"There are: {known}.")
     return found[wanted]
+
+
+def _last(folder: Path) -> Path:
+    """Return an iteration's folder, by which other methods are told; the run's if there is none."""
+    places = (folder / "point_cloud").glob("iteration_*")
+    return max(places, default=folder)
 
 
 def guessed_dataset(cfg: CfgArgs) -> str:
