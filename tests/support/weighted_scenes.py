@@ -11,7 +11,7 @@ from gsgen.runtime.camera import Camera
 from gsgen.runtime.mesh import Mesh
 from gsgen.runtime.scene import Box, Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
-from support.mesh_scenes import ball, moved, wall
+from support.mesh_scenes import ball, moved, quad, wall
 from support.splat_scenes import camera, cloud, turned
 
 WEIGHTED: dict[str, Callable[[], tuple[Scene, Camera]]] = {}
@@ -303,6 +303,10 @@ def everything_seen_flat() -> tuple[Scene, Camera]:
 
 
 @mixed
-def among_everything_sorted_all_around() -> tuple[Scene, Camera]:
+def among_everything_all_around() -> tuple[Scene, Camera]:
+    """A room whose walls cells reach through, and a wall that all of them cross."""
     scene, seen_by = WEIGHTED["cells_all_around"]()
-    return Scene([*scene.sets, cloud(90, 59, depth=(-4, 4))]), seen_by
+    sets = [*scene.sets, cloud(90, 59, depth=(-4, 4))]
+    room = Mesh(ball(3, 5), np.diag([3.5, 3.5, 3.5, 1]))
+    leaning = quad([[-2, -1, -2], [2, -1, -3], [2.5, 1.5, -3], [-2, 1, -2]])
+    return Scene(sets, meshes=[room, leaning]), seen_by

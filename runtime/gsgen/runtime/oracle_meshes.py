@@ -1,8 +1,8 @@
 """What meshes must look like: every pixel's ray against every triangle, in float64 NumPy.
 
-It shares no code with the kernels, and no method either: they rasterise, and find a point's place
-in its triangle by Möller and Trumbore's products in camera space; here rays are in world space,
-meet planes, and points are placed by the areas that they span.
+It shares no code with the kernels, and no method either: they look at triangles along the ray, in
+camera space, where all that counts is flat; here rays are in world space, meet planes, and points
+are placed by the areas that they span there.
 """
 
 __all__ = ["Surface", "cast"]
@@ -18,9 +18,9 @@ from gsgen.runtime.camera import Camera
 from gsgen.runtime.mesh import Mesh
 
 _AMBIENT: Final = 0.2
-# Rasterisers snap corners to a grid: what changes within so many pixels is theirs to decide.
-_SNAP: Final = 1 / 1024
-_SHIFTS: Final = np.array([[0, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]]) * _SNAP
+# What changes within so many pixels, rounding may decide.
+_BESIDE: Final = 1 / 1024
+_SHIFTS: Final = np.array([[0, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]]) * _BESIDE
 _JUMP: Final = 1e-2  # of colours, normals, and depths by their share
 
 
@@ -33,7 +33,7 @@ class Surface:
         depth: Along the camera's +z, or from a panorama's centre; infinite where there is none.
         color: In the scene's colour space.
         normal: Unit vectors in world space that point towards the camera.
-        fragile: Pixels at an edge of what is seen, where a rasteriser may decide otherwise.
+        fragile: Pixels at an edge of what is seen, where rounding may decide otherwise.
     """
 
     depth: Float[np.ndarray, "h w"]

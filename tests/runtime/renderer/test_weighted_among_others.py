@@ -102,7 +102,13 @@ def test_an_opaque_splat_hides_sums_behind_it_and_is_hidden_by_those_before(
 
 def test_quads_leave_sums_to_compute_shaders(device: Device, renderer: Renderer) -> None:
     quads = Renderer(device, rasteriser="quads")
-    for scene, seen_by in (MIXED["among_sorted_gaussians"](), WEIGHTED["many_cells"]()):
+    scenes = (
+        MIXED["among_sorted_gaussians"](),
+        MIXED["among_everything_all_around"](),
+        WEIGHTED["many_cells"](),
+        WEIGHTED["cells_all_around"](),
+    )
+    for scene, seen_by in scenes:
         one, two = (each.render(scene, seen_by) for each in (quads, renderer))
         assert np.array_equal(one.rgba, two.rgba)
 
