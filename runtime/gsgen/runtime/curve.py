@@ -7,7 +7,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int64, UInt64
 
-_BITS: Final = 21  # of each coordinate; three of them fill a word
+_BITS: Final = 21  # of each coordinate at most; three of them fill a word
+_BLOCK: Final = 1 << 14  # points at a time, so that what is made of them stays in a cache
 _LEAST: Final = 1e-30  # of a box that is not one point
 # How far the bits of a number are moved, and which are kept, to make room for two others between.
 _SPREAD: Final = (
@@ -22,22 +23,30 @@ _SPREAD: Final = (
 def along_curve(position: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
     """Return the order of points along a Z-order curve (Morton 1966) through their bounding box.
 
-    Points that are not finite come first; equal ones stay in order.
+    Points that are not finite come first; ones in the same of its cells stay in order.
     """
-    finite = np.isfinite(position).all(axis=1)
+    columns = position.T.astype(np.float64, order="C")
+    finite = np.isfinite(columns).all(axis=0)
     if not finite.any():
         return np.arange(len(position))
-    known = position[finite].astype(np.float64)
-    low = known.min(axis=0)
-    scale = ((1 << _BITS) - 1) / max(float(np.ptp(known, axis=0).max()), _LEAST)
-    code = np.zeros(len(position), np.uint64)
-    for axis in range(3):
-        cell = ((known[:, axis] - low[axis]) * scale).astype(np.uint64)
-        code[finite] |= _spread(cell) << np.uint64(axis)
-    return np.argsort(code, kind="stable")
+    columns[:, ~finite] = columns[:, finite.argmax()][:, None]  # of no effect on the box
+    low, high = columns.min(axis=1, keepdims=True), columns.max(axis=1, keepdims=True)
+    columns[:, ~finite] = low
+    # Words are sorted many times as fast as an index by its keys: each has a key and an index.
+    index_bits = len(position).bit_length()
+    bits = min(_BITS, (64 - index_bits) // 3)
+    scale = ((1 << bits) - 1) / max(float((high - low).max()), _LEAST)
+    words = np.arange(len(position), dtype=np.uint64)
+    for start in range(0, len(position), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        x, y, z = _spread(((columns[:, part] - low) * scale).astype(np.uint64))
+        code = x | (y << np.uint64(1)) | (z << np.uint64(2))
+        words[part] |= code << np.uint64(index_bits)
+    words.sort()
+    return (words & np.uint64((1 << index_bits) - 1)).astype(np.int64)
 
 
-def _spread(number: UInt64[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
+def _spread(number: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
     """Return numbers of 21 bits with two zeros between their bits."""
     for shift, kept in _SPREAD:
         number = (number | (number << np.uint64(shift))) & np.uint64(kept)

@@ -8,7 +8,7 @@ from typing import Any, Final, Self, final
 from weakref import WeakSet
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Shaped, UInt8
 
 from gsgen.runtime.errors import (
     CapacityExceeded,
@@ -23,6 +23,7 @@ STORAGE_BUFFERS: Final = 8
 _SUBGROUPS: Final = "subgroup"
 _BLENDING: Final = "float32-blendable"
 _CLOCK: Final = "timestamp-query"
+_MAPPED: Final = "mappable-primary-buffers"
 _AGAIN = (
     "Try again; if that happens again, draw a smaller image or fewer Gaussians, or on another "
     "device: see `gsgen doctor`."
@@ -45,6 +46,7 @@ class Device:
         subgroups: Whether shaders may use operations of subgroups; none has to.
         blends_floats: Whether its rasteriser can blend 32-bit floats.
         has_clock: Whether it can say when a pass begins and ends.
+        maps: Whether this process writes to where shaders read: its memory is the host's.
     """
 
     def __init__(self, raw: Any) -> None:
@@ -55,6 +57,7 @@ class Device:
         self.subgroups = _SUBGROUPS in raw.features
         self.blends_floats = _BLENDING in raw.features
         self.has_clock = _CLOCK in raw.features
+        self.maps = self.software and _MAPPED in raw.features
         self.largest_buffer = int(raw.limits["max-buffer-size"])
         self.largest_binding = min(
             int(raw.limits["max-storage-buffer-binding-size"]), self.largest_buffer
@@ -87,14 +90,15 @@ class Device:
             for name in ("max-storage-buffer-binding-size", "max-buffer-size")
         }
         limits["max-storage-buffers-per-shader-stage"] = STORAGE_BUFFERS
+        features = {_SUBGROUPS, _BLENDING, _CLOCK}
+        if adapter.info["adapter_type"] == "CPU":  # a card would read it over its bus
+            features.add(_MAPPED)
         try:
             return cls(
                 adapter.request_device_sync(
                     label="gsgen",
                     required_limits=limits,
-                    required_features=sorted(
-                        {_SUBGROUPS, _BLENDING, _CLOCK} & set(adapter.features)
-                    ),
+                    required_features=sorted(features & set(adapter.features)),
                 )
             )
         except (RuntimeError, wgpu.GPUError) as error:
@@ -122,6 +126,15 @@ class Device:
             )
         usage = "STORAGE|COPY_DST|COPY_SRC" + (f"|{extra}" if extra else "")
         return self._buffer(label, max(16, -(-size // 16) * 16), usage)
+
+    def filled(self, label: str, size: int) -> Any:
+        """Return a new storage buffer that is written often, and much at a time.
+
+        Raises:
+            CapacityExceeded: No binding may be that large.
+            MemoryFull: There is no memory for it.
+        """
+        return self.storage(label, size, extra="MAP_WRITE" if self.maps else "")
 
     def uniform(self, label: str, size: int) -> Any:
         """Return a new uniform buffer of ``size`` bytes."""
@@ -237,6 +250,27 @@ class Device:
     def _gone(self) -> DeviceLost:
         what = f"the graphics device was lost: {self.name}"
         return DeviceLost(what, mend=_AGAIN)
+
+    @contextmanager
+    def mapped(
+        self, buffer: Any, offset: int, size: int
+    ) -> Iterator[UInt8[np.ndarray, " n"]]:
+        """Yield the memory of a buffer, to be written, of a device that ``maps``.
+
+        Args:
+            buffer: A ``filled`` one, which the device is not at work with.
+            offset: The first byte.
+            size: How many.
+        """
+        from wgpu.backends.wgpu_native import ffi, lib
+
+        buffer.map_sync("WRITE")
+        try:
+            first = lib.wgpuBufferGetMappedRange(buffer._internal, 0, buffer.size)
+            memory = np.frombuffer(ffi.buffer(first, buffer.size), np.uint8)
+            yield memory[offset : offset + size]
+        finally:
+            buffer.unmap()
 
     def write(self, buffer: Any, data: Shaped[np.ndarray, "..."], offset: int = 0) -> None:
         """Copy an array into a buffer; odd halves are filled up to a whole word."""

@@ -2,25 +2,24 @@
 
 __all__ = ["PAGE_ROWS", "Page", "Residency", "bytes_of", "stride"]
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Final, final
+from functools import partial
+from typing import Any, Final, NamedTuple, final
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from jaxtyping import Float, UInt32
+from jaxtyping import Float, Float32, UInt32
 
 from gsgen.contract import layout
-from gsgen.runtime.curve import along_curve
+from gsgen.runtime.arrangement import ARRANGED_FROM, Arrangement
 from gsgen.runtime.device import Device
 from gsgen.runtime.packing import PACKED_BYTES, pack_rows
 from gsgen.runtime.splat_data import SplatData
+from gsgen.runtime.uploading import Target, upload
 
 PAGE_ROWS: Final = 1 << 18
 """Rows of a page: SH of degree 3 in float32 are 48 MiB, of the 128 that every device binds."""
-
-ARRANGED_FROM: Final = 1 << 15
-"""Rows from which on their order in memory counts: fewer are in a cache anyway."""
 
 _WORD: Final = 16
 
@@ -38,21 +37,18 @@ def stride(channels: int, half: bool) -> int:
 def bytes_of(data: SplatData, *, compact: bool) -> int:
     """Return how many bytes the rows of a set, their appearance and its cells take on the GPU."""
     half = compact or data.appearance.dtype == np.float16
-    row = PACKED_BYTES if compact and data.cells is None else 4 * layout.ROW
-    row += _row_bytes(stride(data.appearance.shape[1], half))
+    row = _bytes_of_row(compact and data.cells is None)
+    row += _bytes_of_appearance(stride(data.appearance.shape[1], half))
     cells = 0 if data.cells is None else 4 * layout.ROW * len(data.cells)
     return len(data) * row + cells
 
 
-def _row_bytes(stride: int) -> int:
+def _bytes_of_row(packed: bool) -> int:
+    return PACKED_BYTES if packed else 4 * layout.ROW
+
+
+def _bytes_of_appearance(stride: int) -> int:
     return _WORD * stride or _WORD // 2
-
-
-def _padded(appearance: Float[np.ndarray, "n c"], size: int) -> Float[np.ndarray, "n d"]:
-    """Return the rows with zeros up to a multiple of ``size`` bytes."""
-    step = size // appearance.itemsize
-    missing = -appearance.shape[1] % step
-    return np.pad(appearance, ((0, 0), (0, missing))) if missing else appearance
 
 
 @final
@@ -83,6 +79,35 @@ class Page:
     rows_of: UInt32[np.ndarray, " n"] | None = None
 
 
+def _rows_of(page: Page, first: int, rows: Float[np.ndarray, "n 10"]) -> Target:
+    make = pack_rows if page.packed else None if rows.dtype == np.float32 else _wide
+    return Target(page.rows, first, _bytes_of_row(page.packed), make)
+
+
+def _wide(rows: Float[np.ndarray, "n 10"]) -> Float32[np.ndarray, "n 10"]:
+    return rows.astype(np.float32)
+
+
+def _appearance_of(page: Page, first: int, appearance: Float[np.ndarray, "n c"]) -> Target:
+    dtype, size = (
+        np.dtype(np.float16 if page.half else np.float32),
+        _bytes_of_appearance(page.stride),
+    )
+    same = appearance.dtype == dtype and size == appearance.strides[0]
+    make = None if same else partial(_typed, dtype=dtype, size=size)
+    return Target(page.appearance, first, size, make)
+
+
+def _typed(
+    appearance: Float[np.ndarray, "n c"], dtype: np.dtype[Any], size: int
+) -> Float[np.ndarray, "n d"]:
+    """Return appearance of another type, with zeros up to rows of ``size`` bytes."""
+    made = np.zeros((len(appearance), size // dtype.itemsize), dtype)
+    with np.errstate(over="ignore"):  # what float16 cannot hold is infinite, and not drawn
+        made[:, : appearance.shape[1]] = appearance
+    return made
+
+
 @final
 @dataclass(slots=True, eq=False)
 class _Filled:
@@ -105,6 +130,15 @@ class _Filled:
 
 
 @final
+class _State(NamedTuple):
+    """What the values of a set were when a frame began: their versions, and how many are live."""
+
+    rows: int
+    appearance: int
+    live: int
+
+
+@final
 @dataclass(slots=True, eq=False)
 class _Held:
     """What is on the GPU of one ``SplatData``: its pages, and how far each array fills them.
@@ -112,16 +146,16 @@ class _Held:
     Attributes:
         state: What the values were when the last frame began.
         order: Which row is where, if they are arranged.
-        arranged: Whether they have been; what then changes is not arranged again.
+        left: Whether they stay in their own order.
     """
 
     pages: list[Page]
     rows: _Filled
     appearance: _Filled
     cells: _Filled
-    state: tuple[int, ...] | None = None
-    order: UInt32[np.ndarray, " n"] | None = None
-    arranged: bool = False
+    state: _State | None = None
+    order: Arrangement | None = None
+    left: bool = False
 
 
 def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
@@ -131,11 +165,6 @@ def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
         last = min(live.stop, page.first + page.capacity)
         if first < last:
             yield page, slice(first, last), first - page.first
-
-
-def _rows(held: _Held, part: slice) -> slice | UInt32[np.ndarray, " m"]:
-    """Return which rows of the set are in a part of the pages."""
-    return part if held.order is None else held.order[part]
 
 
 @final
@@ -158,37 +187,60 @@ class Residency:
         self._held = WeakKeyDictionary()
 
     def begin(self, data: SplatData) -> None:
-        """Note that a frame with ``data`` begins: what stays as it is becomes arranged.
+        """Note that a frame with ``data`` begins; from the second one on rows are arranged.
 
-        Rows that are neighbours in space are then neighbours in memory, which halves what a
-        frame of a million costs: splats of a tile are read together. That takes as long as
-        some frames, so it is not done for the first one, nor again once values have changed.
+        Rows that are neighbours in space are then neighbours in memory, which nearly halves what
+        a frame of a million costs: splats of a tile are read together. Rows that change keep the
+        order of an earlier frame, if they are written straight to where shaders read: there, one
+        order costs as much as another. Elsewhere they go back to their own for good, and so do
+        those of a set whose count changes.
         """
         held = self._hold(data)
-        state = (data.rows_version, data.appearance_version, data.count)
-        if held.state != state:
+        now = _State(data.rows_version, data.appearance_version, data.count)
+        before, held.state = held.state or now, now
+        if before is now:  # the first frame
+            return
+        moved = before.rows != now.rows
+        if moved:
+            self._unpack(held)
+        if before != now and not (self._device.maps and before.live == now.live):
             if held.order is not None:
-                self._arrange(held, None)
-        elif not held.arranged and len(data) >= ARRANGED_FROM and data.cells is None:
-            live = along_curve(data.rows[: data.count, layout.POSITION])
-            rest = np.arange(data.count, len(data))
-            self._arrange(held, np.concatenate([live, rest]).astype(np.uint32))
-        held.state = state
+                self.leave(data)
+        elif held.left or len(data) < ARRANGED_FROM or data.cells is not None:
+            return
+        elif held.order is None or (moved and not held.order.lasts(data)):
+            self._arrange(held, Arrangement.found(data))
 
     def leave(self, data: SplatData) -> None:
         """Have the rows in their own order, now and from now on."""
-        self._arrange(self._hold(data), None)
+        held = self._hold(data)
+        held.left = True
+        self._arrange(held, None)
 
-    def _arrange(self, held: _Held, order: UInt32[np.ndarray, " n"] | None) -> None:
+    def _unpack(self, held: _Held) -> None:
+        """Have rows as they are, since they change: packing them takes longer than a frame."""
+        if any(page.packed for page in held.pages):
+            size = _bytes_of_row(False)
+            held.rows = _Filled()
+            held.pages = [
+                replace(
+                    page,
+                    packed=False,
+                    rows=self._device.filled("rows", size * page.capacity),
+                )
+                for page in held.pages
+            ]
+
+    def _arrange(self, held: _Held, order: Arrangement | None) -> None:
         """Have the rows in another order; they are to be written again."""
-        held.order, held.arranged = order, True
+        held.order = order
         held.rows, held.appearance = _Filled(), _Filled()
         held.pages = [
             replace(
                 page,
                 rows_of=None
                 if order is None
-                else order[page.first : page.first + page.capacity],
+                else order.rows[page.first : page.first + page.capacity],
             )
             for page in held.pages
         ]
@@ -203,58 +255,49 @@ class Residency:
         """Return the pages of ``data``, with its present values in all live rows of them."""
         held = self._hold(data)
         for live in held.rows.missing(data.rows_version, data.count):
-            for page, part, offset in _parts(held.pages, live):
-                rows = data.rows[_rows(held, part)]
-                if page.packed:
-                    self._device.write(page.rows, pack_rows(rows), offset * PACKED_BYTES)
-                else:
-                    typed = rows.astype(np.float32, copy=False)
-                    self._device.write(page.rows, typed, offset * 4 * layout.ROW)
+            self._upload(held, live, data.rows, _rows_of)
         for live in held.appearance.missing(data.appearance_version, data.count):
-            for page, part, offset in _parts(held.pages, live):
-                typed = self._appearance(data, page, _rows(held, part))
-                start = offset * _row_bytes(page.stride)
-                self._device.write(page.appearance, typed, start)
+            self._upload(held, live, data.appearance, _appearance_of)
         self._write_cells(data, held)
         return held.pages
+
+    def _upload(
+        self,
+        held: _Held,
+        live: slice,
+        array: Float[np.ndarray, "n c"],
+        target: Callable[[Page, int, np.ndarray], Target],
+    ) -> None:
+        """Write live rows of an array into what pages have for it."""
+        for page, part, first in _parts(held.pages, live):
+            to = target(page, first, array)
+            if held.order is None:
+                upload(self._device, to, array[part])
+            else:
+                upload(self._device, to, array, held.order.rows[part])
 
     def _write_cells(self, data: SplatData, held: _Held) -> None:
         if data.cells is None or not held.pages:
             return
         for part in held.cells.missing(data.cells_version, len(data.cells)):
-            rows = data.cells[part].astype(np.float32, copy=False)
-            self._device.write(held.pages[0].cells, rows, part.start * 4 * layout.ROW)
-
-    def _is_half(self, data: SplatData) -> bool:
-        return self._compact or data.appearance.dtype == np.float16
-
-    def _appearance(
-        self, data: SplatData, page: Page, part: slice | UInt32[np.ndarray, " m"]
-    ) -> Float[np.ndarray, "n d"]:
-        """Return a part of the appearance as ``page`` has it."""
-        with np.errstate(
-            over="ignore"
-        ):  # what float16 cannot hold is infinite, and not drawn
-            typed = data.appearance[part].astype(
-                np.float16 if page.half else np.float32, copy=False
-            )
-        return _padded(typed, _row_bytes(page.stride))
+            make = None if data.cells.dtype == np.float32 else _wide
+            to = Target(held.pages[0].cells, part.start, _bytes_of_row(False), make)
+            upload(self._device, to, data.cells[part])
 
     def _allocate(self, data: SplatData) -> Iterator[Page]:
-        half = self._is_half(data)
+        half = self._compact or data.appearance.dtype == np.float16
         words = stride(data.appearance.shape[1], half)
         packed = self._compact and data.cells is None
-        row = PACKED_BYTES if packed else 4 * layout.ROW
         cells = None
         if data.cells is not None:
-            cells = self._device.storage("cells", 4 * layout.ROW * len(data.cells))
+            cells = self._device.filled("cells", 4 * layout.ROW * len(data.cells))
         for first in range(0, len(data), self._page_rows):
             capacity = min(self._page_rows, len(data) - first)
             yield Page(
                 first,
                 capacity,
-                self._device.storage("rows", capacity * row),
-                self._device.storage("appearance", capacity * _row_bytes(words)),
+                self._device.filled("rows", capacity * _bytes_of_row(packed)),
+                self._device.filled("appearance", capacity * _bytes_of_appearance(words)),
                 half,
                 words,
                 packed,

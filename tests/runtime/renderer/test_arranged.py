@@ -1,12 +1,13 @@
-"""Rows that stay as they are become neighbours in memory; no picture shows it."""
+"""Rows that are neighbours in space become neighbours in memory; no picture shows it."""
 
 import numpy as np
 import pytest
 
-from gsgen.runtime import residency
+from gsgen.runtime import arrangement, residency
 from gsgen.runtime.curve import along_curve
 from gsgen.runtime.device import Device
 from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.residency import Residency
 from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
 from support.splat_scenes import camera, cloud, turned
@@ -27,12 +28,13 @@ def same(one: object, two: object) -> bool:
 
 def test_the_curve_goes_through_the_smallest_cubes_first() -> None:
     """Bit by bit, from the plain definition."""
-    cells = np.random.default_rng(0).integers(0, 1 << 21, (200, 3))
-    cells[0], cells[1] = 0, (1 << 21) - 1  # the bounding box is all there is
+    bits = 18  # what 200 indices leave of a word, a third of it for each axis
+    cells = np.random.default_rng(0).integers(0, 1 << bits, (200, 3))
+    cells[0], cells[1] = 0, (1 << bits) - 1  # the bounding box is all there is
     codes = [
         sum(
             ((int(cell[axis]) >> bit) & 1) << (3 * bit + axis)
-            for bit in range(21)
+            for bit in range(bits)
             for axis in range(3)
         )
         for cell in cells
@@ -74,8 +76,17 @@ def anew(data: SplatData) -> Scene:
     return Scene([SplatData(data.rows, data.appearance, data.space, count=data.count)])
 
 
-def test_what_changes_is_not_arranged_again(
-    device: Device, renderer: Renderer, small: None
+@pytest.fixture(params=[True, False], ids=["mapped", "copied"])
+def maps(device: Device, monkeypatch: pytest.MonkeyPatch, request: object) -> bool:
+    """Whether the device maps its memory, as software drivers do and cards do not."""
+    if request.param and not device.maps:
+        pytest.skip("a card, whose memory is its own")
+    monkeypatch.setattr(device, "maps", request.param)
+    return bool(request.param)
+
+
+def test_what_changes_keeps_an_order_where_it_costs_nothing(
+    device: Device, renderer: Renderer, small: None, maps: bool
 ) -> None:
     data, other = cloud(100, 3), cloud(100, 4)
     one, scene = Renderer(device, rasteriser="tiles"), Scene([data])
@@ -86,13 +97,50 @@ def test_what_changes_is_not_arranged_again(
         return one._residency.pages(data)[0].rows_of is not None
 
     assert [arranged(), arranged(), arranged()] == [False, True, True]
+    plan = one._plan
     data.update(appearance=other.appearance)
+    assert [arranged(), arranged()] == [maps, maps]
+    data.update(rows=other.rows)
+    assert [arranged(), arranged()] == [maps, maps]
+    assert (one._plan is plan) is maps  # no buffer was made
+    data.update(
+        data.rows, data.appearance, count=80
+    )  # these rows are no longer those before
     assert [arranged(), arranged()] == [False, False]
+    data.update(data.rows, data.appearance)
+    assert [arranged(), arranged()] == [False, False]
+
+
+def test_an_order_is_found_anew_when_neighbours_have_parted(
+    device: Device, small: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not device.maps:
+        pytest.skip("rows that change have their own order on a card")
+    monkeypatch.setattr(arrangement, "_SERVES", 3)
+    data = cloud(200, 8)
+    began, held = data.rows, Residency(device)
+
+    def order() -> np.ndarray:
+        held.begin(data)
+        return held.pages(data)[0].rows_of
+
+    assert order() is None
+    data.update(rows=1.5 * began)
+    first = order()
+    np.testing.assert_array_equal(first, along_curve(data.rows[:, :3]))
+    for _ in range(5):  # nobody moves far
+        data.update(rows=data.rows + np.float32(0.01))
+        assert order() is first
+    mixed = began[np.random.default_rng(0).permutation(200)]
+    data.update(rows=50 * mixed)
+    np.testing.assert_array_equal(order(), along_curve(data.rows[:, :3]))
+    data.update(rows=began)  # the new one serves for a while, whatever comes
+    np.testing.assert_array_equal(order(), along_curve(50 * mixed[:, :3]))
 
 
 @pytest.mark.parametrize("change", ["rows", "appearance", "count"])
 def test_values_may_change_once_rows_are_arranged(
-    device: Device, renderer: Renderer, small: None, change: str
+    device: Device, renderer: Renderer, small: None, maps: bool, change: str
 ) -> None:
     data, other = cloud(100, 5), cloud(100, 6)
     data.update(count=60)

@@ -101,3 +101,17 @@ def test_a_packed_row_has_forty_bytes_and_harmonics_two_each(device: Device) -> 
         held = Residency(device, compact=True)
         pages = held.pages(cloud(1000, degree=degree))
         assert sum(page.rows.size + page.appearance.size for page in pages) == 1000 * size
+
+
+def test_rows_that_change_are_no_longer_packed(device: Device, renderer: Renderer) -> None:
+    """Packing takes longer than a frame. Harmonics stay in float16."""
+    data, other = cloud(150, 6, degree=1), cloud(150, 7, degree=1)
+    one, scene = Renderer(device, rasteriser="tiles", compact=True), Scene([data])
+    assert one.render(scene, camera()).visible
+    assert all(page.packed for _, page in one.placed(scene))
+    data.update(rows=other.rows)
+    plain = SplatData(other.rows, data.appearance.astype(np.float16), "sh")
+    shown, wanted = one.render(scene, camera()), renderer.render(Scene([plain]), camera())
+    np.testing.assert_array_equal(shown.rgba, wanted.rgba)
+    assert not any(page.packed for _, page in one.placed(scene))
+    assert all(page.half for _, page in one.placed(scene))

@@ -17,13 +17,18 @@ ROW, COLOR = 40, 16  # bytes; RGB in float32 is filled up to a word
 def written(device: Device, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int, int]]:
     """Whatever is written to a buffer: its label, from which byte on, how many bytes."""
     seen: list[tuple[str, int, int]] = []
-    write = Device.write
+    mapped, write = Device.mapped, Device.write
 
-    def watched(self: Device, buffer: object, data: np.ndarray, offset: int = 0) -> None:
+    def filled(self: Device, buffer: object, offset: int, size: int) -> object:
+        seen.append((buffer.label, offset, size))
+        return mapped(self, buffer, offset, size)
+
+    def written(self: Device, buffer: object, data: np.ndarray, offset: int = 0) -> None:
         seen.append((buffer.label, offset, data.nbytes))
         write(self, buffer, data, offset)
 
-    monkeypatch.setattr(Device, "write", watched)
+    monkeypatch.setattr(Device, "mapped", filled)  # if the device maps its memory
+    monkeypatch.setattr(Device, "write", written)  # if it does not
     return seen
 
 
