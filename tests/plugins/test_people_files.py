@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from gsgen.reference_plugins.checkpoints.array_pickles import read_array_pickle
 from gsgen.reference_plugins.checkpoints.bodies import read_body
@@ -443,8 +444,39 @@ def test_arrays_that_are_no_motion_are_refused(
         read_motion(path, 24)
 
 
+def test_frames_of_zju_mocap_are_read_out_of_their_pickles(tmp_path: Path) -> None:
+    rng, frames = np.random.default_rng(0), []
+    for number in (10, 9):  # in the order of numbers, not of text
+        turn, place = rng.normal(size=(1, 3)), rng.normal(size=(1, 3))
+        frame = {"Rh": turn, "Th": place, "poses": rng.normal(size=(1, 72))}
+        frame["shapes"] = np.arange(10.0)[None]
+        np.save(tmp_path / f"{number}.npy", frame)  # type: ignore[arg-type]
+        frames.insert(0, frame)
+    read = read_motion(tmp_path, 24)
+    np.testing.assert_array_equal(read.pose.reshape(2, 72), [f["poses"][0] for f in frames])
+    np.testing.assert_array_equal(read.shift, [f["Th"][0] for f in frames])
+    assert read.turn is not None
+    wanted = Rotation.from_rotvec([f["Rh"][0] for f in frames]).as_matrix()
+    np.testing.assert_allclose(read.turn, wanted)
+    assert read.shape is not None
+    np.testing.assert_array_equal(read.shape, np.arange(10.0))
+    one = read_motion(tmp_path / "10.npy", 24)
+    np.testing.assert_array_equal(one.pose[0], read.pose[1])
+
+
+def test_a_frame_of_zju_mocap_runs_nothing(tmp_path: Path) -> None:
+    harm = {"poses": Harmful(tmp_path / "harmed")}
+    np.save(tmp_path / "0.npy", harm)  # type: ignore[arg-type]
+    with pytest.raises(CheckpointInvalid, match="which is no array"):
+        read_motion(tmp_path, 24)
+    assert not (tmp_path / "harmed").exists()
+    np.save(tmp_path / "0.npy", np.zeros(72))
+    with pytest.raises(CheckpointInvalid, match="holds an array, wanted a dict"):
+        read_motion(tmp_path / "0.npy", 24)
+
+
 def test_a_missing_motion_says_what_is_wanted(tmp_path: Path) -> None:
     with pytest.raises(CheckpointInvalid, match="AMASS"):
         read_motion(tmp_path / "nowhere.npz", 24)
-    with pytest.raises(CheckpointInvalid, match=r"neither \.npz nor \.json"):
+    with pytest.raises(CheckpointInvalid, match=r"no \.npz, \.npy or \.json"):
         read_motion(tmp_path, 24)

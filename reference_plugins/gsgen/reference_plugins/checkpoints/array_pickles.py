@@ -9,7 +9,7 @@ __all__ = ["read_array_pickle"]
 
 import pickle
 from pathlib import Path
-from typing import Any, final
+from typing import Any, BinaryIO, final
 
 import numpy as np
 from numpy._core.multiarray import _reconstruct
@@ -20,12 +20,18 @@ from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 def read_array_pickle(path: Path) -> dict[str, Any]:
     """Return the dict that is pickled in ``path``; sparse and wrapped arrays become plain ones.
 
+    It may be in an ``.npy``, as ``np.save`` writes a dict: one object in an array without axes.
+
     Raises:
         CheckpointInvalid: The file is damaged, holds no dict, or names anything but arrays.
     """
     try:
         with path.open("rb") as file:
+            if path.suffix == ".npy":
+                _pass_header(file)
             read = _Unpickler(file, encoding="latin1").load()
+        if isinstance(read, np.ndarray) and read.shape == () and read.dtype == object:
+            read = read.item()
         if not isinstance(read, dict):
             raise ValueError(f"holds a {type(read).__name__}, wanted a dict of arrays")
         return {str(name): _plain(value) for name, value in read.items()}
@@ -35,6 +41,16 @@ def read_array_pickle(path: Path) -> dict[str, Any]:
         raise _unreadable(path, str(error) or type(error).__name__) from error
     except (MemoryError, OverflowError, UnicodeError, RecursionError) as error:
         raise _unreadable(path, type(error).__name__) from error
+
+
+def _pass_header(file: BinaryIO) -> None:
+    """Go to where the pickle of an ``.npy`` begins."""
+    version = np.lib.format.read_magic(file)
+    header = np.lib.format.read_array_header_1_0
+    if version != (1, 0):
+        header = np.lib.format.read_array_header_2_0
+    if not header(file)[2].hasobject:
+        raise ValueError("holds an array, wanted a dict of arrays")
 
 
 def _unreadable(path: Path, reason: str) -> CheckpointInvalid:

@@ -3,9 +3,11 @@
 - an ``.npz`` as AMASS has them (``poses``, ``trans``, ``mocap_framerate``),
 - a folder of ``.npz``, one a frame, as R3-Avatar caches its data sets (``poses``, ``R``, ``Th``,
   ``shapes``), or one ``.npz`` of the same arrays for all frames,
+- a folder of ``.npy``, one a frame, as ZJU-MoCap has them: a pickled dict of ``poses``, ``Rh``,
+  ``Th`` and ``shapes``,
 - a ``.json`` or a folder of them, as LHM estimates from videos (``root_pose``, ``body_pose``, …).
 
-Nothing is unpickled. Poses become those of the body asked for: hands and faces that a file does not
+Of pickles only arrays are read. Poses become those of the body asked for: hands and faces that a file does not
 have stay still, and those that the body does not have are left out.
 """
 
@@ -22,6 +24,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gsgen.reference_plugins.checkpoints.array_archives import read_npz
+from gsgen.reference_plugins.checkpoints.array_pickles import read_array_pickle
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 
 # Of root and body, which all bodies share.
@@ -93,11 +96,14 @@ def read_motion(path: Path, joints: int) -> Motion:
 
 
 def _kinds() -> str:
-    return "Wanted an .npz of AMASS, a folder of .npz with R, Th and poses, or LHM's .json."
+    return (
+        "Wanted an .npz of AMASS, a folder of .npz or .npy with R or Rh, Th and poses, or LHM's "
+        ".json."
+    )
 
 
 def _read_folder(path: Path, joints: int) -> Motion:
-    for suffix in ("npz", "json"):
+    for suffix in ("npz", "npy", "json"):
         files = sorted(path.glob(f"*.{suffix}"), key=_number)
         if files and suffix == "json":
             return _from_json(path, [_json(file) for file in files], joints)
@@ -117,7 +123,7 @@ def _read_folder(path: Path, joints: int) -> Motion:
                 what = f"frames are of different sizes: {error}"
                 raise CheckpointInvalid(what, where=str(path)) from error
             return _from_arrays(path, joined, joints)
-    raise CheckpointInvalid("holds neither .npz nor .json", where=str(path), mend=_kinds())
+    raise CheckpointInvalid("holds no .npz, .npy or .json", where=str(path), mend=_kinds())
 
 
 def _number(path: Path) -> tuple[int, str]:
@@ -126,7 +132,11 @@ def _number(path: Path) -> tuple[int, str]:
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
-    read = read_npz(path, _KNOWN, _kinds())
+    if path.suffix == ".npy":
+        whole = read_array_pickle(path)
+        read = {name: np.asarray(whole[name]) for name in _KNOWN if name in whole}
+    else:
+        read = read_npz(path, _KNOWN, _kinds())
     for name, array in read.items():
         if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
             what = f"{name} holds {array.dtype}, wanted finite numbers"

@@ -58,7 +58,7 @@ MotionFile = Annotated[
     typer.Option(
         "--motion",
         help="Bake a motion, so that time moves the body: an .npz of AMASS, a folder of .npz "
-        "with R, Th and poses, or LHM's .json files.",
+        "or .npy with R or Rh, Th and poses, or LHM's .json files.",
         show_default="poses are inputs",
     ),
 ]
