@@ -67,8 +67,26 @@ def _reference(generator: GaussianGenerator, probe: Probe, made: Any) -> Referen
         raise GeneratorInvalid(what, where=type(generator).__name__)
     n = made.position.shape[0]
     count = n if made.count is None else int(np.clip(int(made.count.reshape(-1)[0]), 0, n))
+    if made.scale is not None and not probe.zeros:
+        _refuse_negative(_wide(made.scale[:count]))
     cells = None if made.cells is None else _unpacked_cells(made.cells)
     return Reference(probe, _unpacked(made), count, cells)
+
+
+def _refuse_negative(scale: np.ndarray) -> None:
+    """Refuse scales that are mostly negative: logarithms, squared, would pass as huge Gaussians.
+
+    Single ones are let be: methods that add an offset to a scale (Deformable-3D-Gaussians) have
+    them, and draw their squares.
+    """
+    wrong = int((scale < 0).all(axis=1).sum())
+    if wrong > len(scale) / 2:
+        raise GeneratorInvalid(
+            f"is negative in {wrong:,} of {len(scale):,} rows, down to {scale.min():g}; "
+            "wanted standard deviations",
+            where="Gaussians.scale",
+            mend="Take torch.exp of logarithms, which 3DGS stores; or abs, if signs mean nothing.",
+        )
 
 
 def _unpacked(made: Gaussians) -> layout.Gaussians:

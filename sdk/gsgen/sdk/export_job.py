@@ -144,5 +144,6 @@ def _show(made: "Exported | ExportedImage") -> None:
         listed = ", ".join(f"{one.rewrite} ({len(one.nodes)})" for one in made.changes)
         typer.echo(f"rewritten: {listed}")
     typer.echo(
-        f"agrees with torch at {made.parity.probes} probes: {made.parity.describe()}"
+        f"agrees with torch at {made.parity.probes} "
+        f"{'probe' if made.parity.probes == 1 else 'probes'}: {made.parity.describe()}"
     )

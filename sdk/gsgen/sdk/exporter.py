@@ -31,6 +31,7 @@ from gsgen.contract.probes import Probe, default_probes
 from gsgen.contract.report import Report
 from gsgen.contract.roles import ROLES
 from gsgen.contract.targets import load_target
+from gsgen.sdk.declared import require_declared
 from gsgen.sdk.diagnosis import Suspects
 from gsgen.sdk.eager import Reference, measure_bounds, run_eager, run_watched
 from gsgen.sdk.errors import GeneratorInvalid
@@ -143,6 +144,7 @@ def export(
     """
     path = Path(path)
     refuse_folder(path)
+    require_declared(generator)
     generator = generator.eval().cpu()
     progress("running the module in eager torch")
     # Halving is left to the rewrite, which measures what has to stay float32.

@@ -206,11 +206,13 @@ def _checked(made: Any, target: str) -> Any:
     """Return ``made`` if it is a generator."""
     import torch
 
+    from gsgen.sdk.declared import require_declared
     from gsgen.sdk.errors import GeneratorInvalid
     from gsgen.sdk.generator import GaussianGenerator
     from gsgen.sdk.post_process import PostProcess
 
     if isinstance(made, GaussianGenerator | PostProcess):
+        require_declared(made)
         return made
     mend = "Return an instance of a subclass of gsgen.sdk.GaussianGenerator."
     if isinstance(made, torch.nn.Module):

@@ -31,6 +31,7 @@ from gsgen.contract.probes import Probe, default_probes
 from gsgen.contract.report import Report
 from gsgen.contract.roles import POST_PROCESS, ROLES
 from gsgen.contract.targets import load_target
+from gsgen.sdk.declared import require_declared
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.finish import finish
 from gsgen.sdk.half_image import HalvedImage, halve_image
@@ -116,6 +117,7 @@ def export_post_process(
         ExportRejected: The model breaks a rule; the error carries the report.
     """
     path = Path(path)
+    require_declared(model)
     model = model.eval().cpu()
     _check_inputs(model)
     manifest = _manifest(model, name or path.stem, dtype)
