@@ -75,6 +75,33 @@ def test_an_avatar_of_lhm_runs_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "harmed").exists()
 
 
+def test_a_body_lies_where_training_read_it_from(tmp_path: Path) -> None:
+    run = write_gauhuman(tmp_path / "GauHuman/output/zju/my_377", PersonOptions(count=3))
+    (run / "assets").rename(tmp_path / "GauHuman/assets")
+    assert read_gauhuman(run).body.path == tmp_path / "GauHuman/assets/SMPL_NEUTRAL.pkl"
+    (tmp_path / "GauHuman/assets").rename(tmp_path / "elsewhere")
+    with pytest.raises(CheckpointInvalid, match="my_377/assets/SMPL_NEUTRAL"):
+        read_gauhuman(run)
+
+
+@pytest.mark.parametrize("kind", ["smpl", "smplx"])
+def test_without_options_the_body_says_which_it_is(kind: str, tmp_path: Path) -> None:
+    chosen = PersonOptions(count=3, kind=kind, shapes=20, nets=True)  # type: ignore[arg-type]
+    run = write_gauhuman(tmp_path / "run", chosen)
+    body = read_gauhuman(run).body
+    (run / "cfg_args").unlink()
+    read = read_gauhuman(run, body=body.path).body
+    assert (read.joints, read.shape_dirs.shape) == (body.joints, body.shape_dirs.shape)
+
+
+def test_an_avatar_may_be_of_one_gaussian(tmp_path: Path) -> None:
+    run = write_lhm(tmp_path, PersonOptions(count=1))
+    path = run / "avatar.pth"
+    read = torch.load(path, weights_only=False)
+    torch.save([one.squeeze() if torch.is_tensor(one) else one for one in read], path)
+    assert read_lhm(run).position.shape == (1, 3)
+
+
 @pytest.mark.parametrize("module", ["numpy.core", "numpy._core"])
 def test_numbers_of_numpy_beside_the_tensors_do_no_harm(
     module: str, tmp_path: Path

@@ -5,7 +5,7 @@ here, and a file is known by the shapes in it (Loper et al. 2015, "SMPL"; Pavlak
 "Expressive Body Capture").
 """
 
-__all__ = ["Body", "read_body", "required_body"]
+__all__ = ["Body", "joints_of_file", "read_body", "required_body"]
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -131,6 +131,16 @@ def read_body(path: Path, joints: int) -> Body:
         _parents(path, arrays["kintree_table"][0]),
         mean,
     )
+
+
+def joints_of_file(path: Path) -> int:
+    """Return how many joints the body in a file has; 0 where it does not say.
+
+    Raises:
+        CheckpointInvalid: The file is damaged.
+    """
+    shape = np.shape(_arrays(path).get("kintree_table", ()))
+    return int(shape[-1]) if shape else 0
 
 
 def _arrays(path: Path) -> dict[str, Any]:

@@ -9,7 +9,12 @@ __all__ = ["GauHumanCheckpoint", "read_gauhuman"]
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gsgen.reference_plugins.checkpoints.bodies import Body, read_body, required_body
+from gsgen.reference_plugins.checkpoints.bodies import (
+    Body,
+    joints_of_file,
+    read_body,
+    required_body,
+)
 from gsgen.reference_plugins.checkpoints.canonical import Canonical, read_canonical
 from gsgen.reference_plugins.checkpoints.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
@@ -23,6 +28,8 @@ JOINTS = {"smpl": 24, "smplx": 55}
 # means for expressions, but takes from the same array, whatever the file has there.
 SHAPES = {"smpl": 10, "smplx": 20}
 _GENDERS = ("neutral", "male", "female")
+# How far above a run the code of training may be: output/DATA/NAME.
+_LEVELS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +69,8 @@ def read_gauhuman(
     Args:
         folder: What training wrote, or what is in it of an iteration.
         iteration: The last where absent.
-        body: The body model; looked for under ``assets`` where absent.
+        body: The body model; looked for under ``assets``, in the run or a little above it, where
+            absent.
 
     Raises:
         CheckpointInvalid: Something is missing, or does not fit the rest.
@@ -88,7 +96,7 @@ def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:
     Raises:
         CheckpointInvalid: It is missing or of another kind.
     """
-    kind = cfg.word("smpl_type", "smpl")
+    kind = cfg.word("smpl_type", _kind_of(body))
     if kind not in JOINTS:
         mend = "Only the published readers know it; the model that they feed has no such branch."
         what = f"smpl_type is {kind!r}, wanted {' or '.join(map(repr, JOINTS))}"
@@ -96,9 +104,20 @@ def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:
     gender = cfg.word("actor_gender", "neutral", _GENDERS).upper()
     file = f"SMPL_{gender}.pkl" if kind == "smpl" else f"models/smplx/SMPLX_{gender}.npz"
     joints = JOINTS[kind]
-    path = required_body(body, {"assets": folder / "assets" / file}, joints)
+    # Training reads them from where its code is, and writes to output/NAME there.
+    homes = [folder, *folder.absolute().parents[:_LEVELS]]
+    places = {f"assets {level}": home / "assets" / file for level, home in enumerate(homes)}
+    path = required_body(body, places, joints)
     read = read_body(path, joints)
     return replace(read, shape_dirs=read.shape_dirs[:, :, : SHAPES[kind]])
+
+
+def _kind_of(body: Path | None) -> str:
+    """Return which body a file is of, for a run without options; SMPL where there is no file."""
+    if body is None or not body.is_file():
+        return "smpl"
+    joints = joints_of_file(body)
+    return next((kind for kind, known in JOINTS.items() if known == joints), "smpl")
 
 
 def _read_nets(path: Path, joints: int) -> PoseNets:

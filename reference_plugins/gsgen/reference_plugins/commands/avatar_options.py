@@ -73,11 +73,11 @@ Hands = Annotated[
 ]
 
 
-def warn_of_body(cfg: "CfgArgs") -> None:
+def warn_of_body(cfg: "CfgArgs", body: "Body") -> None:
     """Say where the published code takes another body model than the one that is given."""
     if not cfg.present:
-        note(f"note: there is no {cfg.path}; a neutral SMPL body is assumed")
-    if cfg.values.get("smpl_type", "smpl") == "smpl":
+        note(f"note: there is no {cfg.path}; a neutral {body.kind} body is assumed")
+    if body.kind == "SMPL":
         meaning = (
             "the published code takes the pose of training from SMPL_NEUTRAL.pkl whatever it "
             "says; here all is taken from the body model that was read"

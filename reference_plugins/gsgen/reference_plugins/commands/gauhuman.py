@@ -49,7 +49,7 @@ def build(
 
     read = read_gauhuman(checkpoint, iteration, body)
     tell(read.describe(), read.cfg)
-    warn_of_body(read.cfg)
+    warn_of_body(read.cfg, read.body)
     told = read_motion(motion, read.body.joints) if motion else None
     avatar = GauHuman(
         read.canonical,

@@ -77,7 +77,7 @@ def build(
     tell(read.describe(), read.cfg)
     if dataset is None:
         note(f"note: by {read.cfg.path} its data are of {guessed_dataset(read.cfg)}")
-    warn_of_body(read.cfg)
+    warn_of_body(read.cfg, read.body)
     told = read_motion(motion, read.body.joints) if motion else None
     # A motion shows a frame of training with each of its own, so it needs no more.
     known = min(2 * read.origin, len(told)) if told else 2 * read.origin
