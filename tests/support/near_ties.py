@@ -9,6 +9,9 @@ from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
 from support.splat_scenes import camera, cloud, turned
 
+DEPTH_LEFT = 2.0**-43
+"""Of its distance, what the two floats of a depth may be off."""
+
 NEAR_TIES: dict[str, Callable[[], tuple[Scene, Camera]]] = {}
 
 
@@ -45,6 +48,12 @@ def seen_through(place: np.ndarray, **changes: float) -> Camera:
     return Camera(
         view, here.fx, here.fy, here.cx, here.cy, here.width, here.height, near=here.near
     )
+
+
+def decoded(lows: np.ndarray) -> np.ndarray:
+    """Return the numbers that bits stand for that sort as they do."""
+    bits = np.where(lows >> 31 == 1, lows ^ np.uint32(1 << 31), ~lows)
+    return bits.astype(np.uint32).view(np.float32)
 
 
 @named

@@ -24,7 +24,7 @@ _TILE: Final = 16
 
 # Within these shares of a threshold, float32 may decide otherwise.
 _BAND: Final = 2e-3
-_TIE: Final = 1e-6
+_TIE: Final = 1e-12  # of a depth: two floats tell more, even where they are added up
 _PIXELS: Final = 2e-3
 _EQUAL: Final = 1e-4
 

@@ -66,7 +66,9 @@ class Kernels:
         self.normals = cache(lambda packed: NormalsKernel(device, packed))
         self.order = DepthOrder(device, self.cut, self.sort)
         self.weighted = cache(
-            lambda: WeightedKernels(device, self.cut, self.scan, self.sort, self.ranges)
+            lambda: WeightedKernels(
+                device, self.cut, self.scan, self.sort, self.order, self.ranges
+            )
         )
         self.quads = cache(lambda tested, panorama: DrawQuads(device, tested, panorama))
         self.meshes = cache(lambda panorama: DrawMeshes(device, panorama))
@@ -154,6 +156,7 @@ class Plan:
                 (self._frame, self._bare_frame),
                 self._layers,
                 published,
+                deep,
             )
             self.buffers |= self._weighted.buffers
             self.images |= self._weighted.images

@@ -108,7 +108,7 @@ class Renderer:
                 choose(self.device, self._kernels) if rasteriser == "auto" else rasteriser
             )
         self._deep = False
-        self._things: object = None
+        self._rows: object = None
         self._key: object = None
         self._plan: Plan | None = None
 
@@ -250,8 +250,9 @@ class Renderer:
         size, panorama = (camera.width, camera.height), camera.kind == "panorama"
         pages = tuple((page, one.weighted is None) for one, page in placed)
         things = (pages, tuple(one.buffers for one in meshes))
-        if things != self._things:
-            self._things, self._deep = things, False  # others may have depths farther apart
+        rows = [page.rows for _, page in placed]
+        if rows != self._rows:
+            self._rows, self._deep = rows, False  # others may have depths farther apart
         key = (things, size, outputs, self._pairs, panorama, self._deep)
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes

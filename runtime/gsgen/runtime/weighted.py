@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from gsgen.runtime.camera import Camera
+from gsgen.runtime.depth_order import DepthOrder
 from gsgen.runtime.device import Device
 from gsgen.runtime.frame import Output
 from gsgen.runtime.kernels import counts as counting
@@ -27,7 +28,7 @@ from gsgen.runtime.kernels.project import PAGE, ProjectKernel, page_uniform
 from gsgen.runtime.kernels.project_cells import ProjectCells
 from gsgen.runtime.kernels.scan import Scan
 from gsgen.runtime.kernels.shader import TILE
-from gsgen.runtime.kernels.sort import KEY_BITS, Columns, Cut, RadixSort
+from gsgen.runtime.kernels.sort import Columns, Cut, RadixSort
 from gsgen.runtime.kernels.tile_ranges import TileRanges
 from gsgen.runtime.residency import Page
 from gsgen.runtime.scene import SplatSet
@@ -44,13 +45,21 @@ class WeightedKernels:
         cut: How work is cut.
         scan: What is shared with the rest of the plan …
         sort: …
+        order: …
         ranges: …
     """
 
     def __init__(
-        self, device: Device, cut: Cut, scan: Scan, sort: RadixSort, ranges: TileRanges
+        self,
+        device: Device,
+        cut: Cut,
+        scan: Scan,
+        sort: RadixSort,
+        order: DepthOrder,
+        ranges: TileRanges,
     ) -> None:
-        self.cut, self.scan, self.sort, self.ranges = cut, scan, sort, ranges
+        self.cut, self.scan, self.sort = cut, scan, sort
+        self.order, self.ranges = order, ranges
         self.project = cache(
             lambda half, words, panorama: ProjectKernel(device, half, words, panorama, True)
         )
@@ -79,6 +88,7 @@ class WeightedPart:
         frames: The uniforms of the frame: with what is behind, and with nothing there.
         layers: Where the result stands among others as the front layer; None where it is alone.
         published: Whether backgrounds count as in the method's own renderer.
+        deep: Whether depths are sorted by all their bits, for very many share the leading ones.
 
     Attributes:
         stages: What a frame does, stage by stage.
@@ -99,11 +109,12 @@ class WeightedPart:
         frames: tuple[Any, Any],
         layers: Layers | None,
         published: bool,
+        deep: bool,
     ) -> None:
         self._device, self._kernels = device, kernels
         self._size, self._panorama, self._published = size, panorama, published
         self._frame, self._bare_frame = frames
-        self._layers = layers
+        self._layers, self._deep = layers, deep
         self._tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
         self.buffers: dict[str, Any] = {}
         self.images: dict[str, Any] = {}
@@ -135,16 +146,20 @@ class WeightedPart:
             self._storage(f"weighted {name}", _VEC4 * n)
             for name in ("shapes", "weights", "colors")
         )
-        columns = [self._columns(f"cells {side}", self._cells) for side in "ab"]
+        columns = (
+            self._columns("cells a", self._cells),
+            self._columns("cells b", self._cells),
+        )
+        lows = self._storage("lows of cells", 4 * self._cells)
         circles = self._storage("circles of cells", _VEC4 * self._cells)
         spans = self._storage("spans of cells", _VEC4 * self._cells)
         stages = {
             "project weighted": self._project(placed, (keys, shapes, weights, colors)),
             "project cells": self._project_cells(
-                placed, (columns[0].keys, circles, spans, keys, self.counts)
+                placed, (columns[0].keys, circles, spans, keys, self.counts, lows)
             ),
         }
-        stages["sort cells"], order = self._sort(columns)
+        stages["sort cells"], order = self._sort(columns, lows)
         pairs = [
             self._columns(f"pairs of cells {side}", self._pair_capacity) for side in "ab"
         ]
@@ -189,18 +204,11 @@ class WeightedPart:
             for slot, (_, page) in enumerate(placed)
         ]
 
-    def _sort(self, columns: list[Columns]) -> tuple[list[Step], Any]:
+    def _sort(self, columns: tuple[Columns, Columns], lows: Any) -> tuple[list[Step], Any]:
         """Return the steps, and the buffer of cells, nearest first."""
-        steps, at = self._kernels.sort.steps(
-            self.counts,
-            self._kernels.sort.histogram(self._cells),
-            columns,
-            bits=KEY_BITS,
-            source=Counts.VISIBLE,
-            groups=Counts.SORT_VISIBLE_GROUPS,
-            compacting=self._cells,
-        )
-        return steps, columns[at].values
+        n = self._cells
+        spare = self._storage("keys of cells c", 4 * n) if self._deep else None
+        return self._kernels.order.steps(n, self.counts, columns, lows, None, spare)
 
     def _bin(self, order: Any, circles: Any, pairs: Columns) -> list[Step]:
         walk = self._kernels.cut.walk
@@ -242,7 +250,7 @@ class WeightedPart:
     def clear(self, encoder: Any) -> None:
         """Encode that what is added up starts at zero."""
         encoder.clear_buffer(self._ranges)
-        encoder.clear_buffer(self.counts, 4 * Counts.DRAWN, 4)
+        encoder.clear_buffer(self.counts, 4 * Counts.DRAWN, 12)  # to UNSORTED
 
     def write(self, placed: Sequence[tuple[SplatSet, Page]], camera: Camera) -> None:
         """Write what changes from frame to frame.

@@ -23,12 +23,10 @@ from gsgen.runtime.oracle_projection import ellipses
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
-from support.near_ties import NEAR_TIES, plane
+from support.near_ties import DEPTH_LEFT, NEAR_TIES, decoded, plane
 from support.sorting import GPU
-from support.splat_scenes import SCENES, camera
-
-LEFT = 2.0**-43
-"""Of its distance, what the two floats of a depth may be off."""
+from support.splat_scenes import SCENES, camera, turned
+from support.weighted_scenes import celled, summed
 
 DEEP = {"tilted_less", "plane_of_rounded_rows", "several_models", "orthographic", "sphere"}
 """Scenes in which more depths have one key than are put in order one by one."""
@@ -58,12 +56,6 @@ def exact_depths(one: SplatSet, seen_by: Camera) -> tuple[np.ndarray, np.ndarray
     return np.array(depths), np.array(distances)
 
 
-def decoded(lows: np.ndarray) -> np.ndarray:
-    """Return the numbers that bits stand for that sort as they do."""
-    bits = np.where(lows >> 31 == 1, lows ^ np.uint32(1 << 31), ~lows)
-    return bits.astype(np.uint32).view(np.float32)
-
-
 @pytest.mark.parametrize(
     "name", ["many", "not_finite", "placed", "seen_from_elsewhere", "flat_cameras", "far_from_the_origin",
              "panorama_seam", "panorama_poles", *NEAR_TIES]
@@ -86,7 +78,7 @@ def test_a_depth_is_two_floats(renderer: Renderer, name: str) -> None:
     depths, distances = exact_depths(one, seen_by)
     for i in np.flatnonzero(drawn):
         made = Fraction(float(high[i])) + Fraction(float(low[i]))
-        assert abs(made - depths[i]) <= LEFT * distances[i]
+        assert abs(made - depths[i]) <= DEPTH_LEFT * distances[i]
     # The first is the nearest float, so the two sort as their sum does.
     assert (np.abs(low) <= np.spacing(high) / 2)[drawn].all()
 
@@ -251,6 +243,36 @@ def test_near_ties_are_as_in_float64(
     open_still = ~wanted.fragile & (wanted.rgba[..., 3] < 0.99)
     assert open_still.any()
     assert np.abs(by_quads - wanted.rgba)[open_still].max() <= 2e-5
+
+
+@pytest.mark.parametrize("tilt", [2e-5, 1e-7])
+def test_near_ties_of_cells_are_as_in_float64(renderer: Renderer, tilt: float) -> None:
+    data = celled(200, 3, 1, depth=(4, 4))
+    data.cells[:, 2] = 4
+    scene = Scene([summed(data, transform=turned(tilt, (1, 2, 0)))])
+    depth = ellipses(data.cells.astype(np.float64), scene.sets[0], camera()).depth
+    rounded = np.argsort(depth.astype(np.float32), kind="stable")
+    assert not np.array_equal(rounded, np.argsort(depth, kind="stable"))
+    seen, wanted = renderer.render(scene, camera()), oracle.render(scene, camera())
+    assert wanted.fragile.mean() < 0.1
+    assert np.abs(seen.rgba - wanted.rgba)[~wanted.fragile].max() <= 2e-5
+    assert renderer._deep == (tilt < 1e-6)
+
+
+@pytest.mark.parametrize("name", ["tilted", "tilted_less"])
+def test_rows_that_change_stay_in_order(device: Device, name: str) -> None:
+    """That a sort must be deep is noticed once, and not in every frame."""
+    scene, seen_by = NEAR_TIES[name]()
+    one, data = Renderer(device, rasteriser="tiles"), scene.sets[0].data
+    plans = []
+    for _ in range(3):
+        data.update(rows=data.rows[::-1].copy())
+        wanted = oracle.render(scene, seen_by)
+        seen = one.render(scene, seen_by).rgba
+        assert np.abs(seen - wanted.rgba)[~wanted.fragile].max() <= 2e-5
+        plans.append(one._plan)
+    assert plans[0] is plans[1] is plans[2]
+    assert one._deep == (name in DEEP)
 
 
 def same(one: Frame, two: Frame) -> bool:

@@ -9,7 +9,11 @@ from gsgen.runtime.camera import Camera
 from gsgen.runtime.kernels import project
 from gsgen.runtime.kernels.blend_wsr import blend_wsr_reference
 from gsgen.runtime.kernels.counts import Counts
-from gsgen.runtime.kernels.project import Projected, project_reference
+from gsgen.runtime.kernels.project import (
+    Projected,
+    depth_reference,
+    project_reference,
+)
 from gsgen.runtime.kernels.project_cells import (
     CELL_REACH,
     box_reference,
@@ -20,6 +24,7 @@ from gsgen.runtime.plan import Plan
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.scene import SplatSet
 from gsgen.runtime.splat_data import SplatData
+from support.near_ties import DEPTH_LEFT, decoded
 from support.weighted_scenes import WEIGHTED
 
 NOTHING_BEHIND = np.zeros(3)
@@ -136,7 +141,12 @@ def test_project_cells(renderer: Renderer, name: str) -> None:
         radius = circle_reference(dilated(wanted)[i : i + 1], CELL_REACH)[0]
         middle = wanted.mean[i] + made.origin
         assert not box_reference(middle, radius, (61, 47)).any()
-    np.testing.assert_allclose(keys[drawn].view(np.float32), wanted.depth[drawn], rtol=1e-5)
+    wanted_keys, wanted_lows = depth_reference(wanted.depth[drawn])
+    np.testing.assert_array_equal(keys[drawn], wanted_keys)
+    lows = made.words("lows of cells", count)
+    np.testing.assert_array_equal(lows == ABSENT, ~drawn)
+    rest = [decoded(each).astype(np.float64) for each in (lows[drawn], wanted_lows)]
+    assert (np.abs(rest[0] - rest[1]) <= DEPTH_LEFT * wanted.depth[drawn]).all()
     covariance = dilated(wanted)[drawn]
     circle = circle_reference(covariance, CELL_REACH)
     whole(circles[drawn, 2], circle, covariance, CELL_REACH)

@@ -33,7 +33,7 @@ class ProjectCells:
             device,
             "project_cells",
             "project_cells",
-            ("uwwwrw", "ur"),
+            ("uwwwrww", "ur"),
             THREADS=_THREADS,
             DRAWN=int(Counts.DRAWN),
             CELL_REACH=CELL_REACH,

@@ -11,6 +11,7 @@
 @group(0) @binding(3) var<storage, read_write> spans: array<vec4u>;    // first Gaussian, how many, 1 / divisor, weight of what is behind
 @group(0) @binding(4) var<storage, read> gaussian_keys: array<u32>;
 @group(0) @binding(5) var<storage, read_write> counts: array<atomic<u32>>;
+@group(0) @binding(6) var<storage, read_write> lows: array<u32>;       // the rest of depths, as bits that sort as it does
 
 @group(1) @binding(0) var<uniform> page: Page;
 @group(1) @binding(1) var<storage, read> rows: array<vec2u>;  // of cells: a visibility in the place of an opacity
@@ -20,6 +21,9 @@
 //!include flatten
 //!include circle
 //!include cell_box
+//!include exact_depth
+
+var<private> low: u32;  // what the key of this invocation's cell leaves of its depth
 
 fn count_drawn(first: u32) {
     var drawn = 0u;
@@ -31,9 +35,13 @@ fn count_drawn(first: u32) {
 
 fn cell_key(own: u32, index: u32) -> u32 {
     let center = read_center(own);
-    let at = page.linear * ((center.position - page.eye) - page.eye_rest);
-    let depth = depth_of(at);
-    let made = flatten(at, depth, read_covariance(own));
+    var at = page.linear * ((center.position - page.eye) - page.eye_rest);
+    let distance = depth_of(at);
+    let exact = exact_depth(center.position, distance);
+    let depth = exact.x;
+    low = order_of(exact.y);
+    at.z = select(depth, at.z, PANORAMA);
+    let made = flatten(at, distance, read_covariance(own));
     let is_there = depth > frame.near && depth <= LARGEST;
     if (!(made.sound && is_there && center.opacity > 0.0 && center.opacity <= LARGEST)) {
         return ABSENT;
@@ -66,9 +74,10 @@ fn project_cells(@builtin(global_invocation_id) invocation: vec3u) {
         return;
     }
     let index = page.base + own;
+    var key = ABSENT;
     if (own < page.count) {
-        keys[index] = cell_key(own, index);
-    } else {
-        keys[index] = ABSENT;
+        key = cell_key(own, index);
     }
+    keys[index] = key;
+    lows[index] = select(low, ABSENT, key == ABSENT);
 }
