@@ -117,6 +117,21 @@ def test_places_that_are_not_listed_are_spoken_of(reports):
     assert want in text_of(report)
 
 
+@pytest.mark.parametrize(("places", "shown"), [(1, 1), (5, 5), (6, 4), (40, 4)])
+def test_findings_of_a_kind_share_their_head_and_cure(reports, places, shown):
+    first, *_ = reports["broken"].findings
+    found = tuple(replace(first, where=Where(f"tensor t{i}")) for i in range(places))
+    other = replace(first, mend="Something else.")
+    report = replace(reports["broken"], findings=(*found, other))
+    text = text_of(report)
+    assert text.count(f"  {first.rule} error {first.slug}\n") == 2
+    assert text.count(f"    mend: {first.mend[:40]}") == 1
+    assert text.count("    tensor t") == shown
+    more = f"    and at {places - shown} more places, which `gsgen validate -v` lists\n"
+    assert (more in text) == (shown < places)
+    assert text_of(report, verbose=True).count("    tensor t") == places
+
+
 def test_quiet_is_a_line_a_model(reports):
     error = ModelUnreadable("is empty", where="a.onnx")
     entries = [reports["good"], Unreadable("a.onnx", error), reports["broken"]]

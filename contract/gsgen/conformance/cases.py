@@ -86,4 +86,4 @@ def _judged(
 def _words(found: tuple[Finding, ...]) -> str:
     """Return what ``gsgen validate`` prints of the findings that count, or else of all."""
     shown = [one for one in found if one.counts] or found
-    return "\n".join(line.text for one in shown for line in finding_lines(one))
+    return "\n".join(line.text for line in finding_lines(shown))

@@ -71,8 +71,7 @@ def _show(model: Path, found: "Reproduction") -> None:
         show([Line(f"does not reproduce: {found.rule.id} holds for {where}", "bold green")])
         return
     show([Line(f"{where}:", "bold")])
-    for finding in found.findings:
-        show(finding_lines(finding))
+    show(finding_lines(found.findings))
     show([Line(text) for text in _table(found)])
     show([Line(f"reproduced: {found.rule.id} is broken", "bold red")])
 

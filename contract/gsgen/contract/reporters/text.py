@@ -3,7 +3,7 @@
 __all__ = ["Line", "brief", "finding_lines", "render", "render_all"]
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -15,6 +15,7 @@ _STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.INFO:
 _VERDICT_STYLE = {"conforms": "bold green"}
 _BAD = "bold red"
 _WIDTH = 96
+_MOST_PLACES = 5
 _MIB = 1 << 20
 
 
@@ -53,8 +54,7 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
     causes = {cause.outcome.rule.id: cause for cause in report.causes}
     shown = [one for one in report.findings if one.counts or (one.known and verbose)]
     for rule, findings in groupby(shown, lambda one: one.rule):
-        for finding in findings:
-            lines += finding_lines(finding)
+        lines += finding_lines(findings, every=verbose)
         if rule in causes:
             lines += _consequence(causes.pop(rule))
     lines += _crashes(report)
@@ -86,21 +86,43 @@ def _head(report: Report) -> list[Line]:
     ]
 
 
-def finding_lines(finding: Finding) -> list[Line]:
-    """Return what is said of one finding: what, where, how much of it, and how to mend it."""
-    style = _STYLE[finding.severity]
+def finding_lines(findings: Iterable[Finding], *, every: bool = False) -> list[Line]:
+    """Return what is said of findings: what, where, how much of it, and how to mend it.
+
+    Those of one kind that follow each other share their head and their cure.
+
+    Args:
+        findings: In the order of the report.
+        every: Show all places; otherwise the first few of a kind, and how many there are.
+    """
+    lines: list[Line] = []
+    for (head, mend), group in groupby(findings, lambda one: (_head_of(one), one.mend)):
+        found = list(group)
+        lines.append(Line(head, _STYLE[found[0].severity]))
+        shown = found if every or len(found) <= _MOST_PLACES else found[: _MOST_PLACES - 1]
+        for one in shown:
+            lines += _place(one)
+        if left := len(found) - len(shown):
+            lines += _wrapped(f"and at {left} more places, which `gsgen validate -v` lists")
+        lines += _wrapped(f"mend: {mend}")
+    return [Line(printable(line.text), line.style) for line in lines]
+
+
+def _head_of(finding: Finding) -> str:
     doubt = "" if finding.certainty == "confirmed" else " (possible)"
     source = "" if finding.source == "contract" else f" [{finding.source}]"
     known = " (known)" if finding.known else ""
-    head = f"  {finding.rule} {finding.severity.word}{doubt} {finding.slug}{source}{known}"
-    lines = [Line(head, style), *_wrapped(f"{finding.where}: {finding.message}")]
+    return f"  {finding.rule} {finding.severity.word}{doubt} {finding.slug}{source}{known}"
+
+
+def _place(finding: Finding) -> list[Line]:
+    lines = _wrapped(f"{finding.where}: {finding.message}")
     if len(finding.examples) > 1 and finding.examples[0].row is not None:
         shown = "; ".join(str(example) for example in finding.examples[1:])
         lines += _wrapped(f"also {shown}")
     if finding.truncated:
         lines += _wrapped("with what was found at further places, which are not listed")
-    lines += _wrapped(f"mend: {finding.mend}")
-    return [Line(printable(line.text), line.style) for line in lines]
+    return lines
 
 
 def _consequence(cause: Cause) -> list[Line]:
