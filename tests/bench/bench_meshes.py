@@ -19,13 +19,14 @@ from gsgen.runtime.splat_data import SplatData
 
 COUNT = 300_000
 CAMERA = Camera(np.eye(4), 600.0, 600.0, 480.0, 270.0, 960, 540)
+AROUND = Camera.panorama((0, 0, 0), width=1024)
 
 
-def cpu(renderer: Renderer, scene: Scene, times: int = 5) -> float:
+def cpu(renderer: Renderer, scene: Scene, times: int = 5, camera: Camera = CAMERA) -> float:
     taken = []
     for _ in range(times + 1):
         began = time.process_time()
-        renderer.render(scene, CAMERA)
+        renderer.render(scene, camera)
         taken.append(time.process_time() - began)
     return min(taken[1:])
 
@@ -84,3 +85,23 @@ def bench_meshes(splats: SplatData) -> None:
         sys.stdout.write(f"\n  {name}: {took:.3f} s, {took / bare:.2f} times")
     alone = cpu(renderer, Scene([], meshes=[cases["105,800 triangles there"]]))
     sys.stdout.write(f"\n  105,800 triangles alone: {alone:.3f} s\n")
+
+
+def bench_meshes_all_around() -> None:
+    """Rooms around the eye, whose triangles at the seam and the poles have wide boxes."""
+    renderer = Renderer(rasteriser="tiles")
+    sky = Scene([], meshes=[placed(ball(2), -900, 1)])
+    cases = {
+        "one of 1,800 triangles ahead": placed(ball(30), 5, 1.9),
+        "one of 105,800 triangles ahead": placed(ball(230), 5, 1.9),
+        "a room of 1,800 triangles": placed(ball(30), 0, 5),
+        "a room of 105,800 triangles": placed(ball(230), 0, 5),
+    }
+    sys.stdout.write(
+        f"\n  8 triangles, far away: {cpu(renderer, sky, camera=AROUND):.3f} s"
+    )
+    for name, mesh in cases.items():
+        scene = Scene([], meshes=[mesh])
+        took, ahead = cpu(renderer, scene, camera=AROUND), cpu(renderer, scene)
+        sys.stdout.write(f"\n  {name}: {took:.3f} s, as a pinhole sees it {ahead:.3f} s")
+    sys.stdout.write("\n")
