@@ -17,6 +17,7 @@ MODELS = {
     "float16": ("float16", "MODEL", "-o", "out.onnx"),
     "inspect": ("inspect", "MODEL"),
     "inspect --emit-manifest": ("inspect", "MODEL", "--emit-manifest"),
+    "references": ("references", "MODEL", "-o", "out.onnx"),
     "render": ("render", "MODEL", "-o", "out.png"),
     "repro": ("repro", "MODEL", "--rule", "GV003"),
     "rewrite": ("rewrite", "MODEL", "-o", "out.onnx"),

@@ -2,10 +2,12 @@
 
 __all__ = ["build", "main"]
 
+import errno
 import gc
 import sys
+from contextlib import suppress
 from importlib.metadata import version
-from typing import Annotated, Any
+from typing import Annotated, Any, Never
 
 import typer
 from typer.core import TyperGroup
@@ -16,6 +18,7 @@ from gsgen.contract.interrupts import INTERRUPTED, ending_at_interrupts
 
 _USAGE = 2
 _INTERNAL = 3
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)  # of a disk
 
 
 def main() -> None:
@@ -42,18 +45,38 @@ def _run() -> None:
         _fail(UnknownName.among("command", named, commands))
     wanted = [commands[named]] if named else list(commands.values())
     try:
-        build(wanted)(arguments)
+        try:
+            build(wanted)(arguments)
+        finally:
+            sys.stdout.flush()  # what cannot be written is told while somebody can
     except GsgenError as error:
         _fail(error)
     except BrokenPipeError:  # the reader of our output went away: `gsgen rules | head`
         sys.stderr.close()
         sys.exit(_USAGE)
+    except OSError as error:
+        if error.errno not in _FULL:
+            _crash()
+        try:
+            sys.stdout.flush()
+        except OSError:
+            with suppress(OSError):
+                sys.stdout.close()  # or it would be tried again at the very end
+        what = f"output, or a temporary file, cannot be written: {error.strerror}"
+        mend = (
+            "Make room where it goes; the environment variable TMPDIR names another folder."
+        )
+        _fail(GsgenError(what, where=str(error.filename or ""), mend=mend))
     except Exception:  # a crash is neither a verdict nor a wrong option
-        import traceback
+        _crash()
 
-        typer.echo(traceback.format_exc(), err=True)
-        typer.echo("gsgen: internal error: this is a fault of gsgen, not yours", err=True)
-        sys.exit(_INTERNAL)
+
+def _crash() -> Never:
+    import traceback
+
+    typer.echo(traceback.format_exc(), err=True)
+    typer.echo("gsgen: internal error: this is a fault of gsgen, not yours", err=True)
+    sys.exit(_INTERNAL)
 
 
 def _fail(error: GsgenError) -> None:

@@ -1,13 +1,20 @@
 """Put files in their place only when they are whole."""
 
-__all__ = ["draft_of", "refuse_folder", "refuse_itself", "refuse_model"]
+__all__ = [
+    "draft_of",
+    "is_device",
+    "refuse_device",
+    "refuse_folder",
+    "refuse_itself",
+    "refuse_model",
+]
 
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from gsgen.contract.errors import ConfigInvalid, GsgenError
+from gsgen.contract.errors import ConfigInvalid
 
 _MODEL = ".onnx"
 
@@ -21,9 +28,10 @@ def draft_of(path: Path) -> Iterator[Path]:
     behind.
 
     Raises:
-        GsgenError: ``path`` is a folder, or its own cannot be written to.
+        ConfigInvalid: ``path`` is a folder or a device, or what is written does not fit on the disk.
     """
     refuse_folder(path)
+    refuse_device(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         folder = tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.")
@@ -31,7 +39,14 @@ def draft_of(path: Path) -> Iterator[Path]:
         raise _unwritten(path, error) from error
     with folder as name:
         draft = Path(name) / path.name
-        yield draft
+        try:
+            yield draft
+        except BrokenPipeError:  # of what is printed meanwhile
+            raise
+        except OSError as error:
+            if error.filename is not None and name not in str(error.filename):
+                raise  # of a file that is read
+            raise _unwritten(path, error) from error
         made = [file for file in Path(name).rglob("*") if not file.is_dir()]
         for file in sorted(made, key=lambda file: (file == draft, file)):
             target = path.parent / file.relative_to(name)
@@ -46,11 +61,37 @@ def refuse_folder(path: Path) -> None:
     """Refuse a folder where a file is to be written, before any work is done for it.
 
     Raises:
-        GsgenError: ``path`` is a folder.
+        ConfigInvalid: ``path`` is a folder.
     """
     if path.is_dir():
-        mend = f"Name a file in it, such as {path / 'model.onnx'}."
-        raise GsgenError("is a folder, wanted a file to write", where=str(path), mend=mend)
+        name = path.name if path.suffix else "model.onnx"
+        mend = f"Name a file in it, such as {path / name}."
+        raise ConfigInvalid(
+            "is a folder, wanted a file to write", where=str(path), mend=mend
+        )
+
+
+def is_device(path: Path) -> bool:
+    """Say whether something stands there that is neither a file nor a folder.
+
+    /dev/stdout is such a name even where a shell has made a file of it: whoever moves another
+    file there takes the name away from all others.
+    """
+    way = (path, path.readlink()) if path.is_symlink() else (path,)
+    if any(one.parent.resolve().is_relative_to("/proc") for one in way):
+        return True
+    return path.exists() and not path.is_file() and not path.is_dir()
+
+
+def refuse_device(path: Path) -> None:
+    """Refuse a device or a pipe: whole files are moved to their place, and would take its own.
+
+    Raises:
+        ConfigInvalid: ``path`` is one.
+    """
+    if is_device(path):
+        what = "is a device or a pipe, wanted a file to write"
+        raise ConfigInvalid(what, where=str(path), mend="Name a file.")
 
 
 def refuse_itself(path: Path, sources: Iterable[Path]) -> None:
@@ -84,5 +125,5 @@ def refuse_model(path: Path, models: Iterable[Path] = ()) -> None:
         raise ConfigInvalid(what, where=str(path), mend=mend)
 
 
-def _unwritten(path: Path, error: OSError) -> GsgenError:
-    return GsgenError(f"cannot be written: {error.strerror}", where=str(path))
+def _unwritten(path: Path, error: OSError) -> ConfigInvalid:
+    return ConfigInvalid(f"cannot be written: {error.strerror or error}", where=str(path))

@@ -146,7 +146,12 @@ def execute(
     """
     folder = Path(tempfile.mkdtemp(prefix="gsgen-"))
     try:
-        _write_job(folder, model, outputs, probes, limits, **options)
+        try:
+            _write_job(folder, model, outputs, probes, limits, **options)
+        except OSError as error:
+            what = f"inputs cannot be written: {error.strerror or error}"
+            mend = "Make room there, or set TMPDIR to a folder that has some."
+            raise ConfigInvalid(what, where=str(folder.parent), mend=mend) from error
         started = time.monotonic()
         ended = _run_child(folder, limits.seconds, worker)
         yield _collect(folder, ended, time.monotonic() - started, limits)

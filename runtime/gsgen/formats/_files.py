@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from gsgen.contract.drafts import is_device
 from gsgen.formats.errors import FileUnreadable, FileUnwritable, FormatError
 
 FilePath = str | os.PathLike[str]
@@ -67,10 +68,12 @@ def replacing(path: FilePath) -> Iterator[BinaryIO]:
     the body raises, ``path`` is as it was.
 
     Raises:
-        FileUnwritable: The file could not be written or put in place.
+        FileUnwritable: The file could not be written or put in place, or is none.
     """
     with naming(path):
         try:
+            if is_device(Path(path)):
+                raise FileUnwritable("is a device or a pipe", expected="a file to write")
             # Not tempfile: its files are closed to everyone but their owner.
             part = Path(path).parent / f".{secrets.token_hex(8)}.part"
             try:

@@ -126,7 +126,7 @@ def save_picture(
     with draft_of(path) as draft:
         try:
             image.fromarray(_fitting(path, picture)).save(draft, **said)
-        except (ValueError, OSError) as error:
+        except ValueError as error:
             raise SceneInvalid(f"cannot be written: {error}", where=str(path)) from error
 
 

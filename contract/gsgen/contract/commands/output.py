@@ -10,6 +10,7 @@ from pathlib import Path
 
 import typer
 
+from gsgen.contract.drafts import is_device
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.reporters.text import Line
 
@@ -46,11 +47,17 @@ def append_text(path: Path, text: str) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write a file beside its place and rename it, so that a failure leaves what was there.
 
+    What is no file, /dev/stdout for example, is written to as it is.
+
     Raises:
         ConfigInvalid: The file cannot be written.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
+        if is_device(path):
+            with path.open("w", encoding="utf-8", errors="backslashreplace") as device:
+                device.write(text)
+            return
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary.write_text(text, "utf-8", errors="backslashreplace")
         temporary.replace(path)
