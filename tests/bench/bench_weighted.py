@@ -20,8 +20,15 @@ from gsgen.runtime.splat_data import SplatData
 
 CELLS, PER_CELL, FRAMES = 50_000, 5, 5
 PAIR_BYTES = 16  # two columns of a key and a value
-SORTED = ("keys of Gaussians", "values of Gaussians", "histogram")
-CELLED = ("keys of cells", "values of cells", "keys of weighted", "circles", "spans")
+SORTED = ("keys of Gaussians", "values of Gaussians", "lows", "histogram")
+CELLED = (
+    "keys of cells",
+    "values of cells",
+    "lows",
+    "keys of weighted",
+    "circles",
+    "spans",
+)
 
 
 def say(text: str) -> None:

@@ -1,5 +1,6 @@
 """Front to back is exact: depths that a float does not tell apart are in order."""
 
+import math
 from fractions import Fraction
 
 import numpy as np
@@ -23,7 +24,7 @@ from gsgen.runtime.oracle_projection import ellipses
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
-from support.near_ties import DEPTH_LEFT, NEAR_TIES, decoded, plane
+from support.near_ties import DEPTH_LEFT, NEAR_TIES, decoded, plane, seen_through
 from support.sorting import GPU
 from support.splat_scenes import SCENES, camera, turned
 from support.weighted_scenes import celled, summed
@@ -51,7 +52,7 @@ def exact_depths(one: SplatSet, seen_by: Camera) -> tuple[np.ndarray, np.ndarray
             for line, p, e in zip(linear, place, eye, strict=True)
         ]
         at = [sum(a * x for a, x in zip(line, there, strict=True)) for line in turn]
-        distances.append(float(sum(x * x for x in at)) ** 0.5)
+        distances.append(math.hypot(*map(float, at)))
         depths.append(Fraction(distances[-1]) if seen_by.period else Fraction(at[2]))
     return np.array(depths), np.array(distances)
 
@@ -62,7 +63,11 @@ def exact_depths(one: SplatSet, seen_by: Camera) -> tuple[np.ndarray, np.ndarray
 )  # fmt: skip
 def test_a_depth_is_two_floats(renderer: Renderer, name: str) -> None:
     scene, seen_by = (SCENES | NEAR_TIES)[name]()
-    one = scene.sets[0]
+    assert_two_floats(renderer, scene.sets[0], seen_by)
+
+
+def assert_two_floats(renderer: Renderer, one: SplatSet, seen_by: Camera) -> None:
+    """Assert that keys and what they leave are depths by rational numbers."""
     n, placed = len(one.data), renderer.placed(Scene([one]))
     plan = renderer.plan(placed, seen_by, frozenset(["color"]))
     plan.submit(placed, seen_by, np.zeros(3), only=["project"])
@@ -81,6 +86,20 @@ def test_a_depth_is_two_floats(renderer: Renderer, name: str) -> None:
         assert abs(made - depths[i]) <= DEPTH_LEFT * distances[i]
     # The first is the nearest float, so the two sort as their sum does.
     assert (np.abs(low) <= np.spacing(high) / 2)[drawn].all()
+
+
+@pytest.mark.parametrize("size", [1e-22, 1e36])
+@pytest.mark.parametrize("kind", ["pinhole", "panorama"])
+def test_depths_may_be_enormous_or_vanishing(
+    renderer: Renderer, size: float, kind: str
+) -> None:
+    place, data = turned(0.5, (3, 1, 2)), plane(100)
+    data.rows[:, 4:] = 0
+    data.rows[:, :3] = size * data.rows[:, :3]
+    seen_by = seen_through(place, near=size / 10)
+    if kind == "panorama":
+        seen_by = Camera.panorama((0, 0, 0), (1, 0, 1), width=96, near=size / 10)
+    assert_two_floats(renderer, SplatSet(data, place), seen_by)
 
 
 def test_bits_sort_as_depths_do() -> None:

@@ -44,4 +44,4 @@ def gather_reference(
     keys: UInt32[np.ndarray, " m"], order: UInt32[np.ndarray, " n"]
 ) -> UInt32[np.ndarray, " n"]:
     """What ``gather_keys.wgsl`` must make."""
-    return keys[order]
+    return np.asarray(keys[order])
