@@ -12,7 +12,7 @@ BAR = 2e-6
 
 
 @pytest.mark.parametrize("driver", DRIVERS)
-def test_the_golden_and_the_sort(driver: str) -> None:
+def test_the_golden_the_meshes_and_the_sort(driver: str) -> None:
     golden = shared("data/goldens/tiny_case.safetensors")
     sizes = ("0", "4097", "20000")
     told = on_driver(driver, "support.driver_report", str(golden), *sizes)
@@ -21,5 +21,6 @@ def test_the_golden_and_the_sort(driver: str) -> None:
     assert set(told["pictures"]) == {"tiles", "tiles, cut as for a GPU", "quads"}
     assert max(told["pictures"].values()) <= BAR, told["pictures"]
     assert told["disordered"] == []
+    assert told["unmet"] == []
     assert told["unscanned"] == []
     assert told["unsorted"] == []
