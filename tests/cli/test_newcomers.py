@@ -129,3 +129,29 @@ def test_a_file_of_another_kind_is_named(content: bytes, seen: str, tmp_path: Pa
 def test_the_rule_that_was_meant_is_in_the_cure(logits: Path) -> None:
     ran = gsgen_here("validate", logits, "--severity", "GV003")
     assert "Write it as GV003=error." in ran.err
+
+
+def test_a_dry_run_may_be_added_to_any_command_line(good: Path, tmp_path: Path) -> None:
+    for command in ("rewrite", "fix", "float16"):
+        alone = gsgen_here(command, good)
+        assert (alone.code, "Give -o OUT.onnx, or --dry-run" in alone.err) == (2, True)
+    out = tmp_path / "out.onnx"
+    assert gsgen_here("rewrite", good, "-o", out, "--dry-run").code == 0
+    assert not out.exists()
+
+
+def test_a_folder_of_models_says_what_it_holds(logits: Path) -> None:
+    ran = gsgen_here("validate", Path())
+    assert (ran.code, ran.err) == (
+        4,
+        "gsgen: .: is a folder, wanted an ONNX file\n"
+        "  It holds 1: name opacity_is_logits.onnx, or ./*.onnx.\n",
+    )
+
+
+def test_a_setting_outside_of_its_table_is_sent_there(logits: Path) -> None:
+    Path("gsgen.toml").write_text('target = "webgpu"\n')
+    ran = gsgen_here("validate", logits)
+    assert (
+        ran.err == "gsgen: gsgen.toml: unknown key 'target'\n  Put it under [validate].\n"
+    )

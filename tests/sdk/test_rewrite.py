@@ -388,7 +388,6 @@ def test_the_command_lists_its_passes() -> None:
     ("words", "code", "told"),
     [
         (["in.onnx"], 2, "where should the copy go?"),
-        (["in.onnx", "-o", "out.onnx", "--dry-run"], 2, "not both"),
         (["in.onnx", "-o", "out.onnx", "--pass", "chunk"], 2, "Did you mean"),
         (["in.onnx", "-o", "out.onnx", "--target", "webgp"], 2, "Did you mean 'webgpu'?"),
         (["in.onnx", "-o", "out.onnx", "--size", "N"], 2, "--size: 'N' is not SYMBOL=SIZE"),

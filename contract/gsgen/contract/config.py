@@ -249,5 +249,8 @@ def _check_shape(data: dict[str, Any], schema: dict[str, object], where: str) ->
         if error.validator == "additionalProperties":
             known = error.schema["properties"]
             stranger = next(key for key in error.instance if key not in known)
+            if stranger in known.get("validate", {}).get("properties", {}):
+                mend = "Put it under [validate]."
+                raise UnknownName(f"unknown key {stranger!r}", where=at, mend=mend)
             raise UnknownName.among("key", stranger, known, at)
         raise ConfigInvalid(error.message, where=at)

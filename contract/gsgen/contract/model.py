@@ -177,7 +177,9 @@ def _size(path: Path) -> int:
     except OSError as error:
         raise ModelUnreadable(f"cannot be read: {error.strerror}", where=where) from error
     if stat.S_ISDIR(entry.st_mode):
-        raise ModelUnreadable("is a folder, wanted an ONNX file", where=where)
+        held = sorted(path.glob("*.onnx"))
+        mend = f"It holds {len(held)}: name {held[0]}, or {path}/*.onnx." if held else ""
+        raise ModelUnreadable("is a folder, wanted an ONNX file", where=where, mend=mend)
     if not stat.S_ISREG(entry.st_mode):
         raise ModelUnreadable("is not a regular file, wanted an ONNX file", where=where)
     if entry.st_size == 0:

@@ -56,12 +56,11 @@ def fix(
     """
     from gsgen.contract.commands.output import show
     from gsgen.contract.reporters.text import render
+    from gsgen.sdk.commands.copies import copy_of
     from gsgen.sdk.commands.sizes import sizes_of
     from gsgen.sdk.repair import Request, repair
 
-    if (output is None) is not dry_run:
-        mend = "Give -o OUT.onnx, or --dry-run, and not both."
-        raise ConfigInvalid("where should the copy go?", where="--output", mend=mend)
+    output = copy_of(output, dry_run)
     request = Request(
         sizes=sizes_of(size, "--size") | sizes_of(pin, "--pin"),
         manifest=_manifest(manifest) if manifest else None,

@@ -48,11 +48,10 @@ def float16(
     is no model.
     """
     from gsgen.contract.sandbox import Limits
+    from gsgen.sdk.commands.copies import copy_of
     from gsgen.sdk.float16 import write_float16
 
-    if (output is None) is not dry_run:
-        mend = "Give -o OUT.onnx, or --dry-run, and not both."
-        raise ConfigInvalid("where should the copy go?", where="--output", mend=mend)
+    output = copy_of(output, dry_run)
     try:
         done = write_float16(
             model,

@@ -67,6 +67,7 @@ def rewrite(
     Exits 0 if it does, 1 if it would not (then nothing is written), 4 if MODEL is no model.
     """
     from gsgen.contract.targets import load_target
+    from gsgen.sdk.commands.copies import copy_of
     from gsgen.sdk.commands.sizes import sizes_of
     from gsgen.sdk.rewrite import rewrite_file
 
@@ -76,9 +77,7 @@ def rewrite(
         return
     if model is None:
         raise ConfigInvalid("no MODEL was given", where="gsgen rewrite")
-    if (output is None) is not dry_run:
-        mend = "Give -o OUT.onnx, or --dry-run, and not both."
-        raise ConfigInvalid("where should the copy go?", where="--output", mend=mend)
+    output = copy_of(output, dry_run)
     sizes = sizes_of(size, "--size") | sizes_of(freeze, "--freeze")
     try:
         done = rewrite_file(
