@@ -267,9 +267,8 @@ def seen_reference(
         size = np.linalg.norm(upright)
         if not size > 0:
             continue
-        x, y, z = np.moveaxis(
-            [_beside_reference(one, place, rays) for one in at[face]], -1, 0
-        )
+        beside = np.stack([_beside_reference(one, place, rays) for one in at[face]])
+        x, y, z = np.moveaxis(beside, -1, 0)
         after, last = [1, 2, 0], [2, 0, 1]
         areas = x[after] * y[last] - y[after] * x[last]
         with np.errstate(all="ignore"):
