@@ -155,3 +155,13 @@ def test_a_setting_outside_of_its_table_is_sent_there(logits: Path) -> None:
     assert (
         ran.err == "gsgen: gsgen.toml: unknown key 'target'\n  Put it under [validate].\n"
     )
+
+
+def test_what_is_to_be_typed_can_be_pasted(logits: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "my models"
+    folder.mkdir()
+    model = find("still_rgb").write(folder)
+    ran = gsgen_here("vectors", model, cwd=tmp_path)
+    assert f"`gsgen validate '{folder}/still_rgb-vectors/model.onnx'` runs them" in ran.out
+    bare = find("no_manifest").write(folder)
+    assert f"`gsgen inspect '{bare}' --emit-manifest`" in gsgen_here("vectors", bare).err

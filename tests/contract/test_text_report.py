@@ -94,6 +94,15 @@ def test_a_finding_is_followed_by_what_could_not_be_judged_because_of_it(reports
     assert after[3] == "    so 1 rule could not be judged: GO008"
 
 
+@pytest.mark.parametrize("most", [10, 11])
+def test_many_rules_that_could_not_be_judged_are_counted(reports, monkeypatch, most):
+    monkeypatch.setattr("gsgen.contract.reporters.text._MOST_BLOCKED", most)
+    report = reports["foreign"]
+    short = "so 11 rules could not be judged, which `gsgen validate -v` lists\n"
+    assert (short in text_of(report)) == (most < 11)
+    assert "so 11 rules could not be judged: GV001, " in text_of(report, verbose=True)
+
+
 def test_causes_that_are_no_finding_are_named_all_the_same(reports):
     report = replace(reports["foreign"], findings=())
     lines = text_of(report).splitlines()

@@ -2,6 +2,7 @@
 
 __all__ = ["NotJudged", "Reproduction", "Row", "reproduce"]
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -111,7 +112,7 @@ def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
     else:
         reason = "" if outcome.status in ("pass", "fail") else outcome.reason
     if reason:
-        mend = f"`gsgen validate {path}` says more."
+        mend = f"`gsgen validate {shlex.quote(str(path))}` says more."
         raise NotJudged(reason, where=f"{rule.id} was not judged", mend=mend)
     return report
 

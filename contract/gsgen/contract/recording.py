@@ -3,6 +3,7 @@
 __all__ = ["RecordingRefused", "executed", "recordable", "recorded_copy"]
 
 import json
+import shlex
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -34,11 +35,11 @@ def recordable(source: Path, settings: Settings) -> Subject:
     """
     file = open_model(source)
     subject = read_subject(file, settings.target, settings.limits)
-    where = str(source)
+    where, typed = str(source), shlex.quote(str(source))
     if subject.parsed is None:
         mend = (
-            f"`gsgen inspect {source} --emit-manifest` derives one; correct it, and embed it "
-            f"with `gsgen fix {source} --manifest FILE -o OUT.onnx`."
+            f"`gsgen inspect {typed} --emit-manifest` derives one; correct it, and embed it "
+            f"with `gsgen fix {typed} --manifest FILE -o OUT.onnx`."
         )
         raise RecordingRefused(
             "has no manifest that could hold them", where=where, mend=mend
@@ -48,7 +49,7 @@ def recordable(source: Path, settings: Settings) -> Subject:
     if broken:
         what = f"breaks {broken[0].rule} at {broken[0].where}: {broken[0].message}"
         mend = (
-            f"What a broken model gives is no promise; `gsgen validate {source}` says more."
+            f"What a broken model gives is no promise; `gsgen validate {typed}` says more."
         )
         raise RecordingRefused(what, where=where, mend=mend)
     return subject

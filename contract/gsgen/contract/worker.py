@@ -31,7 +31,13 @@ import numpy as np
 
 from gsgen.contract.lifeline import end_with_parent
 
-_OUT_OF_MEMORY = ("bad_alloc", "bad allocation", "Failed to allocate memory", "MemoryError")
+_OUT_OF_MEMORY = (
+    "bad_alloc",
+    "bad allocation",
+    "Failed to allocate memory",
+    "Cannot allocate memory",  # for a thread's stack
+    "MemoryError",
+)
 
 # Extra probes start only within this share of the time, so that they never use it up.
 SHARE_FOR_EXTRAS = 0.5

@@ -3,6 +3,7 @@
 __all__ = ["vectors"]
 
 import json
+import shlex
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -97,6 +98,5 @@ def _print(made: "Recorded", as_json: bool) -> None:
         return
     for folder, vector in zip(sets, made.vectors, strict=True):
         typer.echo(f"{folder}: {vector.inputs}")
-    typer.echo(
-        f"{made.model}: promises them; `gsgen validate {made.model}` runs them again"
-    )
+    typed = shlex.quote(str(made.model))
+    typer.echo(f"{made.model}: promises them; `gsgen validate {typed}` runs them again")

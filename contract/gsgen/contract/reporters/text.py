@@ -16,6 +16,7 @@ _VERDICT_STYLE = {"conforms": "bold green"}
 _BAD = "bold red"
 _WIDTH = 96
 _MOST_PLACES = 5
+_MOST_BLOCKED = 12
 _MIB = 1 << 20
 
 
@@ -56,12 +57,12 @@ def render(report: Report, *, verbose: bool = False) -> list[Line]:
     for rule, findings in groupby(shown, lambda one: one.rule):
         lines += finding_lines(findings, every=verbose)
         if rule in causes:
-            lines += _consequence(causes.pop(rule))
+            lines += _consequence(causes.pop(rule), verbose)
     lines += _crashes(report)
     for cause in causes.values():
         rule, status = cause.outcome.rule, cause.outcome.status
         lines.append(Line(f"  {rule.id} {status}: {rule.slug}"))
-        lines += _consequence(cause)
+        lines += _consequence(cause, verbose)
     lines += _not_run(report) + _left_out(report) + _waived(report) + _gone(report)
     if verbose:
         lines += _details(report)
@@ -125,10 +126,11 @@ def _place(finding: Finding) -> list[Line]:
     return lines
 
 
-def _consequence(cause: Cause) -> list[Line]:
-    names = ", ".join(rule.id for rule in cause.blocked)
-    rules = plural(len(cause.blocked), "rule")
-    return _wrapped(f"so {rules} could not be judged: {names}")
+def _consequence(cause: Cause, every: bool) -> list[Line]:
+    blocked = f"so {plural(len(cause.blocked), 'rule')} could not be judged"
+    if len(cause.blocked) > _MOST_BLOCKED and not every:
+        return _wrapped(f"{blocked}, which `gsgen validate -v` lists")
+    return _wrapped(f"{blocked}: {', '.join(rule.id for rule in cause.blocked)}")
 
 
 def _wrapped(text: str) -> list[Line]:
