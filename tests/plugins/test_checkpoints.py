@@ -124,6 +124,22 @@ def test_what_lies_in_a_run_stands_for_it(
         read(run / "notes.txt")
 
 
+def test_minus_one_is_the_last_iteration(tmp_path: Path) -> None:
+    """As ``--iteration -1`` is for the published loaders."""
+    run = write_deformable(tmp_path / "run")
+    assert read_deformation(run, -1).iteration == 40000
+    place = run / "point_cloud/iteration_40000"
+    assert read_deformation(place, -1).iteration == 40000
+
+
+def test_a_file_of_another_iteration_is_pointed_at(tmp_path: Path) -> None:
+    run = write_deformable(tmp_path)
+    (run / "deform/iteration_40000").rename(run / "deform/iteration_30000")
+    with pytest.raises(CheckpointInvalid, match="is missing: the deformation") as caught:
+        read_deformation(run)
+    assert caught.value.mend == "There is one of iteration 30000."
+
+
 def test_an_iteration_by_itself_will_do(tmp_path: Path) -> None:
     run = write_octree(tmp_path / "run", AnchorOptions(anchors=5, iteration=40000))
     wanted = octree_gs.build(run)

@@ -11,6 +11,7 @@ from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid, NotInC
 
 _ITERATION = re.compile(r"iteration_(\d+)")
 _CLOUD = "point_cloud"
+_LAST = -1
 # Where methods put what belongs to an iteration.
 _PARENTS = (_CLOUD, "deform", "mlp_ckpt")
 # Files of a run that stand for it.
@@ -25,11 +26,12 @@ def within_run(given: Path, iteration: int | None = None) -> tuple[Path, int | N
 
     Args:
         given: The run's folder, or one of an iteration in it, or a file in either.
-        iteration: Which one is asked for besides.
+        iteration: Which one is asked for besides; −1 is the last, as training code has it.
 
     Raises:
         NotInCheckpoint: The path is of another iteration.
     """
+    iteration = None if iteration == _LAST else iteration
     file = given.is_file() and _STANDING.fullmatch(given.name) is not None
     place = given.parent if file else given
     whole = place.absolute()
@@ -75,8 +77,7 @@ def find_iteration(folder: Path, iteration: int | None = None) -> tuple[int, Pat
         mend = "Give the folder that training wrote: the one with cfg_args in it."
         mend = likely_folders(folder, lambda one: (one / parent.name).is_dir()) or mend
         raise CheckpointInvalid("has no folder point_cloud", where=str(folder), mend=mend)
-    matches = ((_ITERATION.fullmatch(child.name), child) for child in parent.iterdir())
-    found = {int(match[1]): child for match, child in matches if match and child.is_dir()}
+    found = _iterations(parent)
     if not found:
         raise CheckpointInvalid("holds no folder iteration_N", where=str(parent))
     wanted = max(found) if iteration is None else iteration
@@ -130,8 +131,23 @@ def required_file(path: Path, what: str) -> Path:
         CheckpointInvalid: It is not; ``what`` says what it should hold.
     """
     if not path.is_file():
-        raise CheckpointInvalid(f"is missing: {what}", where=str(path))
+        mend = _elsewhere(path)
+        raise CheckpointInvalid(f"is missing: {what}", where=str(path), mend=mend)
     return path
+
+
+def _elsewhere(path: Path) -> str:
+    """Say of which other iterations there is such a file."""
+    home = path.parent.parent
+    if not _ITERATION.fullmatch(path.parent.name) or not home.is_dir():
+        return ""
+    has = [n for n, place in _iterations(home).items() if (place / path.name).is_file()]
+    return f"There is one of iteration {', '.join(map(str, sorted(has)))}." if has else ""
+
+
+def _iterations(home: Path) -> dict[int, Path]:
+    matches = ((_ITERATION.fullmatch(child.name), child) for child in home.iterdir())
+    return {int(match[1]): child for match, child in matches if match and child.is_dir()}
 
 
 def source_name(folder: Path) -> str:

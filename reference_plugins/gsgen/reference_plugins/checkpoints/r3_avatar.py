@@ -156,7 +156,7 @@ def read_r3(
 
 def _find(folder: Path, iteration: int | None) -> Path:
     named = _FILE.fullmatch(folder.name) if folder.is_file() else None
-    if named and iteration in (None, int(named[1])):
+    if named and iteration in (None, -1, int(named[1])):
         return folder
     folder, iteration = within_run(folder, iteration)
     if not folder.is_dir():

@@ -30,7 +30,7 @@ Checkpoint = Annotated[
 ]
 Iteration = Annotated[
     int | None,
-    typer.Option(help="Which iteration to take.", show_default="the last", min=0),
+    typer.Option(help="Which iteration to take.", show_default="the last, as -1", min=-1),
 ]
 AppearanceId = Annotated[
     int | None,
