@@ -352,6 +352,28 @@ def test_slivers_have_the_colours_of_their_pixels(renderer: Renderer) -> None:
         np.testing.assert_allclose(seen.depth[firm], wanted.depth[firm], rtol=3e-4)
 
 
+def test_triangles_from_before_the_nose_to_the_horizon(renderer: Renderer) -> None:
+    """Each has corners at distances from 0.05 to 1000, so that boxes and planes need all digits."""
+    close = [[3.57, 6.75, 35.87], [-433.0, -157.85, -1219.35], [0.124, -0.06, 0.604]]
+    ahead = camera(fx=25.0, fy=25.0)
+    around = Camera.panorama((0, 0, 0), width=44)
+    seen_at_all = 0
+    for seed in range(16):
+        rng = np.random.default_rng(seed)
+        points = rng.normal(size=(3, 3)) * np.exp(rng.uniform(-3, 7, (3, 1)))
+        shape = MeshData(np.array(close) if seed == 0 else points, FACE, np.eye(3))
+        for seen_by in (ahead, around):
+            wanted = oracle_meshes.cast([Mesh(shape)], seen_by, "srgb")
+            seen = renderer.render(Scene([], meshes=[shape]), seen_by, outputs=EVERYTHING)
+            there, firm = np.isfinite(wanted.depth), ~wanted.fragile
+            assert ((seen.alpha == 1) == there)[firm].all(), seed
+            met = there & firm
+            seen_at_all += met.any()
+            np.testing.assert_allclose(seen.depth[met], wanted.depth[met], rtol=1e-4)
+            np.testing.assert_allclose(seen.rgba[met][:, :3], wanted.color[met], atol=1e-4)
+    assert seen_at_all > 10
+
+
 @pytest.mark.parametrize("around", [False, True])
 def test_a_floor_to_the_horizon_is_as_far_as_it_should_be(
     renderer: Renderer, around: bool

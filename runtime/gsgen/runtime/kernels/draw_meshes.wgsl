@@ -60,21 +60,26 @@ fn offset(at: vec3f) -> vec3f {
 //!include panorama
 
 fn triangle(face: u32) -> Corner {
-    let a = local(faces[3u * face]);
-    let b = local(faces[3u * face + 1u]);
-    let c = local(faces[3u * face + 2u]);
-    // The plane is found in local space, where floors are level and rounding has not been.
-    let across = cross(b - a, c - a);
+    let corners = array<vec3f, 3>(local(faces[3u * face]), local(faces[3u * face + 1u]), local(faces[3u * face + 2u]));
+    let a = offset(corners[0]);
+    let b = offset(corners[1]);
+    let c = offset(corners[2]);
+    // The plane is found in local space, where floors are level and rounding has not been, and
+    // from the nearest corner, where it has to be best.
+    let far = vec3f(dot(a, a), dot(b, b), dot(c, c));
+    let first = select(select(2u, 1u, far.y < far.z), 0u, far.x <= min(far.y, far.z));
+    let nearest = corners[first];
+    let across = cross(corners[(first + 1u) % 3u] - nearest, corners[(first + 2u) % 3u] - nearest);
     let turned = place.upright * across;
     let size = distance_of(turned);
     let has_area = any(across != vec3f(0.0)) && size > 0.0;
     var made: Corner;
     made.face = face;
-    made.a = place.linear * offset(a);
-    made.b = place.linear * offset(b);
-    made.c = place.linear * offset(c);
+    made.a = place.linear * a;
+    made.b = place.linear * b;
+    made.c = place.linear * c;
     made.upright = select(vec3f(0.0), turned / size, has_area);
-    made.height = dot(across / size, offset(a));
+    made.height = dot(across / size, offset(nearest));
     return made;
 }
 

@@ -57,17 +57,17 @@ fn latitudes_at(at: vec3f, extent: f32) -> vec2f {
     return turn_of(at.y, length(at.xz)) + vec2f(-slack, slack);
 }
 
-// Of the corner `a`, and of the point of the edge to `b` where the latitude turns round: there
-// y / ρ has no derivative along the edge. Elsewhere it is extreme at corners.
-fn latitudes_along(a: vec3f, b: vec3f, extent: f32) -> vec2f {
-    let step = b - a;
-    let level = dot(a.xz, step.xz);
-    let top = step.y * dot(a.xz, a.xz) - a.y * level;
-    let bottom = a.y * dot(step.xz, step.xz) - step.y * level;
+// Of the point of an edge where the latitude turns round: there y / ρ has no derivative along the
+// edge. Elsewhere it is extreme at corners. Counted from the nearer one, where digits are needed.
+fn latitudes_along(one: vec3f, other: vec3f, extent: f32) -> vec2f {
+    let is_nearer = dot(one, one) < dot(other, other);
+    let near = select(other, one, is_nearer);
+    let step = select(one, other, is_nearer) - near;
+    let level = dot(near.xz, step.xz);
+    let top = step.y * dot(near.xz, near.xz) - near.y * level;
+    let bottom = near.y * dot(step.xz, step.xz) - step.y * level;
     let share = select(0.0, clamp(top / bottom, 0.0, 1.0), abs(bottom) > 0.0);
-    let corner = latitudes_at(a, extent);
-    let turning = latitudes_at(a + share * step, extent);
-    return vec2f(min(corner.x, turning.x), max(corner.y, turning.y));
+    return latitudes_at(near + share * step, extent);
 }
 
 // In a panorama. Along an edge longitude goes one way, so it is extreme at corners; where they
@@ -89,11 +89,12 @@ fn box_around(corner_a: vec3f, corner_b: vec3f, corner_c: vec3f) -> Box {
     let right = max(max(others.x, others.y), 0.0) + slack;
     let is_around = !(right - left < 0.99 * HALF_TURN);
 
+    let corners = array<vec2f, 3>(latitudes_at(a, extent), latitudes_at(b, extent), latitudes_at(c, extent));
     let ab = latitudes_along(a, b, extent);
     let bc = latitudes_along(b, c, extent);
     let ca = latitudes_along(c, a, extent);
-    var upper = min(ab.x, min(bc.x, ca.x));
-    var lower = max(ab.y, max(bc.y, ca.y));
+    var upper = min(min(corners[0].x, min(corners[1].x, corners[2].x)), min(ab.x, min(bc.x, ca.x)));
+    var lower = max(max(corners[0].y, max(corners[1].y, corners[2].y)), max(ab.y, max(bc.y, ca.y)));
     if (is_around && max(a.y, max(b.y, c.y)) >= 0.0) {
         lower = HALF_TURN;
     }
