@@ -10,6 +10,7 @@ from weakref import WeakSet
 import numpy as np
 from jaxtyping import Shaped, UInt8
 
+from gsgen.contract.errors import GsgenError
 from gsgen.runtime.errors import (
     CapacityExceeded,
     DeviceLost,
@@ -224,7 +225,9 @@ class Device:
             yield
         except wgpu.GPUOutOfMemoryError as error:
             raise MemoryFull(f"the memory of {self.name} is full", mend=_LESS) from error
-        except (wgpu.GPUError, RuntimeError) as error:
+        except GsgenError:
+            raise
+        except Exception as error:  # wgpu-py stumbles over a lost device in several ways
             if not self.lost:
                 raise
             raise self._gone() from error

@@ -12,7 +12,7 @@ from gsgen.runtime.errors import (
 )
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.residency import Residency, bytes_of
-from gsgen.runtime.scene import Scene
+from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
 from support.splat_scenes import camera, cloud, single
 
@@ -80,6 +80,31 @@ def test_a_lost_device_says_so_whatever_it_is_asked() -> None:
         Renderer(device)
     with pytest.raises(DeviceLost, match="the graphics device was lost"):
         device.submit(device.raw.create_command_encoder())
+
+
+@pytest.mark.parametrize("when", ["before the frame", "in its middle"])
+def test_a_device_that_is_lost_while_everything_moves(
+    when: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device = Device.open()
+    data = cloud(300)
+    scene, renderer = Scene([SplatSet(data)]), Renderer(device, rasteriser="tiles")
+    for step in range(3):  # rows that change are written in other ways than those that stay
+        data.update(data.rows + np.float32(0.01 * step), None, len(data))
+        renderer.render(scene, camera())
+    data.update(data.rows + np.float32(0.1), None, len(data))
+    if when == "before the frame":
+        device.raw.destroy()
+    else:
+        submit = device.submit
+
+        def lost_after(encoder: object) -> None:
+            submit(encoder)
+            device.raw.destroy()
+
+        monkeypatch.setattr(device, "submit", lost_after)
+    with pytest.raises(DeviceLost, match="the graphics device was lost"):
+        renderer.render(scene, camera())
 
 
 def test_what_is_wrong_with_a_device_that_is_there_stays_as_it_is(device: Device) -> None:

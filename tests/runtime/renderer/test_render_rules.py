@@ -18,8 +18,8 @@ from gsgen.runtime import showing
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.errors import DeviceUnavailable
 from gsgen.runtime.frame import Frame
-from gsgen.runtime.reference_image import ReferenceUnreadable, read_reference
 from gsgen.runtime.pictures import png_of
+from gsgen.runtime.reference_image import ReferenceUnreadable, read_reference
 from gsgen.runtime.render_fixtures import render_fixtures, with_reference
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.scene import Scene
