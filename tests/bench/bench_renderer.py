@@ -169,6 +169,45 @@ def bench_a_million(
 
 
 @pytest.mark.parametrize("size", SIZES)
+def bench_what_changes(
+    device: Device,
+    scene: Scene,
+    monkeypatch: pytest.MonkeyPatch,
+    size: tuple[int, int],
+) -> None:
+    """Frames of new values, in memory that is mapped and arranged, and by copies in own order."""
+    camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=size[0], height=size[1])
+    say(f"1 M Gaussians, degree 3 in float32, {size[0]}×{size[1]}: ")
+    drawn = []
+    for maps in dict.fromkeys((False, device.maps)):
+        monkeypatch.setattr(device, "maps", maps)
+        renderer = Renderer(device, rasteriser="tiles")
+        rows, appearance = scene.sets[0].data.rows, scene.sets[0].data.appearance
+        data = SplatData(rows, appearance, "sh")
+
+        def frame(
+            *values: np.ndarray | None,
+            renderer: Renderer = renderer,
+            data: SplatData = data,
+            camera: Camera = camera,
+        ) -> np.ndarray:
+            data.update(*values)
+            return renderer.render(Scene([data]), camera).rgba
+
+        frame(rows)
+        drawn.append(frame(rows))
+        say("mapped: " if maps else "copied: ")
+        for name, values in (
+            ("rows", (rows, None)),
+            ("harmonics", (None, appearance)),
+            ("both", (rows, appearance)),
+            ("nothing", ()),
+        ):
+            say(f"  {name:9} new {cpu(lambda v=values: frame(*v)):.3f} CPU-s")
+    assert all(np.array_equal(one, drawn[0]) for one in drawn)
+
+
+@pytest.mark.parametrize("size", SIZES)
 def bench_quads(device: Device, scene: Scene, size: tuple[int, int]) -> None:
     """The hardware's rasteriser beside the tiles; a software driver has none."""
     camera = Camera.look_at((-2.5, -0.5, -3), (1, 0.3, 1), width=size[0], height=size[1])

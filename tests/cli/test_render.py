@@ -13,12 +13,14 @@ from gsgen.conformance.fixtures import find
 from gsgen.conformance.fixtures.moving import driven
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 from gsgen.contract.manifest import Input
+from gsgen.runtime import oracle
 from gsgen.runtime.commands.render import render
 from gsgen.runtime.device import Device
 from gsgen.runtime.film import Film
 from gsgen.runtime.pictures import array_of, picture_of
 from gsgen.runtime.placed_source import PlacedSource
 from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.scene import Scene
 from gsgen.runtime.sources import Source, open_source
 from gsgen.runtime.tracks import Track
 from gsgen.runtime.viewpoint import viewpoint
@@ -140,6 +142,11 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
         (("MODEL", "--input", "time=no.npy"), 2, "no.npy: cannot be read: No such file"),
         (("MODEL", "--pose", "no.npy"), 2, "--pose no.npy: no scene has an input 'pose'"),
         (("BODY", "--pose", "no.npy"), 2, "no.npy: cannot be read: No such file"),
+        (
+            ("MODEL", "--wsr", "published"),
+            2,
+            "drift.onnx is not blended by weighted sums",
+        ),
         (("BODY", "--input", "pose=1,2"), 2, "has shape [2], and input pose takes [4, 3]"),
     ],
 )
@@ -382,3 +389,32 @@ def test_what_becomes_of_transparency_is_said(
         with Image.open(tmp_path / name) as image:
             alpha = np.asarray(image.convert("RGBA"))[..., 3]
         assert alpha.min() == 0 and alpha.max() > 200  # noqa: PT018
+
+
+def test_both_forms_of_weighted_sums_are_drawn(tmp_path: Path) -> None:
+    model = find("weighted_sum").write(tmp_path)
+    source, behind = open_source(model), (0.9, 0.6, 0.3, 1.0)
+    scene = Scene([source.splats(None, None)])
+    source.close()
+    seen = viewpoint(FRONT, width=48, height=32).camera(source, 0, 0.0)
+    made = {}
+    for form in ("contract", "published"):
+        made[form] = tmp_path / f"{form}.npy"
+        words = (
+            str(model),
+            "-o",
+            str(made[form]),
+            "--wsr",
+            form,
+            "--camera",
+            FRONT,
+            *SMALL,
+        )
+        assert ran(*words, "--background", "0.9,0.6,0.3")[0] == 0
+        wanted = oracle.render(
+            scene, seen, background=behind, published=form == "published"
+        )
+        np.testing.assert_allclose(
+            np.load(made[form])[..., :3], wanted.rgba[..., :3], atol=2e-5
+        )
+    assert not np.allclose(*(np.load(one) for one in made.values()), atol=1e-2)

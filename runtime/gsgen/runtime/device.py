@@ -1,6 +1,6 @@
 """The graphics device: opened once, shared by all that draws, with buffers that have names."""
 
-__all__ = ["Device"]
+__all__ = ["MAPPED_FROM", "Device"]
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +20,9 @@ from gsgen.runtime.errors import (
 
 STORAGE_BUFFERS: Final = 8
 """How many storage buffers a kernel may bind: what every WebGPU device has."""
+
+MAPPED_FROM: Final = 1 << 20
+"""Bytes from which on mapping a buffer takes less than the copies that it saves."""
 
 _SUBGROUPS: Final = "subgroup"
 _BLENDING: Final = "float32-blendable"
@@ -135,7 +138,14 @@ class Device:
             CapacityExceeded: No binding may be that large.
             MemoryFull: There is no memory for it.
         """
-        return self.storage(label, size, extra="MAP_WRITE" if self.maps else "")
+        mapped = self.maps and size >= MAPPED_FROM
+        return self.storage(label, size, extra="MAP_WRITE" if mapped else "")
+
+    def can_map(self, buffer: Any) -> bool:
+        """Say whether this process can write to a buffer's own memory: to a large ``filled`` one."""
+        import wgpu
+
+        return bool(buffer.usage & wgpu.BufferUsage.MAP_WRITE)
 
     def uniform(self, label: str, size: int) -> Any:
         """Return a new uniform buffer of ``size`` bytes."""
@@ -258,10 +268,10 @@ class Device:
     def mapped(
         self, buffer: Any, offset: int, size: int
     ) -> Iterator[UInt8[np.ndarray, " n"]]:
-        """Yield the memory of a buffer, to be written, of a device that ``maps``.
+        """Yield the memory of a buffer, to be written.
 
         Args:
-            buffer: A ``filled`` one, which the device is not at work with.
+            buffer: One that it ``can_map``, and is not at work with.
             offset: The first byte.
             size: How many.
         """

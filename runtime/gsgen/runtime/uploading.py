@@ -40,8 +40,8 @@ def upload(
 ) -> None:
     """Write rows into a buffer.
 
-    Where the device ``maps``, they come into their order by the only copy there is. Elsewhere
-    wgpu has them copied to memory that it claims for that, and from there to the device.
+    Where the device can map the buffer, they come into their order by the only copy there is.
+    Elsewhere wgpu copies them to memory that it claims for that, and from there to the device.
 
     Args:
         device: Of the buffer; it is not at work with it.
@@ -51,8 +51,8 @@ def upload(
     """
     start, make = target.first * target.size, target.make
     count = len(array) if order is None else len(order)
-    if not device.maps:
-        some = array if order is None else array[order]
+    if not device.can_map(target.buffer):
+        some = array if order is None else array.take(order, axis=0)
         device.write(target.buffer, some if make is None else make(some), start)
         return
     with device.mapped(target.buffer, start, count * target.size) as memory:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gsgen.runtime import arrangement, residency
+from gsgen.runtime import device as devices
 from gsgen.runtime.curve import along_curve
 from gsgen.runtime.device import Device
 from gsgen.runtime.renderer import Renderer
@@ -82,6 +83,7 @@ def maps(device: Device, monkeypatch: pytest.MonkeyPatch, request: object) -> bo
     if request.param and not device.maps:
         pytest.skip("a card, whose memory is its own")
     monkeypatch.setattr(device, "maps", request.param)
+    monkeypatch.setattr(devices, "MAPPED_FROM", 1)
     return bool(request.param)
 
 

@@ -27,8 +27,10 @@ def written(device: Device, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, 
         seen.append((buffer.label, offset, data.nbytes))
         write(self, buffer, data, offset)
 
-    monkeypatch.setattr(Device, "mapped", filled)  # if the device maps its memory
-    monkeypatch.setattr(Device, "write", written)  # if it does not
+    monkeypatch.setattr(
+        Device, "mapped", filled
+    )  # of large buffers, if the device maps them
+    monkeypatch.setattr(Device, "write", written)
     return seen
 
 

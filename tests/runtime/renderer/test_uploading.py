@@ -6,7 +6,7 @@ import pytest
 from gsgen.runtime.device import Device
 from gsgen.runtime.uploading import Target, upload
 
-ROOM = 20_000  # rows: more than are made at a time
+ROOM = 80_000  # rows: more than are made at a time, and enough to be mapped
 
 
 @pytest.mark.parametrize("maps", [True, False])
@@ -24,6 +24,7 @@ def test_rows_are_where_they_belong(
     before = np.full((ROOM, 4), 7, np.float32)
     upload(device, Target(buffer, 0, 16), before)
     order = rng.permutation(15_000)[:12_345].astype(np.uint32) if ordered else None
+    assert device.can_map(buffer) is maps
     target = Target(
         buffer, 1234, 16, (lambda rows: rows.astype(np.float32)) if made else None
     )
@@ -35,7 +36,7 @@ def test_rows_are_where_they_belong(
 
 
 def test_what_goes_wrong_on_the_way_leaves_the_buffer_to_the_device(device: Device) -> None:
-    buffer = device.filled("rows", 16)
+    buffer = device.filled("rows", 16 * ROOM)
 
     def fail(rows: np.ndarray) -> np.ndarray:
         raise ValueError(rows.shape)

@@ -6,7 +6,7 @@ import json
 import time as clock
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import typer
 
@@ -140,6 +140,13 @@ def render(
     antialias: Antialias = None,
     rasteriser: RasteriserName = "auto",
     compact: Compact = False,
+    wsr: Annotated[
+        Literal["contract", "published"],
+        typer.Option(
+            help="How a background counts in weighted sums: as the contract says, or as in the "
+            "renderer that came with the method."
+        ),
+    ] = "contract",
     post: Post = None,
     size: Sizes = None,
     provider: Provider = "cpu",
@@ -168,6 +175,8 @@ def render(
     sizes = sizes_of(size, "--size")
     with opened(scenes, post or (), provider=provider, sizes=sizes) as (sources, models):
         tracks, speed = fed(pose, inputs, sources)
+        if wsr == "published":
+            _require_sums(sources)
         film = Film(
             sources,
             view,
@@ -180,7 +189,9 @@ def render(
             turn=turn,
             tracks=tracks,
             post=models,
-            renderer=Renderer(rasteriser=rasteriser, compact=compact),
+            renderer=Renderer(
+                rasteriser=rasteriser, compact=compact, published=wsr == "published"
+            ),
         )
         began = clock.perf_counter()
         film.write(
@@ -209,6 +220,17 @@ def fed(
         made, speed = pose_tracks(text, takers[0])
         tracks, fps = [*tracks, *made], fps or speed
     return [*tracks, *(input_track(text) for text in inputs or ())], fps
+
+
+def _require_sums(sources: "list[Source]") -> None:
+    """Refuse what the published form of weighted sums is not defined for."""
+    other = next((one for one in sources if one.weighted is None or one.meshes), None)
+    if other is not None:
+        raise ConfigInvalid(
+            f"{other.name} is not blended by weighted sums, and nothing else can be drawn so",
+            where="--wsr published",
+            mend="Leave it out, or draw all of it as the contract says: `--wsr contract`.",
+        )
 
 
 def _background(
