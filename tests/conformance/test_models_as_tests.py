@@ -139,7 +139,7 @@ def test_the_target_brings_its_rules(folder: Path) -> None:
     ("options", "code", "words"),
     [
         (("--gsgen=none.onnx",), 4, "none.onnx"),
-        (("--gsgen=text.onnx",), 2, "is damaged or cut off"),
+        (("--gsgen=text.onnx",), 2, "is not an ONNX model but text"),
         (("--gsgen=drift.onnx", "--gsgen-suite=tme"), 4, "Did you mean 'time'?"),
         (
             ("--gsgen=drift.onnx", "--gsgen-xfails=none.toml"),
