@@ -274,9 +274,13 @@ class Device:
             buffer: One that it ``can_map``, and is not at work with.
             offset: The first byte.
             size: How many.
+
+        Raises:
+            DeviceLost: It went away.
         """
         from wgpu.backends.wgpu_native import ffi, lib
 
+        self.require()
         buffer.map_sync("WRITE")
         try:
             first = lib.wgpuBufferGetMappedRange(buffer._internal, 0, buffer.size)

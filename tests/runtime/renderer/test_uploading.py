@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gsgen.runtime.device import Device
+from gsgen.runtime.errors import DeviceLost
 from gsgen.runtime.uploading import Target, upload
 
 ROOM = 80_000  # rows: more than are made at a time, and enough to be mapped
@@ -33,6 +34,14 @@ def test_rows_are_where_they_belong(
     before[1234 : 1234 + len(some)] = some
     read = device.read(buffer, np.float32, 4 * ROOM).reshape(-1, 4)
     np.testing.assert_array_equal(read, before)
+
+
+def test_a_device_that_is_gone_is_told() -> None:
+    device = Device.open()
+    buffer = device.filled("rows", 16 * ROOM)
+    device.raw.destroy()
+    with pytest.raises(DeviceLost, match="was lost"), device.minding():
+        upload(device, Target(buffer, 0, 16), np.ones((1, 4), np.float32))
 
 
 def test_what_goes_wrong_on_the_way_leaves_the_buffer_to_the_device(device: Device) -> None:
