@@ -59,17 +59,26 @@ fn offset(at: vec3f) -> vec3f {
 
 //!include panorama
 
+// The place of the least of three numbers.
+fn least_of(numbers: vec3f) -> u32 {
+    let others = select(2u, 1u, numbers.y < numbers.z);
+    return select(others, 0u, numbers.x <= min(numbers.y, numbers.z));
+}
+
 fn triangle(face: u32) -> Corner {
     let corners = array<vec3f, 3>(local(faces[3u * face]), local(faces[3u * face + 1u]), local(faces[3u * face + 2u]));
     let a = offset(corners[0]);
     let b = offset(corners[1]);
     let c = offset(corners[2]);
-    // The plane is found in local space, where floors are level and rounding has not been, and
-    // from the nearest corner, where it has to be best.
-    let far = vec3f(dot(a, a), dot(b, b), dot(c, c));
-    let first = select(select(2u, 1u, far.y < far.z), 0u, far.x <= min(far.y, far.z));
-    let nearest = corners[first];
-    let across = cross(corners[(first + 1u) % 3u] - nearest, corners[(first + 2u) % 3u] - nearest);
+    // The plane is found in local space, where floors are level and rounding has not been: its
+    // direction by the two shorter edges, its place by the nearest corner.
+    let ab = corners[1] - corners[0];
+    let bc = corners[2] - corners[1];
+    let ca = corners[0] - corners[2];
+    let between = least_of(-vec3f(dot(bc, bc), dot(ca, ca), dot(ab, ab)));
+    let edges = array<vec3f, 3>(bc, ca, ab);
+    let across = cross(edges[(between + 1u) % 3u], edges[(between + 2u) % 3u]);
+    let nearest = least_of(vec3f(dot(a, a), dot(b, b), dot(c, c)));
     let turned = place.upright * across;
     let size = distance_of(turned);
     let has_area = any(across != vec3f(0.0)) && size > 0.0;
@@ -79,7 +88,7 @@ fn triangle(face: u32) -> Corner {
     made.b = place.linear * b;
     made.c = place.linear * c;
     made.upright = select(vec3f(0.0), turned / size, has_area);
-    made.height = dot(across / size, offset(nearest));
+    made.height = dot(across / size, offset(corners[nearest]));
     return made;
 }
 
