@@ -22,7 +22,13 @@ from gsgen.reference_plugins.commands import (
     octree_gs,
     scaffold_gs,
 )
-from gsgen.reference_plugins.synthetic import AnchorOptions, write_octree, write_scaffold
+from gsgen.reference_plugins.synthetic import (
+    AnchorOptions,
+    HexPlaneOptions,
+    write_hexplane,
+    write_octree,
+    write_scaffold,
+)
 from gsgen.sdk import GaussianGenerator, export
 from gsgen.sdk.exporter import Exported
 from gsgen.sdk.half_table import LEAST_ELEMENTS
@@ -134,6 +140,17 @@ def test_a_user_exports_for_a_viewer_and_is_told_what_was_found(tmp_path: Path) 
     assert "3 appearances of 4" in ran.stderr
     settings = Settings(level=Level.STATIC, target=load_target("visionary"))
     assert validate(tmp_path / "tree.onnx", settings).verdict == "conforms"
+
+
+def test_harmonics_of_any_degree_are_exported_in_half_precision(tmp_path: Path) -> None:
+    run = write_hexplane(tmp_path / "run", HexPlaneOptions(count=5, degree=2))
+    words = ["export", "hexplane-4dgs", "--checkpoint", str(run), "--dtype", "float16"]
+    words += ["-o", str(tmp_path / "out.onnx"), "--level", "static"]
+    ran = CliRunner().invoke(build([find_commands()["export"]]), words)
+    assert ran.exit_code == 0, ran.output
+    assert "SH of degree 2 are written as degree 3: rows fill words" in ran.stderr
+    (color,) = (o for o in onnx.load(tmp_path / "out.onnx").graph.output if "sh" in o.name)
+    assert [d.dim_value for d in color.type.tensor_type.shape.dim] == [5, 48]
 
 
 def test_a_mistake_is_explained(tmp_path: Path) -> None:
