@@ -6,12 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 import pytest
 import torch
 import torch.nn.functional as F  # noqa: N812
+from PIL import Image
 from torch import nn
 
+from gsgen.contract.config import Settings
+from gsgen.contract.finding import Level
+from gsgen.formats import write_ply
 from gsgen.reference_plugins.checkpoints.diffusion import read_diffusion
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 from gsgen.reference_plugins.checkpoints.safetensors import (
@@ -20,8 +23,9 @@ from gsgen.reference_plugins.checkpoints.safetensors import (
 )
 from gsgen.reference_plugins.commands import denoiser as command
 from gsgen.reference_plugins.denoiser import Denoiser, Step
-from gsgen.reference_plugins.synthetic import write_denoiser
+from gsgen.reference_plugins.synthetic import torus_knot, write_denoiser, write_difix
 from gsgen.sdk.post_export import export_post_process
+from support.commands import gsgen
 
 OPTIONS = {
     "_class_name": "UNet2DConditionModel",
@@ -259,16 +263,53 @@ def test_networks_that_it_does_not_go_with_are_refused(
         read_diffusion(without)
 
 
-# ===== The model
+# ===== From a checkpoint to pictures
 
 
-def test_it_is_exported_in_float16(
-    base: Path, change: dict[str, Any], tmp_path: Path
-) -> None:
-    model = command.build(base, difix=saved(change, tmp_path), size="12x16")
-    path = tmp_path / "clean.onnx"
-    export_post_process(model, path, dtype="float16", target="webgpu")
-    session = onnxruntime.InferenceSession(path)
-    (made,) = session.run(None, {"image": image().numpy().astype(np.float16)})
-    wanted = spelled_out(base, change).numpy()
-    np.testing.assert_allclose(made.astype(np.float32), wanted, atol=0.02)
+def test_blotches_go_and_edges_stay(tmp_path: Path) -> None:
+    """The synthetic checkpoint does what it says, through every part of Difix that it has."""
+    run = write_difix(tmp_path)
+    model = command.build(run, difix=run / "model.pkl", size="32x32", values="unit")
+    step = (torch.arange(32) >= 16).float().expand(1, 3, 32, 32)  # an edge between blocks
+    torch.testing.assert_close(model(step), step, atol=2e-3, rtol=0)
+    small = 0.03 * torch.randn(1, 3, 16, 16, generator=torch.Generator().manual_seed(0))
+    blotches = 0.5 + F.interpolate(small, scale_factor=2)
+    before, after = ((one - 0.5).square().mean() for one in (blotches, model(blotches)))
+    assert after < 0.6 * before
+    without = command.build(run, size="32x32", values="unit")  # sd-turbo alone
+    assert (without(step) - step).abs().max() > 0.1
+
+
+def test_a_picture_goes_through_it_in_float16_and_in_tiles(tmp_path: Path) -> None:
+    run, path = write_difix(tmp_path / "run"), tmp_path / "enhance.onnx"
+    model = command.build(run, difix=run / "model.pkl", size="16x16", values="unit")
+    static = Settings(level=Level.STATIC)
+    made = export_post_process(
+        model, path, dtype="float16", target="webgpu", settings=static
+    )
+    assert [one.role for one in made.manifest.inputs] == ["image"]  # the timestep is fixed
+    write_ply(tmp_path / "knot.ply", torus_knot(2000))
+    view = (
+        "--width",
+        24,
+        "--height",
+        24,
+        "--camera",
+        "orbit:20,30",
+        "--background",
+        "#16181d",
+    )
+    for name, words in (("before", ()), ("after", ("--post", path))):
+        done = gsgen(
+            "render", tmp_path / "knot.ply", "-o", tmp_path / f"{name}.png", *view, *words
+        )
+        assert done.code == 0, done.err
+    before, after = (
+        np.asarray(Image.open(tmp_path / f"{name}.png").convert("RGB"), np.float32) / 255
+        for name in ("before", "after")
+    )
+    # No part of the network looks farther than its neighbours, so it may see all at once, too.
+    whole = command.build(run, difix=run / "model.pkl", size="24x24", values="unit")
+    wanted = whole(torch.from_numpy(before).permute(2, 0, 1)[None])[0].permute(1, 2, 0)
+    np.testing.assert_allclose(after, wanted.numpy(), atol=0.05)
+    assert np.abs(after - wanted.numpy()).mean() < 0.2 * np.abs(after - before).mean()

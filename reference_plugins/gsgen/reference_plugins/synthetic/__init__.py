@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         write_scaffold,
     )
     from gsgen.reference_plugins.synthetic.body import PersonOptions, write_body
+    from gsgen.reference_plugins.synthetic.enhancer import write_difix
     from gsgen.reference_plugins.synthetic.images import write_denoiser, write_stylise
     from gsgen.reference_plugins.synthetic.knot import torus_knot
     from gsgen.reference_plugins.synthetic.moving import (
@@ -33,6 +34,7 @@ __all__ = [
     "write_body",
     "write_deformable",
     "write_denoiser",
+    "write_difix",
     "write_duplex",
     "write_gauhuman",
     "write_hexplane",
@@ -52,6 +54,7 @@ _HOME = {
     "write_body": "body",
     "write_deformable": "moving",
     "write_denoiser": "images",
+    "write_difix": "enhancer",
     "write_duplex": "anchors",
     "write_gauhuman": "people",
     "write_hexplane": "moving",

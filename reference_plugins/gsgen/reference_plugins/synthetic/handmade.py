@@ -4,7 +4,7 @@ Most of a network is switched off: a residual block whose second convolution is 
 on. What is left is a path that can be followed, and noted at each step below.
 """
 
-__all__ = ["draw_outlines", "take_off_noise"]
+__all__ = ["BINOMIAL", "Weights", "draw_outlines", "take_off_noise"]
 
 from collections.abc import Callable
 
@@ -20,7 +20,7 @@ _RGB = 3
 _LIMIT = 1.2  # standard deviations of fine detail; more than that is an edge, and stays
 _STEEP = 3.0  # how sharply SiLU bends, to pass for a ReLU
 _LIGHT = torch.tensor([0.3, 0.6, 0.1])
-_BINOMIAL = torch.tensor([[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]]) / 16
+BINOMIAL = torch.tensor([[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]]) / 16
 
 
 def take_off_noise(unet: UNet) -> None:
@@ -39,7 +39,7 @@ def take_off_noise(unet: UNet) -> None:
     seen = (options.inputs, options.outputs, len(options.channels), options.layers)
     if seen != (_RGB, _RGB, 2, 1) or (options.channels[0], options.groups) != (8, 4):
         raise ConfigInvalid(f"cannot be set by hand: {options}", where="unet")
-    weights = _Weights(unet)
+    weights = Weights(unet)
     weights("conv_in", _centre)
     weights("down_blocks.0.downsamplers.0.conv", _blur)
     weights("down_blocks.1.resnets.0.conv_shortcut", _centre)
@@ -70,7 +70,7 @@ def draw_outlines(network: Stylise) -> None:
     channels = network.last.in_channels
     if channels < 6:
         raise ConfigInvalid(f"{channels} channels, wanted 6 at least", where="channels")
-    weights = _Weights(network)
+    weights = Weights(network)
     weights("down.0.conv", _color_and_contrast)
     for name in ("down.1", "down.2", "up.0", "up.1"):
         weights(f"{name}.conv", _blur)
@@ -85,7 +85,7 @@ def draw_outlines(network: Stylise) -> None:
     bias[:] = 3.0
 
 
-class _Weights:
+class Weights:
     """A network's weights by name, all zero to begin with."""
 
     def __init__(self, network: nn.Module) -> None:
@@ -97,6 +97,7 @@ class _Weights:
         return self._named[name]
 
     def __call__(self, name: str, change: Callable[[Tensor], None]) -> None:
+        """Change the weight of a layer."""
         change(self._named[f"{name}.weight"])
 
 
@@ -112,7 +113,7 @@ def _all_on(weight: Float[Tensor, "o i 1 1"]) -> None:
 
 def _blur(weight: Float[Tensor, "o i 3 3"]) -> None:
     for channel in range(min(weight.shape[:2])):
-        weight[channel, channel] = _BINOMIAL
+        weight[channel, channel] = BINOMIAL
 
 
 def _color_and_contrast(weight: Float[Tensor, "o 3 9 9"]) -> None:
