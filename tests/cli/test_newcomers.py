@@ -165,3 +165,16 @@ def test_what_is_to_be_typed_can_be_pasted(logits: Path, tmp_path: Path) -> None
     assert f"`gsgen validate '{folder}/still_rgb-vectors/model.onnx'` runs them" in ran.out
     bare = find("no_manifest").write(folder)
     assert f"`gsgen inspect '{bare}' --emit-manifest`" in gsgen_here("vectors", bare).err
+
+
+def test_rules_are_found_by_family_and_word() -> None:
+    every = gsgen_here("rules").out
+    cells = json.loads(gsgen_here("rules", "GV03", "cells", "--json").out)
+    assert {"GV030", "GV031", "GO020"} <= {one["id"] for one in cells}
+    assert all(
+        one["id"].startswith("GV03") or "cells" in f"{one['slug']} {one['what']}".lower()
+        for one in cells
+    )
+    assert len(gsgen_here("rules", "gv").out) < len(every) / 2
+    ran = gsgen_here("rules", "opacty-range")
+    assert (ran.code, "Did you mean 'opacity-range'?" in ran.err) == (2, True)

@@ -8,6 +8,7 @@ import re
 import shutil
 import sys
 import tempfile
+import unicodedata
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.resources import files
@@ -83,7 +84,8 @@ def scaffold(name: str, into: Path) -> Scaffold:
 
 def _check_name(name: str) -> None:
     if not _NAME.fullmatch(name):
-        like = re.sub("[^a-z0-9]+", "-", name.lower()).strip("-0123456789")
+        plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+        like = re.sub("[^a-z0-9]+", "-", plain.lower()).strip("-0123456789")
         mend = f"Such as {like!r}." if _NAME.fullmatch(like) else "Such as 'my-method'."
         what = f"{name!r} is not of lower-case letters, digits and single hyphens"
         raise ConfigInvalid(what, where="NAME", mend=mend)
