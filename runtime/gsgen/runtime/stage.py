@@ -214,7 +214,9 @@ class Stage:
             source.abandon()
 
     def close(self) -> None:
-        """Release what computes."""
+        """Release what computes, in the middle of a frame if need be: it may never end."""
+        for source in self.sources:
+            source.interrupt()
         self.abandon()
         for source in self.sources:
             source.close()

@@ -28,6 +28,7 @@ from gsgen.runtime.splat_data import SplatData
 from gsgen.runtime.stage import Stage
 from gsgen.runtime.viewpoint import viewpoint
 from gsgen.runtime.window import take_drops
+from support.endless import endless
 from support.failing_devices import memory_of
 from support.viewers import SIZE, Hand
 
@@ -330,6 +331,15 @@ def test_a_device_that_does_not_come_back_ends_it(cloud: SplatData) -> None:
     hand.viewer.mode = "alpha"
     with pytest.raises(DeviceUnavailable, match="lost, and cannot be opened again"):
         hand.look()
+
+
+def test_a_window_closes_while_a_model_computes_for_ever(tmp_path: Path) -> None:
+    stage = Stage(sources_of(endless(tmp_path, after=0.5)), time=0.0)
+    (source,) = stage.sources
+    source.start(None, {"time": 1.0})
+    time.sleep(0.2)
+    assert not source.ready
+    stage.close()  # or this test never ends
 
 
 def test_too_much_for_the_memory_is_told(still: Hand) -> None:
