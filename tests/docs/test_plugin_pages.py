@@ -33,16 +33,17 @@ def test_every_plugin_has_a_page_and_a_picture() -> None:
 
 @pytest.mark.parametrize("name", OURS)
 def test_the_page_shows_its_picture_which_is_small(name: str) -> None:
-    (shown,) = re.findall(r"^!\[(.+)\]\((\S+)\)$", text_of(name), re.MULTILINE)
+    shown, *others = re.findall(r"^!\[(.+)\]\((\S+)\)$", text_of(name), re.MULTILINE)
     assert shown[1] == f"../assets/plugins/{name}.jpg"
-    assert len(shown[0]) > 20  # says what can be seen, to those who cannot see it
-    data = (PICTURES / f"{name}.jpg").read_bytes()
-    assert len(data) <= LARGEST
-    with Image.open(io.BytesIO(data)) as picture:
-        assert picture.format == "JPEG"
-        assert picture.size == (1440, 240)
-        levels = picture.convert("L").getextrema()
-        assert levels[1] - levels[0] > 100, "there is hardly anything to see"
+    for said, place in (shown, *others):
+        assert len(said) > 20  # says what can be seen, to those who cannot see it
+        data = (PAGES / place).read_bytes()
+        assert len(data) <= LARGEST
+        with Image.open(io.BytesIO(data)) as picture:
+            assert picture.format == "JPEG"
+            assert picture.size == (1440, 240)
+            levels = picture.convert("L").getextrema()
+            assert levels[1] - levels[0] > 100, "there is hardly anything to see"
 
 
 @pytest.mark.parametrize("name", OURS)

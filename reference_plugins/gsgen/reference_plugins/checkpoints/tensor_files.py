@@ -3,8 +3,8 @@
 __all__ = ["Inert", "load_tensors"]
 
 import pickle
-import warnings
 import struct
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
