@@ -37,7 +37,7 @@ FailOn = Annotated[
     ),
 ]
 AsJson = Annotated[
-    bool, typer.Option("--json", help="The same as --format json; others have this alone.")
+    bool, typer.Option("--json", help="Print as JSON: the same as --format json.")
 ]
 Config = Annotated[
     Path | None,
