@@ -258,6 +258,8 @@ def test_networks_that_it_does_not_go_with_are_refused(
     path = saved(change, tmp_path)
     with pytest.raises(CheckpointInvalid, match=r"(?s)there is none.*--vae DIR"):
         read_diffusion(base / "unet", difix=path)
+    with pytest.raises(CheckpointInvalid, match=r"(?s)is a safetensors file.*--lora"):
+        read_diffusion(base, difix=base / "vae" / WEIGHTS)
     without = published(base, change, tmp_path / "run", ignore_skip=True)
     with pytest.raises(CheckpointInvalid, match="ignore_skip is true"):
         read_diffusion(without)

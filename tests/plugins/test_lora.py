@@ -444,7 +444,8 @@ def test_the_option_says_file_and_scale(
     odd = tmp_path / "a:2"
     path.rename(odd)
     assert torch.equal(command.build(clone, lora=[f"{odd}:1"], **size)(image), results[2])
-    with pytest.raises(ConfigInvalid, match="'inf' is no scale"):
-        command.build(clone, lora=[f"{odd}:inf"], **size)
+    for text in ("inf", "0,5", ""):
+        with pytest.raises(ConfigInvalid, match=f"'{text}' is no scale"):
+            command.build(clone, lora=[f"{odd}:{text}"], **size)
     with pytest.raises(CheckpointInvalid, match="b:c: is missing: a LoRA"):
         command.build(clone, lora=[str(tmp_path / "b:c")], **size)

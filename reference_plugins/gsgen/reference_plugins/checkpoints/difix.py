@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
+from gsgen.reference_plugins.checkpoints.folder import required_file
 from gsgen.reference_plugins.checkpoints.lora import Adapter, paired
+from gsgen.reference_plugins.checkpoints.safetensors import is_safetensors
 from gsgen.reference_plugins.checkpoints.states import load_state
 
 # α where a network was saved with its LoRA inside: files of such say none, and those who write
@@ -45,11 +47,13 @@ def read_difix(path: Path) -> Difix:
     Raises:
         CheckpointInvalid: It cannot be read, or holds something else.
     """
+    mend = "Give the model.pkl of Difix; a LoRA alone is --lora FILE."
+    if is_safetensors(required_file(path, "what Difix trained")):
+        raise CheckpointInvalid("is a safetensors file", where=str(path), mend=mend)
     state = load_state(path, "what Difix trained")
     if not all(isinstance(state.get(part), dict) for part in _PARTS):
         seen = ", ".join(map(str, list(state)[:4])) or "nothing"
         what = f"holds {seen}; wanted {' and '.join(_PARTS)}"
-        mend = "Give the model.pkl of Difix; a LoRA alone is --lora FILE."
         raise CheckpointInvalid(what, where=str(path), mend=mend)
     unet, vae = (state[part] for part in _PARTS)
     return Difix(path, unet, vae)

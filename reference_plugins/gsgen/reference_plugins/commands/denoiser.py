@@ -135,10 +135,12 @@ def _scaled(word: str) -> tuple[Path, float]:
     name, colon, text = word.rpartition(":")
     if not colon or Path(word).exists():
         return Path(word), 1.0
+    if text.strip("0123456789.,+-eE") not in ("", "inf", "nan"):
+        return Path(word), 1.0  # a colon of the file's own
     try:
         scale = float(text)
     except ValueError:
-        return Path(word), 1.0  # a colon of the file's own
+        scale = math.nan
     if not math.isfinite(scale):
         mend = "Write it as FILE or FILE:0.8."
         raise ConfigInvalid(f"{text!r} is no scale", where="--lora", mend=mend)
