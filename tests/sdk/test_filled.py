@@ -1,4 +1,4 @@
-"""Harmonics of degrees that a consumer does not take, as `gsgen export` writes them."""
+"""Harmonics of degrees that a consumer does not take, as an export writes them."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from torch import Tensor
 from gsgen.contract.config import Settings
 from gsgen.contract.finding import Level
 from gsgen.sdk import GaussianGenerator, Gaussians, export, inputs
-from gsgen.sdk.filled import fill_harmonics
+from gsgen.sdk.filled import filled_harmonics
 
 
 class Glowing(GaussianGenerator):
@@ -43,22 +43,23 @@ def test_harmonics_are_filled_up_with_zeros_where_they_have_to_be(
     half: bool, target: str, written: tuple[int, ...]
 ) -> None:
     for degree, wanted in enumerate(written):
-        generator, told = Glowing(degree), []
-        fill_harmonics(generator, half=half, target=target, tell=told.append)
-        for _ in range(2):
-            made = generator(torch.zeros(1)).sh
+        generator = Glowing(degree)
+        with filled_harmonics(generator, half=half, target=target) as told:
+            for _ in range(2):
+                made = generator(torch.zeros(1)).sh
         kept = (degree + 1) ** 2
         assert made.shape == (4, (wanted + 1) ** 2, 3)
         assert torch.equal(made[:, :kept], generator.sh)
         assert (made[:, kept:] == 0).all()
         assert len(told) == (wanted != degree)
+        assert torch.equal(generator(torch.zeros(1)).sh, generator.sh)
 
 
 def test_a_model_says_the_degree_that_it_has(tmp_path: Path) -> None:
     generator = Glowing(2)
-    fill_harmonics(generator, half=True, target="core", tell=str)
     path, settings = tmp_path / "glowing.onnx", Settings(level=Level.STATIC)
     made = export(generator, path, dtype="float16", settings=settings)
+    assert made.notes == ("SH of degree 2 are written as degree 3: rows fill words",)
     color = made.manifest.outputs.appearance
     assert color is not None
     assert color.degree == 3

@@ -68,8 +68,6 @@ def _export(
     from gsgen.contract.finding import Level
     from gsgen.contract.targets import load_target
     from gsgen.sdk.exporter import export
-    from gsgen.sdk.filled import fill_harmonics
-    from gsgen.sdk.generator import GaussianGenerator
     from gsgen.sdk.post_export import export_post_process
     from gsgen.sdk.post_process import PostProcess
 
@@ -93,10 +91,7 @@ def _export(
             settings=settings,
             progress=progress,
         )
-    if isinstance(made, GaussianGenerator):
-        half = request.dtype == "float16"
-        fill_harmonics(made, half=half, target=request.target, tell=_note)
-    return export(
+    exported = export(
         made,
         request.output,
         name=request.name,
@@ -108,6 +103,9 @@ def _export(
         settings=settings,
         progress=progress,
     )
+    for note in exported.notes:
+        _note(f"note: {note}")
+    return exported
 
 
 def _note(text: str) -> None:

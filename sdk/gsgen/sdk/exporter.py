@@ -35,6 +35,7 @@ from gsgen.sdk.declared import require_declared
 from gsgen.sdk.diagnosis import Suspects
 from gsgen.sdk.eager import Reference, measure_bounds, run_eager, run_watched
 from gsgen.sdk.errors import GeneratorInvalid
+from gsgen.sdk.filled import filled_harmonics
 from gsgen.sdk.finish import finish
 from gsgen.sdk.float16 import Halved, half_manifest, to_float16
 from gsgen.sdk.generator import GaussianGenerator
@@ -90,6 +91,7 @@ class Exported:
         report: What the validator says; it conforms.
         changes: What the rewrites did to the graph.
         halved: What became float16, where outputs did.
+        notes: What else a user may want to know of it.
     """
 
     path: Path
@@ -98,6 +100,7 @@ class Exported:
     report: Report
     changes: tuple[Change, ...] = ()
     halved: Halved | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def contents(self) -> str:
@@ -146,20 +149,45 @@ def export(
     refuse_folder(path)
     require_declared(generator)
     generator = generator.eval().cpu()
+    wanted = _Wanted(name or path.stem, dtype, capacity, opset, target, rewrite)
+    with filled_harmonics(generator, half=dtype == "float16", target=target) as notes:
+        made = _export(generator, path, wanted, settings, progress)
+        return replace(made, notes=tuple(notes))
+
+
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """Options of :func:`export`."""
+
+    name: str
+    dtype: Dtype
+    capacity: int | None
+    opset: int
+    target: str
+    rewrite: bool
+
+
+def _export(
+    generator: GaussianGenerator,
+    path: Path,
+    wanted: _Wanted,
+    settings: Settings | None,
+    progress: Progress,
+) -> Exported:
     progress("running the module in eager torch")
     # Halving is left to the rewrite, which measures what has to stay float32.
-    halves = dtype == "float16" and rewrite
-    traced: Dtype = "float32" if halves else dtype
-    described = _describe(generator, name or path.stem, traced, capacity)
+    halves = wanted.dtype == "float16" and wanted.rewrite
+    traced: Dtype = "float32" if halves else wanted.dtype
+    described = _describe(generator, wanted.name, traced, wanted.capacity)
     manifest, references = described.manifest, described.references
     gaussians = manifest.outputs.gaussians
     assert gaussians is not None
     packed = PackedGenerator(generator, Packed(getattr(torch, traced), gaussians.capacity))
     progress("tracing the graph")
     example, hazards = described.example, described.watch.hazards
-    model = trace(packed, example, manifest, opset, hazards)
+    model = trace(packed, example, manifest, wanted.opset, hazards)
     progress("rewriting the graph")
-    changes = finish(model, manifest, load_target(target), rewrite=rewrite)
+    changes = finish(model, manifest, load_target(wanted.target), rewrite=wanted.rewrite)
     halved = None
     if halves:
         prepare(model)
@@ -178,11 +206,11 @@ def export(
         manifest = half_manifest(manifest)
     with draft_of(path) as draft:
         save_model(model, draft)
-        suspects = Suspects(generator, example, hazards, rewrite)
+        suspects = Suspects(generator, example, hazards, wanted.rewrite)
         slack = (_HALF_SLACK, _HALF_ROUNDINGS) if halves else (None, 1)
         parity = check_parity(draft, manifest, references, suspects, progress, *slack)
         check_memory(generator, described.watch, references)
-        report = check_contract(draft, path, target, settings, progress)
+        report = check_contract(draft, path, wanted.target, settings, progress)
     return Exported(path, manifest, parity, report, tuple(changes), halved)
 
 

@@ -1,8 +1,9 @@
 """Spherical harmonics of a degree that consumers take: what a checkpoint lacks is 0."""
 
-__all__ = ["fill_harmonics"]
+__all__ = ["filled_harmonics"]
 
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -15,21 +16,24 @@ from gsgen.sdk.generator import GaussianGenerator, Gaussians
 _ONE_WIDTH = ("visionary",)
 
 
-def fill_harmonics(
-    generator: GaussianGenerator, *, half: bool, target: str, tell: Callable[[str], None]
-) -> None:
-    """Let ``generator`` give spherical harmonics of a degree that is taken.
+@contextmanager
+def filled_harmonics(
+    generator: GaussianGenerator, *, half: bool, target: str
+) -> Iterator[list[str]]:
+    """Let ``generator`` give spherical harmonics of a degree that is taken, for a while.
 
     Rows of float16 have to fill words of four bytes (rule GO015), which those of degree 0 and 2
     do not; and some consumers read degree 3 alone. Coefficients of 0 show nothing.
 
     Args:
-        generator: From now on it returns such harmonics.
+        generator: Within the context it returns such harmonics.
         half: Outputs are float16.
         target: The consumer.
-        tell: Called once with what was done, where something is.
+
+    Yields:
+        What was done, in words; nothing while nothing is.
     """
-    told: list[int] = []
+    told: list[str] = []
 
     def fill(_module: Any, _given: Any, made: Any) -> Any:
         if not isinstance(made, Gaussians) or made.sh is None:
@@ -41,9 +45,12 @@ def fill_harmonics(
             return made
         if not told:
             why = f"{target} reads no other" if target in _ONE_WIDTH else "rows fill words"
-            tell(f"note: SH of degree {degree} are written as degree {wanted}: {why}")
-            told.append(degree)
+            told.append(f"SH of degree {degree} are written as degree {wanted}: {why}")
         missing = coefficients(wanted) - made.sh.shape[1]
         return replace(made, sh=torch.nn.functional.pad(made.sh, (0, 0, 0, missing)))
 
-    generator.register_forward_hook(fill)
+    hook = generator.register_forward_hook(fill)
+    try:
+        yield told
+    finally:
+        hook.remove()

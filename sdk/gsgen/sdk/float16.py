@@ -177,7 +177,8 @@ def to_float16(
         raise RewriteFailed(
             f"float16 outputs alone are too coarse: {measure.rounded.describe()}",
             where="outputs",
-            mend="Keep them float32 with --keep-outputs, or move the scene closer to its origin.",
+            mend="Keep them float32 (`gsgen float16 --keep-outputs`), or move the scene closer to "
+            "its origin.",
         )
     guarded = guards(nodes, opset)
     spent, result = 0, None
@@ -244,7 +245,8 @@ def _refuse_half_words(model: ir.Model, manifest: GeneratorManifest) -> None:
             f"has {channels} channels of SH, whose float16 rows do not fill words of 4 bytes "
             "(rule GO015)",
             where=f"output {color.name}",
-            mend="Keep outputs float32 with --keep-outputs, or export with SH of degree 1 or 3.",
+            mend="Keep outputs float32 (`gsgen float16 --keep-outputs`), or export anew with "
+            "`--dtype float16`, which fills SH up.",
         )
 
 
