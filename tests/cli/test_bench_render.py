@@ -119,3 +119,6 @@ def test_json_and_mistakes(scenes: list[Path]) -> None:
     wrong = CliRunner().invoke(app, [str(scenes[1]), "--size", "J=2"]).exception
     assert isinstance(wrong, ConfigInvalid)
     assert "--size: unknown open dimension 'J'" in str(wrong)
+    itself = CliRunner().invoke(app, [str(scenes[1]), "-o", str(scenes[1])]).exception
+    assert isinstance(itself, ConfigInvalid)
+    assert "is the file that is read" in str(itself)

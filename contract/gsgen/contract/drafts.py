@@ -94,7 +94,9 @@ def refuse_device(path: Path) -> None:
         raise ConfigInvalid(what, where=str(path), mend="Name a file.")
 
 
-def refuse_itself(path: Path, sources: Iterable[Path]) -> None:
+def refuse_itself(
+    path: Path, sources: Iterable[Path], mend: str = "Name another file."
+) -> None:
     """Refuse to write over what is read, by whatever name, before any work is done.
 
     Raises:
@@ -102,7 +104,7 @@ def refuse_itself(path: Path, sources: Iterable[Path]) -> None:
     """
     if path.exists() and any(one.exists() and path.samefile(one) for one in sources):
         what = "is the file that is read, and would be lost"
-        raise ConfigInvalid(what, where=str(path), mend="Name another file.")
+        raise ConfigInvalid(what, where=str(path), mend=mend)
 
 
 def refuse_model(path: Path, models: Iterable[Path] = ()) -> None:

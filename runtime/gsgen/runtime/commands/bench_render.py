@@ -56,6 +56,7 @@ def bench_render(
     """
     from gsgen.contract.commands.output import write_text
     from gsgen.contract.commands.progress import clear, progress
+    from gsgen.contract.drafts import refuse_model
     from gsgen.runtime.commands.opening import opened, scene_files
     from gsgen.runtime.film import Film
     from gsgen.runtime.frame_cost import measure
@@ -63,6 +64,8 @@ def bench_render(
     from gsgen.runtime.scene_view import scene_view
     from gsgen.sdk.commands.sizes import sizes_of
 
+    if output is not None:
+        refuse_model(output, scenes)
     view = scene_view(list(scene_files(scenes).values()), camera, width, height)
     sizes = sizes_of(size, "--size")
     with opened(scenes, provider=provider, sizes=sizes) as (sources, _):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from gsgen.contract.drafts import refuse_itself
 from gsgen.contract.errors import ConfigInvalid, UnknownName
 
 if TYPE_CHECKING:
@@ -77,7 +78,8 @@ def convert(
 
     codec = _codec(format, target)
     if not force:
-        _refuse_itself(source, target)
+        mend = "Name another file, or replace it with --force."
+        refuse_itself(target, [source], mend)
     write = _writer(codec, spz_version, encoding)
     reading = True
 
@@ -130,20 +132,6 @@ def _codec(name: str | None, target: Path) -> "Codec":
             mend=f"Let it end in {', '.join(suffixes)}, or give --format.",
         )
     return codec
-
-
-def _refuse_itself(source: Path, target: Path) -> None:
-    """Refuse a target that is the source, by whatever name: what is lost would be lost for good."""
-    try:
-        same = source.samefile(target)
-    except OSError:  # one is not there, or closed to us; reading and writing say so
-        return
-    if same:
-        raise ConfigInvalid(
-            f"is the same file as {source}, which would be replaced",
-            where=str(target),
-            mend="Name another file, or replace it with --force.",
-        )
 
 
 def _writer(

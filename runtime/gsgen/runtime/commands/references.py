@@ -3,6 +3,7 @@
 __all__ = ["references"]
 
 import json
+import shlex
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -103,7 +104,8 @@ def _print(made: "References", as_json: bool) -> None:
         return
     for image in made.images:
         typer.echo(f"{made.model.parent / image.path}: {image.inputs}")
+    typed = shlex.quote(str(made.model))
     typer.echo(
         f"{made.model}: declares them, drawn on {made.device}; "
-        f"`gsgen validate {made.model} --level render` draws them again"
+        f"`gsgen validate {typed} --level render` draws them again"
     )
