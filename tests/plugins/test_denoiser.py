@@ -13,6 +13,7 @@ from gsgen.contract.config import Settings
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 from gsgen.contract.finding import Level
 from gsgen.reference_plugins.checkpoints.diffusion import read_diffusion
+from gsgen.reference_plugins.checkpoints.embeddings import read_embeddings
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 from gsgen.reference_plugins.checkpoints.safetensors import (
     read_safetensors,
@@ -428,3 +429,15 @@ def test_a_network_on_latents_needs_its_autoencoder(tmp_path: Path) -> None:
         parted = command.build(run, vae=place, **size)
         image = torch.rand(1, 3, 8, 8)
         assert torch.equal(parted(image), whole(image))
+
+
+@pytest.mark.parametrize("cut", [0, 40, 200])
+def test_a_damaged_conditioning_is_refused_by_its_name(cut: int, tmp_path: Path) -> None:
+    path = tmp_path / "prompt.npz"
+    np.savez_compressed(path, prompt_embeds=np.ones((1, 5, 4), np.float32))
+    path.write_bytes(path.read_bytes()[:cut])
+    with pytest.raises(CheckpointInvalid, match=r"prompt\.npz: cannot be read"):
+        read_embeddings(path)
+    np.savez(path, prompt_embeds=np.array(["a", "b"]))
+    with pytest.raises(ConfigInvalid, match="prompt_embeds holds <U1, wanted numbers"):
+        read_embeddings(path)

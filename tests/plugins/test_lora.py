@@ -15,8 +15,9 @@ from torch import nn
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.reference_plugins.checkpoints.diffusion import read_diffusion
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
-from gsgen.reference_plugins.checkpoints.lora import Adapter, merge, paired, read_lora
+from gsgen.reference_plugins.checkpoints.lora import Adapter, paired, read_lora
 from gsgen.reference_plugins.checkpoints.lora_homes import homes_of
+from gsgen.reference_plugins.checkpoints.lora_merge import merge
 from gsgen.reference_plugins.checkpoints.safetensors import read_metadata, write_safetensors
 from gsgen.reference_plugins.commands import denoiser as command
 from gsgen.reference_plugins.diffusion.unet import UNet

@@ -19,12 +19,14 @@ _DAMAGED = (
 )
 
 
-def read_npz(path: Path, names: Iterable[str], mend: str = "") -> dict[str, Any]:
-    """Return those of ``names`` that the archive has; others may be anything.
+def read_npz(
+    path: Path, names: Iterable[str] | None = None, mend: str = ""
+) -> dict[str, Any]:
+    """Return those of ``names`` that the archive has, which may hold anything besides.
 
     Args:
         path: The file.
-        names: Of arrays.
+        names: Of arrays; all of the archive where absent.
         mend: What is wanted, for the error.
 
     Raises:
@@ -35,7 +37,8 @@ def read_npz(path: Path, names: Iterable[str], mend: str = "") -> dict[str, Any]
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise ValueError("holds one array, wanted an archive of several")
-            return {name: archive[name] for name in names if name in archive.files}
+            wanted = archive.files if names is None else names
+            return {name: archive[name] for name in wanted if name in archive.files}
     except _DAMAGED as error:
         reason = str(error) or type(error).__name__
         raise CheckpointInvalid(

@@ -21,8 +21,9 @@ from torch import Tensor, nn
 
 from gsgen.reference_plugins.checkpoints.difix import Difix, fused, read_difix
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
-from gsgen.reference_plugins.checkpoints.lora import Adapter, merge, read_lora
+from gsgen.reference_plugins.checkpoints.lora import Adapter, read_lora
 from gsgen.reference_plugins.checkpoints.lora_homes import homes_of
+from gsgen.reference_plugins.checkpoints.lora_merge import merge
 from gsgen.reference_plugins.checkpoints.model_config import ModelConfig, read_model_config
 from gsgen.reference_plugins.checkpoints.safetensors import read_safetensors
 from gsgen.reference_plugins.checkpoints.states import checked, load_state

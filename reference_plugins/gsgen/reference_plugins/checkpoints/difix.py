@@ -31,12 +31,10 @@ class Difix:
     """What replaces or extends weights of two networks.
 
     Attributes:
-        path: The file; none where nothing is changed.
         unet: Tensors of the U-Net by name, some of them of a LoRA.
         vae: The same of the autoencoder.
     """
 
-    path: Path | None = None
     unet: Mapping[str, Any] = field(default_factory=dict)
     vae: Mapping[str, Any] = field(default_factory=dict)
 
@@ -56,7 +54,7 @@ def read_difix(path: Path) -> Difix:
         what = f"holds {seen}; wanted {' and '.join(_PARTS)}"
         raise CheckpointInvalid(what, where=str(path), mend=mend)
     unet, vae = (state[part] for part in _PARTS)
-    return Difix(path, unet, vae)
+    return Difix(unet, vae)
 
 
 def fused(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Any], Adapter | None]:

@@ -11,15 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 from torch import Tensor
 
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.reference_plugins.checkpoints.array_archives import read_npz
 
 # What pipelines of diffusers call the arrays, as results and as arguments.
 _CONTEXT = ("encoder_hidden_states", "prompt_embeds")
 _POOLED = ("text_embeds", "pooled_prompt_embeds")
-_NUMBERS = ("time_ids", "add_time_ids")
+_TIME_IDS = ("time_ids", "add_time_ids")
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,18 +30,18 @@ class Embeddings:
     Attributes:
         context: A vector for each of its tokens.
         pooled: One for all of it, where the network asks for that (SDXL).
-        numbers: Of the image that is asked for, if the file says them.
+        time_ids: Sizes of the image that is asked for, if the file says them.
     """
 
     context: Float[Tensor, "1 m d"] | None = None
     pooled: Float[Tensor, "1 p"] | None = None
-    numbers: tuple[float, ...] | None = None
+    time_ids: tuple[float, ...] | None = None
 
     def describe(self) -> str:
         """Say the arrays' shapes."""
         parts = [] if self.context is None else [f"{list(self.context.shape)}"]
         parts += [] if self.pooled is None else [f"pooled {list(self.pooled.shape)}"]
-        parts += [] if self.numbers is None else [f"time_ids {list(self.numbers)}"]
+        parts += [] if self.time_ids is None else [f"time_ids {list(self.time_ids)}"]
         return ", ".join(parts)
 
 
@@ -54,34 +55,36 @@ def read_embeddings(path: Path, *, pooled: bool = False) -> Embeddings:
             size than it is.
 
     Raises:
-        ConfigInvalid: The file cannot be read, lacks an array, or has one of another kind.
+        CheckpointInvalid: The file cannot be read as npz.
+        ConfigInvalid: It lacks an array, or has one of another kind.
     """
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            found = {name: np.asarray(arrays[name], np.float32) for name in arrays}
-    except (OSError, ValueError, TypeError, EOFError) as error:
-        what = f"cannot be read as npz: {error}"
-        raise ConfigInvalid(what, where=str(path)) from error
-    for name, array in found.items():
-        if not np.isfinite(array).all():
-            raise ConfigInvalid(f"holds NaN or infinity: {name}", where=str(path))
+    found = {name: _numbers(name, one, path) for name, one in read_npz(path).items()}
     if pooled:
         return _sorted(found, path)
     if len(found) != 1:
-        raise ConfigInvalid(
-            f"cannot be read as npz: has {len(found)} arrays, wanted one", where=str(path)
-        )
+        raise ConfigInvalid(f"has {len(found)} arrays, wanted one", where=str(path))
     (context,) = found.values()
     return Embeddings(torch.from_numpy(context))
 
 
+def _numbers(name: str, array: np.ndarray, path: Path) -> Float32[np.ndarray, "..."]:
+    if array.dtype.kind not in "fiu":
+        what = f"{name} holds {array.dtype}, wanted numbers"
+        raise ConfigInvalid(what, where=str(path))
+    with np.errstate(over="ignore"):  # what float32 cannot hold is refused with the rest
+        made = array.astype(np.float32)
+    if not np.isfinite(made).all():
+        raise ConfigInvalid(f"holds NaN or infinity: {name}", where=str(path))
+    return made
+
+
 def _sorted(found: Mapping[str, np.ndarray], path: Path) -> Embeddings:
     """Tell the arrays apart by their names."""
-    known = (*_CONTEXT, *_POOLED, *_NUMBERS)
+    known = (*_CONTEXT, *_POOLED, *_TIME_IDS)
     unknown = [name for name in found if name not in known]
     taken = [[name for name in names if name in found] for names in (_CONTEXT, _POOLED)]
-    numbers = [name for name in _NUMBERS if name in found]
-    if unknown or len(numbers) > 1 or any(len(names) != 1 for names in taken):
+    time_ids = [name for name in _TIME_IDS if name in found]
+    if unknown or len(time_ids) > 1 or any(len(names) != 1 for names in taken):
         what = f"has the arrays {', '.join(found) or 'none'}"
         mend = (
             "This network wants prompt_embeds [1, L, D] and pooled_prompt_embeds [1, P], and "
@@ -92,7 +95,7 @@ def _sorted(found: Mapping[str, np.ndarray], path: Path) -> Embeddings:
     if found[pooled].ndim != 2 or len(found[pooled]) != 1:
         what = f"{pooled} is {list(found[pooled].shape)}, wanted [1, P]"
         raise ConfigInvalid(what, where=str(path))
-    told = tuple(found[numbers[0]].reshape(-1).tolist()) if numbers else None
+    told = tuple(found[time_ids[0]].reshape(-1).tolist()) if time_ids else None
     return Embeddings(
         torch.from_numpy(found[context]), torch.from_numpy(found[pooled]), told
     )

@@ -1,13 +1,11 @@
-"""LoRA: small changes to a network's layers, each a product of two thin matrices.
+"""LoRA files: small changes to a network's layers, each a product of two thin matrices.
 
-W′ = W + scale · α/r · B A (Hu et al. 2021, "LoRA", section 4.1), where A has r rows: a matrix, or
-for a convolution one with A's kernel and B of 1×1. Names of the tensors are those of peft
-(``layer.lora_A.weight``), of diffusers (``layer.processor.to_q_lora.down.weight``,
-``layer.lora.down.weight``) or of sd-scripts, called kohya (``lora_unet_layer.lora_down.weight``,
-``lora_unet_layer.alpha``). Every tensor has to find its layer.
+Hu et al. 2021, "LoRA". Names of the tensors are those of peft (``layer.lora_A.weight``), of
+diffusers (``layer.processor.to_q_lora.down.weight``, ``layer.lora.down.weight``) or of sd-scripts,
+called kohya (``lora_unet_layer.lora_down.weight``, ``lora_unet_layer.alpha``).
 """
 
-__all__ = ["Adapter", "Pair", "merge", "paired", "read_lora"]
+__all__ = ["Adapter", "Pair", "paired", "read_lora"]
 
 import json
 import math
@@ -18,8 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
 from gsgen.reference_plugins.checkpoints.folder import required_file
@@ -29,7 +26,7 @@ from gsgen.reference_plugins.checkpoints.safetensors import (
     read_metadata,
     read_safetensors,
 )
-from gsgen.reference_plugins.checkpoints.states import load_state
+from gsgen.reference_plugins.checkpoints.states import listed, load_state
 
 _FILES = tuple(
     f"{name}.{kind}"
@@ -39,7 +36,6 @@ _FILES = tuple(
 _CONFIG = "adapter_config.json"
 _METADATA = "lora_adapter_metadata"
 _WRAPPED = "base_model.model."
-_SHOWN = 12
 # Layer, and whether the tensor is A or B. What stands between is the name of the adapter.
 _THIN = re.compile(
     r"(?P<layer>.+?)\.(?:lora_(?P<peft>[AB])(?:\.(?P<adapter>\w+))?"
@@ -129,7 +125,7 @@ def read_lora(path: Path) -> Adapter:
     if others:
         kinds = {kind for part, kind in _OTHER.items() for one in others if part in one}
         raise CheckpointInvalid(
-            f"{len(others)} tensors are no part of a LoRA: {_listed(others)}",
+            f"{len(others)} tensors are no part of a LoRA: {listed(others)}",
             where=str(path),
             mend=" ".join(f"{kind} is not supported." for kind in sorted(kinds)),
         )
@@ -239,75 +235,3 @@ def _values(pattern: Any) -> Iterable[Any]:
 
 def _is_number(value: Any) -> bool:
     return type(value) in (int, float) and math.isfinite(value)
-
-
-def merge(adapter: Adapter, scale: float, homes: Mapping[str, nn.Module]) -> str:
-    """Add a LoRA to the layers of networks, in place, and say how much that was.
-
-    Args:
-        adapter: The LoRA.
-        scale: What its changes are multiplied by.
-        homes: The layers, by every name that they go by.
-
-    Raises:
-        CheckpointInvalid: A tensor has no layer, no partner, or another shape than its layer; all
-            of them are listed, and no layer is changed.
-    """
-    troubles = [
-        f"{name} {trouble}"
-        for name, pair in adapter.pairs.items()
-        if (trouble := _trouble(pair, homes.get(name)))
-    ]
-    if troubles or not adapter.pairs:
-        what = f"{len(troubles)} of {len(adapter.pairs)} layers do not fit the networks"
-        raise CheckpointInvalid(
-            f"{what}: {_listed(troubles, '; ')}",
-            where=str(adapter.path),
-            mend="It may be made for another network.",
-        )
-    shares = set()
-    for name, pair in adapter.pairs.items():
-        layer, down = homes[name], pair.down
-        assert down is not None
-        shares.add(share := adapter.share(name, pair, len(down)))
-        weight = layer.weight
-        assert isinstance(weight, Tensor)
-        # A new tensor: those of a file may share memory.
-        made = (weight.double() + scale * share * _product(pair, weight)).to(weight.dtype)
-        layer.weight = nn.Parameter(made, requires_grad=False)
-    words = f"{min(shares):g}" + f" to {max(shares):g}" * (len(shares) > 1)
-    return f"{adapter.path.name} × {scale:g} in {len(adapter.pairs)} layers, α/r {words}"
-
-
-def _trouble(pair: Pair, layer: nn.Module | None) -> str:
-    """Say why a change cannot be that of a layer; nothing if it can."""
-    if layer is None:
-        return "is no layer of them"
-    if pair.down is None or pair.up is None:
-        return f"has no {'lora_A or down' if pair.down is None else 'lora_B or up'}"
-    weight = layer.weight
-    assert isinstance(weight, Tensor)
-    down, up = _kernel(pair.down), _kernel(pair.up)
-    fits = down.ndim == up.ndim == 4 and len(down) > 0 and up.shape[1:] == (len(down), 1, 1)
-    if fits and (len(up), *down.shape[1:]) == _kernel(weight).shape:
-        return ""
-    seen = f"{list(pair.up.shape)} × {list(pair.down.shape)}"
-    return f"has {seen}, which is no change of {list(weight.shape)}"
-
-
-def _product(pair: Pair, weight: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-    """Return B A in the shape of a layer's weight, as float64."""
-    assert pair.down is not None
-    assert pair.up is not None
-    down, up = _kernel(pair.down.double()), pair.up.double().flatten(1)
-    return torch.einsum("or,rihw->oihw", up, down).reshape(weight.shape)
-
-
-def _kernel(weight: Tensor) -> Tensor:
-    return weight[:, :, None, None] if weight.ndim == 2 else weight
-
-
-def _listed(names: Iterable[str], between: str = ", ") -> str:
-    found = list(names)
-    more = f"{between}and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
-    return between.join(found[:_SHOWN]) + more

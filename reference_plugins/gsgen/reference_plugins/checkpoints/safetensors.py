@@ -69,11 +69,8 @@ def read_metadata(path: Path) -> dict[str, str]:
     required_file(path, "the weights")
     try:
         with path.open("rb") as stream:
-            start = stream.read(_LENGTH)
-            size = path.stat().st_size - _LENGTH
-            header = _header(start + stream.read(min(size, _MOST_HEADER)), size + _LENGTH)[
-                0
-            ]
+            start = stream.read(_LENGTH + _MOST_HEADER)
+        header, _ = _header(start, path.stat().st_size)
         told = header.get(_METADATA, {})
         return {str(name): str(value) for name, value in told.items()}
     except (OSError, ValueError, AttributeError, RecursionError) as error:

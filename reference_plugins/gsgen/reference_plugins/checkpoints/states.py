@@ -1,6 +1,6 @@
 """State dicts, read safely and checked name by name before anything is made of them."""
 
-__all__ = ["Shape", "checked", "load_network", "load_state", "part"]
+__all__ = ["Shape", "checked", "listed", "load_network", "load_state", "part"]
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -97,8 +97,8 @@ def checked(
         for name in state
         if name not in wanted and not (passed and name.startswith(passed))
     ]
-    troubles = [f"missing: {_listed(n for n in wanted if n not in state)}"]
-    troubles += [f"unexpected: {_listed(extra)}"]
+    troubles = [f"missing: {listed(n for n in wanted if n not in state)}"]
+    troubles += [f"unexpected: {listed(extra)}"]
     troubles += [
         _trouble(name, state[name], shape)
         for name, shape in wanted.items()
@@ -114,10 +114,11 @@ def checked(
     return {name: state[name].detach().to(torch.float32) for name in wanted}
 
 
-def _listed(names: Iterable[str]) -> str:
+def listed(names: Iterable[str], between: str = ", ") -> str:
+    """Return names in one line: a few of them, and how many there are besides."""
     found = list(names)
-    more = f", and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
-    return ", ".join(found[:_SHOWN]) + more
+    more = f"{between}and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
+    return between.join(found[:_SHOWN]) + more
 
 
 def _trouble(name: str, value: Any, shape: Shape) -> str:

@@ -64,9 +64,8 @@ def load_tensors(path: Path, mend: str, known: Sequence[tuple[type, str]] = ()) 
     inert: list[Any] = [*((Inert, name) for name in _NUMPY), *known]
     try:
         with torch.serialization.safe_globals(inert), warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # of other protocols of pickle, which are read, too
+            # torch warns of other protocols of pickle than its own, and reads them.
+            warnings.simplefilter("ignore")
             return torch.load(path, map_location="cpu", weights_only=True)
     except _DAMAGED as error:
         what = f"cannot be read: {reason_of(error)}"

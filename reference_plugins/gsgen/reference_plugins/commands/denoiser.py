@@ -185,16 +185,16 @@ def _vector(
         return None
     if prompt.pooled is None:
         return None  # that nothing was given is said of the conditioning as a whole
-    numbers = prompt.numbers if ids is None else _numbers(ids)
-    if numbers is None:
+    time_ids = prompt.time_ids if ids is None else _numbers(ids)
+    if time_ids is None:
         if size is None:
             mend = "Give --time-ids HEIGHT,WIDTH,0,0,HEIGHT,WIDTH."
             what = "images of any size tell none"
             raise ConfigInvalid(what, where="--time-ids", mend=mend)
-        numbers = (*map(float, size), 0.0, 0.0, *map(float, size))
-        note(f"time_ids: {','.join(f'{one:g}' for one in numbers)}, the size of images")
+        time_ids = (*map(float, size), 0.0, 0.0, *map(float, size))
+        note(f"time_ids: {','.join(f'{one:g}' for one in time_ids)}, the size of images")
     try:
-        return added_vector(prompt.pooled, numbers, read.unet.options)
+        return added_vector(prompt.pooled, time_ids, read.unet.options)
     except ValueError as error:
         what = f"the pooled prompt and time_ids do not fit the network: {error}"
         raise ConfigInvalid(what, where="--time-ids") from error

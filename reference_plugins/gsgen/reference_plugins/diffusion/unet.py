@@ -43,13 +43,15 @@ def time_features(
 
 
 def added_vector(
-    pooled: Float[Tensor, "1 p"], numbers: Sequence[float], options: UNetOptions
+    pooled: Float[Tensor, "1 p"], time_ids: Sequence[float], options: UNetOptions
 ) -> Float[Tensor, "1 v"]:
-    """Return what SDXL adds to the embedded time, before its layers (Podell et al. 2023, section 2.2).
+    """Return what SDXL adds to the embedded time, before its layers.
+
+    It is the pooled prompt and features of each number (Podell et al. 2023, section 2.2).
 
     Args:
         pooled: What the text encoder makes of the prompt as a whole.
-        numbers: Of the image: its height and width, where it was cut off, and the size wanted.
+        time_ids: Of the image: its height and width, where it was cut off, and the size wanted.
         options: Of a U-Net that takes such a vector.
 
     Raises:
@@ -58,11 +60,11 @@ def added_vector(
     vector = options.vector
     assert vector is not None
     features = time_features(
-        torch.tensor(numbers), vector.features, flip=options.flip, shift=options.shift
+        torch.tensor(time_ids), vector.features, flip=options.flip, shift=options.shift
     )
     made = torch.cat([pooled.float(), features.reshape(1, -1)], dim=1)
     if made.shape[1] != vector.length:
-        seen = f"{pooled.shape[1]} + {len(numbers)} × {vector.features}"
+        seen = f"{pooled.shape[1]} + {len(time_ids)} × {vector.features}"
         raise ValueError(f"{seen} is {made.shape[1]}, wanted {vector.length}")
     return made
 

@@ -32,9 +32,8 @@ from gsgen.reference_plugins.synthetic.handmade import BINOMIAL, Weights
 _RGB = 3
 _WIDTH = 24
 _LARGE = 16.0  # K
-_SOFT = (
-    0.3  # contrasts up to this are an artifact, those of twice as much are none: −1 to 1
-)
+# Of −1 to 1: contrasts up to this are an artifact, those of twice as much are none.
+_SOFT = 0.3
 _STEEP = 16.0  # how sharply SiLU bends, to pass for a ReLU
 # Bends of a function of the contrast d, in units of the above, and by how much its slope changes:
 # d up to 1, back to 0 at 2, and the same below.
@@ -72,9 +71,8 @@ def write_difix(folder: Path) -> Path:
     _write(folder / "vae", _VAE, coder.state_dict())
     torch.manual_seed(0)
     unet = UNet(UNetOptions.of(_config(_UNET)))
-    _write(
-        folder / "unet", _UNET, unet.state_dict()
-    )  # as if it were trained on other things
+    # As if it were trained on other things.
+    _write(folder / "unet", _UNET, unet.state_dict())
     _take_off_blotches(unet, scale)
     schedule = {
         "_class_name": "DDPMScheduler",
