@@ -57,18 +57,20 @@ def _run() -> None:
     except OSError as error:
         if error.errno not in _FULL:
             _crash()
-        try:
-            sys.stdout.flush()
-        except OSError:
-            with suppress(OSError):
-                sys.stdout.close()  # or it would be tried again at the very end
-        what = f"output, or a temporary file, cannot be written: {error.strerror}"
-        mend = (
-            "Make room where it goes; the environment variable TMPDIR names another folder."
-        )
-        _fail(GsgenError(what, where=str(error.filename or ""), mend=mend))
+        _fail_unwritten(error)
     except Exception:  # a crash is neither a verdict nor a wrong option
         _crash()
+
+
+def _fail_unwritten(error: OSError) -> Never:
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with suppress(OSError):
+            sys.stdout.close()  # or it would be tried again at the very end
+    what = f"output, or a temporary file, cannot be written: {error.strerror}"
+    mend = "Make room where it goes; the environment variable TMPDIR names another folder."
+    _fail(GsgenError(what, where=str(error.filename or ""), mend=mend))
 
 
 def _crash() -> Never:
@@ -79,7 +81,7 @@ def _crash() -> Never:
     sys.exit(_INTERNAL)
 
 
-def _fail(error: GsgenError) -> None:
+def _fail(error: GsgenError) -> Never:
     typer.echo(f"gsgen: {error}", err=True)
     sys.exit(error.exit_code)
 

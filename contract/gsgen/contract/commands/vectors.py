@@ -15,8 +15,6 @@ from gsgen.contract.commands.options import Config, Memory, Timeout
 if TYPE_CHECKING:
     from gsgen.contract.vector_files import Recorded
 
-_UNREADABLE = 4
-
 
 def vectors(
     model: Annotated[Path, typer.Argument(help="The ONNX file.", show_default=False)],
@@ -60,7 +58,6 @@ def vectors(
     """
     from gsgen.contract.commands.progress import clear, progress
     from gsgen.contract.configure import make_settings
-    from gsgen.contract.errors import ModelUnreadable
     from gsgen.contract.installed import installed_rules
     from gsgen.contract.vector_files import record_vectors
 
@@ -79,11 +76,8 @@ def vectors(
             force=force,
             progress=progress,
         )
-    except ModelUnreadable as error:
+    finally:
         clear()
-        typer.echo(f"gsgen: {error}", err=True)
-        raise typer.Exit(_UNREADABLE) from error
-    clear()
     _print(made, as_json)
 
 
