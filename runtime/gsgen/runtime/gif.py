@@ -14,9 +14,8 @@ _HALF: Final = 128
 """The least alpha that is shown, opaque."""
 _ABSENT: Final = 255
 """Which entry of a palette is no colour."""
-_CLEARED: Final = (
-    2  # "restore to background": what a frame leaves out shows no frame before it
-)
+_CLEARED: Final = 2
+"""GIF's "restore to background": what a frame leaves out shows no frame before it."""
 
 
 def save_gif(path: Path, pictures: Sequence[UInt8[np.ndarray, "..."]], fps: float) -> None:
