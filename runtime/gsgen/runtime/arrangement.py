@@ -62,6 +62,7 @@ class Arrangement:
 def _apart(data: SplatData, neighbours: Int64[np.ndarray, "2 m"]) -> float:
     """Return the median distance of neighbours."""
     one, other = data.rows[neighbours][..., layout.POSITION].astype(np.float64)
-    apart = np.linalg.norm(one - other, axis=1)
+    with np.errstate(invalid="ignore"):  # of two that are infinitely far, nothing is known
+        apart = np.linalg.norm(one - other, axis=1)
     known = apart[np.isfinite(apart)]
     return float(np.median(known)) if len(known) else 0.0

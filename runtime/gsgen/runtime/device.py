@@ -1,6 +1,6 @@
 """The graphics device: opened once, shared by all that draws, with buffers that have names."""
 
-__all__ = ["MAPPED_FROM", "Device"]
+__all__ = ["MAPPED_FROM", "MOST_GROUPS", "Device"]
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +20,9 @@ from gsgen.runtime.errors import (
 
 STORAGE_BUFFERS: Final = 8
 """How many storage buffers a kernel may bind: what every WebGPU device has."""
+
+MOST_GROUPS: Final = 65_535
+"""Workgroups that every WebGPU device dispatches in one dimension; more by a count are none."""
 
 MAPPED_FROM: Final = 1 << 20
 """Bytes from which on mapping a buffer takes less than the copies that it saves."""

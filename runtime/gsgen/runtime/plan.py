@@ -11,7 +11,8 @@ from jaxtyping import Float, UInt32
 
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.depth_order import DepthOrder
-from gsgen.runtime.device import Device
+from gsgen.runtime.device import MOST_GROUPS, Device
+from gsgen.runtime.errors import CapacityExceeded
 from gsgen.runtime.frame import Output
 from gsgen.runtime.kernels import counts as counting
 from gsgen.runtime.kernels.bin_tiles import WALK_THREADS, BinTiles
@@ -376,10 +377,16 @@ class Plan:
 
         Args:
             fetch: Whether images are read; as :meth:`submit` was told.
+
+        Raises:
+            CapacityExceeded: More is drawn than the device takes at once.
         """
         names = [*self._held, *(self.images if fetch else ())]
         made = self._staging.read(dict.fromkeys(names, np.uint32))
-        counts = _together([made.pop(name) for name in self._held])
+        parts = [made.pop(name) for name in self._held]
+        for part in parts:
+            self._require_walked(int(part[Counts.VISIBLE]))
+        counts = _together(parts)
         width, height = self._size
         images = {
             # Rows that a texture was copied to are longer than the image is wide.
@@ -391,6 +398,16 @@ class Plan:
             known = ids != ABSENT
             ids[known] = self._origins[ids[known]]
         return counts, images
+
+    def _require_walked(self, visible: int) -> None:
+        """Make sure that what is drawn was binned: a dispatch that is too large does nothing."""
+        most = MOST_GROUPS * WALK_THREADS * self._kernels.cut.walk
+        if visible > most:
+            raise CapacityExceeded(
+                f"has {visible:,} splats in the image; {self._device.name} takes {most:,} at once",
+                where="scene",
+                mend="Draw fewer Gaussians, or a part of what the camera sees.",
+            )
 
 
 def _origins(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:

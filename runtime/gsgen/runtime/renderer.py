@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float32, Int64, UInt32
 
 from gsgen.runtime.camera import Camera
-from gsgen.runtime.device import Device
+from gsgen.runtime.device import MOST_GROUPS, Device
 from gsgen.runtime.errors import (
     CapacityExceeded,
     DeviceUnavailable,
@@ -22,6 +22,7 @@ from gsgen.runtime.frame import NOTHING, Frame, Output
 from gsgen.runtime.kernels.counts import Counts
 from gsgen.runtime.kernels.mesh_place import PlacedMesh
 from gsgen.runtime.kernels.shader import ABSENT
+from gsgen.runtime.kernels.tile_ranges import RANGE_BLOCK
 from gsgen.runtime.mesh_residency import MeshResidency
 from gsgen.runtime.plan import Kernels, Placed, Plan
 from gsgen.runtime.rasteriser import Asked, Rasteriser, choose
@@ -187,7 +188,8 @@ class Renderer:
             with self.device.minding():
                 yield
         except MemoryFull as error:
-            self._plan, self._key = None, None  # whoever draws something smaller needs it
+            # Whoever draws something smaller needs it, and the rows that would stay with it.
+            self._plan, self._key, self._rows = None, None, None
             raise _too_large(scene, camera, error, self._compact) from error
 
     def _fitted(
@@ -278,7 +280,7 @@ class Renderer:
 
     def _grow(self, wanted: int) -> None:
         """Make room for more pairs, or say why there can be none."""
-        most = self.device.largest_binding // 4
+        most = min(self.device.largest_binding // 4, MOST_GROUPS * RANGE_BLOCK)
         if wanted > most:
             raise CapacityExceeded(
                 f"the image needs {wanted:,} pairs of a splat and a tile; "

@@ -5,6 +5,7 @@ import pytest
 
 from gsgen.runtime import arrangement, residency
 from gsgen.runtime import device as devices
+from gsgen.runtime.arrangement import Arrangement
 from gsgen.runtime.curve import along_curve
 from gsgen.runtime.device import Device
 from gsgen.runtime.renderer import Renderer
@@ -138,6 +139,17 @@ def test_an_order_is_found_anew_when_neighbours_have_parted(
     np.testing.assert_array_equal(order(), along_curve(data.rows[:, :3]))
     data.update(rows=began)  # the new one serves for a while, whatever comes
     np.testing.assert_array_equal(order(), along_curve(50 * mixed[:, :3]))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("far", [np.inf, -np.inf, np.nan])
+def test_nothing_is_said_of_neighbours_that_are_nowhere(far: float) -> None:
+    data = cloud(200, 9)
+    data.rows[::2, :2] = far
+    order = Arrangement.found(data)
+    assert 0 < order.apart < 10
+    data.rows[:, 0] = far
+    assert Arrangement.found(data).apart == 0
 
 
 @pytest.mark.parametrize("change", ["rows", "appearance", "count"])

@@ -9,9 +9,10 @@ import pytest
 from gsgen.runtime import oracle, residency
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.depth_order import DepthOrder
-from gsgen.runtime.device import Device
+from gsgen.runtime.device import MOST_GROUPS, Device
 from gsgen.runtime.frame import Frame
 from gsgen.runtime.kernels import counts as counting
+from gsgen.runtime.kernels.bin_tiles import WALK_THREADS
 from gsgen.runtime.kernels.counts import Counts
 from gsgen.runtime.kernels.gather_keys import GatherKeys, gather_reference
 from gsgen.runtime.kernels.kernel import Step, run
@@ -159,6 +160,19 @@ def test_ties_are_put_in_order(device: Device, walk: int, arranged: bool) -> Non
     assert flags == (False, False)
     np.testing.assert_array_equal(made, order_ties_reference(keys, lows, origins, order))
     assert not np.array_equal(made, order)
+
+
+def test_ties_among_millions_are_put_in_order(device: Device) -> None:
+    """More than one line of workgroups has."""
+    n = (MOST_GROUPS + 2) * WALK_THREADS
+    keys = origins = order = np.arange(n, dtype=np.uint32)
+    keys, order = keys.copy(), order.copy()
+    for place in (5, n // 2, MOST_GROUPS * WALK_THREADS - 1, n - 2):
+        keys[place] = keys[place + 1]
+        order[place : place + 2] = order[place : place + 2][::-1]
+    flags, made = ordered(device, 1, keys, np.full(n, 9, np.uint32), order)
+    assert flags == (False, False)
+    np.testing.assert_array_equal(made, origins)
 
 
 @pytest.mark.parametrize("place", [0, 1, MOST_TIED - 1, MOST_TIED, 2 * MOST_TIED, 299])

@@ -1,19 +1,26 @@
 """What happens at the limits: of buffers, of the device, of what the user gives."""
 
+import gc
+from weakref import ref
+
 import numpy as np
 import pytest
 
+from gsgen.runtime import plan as plans
+from gsgen.runtime import renderer as renderers
 from gsgen.runtime.device import Device
 from gsgen.runtime.errors import (
     CapacityExceeded,
     DeviceLost,
     DeviceUnavailable,
+    MemoryFull,
     SceneInvalid,
 )
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.residency import Residency, bytes_of
 from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
+from support.failing_devices import memory_of
 from support.splat_scenes import camera, cloud, single
 
 
@@ -33,6 +40,39 @@ def test_more_pairs_than_a_binding_holds_is_an_error(
     scene = Scene([cloud(3000, size=2.0, depth=(2, 3))])
     with pytest.raises(CapacityExceeded, match=r"needs .* pairs .* has room for 65,536"):
         renderer.render(scene, camera(width=120, height=120))
+
+
+def test_more_pairs_than_a_dispatch_has_is_an_error(
+    renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(renderers, "MOST_GROUPS", 30)
+    scene = Scene([cloud(3000, size=2.0, depth=(2, 3))])
+    with pytest.raises(CapacityExceeded, match=r"needs .* pairs .* has room for 61,440"):
+        renderer.render(scene, camera(width=120, height=120))
+
+
+def test_more_splats_than_a_dispatch_has_is_an_error(
+    renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = Scene([cloud(5000, size=0.01)])
+    renderer.render(scene, camera())
+    monkeypatch.setattr(plans, "MOST_GROUPS", 1 if renderer.device.software else 16)
+    with pytest.raises(
+        CapacityExceeded, match=r"scene: has 4,\d+ splats .* takes 4,096 at"
+    ):
+        renderer.render(scene, camera())
+
+
+def test_a_scene_that_is_too_large_takes_no_memory_once_it_is_gone(device: Device) -> None:
+    renderer = Renderer(device, rasteriser="tiles")
+    first = Scene([cloud(300)])
+    renderer.render(first, camera())
+    rows = ref(renderer._residency.pages(first.sets[0].data)[0].rows)
+    with memory_of(1000), pytest.raises(MemoryFull):
+        renderer.render(Scene([cloud(400)]), camera())
+    del first
+    gc.collect()
+    assert rows() is None
 
 
 def test_an_image_that_is_too_large_is_an_error(

@@ -7,7 +7,7 @@ from typing import Any, Final, final
 import numpy as np
 from jaxtyping import UInt32
 
-from gsgen.runtime.device import Device
+from gsgen.runtime.device import MOST_GROUPS, Device
 from gsgen.runtime.kernels.bin_tiles import WALK_THREADS
 from gsgen.runtime.kernels.counts import PLACES
 from gsgen.runtime.kernels.kernel import Kernel, Step
@@ -55,7 +55,9 @@ class OrderTies:
         """
         bind = self.kernel.bind(counts, keys, lows, order, *origins)
         # Not by the counts: what is written by a dispatch cannot say how large it is.
-        return Step(self.kernel, (bind,), (max(1, -(-capacity // self._block)), 1, 1))
+        groups = max(1, -(-capacity // self._block))
+        lines = -(-groups // MOST_GROUPS)
+        return Step(self.kernel, (bind,), (-(-groups // lines), lines, 1))
 
 
 def order_ties_reference(

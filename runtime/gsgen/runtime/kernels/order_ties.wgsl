@@ -60,10 +60,11 @@ fn order_tie(first: u32, key: u32, visible: u32) {
     }
 }
 
+// Millions of splats are too many for one line of workgroups.
 @compute @workgroup_size(THREADS)
-fn order_ties(@builtin(global_invocation_id) invocation: vec3u) {
+fn order_ties(@builtin(global_invocation_id) invocation: vec3u, @builtin(num_workgroups) groups: vec3u) {
     let visible = atomicLoad(&counts[VISIBLE]);
-    let start = invocation.x * RUN;
+    let start = (invocation.y * groups.x * THREADS + invocation.x) * RUN;
     let end = min(start + RUN, visible);
     if (start >= end) {
         return;
