@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 from gsgen.contract.candidate import static_dims
 from gsgen.contract.finding import Breach, Severity
-from gsgen.contract.graph import Tensor
+from gsgen.contract.graph import Graph, Tensor, reads
+from gsgen.contract.placement import frame_nodes
 from gsgen.contract.roles import KINDS
 from gsgen.contract.rule import rule
 from gsgen.contract.subject import Subject
@@ -51,10 +52,25 @@ def tensor_bytes(tensor: Tensor) -> int:
 
 
 def _buffers(subject: Subject) -> Iterator[tuple[str, int]]:
-    for tensor in subject.graph.outputs:
+    graph = subject.graph
+    for tensor in graph.outputs:
         yield f"output {tensor.name}", tensor_bytes(tensor)
-    for name, tensor in subject.graph.initializers.items():
+    for name, tensor in graph.initializers.items():
         yield f"weight {name}", tensor_bytes(tensor)
+    for tensor in _computed_once(graph):
+        yield f"tensor {tensor.name}, computed from weights", tensor_bytes(tensor)
+
+
+def _computed_once(graph: Graph) -> Iterator[Tensor]:
+    """Yield what frames read of what a runtime computes at loading, such as unpacked tables."""
+    running = frame_nodes(graph)
+    made = {name for node in running for name in node.output}
+    outputs = {tensor.name for tensor in graph.outputs}
+    for name in dict.fromkeys(name for node in running for name in reads(node)):
+        if name in graph.producers and name not in made and name not in outputs:
+            tensor = graph.tensors.get(name)
+            if tensor is not None:
+                yield tensor
 
 
 def _mib(size: int) -> str:
@@ -62,7 +78,7 @@ def _mib(size: int) -> str:
 
 
 def _larger(subject: Subject, limit: int) -> Iterator[Breach]:
-    """Report every output and weight of more than ``limit`` bytes."""
+    """Report every output, weight and unpacked weight of more than ``limit`` bytes."""
     for place, size in _buffers(subject):
         if size > limit:
             yield Breach.at(place, _mib(size), f"{_mib(limit)} at most")
@@ -83,7 +99,9 @@ def fits_binding(subject: Subject) -> Iterator[Breach]:
 
     Why:
         WebGPU guarantees 128 MiB a binding. Beyond it onnxruntime-web 1.22 returns zeros; newer
-        ones split the buffer, and pay for it.
+        ones split the buffer, and pay for it. What is computed from weights alone is a buffer, too,
+        once a runtime has loaded the model: a table of 16 bits a number that is read as float32
+        is twice as large as in the file.
 
     Mend:
         Use float16, fewer SH degrees or a smaller capacity, or split the model.
@@ -104,7 +122,8 @@ def fits_buffer(subject: Subject) -> Iterator[Breach]:
     """Every output and weight fits one buffer of the target.
 
     Why:
-        WebGPU guarantees buffers of 256 MiB; creating a larger one fails on many devices.
+        WebGPU guarantees buffers of 256 MiB; creating a larger one fails on many devices. What is
+        computed from weights alone at loading, such as a table unpacked to float32, is one, too.
 
     Mend:
         Use float16, fewer SH degrees or a smaller capacity, or split the model.
