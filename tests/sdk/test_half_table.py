@@ -1,5 +1,7 @@
 """Tables in 16 bits a number: never farther off than float16, and read back by the graph's own sums."""
 
+import tracemalloc
+
 import hypothesis.extra.numpy as hnp
 import numpy as np
 import onnx
@@ -82,6 +84,44 @@ def test_each_column_has_steps_of_its_own() -> None:
     off = np.abs(half_table(array).decoded - array).max(axis=0)
     assert off[0] <= 1e-3 / 131070 * 1.01
     assert off[1] <= 1e3 / 131070 * 1.01
+
+
+@pytest.mark.parametrize("shape", [(8, 1024), (2, 8, 40, 30), (1, 8, 5, 300_000)])
+def test_channels_have_steps_of_their_own(shape: tuple[int, ...]) -> None:
+    """A plane's channels lie behind one another, wherever their axis is."""
+    rng = np.random.default_rng(4)
+    axis = shape.index(8)
+    reach = np.logspace(-4, 3, 8).reshape(
+        [8 if k == axis else 1 for k in range(len(shape))]
+    )
+    array = (rng.uniform(0, 1, shape) * reach).astype(np.float32)
+    made = half_table(array)
+    assert made.numbers.shape == shape
+    assert made.step is not None
+    assert made.step.shape == reach.shape[axis:]
+    off = np.abs(made.decoded - array.astype(np.float64))
+    # Half a step, and what float32 rounds.
+    assert (off <= reach * (0.51 / 65535 + 2.0**-22)).all()
+
+
+def test_steps_that_a_processor_may_flush_are_none() -> None:
+    """A step below 2⁻¹²⁶ is zero on some of them, and not on others."""
+    array = np.random.default_rng(5).uniform(0, 1e-36, (ROWS, 2)).astype(np.float32)
+    made = half_table(array)
+    assert made.step is None or not ((made.step > 0) & (made.step < 2.0**-126)).any()
+
+
+@pytest.mark.parametrize("far", [0.0, 1e4])
+def test_a_large_table_takes_little_memory_besides(far: float) -> None:
+    """In either form: 2 bytes a number, while float64 copies would take 8 each."""
+    array = np.random.default_rng(6).standard_normal((1 << 20, 4), np.float32)
+    array[0] = far
+    tracemalloc.start()
+    made = half_table(array)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert (made.step is None) == (far > 0)
+    assert peak < 4.5 * array.size
 
 
 GRAPH = """
