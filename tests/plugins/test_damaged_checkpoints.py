@@ -1,49 +1,24 @@
 """Checkpoints of every method with a damaged file: read, or refused with its name, never a crash."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from gsgen.reference_plugins.checkpoints.anchors import read_anchors
-from gsgen.reference_plugins.checkpoints.cells import read_cells
-from gsgen.reference_plugins.checkpoints.deformations import read_deformation
 from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
-from gsgen.reference_plugins.checkpoints.gauhuman import read_gauhuman
 from gsgen.reference_plugins.checkpoints.hexplanes import read_hexplanes
-from gsgen.reference_plugins.checkpoints.lhm import read_lhm
-from gsgen.reference_plugins.checkpoints.r3_avatar import read_r3
 from gsgen.reference_plugins.checkpoints.script_archive import is_script_archive
 from gsgen.reference_plugins.synthetic import (
     AnchorOptions,
     HexPlaneOptions,
-    PersonOptions,
-    write_deformable,
-    write_duplex,
-    write_gauhuman,
     write_hexplane,
-    write_lhm,
-    write_r3,
     write_scaffold,
 )
+from support.checkpoints import METHODS
 
 MUTANTS = 60
-PERSON = PersonOptions(count=4, nets=True)
-METHODS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], Any]]] = {
-    "scaffold": (lambda f: write_scaffold(f, AnchorOptions(anchors=5)), read_anchors),
-    "duplex": (
-        lambda f: write_duplex(f, AnchorOptions(anchors=6, united=True)),
-        read_cells,
-    ),
-    "hexplane": (lambda f: write_hexplane(f, HexPlaneOptions(count=4)), read_hexplanes),
-    "deformable": (lambda f: write_deformable(f, count=4), read_deformation),
-    "gauhuman": (lambda f: write_gauhuman(f, PERSON), read_gauhuman),
-    "lhm": (lambda f: write_lhm(f, PERSON), read_lhm),
-    "r3": (lambda f: write_r3(f, PERSON), read_r3),
-}
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:

@@ -25,7 +25,7 @@ from gsgen.reference_plugins.commands import denoiser as command
 from gsgen.reference_plugins.denoiser import Denoiser, Step
 from gsgen.reference_plugins.synthetic import torus_knot, write_denoiser, write_difix
 from gsgen.sdk.post_export import export_post_process
-from support.commands import gsgen
+from support.commands import gsgen_here
 
 OPTIONS = {
     "_class_name": "UNet2DConditionModel",
@@ -291,18 +291,9 @@ def test_a_picture_goes_through_it_in_float16_and_in_tiles(tmp_path: Path) -> No
     )
     assert [one.role for one in made.manifest.inputs] == ["image"]  # the timestep is fixed
     write_ply(tmp_path / "knot.ply", torus_knot(2000))
-    view = (
-        "--width",
-        24,
-        "--height",
-        24,
-        "--camera",
-        "orbit:20,30",
-        "--background",
-        "#16181d",
-    )
+    view = ("--width=24", "--height=24", "--camera=orbit:20,30", "--background=#16181d")
     for name, words in (("before", ()), ("after", ("--post", path))):
-        done = gsgen(
+        done = gsgen_here(
             "render", tmp_path / "knot.ply", "-o", tmp_path / f"{name}.png", *view, *words
         )
         assert done.code == 0, done.err
