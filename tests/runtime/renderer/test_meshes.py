@@ -4,14 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import wgpu
 
 from gsgen.runtime import oracle, oracle_meshes
 from gsgen.runtime.camera import Camera
 from gsgen.runtime.device import Device
-from gsgen.runtime.errors import CapacityExceeded, SceneInvalid
+from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
 from gsgen.runtime.frame import NOTHING
 from gsgen.runtime.kernels.blend_tiles import NOWHERE, BlendTiles, blend_reference
-from gsgen.runtime.kernels.draw_meshes import seen_reference
+from gsgen.runtime.kernels.draw_meshes import DrawMeshes, seen_reference
 from gsgen.runtime.kernels.kernel import Step, run
 from gsgen.runtime.kernels.mesh_place import PlacedMesh, mesh_rays, mesh_uniform
 from gsgen.runtime.kernels.project import (
@@ -402,6 +403,22 @@ def test_a_texture_that_is_too_large(renderer: Renderer) -> None:
     )
     with pytest.raises(CapacityExceeded, match=f"mesh texture: is {most + 1}×1"):
         renderer.render(Scene([], meshes=[wide]), camera())
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_device_without_textures_of_floats_says_so(
+    device: Device, monkeypatch: pytest.MonkeyPatch, known: bool
+) -> None:
+    """As Mesa's OpenGL does, by the words of wgpu; what else is wrong stays what it is."""
+    why = "Format Rgba32Float is not renderable" if known else "another bug"
+
+    def refuse(self: object, **parts: object) -> None:
+        raise wgpu.GPUValidationError(f"Color state [0] is invalid\n  {why}")
+
+    monkeypatch.setattr(type(device.raw), "create_render_pipeline", refuse)
+    said = (DeviceUnavailable, "cannot draw meshes") if known else (wgpu.GPUError, why)
+    with pytest.raises(said[0], match=said[1]):
+        DrawMeshes(device)
 
 
 POINTS = np.eye(3, dtype=np.float32)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Shaped, UInt32
 
 from gsgen.runtime.device import Device
+from gsgen.runtime.errors import DeviceUnavailable
 from gsgen.runtime.frame import srgb_of_linear
 from gsgen.runtime.kernels.blend_tiles import NOWHERE, Layers
 from gsgen.runtime.kernels.kernel import Kernel, Step
@@ -105,6 +106,21 @@ def _cleared(texture: Any, value: tuple[float, ...]) -> dict[str, Any]:
     }
 
 
+def _pipeline(device: Device, **parts: Any) -> Any:
+    """Return a render pipeline; nothing but asking for one tells whether floats can be drawn."""
+    import wgpu
+
+    try:
+        return device.raw.create_render_pipeline(**parts)
+    except wgpu.GPUValidationError as error:
+        if "not renderable" not in str(error):
+            raise
+        raise DeviceUnavailable(
+            f"{device.name} cannot draw meshes: not into textures of 32-bit floats",
+            mend="Draw on another device, see `gsgen doctor`, or without meshes.",
+        ) from error
+
+
 @final
 class DrawMeshes:
     """``draw_meshes.wgsl``, and ``lay_meshes.wgsl`` for what comes of it.
@@ -112,6 +128,9 @@ class DrawMeshes:
     Args:
         device: Where it runs.
         panorama: Whether the image is one.
+
+    Raises:
+        DeviceUnavailable: It cannot draw into textures of 32-bit floats.
     """
 
     def __init__(self, device: Device, panorama: bool = False) -> None:
@@ -130,7 +149,8 @@ class DrawMeshes:
             "draw_meshes", AMBIENT=AMBIENT, PANORAMA=panorama, CORNERS=self._corners
         )
         module = raw.create_shader_module(label="draw_meshes", code=code)
-        self._pipeline = raw.create_render_pipeline(
+        self._pipeline = _pipeline(
+            device,
             label="meshes",
             layout=raw.create_pipeline_layout(bind_group_layouts=[self._layout]),
             vertex={"module": module, "entry_point": "corner_of", "buffers": []},
