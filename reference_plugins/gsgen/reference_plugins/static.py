@@ -46,6 +46,7 @@ from gsgen.contract.spherical_harmonics import (
 )
 from gsgen.formats import PackedRows, PointCloud, Splats
 from gsgen.sdk.constant import write_constant
+from gsgen.sdk.harmonic_degrees import taken_degree
 from gsgen.sdk.placement import draft_of
 
 INITIAL_OPACITY = 0.1
@@ -117,7 +118,7 @@ def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> StaticS
     notes: tuple[str, ...] = ()
     if splats.degree > degree:
         notes = (f"SH degree {splats.degree} is cut to {degree}",)
-    degree, more = _in_words(degree, dtype)
+    degree, more = _taken(degree, dtype)
     notes += more
     with np.errstate(
         over="ignore"
@@ -135,12 +136,10 @@ def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> StaticS
     return StaticScene(*layout.encode(gaussians, _type(dtype)), "sh", source, notes)
 
 
-def _in_words(degree: int, dtype: Dtype) -> tuple[int, tuple[str, ...]]:
-    """Return a degree whose rows fill words of four bytes (rule GO015), and what was done."""
-    if dtype == "float32" or degree % 2:
-        return degree, ()
-    note = f"SH of degree {degree} are written as degree {degree + 1}: rows fill words"
-    return degree + 1, (note,)
+def _taken(degree: int, dtype: Dtype) -> tuple[int, tuple[str, ...]]:
+    """Return a degree that rows of ``dtype`` can have, and what was done."""
+    taken, why = taken_degree(degree, half=dtype == "float16")
+    return taken, (why,) if why else ()
 
 
 def _of_degree(sh: Float[np.ndarray, "n k 3"], degree: int) -> Float[np.ndarray, "n l 3"]:
@@ -158,7 +157,7 @@ def _from_points(
     n = len(points)
     notes: tuple[str, ...] = ()
     if sh_degree is not None:
-        sh_degree, notes = _in_words(sh_degree, dtype)
+        sh_degree, notes = _taken(sh_degree, dtype)
     covariance = np.zeros((n, 6))
     covariance[:, [0, 3, 5]] = (scale**2)[:, None]
     gaussians = layout.Gaussians(

@@ -9,11 +9,9 @@ from typing import Any
 
 import torch
 
-from gsgen.contract.spherical_harmonics import MAX_DEGREE, coefficients, degree_of
+from gsgen.contract.spherical_harmonics import coefficients, degree_of
 from gsgen.sdk.generator import GaussianGenerator, Gaussians
-
-# Consumers that read rows of one width alone (rule TV104).
-_ONE_WIDTH = ("visionary",)
+from gsgen.sdk.harmonic_degrees import taken_degree
 
 
 @contextmanager
@@ -22,8 +20,7 @@ def filled_harmonics(
 ) -> Iterator[list[str]]:
     """Let ``generator`` give spherical harmonics of a degree that is taken, for a while.
 
-    Rows of float16 have to fill words of four bytes (rule GO015), which those of degree 0 and 2
-    do not; and some consumers read degree 3 alone. Coefficients of 0 show nothing.
+    Which one that is, :func:`gsgen.sdk.harmonic_degrees.taken_degree` says.
 
     Args:
         generator: Within the context it returns such harmonics.
@@ -39,13 +36,11 @@ def filled_harmonics(
         if not isinstance(made, Gaussians) or made.sh is None:
             return made
         degree = degree_of(made.sh.shape[1])
-        wanted = degree + 1 if half and made.sh.shape[1] % 2 else degree
-        wanted = MAX_DEGREE if target in _ONE_WIDTH else wanted
+        wanted, why = taken_degree(degree, half=half, target=target)
         if wanted == degree:
             return made
         if not told:
-            why = f"{target} reads no other" if target in _ONE_WIDTH else "rows fill words"
-            told.append(f"SH of degree {degree} are written as degree {wanted}: {why}")
+            told.append(why)
         missing = coefficients(wanted) - made.sh.shape[1]
         return replace(made, sh=torch.nn.functional.pad(made.sh, (0, 0, 0, missing)))
 

@@ -12,15 +12,13 @@ import typer
 from gsgen.contract.drafts import refuse_itself
 from gsgen.contract.errors import InputUnreadable
 from gsgen.sdk.export_request import OPSETS, ExportRequest
+from gsgen.sdk.harmonic_degrees import ONE_DEGREE
 from gsgen.sdk.plugin import Plugin
 
 if TYPE_CHECKING:
     from gsgen.contract.config import Settings
     from gsgen.contract.report import Report
     from gsgen.formats import PackedRows, PointCloud, Splats
-
-# Consumers that read harmonics of one degree alone (rule TV104).
-_ONE_DEGREE = {"visionary": 3}
 
 
 def static(
@@ -108,8 +106,8 @@ def static(
     settings = _settings(target, level)
     content = _read(file)
     typer.echo(f"{file}: {_describe(content)}", err=True)
-    if target in _ONE_DEGREE and isinstance(content, Splats) and sh_degree is None:
-        sh_degree = _ONE_DEGREE[target]
+    if isinstance(content, Splats) and sh_degree is None:
+        sh_degree = ONE_DEGREE.get(target)
     scene = from_content(
         content, dtype=dtype, opacity=opacity, appearance=appearance, sh_degree=sh_degree
     )
