@@ -1,4 +1,4 @@
-"""Checkpoints of every method with a damaged file: read, or refused with its name, never a crash."""
+"""Checkpoints with a damaged file, of every method: read, or refused by its name; never a crash."""
 
 from pathlib import Path
 

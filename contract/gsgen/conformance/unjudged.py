@@ -1,4 +1,4 @@
-"""Classes whose model cannot be made or read: one error says why, and their other tests are skipped.
+"""Classes whose model cannot be made or read: one error says why, their other tests are skipped.
 
 Every test of such a class would end on the same error. A hundred and forty of them hide what is
 wrong; one shows it.

@@ -28,7 +28,7 @@ def draft_of(path: Path) -> Iterator[Path]:
     behind.
 
     Raises:
-        ConfigInvalid: ``path`` is a folder or a device, or what is written does not fit on the disk.
+        ConfigInvalid: ``path`` is a folder or a device, or cannot be written to, as on a full disk.
     """
     refuse_folder(path)
     refuse_device(path)

@@ -61,8 +61,10 @@ def _adapters() -> Iterator[Check]:
     if not adapters:
         yield Check("adapters", "missing", "no graphics adapter", _DRIVERS, _PURPOSE)
     for adapter in adapters:
-        name, kind = adapter.get("device", "?"), adapter.get("adapter_type", "?")
-        detail = f"{name} ({kind}, {adapter.get('backend_type', '?')}) {adapter.get('description', '')}"
+        name, kind, backend = (
+            adapter.get(key, "?") for key in ("device", "adapter_type", "backend_type")
+        )
+        detail = f"{name} ({kind}, {backend}) {adapter.get('description', '')}"
         yield Check("adapter", "ok", detail.strip(), purpose=_PURPOSE)
 
 

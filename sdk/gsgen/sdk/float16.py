@@ -156,7 +156,8 @@ def to_float16(
     """Return ``model`` converted, and how; see :func:`write_float16`.
 
     Without ``arithmetic``, weights are stored in 16 bits and outputs are float16, and every node
-    computes in float32 as before. ``roundings``: how often what storing outputs rounds may be added to the tolerances.
+    computes in float32 as before. ``roundings``: how often what storing outputs rounds may be
+    added to the tolerances.
 
     Raises:
         RewriteFailed: No choice of nodes keeps the tolerances.

@@ -24,7 +24,25 @@ _UNSEEN = 12
 
 
 class HalfMeasure:
-    """Measures the error of rounding some nodes of a model, in the contract's units."""
+    """Measures the error of rounding some nodes of a model, in the contract's units.
+
+    Args:
+        model: Float32 throughout.
+        manifest: Says which outputs are compared, and how.
+        probes: Inputs that choices are measured at.
+        tolerances: What may differ.
+        outputs: Whether the outputs are stored in float16, too.
+        roundings: How often what storing them rounds may be added to the tolerances.
+
+    Attributes:
+        weights: Name of each table that can be stored in 16 bits a number.
+        sizes: Numbers in each of them.
+        stored: Which of them are, in all that is measured from now on.
+        rounded: What storing the outputs changes by itself.
+
+    Raises:
+        RewriteFailed: The outputs are float16 already, or some are not declared.
+    """
 
     def __init__(
         self,

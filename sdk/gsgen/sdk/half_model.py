@@ -54,7 +54,8 @@ class HalfModel:
 
     Attributes:
         units: Name of each node that can be chosen, in the order of the graph.
-        weights: Name of each table that can be stored as :func:`gsgen.sdk.half_table.half_table` has it.
+        weights: Name of each table that can be stored in 16 bits a number
+            (:func:`gsgen.sdk.half_table.half_table`).
         sizes: Numbers in each of them.
     """
 

@@ -7,8 +7,8 @@
   ``Th`` and ``shapes``,
 - a ``.json`` or a folder of them, as LHM estimates from videos (``root_pose``, ``body_pose``, …).
 
-Of pickles only arrays are read. Poses become those of the body asked for: hands and faces that a file does not
-have stay still, and those that the body does not have are left out.
+Of pickles only arrays are read. Poses become those of the body asked for: hands and faces that a
+file does not have stay still, and those that the body does not have are left out.
 """
 
 __all__ = ["Motion", "read_motion"]

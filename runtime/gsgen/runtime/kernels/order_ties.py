@@ -1,4 +1,4 @@
-"""Order ties: splats whose keys are the same stand by the rest of their depths, then by their sets."""
+"""Order ties: splats of one key stand by the rest of their depths, then by their sets."""
 
 __all__ = ["MOST_TIED", "OrderTies", "order_ties_reference"]
 

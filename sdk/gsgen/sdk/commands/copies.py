@@ -1,4 +1,4 @@
-"""Where a command that changes a model puts its copy: `-o OUT.onnx`, or nowhere with `--dry-run`."""
+"""Where a command that changes a model puts its copy: `-o OUT.onnx`, or nowhere (`--dry-run`)."""
 
 __all__ = ["copy_of"]
 
