@@ -11,7 +11,6 @@ divides by what is known beforehand if a group holds x and −x, and K and −K 
 
 __all__ = ["write_difix"]
 
-import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,11 +21,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gsgen.reference_plugins.checkpoints.model_config import ModelConfig
-from gsgen.reference_plugins.checkpoints.safetensors import write_safetensors
 from gsgen.reference_plugins.diffusion.autoencoder import Autoencoder
 from gsgen.reference_plugins.diffusion.options import AutoencoderOptions, UNetOptions
 from gsgen.reference_plugins.diffusion.unet import UNet
+from gsgen.reference_plugins.synthetic.diffusers_files import (
+    SCHEDULE,
+    config_of,
+    write_network,
+    write_schedule,
+)
 from gsgen.reference_plugins.synthetic.handmade import BINOMIAL, Weights
 
 _RGB = 3
@@ -59,31 +62,21 @@ _VAE: dict[str, Any] = {
     "layers_per_block": 1,
     "norm_num_groups": 6,
 }
-_STEPS, _FIRST, _LAST = 1000, 0.00085, 0.012
 _TIMESTEP = 199
 
 
 def write_difix(folder: Path) -> Path:
     """Write a base in the layout of diffusers and ``model.pkl`` beside it; return ``folder``."""
-    coder = Autoencoder(AutoencoderOptions.of(_config(_VAE)))
+    coder = Autoencoder(AutoencoderOptions.of(config_of(_VAE)))
     scale = coder.options.scale
     _hand_on(coder)
-    _write(folder / "vae", _VAE, coder.state_dict())
+    write_network(folder / "vae", _VAE, coder)
     torch.manual_seed(0)
-    unet = UNet(UNetOptions.of(_config(_UNET)))
+    unet = UNet(UNetOptions.of(config_of(_UNET)))
     # As if it were trained on other things.
-    _write(folder / "unet", _UNET, unet.state_dict())
+    write_network(folder / "unet", _UNET, unet)
     _take_off_blotches(unet, scale)
-    schedule = {
-        "_class_name": "DDPMScheduler",
-        "num_train_timesteps": _STEPS,
-        "beta_schedule": "scaled_linear",
-        "beta_start": _FIRST,
-        "beta_end": _LAST,
-        "prediction_type": "epsilon",
-    }
-    (folder / "scheduler").mkdir(parents=True, exist_ok=True)
-    (folder / "scheduler" / "scheduler_config.json").write_text(json.dumps(schedule))
+    write_schedule(folder)
     prompt = np.random.default_rng(0).normal(size=(1, 5, _UNET["cross_attention_dim"]))
     np.savez(folder / "prompt_embeds.npz", prompt_embeds=prompt.astype(np.float32))
     changed = {
@@ -124,7 +117,10 @@ def _take_off_blotches(unet: UNet, scale: float) -> None:
     Groups of eight hold x, −x, d four times, K and −K of a colour; ε = (x + √ᾱ f(d)) / √(1 − ᾱ).
     """
     weights = Weights(unet)
-    noise = torch.linspace(_FIRST**0.5, _LAST**0.5, _STEPS, dtype=torch.float64).square()
+    first, last, steps = (
+        SCHEDULE[name] for name in ("beta_start", "beta_end", "num_train_timesteps")
+    )
+    noise = torch.linspace(first**0.5, last**0.5, steps, dtype=torch.float64).square()
     kept = float(torch.cumprod(1 - noise, 0)[_TIMESTEP])
     one, many = scale / math.sqrt(1 - kept), scale * math.sqrt(kept / (1 - kept))
     for color in range(_RGB):  # means of four, handed back: neither sees beyond the border
@@ -182,12 +178,3 @@ def _read_out(weights: Weights, part: str) -> None:
 
 def _sampler(part: str, way: str) -> str:
     return f"{part}.{way}_blocks.0.{way}samplers.0.conv.weight"
-
-
-def _config(values: dict[str, Any]) -> ModelConfig:
-    return ModelConfig(Path("config.json"), values)
-
-
-def _write(folder: Path, config: dict[str, Any], state: dict[str, Tensor]) -> None:
-    write_safetensors(folder / "diffusion_pytorch_model.safetensors", state)
-    (folder / "config.json").write_text(json.dumps(config), "utf-8")

@@ -2,7 +2,6 @@
 
 __all__ = ["write_denoiser", "write_stylise"]
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,15 +10,17 @@ import numpy as np
 import torch
 from torch import nn
 
-from gsgen.reference_plugins.checkpoints.model_config import ModelConfig
-from gsgen.reference_plugins.checkpoints.safetensors import write_safetensors
 from gsgen.reference_plugins.diffusion.autoencoder import Autoencoder
 from gsgen.reference_plugins.diffusion.options import AutoencoderOptions, UNetOptions
 from gsgen.reference_plugins.diffusion.unet import UNet
 from gsgen.reference_plugins.stylise import Stylise, StyliseOptions
+from gsgen.reference_plugins.synthetic.diffusers_files import (
+    config_of,
+    write_network,
+    write_schedule,
+)
 from gsgen.reference_plugins.synthetic.handmade import draw_outlines, take_off_noise
 
-_WEIGHTS = "diffusion_pytorch_model.safetensors"
 _UNET: Mapping[str, Any] = {
     "_class_name": "UNet2DModel",
     "block_out_channels": [8, 16],
@@ -36,14 +37,6 @@ _VAE: Mapping[str, Any] = {
     "up_block_types": ["UpDecoderBlock2D", "UpDecoderBlock2D"],
     "layers_per_block": 1,
     "norm_num_groups": 2,
-}
-_SCHEDULE: Mapping[str, Any] = {
-    "_class_name": "DDPMScheduler",
-    "num_train_timesteps": 1000,
-    "beta_schedule": "scaled_linear",
-    "beta_start": 0.00085,
-    "beta_end": 0.012,
-    "prediction_type": "epsilon",
 }
 
 
@@ -69,18 +62,16 @@ def write_denoiser(
     torch.manual_seed(seed)
     channels = {"in_channels": 4, "out_channels": 4} if latent else {}
     config = {**_UNET, **channels, **(unet or {})}
-    network = UNet(UNetOptions.of(_config(config)))
+    network = UNet(UNetOptions.of(config_of(config)))
     _disturb(network)
     if smoothing:
         take_off_noise(network)
-    _write(folder / "unet", config, network)
+    write_network(folder / "unet", config, network)
     if latent:
-        coder = Autoencoder(AutoencoderOptions.of(_config(_VAE)))
+        coder = Autoencoder(AutoencoderOptions.of(config_of(_VAE)))
         _disturb(coder)
-        _write(folder / "vae", _VAE, coder)
-    place = folder / "scheduler" / "scheduler_config.json"
-    place.parent.mkdir(parents=True, exist_ok=True)
-    place.write_text(json.dumps({**_SCHEDULE, **(schedule or {})}), "utf-8")
+        write_network(folder / "vae", _VAE, coder)
+    write_schedule(folder, schedule)
     if config["_class_name"] == "UNet2DConditionModel":
         rows = np.random.default_rng(seed).normal(
             size=(1, 5, config["cross_attention_dim"])
@@ -113,12 +104,10 @@ def write_stylise(
     _disturb(network)
     if drawing:
         draw_outlines(network)
-    _write(folder, {"channels": channels, "blocks": blocks}, network, "stylise.safetensors")
+    write_network(
+        folder, {"channels": channels, "blocks": blocks}, network, "stylise.safetensors"
+    )
     return folder
-
-
-def _config(values: Mapping[str, Any]) -> ModelConfig:
-    return ModelConfig(Path("config.json"), values)
 
 
 def _disturb(network: nn.Module) -> None:
@@ -126,10 +115,3 @@ def _disturb(network: nn.Module) -> None:
     with torch.no_grad():
         for weight in network.parameters():
             weight.add_(0.1 * torch.randn_like(weight))
-
-
-def _write(
-    folder: Path, config: Mapping[str, Any], network: nn.Module, name: str = _WEIGHTS
-) -> None:
-    write_safetensors(folder / name, network.state_dict())
-    (folder / "config.json").write_text(json.dumps(dict(config)), "utf-8")

@@ -1,0 +1,50 @@
+"""The layout in which diffusers saves networks and schedules."""
+
+__all__ = ["SCHEDULE", "config_of", "write_network", "write_schedule"]
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from torch import nn
+
+from gsgen.reference_plugins.checkpoints.model_config import ModelConfig
+from gsgen.reference_plugins.checkpoints.safetensors import write_safetensors
+
+SCHEDULE: Final[Mapping[str, Any]] = {
+    "_class_name": "DDPMScheduler",
+    "num_train_timesteps": 1000,
+    "beta_schedule": "scaled_linear",
+    "beta_start": 0.00085,
+    "beta_end": 0.012,
+    "prediction_type": "epsilon",
+}
+"""How Stable Diffusion adds noise."""
+
+_WEIGHTS = "diffusion_pytorch_model.safetensors"
+
+
+def config_of(values: Mapping[str, Any]) -> ModelConfig:
+    """Return options as if they were read from a ``config.json``."""
+    return ModelConfig(Path("config.json"), values)
+
+
+def write_network(
+    folder: Path, config: Mapping[str, Any], network: nn.Module, name: str = _WEIGHTS
+) -> None:
+    """Write a network's weights and its ``config.json`` into ``folder``."""
+    write_safetensors(folder / name, network.state_dict())
+    (folder / "config.json").write_text(json.dumps(dict(config)), "utf-8")
+
+
+def write_schedule(folder: Path, changes: Mapping[str, Any] | None = None) -> None:
+    """Write ``scheduler/`` into ``folder``.
+
+    Args:
+        folder: Of the checkpoint.
+        changes: Options that differ from those of :data:`SCHEDULE`.
+    """
+    place = folder / "scheduler" / "scheduler_config.json"
+    place.parent.mkdir(parents=True, exist_ok=True)
+    place.write_text(json.dumps({**SCHEDULE, **(changes or {})}), "utf-8")
