@@ -18,6 +18,7 @@ from gsgen.sdk.commands.float16 import float16
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.float16 import write_float16
 from gsgen.sdk.half_model import HalfModel
+from gsgen.sdk.half_table import half_table
 from gsgen.sdk.passes.to_float16 import Boundary, ToFloat16, key_of
 from gsgen.sdk.unit_search import largest_harmless
 from support.commands import gsgen
@@ -413,3 +414,44 @@ def test_tables_that_are_read_once_are_stored_in_float16_unless_that_shows(
     for old, new in zip(frames(source), frames(path), strict=True):
         assert np.abs(new[0][:, :3] - old[0][:, :3]).max() < 1e-4
         np.testing.assert_allclose(new[1], old[1], atol=1e-3)
+
+
+SIZES = """
+cloud (float[1] time) => (float[700,10] gaussians, float[700,3] color, int32[1] num_points)
+<float zero = {0}, int64[3] count = {700, 6, 6}, int64[1] last = {2}> {
+    square = Mul (size, size)
+    diagonal = Reshape (square, count)
+    kept = ReduceMax <keepdims = 0> (diagonal, last)
+    spread = Mul (kept, mask)
+    rest = Mul (time, zero)
+    covariance = Add (spread, rest)
+    gaussians = Concat <axis = 1> (place, opacity, covariance)
+    color = Add (paint, rest)
+    num_points = Identity (live)
+}
+"""
+
+
+def test_a_table_of_sizes_is_float16_where_even_steps_would_show(tmp_path: Path) -> None:
+    """Steps are closer by the mean square, and make small sizes zero."""
+    rng = np.random.default_rng(0)
+    n = 700
+    sizes = 10 ** rng.uniform(-3, 1, (n, 1)) * np.ones((1, 36))
+    arrays = {
+        "size": sizes,
+        "mask": np.array([[1, 0, 0, 1, 0, 1]]),
+        "place": rng.uniform(-1, 1, (n, 3)) * sizes[:, :1],
+        "opacity": rng.uniform(0.1, 0.9, (n, 1)),
+        "paint": rng.uniform(0, 1, (n, 3)),
+    }
+    weights = [weight(name, array.astype(np.float32)) for name, array in arrays.items()]
+    proto = model(SIZES, *weights, weight("live", np.array([n], np.int32)))
+    manifest = replace(manifest_of(n), bounds=Bounds((-10,) * 3, (10,) * 3))
+    source = save(tmp_path / "sizes.onnx", proto, manifest)
+    path = tmp_path / "half.onnx"
+    made = write_float16(source, path, outputs=False, tolerances=Tolerances(1, 1e-2, 1, 1))
+    assert half_table(arrays["size"].astype(np.float32)).step is not None
+    stored = {one.name: one.data_type for one in onnx.load(path).graph.initializer}
+    assert stored["size"] == onnx.TensorProto.FLOAT16
+    assert "size" not in {one.node for one in made.kept_weights}
+    assert made.parity.holds

@@ -200,7 +200,8 @@ def to_float16(
         kept += islands(boundary, nodes, kept)
         casts = boundary.casts({one.node for one in kept})
         trial = model.clone()
-        _convert(trial, manifest, {one.node for one in kept}, stored, outputs)
+        plain = {measure.weights[k] for k in measure.model.plain}
+        _convert(trial, manifest, {one.node for one in kept}, stored, plain, outputs)
         progress("comparing the float16 model with the float32 one")
         parity = measure.of_model(trial, limits or Limits())
         if parity.holds:
@@ -256,9 +257,10 @@ def _convert(
     manifest: GeneratorManifest,
     keep: Collection[str],
     stored: Collection[str],
+    plain: Collection[str],
     outputs: bool,
 ) -> None:
-    ToFloat16(keep, outputs=outputs, stored=stored)(model)
+    ToFloat16(keep, outputs=outputs, stored=stored, plain=plain)(model)
     declared = manifest.outputs
     assert declared.gaussians is not None
     assert declared.appearance is not None

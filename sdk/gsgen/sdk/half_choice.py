@@ -3,7 +3,7 @@
 __all__ = ["Kept", "choose_tables", "explain", "guards", "islands"]
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import onnx_ir as ir
@@ -40,20 +40,38 @@ class Kept:
 
 
 def choose_tables(measure: HalfMeasure, budget: int, allowed: float) -> Search:
-    """Find tables to store in 16 bits: large ones first, since small ones hardly matter."""
+    """Find tables to store in 16 bits: large ones first, since small ones hardly matter.
+
+    A table whose even steps would show is tried as float16, which rounds small numbers less.
+    """
+    measure.model.store_plainly(())
     large = [k for k, size in enumerate(measure.sizes) if size >= LEAST_ELEMENTS]
     first = largest_harmless(large, measure.of_weights, budget=budget, allowed=allowed)
-    small = [k for k, size in enumerate(measure.sizes) if size < LEAST_ELEMENTS]
-    second = largest_harmless(
-        small,
+    again = [k for one in first.kept for k in one.units if measure.model.is_in_steps(k)]
+    measure.model.store_plainly(again)
+    plain = largest_harmless(
+        again,
         lambda more: measure.of_weights([*first.given_up, *more]),
         budget=budget - first.measured,
         allowed=allowed,
     )
+    stored = first.given_up | plain.given_up
+    kept = (
+        replace(one, units=tuple(k for k in one.units if k not in stored))
+        for one in first.kept
+    )
+    measured = first.measured + plain.measured
+    small = [k for k, size in enumerate(measure.sizes) if size < LEAST_ELEMENTS]
+    second = largest_harmless(
+        small,
+        lambda more: measure.of_weights([*stored, *more]),
+        budget=budget - measured,
+        allowed=allowed,
+    )
     return Search(
-        first.given_up | second.given_up,
-        (*first.kept, *second.kept),
-        first.measured + second.measured,
+        stored | second.given_up,
+        (*(one for one in kept if one.units), *second.kept),
+        measured + second.measured,
     )
 
 

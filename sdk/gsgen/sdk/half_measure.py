@@ -66,8 +66,8 @@ class HalfMeasure:
         )
         self.space, self.tolerances = declared.appearance.space, tolerances
         self.probes, self.storage = probes, np.float16 if outputs else np.float32
-        self._model = HalfModel(model)
-        self.weights, self.sizes = self._model.weights, self._model.sizes
+        self.model = HalfModel(model)
+        self.weights, self.sizes = self.model.weights, self.model.sizes
         self.stored: Collection[int] = ()
         self._references = [self._reference(probe) for probe in probes]
         self._unseen = [self._reference(probe) for probe in _unseen(manifest, probes)]
@@ -77,14 +77,14 @@ class HalfMeasure:
     @property
     def frame_bytes(self) -> int:
         """Bytes of float32 rows that a frame gives."""
-        made = self._model.run(
-            self.probes[0].inputs, np.zeros(len(self._model.units), np.bool_)
+        made = self.model.run(
+            self.probes[0].inputs, np.zeros(len(self.model.units), np.bool_)
         )
         return sum(made[name].nbytes for name in self.names if made[name].dtype.kind == "f")
 
     def _reference(self, probe: Probe) -> Reference:
-        nothing = np.zeros(len(self._model.units), np.bool_)
-        made = self._read(self._model.run(probe.inputs, nothing))
+        nothing = np.zeros(len(self.model.units), np.bool_)
+        made = self._read(self.model.run(probe.inputs, nothing))
         if made.rows.dtype != np.float32:
             what = f"is {made.rows.dtype} already"
             raise RewriteFailed(what, where=f"output {self.names[0]}")
@@ -105,11 +105,11 @@ class HalfMeasure:
 
     def parity(self, chosen: Collection[int]) -> Parity:
         """Compare the outputs with the ``chosen`` units rounded, and stored as they will be."""
-        flags = np.zeros(len(self._model.units), np.bool_)
+        flags = np.zeros(len(self.model.units), np.bool_)
         flags[list(chosen)] = True
         stored = np.zeros(len(self.weights), np.bool_)
         stored[list(self.stored)] = True
-        runs = (self._model.run(probe.inputs, flags, stored) for probe in self.probes)
+        runs = (self.model.run(probe.inputs, flags, stored) for probe in self.probes)
         made = [self._stored_as(self._read(one)) for one in runs]
         return self._compared(self._references, made)
 

@@ -3,7 +3,7 @@
 __all__ = ["FLAGS", "GUARD_ELEMENTS", "LARGEST", "HalfModel", "tables"]
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import onnx_ir as ir
 from jaxtyping import Bool
 
 from gsgen.sdk.constant_part import split_constants
-from gsgen.sdk.half_table import half_table
+from gsgen.sdk.half_table import HalfTable, half_table
 from gsgen.sdk.passes.base import is_op, opset_of
 from gsgen.sdk.passes.building import new_node, weight
 from gsgen.sdk.passes.to_float16 import FLOAT, HALF, halves, key_of, places_of
@@ -57,6 +57,7 @@ class HalfModel:
         weights: Name of each table that can be stored in 16 bits a number
             (:func:`gsgen.sdk.half_table.half_table`).
         sizes: Numbers in each of them.
+        plain: Which of them are stored as float16 even where steps are closer.
     """
 
     def __init__(self, model: ir.Model) -> None:
@@ -66,7 +67,8 @@ class HalfModel:
         nodes = [node for node in copy.graph if halves(node, opset)]
         self.units = tuple(key_of(node) for node in nodes)
         self._tables = {one.name or "": _array(one) for one in tables(model.graph)}
-        self._halves: dict[str, np.ndarray] = {}
+        self._halves: dict[str, HalfTable] = {}
+        self.plain: frozenset[int] = frozenset()
         self.weights = tuple(self._tables)
         self.sizes = tuple(array.size for array in self._tables.values())
         self._names = [value.name or "" for value in copy.graph.outputs]
@@ -90,18 +92,29 @@ class HalfModel:
         fed = {**inputs, **self._constants(stored), FLAGS: chosen}
         return _run(self._session, self._names, fed)
 
-    def _halved(self, name: str) -> np.ndarray:
+    def _halved(self, name: str) -> HalfTable:
         """Return a table as 16 bits a number hold it."""
         if name not in self._halves:
-            self._halves[name] = half_table(self._tables[name]).decoded
+            in_steps = self.weights.index(name) not in self.plain
+            self._halves[name] = half_table(self._tables[name], in_steps=in_steps)
         return self._halves[name]
+
+    def is_in_steps(self, table: int) -> bool:
+        """Say whether a table is stored in steps, and not as float16."""
+        return self._halved(self.weights[table]).step is not None
+
+    def store_plainly(self, tables: Collection[int]) -> None:
+        """Store these tables as float16, and the others in whichever form is closer."""
+        for table in self.plain ^ frozenset(tables):
+            self._halves.pop(self.weights[table], None)
+        self.plain, self._remembered = frozenset(tables), _Remembered(b"", {})
 
     def _constants(self, stored: Bool[np.ndarray, " w"]) -> Mapping[str, np.ndarray]:
         """Return tables and what follows from them; those of the last choice are remembered."""
         key = stored.tobytes()
         if key != self._remembered.key or not self._remembered.arrays:
             made = {
-                name: self._halved(name) if half else array
+                name: self._halved(name).decoded if half else array
                 for (name, array), half in zip(self._tables.items(), stored, strict=True)
             }
             if self._once is not None:

@@ -54,9 +54,13 @@ class HalfTable:
         return np.asarray(numbers * self.step + self.start)
 
 
-def half_table(array: Float32[np.ndarray, "..."]) -> HalfTable:
-    """Return ``array``, finite and within float16's range, in whichever form is closer to it."""
-    if array.size >= LEAST_ELEMENTS:
+def half_table(array: Float32[np.ndarray, "..."], *, in_steps: bool = True) -> HalfTable:
+    """Return ``array``, finite and within float16's range, in whichever form is closer to it.
+
+    Without ``in_steps``, as float16: sizes from very small to large are read relatively, and steps
+    that are closer by the mean square make the small ones zero.
+    """
+    if in_steps and array.size >= LEAST_ELEMENTS:
         steps = _in_steps(array)
         if steps is not None:
             return steps

@@ -28,7 +28,7 @@ class ToFloat16(CautiousRewrite):
     stay float32. Where a float16 node meets a float32 one, one Cast stands, shared by all that read
     it. A table that ``stored`` names is held in 16 bits a number whatever reads it: as float16, or as
     uint16 in even steps where that is closer (:mod:`gsgen.sdk.half_table`), with a Cast, a Mul and an
-    Add that runtimes compute once. Another weight that both read is held twice::
+    Add that runtimes compute once; as float16 in any case where ``plain`` names it, too. Another weight that both read is held twice::
 
         x → Mul → Add → y    →    x → Cast → Mul → Add → y float16
 
@@ -48,10 +48,11 @@ class ToFloat16(CautiousRewrite):
         *,
         outputs: bool = True,
         stored: Collection[str] = (),
+        plain: Collection[str] = (),
     ) -> None:
         super().__init__()
         self.keep, self.outputs = frozenset(keep), outputs
-        self.stored = frozenset(stored)
+        self.stored, self.plain = frozenset(stored), frozenset(plain)
 
     @classmethod
     def for_goal(cls, goal: Goal) -> None:
@@ -82,7 +83,8 @@ class ToFloat16(CautiousRewrite):
             if value in native:
                 value.type = ir.TensorType(HALF)
             if value.is_initializer() and not value.is_graph_input():
-                _convert_weight(graph, value, wants, stored=value.name in self.stored)
+                stored, in_steps = value.name in self.stored, value.name not in self.plain
+                _convert_weight(graph, value, wants, stored=stored, in_steps=in_steps)
             else:
                 _convert_value(graph, value, wants, is_half=value in native)
         for index, value in enumerate(list(graph.outputs)):
@@ -172,7 +174,7 @@ def _readers(value: ir.Value) -> list[tuple[ir.Node, int]]:
 
 
 def _convert_weight(
-    graph: ir.Graph, value: ir.Value, wants: Wants, *, stored: bool
+    graph: ir.Graph, value: ir.Value, wants: Wants, *, stored: bool, in_steps: bool
 ) -> None:
     readers = _readers(value)
     half = [use for use in readers if use in wants]
@@ -181,7 +183,7 @@ def _convert_weight(
     array = value.const_value.numpy()
     full = [use for use in readers if use not in wants]
     if full and stored and not value.is_graph_output():
-        _store(graph, value, half_table(array), wants)
+        _store(graph, value, half_table(array, in_steps=in_steps), wants)
         return
     with np.errstate(over="ignore"):
         array = array.astype(np.float16)
