@@ -197,9 +197,14 @@ class Residency:
         """
         held = self._hold(data)
         now = _State(data.rows_version, data.appearance_version, data.count)
-        before, held.state = held.state or now, now
-        if before is now:  # the first frame
-            return
+        if held.state is not None:
+            self._follow(data, held, held.state, now)
+        held.state = (
+            now  # not before: where there is no memory, the next frame has to follow
+        )
+
+    def _follow(self, data: SplatData, held: _Held, before: _State, now: _State) -> None:
+        """Have the rows as they should be after another frame."""
         moved = before.rows != now.rows
         if moved:
             self._unpack(held)

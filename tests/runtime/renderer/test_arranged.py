@@ -8,10 +8,12 @@ from gsgen.runtime import device as devices
 from gsgen.runtime.arrangement import Arrangement
 from gsgen.runtime.curve import along_curve
 from gsgen.runtime.device import Device
+from gsgen.runtime.errors import MemoryFull
 from gsgen.runtime.renderer import Renderer
 from gsgen.runtime.residency import Residency
 from gsgen.runtime.scene import Scene, SplatSet
 from gsgen.runtime.splat_data import SplatData
+from support.failing_devices import memory_of
 from support.splat_scenes import camera, cloud, turned
 
 ALL = ("color", "depth", "normal")
@@ -166,6 +168,23 @@ def test_values_may_change_once_rows_are_arranged(
     assert same(
         one.render(scene, camera(), outputs=ALL),
         renderer.render(anew(data), camera(), outputs=ALL),
+    )
+
+
+def test_a_frame_without_memory_forgets_no_count(
+    device: Device, renderer: Renderer, small: None, maps: bool
+) -> None:
+    data, other = cloud(200, 10), cloud(200, 11)
+    one, scene = Renderer(device, rasteriser="tiles", compact=True), Scene([data])
+    for _ in range(2):
+        one.render(scene, camera())
+    data.update(rows=other.rows, count=100)  # rows are unpacked, for which there is no room
+    with memory_of(100), pytest.raises(MemoryFull):
+        one.render(scene, camera())
+    shapes = ("depth", "normal")
+    assert same(
+        one.render(scene, camera(), outputs=shapes),
+        renderer.render(anew(data), camera(), outputs=shapes),
     )
 
 
