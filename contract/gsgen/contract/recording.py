@@ -1,6 +1,13 @@
 """Record what a model gives in the manifest of a copy: vectors, pictures, whatever it promises."""
 
-__all__ = ["RecordingRefused", "executed", "recordable", "recorded_copy"]
+__all__ = [
+    "RecordingRefused",
+    "executed",
+    "recordable",
+    "recorded_copy",
+    "refuse_standing",
+    "spread",
+]
 
 import json
 import shlex
@@ -9,7 +16,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+import numpy as np
 
 from gsgen.contract.config import Settings
 from gsgen.contract.drafts import draft_of
@@ -21,9 +30,34 @@ from gsgen.contract.probes import Probe
 from gsgen.contract.sandbox import Execution, execute
 from gsgen.contract.subject import Subject, read_subject
 
+_Thing = TypeVar("_Thing")
+
 
 class RecordingRefused(GsgenError):
     """The model is not one whose outputs can be promised."""
+
+
+def refuse_standing(standing: Sequence[Path], folder: Path, other: str) -> None:
+    """Refuse to replace what an earlier recording wrote.
+
+    Args:
+        standing: What of it is there.
+        folder: Where.
+        other: What can be named in its place, for the error.
+
+    Raises:
+        ConfigInvalid: There is some.
+    """
+    if standing:
+        what = f"holds {standing[0].name} already"
+        mend = f"Name another {other}, or replace them with --force."
+        raise ConfigInvalid(what, where=str(folder), mend=mend)
+
+
+def spread(things: Sequence[_Thing], count: int) -> list[_Thing]:
+    """Return ``count`` of the things, evenly spread; first and last are among several."""
+    picked = np.rint(np.linspace(0, len(things) - 1, count)).astype(int)
+    return [things[index] for index in picked]
 
 
 def recordable(source: Path, settings: Settings) -> Subject:

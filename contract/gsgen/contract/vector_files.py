@@ -29,6 +29,8 @@ from gsgen.contract.recording import (
     executed,
     recordable,
     recorded_copy,
+    refuse_standing,
+    spread,
 )
 from gsgen.contract.sandbox import Execution
 from gsgen.contract.schema import to_json
@@ -88,11 +90,8 @@ def record_vectors(
     settings = settings or Settings()
     model = model or folder / MODEL
     standing = [path for path in _listed(folder) if _SET.match(path.name)]
-    if standing and not force:
-        mend = "Name another folder, or replace them with --force."
-        raise ConfigInvalid(
-            f"holds {standing[0].name} already", where=str(folder), mend=mend
-        )
+    if not force:
+        refuse_standing(standing, folder, "folder")
     progress(f"reading {source.name}")
     subject = _subject(source, settings)
     probes = _chosen(make_plan(subject, Level.VALUES, seed).probes, count)
@@ -148,8 +147,7 @@ def _chosen(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
         raise ConfigInvalid(what, where="--count", mend=f"--count {len(probes)} takes all.")
     if count < 1:
         raise ConfigInvalid(f"{count} vectors, wanted 1 or more", where="--count")
-    picked = np.rint(np.linspace(0, len(probes) - 1, count)).astype(int)
-    return [probes[index] for index in picked]
+    return spread(probes, count)
 
 
 @contextmanager

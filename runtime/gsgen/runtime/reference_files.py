@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
-import numpy as np
-
 from gsgen.contract.config import Settings
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.finding import Level
@@ -24,6 +22,8 @@ from gsgen.contract.recording import (
     executed,
     recordable,
     recorded_copy,
+    refuse_standing,
+    spread,
 )
 from gsgen.contract.schema import to_json
 from gsgen.contract.subject import Subject
@@ -104,11 +104,8 @@ def record_references(
     """
     folder = model.with_name(f"{model.stem}-references")
     standing = _standing(folder)
-    if standing and not force:
-        mend = "Name another copy, or replace them with --force."
-        raise ConfigInvalid(
-            f"holds {standing[0].name} already", where=str(folder), mend=mend
-        )
+    if not force:
+        refuse_standing(standing, folder, "copy")
     settings = settings or Settings()
     progress(f"reading {source.name}")
     subject = recordable(source, settings)
@@ -233,8 +230,7 @@ def _chosen(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
     if not 1 <= count <= most:
         what = f"{count} pictures, wanted from 1 to {most}"
         raise ConfigInvalid(what, where="--count", mend=f"--count {most} takes most.")
-    picked = np.rint(np.linspace(0, len(every) - 1, count)).astype(int)
-    return [every[index] for index in picked]
+    return spread(every, count)
 
 
 def _declared(
