@@ -190,6 +190,7 @@ class Renderer:
         except MemoryFull as error:
             # Whoever draws something smaller needs it, and the rows that would stay with it.
             self._plan, self._key, self._rows = None, None, None
+            self._pairs = _FIRST_PAIRS
             raise _too_large(scene, camera, error, self._compact) from error
 
     def _fitted(

@@ -75,6 +75,15 @@ def test_a_scene_that_is_too_large_takes_no_memory_once_it_is_gone(device: Devic
     assert rows() is None
 
 
+def test_room_for_pairs_that_there_was_not_is_asked_for_no_more(device: Device) -> None:
+    renderer = Renderer(device, rasteriser="tiles")
+    near = Scene([cloud(3000, size=2.0, depth=(2, 3), opacity=(0.01, 0.05))])
+    with memory_of(3 << 20):
+        with pytest.raises(MemoryFull, match="pairs"):
+            renderer.render(near, camera(width=160, height=120))
+        assert renderer.render(Scene([single()]), camera()).visible == 1
+
+
 def test_an_image_that_is_too_large_is_an_error(
     renderer: Renderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
