@@ -31,6 +31,18 @@ def test_values_that_differ_are_counted_and_placed(tmp_path: Path) -> None:
     assert gsgen_here("diff", a, b, "--tolerance", "0.3").code == 0
 
 
+def test_a_channel_that_fills_words_is_no_difference(tmp_path: Path) -> None:
+    """Float16 rows of RGB have four channels, of which three are seen."""
+    sketch = find("still_rgb").draw()
+    a, b = tmp_path / "a.onnx", tmp_path / "b.onnx"
+    sketch.write(a)
+    colors = sketch.weights["colors"]
+    wide = np.concatenate([colors + np.float32(0.25), np.ones_like(colors[:, :1])], axis=1)
+    sketch.weighing(colors=wide).reworded(",3] color", ",4] color").write(b)
+    ran = gsgen_here("diff", a, b)
+    assert f"output  appearance: up to 0.25 apart, {len(colors)} rows differ" in ran.out
+
+
 def test_what_is_declared_and_how_it_is_built_are_compared(tmp_path: Path) -> None:
     sketch = find("drift").draw()
     a, b = tmp_path / "a.onnx", tmp_path / "b.onnx"
