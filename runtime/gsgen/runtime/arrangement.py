@@ -29,14 +29,12 @@ class Arrangement:
 
     Attributes:
         rows: Which row is where; live ones are first.
-        live: How many are live.
         neighbours: Some rows, and the one after each.
         apart: How far those were from each other when the order was found.
         served: How many changes of the values it has lasted for.
     """
 
     rows: UInt32[np.ndarray, " n"]
-    live: int
     neighbours: Int64[np.ndarray, "2 m"]
     apart: float
     served: int = 0
@@ -49,7 +47,7 @@ class Arrangement:
         places = np.linspace(0, data.count - 2, _SAMPLE if data.count > 1 else 0)
         first = places.astype(np.int64)
         neighbours = along[np.stack([first, first + 1])]
-        return cls(rows, data.count, neighbours, _apart(data, neighbours))
+        return cls(rows, neighbours, _apart(data, neighbours))
 
     def lasts(self, data: SplatData) -> bool:
         """Say, once for each change of the rows, whether they are still in a good order."""

@@ -89,10 +89,8 @@ def _wide(rows: Float[np.ndarray, "n 10"]) -> Float32[np.ndarray, "n 10"]:
 
 
 def _appearance_of(page: Page, first: int, appearance: Float[np.ndarray, "n c"]) -> Target:
-    dtype, size = (
-        np.dtype(np.float16 if page.half else np.float32),
-        _bytes_of_appearance(page.stride),
-    )
+    dtype = np.dtype(np.float16 if page.half else np.float32)
+    size = _bytes_of_appearance(page.stride)
     same = appearance.dtype == dtype and size == appearance.strides[0]
     make = None if same else partial(_typed, dtype=dtype, size=size)
     return Target(page.appearance, first, size, make)

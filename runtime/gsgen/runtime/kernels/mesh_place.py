@@ -1,6 +1,13 @@
 """What all triangles of a mesh share in a frame, and the rays of its pixels."""
 
-__all__ = ["PLACE", "PlacedMesh", "mesh_rays", "mesh_uniform"]
+__all__ = [
+    "PLACE",
+    "TO_LINEAR",
+    "TO_SRGB",
+    "PlacedMesh",
+    "mesh_rays",
+    "mesh_uniform",
+]
 
 from dataclasses import dataclass
 from typing import Final, Literal, final
