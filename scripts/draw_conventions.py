@@ -11,7 +11,7 @@ from pathlib import Path
 from convention_pictures import numbers, projections, spaces
 from PIL import Image
 
-from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.renderer.renderer import Renderer
 
 ASSETS = Path(__file__).parents[1] / "docs" / "assets"
 COLORS = 96  # of a palette: pictures of few colours are a fifth as large with one

@@ -18,9 +18,9 @@ from pathlib import Path
 
 from docs_parts import commands, contract, corpus, manifest, passes, report, rules, runs
 
-from gsgen.contract.manifest_json import schemas
 from gsgen.contract.reporters.document import SCHEMA_FILE, schema
-from gsgen.contract.rule_pages import index, page
+from gsgen.contract.reporters.rule_pages import index, page
+from gsgen.contract.spec.manifest_io import schemas
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -1,6 +1,6 @@
 """Write the published schemas of manifests and reports anew, from the dataclasses they describe.
 
-Run it after a change to `gsgen.contract.manifest` or `gsgen.contract.reporters.document`:
+Run it after a change to `gsgen.contract.spec.manifest` or `gsgen.contract.reporters.document`:
 .venv/bin/python scripts/write_schemas.py
 """
 
@@ -8,8 +8,8 @@ import json
 import sys
 from pathlib import Path
 
-from gsgen.contract.manifest_json import schemas
 from gsgen.contract.reporters.document import SCHEMA_FILE, schema
+from gsgen.contract.spec.manifest_io import schemas
 
 FOLDER = Path(__file__).parents[1] / "contract/gsgen/contract/schemas"
 

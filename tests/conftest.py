@@ -8,7 +8,7 @@ import os
 
 import pytest
 
-from support.corpus_line import corpus_line
+from support.reports.corpus_line import corpus_line
 
 _ON = {
     name: value for name, value in os.environ.items() if name.startswith("COVERAGE_PROCESS")

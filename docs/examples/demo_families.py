@@ -317,7 +317,7 @@ def alternating(first: list[np.ndarray], second: list[np.ndarray]) -> list[np.nd
 
 def away(path: Path) -> Path:
     """Write cameras that go away from the knot and zoom in as they go, so that it stays as large."""
-    from gsgen.runtime.camera import Camera
+    from gsgen.runtime.scene.camera import Camera
 
     made = []
     for distance in np.geomspace(6, 90, FRAMES):
@@ -335,7 +335,7 @@ def processed(model: Path, picture: np.ndarray) -> np.ndarray:
     """Run a post-process model over a picture."""
     import onnxruntime
 
-    from gsgen.runtime.tiles import post_process
+    from gsgen.runtime.playback.image_tiling import post_process
 
     session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
     image = np.moveaxis(picture, 2, 0)[None].astype(np.float32) / 255

@@ -18,8 +18,8 @@ from convention_pictures.sketch import (
     scene_of,
     write,
 )
-from gsgen.runtime.camera import Camera
-from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
 
 MATRIX = np.array([[1, 0, 0, 5], [0, 0, -1, 6], [0, 1, 0, 7], [0, 0, 0, 1]])
 TRANSLATION = (RED, GREEN, BLUE)

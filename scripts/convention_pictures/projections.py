@@ -15,8 +15,8 @@ from convention_pictures.sketch import (
     scene_of,
     write,
 )
-from gsgen.runtime.camera import Camera
-from gsgen.runtime.renderer import Renderer
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
 
 
 def camera_kinds(renderer: Renderer) -> Image.Image:

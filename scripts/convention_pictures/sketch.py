@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from gsgen.runtime.camera import Camera
-from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.scene import Scene, SplatSet
-from gsgen.runtime.splat_data import SplatData
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
 
 PAPER = (250, 250, 248)
 INK = (40, 44, 52)

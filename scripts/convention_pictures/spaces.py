@@ -18,10 +18,10 @@ from convention_pictures.sketch import (
     scene_of,
     write,
 )
-from gsgen.runtime.camera import Camera
-from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.scene import Scene, SplatSet
-from gsgen.runtime.splat_data import SplatData
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
 
 NAMES = ("x", "y", "z")
 

@@ -8,7 +8,7 @@ import typer
 
 from docs_parts.tables import code, table
 from gsgen.cli.app import build
-from gsgen.cli.commands import find_commands
+from gsgen.contract._extensions import find_commands
 
 _OWNER = "gsgen"
 

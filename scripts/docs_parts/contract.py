@@ -6,9 +6,10 @@ import numpy as np
 
 from docs_parts.rules import ours
 from docs_parts.tables import code, table
-from gsgen.contract.config import Settings, config_schema
-from gsgen.contract.layout import APPEARANCE_CHANNELS, CELL_FIELDS, FIELDS, WORD_BYTES
-from gsgen.contract.manifest import (
+from gsgen.contract.probing.probes import default_probes
+from gsgen.contract.spec.json_schema import to_json
+from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, CELL_FIELDS, FIELDS, WORD_BYTES
+from gsgen.contract.spec.manifest import (
     Bounds,
     GeneratorManifest,
     GeneratorOutputs,
@@ -16,11 +17,10 @@ from gsgen.contract.manifest import (
     Space,
     Tolerances,
 )
-from gsgen.contract.probes import default_probes
-from gsgen.contract.roles import ROLES
-from gsgen.contract.schema import to_json
-from gsgen.contract.spherical_harmonics import degree_of
-from gsgen.contract.targets import load_target
+from gsgen.contract.spec.roles import ROLES
+from gsgen.contract.spec.spherical_harmonics import degree_of
+from gsgen.contract.spec.targets import load_target
+from gsgen.contract.validation.settings import Settings, config_schema
 
 _OURS = ("core", "webgpu", "visionary", "gsgen")
 _SIZES = {"float32": 4, "float16": 2}

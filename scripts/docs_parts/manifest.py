@@ -4,11 +4,11 @@ import json
 from typing import Any
 
 from docs_parts.tables import code, table
-from gsgen.contract import manifest
-from gsgen.contract.manifest import manifest_type
-from gsgen.contract.manifest_json import schema_name
-from gsgen.contract.roles import KINDS, ROLES
-from gsgen.contract.schema import schema_of
+from gsgen.contract.spec import manifest
+from gsgen.contract.spec.json_schema import schema_of
+from gsgen.contract.spec.manifest import manifest_type
+from gsgen.contract.spec.manifest_io import schema_name
+from gsgen.contract.spec.roles import KINDS, ROLES
 
 
 def kinds() -> str:

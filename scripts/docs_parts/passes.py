@@ -3,7 +3,7 @@
 import inspect
 import re
 
-from gsgen.sdk.passes.base import Rewrite
+from gsgen.sdk.passes.framework.base import Rewrite
 from gsgen.sdk.passes.registry import REWRITES
 
 _PICTURE = re.compile(r":?:\n\n((?:    .*\n|\n)+)")

@@ -1,9 +1,9 @@
-"""Rules in tables; their pages come from :mod:`gsgen.contract.rule_pages`."""
+"""Rules in tables; their pages come from :mod:`gsgen.contract.reporters.rule_pages`."""
 
 from docs_parts.tables import table
-from gsgen.contract.finding import Level
-from gsgen.contract.installed import installed_rules
-from gsgen.contract.rule import Registry
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.rule import Registry
 
 
 def ours() -> Registry:

@@ -13,14 +13,14 @@ import onnx
 import onnxruntime
 import torch
 
-from gsgen.contract.config import Settings
-from gsgen.contract.finding import Level
-from gsgen.reference_plugins.checkpoints.gauhuman import read_gauhuman
-from gsgen.reference_plugins.checkpoints.lhm import read_lhm
-from gsgen.reference_plugins.checkpoints.r3_avatar import read_r3
-from gsgen.reference_plugins.gauhuman import GauHuman
-from gsgen.reference_plugins.lhm import LHM
-from gsgen.reference_plugins.r3_avatar import R3Avatar
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.settings import Settings
+from gsgen.reference_plugins.people.gauhuman import GauHuman
+from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
+from gsgen.reference_plugins.people.lhm import LHM
+from gsgen.reference_plugins.people.lhm_checkpoint import read_lhm
+from gsgen.reference_plugins.people.r3_avatar import R3Avatar
+from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
 from gsgen.reference_plugins.synthetic import (
     PersonOptions,
     write_gauhuman,
@@ -28,8 +28,8 @@ from gsgen.reference_plugins.synthetic import (
     write_r3,
 )
 from gsgen.sdk import GaussianGenerator, export
-from gsgen.sdk.packing import Packed, PackedGenerator
-from support import needed_tensors
+from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
+from support.models import needed_tensors
 
 BAR = 1.0
 SIZE_BAR = 1.05

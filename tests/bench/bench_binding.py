@@ -14,7 +14,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from gsgen.contract.manifest import (
+from gsgen.contract.spec.manifest import (
     AppearanceOutput,
     GaussiansOutput,
     GeneratorManifest,
@@ -23,7 +23,7 @@ from gsgen.contract.manifest import (
     Space,
 )
 from gsgen.sdk.binding import FrameSession
-from support.small_models import good_rows, model, save, save_moving, weight
+from support.models.small_models import good_rows, model, save, save_moving, weight
 
 GAUSSIANS, FEATURES, HIDDEN = 100_000, 32, 32
 FRAMES = 10_000

@@ -17,13 +17,14 @@ import onnx
 import pytest
 
 from gsgen.conformance.fixtures import find
-from gsgen.conformance.fixtures.sketch import Sketch
-from gsgen.contract import engine
-from gsgen.contract.config import Settings
-from gsgen.contract.engine import validate
-from gsgen.contract.finding import Level
-from gsgen.contract.probes import Probe
-from gsgen.contract.sandbox import Execution, Limits, execute
+from gsgen.conformance.fixtures.builders.sketch import Sketch
+from gsgen.contract.probing.probes import Probe
+from gsgen.contract.probing.sandbox import Execution, execute
+from gsgen.contract.process.limits import Limits
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation import engine
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
 
 NODES = 500
 _ROUNDS = 20
@@ -185,5 +186,10 @@ def bench_share_of_onnx_runtime_in_behaviour(
 
 def empty_child_seconds() -> float:
     """Return how long a process takes that imports ONNX Runtime and does nothing."""
-    words = [sys.executable, "-P", "-c", "import numpy, onnxruntime, gsgen.contract.worker"]
+    words = [
+        sys.executable,
+        "-P",
+        "-c",
+        "import numpy, onnxruntime, gsgen.contract.probing.sandbox_worker",
+    ]
     return min(taken(lambda: subprocess.run(words, check=True)) for _ in range(3))

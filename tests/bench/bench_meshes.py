@@ -10,12 +10,12 @@ import time
 import numpy as np
 import pytest
 
-from gsgen.contract.geometry import covariance_upper
-from gsgen.runtime.camera import Camera
-from gsgen.runtime.mesh import Mesh, MeshData
-from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.scene import Scene
-from gsgen.runtime.splat_data import SplatData
+from gsgen.contract.spec.geometry import covariance_upper
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.mesh import Mesh, MeshData
+from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.scene.splat_data import SplatData
 
 COUNT = 300_000
 CAMERA = Camera(np.eye(4), 600.0, 600.0, 480.0, 270.0, 960, 540)

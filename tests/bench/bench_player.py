@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsgen.conformance.fixtures.moving import drifting
-from gsgen.runtime.camera import Camera
-from gsgen.runtime.device import Device
-from gsgen.runtime.inference import _Kept
-from gsgen.runtime.player import GeneratorPlayer
-from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.residency import Residency
-from gsgen.runtime.scene import Scene, SplatSet
-from gsgen.runtime.splat_data import SplatData
+from gsgen.conformance.fixtures.builders.moving import drifting
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.splat_residency import Residency
+from gsgen.runtime.playback.player import GeneratorPlayer
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.sources.generator_worker import _Kept
 from gsgen.sdk.binding import FrameSession
 
 FRAMES = 200

@@ -14,24 +14,24 @@ import onnx
 import onnxruntime
 import torch
 
-from gsgen.contract.config import Settings
-from gsgen.contract.finding import Level
-from gsgen.contract.geometry import look_at
-from gsgen.reference_plugins.checkpoints.anchors import read_anchors
-from gsgen.reference_plugins.checkpoints.cells import read_cells
-from gsgen.reference_plugins.checkpoints.deformations import read_deformation
-from gsgen.reference_plugins.checkpoints.gauhuman import read_gauhuman
-from gsgen.reference_plugins.checkpoints.hexplanes import read_hexplanes
-from gsgen.reference_plugins.checkpoints.lhm import read_lhm
-from gsgen.reference_plugins.checkpoints.r3_avatar import read_r3
-from gsgen.reference_plugins.deformable_3dgs import Deformable3DGS
-from gsgen.reference_plugins.duplex_gs import DuplexGS
-from gsgen.reference_plugins.gauhuman import GauHuman
-from gsgen.reference_plugins.hexplane_4dgs import HexPlane4DGS
-from gsgen.reference_plugins.lhm import LHM
-from gsgen.reference_plugins.octree_gs import Levels, OctreeGS
-from gsgen.reference_plugins.r3_avatar import R3Avatar
-from gsgen.reference_plugins.scaffold_gs import ScaffoldGS
+from gsgen.contract.spec.geometry import look_at
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.settings import Settings
+from gsgen.reference_plugins.anchors.anchor_checkpoint import read_anchors
+from gsgen.reference_plugins.anchors.cell_checkpoint import read_cells
+from gsgen.reference_plugins.anchors.duplex_gs import DuplexGS
+from gsgen.reference_plugins.anchors.octree_gs import Levels, OctreeGS
+from gsgen.reference_plugins.anchors.scaffold_gs import ScaffoldGS
+from gsgen.reference_plugins.deformation.deformable_3dgs import Deformable3DGS
+from gsgen.reference_plugins.deformation.deformation_checkpoint import read_deformation
+from gsgen.reference_plugins.deformation.hexplane_4dgs import HexPlane4DGS
+from gsgen.reference_plugins.deformation.hexplane_checkpoint import read_hexplanes
+from gsgen.reference_plugins.people.gauhuman import GauHuman
+from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
+from gsgen.reference_plugins.people.lhm import LHM
+from gsgen.reference_plugins.people.lhm_checkpoint import read_lhm
+from gsgen.reference_plugins.people.r3_avatar import R3Avatar
+from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
 from gsgen.reference_plugins.synthetic import (
     AnchorOptions,
     HexPlaneOptions,
@@ -46,8 +46,8 @@ from gsgen.reference_plugins.synthetic import (
     write_scaffold,
 )
 from gsgen.sdk import GaussianGenerator, export
-from gsgen.sdk.packing import Packed, PackedGenerator
-from support import needed_tensors
+from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
+from support.models import needed_tensors
 
 # Half of the tables, and the graph and small tables as they are.
 BAR, SIZE_BAR, HALF_BAR = 1.0, 1.05, 0.53

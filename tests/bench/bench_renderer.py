@@ -12,20 +12,20 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from gsgen.contract.geometry import covariance_upper
-from gsgen.runtime.camera import Camera
-from gsgen.runtime.device import Device
-from gsgen.runtime.kernels import counts as counting
-from gsgen.runtime.kernels.counts import Counts
-from gsgen.runtime.kernels.kernel import run
-from gsgen.runtime.kernels.scan import Scan
-from gsgen.runtime.kernels.shader import TILE
-from gsgen.runtime.kernels.sort import Columns, RadixSort, cut_for, sort_reference
-from gsgen.runtime.plan import Placed, Plan
-from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.residency import PAGE_ROWS
-from gsgen.runtime.scene import Scene, SplatSet
-from gsgen.runtime.splat_data import SplatData
+from gsgen.contract.spec.geometry import covariance_upper
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.splat_residency import PAGE_ROWS
+from gsgen.runtime.kernels.shared import counts as counting
+from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.kernels.shared.kernel import run
+from gsgen.runtime.kernels.shared.shader import TILE
+from gsgen.runtime.kernels.sort.scan import Scan
+from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, cut_for, sort_reference
+from gsgen.runtime.renderer.frame_plan import Placed, Plan
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
 
 MILLION = 1_000_000
 SIZES = {(1280, 720): 0.40, (640, 360): 0.30}  # CPU seconds to aim at

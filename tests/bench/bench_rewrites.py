@@ -20,16 +20,16 @@ import onnxruntime
 import pytest
 import torch
 
-from gsgen.contract.config import Settings
-from gsgen.contract.finding import Level
-from gsgen.contract.targets import load_target
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.spec.targets import load_target
+from gsgen.contract.validation.settings import Settings
 from gsgen.sdk import GaussianGenerator, export
-from gsgen.sdk.finish import finish
-from gsgen.sdk.passes.base import Goal
-from gsgen.sdk.rewrite import census
-from gsgen.sdk.saving import save_model
-from support.reference_models import Avatar, HexPlane, ScaffoldDecoder
-from support.traced import traced
+from gsgen.sdk.exporting.embed_manifest import finish
+from gsgen.sdk.passes.framework.base import Goal
+from gsgen.sdk.rewriting.model_io import save_model
+from gsgen.sdk.rewriting.rewrite import census
+from support.models.reference_models import Avatar, HexPlane, ScaffoldDecoder
+from support.models.traced import traced
 
 TURNS = 9
 # Ours over the plain export, and over eager torch.

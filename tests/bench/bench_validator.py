@@ -14,12 +14,12 @@ import numpy as np
 import onnx
 import pytest
 
-from gsgen.contract.config import Settings
-from gsgen.contract.engine import validate
-from gsgen.contract.finding import Level
-from gsgen.contract.reporters.machine import to_json
+from gsgen.contract.reporters.json_report import to_json
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
 from gsgen.formats import PackedRows
-from gsgen.reference_plugins.static import from_content, write_scene
+from gsgen.reference_plugins.static.static import from_content, write_scene
 
 MEBIBYTE = 1 << 20
 MILLION = 1_000_000

@@ -10,13 +10,13 @@ import time
 import numpy as np
 import pytest
 
-from gsgen.contract.geometry import covariance_upper
-from gsgen.contract.manifest import WeightedSum
-from gsgen.runtime.camera import Camera
-from gsgen.runtime.device import Device
-from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.scene import Scene, SplatSet
-from gsgen.runtime.splat_data import SplatData
+from gsgen.contract.spec.geometry import covariance_upper
+from gsgen.contract.spec.manifest import WeightedSum
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
 
 CELLS, PER_CELL, FRAMES = 50_000, 5, 5
 PAIR_BYTES = 16  # two columns of a key and a value

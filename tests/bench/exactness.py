@@ -16,13 +16,13 @@ from typing import Final
 import numpy as np
 from bench_renderer import NOTHING_BEHIND, room, say
 
-from gsgen.runtime import oracle
-from gsgen.runtime.camera import Camera
-from gsgen.runtime.device import Device
-from gsgen.runtime.kernels.shader import ABSENT
-from gsgen.runtime.oracle_projection import ellipses
-from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.scene import Scene
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.oracle import render as oracle
+from gsgen.runtime.oracle.projection import ellipses
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene
 
 BAR_PSNR: Final = 80.0
 BAR_ERROR: Final = 1e-3

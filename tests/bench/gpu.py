@@ -37,26 +37,22 @@ sys.path[:0] = [str(ROOT / part) for part in ("contract", "runtime")]
 
 import numpy as np  # noqa: E402
 
-from gsgen.contract.geometry import covariance_upper  # noqa: E402
-from gsgen.runtime import oracle, rasteriser  # noqa: E402
-from gsgen.runtime.camera import Camera  # noqa: E402
-from gsgen.runtime.device import Device  # noqa: E402
-from gsgen.runtime.kernels import counts as counting  # noqa: E402
-from gsgen.runtime.kernels.counts import Counts  # noqa: E402
-from gsgen.runtime.kernels.kernel import run  # noqa: E402
-from gsgen.runtime.kernels.scan import Scan  # noqa: E402
-from gsgen.runtime.kernels.shader import TILE  # noqa: E402
-from gsgen.runtime.kernels.sort import (  # noqa: E402
-    Columns,
-    RadixSort,
-    cut_for,
-    sort_reference,
-)
-from gsgen.runtime.plan import Kernels, Placed, Plan  # noqa: E402
-from gsgen.runtime.renderer import Renderer  # noqa: E402
-from gsgen.runtime.scene import Scene  # noqa: E402
-from gsgen.runtime.splat_data import SplatData  # noqa: E402
-from gsgen.runtime.stage_clock import StageClock  # noqa: E402
+from gsgen.contract.spec.geometry import covariance_upper  # noqa: E402
+from gsgen.runtime.gpu.device import Device  # noqa: E402
+from gsgen.runtime.gpu.gpu_timer import StageClock  # noqa: E402
+from gsgen.runtime.kernels.shared import counts as counting  # noqa: E402
+from gsgen.runtime.kernels.shared.counts import Counts  # noqa: E402
+from gsgen.runtime.kernels.shared.kernel import run  # noqa: E402
+from gsgen.runtime.kernels.shared.shader import TILE  # noqa: E402
+from gsgen.runtime.kernels.sort.scan import Scan  # noqa: E402
+from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, cut_for, sort_reference  # noqa: E402
+from gsgen.runtime.oracle import render as oracle  # noqa: E402
+from gsgen.runtime.renderer import rasteriser_choice  # noqa: E402
+from gsgen.runtime.renderer.frame_plan import Kernels, Placed, Plan  # noqa: E402
+from gsgen.runtime.renderer.renderer import Renderer  # noqa: E402
+from gsgen.runtime.scene.camera import Camera  # noqa: E402
+from gsgen.runtime.scene.scene import Scene  # noqa: E402
+from gsgen.runtime.scene.splat_data import SplatData  # noqa: E402
 
 MODES: Final = {
     "tiles": {"rasteriser": "tiles"},
@@ -466,7 +462,7 @@ def main() -> int:
 
 
 def _probed(device: Device) -> dict[str, Any]:
-    timings = rasteriser.probe(device, Kernels(device))
+    timings = rasteriser_choice.probe(device, Kernels(device))
     return {
         "tiles, ms": 1e3 * timings.tiles,
         "quads, ms": 1e3 * timings.quads,

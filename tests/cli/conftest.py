@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsgen.formats import PackedRows
-from gsgen.reference_plugins.static import from_content, write_scene
+from gsgen.reference_plugins.static.static import from_content, write_scene
 
 
 def rows(n: int = 40, dtype: type = np.float32) -> np.ndarray:

@@ -50,7 +50,7 @@ def run_pytest(folder: Path, *words: str | Path) -> Tested:
         key: value for key, value in os.environ.items() if not key.startswith("PYTEST")
     }
     clean |= {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "COLUMNS": "200"}
-    command = [sys.executable, "-m", "pytest", "-p", "gsgen.conformance.plugin"]
+    command = [sys.executable, "-m", "pytest", "-p", "gsgen.conformance.pytest.plugin"]
     command += ["-p", "no:cacheprovider", "--junitxml=junit.xml", "-rA"]
     command += [f"--basetemp={folder / '.tmp'}", *map(str, words)]
     done = subprocess.run(

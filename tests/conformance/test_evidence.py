@@ -8,12 +8,12 @@ import pytest
 
 from conformance.conftest import write
 from gsgen.conformance.evidence import Dumps, suspects
-from gsgen.conformance.replay import find_probes, plan_for, save
+from gsgen.conformance.rerun import find_probes, plan_for, save
 from gsgen.conformance.run import run_model
-from gsgen.contract.config import Settings
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.finding import Severity
-from gsgen.contract.targets import load_target
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.targets import load_target
+from gsgen.contract.validation.settings import Settings
 
 
 def test_a_dump_that_is_too_large_is_announced_not_written(tmp_path: Path) -> None:

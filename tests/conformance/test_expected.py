@@ -7,7 +7,7 @@ import pytest
 from conformance.conftest import run_pytest, write
 from gsgen.conformance.expected import ExpectedFailure, read_expected, strangers
 from gsgen.contract.errors import ConfigInvalid, UnknownName
-from gsgen.contract.installed import installed_rules
+from gsgen.contract.rules.catalogue import installed_rules
 from support.commands import gsgen
 
 KNOWN = '[[xfail]]\nrule = "opacity-range"\nmodel = "opacity*.onnx"\nreason = "until 2.0"\n'

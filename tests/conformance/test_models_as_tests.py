@@ -171,7 +171,7 @@ def test_a_crashed_rule_is_an_error_not_a_failure(folder: Path) -> None:
 
 CRASHING = """
 from dataclasses import replace
-from gsgen.contract import installed
+from gsgen.contract.rules import catalogue as installed
 
 own = installed.catalogue
 

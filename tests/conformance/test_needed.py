@@ -1,5 +1,5 @@
-from gsgen.conformance.needed import needed_by
-from gsgen.contract.installed import installed_rules
+from gsgen.conformance.required_rules import needed_by
+from gsgen.contract.rules.catalogue import installed_rules
 
 
 def test_a_rule_comes_with_all_that_it_needs() -> None:

@@ -16,7 +16,7 @@ HEAVY = {"numpy", "onnx", "onnxruntime", "jsonschema", "typer", "torch", "jaxtyp
 def test_a_run_without_models_imports_nothing_heavy(folder: Path) -> None:
     (folder / "test_mine.py").write_text("def test_mine():\n    pass\n")
     script = (
-        "import json, pytest, sys; code = pytest.main(['-q', '-p', 'gsgen.conformance.plugin']); "
+        "import json, pytest, sys; code = pytest.main(['-q', '-p', 'gsgen.conformance.pytest.plugin']); "
         "json.dump(list(sys.modules), open('modules.json', 'w')); sys.exit(code)"
     )
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("PYTEST", "COV"))}
@@ -24,11 +24,11 @@ def test_a_run_without_models_imports_nothing_heavy(folder: Path) -> None:
     done = subprocess.run([sys.executable, "-c", script], cwd=folder, env=clean)
     assert done.returncode == 0
     names = set(json.loads((folder / "modules.json").read_text()))
-    assert "gsgen.conformance.plugin" in names  # the measure works
+    assert "gsgen.conformance.pytest.plugin" in names  # the measure works
     assert {name.partition(".")[0] for name in names} & HEAVY == set()
     assert {name for name in names if name.startswith("gsgen.")} == {
-        *("gsgen.conformance", "gsgen.conformance.plugin"),
-        *("gsgen.contract", "gsgen.contract.lazy"),
+        *("gsgen.conformance", "gsgen.conformance.pytest.plugin"),
+        *("gsgen.contract", "gsgen.contract._lazy"),
     }
 
 

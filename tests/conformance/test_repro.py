@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from conformance.conftest import write
-from gsgen.conformance.repro import reproduce
-from gsgen.contract.config import Settings
+from gsgen.conformance.reproduction import reproduce
 from gsgen.contract.errors import GsgenError
-from gsgen.contract.installed import installed_rules
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.validation.settings import Settings
 from support.commands import gsgen
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from conformance.conftest import property_of, run_pytest, write
 from gsgen.contract import validate
-from gsgen.contract.config import Settings
-from gsgen.contract.targets import load_target
+from gsgen.contract.spec.targets import load_target
+from gsgen.contract.validation.settings import Settings
 from support.commands import gsgen
 
 Found = tuple[str, str, str, str]

@@ -8,11 +8,11 @@ import pytest
 from conformance.conftest import write
 from gsgen.conformance.run import suites_of
 from gsgen.conformance.suite import BASIC, SUITES, find_suite
-from gsgen.contract.config import Settings
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.installed import installed_rules
-from gsgen.contract.roles import GENERATOR, TRAJECTORY
-from gsgen.contract.targets import load_target
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.spec.roles import GENERATOR, TRAJECTORY
+from gsgen.contract.spec.targets import load_target
+from gsgen.contract.validation.settings import Settings
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
 import pytest
 from hypothesis import settings
 
-from gsgen.contract.report import Report
-from support.judged import MODELS, judged
+from gsgen.contract.validation.report import Report
+from support.reports.judged import MODELS, judged
 
 # The same examples on every machine and in every run.
 settings.register_profile("fixed", derandomize=True, deadline=None, database=None)

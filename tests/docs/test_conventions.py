@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from support.commands import ROOT
-from support.pages import DOCS
+from support.reports.pages import DOCS
 
 PAGE = DOCS / "guides" / "coordinate-systems-and-cameras.md"
 MOST_BYTES = 60_000

@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from gsgen.runtime import plan, weighted
+from gsgen.runtime.renderer import frame_plan, weighted_plan
 from support.commands import ROOT
 
 
@@ -26,7 +26,7 @@ def script() -> ModuleType:
 
 def stages() -> set[str]:
     """Return the names of all stages that plans record."""
-    text = inspect.getsource(plan) + inspect.getsource(weighted)
+    text = inspect.getsource(frame_plan) + inspect.getsource(weighted_plan)
     named = re.findall(r'stages\["([\w ]+)"\]', text)
     begun = re.findall(r'^ *(?:stages = \{)?"([\w ]+)": self\._project', text, re.MULTILINE)
     return {*named, *begun}

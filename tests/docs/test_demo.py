@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from support.pages import DOCS
+from support.reports.pages import DOCS
 
 
 @pytest.fixture(scope="module")

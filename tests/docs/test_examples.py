@@ -9,13 +9,13 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from gsgen.contract.engine import validate
-from gsgen.contract.manifest_json import loads
-from gsgen.contract.model import open_model
+from gsgen.contract.model.model_file import open_model
+from gsgen.contract.spec.manifest_io import loads
+from gsgen.contract.validator import validate
 from gsgen.sdk import Gaussians, math
 from gsgen.sdk.commands.export import app
-from gsgen.sdk.hazards import _CURES
-from support.pages import DOCS
+from gsgen.sdk.exporting.trace_hazards import _CURES
+from support.reports.pages import DOCS
 
 PAGE = DOCS / "guides" / "export-your-method.md"
 TEXT = PAGE.read_text("utf-8")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from gsgen.contract.errors import GsgenError
-from support.pages import DOCS
+from support.reports.pages import DOCS
 
 TEXT = (DOCS / "guides" / "add-your-own-family.md").read_text("utf-8")
 BLOCKS = re.findall(

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from support.commands import ROOT
-from support.pages import DOCS
+from support.reports.pages import DOCS
 
 PAGE = DOCS / "gallery.md"
 PICTURES = DOCS / "assets" / "gallery"

@@ -1,11 +1,11 @@
 import subprocess
 import sys
 
-from gsgen.contract.finding import Level
-from gsgen.contract.installed import installed_rules
-from gsgen.contract.manifest import CONTRACT
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.spec.manifest import CONTRACT
+from gsgen.contract.spec.severity import Level
 from support.commands import ROOT
-from support.pages import pages
+from support.reports.pages import pages
 
 SCRIPT = ROOT / "scripts" / "write_docs.py"
 

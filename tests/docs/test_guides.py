@@ -10,12 +10,12 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from gsgen.contract.config import read_config
-from gsgen.contract.installed import installed_rules
-from gsgen.contract.manifest_json import loads
-from gsgen.contract.rule import Scope
-from gsgen.contract.spherical_harmonics import basis
-from support.pages import DOCS, Block, blocks, name_of, pages
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.spec.manifest_io import loads
+from gsgen.contract.spec.spherical_harmonics import basis
+from gsgen.contract.validation.rule import Scope
+from gsgen.contract.validation.settings import read_config
+from support.reports.pages import DOCS, Block, blocks, name_of, pages
 
 _BINARIES = Path(sys.executable).parent
 

@@ -7,11 +7,11 @@ from types import ModuleType
 import pytest
 import yaml
 
-from gsgen.cli.commands import find_commands
-from gsgen.contract.installed import installed_rules
+from gsgen.contract._extensions import find_commands
+from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.sdk.passes.registry import REWRITES
 from support.commands import ROOT, gsgen
-from support.pages import DOCS, README, anchors, links, name_of, pages
+from support.reports.pages import DOCS, README, anchors, links, name_of, pages
 
 
 @pytest.mark.parametrize("page", pages(), ids=name_of)

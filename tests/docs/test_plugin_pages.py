@@ -9,9 +9,9 @@ import pytest
 from PIL import Image
 from typer.models import OptionInfo
 
-from gsgen.sdk.plugin import Plugin, find_plugins
+from gsgen.sdk.plugins.plugin import Plugin, find_plugins
 from support.commands import ROOT
-from support.pages import DOCS
+from support.reports.pages import DOCS
 
 PAGES = DOCS / "plugins"
 PICTURES = DOCS / "assets" / "plugins"

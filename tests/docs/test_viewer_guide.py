@@ -10,9 +10,10 @@ import onnxruntime as ort
 import pytest
 
 from gsgen.conformance.fixtures import find
-from gsgen.runtime import Camera, Scene, SplatData, SplatSet, oracle
+from gsgen.runtime import Camera, Scene, SplatData, SplatSet
+from gsgen.runtime.oracle import render as oracle
 from gsgen.sdk.binding import FrameSession
-from support.pages import DOCS, blocks
+from support.reports.pages import DOCS, blocks
 
 GUIDE = DOCS / "guides" / "write-a-viewer.md"
 SIZE = (48, 36)

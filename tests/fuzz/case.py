@@ -11,8 +11,8 @@ from onnx import ModelProto
 
 from fuzz import mutate_bytes, mutate_manifest, mutate_model
 from fuzz.corpus import Base
-from gsgen.contract.finding import Level
-from gsgen.contract.model import MANIFEST_KEY
+from gsgen.contract.model.model_file import MANIFEST_KEY
+from gsgen.contract.spec.severity import Level
 
 _MANIFEST_SHARE, _BYTES_SHARE = 0.3, 0.15
 _TARGETS = ("core", "webgpu", "visionary", "gsgen")

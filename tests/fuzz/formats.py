@@ -22,7 +22,7 @@ from pathlib import Path
 
 from fuzz.splat_files import draw
 from gsgen.formats import FormatError, codec_named, open_splats
-from gsgen.formats.notices import FormatWarning
+from gsgen.formats.shared.notices import FormatWarning
 from support.splat_files import samples
 
 MEMORY = 256 << 20

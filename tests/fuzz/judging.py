@@ -16,16 +16,16 @@ from importlib import import_module
 from pathlib import Path
 
 from fuzz.case import Case
-from gsgen.contract import sandbox, worker
-from gsgen.contract.config import Settings
-from gsgen.contract.engine import validate
 from gsgen.contract.errors import ModelUnreadable
-from gsgen.contract.report import Entry, Report, Unreadable
-from gsgen.contract.reporters.machine import to_json
+from gsgen.contract.probing import sandbox, sandbox_worker
+from gsgen.contract.process.limits import Limits
+from gsgen.contract.reporters.json_report import to_json
 from gsgen.contract.reporters.text import render_all
-from gsgen.contract.rule import Registry
-from gsgen.contract.sandbox import Limits
-from gsgen.contract.targets import load_target
+from gsgen.contract.spec.targets import load_target
+from gsgen.contract.validation.report import Entry, Report, Unreadable
+from gsgen.contract.validation.rule import Registry
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
 
 MEMORY = 2 << 30
 # What ONNX Runtime's process may take.
@@ -182,7 +182,7 @@ def _work(folder: Path) -> None:
         with (folder / "log").open("wb") as log:
             for stream in (1, 2):
                 os.dup2(log.fileno(), stream)
-        code = worker.main(folder)
+        code = sandbox_worker.main(folder)
     except BaseException:
         os.write(2, traceback.format_exc().encode())
     finally:

@@ -5,7 +5,7 @@ __all__ = ["MUTATIONS", "Mutation"]
 import random
 from collections.abc import Callable
 
-from gsgen.contract.wire import BYTES, Field, WireFault, scan
+from gsgen.contract.model.protobuf_scan import BYTES, Field, WireFault, scan
 
 Mutation = Callable[[bytes, random.Random], bytes]
 

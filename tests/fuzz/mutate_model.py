@@ -24,7 +24,7 @@ from onnx import (
     numpy_helper,
 )
 
-from gsgen.contract.model import bodies
+from gsgen.contract.model.model_file import bodies
 
 Mutation = Callable[[ModelProto, random.Random], None]
 

@@ -7,7 +7,7 @@ import json
 import subprocess
 import sys
 
-from support.drivers import DRIVERS, description, environment
+from support.rendering.drivers import DRIVERS, description, environment
 
 SIZES = ("0", "1", "4097", "1000000", "4000000")
 
@@ -22,7 +22,7 @@ def main() -> int:
             continue
         tried += 1
         done = subprocess.run(
-            [sys.executable, "-P", "-m", "support.driver_report", "-", *SIZES],
+            [sys.executable, "-P", "-m", "support.rendering.driver_report", "-", *SIZES],
             stdout=subprocess.PIPE,
             text=True,
             env=environment(found),

@@ -13,11 +13,11 @@ from fuzz.case import draw
 from fuzz.corpus import bases
 from fuzz.pool import Pool
 from gsgen.conformance.fixtures import fixtures
-from gsgen.contract.config import Settings
-from gsgen.contract.finding import Level
-from gsgen.contract.installed import installed_rules
-from gsgen.contract.rule import Registry
-from support.rules import crashing, made_up
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.rule import Registry
+from gsgen.contract.validation.settings import Settings
+from support.reports.rules import crashing, made_up
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from support.one_registry import share_operators
+from support.reports.one_registry import share_operators
 
 
 @pytest.fixture(scope="session", autouse=True)

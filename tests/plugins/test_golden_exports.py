@@ -10,18 +10,14 @@ import pytest
 from typer.testing import CliRunner
 
 from gsgen.cli.app import build
-from gsgen.cli.commands import find_commands
-from gsgen.contract.config import Settings
-from gsgen.contract.engine import validate
-from gsgen.contract.finding import Level
-from gsgen.contract.targets import load_target
-from gsgen.reference_plugins.checkpoints.errors import CheckpointInvalid
-from gsgen.reference_plugins.commands import (
-    deformable_3dgs,
-    hexplane_4dgs,
-    octree_gs,
-    scaffold_gs,
-)
+from gsgen.contract._extensions import find_commands
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.spec.targets import load_target
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
+from gsgen.reference_plugins.anchors import octree_gs_plugin, scaffold_gs_plugin
+from gsgen.reference_plugins.deformation import deformable_3dgs_plugin, hexplane_4dgs_plugin
+from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.synthetic import (
     AnchorOptions,
     HexPlaneOptions,
@@ -30,17 +26,17 @@ from gsgen.reference_plugins.synthetic import (
     write_scaffold,
 )
 from gsgen.sdk import GaussianGenerator, export
-from gsgen.sdk.exporter import Exported
-from gsgen.sdk.half_table import LEAST_ELEMENTS
-from support.captured import assert_captured
+from gsgen.sdk.exporting.exporter import Exported
+from gsgen.sdk.float16.weight_tables import LEAST_ELEMENTS
+from support.checkpoints.plugin_checks import MARGIN, judge, stored, weights_of
 from support.commands import gsgen, shared
-from support.plugin_checks import MARGIN, judge, stored, weights_of
+from support.models.captured import assert_captured
 
 BUILD: dict[str, Callable[..., GaussianGenerator]] = {
-    "scaffold_a": scaffold_gs.build,
-    "octree_a": octree_gs.build,
-    "hexplane_dnerf": hexplane_4dgs.build,
-    "deform_blender": deformable_3dgs.build,
+    "scaffold_a": scaffold_gs_plugin.build,
+    "octree_a": octree_gs_plugin.build,
+    "hexplane_dnerf": hexplane_4dgs_plugin.build,
+    "deform_blender": deformable_3dgs_plugin.build,
 }
 EXPECTED = {  # what a float32 model of each method may be off by, as the acceptance tool has it
     "xyz": 2e-5, "op": 2e-5, "cov": 5e-5, "col": 2e-5, "leak": 1 / 512,
@@ -167,10 +163,10 @@ def test_an_appearance_that_is_not_there_is_refused(tmp_path: Path) -> None:
     chosen = AnchorOptions(anchors=3, cameras=2, appearance=4, united=True)
     write_scaffold(tmp_path / "two", chosen)
     with pytest.raises(CheckpointInvalid, match="2 is not one of the 2 training cameras"):
-        scaffold_gs.build(tmp_path / "two", appearance_id=2)
+        scaffold_gs_plugin.build(tmp_path / "two", appearance_id=2)
     write_scaffold(tmp_path / "none", AnchorOptions(anchors=3, united=True))
     with pytest.raises(CheckpointInvalid, match="no appearance embedding"):
-        scaffold_gs.build(tmp_path / "none", appearance_id=0)
+        scaffold_gs_plugin.build(tmp_path / "none", appearance_id=0)
 
 
 def test_a_flag_that_is_not_honoured_is_warned_of(
@@ -178,8 +174,8 @@ def test_a_flag_that_is_not_honoured_is_warned_of(
 ) -> None:
     write_octree(tmp_path, AnchorOptions(anchors=3, iteration=40000, united=True))
     text = (tmp_path / "cfg_args").read_text()
-    octree_gs.build(tmp_path)
+    octree_gs_plugin.build(tmp_path)
     assert "warning" not in capsys.readouterr().err
     (tmp_path / "cfg_args").write_text(text.replace("[1.0]", "[2.0]"))
-    octree_gs.build(tmp_path)
+    octree_gs_plugin.build(tmp_path)
     assert "warning: resolution_scales=[2.0] is not honoured" in capsys.readouterr().err

@@ -7,9 +7,9 @@ import pytest
 from typer.testing import CliRunner
 
 from gsgen.cli.app import build
-from gsgen.cli.commands import Command, find_commands
+from gsgen.contract._extensions import Command, find_commands
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.roles import ROLES
+from gsgen.contract.spec.roles import ROLES
 from gsgen.sdk.commands import plugins as command
 
 OURS = {"deformable-3dgs", "hexplane-4dgs", "octree-gs", "scaffold-gs", "static"}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from support.one_registry import share_operators
+from support.reports.one_registry import share_operators
 
 Exported = Callable[..., Path]
 
@@ -20,7 +20,7 @@ def _one_registry() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
-    """Return the export of a class of ``support.generators``, with room for 256 Gaussians.
+    """Return the export of a class of ``support.models.generators``, with room for 256 Gaussians.
 
     It is made once for all workers of a run; two that ask at once make the same file.
     """

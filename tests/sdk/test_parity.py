@@ -5,15 +5,16 @@ import numpy as np
 import pytest
 import torch
 
-from gsgen.contract import layout
-from gsgen.contract.manifest import GeneratorManifest, GeneratorOutputs, Tolerances
-from gsgen.contract.probes import Probe
-from gsgen.sdk import Gaussians, ParityFailed, verification
-from gsgen.sdk.diagnosis import Suspects
-from gsgen.sdk.eager import Reference, run_eager
+from gsgen.contract.probing.probes import Probe
+from gsgen.contract.spec import layout
+from gsgen.contract.spec.manifest import GeneratorManifest, GeneratorOutputs, Tolerances
+from gsgen.sdk import Gaussians, ParityFailed
+from gsgen.sdk.exporting import verification
+from gsgen.sdk.exporting.eager_reference import Reference, run_eager
+from gsgen.sdk.exporting.parity_diagnosis import Suspects
+from gsgen.sdk.exporting.verification import _nudged, check_parity
 from gsgen.sdk.parity import Made, Parity, compare, fibonacci_directions, same
-from gsgen.sdk.verification import _nudged, check_parity
-from support.generators import Drift
+from support.models.generators import Drift
 
 
 @pytest.fixture

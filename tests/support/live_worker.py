@@ -1,4 +1,4 @@
-"""A child of `gsgen.sdk.live` that misbehaves as the environment asks, for tests."""
+"""A child of `gsgen.sdk.live.level` that misbehaves as the environment asks, for tests."""
 
 import os
 import signal
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gsgen.contract.worker import Emit, keep_outputs, serve
+from gsgen.contract.probing.sandbox_worker import Emit, keep_outputs, serve
 
 
 def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 from gsgen.formats import Splats, write_compressed_ply, write_glb, write_ply, write_spz
 from gsgen.formats import write_splat as write_splat_file
 
-GOLDENS = Path(__file__).parents[1] / "runtime" / "formats" / "goldens"
+GOLDENS = Path(__file__).parents[1] / "formats" / "goldens"
 FIELDS = ("position", "rotation", "log_scale", "logit_opacity", "sh")
 
 

@@ -12,9 +12,9 @@ from typing import Annotated, Any, Never
 import typer
 from typer.core import TyperGroup
 
-from gsgen.cli.commands import Command, escaped, find_commands
+from gsgen.contract._extensions import Command, escaped, find_commands
 from gsgen.contract.errors import GsgenError, UnknownName
-from gsgen.contract.interrupts import INTERRUPTED, ending_at_interrupts
+from gsgen.contract.process.interrupts import INTERRUPTED, ending_at_interrupts
 
 _USAGE = 2
 _INTERNAL = 3

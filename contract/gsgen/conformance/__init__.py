@@ -5,19 +5,19 @@ The names below need pytest (``pip install 'gsgen[conformance]'``) and are loade
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract.lazy import attributes
+from gsgen.contract._lazy import attributes
 
 if TYPE_CHECKING:
-    from gsgen.conformance.generator import GeneratorConformance
-    from gsgen.conformance.testing import Check, RuleWarning, parametrize_with_rules
+    from gsgen.conformance.pytest.generator import GeneratorConformance
+    from gsgen.conformance.pytest.testing import Check, RuleWarning, parametrize_with_rules
 
 __all__ = ["Check", "GeneratorConformance", "RuleWarning", "parametrize_with_rules"]
 
 _HOME = {
-    "Check": "testing",
-    "GeneratorConformance": "generator",
-    "RuleWarning": "testing",
-    "parametrize_with_rules": "testing",
+    "Check": "pytest.testing",
+    "GeneratorConformance": "pytest.generator",
+    "RuleWarning": "pytest.testing",
+    "parametrize_with_rules": "pytest.testing",
 }
 
 __getattr__ = attributes(__name__, _HOME)

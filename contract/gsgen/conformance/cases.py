@@ -11,10 +11,10 @@ from pathlib import PurePath
 from typing import Literal
 
 from gsgen.conformance.expected import ExpectedFailure
-from gsgen.contract.finding import Finding
-from gsgen.contract.report import Report
 from gsgen.contract.reporters.text import finding_lines
-from gsgen.contract.rule import Rule
+from gsgen.contract.validation.finding import Finding
+from gsgen.contract.validation.report import Report
+from gsgen.contract.validation.rule import Rule
 
 # `warned`: broken, but not badly enough to fail. `expected`: broken, as was foreseen.
 CaseStatus = Literal["passed", "warned", "expected", "skipped", "failed", "crashed"]

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gsgen.conformance.cases import Case
-from gsgen.conformance.replay import ONE_PROBE, Arrays, Replay, plan_for, replay, save
-from gsgen.contract.config import Settings
+from gsgen.conformance.rerun import ONE_PROBE, Arrays, Replay, plan_for, replay, save
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.contract.finding import Finding
-from gsgen.contract.plan import Plan
-from gsgen.contract.probes import Probe
-from gsgen.contract.sandbox import Limits
+from gsgen.contract.probing.probe_plan import Plan
+from gsgen.contract.probing.probes import Probe
+from gsgen.contract.process.limits import Limits
+from gsgen.contract.validation.finding import Finding
+from gsgen.contract.validation.settings import Settings
 
 _MEBIBYTE = 1 << 20
 _MOST_RUNS = 4

@@ -18,7 +18,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from gsgen.contract.errors import ConfigInvalid, UnknownName
-from gsgen.contract.rule import Registry
+from gsgen.contract.validation.rule import Registry
 
 _TABLE = "xfail"
 _KEYS = ("rule", "model", "reason")

@@ -10,13 +10,14 @@ from gsgen.conformance.cases import Case, CaseStatus, settle
 from gsgen.conformance.evidence import Dumps, Evidence, gather
 from gsgen.conformance.expected import ExpectedFailure
 from gsgen.conformance.suite import Declared, plan_suites
-from gsgen.contract.config import Settings
-from gsgen.contract.engine import Progress, validate
-from gsgen.contract.installed import installed_rules
-from gsgen.contract.model import open_model
-from gsgen.contract.report import Report
-from gsgen.contract.rule import Rule
-from gsgen.contract.subject import read_subject
+from gsgen.contract.model.inspected_model import read_subject
+from gsgen.contract.model.model_file import open_model
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.validation.engine import Progress
+from gsgen.contract.validation.report import Report
+from gsgen.contract.validation.rule import Rule
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
 
 # What a test counts as, beside passed.
 FAILING: tuple[CaseStatus, ...] = ("failed", "crashed")

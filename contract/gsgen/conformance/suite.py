@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.finding import Level
-from gsgen.contract.roles import GENERATOR, POST_PROCESS, TRAJECTORY
-from gsgen.contract.rule import Rule
-from gsgen.contract.subject import Subject
-from gsgen.contract.targets import Target
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.spec.roles import GENERATOR, POST_PROCESS, TRAJECTORY
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.spec.targets import Target
+from gsgen.contract.validation.rule import Rule
 
 
 @dataclass(frozen=True, slots=True)

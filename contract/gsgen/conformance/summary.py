@@ -10,9 +10,9 @@ from typing import Any
 
 from gsgen.conformance.cases import Case, CaseStatus
 from gsgen.conformance.run import ModelRun
-from gsgen.contract.report import Unreadable
-from gsgen.contract.reporters.machine import to_dict
+from gsgen.contract.reporters.json_report import to_dict
 from gsgen.contract.reporters.text import Line
+from gsgen.contract.validation.report import Unreadable
 
 SCHEMA = "gsgen-conformance/1"
 

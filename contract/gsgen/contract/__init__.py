@@ -5,20 +5,21 @@ The names below are loaded when first used, so that ``import gsgen.contract`` co
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract.lazy import attributes
+from gsgen.contract._lazy import attributes
 
 if TYPE_CHECKING:
-    from gsgen.contract.baseline import Baseline, read_baseline
-    from gsgen.contract.config import Settings
-    from gsgen.contract.engine import validate
     from gsgen.contract.errors import GsgenError
-    from gsgen.contract.finding import Breach, Finding, Level, Severity
-    from gsgen.contract.layout import Gaussians, decode, encode
-    from gsgen.contract.manifest import GeneratorManifest, Manifest
-    from gsgen.contract.model import open_model, write_manifest
-    from gsgen.contract.report import Report
-    from gsgen.contract.targets import Target, load_target
-    from gsgen.contract.waivers import Waiver
+    from gsgen.contract.model.model_file import open_model, write_manifest
+    from gsgen.contract.spec.layout import Gaussians, decode, encode
+    from gsgen.contract.spec.manifest import GeneratorManifest, Manifest
+    from gsgen.contract.spec.severity import Level, Severity
+    from gsgen.contract.spec.targets import Target, load_target
+    from gsgen.contract.validation.baseline import Baseline, read_baseline
+    from gsgen.contract.validation.finding import Breach, Finding
+    from gsgen.contract.validation.report import Report
+    from gsgen.contract.validation.settings import Settings
+    from gsgen.contract.validation.waivers import Waiver
+    from gsgen.contract.validator import validate
 
 __all__ = [
     "Baseline",
@@ -44,26 +45,26 @@ __all__ = [
 ]
 
 _HOME = {
-    "Baseline": "baseline",
-    "Breach": "finding",
-    "Finding": "finding",
-    "Gaussians": "layout",
-    "GeneratorManifest": "manifest",
+    "Baseline": "validation.baseline",
+    "Breach": "validation.finding",
+    "Finding": "validation.finding",
+    "Gaussians": "spec.layout",
+    "GeneratorManifest": "spec.manifest",
     "GsgenError": "errors",
-    "Level": "finding",
-    "Manifest": "manifest",
-    "Report": "report",
-    "Settings": "config",
-    "Severity": "finding",
-    "Target": "targets",
-    "Waiver": "waivers",
-    "decode": "layout",
-    "encode": "layout",
-    "load_target": "targets",
-    "open_model": "model",
-    "read_baseline": "baseline",
-    "validate": "engine",
-    "write_manifest": "model",
+    "Level": "spec.severity",
+    "Manifest": "spec.manifest",
+    "Report": "validation.report",
+    "Settings": "validation.settings",
+    "Severity": "spec.severity",
+    "Target": "spec.targets",
+    "Waiver": "validation.waivers",
+    "decode": "spec.layout",
+    "encode": "spec.layout",
+    "load_target": "spec.targets",
+    "open_model": "model.model_file",
+    "read_baseline": "validation.baseline",
+    "validate": "validator",
+    "write_manifest": "model.model_file",
 }
 
 

@@ -10,22 +10,22 @@ The names below are loaded when first used.
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract.lazy import attributes
+from gsgen.contract._lazy import attributes
 
 if TYPE_CHECKING:
-    from gsgen.runtime.camera import Camera
     from gsgen.runtime.camera_files import CameraFile, open_cameras
-    from gsgen.runtime.device import Device
     from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
-    from gsgen.runtime.frame import NOTHING, Frame
-    from gsgen.runtime.mesh import Mesh, MeshData
-    from gsgen.runtime.mesh_files import read_mesh
-    from gsgen.runtime.player import GeneratorPlayer, Player, Shot
-    from gsgen.runtime.renderer import Renderer
-    from gsgen.runtime.scene import Box, Scene, SplatSet
-    from gsgen.runtime.scene_file import open_scene
-    from gsgen.runtime.splat_data import SplatData
-    from gsgen.runtime.window import view
+    from gsgen.runtime.gpu.device import Device
+    from gsgen.runtime.playback.player import GeneratorPlayer, Player, Shot
+    from gsgen.runtime.renderer.renderer import Renderer
+    from gsgen.runtime.scene.camera import Camera
+    from gsgen.runtime.scene.frame import NOTHING, Frame
+    from gsgen.runtime.scene.mesh import Mesh, MeshData
+    from gsgen.runtime.scene.scene import Box, Scene, SplatSet
+    from gsgen.runtime.scene.splat_data import SplatData
+    from gsgen.runtime.sources.mesh_files import read_mesh
+    from gsgen.runtime.sources.scene_file import open_scene
+    from gsgen.runtime.viewer.window import view
 
 __all__ = [
     "NOTHING",
@@ -53,28 +53,28 @@ __all__ = [
 ]
 
 _HOME = {
-    "NOTHING": "frame",
-    "Box": "scene",
-    "Camera": "camera",
+    "NOTHING": "scene.frame",
+    "Box": "scene.scene",
+    "Camera": "scene.camera",
     "CameraFile": "camera_files",
     "CapacityExceeded": "errors",
-    "Device": "device",
+    "Device": "gpu.device",
     "DeviceUnavailable": "errors",
-    "Frame": "frame",
-    "GeneratorPlayer": "player",
-    "Mesh": "mesh",
-    "MeshData": "mesh",
-    "Player": "player",
-    "Renderer": "renderer",
-    "Scene": "scene",
+    "Frame": "scene.frame",
+    "GeneratorPlayer": "playback.player",
+    "Mesh": "scene.mesh",
+    "MeshData": "scene.mesh",
+    "Player": "playback.player",
+    "Renderer": "renderer.renderer",
+    "Scene": "scene.scene",
     "SceneInvalid": "errors",
-    "Shot": "player",
-    "SplatData": "splat_data",
-    "SplatSet": "scene",
+    "Shot": "playback.player",
+    "SplatData": "scene.splat_data",
+    "SplatSet": "scene.scene",
     "open_cameras": "camera_files",
-    "open_scene": "scene_file",
-    "read_mesh": "mesh_files",
-    "view": "window",
+    "open_scene": "sources.scene_file",
+    "read_mesh": "sources.mesh_files",
+    "view": "viewer.window",
 }
 
 __getattr__ = attributes(__name__, _HOME)

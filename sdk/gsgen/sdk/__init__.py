@@ -5,22 +5,23 @@ The names below are loaded when first used, so that ``import gsgen.sdk`` does no
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract.lazy import attributes
+from gsgen.contract._lazy import attributes
 
 if TYPE_CHECKING:
-    from gsgen.sdk import inputs, math
-    from gsgen.sdk.adapter import wrap
-    from gsgen.sdk.cells import Cells
+    from gsgen.sdk import math
+    from gsgen.sdk.authoring import inputs
+    from gsgen.sdk.authoring.adapter import wrap
+    from gsgen.sdk.authoring.cells import Cells
+    from gsgen.sdk.authoring.generator import GaussianGenerator, Gaussians
+    from gsgen.sdk.authoring.post_process import PostProcess
     from gsgen.sdk.errors import (
         ExportFailed,
         ExportRejected,
         GeneratorInvalid,
         ParityFailed,
     )
-    from gsgen.sdk.exporter import Exported, export
-    from gsgen.sdk.generator import GaussianGenerator, Gaussians
-    from gsgen.sdk.post_export import export_post_process
-    from gsgen.sdk.post_process import PostProcess
+    from gsgen.sdk.exporting.exporter import Exported, export
+    from gsgen.sdk.exporting.post_process_exporter import export_post_process
 
 __all__ = [
     "Cells",
@@ -40,20 +41,20 @@ __all__ = [
 ]
 
 _HOME = {
-    "Cells": "cells",
+    "Cells": "authoring.cells",
     "ExportFailed": "errors",
     "ExportRejected": "errors",
-    "Exported": "exporter",
-    "GaussianGenerator": "generator",
-    "Gaussians": "generator",
+    "Exported": "exporting.exporter",
+    "GaussianGenerator": "authoring.generator",
+    "Gaussians": "authoring.generator",
     "GeneratorInvalid": "errors",
     "ParityFailed": "errors",
-    "PostProcess": "post_process",
-    "export": "exporter",
-    "export_post_process": "post_export",
-    "inputs": "inputs",
+    "PostProcess": "authoring.post_process",
+    "export": "exporting.exporter",
+    "export_post_process": "exporting.post_process_exporter",
+    "inputs": "authoring.inputs",
     "math": "math",
-    "wrap": "adapter",
+    "wrap": "authoring.adapter",
 }
 
 

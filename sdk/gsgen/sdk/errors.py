@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from gsgen.contract.errors import GsgenError
 
 if TYPE_CHECKING:
-    from gsgen.contract.report import Report
+    from gsgen.contract.validation.report import Report
     from gsgen.sdk.parity import Parity
 
 

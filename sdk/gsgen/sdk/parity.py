@@ -23,10 +23,10 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool, Float
 
-from gsgen.contract import layout
-from gsgen.contract.manifest import Tolerances
-from gsgen.contract.probes import Probe
-from gsgen.contract.spherical_harmonics import basis, degree_of, largest_sum
+from gsgen.contract.probing.probes import Probe
+from gsgen.contract.spec import layout
+from gsgen.contract.spec.manifest import Tolerances
+from gsgen.contract.spec.spherical_harmonics import basis, degree_of, largest_sum
 
 DIRECTIONS = 64
 

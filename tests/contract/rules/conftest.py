@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from gsgen.conformance.fixtures import Fixture
-from gsgen.contract.engine import validate
-from gsgen.contract.report import Report
+from gsgen.contract.validation.report import Report
+from gsgen.contract.validator import validate
 
 Judge = Callable[[Fixture], Report]
 

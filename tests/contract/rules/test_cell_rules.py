@@ -7,11 +7,11 @@ from typing import cast
 import numpy as np
 import pytest
 
-from gsgen.contract.emission import Emission
-from gsgen.contract.manifest import CellsOutput, GaussiansOutput
-from gsgen.contract.rule import Rule
-from gsgen.contract.rules import cells as rules
-from gsgen.contract.subject import Subject
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.probing.outputs import Emission
+from gsgen.contract.rules.values import cells as rules
+from gsgen.contract.spec.manifest import CellsOutput, GaussiansOutput
+from gsgen.contract.validation.rule import Rule
 
 FEW, EACH = 40, 3
 NAMES = SimpleNamespace(

@@ -7,9 +7,9 @@ import pytest
 
 from gsgen.conformance.fixtures import Fixture, find, fixtures
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.finding import Severity
-from gsgen.contract.installed import catalogue, installed_rules
-from gsgen.contract.rule import Rule
+from gsgen.contract.rules.catalogue import catalogue, installed_rules
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.rule import Rule
 
 CORPUS = fixtures()
 GOOD = [fixture for fixture in CORPUS if not fixture.rule]

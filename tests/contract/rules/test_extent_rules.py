@@ -7,10 +7,10 @@ from typing import cast
 import numpy as np
 import pytest
 
-from gsgen.contract.emission import Emission, Rows
-from gsgen.contract.manifest import Bounds, GaussiansOutput
-from gsgen.contract.rules import extent
-from gsgen.contract.subject import Subject
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.probing.outputs import Emission, Rows
+from gsgen.contract.rules.values import extent
+from gsgen.contract.spec.manifest import Bounds, GaussiansOutput
 
 BOX = Bounds((-2.0, -2.0, -2.0), (2.0, 2.0, 2.0))
 SUBJECT = SimpleNamespace(

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from gsgen.contract.config import Settings
-from gsgen.contract.engine import validate
-from gsgen.contract.finding import Severity
-from gsgen.contract.targets import load_target
-from support.producers import ir_models, onnxscript_models, protos, torch_models
-from support.producers.good import Good
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.targets import load_target
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
+from support.models.producers import ir_models, onnxscript_models, protos, torch_models
+from support.models.producers.good import Good
 
 MODELS = [
     model

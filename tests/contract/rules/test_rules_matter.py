@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 
 from gsgen.conformance.fixtures import find
-from gsgen.contract.engine import validate
-from gsgen.contract.finding import Breach
-from gsgen.contract.installed import catalogue
-from gsgen.contract.rule import Registry, Rule
+from gsgen.contract.rules.catalogue import catalogue
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.rule import Registry, Rule
+from gsgen.contract.validator import validate
 
 
 def silent(_: object) -> Iterator[Breach]:

@@ -13,14 +13,14 @@ import onnx
 import onnxruntime
 import pytest
 
-from gsgen.conformance.fixtures.arrays import i64
-from gsgen.conformance.fixtures.clouds import still
-from gsgen.conformance.fixtures.sketch import Sketch
-from gsgen.contract.config import Settings
-from gsgen.contract.engine import validate
-from gsgen.contract.manifest import GaussiansOutput
-from gsgen.contract.report import Report
-from gsgen.contract.targets import load_target
+from gsgen.conformance.fixtures.builders.arrays import i64
+from gsgen.conformance.fixtures.builders.clouds import still
+from gsgen.conformance.fixtures.builders.sketch import Sketch
+from gsgen.contract.spec.manifest import GaussiansOutput
+from gsgen.contract.spec.targets import load_target
+from gsgen.contract.validation.report import Report
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
 
 ROWS = 256
 

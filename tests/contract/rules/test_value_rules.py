@@ -12,13 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsgen.conformance.fixtures.clouds import still
-from gsgen.contract.emission import Emission, Rows
-from gsgen.contract.engine import validate
-from gsgen.contract.manifest import AppearanceOutput, GaussiansOutput
-from gsgen.contract.rule import Rule
-from gsgen.contract.rules import appearance, covariance, values
-from gsgen.contract.subject import Subject
+from gsgen.conformance.fixtures.builders.clouds import still
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.probing.outputs import Emission, Rows
+from gsgen.contract.rules.values import appearance, covariance
+from gsgen.contract.rules.values import rows as values
+from gsgen.contract.spec.manifest import AppearanceOutput, GaussiansOutput
+from gsgen.contract.validation.rule import Rule
+from gsgen.contract.validator import validate
 
 DTYPES = {16: np.float16, 32: np.float32}
 SLACK = {np.float16: 2.0**-10, np.float32: 1e-5}

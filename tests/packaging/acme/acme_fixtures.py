@@ -1,8 +1,8 @@
 """Example models that break Acme's rules."""
 
-from gsgen.conformance.fixtures.clouds import still
-from gsgen.conformance.fixtures.fixture import breaks
-from gsgen.conformance.fixtures.sketch import Sketch
+from gsgen.conformance.fixtures.builders.clouds import still
+from gsgen.conformance.fixtures.builders.fixture import breaks
+from gsgen.conformance.fixtures.builders.sketch import Sketch
 
 
 @breaks("acme/AC001", target="acme")

@@ -7,11 +7,12 @@ from typing import Annotated
 
 import typer
 
-from gsgen.contract.finding import Breach, Severity
-from gsgen.contract.rule import rule
-from gsgen.contract.subject import Subject
-from gsgen.contract.targets import Target, load_target
-from gsgen.sdk.plugin import Plugin
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.targets import Target, load_target
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.rule import rule
+from gsgen.sdk.plugins.plugin import Plugin
 
 
 def hello() -> None:
@@ -60,8 +61,8 @@ def write_row(path: Path, count: int) -> None:
     """Write a generator of ``count`` grey Gaussians along x; torch is not needed for that."""
     import numpy as np
 
-    from gsgen.contract.layout import Gaussians, encode
-    from gsgen.contract.manifest import (
+    from gsgen.contract.spec.layout import Gaussians, encode
+    from gsgen.contract.spec.manifest import (
         AppearanceOutput,
         Bounds,
         CountOutput,
@@ -70,7 +71,7 @@ def write_row(path: Path, count: int) -> None:
         GeneratorOutputs,
         Space,
     )
-    from gsgen.sdk.constant import write_constant
+    from gsgen.sdk.exporting.constant_generator import write_constant
 
     along = np.zeros((count, 3))
     along[:, 0] = np.linspace(-1, 1, count)

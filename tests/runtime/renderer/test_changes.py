@@ -6,22 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsgen.runtime import arrangement, residency
-from gsgen.runtime import device as devices
-from gsgen.runtime import renderer as renderers
-from gsgen.runtime.camera import Camera
-from gsgen.runtime.device import Device
 from gsgen.runtime.errors import MemoryFull
-from gsgen.runtime.frame import Frame
-from gsgen.runtime.mesh import Mesh
-from gsgen.runtime.plan import Kernels
-from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.scene import Scene, SplatSet
-from gsgen.runtime.splat_data import SplatData
-from support.failing_devices import memory_of
-from support.mesh_scenes import ball, moved
-from support.splat_scenes import camera, cloud, turned
-from support.weighted_scenes import celled, summed
+from gsgen.runtime.gpu import device as devices
+from gsgen.runtime.gpu import spatial_order, splat_residency
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.renderer import renderer as renderers
+from gsgen.runtime.renderer.frame_plan import Kernels
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.frame import Frame
+from gsgen.runtime.scene.mesh import Mesh
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+from support.rendering.failing_devices import memory_of
+from support.rendering.mesh_scenes import ball, moved
+from support.rendering.splat_scenes import camera, cloud, turned
+from support.rendering.weighted_scenes import celled, summed
 
 STEPS = 30
 MOST_SETS = 4
@@ -43,8 +43,8 @@ def eager(
         pytest.skip("a card, whose memory is its own")
     monkeypatch.setattr(device, "maps", request.param)
     monkeypatch.setattr(devices, "MAPPED_FROM", 256)
-    monkeypatch.setattr(residency, "ARRANGED_FROM", 64)
-    monkeypatch.setattr(arrangement, "_SERVES", 3)
+    monkeypatch.setattr(splat_residency, "ARRANGED_FROM", 64)
+    monkeypatch.setattr(spatial_order, "_SERVES", 3)
     kernels = Kernels(device)
     monkeypatch.setattr(renderers, "Kernels", lambda _: kernels)
     return device

@@ -6,9 +6,6 @@ from weakref import ref
 import numpy as np
 import pytest
 
-from gsgen.runtime import plan as plans
-from gsgen.runtime import renderer as renderers
-from gsgen.runtime.device import Device
 from gsgen.runtime.errors import (
     CapacityExceeded,
     DeviceLost,
@@ -16,12 +13,15 @@ from gsgen.runtime.errors import (
     MemoryFull,
     SceneInvalid,
 )
-from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.residency import Residency, bytes_of
-from gsgen.runtime.scene import Scene, SplatSet
-from gsgen.runtime.splat_data import SplatData
-from support.failing_devices import memory_of
-from support.splat_scenes import camera, cloud, single
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.splat_residency import Residency, bytes_of
+from gsgen.runtime.renderer import frame_plan as plans
+from gsgen.runtime.renderer import renderer as renderers
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+from support.rendering.failing_devices import memory_of
+from support.rendering.splat_scenes import camera, cloud, single
 
 
 def test_room_for_pairs_grows_by_itself(device: Device) -> None:

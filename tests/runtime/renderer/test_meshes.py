@@ -6,28 +6,29 @@ import numpy as np
 import pytest
 import wgpu
 
-from gsgen.runtime import oracle, oracle_meshes
-from gsgen.runtime.camera import Camera
-from gsgen.runtime.device import Device
 from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
-from gsgen.runtime.frame import NOTHING
-from gsgen.runtime.kernels.blend_tiles import NOWHERE, BlendTiles, blend_reference
-from gsgen.runtime.kernels.draw_meshes import DrawMeshes, seen_reference
-from gsgen.runtime.kernels.kernel import Step, run
-from gsgen.runtime.kernels.mesh_place import PlacedMesh, mesh_rays, mesh_uniform
-from gsgen.runtime.kernels.project import (
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.project.project import (
     Projected,
     frame_uniform,
     page_uniform,
     project_reference,
 )
-from gsgen.runtime.kernels.shader import source
-from gsgen.runtime.mesh import Mesh, MeshData
-from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.scene import Scene
-from gsgen.runtime.splat_data import SplatData
-from support.mesh_scenes import MESH_SCENES, ball, moved, quad, wall
-from support.splat_scenes import camera, cloud, single, turned
+from gsgen.runtime.kernels.raster.draw_meshes import DrawMeshes, seen_reference
+from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh, mesh_rays, mesh_uniform
+from gsgen.runtime.kernels.shared.kernel import Step, run
+from gsgen.runtime.kernels.shared.shader import source
+from gsgen.runtime.kernels.tiles.blend_tiles import NOWHERE, BlendTiles, blend_reference
+from gsgen.runtime.oracle import meshes
+from gsgen.runtime.oracle import render as oracle
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.frame import NOTHING
+from gsgen.runtime.scene.mesh import Mesh, MeshData
+from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.scene.splat_data import SplatData
+from support.rendering.mesh_scenes import MESH_SCENES, ball, moved, quad, wall
+from support.rendering.splat_scenes import camera, cloud, single, turned
 
 BEHIND = (0.1, 0.4, 0.7, 0.5)
 EVERYTHING = ("color", "depth", "normal")
@@ -345,7 +346,7 @@ def test_slivers_have_the_colours_of_their_pixels(renderer: Renderer) -> None:
     colors = rng.uniform(size=(120, 3))
     shape = MeshData(points.reshape(-1, 3), np.arange(120).reshape(40, 3), colors)
     for kind in (seen_by, seen_by.all_around(96, 48)):
-        wanted = oracle_meshes.cast([Mesh(shape)], kind, "srgb")
+        wanted = meshes.cast([Mesh(shape)], kind, "srgb")
         seen = renderer.render(Scene([], meshes=[shape]), kind, outputs=EVERYTHING)
         firm = ~wanted.fragile & np.isfinite(wanted.depth)
         assert firm.sum() > 40
@@ -364,7 +365,7 @@ def test_triangles_from_before_the_nose_to_the_horizon(renderer: Renderer) -> No
         points = rng.normal(size=(3, 3)) * np.exp(rng.uniform(-3, 7, (3, 1)))
         shape = MeshData(np.array(close) if seed == 0 else points, FACE, np.eye(3))
         for seen_by in (ahead, around):
-            wanted = oracle_meshes.cast([Mesh(shape)], seen_by, "srgb")
+            wanted = meshes.cast([Mesh(shape)], seen_by, "srgb")
             seen = renderer.render(Scene([], meshes=[shape]), seen_by, outputs=EVERYTHING)
             there, firm = np.isfinite(wanted.depth), ~wanted.fragile
             assert ((seen.alpha == 1) == there)[firm].all(), seed

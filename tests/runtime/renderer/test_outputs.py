@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from gsgen.runtime import oracle
 from gsgen.runtime.errors import SceneInvalid
-from gsgen.runtime.frame import NOTHING
-from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.scene import Scene, SplatSet
-from gsgen.runtime.splat_data import SplatData
-from support.splat_scenes import SCENES, camera, cloud, single, turned
+from gsgen.runtime.oracle import render as oracle
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.frame import NOTHING
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+from support.rendering.splat_scenes import SCENES, camera, cloud, single, turned
 
 EVERYTHING = ("color", "depth", "normal")
 

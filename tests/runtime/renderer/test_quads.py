@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from gsgen.runtime import oracle
-from gsgen.runtime.device import Device
 from gsgen.runtime.errors import DeviceUnavailable
-from gsgen.runtime.renderer import Renderer
-from support.splat_scenes import SCENES
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.oracle import render as oracle
+from gsgen.runtime.renderer.renderer import Renderer
+from support.rendering.splat_scenes import SCENES
 
 BEHIND = (0.1, 0.4, 0.7, 0.5)
 

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from gsgen.runtime import oracle
-from gsgen.runtime.device import Device
 from gsgen.runtime.errors import SceneInvalid
-from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.scene import Scene, SplatSet
-from gsgen.runtime.splat_data import SplatData
-from support.golden_duplex import BACKDROP, golden_scene, golden_view
-from support.splat_scenes import camera, turned
-from support.weighted_scenes import WEIGHTED, celled, summed
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.oracle import render as oracle
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+from support.checkpoints.golden_duplex import BACKDROP, golden_scene, golden_view
+from support.rendering.splat_scenes import camera, turned
+from support.rendering.weighted_scenes import WEIGHTED, celled, summed
 
 BEHIND = (0.1, 0.4, 0.7, 0.5)
 EVERYTHING = ("color", "depth", "normal")

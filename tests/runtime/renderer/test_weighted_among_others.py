@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from gsgen.runtime import oracle
-from gsgen.runtime.device import Device
 from gsgen.runtime.errors import SceneInvalid
-from gsgen.runtime.frame import NOTHING
-from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.scene import Scene
-from support.mesh_scenes import wall
-from support.splat_scenes import camera, cloud, single
-from support.weighted_scenes import MIXED, WEIGHTED, celled, summed
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.oracle import render as oracle
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.frame import NOTHING
+from gsgen.runtime.scene.scene import Scene
+from support.rendering.mesh_scenes import wall
+from support.rendering.splat_scenes import camera, cloud, single
+from support.rendering.weighted_scenes import MIXED, WEIGHTED, celled, summed
 
 BEHIND = (0.1, 0.4, 0.7, 0.5)
 EVERYTHING = ("color", "depth", "normal")

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from gsgen.conformance.fixtures import find
-from gsgen.runtime.device import Device
-from gsgen.runtime.painter import Painter
-from gsgen.runtime.scene_source import sources_of
-from gsgen.runtime.splat_data import SplatData
-from gsgen.runtime.stage import Stage
-from support.viewers import Hand
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.sources.scene_source import sources_of
+from gsgen.runtime.viewer.live_playback import Stage
+from gsgen.runtime.viewer.surface_renderer import Painter
+from support.rendering.viewers import Hand
 
 
 @pytest.fixture(scope="session")

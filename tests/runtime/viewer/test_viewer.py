@@ -13,24 +13,24 @@ from PIL import Image
 
 from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.camera import Camera
-from gsgen.runtime.device import Device
 from gsgen.runtime.errors import DeviceUnavailable, SceneUnreadable
-from gsgen.runtime.mesh import MeshData
-from gsgen.runtime.painter import Painter
-from gsgen.runtime.pictures import MODES, picture_of
-from gsgen.runtime.post import PostProcessor
-from gsgen.runtime.renderer import Renderer
-from gsgen.runtime.scene import Scene, SplatSet
-from gsgen.runtime.scene_source import SceneSource, sources_of
-from gsgen.runtime.sources import GeneratorSource
-from gsgen.runtime.splat_data import SplatData
-from gsgen.runtime.stage import Stage
-from gsgen.runtime.viewpoint import viewpoint
-from gsgen.runtime.window import take_drops
-from support.endless import endless
-from support.failing_devices import memory_of
-from support.viewers import SIZE, Hand
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.media.pictures import MODES, picture_of
+from gsgen.runtime.playback.camera_options import viewpoint
+from gsgen.runtime.playback.post_process import PostProcessor
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.mesh import MeshData
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.sources.scene_source import SceneSource, sources_of
+from gsgen.runtime.sources.source import GeneratorSource
+from gsgen.runtime.viewer.live_playback import Stage
+from gsgen.runtime.viewer.surface_renderer import Painter
+from gsgen.runtime.viewer.window import take_drops
+from support.models.endless import endless
+from support.rendering.failing_devices import memory_of
+from support.rendering.viewers import SIZE, Hand
 
 
 def expected(

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from gsgen.conformance.fixtures.moving import drifting, looking
-from gsgen.sdk.live_fixtures import live_fixtures
+from gsgen.conformance.fixtures.builders.moving import drifting, looking
+from gsgen.sdk.live.fixtures import live_fixtures
 
 
 @pytest.fixture(scope="session")

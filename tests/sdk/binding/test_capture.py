@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsgen.conformance.fixtures.moving import drifting
+from gsgen.conformance.fixtures.builders.moving import drifting
 from gsgen.sdk.binding import CaptureOff, FrameSession, NodesOnCpu, RunFailed, warm_up
 
 

@@ -7,15 +7,15 @@ import numpy as np
 import onnx_ir as ir
 import pytest
 
-from gsgen.conformance.fixtures.images import darken
-from gsgen.conformance.fixtures.moving import drifting, looking
+from gsgen.conformance.fixtures.builders.images import darken
+from gsgen.conformance.fixtures.builders.moving import drifting, looking
 from gsgen.contract.errors import LayoutMismatch, UnknownName
-from gsgen.contract.geometry import look_at, perspective
+from gsgen.contract.spec.geometry import look_at, perspective
 from gsgen.sdk.binding import FrameGone, FrameSession, RunFailed
-from gsgen.sdk.binding.bound import Bound
+from gsgen.sdk.binding.bound_session import Bound
 from gsgen.sdk.binding.buffers import DeviceBuffer
+from support.models.small_models import good_rows, moving, save, save_moving
 from support.passes import parsed
-from support.small_models import good_rows, moving, save, save_moving
 
 BOTH = pytest.mark.parametrize("provider", ["cpu", "webgpu"])
 DTYPES = pytest.mark.parametrize("dtype", ["float32", "float16"])
@@ -161,7 +161,7 @@ def test_a_model_without_a_manifest_is_run_by_the_names_of_its_tensors(tmp_path)
 
 
 def test_a_model_without_inputs_is_still(tmp_path, models):
-    from gsgen.conformance.fixtures.clouds import still
+    from gsgen.conformance.fixtures.builders.clouds import still
 
     still(3).write(tmp_path / "a.onnx")
     with FrameSession(tmp_path / "a.onnx", provider="webgpu") as session:

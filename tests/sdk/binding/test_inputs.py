@@ -6,21 +6,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from onnx import parser
 
-from gsgen.conformance.fixtures.moving import driven
+from gsgen.conformance.fixtures.builders.moving import driven
 from gsgen.contract.errors import (
     ConfigInvalid,
     GsgenError,
     ManifestInvalid,
     ModelUnreadable,
 )
-from gsgen.contract.geometry import perspective
-from gsgen.contract.manifest import Input
-from gsgen.contract.model import MANIFEST_KEY
-from gsgen.runtime.camera import Camera
+from gsgen.contract.model.model_file import MANIFEST_KEY
+from gsgen.contract.spec.geometry import perspective
+from gsgen.contract.spec.manifest import Input
+from gsgen.runtime.scene.camera import Camera
 from gsgen.sdk.binding import FrameSession, InputInvalid, RunFailed, SizeUnknown
-from gsgen.sdk.binding.camera import camera_values, pinhole_projection
-from gsgen.sdk.binding.port import Port, default_tensor
-from support.small_models import HEAD, good_rows, moving, save
+from gsgen.sdk.binding.camera_inputs import camera_values, pinhole_projection
+from gsgen.sdk.binding.input_binding import Port, default_tensor
+from support.models.small_models import HEAD, good_rows, moving, save
 
 WAYS = (
     Input("a", "control", shape=(1,), range=(0, 1), default=0.25),

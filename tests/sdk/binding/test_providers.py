@@ -13,12 +13,17 @@ from gsgen.sdk.binding import (
     FrameSession,
     NodesOnCpu,
     ProviderUnavailable,
-    providers,
     warm_up,
-    webgpu,
 )
-from gsgen.sdk.binding.providers import Choice, Opening, choose, installed, open_session
-from gsgen.sdk.binding.webgpu import Adapter, AdapterMissing, find_adapter
+from gsgen.sdk.binding.providers import selection, webgpu
+from gsgen.sdk.binding.providers.selection import (
+    Choice,
+    Opening,
+    choose,
+    installed,
+    open_session,
+)
+from gsgen.sdk.binding.providers.webgpu import Adapter, AdapterMissing, find_adapter
 
 
 def test_without_a_gpu_the_cpu_is_chosen(models):
@@ -31,14 +36,14 @@ def test_without_a_gpu_the_cpu_is_chosen(models):
 
 
 def test_without_the_package_the_cpu_is_chosen(monkeypatch):
-    monkeypatch.setattr(providers, "find_spec", lambda name: None)
+    monkeypatch.setattr(selection, "find_spec", lambda name: None)
     assert choose().reason == "neither CUDA nor onnxruntime-ep-webgpu is installed"
     assert installed() == ["cpu"]
 
 
 def test_a_gpu_is_preferred(monkeypatch):
     gpu = Adapter(None, "Fast Card", "0", hardware=True)
-    monkeypatch.setattr(providers, "find_adapter", lambda: gpu)
+    monkeypatch.setattr(selection, "find_adapter", lambda: gpu)
     chosen = choose()
     assert (chosen.provider, chosen.device, chosen.asked) == ("webgpu", "Fast Card", False)
     assert chosen.reason == "WebGPU has a GPU here: Fast Card"
@@ -48,7 +53,7 @@ def test_without_a_device_the_cpu_is_chosen_unless_webgpu_was_asked_for(monkeypa
     def missing():
         raise AdapterMissing("ONNX Runtime lists no device", "install a driver")
 
-    monkeypatch.setattr(providers, "find_adapter", missing)
+    monkeypatch.setattr(selection, "find_adapter", missing)
     assert choose().reason == "ONNX Runtime lists no device"
     with pytest.raises(ProviderUnavailable) as raised:
         choose("webgpu")
@@ -96,7 +101,7 @@ def test_a_provider_that_fails_gives_way_to_the_cpu_if_nobody_asked_for_it(
 ):
     adapter = find_adapter()
     monkeypatch.setattr(
-        providers,
+        selection,
         "find_adapter",
         lambda: Adapter(adapter.device, "Card", "0", hardware=True),
     )

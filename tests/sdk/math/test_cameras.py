@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from gsgen.contract.geometry import look_at, perspective
-from gsgen.contract.probes import as_tensor
+from gsgen.contract.probing.probes import as_tensor
+from gsgen.contract.spec.geometry import look_at, perspective
 from gsgen.sdk import math
 
 ORDERS = pytest.mark.parametrize("order", ["column", "row"])

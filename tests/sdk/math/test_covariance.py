@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsgen.contract import geometry
+from gsgen.contract.spec import geometry
 from gsgen.sdk import math
 
 

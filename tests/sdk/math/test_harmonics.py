@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsgen.contract.spherical_harmonics import evaluate
+from gsgen.contract.spec.spherical_harmonics import evaluate
 from gsgen.sdk import GeneratorInvalid, math
 
 N = 5

@@ -8,11 +8,11 @@ import onnxruntime
 import pytest
 import torch
 
-from gsgen.contract.config import Settings
-from gsgen.contract.finding import Level, Severity
-from gsgen.contract.report import Report
+from gsgen.contract.spec.severity import Level, Severity
+from gsgen.contract.validation.report import Report
+from gsgen.contract.validation.settings import Settings
 from gsgen.sdk import GaussianGenerator, Gaussians, export, inputs, math
-from support.captured import assert_captured
+from support.models.captured import assert_captured
 
 N, JOINTS = 40, 6
 PARENTS = (-1, 0, 1, 1, 3, 0)

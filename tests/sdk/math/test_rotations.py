@@ -3,7 +3,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from gsgen.contract import geometry
+from gsgen.contract.spec import geometry
 from gsgen.sdk import math
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gsgen.conformance.evidence import Dumps
     from gsgen.conformance.expected import ExpectedFailure
     from gsgen.conformance.summary import Entry
-    from gsgen.contract.config import Settings
+    from gsgen.contract.validation.settings import Settings
 
 
 class Format(StrEnum):
@@ -56,8 +56,8 @@ def conformance(
     from gsgen.conformance.expected import read_expected
     from gsgen.conformance.suite import find_suite
     from gsgen.conformance.summary import exit_code
-    from gsgen.contract.configure import make_settings
-    from gsgen.contract.installed import installed_rules
+    from gsgen.contract.rules.catalogue import installed_rules
+    from gsgen.contract.validation.settings_from_options import make_settings
 
     registry = installed_rules()
     settings = make_settings(
@@ -81,7 +81,7 @@ def _test(
 ) -> "Entry":
     from gsgen.conformance.run import run_model
     from gsgen.contract.commands.progress import progress
-    from gsgen.contract.report import Unreadable
+    from gsgen.contract.validation.report import Unreadable
 
     try:
         return run_model(
@@ -100,7 +100,7 @@ def _print(entries: "list[Entry]", format: Format) -> None:
     from gsgen.conformance.summary import lines_of, to_json
     from gsgen.contract.commands.output import show
     from gsgen.contract.commands.progress import clear
-    from gsgen.contract.report import Unreadable
+    from gsgen.contract.validation.report import Unreadable
 
     clear()
     for entry in entries:

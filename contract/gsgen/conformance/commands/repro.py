@@ -10,7 +10,7 @@ import typer
 from gsgen.contract.commands.options import Config, Memory, Seed, TargetName, Timeout
 
 if TYPE_CHECKING:
-    from gsgen.conformance.repro import Reproduction
+    from gsgen.conformance.reproduction import Reproduction
 
 _UNREADABLE = 4
 _FIELDS = ("x", "y", "z", "opacity", "xx", "xy", "xz", "yy", "yz", "zz")
@@ -38,11 +38,11 @@ def repro(
 
     Exits 1 if the rule is broken, 0 if it holds, 2 if it cannot be judged, 4 if no model.
     """
-    from gsgen.conformance.repro import reproduce
-    from gsgen.contract.configure import make_settings
-    from gsgen.contract.drafts import refuse_model
+    from gsgen.conformance.reproduction import reproduce
     from gsgen.contract.errors import ModelUnreadable
-    from gsgen.contract.installed import installed_rules
+    from gsgen.contract.process.atomic_files import refuse_model
+    from gsgen.contract.rules.catalogue import installed_rules
+    from gsgen.contract.validation.settings_from_options import make_settings
 
     if dump:
         refuse_model(dump, [model])

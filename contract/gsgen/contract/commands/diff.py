@@ -28,7 +28,7 @@ def diff(
 
     Exits 0 if they do not, 1 if they do, 4 if a file is no model.
     """
-    from gsgen.contract.difference import compare_models
+    from gsgen.contract.tools.model_diff import compare_models
 
     try:
         facts, outputs, reason = compare_models(first, second)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.contract.registered import registered
+from gsgen.contract._entry_points import registered
 
 if TYPE_CHECKING:
-    from gsgen.contract.environment import Check
+    from gsgen.contract.tools.doctor import Check
 
 _ORDER = ("contract", "sdk", "runtime")
 _STYLE = {"ok": "green", "missing": "yellow", "broken": "bold red"}
@@ -56,7 +56,7 @@ def _rooms() -> list[EntryPoint]:
 
 
 def _ask(point: EntryPoint) -> "list[Check]":
-    from gsgen.contract.environment import Check
+    from gsgen.contract.tools.doctor import Check
 
     try:
         return list(point.load()())

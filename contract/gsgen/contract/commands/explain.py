@@ -18,8 +18,8 @@ def explain(
     ],
 ) -> None:
     """Say what RULE wants, why, and how to mend a model that breaks it."""
-    from gsgen.contract.installed import installed_rules
-    from gsgen.contract.rule_pages import page
+    from gsgen.contract.reporters.rule_pages import page
+    from gsgen.contract.rules.catalogue import installed_rules
 
     registry = installed_rules()
     found = [registry.find(name) for name in rules]

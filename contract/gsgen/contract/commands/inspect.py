@@ -11,7 +11,7 @@ import typer
 from gsgen.contract.errors import ModelUnreadable
 
 if TYPE_CHECKING:
-    from gsgen.contract.subject import Subject
+    from gsgen.contract.model.inspected_model import Subject
 
 _UNREADABLE = 4
 
@@ -56,8 +56,8 @@ def inspect(
 
 def _schema(kind: str) -> dict[str, object]:
     from gsgen.contract.errors import UnknownName
-    from gsgen.contract.manifest_json import schema_name, schemas
-    from gsgen.contract.roles import KINDS
+    from gsgen.contract.spec.manifest_io import schema_name, schemas
+    from gsgen.contract.spec.roles import KINDS
 
     if kind not in KINDS:
         raise UnknownName.among("kind", kind, KINDS, "--schema")
@@ -65,10 +65,10 @@ def _schema(kind: str) -> dict[str, object]:
 
 
 def _read(model: Path) -> "Subject":
-    from gsgen.contract.model import open_model
-    from gsgen.contract.sandbox import Limits
-    from gsgen.contract.subject import read_subject
-    from gsgen.contract.targets import load_target
+    from gsgen.contract.model.inspected_model import read_subject
+    from gsgen.contract.model.model_file import open_model
+    from gsgen.contract.process.limits import Limits
+    from gsgen.contract.spec.targets import load_target
 
     try:
         return read_subject(open_model(model), load_target("core"), Limits())
@@ -78,7 +78,7 @@ def _read(model: Path) -> "Subject":
 
 
 def _emit(subject: "Subject") -> None:
-    from gsgen.contract.manifest_json import dumps
+    from gsgen.contract.spec.manifest_io import dumps
 
     if subject.parsed is not None and subject.parsed.manifest is None:
         typer.echo(subject.file.manifest_text or "")
@@ -137,7 +137,7 @@ def _show(subject: "Subject") -> None:
     elif subject.manifest is None:
         typer.echo("  the manifest is invalid: see `gsgen validate --level static`")
     else:
-        from gsgen.contract.manifest_json import dumps
+        from gsgen.contract.spec.manifest_io import dumps
 
         typer.echo("  manifest:")
         for line in dumps(subject.manifest).splitlines():

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import typer
 
-from gsgen.contract.drafts import is_device
 from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.process.atomic_files import is_device
 from gsgen.contract.reporters.text import Line
 
 

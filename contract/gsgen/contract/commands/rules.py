@@ -11,7 +11,7 @@ import typer
 from gsgen.contract.errors import UnknownName
 
 if TYPE_CHECKING:
-    from gsgen.contract.rule import Registry, Rule
+    from gsgen.contract.validation.rule import Registry, Rule
 
 
 def rules(
@@ -34,8 +34,8 @@ def rules(
     Exits 2 if no rule has a given word.
     """
     from gsgen.contract.commands.output import write_text
-    from gsgen.contract.installed import installed_rules
-    from gsgen.contract.rule_pages import index, page, to_dict
+    from gsgen.contract.reporters.rule_pages import index, page, to_dict
+    from gsgen.contract.rules.catalogue import installed_rules
 
     registry = installed_rules()
     chosen = _chosen(registry, words) if words else list(registry.rules.values())

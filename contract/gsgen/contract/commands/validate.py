@@ -22,10 +22,10 @@ from gsgen.contract.commands.options import (
 from gsgen.contract.errors import ModelUnreadable
 
 if TYPE_CHECKING:
-    from gsgen.contract.baseline import Baseline
-    from gsgen.contract.config import Settings
-    from gsgen.contract.report import Entry
-    from gsgen.contract.rule import Registry
+    from gsgen.contract.validation.baseline import Baseline
+    from gsgen.contract.validation.report import Entry
+    from gsgen.contract.validation.rule import Registry
+    from gsgen.contract.validation.settings import Settings
 
 _UNREADABLE = 4
 _INTERNAL = 3
@@ -97,9 +97,9 @@ def validate(
 
     Exits 0 if all conform, 1 if not, 2 for wrong options, 3 if a rule crashed, 4 if no model.
     """
-    from gsgen.contract.configure import make_settings
-    from gsgen.contract.drafts import refuse_model
-    from gsgen.contract.installed import installed_rules
+    from gsgen.contract.process.atomic_files import refuse_model
+    from gsgen.contract.rules.catalogue import installed_rules
+    from gsgen.contract.validation.settings_from_options import make_settings
 
     if output:
         refuse_model(output, models)
@@ -124,7 +124,7 @@ def validate(
 
 
 def _baseline(path: Path) -> "Baseline":
-    from gsgen.contract.baseline import read_baseline
+    from gsgen.contract.validation.baseline import read_baseline
 
     return read_baseline(path)
 
@@ -133,8 +133,8 @@ def _judge(
     model: Path, settings: "Settings", registry: "Registry", known: "Baseline | None"
 ) -> "Entry":
     from gsgen.contract.commands.progress import progress
-    from gsgen.contract.engine import validate as judge
-    from gsgen.contract.report import Unreadable
+    from gsgen.contract.validation.report import Unreadable
+    from gsgen.contract.validator import validate as judge
 
     try:
         report = judge(model, settings, registry=registry, progress=progress)
@@ -152,7 +152,7 @@ def _print(
 ) -> None:
     from gsgen.contract.commands.output import show, write_text
     from gsgen.contract.commands.progress import clear
-    from gsgen.contract.report import Unreadable
+    from gsgen.contract.validation.report import Unreadable
 
     clear()
     for entry in entries:
@@ -191,7 +191,7 @@ def _summarise(entries: "list[Entry]") -> None:
 
 
 def _exit_code(entries: "list[Entry]") -> int:
-    from gsgen.contract.report import Report, exit_code
+    from gsgen.contract.validation.report import Report, exit_code
 
     reports = [entry for entry in entries if isinstance(entry, Report)]
     code = exit_code(reports)

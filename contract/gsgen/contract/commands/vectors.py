@@ -13,7 +13,7 @@ import typer
 from gsgen.contract.commands.options import Config, Memory, Timeout
 
 if TYPE_CHECKING:
-    from gsgen.contract.vector_files import Recorded
+    from gsgen.contract.tools.test_vector_files import Recorded
 
 
 def vectors(
@@ -57,9 +57,9 @@ def vectors(
     be or an option is wrong, 4 if no model.
     """
     from gsgen.contract.commands.progress import clear, progress
-    from gsgen.contract.configure import make_settings
-    from gsgen.contract.installed import installed_rules
-    from gsgen.contract.vector_files import record_vectors
+    from gsgen.contract.rules.catalogue import installed_rules
+    from gsgen.contract.tools.test_vector_files import record_vectors
+    from gsgen.contract.validation.settings_from_options import make_settings
 
     settings = make_settings(
         installed_rules(), config=config, timeout=timeout, memory=memory

@@ -9,8 +9,8 @@ __all__ = ["SCHEMA", "SCHEMA_FILE", "Document", "schema"]
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from gsgen.contract.schema import schema_of
-from gsgen.contract.schema_hints import Hint
+from gsgen.contract.spec.json_schema import schema_of
+from gsgen.contract.spec.schema_text import Hint
 
 SCHEMA = "gsgen-report/1"
 SCHEMA_FILE = "report-1.schema.json"

@@ -4,9 +4,10 @@ __all__ = ["to_github"]
 
 from collections.abc import Sequence
 
-from gsgen.contract.finding import Finding, Severity
-from gsgen.contract.report import Entry, Unreadable
 from gsgen.contract.reporters.summary import printable, several, verdict
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Finding
+from gsgen.contract.validation.report import Entry, Unreadable
 
 _COMMANDS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: "notice"}
 

@@ -8,9 +8,9 @@ __all__ = ["to_junit"]
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from gsgen.contract.finding import Finding
-from gsgen.contract.report import Entry, Outcome, Report, Unreadable
 from gsgen.contract.reporters.summary import printable
+from gsgen.contract.validation.finding import Finding
+from gsgen.contract.validation.report import Entry, Outcome, Report, Unreadable
 
 _COUNTED = ("failure", "error", "skipped")
 

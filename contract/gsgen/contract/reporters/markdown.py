@@ -9,8 +9,6 @@ import re
 from collections.abc import Sequence
 from itertools import groupby
 
-from gsgen.contract.finding import Finding
-from gsgen.contract.report import Entry, Report, Unreadable
 from gsgen.contract.reporters.summary import (
     plural,
     printable,
@@ -18,6 +16,8 @@ from gsgen.contract.reporters.summary import (
     verdict,
     verdict_word,
 )
+from gsgen.contract.validation.finding import Finding
+from gsgen.contract.validation.report import Entry, Report, Unreadable
 
 _SIGNS = {"conforms": "✅", "invalid": "❌", "internal-error": "💥"}
 _UNREADABLE = "⛔"

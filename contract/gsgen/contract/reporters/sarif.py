@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from gsgen.contract.finding import Finding, Severity
-from gsgen.contract.report import Entry, Report, Unreadable
 from gsgen.contract.reporters.summary import printable
-from gsgen.contract.rule import Rule
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Finding
+from gsgen.contract.validation.report import Entry, Report, Unreadable
+from gsgen.contract.validation.rule import Rule
 
 _SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 _LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: "note"}

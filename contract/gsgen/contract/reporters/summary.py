@@ -5,8 +5,8 @@ __all__ = ["plural", "printable", "several", "verdict", "verdict_word"]
 from collections import Counter
 from collections.abc import Sequence
 
-from gsgen.contract.finding import Severity
-from gsgen.contract.report import Entry, Report, Unreadable
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.report import Entry, Report, Unreadable
 
 _CRASHED = "a rule crashed, no verdict"
 

@@ -7,9 +7,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from gsgen.contract.finding import Finding, Severity
-from gsgen.contract.report import Cause, Entry, Report
 from gsgen.contract.reporters.summary import plural, printable, several, verdict
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Finding
+from gsgen.contract.validation.report import Cause, Entry, Report
 
 _STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
 _VERDICT_STYLE = {"conforms": "bold green"}

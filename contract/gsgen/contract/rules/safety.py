@@ -3,15 +3,16 @@
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
-from gsgen.contract.behaviour import Trial
-from gsgen.contract.finding import Breach, Severity
-from gsgen.contract.model import ExternalRef
-from gsgen.contract.plan import probed_bytes, probed_shapes
-from gsgen.contract.roles import KINDS
-from gsgen.contract.rule import rule
-from gsgen.contract.rules.gates import RUNNABLE
-from gsgen.contract.rules.limits import tensor_bytes
-from gsgen.contract.subject import Subject
+from gsgen.contract.model.graph import tensor_bytes
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.model_file import ExternalRef
+from gsgen.contract.probing.probe_plan import probed_bytes, probed_shapes
+from gsgen.contract.probing.run_comparison import Trial
+from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.gates import RUNNABLE
+from gsgen.contract.validation.rule import rule
 
 _MOST_ELEMENTS = 1 << 40
 _MIB = 1 << 20

@@ -2,10 +2,11 @@
 
 from collections.abc import Iterator
 
-from gsgen.contract.finding import Breach, Severity
-from gsgen.contract.roles import KINDS
-from gsgen.contract.rule import rule
-from gsgen.contract.waivers import Review
+from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.rule import rule
+from gsgen.contract.validation.waivers import Review
 
 
 @rule(

@@ -4,7 +4,7 @@ __all__ = ["AutoencoderOptions", "UNetOptions", "VectorOptions"]
 
 from dataclasses import dataclass
 
-from gsgen.reference_plugins.checkpoints.model_config import ModelConfig
+from gsgen.reference_plugins.diffusion.model_config import ModelConfig
 
 _DOWN = {"DownBlock2D": "", "AttnDownBlock2D": "image", "CrossAttnDownBlock2D": "context"}
 _UP = {"UpBlock2D": "", "AttnUpBlock2D": "image", "CrossAttnUpBlock2D": "context"}

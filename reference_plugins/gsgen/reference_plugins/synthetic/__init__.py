@@ -5,7 +5,7 @@ The writers of checkpoints need torch; they are loaded when first used.
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract.lazy import attributes
+from gsgen.contract._lazy import attributes
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.synthetic.anchors import (

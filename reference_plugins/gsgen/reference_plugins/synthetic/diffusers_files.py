@@ -9,8 +9,8 @@ from typing import Any, Final
 
 from torch import nn
 
-from gsgen.reference_plugins.checkpoints.model_config import ModelConfig
-from gsgen.reference_plugins.checkpoints.safetensors import write_safetensors
+from gsgen.reference_plugins.diffusion.model_config import ModelConfig
+from gsgen.reference_plugins.loading.safetensors import write_safetensors
 
 SCHEDULE: Final[Mapping[str, Any]] = {
     "_class_name": "DDPMScheduler",

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.reference_plugins.diffusion.unet import UNet
-from gsgen.reference_plugins.stylise import Stylise
+from gsgen.reference_plugins.images.stylise import Stylise
 
 _RGB = 3
 _LIMIT = 1.2  # standard deviations of fine detail; more than that is an edge, and stays

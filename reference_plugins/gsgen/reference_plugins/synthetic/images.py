@@ -13,7 +13,7 @@ from torch import nn
 from gsgen.reference_plugins.diffusion.autoencoder import Autoencoder
 from gsgen.reference_plugins.diffusion.options import AutoencoderOptions, UNetOptions
 from gsgen.reference_plugins.diffusion.unet import UNet
-from gsgen.reference_plugins.stylise import Stylise, StyliseOptions
+from gsgen.reference_plugins.images.stylise import Stylise, StyliseOptions
 from gsgen.reference_plugins.synthetic.diffusers_files import (
     config_of,
     write_network,

@@ -4,7 +4,7 @@ __all__ = ["torus_knot"]
 
 import numpy as np
 
-from gsgen.contract.spherical_harmonics import basis, coefficients
+from gsgen.contract.spec.spherical_harmonics import basis, coefficients
 from gsgen.formats import Splats
 
 _C0 = 0.28209479177387814

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from gsgen.formats import write_ply
-from gsgen.reference_plugins.checkpoints.hexplanes import HEADS
+from gsgen.reference_plugins.deformation.hexplane_checkpoint import HEADS
 from gsgen.reference_plugins.synthetic.files import write_cfg_args
 from gsgen.reference_plugins.synthetic.knot import torus_knot
 

@@ -19,8 +19,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from gsgen.formats import Splats, write_ply
-from gsgen.reference_plugins.avatars.rest import big_pose, posed_vertices
-from gsgen.reference_plugins.checkpoints.bodies import Body, read_body
+from gsgen.reference_plugins.bodies.body_models import Body, read_body
+from gsgen.reference_plugins.bodies.rest_pose import big_pose, posed_vertices
 from gsgen.reference_plugins.synthetic.body import (
     PersonOptions,
     arrays_of,

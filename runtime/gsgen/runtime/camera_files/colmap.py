@@ -16,10 +16,10 @@ import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.camera import Camera
 from gsgen.runtime.camera_files.colmap_models import PINHOLES, parameters
 from gsgen.runtime.camera_files.fields import made_camera
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
+from gsgen.runtime.scene.camera import Camera
 
 FOLDERS: Final = ("", "sparse/0", "sparse", "colmap/sparse/0", "0")
 """Where a model may lie in the folder of a data set."""

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.camera import Camera
 from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.scene.camera import Camera
 
 
 def number(made: Mapping[str, Any], name: str, where: str) -> float:

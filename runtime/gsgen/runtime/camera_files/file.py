@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 from typing import Final, final
 
 from gsgen.contract.errors import ConfigInvalid, UnknownName
-from gsgen.runtime.camera import Camera
+from gsgen.runtime.scene.camera import Camera
 
 _SHOWN: Final = 8  # names that an error lists
 _SLICE: Final = re.compile(r"(-?\d*):(-?\d*)(?::(-?\d*))?")

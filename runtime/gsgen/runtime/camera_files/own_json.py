@@ -3,10 +3,10 @@
 __all__ = ["is_own", "read_own"]
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.camera import Camera
 from gsgen.runtime.camera_files.fields import text
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.scene.camera import Camera
 
 
 def is_own(made: object) -> bool:

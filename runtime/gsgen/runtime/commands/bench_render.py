@@ -21,7 +21,7 @@ from gsgen.runtime.commands.options import (
 )
 
 if TYPE_CHECKING:
-    from gsgen.runtime.frame_cost import FrameCost, Span
+    from gsgen.runtime.playback.frame_cost import FrameCost, Span
 
 _CIRCLE = 360.0  # so that models that look at the camera have something to compute
 _MILLI = 1000
@@ -56,12 +56,12 @@ def bench_render(
     """
     from gsgen.contract.commands.output import write_text
     from gsgen.contract.commands.progress import clear, progress
-    from gsgen.contract.drafts import refuse_model
+    from gsgen.contract.process.atomic_files import refuse_model
     from gsgen.runtime.commands.opening import opened, scene_files
-    from gsgen.runtime.film import Film
-    from gsgen.runtime.frame_cost import measure
-    from gsgen.runtime.renderer import Renderer
-    from gsgen.runtime.scene_view import scene_view
+    from gsgen.runtime.playback.frame_cost import measure
+    from gsgen.runtime.playback.frame_sequence import Film
+    from gsgen.runtime.playback.scene_camera import scene_view
+    from gsgen.runtime.renderer.renderer import Renderer
     from gsgen.sdk.commands.sizes import sizes_of
 
     if output is not None:

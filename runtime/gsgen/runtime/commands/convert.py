@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gsgen.contract.drafts import refuse_itself
 from gsgen.contract.errors import ConfigInvalid, UnknownName
+from gsgen.contract.process.atomic_files import refuse_itself
 
 if TYPE_CHECKING:
     from gsgen.formats.codecs import Codec

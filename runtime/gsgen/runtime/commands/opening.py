@@ -13,9 +13,9 @@ import typer
 from gsgen.contract.errors import ModelUnreadable, UnknownName
 
 if TYPE_CHECKING:
-    from gsgen.runtime.post import PostProcessor
-    from gsgen.runtime.scene_file import SceneFile
-    from gsgen.runtime.sources import Source
+    from gsgen.runtime.playback.post_process import PostProcessor
+    from gsgen.runtime.sources.scene_file import SceneFile
+    from gsgen.runtime.sources.source import Source
 
 _UNREADABLE = 4
 
@@ -28,7 +28,7 @@ def scene_files(scenes: Sequence[Path]) -> "dict[Path, SceneFile]":
         GsgenError: One says something that cannot be meant.
     """
     from gsgen.runtime.errors import SceneUnreadable
-    from gsgen.runtime.scene_file import is_scene_file, read_scene
+    from gsgen.runtime.sources.scene_file import is_scene_file, read_scene
 
     try:
         return {path: read_scene(path) for path in scenes if is_scene_file(path)}
@@ -58,9 +58,9 @@ def opened(
         GsgenError: A model is of another kind, or does not run.
     """
     from gsgen.runtime.errors import SceneUnreadable
-    from gsgen.runtime.post import PostProcessor
-    from gsgen.runtime.scene_file import open_scene
-    from gsgen.runtime.sources import open_source
+    from gsgen.runtime.playback.post_process import PostProcessor
+    from gsgen.runtime.sources.scene_file import open_scene
+    from gsgen.runtime.sources.source import open_source
 
     files = scene_files(scenes)
     named = [model.path for file in files.values() for model in file.models]
@@ -107,7 +107,7 @@ def _sizes_of_each(
     """
     if not sizes:
         return {}
-    from gsgen.sdk.binding.sources import read_sources
+    from gsgen.sdk.binding.model_facts import read_sources
 
     models = [path for path in paths if path.suffix.lower() == ".onnx"]
     opened = {

@@ -13,7 +13,7 @@ import typer
 from gsgen.contract.commands.options import Config, Memory, Timeout
 
 if TYPE_CHECKING:
-    from gsgen.runtime.reference_files import References
+    from gsgen.runtime.checks.reference_recording import References
 
 
 def references(
@@ -70,9 +70,9 @@ def references(
     if they cannot be or an option is wrong, 4 if no model.
     """
     from gsgen.contract.commands.progress import clear, progress
-    from gsgen.contract.configure import make_settings
-    from gsgen.contract.installed import installed_rules
-    from gsgen.runtime.reference_files import record_references
+    from gsgen.contract.rules.catalogue import installed_rules
+    from gsgen.contract.validation.settings_from_options import make_settings
+    from gsgen.runtime.checks.reference_recording import record_references
 
     settings = make_settings(
         installed_rules(), config=config, timeout=timeout, memory=memory

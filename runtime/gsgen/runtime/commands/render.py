@@ -27,11 +27,11 @@ from gsgen.runtime.commands.options import (
 )
 
 if TYPE_CHECKING:
-    from gsgen.runtime.film import Film
-    from gsgen.runtime.pictures import Mode
-    from gsgen.runtime.scene_file import SceneFile
-    from gsgen.runtime.sources import Source
-    from gsgen.runtime.tracks import Track
+    from gsgen.runtime.media.pictures import Mode
+    from gsgen.runtime.playback.frame_sequence import Film
+    from gsgen.runtime.playback.input_tracks import Track
+    from gsgen.runtime.sources.scene_file import SceneFile
+    from gsgen.runtime.sources.source import Source
 
 
 class ModeName(StrEnum):
@@ -162,9 +162,9 @@ def render(
     """
     from gsgen.contract.commands.progress import clear, progress
     from gsgen.runtime.commands.opening import opened, scene_files
-    from gsgen.runtime.film import Film
-    from gsgen.runtime.renderer import Renderer
-    from gsgen.runtime.scene_view import scene_view
+    from gsgen.runtime.playback.frame_sequence import Film
+    from gsgen.runtime.playback.scene_camera import scene_view
+    from gsgen.runtime.renderer.renderer import Renderer
     from gsgen.sdk.commands.sizes import sizes_of
 
     files = list(scene_files(scenes).values())
@@ -207,8 +207,8 @@ def fed(
     poses: list[str] | None, inputs: list[str] | None, sources: "list[Source]"
 ) -> "tuple[list[Track], float | None]":
     """Return what inputs are fed, and frames a second if a file of poses says so."""
-    from gsgen.runtime.motion import named_file, pose_tracks
-    from gsgen.runtime.tracks import input_track
+    from gsgen.runtime.playback.input_tracks import input_track
+    from gsgen.runtime.playback.pose_tracks import named_file, pose_tracks
 
     tracks: list[Track] = []
     fps: float | None = None
@@ -236,8 +236,8 @@ def _require_sums(sources: "list[Source]") -> None:
 def _background(
     text: str | None, output: Path, files: "list[SceneFile]"
 ) -> tuple[float, float, float, float]:
-    from gsgen.runtime.colors import color_of
-    from gsgen.runtime.scene_view import told
+    from gsgen.runtime.playback.scene_camera import told
+    from gsgen.runtime.scene.colors import color_of
 
     if text is None and told(files, "background") is not None:
         return cast("tuple[float, float, float, float]", told(files, "background"))
@@ -250,7 +250,7 @@ def _of_transparency(
     output: Path, behind: tuple[float, float, float, float], mode: "Mode"
 ) -> list[str]:
     """Say what becomes of a background that can be seen through, where the format cannot."""
-    from gsgen.runtime.pictures import OPAQUE
+    from gsgen.runtime.media.pictures import OPAQUE
 
     suffix = output.suffix.lower()
     if behind[3] == 1 or mode != "color":

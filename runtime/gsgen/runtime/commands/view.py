@@ -24,7 +24,7 @@ from gsgen.runtime.commands.options import (
 from gsgen.runtime.commands.render import ModeName, fed
 
 if TYPE_CHECKING:
-    from gsgen.runtime.stage import Stage
+    from gsgen.runtime.viewer.live_playback import Stage
 
 
 def view(
@@ -111,14 +111,14 @@ def view(
 
     Exits 0 when it is closed, 2 for wrong options or where there is no screen, 4 if a scene cannot be read.
     """
-    from gsgen.runtime.colors import color_of
     from gsgen.runtime.commands.opening import opened, scene_files
     from gsgen.runtime.errors import DisplayUnavailable
-    from gsgen.runtime.painter import Painter
-    from gsgen.runtime.scene_view import scene_view, told
-    from gsgen.runtime.stage import Stage
-    from gsgen.runtime.viewer import Viewer
-    from gsgen.runtime.window import open_window, require_display
+    from gsgen.runtime.playback.scene_camera import scene_view, told
+    from gsgen.runtime.scene.colors import color_of
+    from gsgen.runtime.viewer.live_playback import Stage
+    from gsgen.runtime.viewer.surface_renderer import Painter
+    from gsgen.runtime.viewer.viewer import Viewer
+    from gsgen.runtime.viewer.window import open_window, require_display
     from gsgen.sdk.commands.sizes import sizes_of
 
     try:
@@ -173,8 +173,8 @@ def _title(scenes: Sequence[Path]) -> str:
 
 def _reopener(play: bool) -> "Callable[[Sequence[Path]], Stage]":
     """Return what opens files that are dropped on the window."""
-    from gsgen.runtime.scene_source import sources_of
-    from gsgen.runtime.stage import Stage
+    from gsgen.runtime.sources.scene_source import sources_of
+    from gsgen.runtime.viewer.live_playback import Stage
 
     def reopen(paths: Sequence[Path]) -> Stage:
         stage = Stage(sources_of(list(paths)))

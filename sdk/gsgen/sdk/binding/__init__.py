@@ -5,11 +5,13 @@ Needs numpy and ONNX Runtime, never torch. The names below are loaded when first
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract.lazy import attributes
+from gsgen.contract._lazy import attributes
 
 if TYPE_CHECKING:
-    from gsgen.sdk.binding.camera import CameraLike, Pinhole
-    from gsgen.sdk.binding.errors import (
+    from gsgen.sdk.binding.camera_inputs import CameraLike, Pinhole
+    from gsgen.sdk.binding.frame import Frame
+    from gsgen.sdk.binding.providers.cancellation import Stop
+    from gsgen.sdk.binding.providers.errors import (
         CaptureOff,
         FrameGone,
         InputInvalid,
@@ -19,9 +21,7 @@ if TYPE_CHECKING:
         SessionClosed,
         SizeUnknown,
     )
-    from gsgen.sdk.binding.frame import Frame
     from gsgen.sdk.binding.session import FrameSession
-    from gsgen.sdk.binding.stop import Stop
 
 __all__ = [
     "CameraLike",
@@ -40,19 +40,19 @@ __all__ = [
 ]
 
 _HOME = {
-    "CameraLike": "camera",
-    "CaptureOff": "errors",
+    "CameraLike": "camera_inputs",
+    "CaptureOff": "providers.errors",
     "Frame": "frame",
-    "FrameGone": "errors",
+    "FrameGone": "providers.errors",
     "FrameSession": "session",
-    "InputInvalid": "errors",
-    "NodesOnCpu": "errors",
-    "Pinhole": "camera",
-    "ProviderUnavailable": "errors",
-    "RunFailed": "errors",
-    "SessionClosed": "errors",
-    "SizeUnknown": "errors",
-    "Stop": "stop",
+    "InputInvalid": "providers.errors",
+    "NodesOnCpu": "providers.errors",
+    "Pinhole": "camera_inputs",
+    "ProviderUnavailable": "providers.errors",
+    "RunFailed": "providers.errors",
+    "SessionClosed": "providers.errors",
+    "SizeUnknown": "providers.errors",
+    "Stop": "providers.cancellation",
 }
 
 __getattr__ = attributes(__name__, _HOME)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gsgen.contract.errors import LayoutMismatch, UnknownName
-from gsgen.contract.layout import Gaussians, decode
-from gsgen.contract.manifest import GeneratorManifest, GeneratorOutputs
+from gsgen.contract.spec.layout import Gaussians, decode
+from gsgen.contract.spec.manifest import GeneratorManifest, GeneratorOutputs
 
 if TYPE_CHECKING:
     from gsgen.sdk.binding.session import FrameSession

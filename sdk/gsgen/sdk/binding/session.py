@@ -16,24 +16,24 @@ from typing import Any, Self
 import numpy as np
 
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.manifest import Manifest
-from gsgen.sdk.binding.bound import failed
+from gsgen.contract.spec.manifest import Manifest
+from gsgen.sdk.binding.bound_session import failed
 from gsgen.sdk.binding.buffers import Buffer
-from gsgen.sdk.binding.camera import Camera, camera_values
-from gsgen.sdk.binding.errors import (
+from gsgen.sdk.binding.camera_inputs import Camera, camera_values
+from gsgen.sdk.binding.frame import Frame
+from gsgen.sdk.binding.input_binding import Port
+from gsgen.sdk.binding.input_names import Names
+from gsgen.sdk.binding.model_facts import read_sources
+from gsgen.sdk.binding.providers.cancellation import Stop
+from gsgen.sdk.binding.providers.errors import (
     CaptureOff,
     FrameGone,
     InputInvalid,
     NodesOnCpu,
     SessionClosed,
 )
-from gsgen.sdk.binding.frame import Frame
-from gsgen.sdk.binding.names import Names
-from gsgen.sdk.binding.placed import CPU, Node
-from gsgen.sdk.binding.port import Port
-from gsgen.sdk.binding.providers import Choice, Opening, Provider, choose
-from gsgen.sdk.binding.sources import read_sources
-from gsgen.sdk.binding.stop import Stop
+from gsgen.sdk.binding.providers.node_placement import CPU, Node
+from gsgen.sdk.binding.providers.selection import Choice, Opening, Provider, choose
 from gsgen.sdk.binding.warm_up import Ready, get_ready
 
 # All sessions on WebGPU share one device, which is not made for several threads.

@@ -11,12 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from gsgen.contract.errors import GsgenError
-from gsgen.sdk.binding.bound import Bound, failed, specs
-from gsgen.sdk.binding.placed import CPU, Node, placement, words
-from gsgen.sdk.binding.port import Port
-from gsgen.sdk.binding.providers import MEMORY, Choice, Opening, open_session
-from gsgen.sdk.binding.replay import Outputs, wrong_outputs
-from gsgen.sdk.binding.sources import Sources, Tensors
+from gsgen.sdk.binding.bound_session import Bound, failed, specs
+from gsgen.sdk.binding.input_binding import Port
+from gsgen.sdk.binding.model_facts import Sources, Tensors
+from gsgen.sdk.binding.providers.node_placement import CPU, Node, placement, words
+from gsgen.sdk.binding.providers.selection import MEMORY, Choice, Opening, open_session
+from gsgen.sdk.binding.replay_check import Outputs, wrong_outputs
 
 _CONTROL_FLOW = frozenset({"If", "Loop", "Scan"})
 

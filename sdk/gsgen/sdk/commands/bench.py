@@ -13,7 +13,7 @@ import typer
 from gsgen.contract.errors import ModelUnreadable
 
 if TYPE_CHECKING:
-    from gsgen.sdk.binding.timing import Timed
+    from gsgen.sdk.binding.benchmark import Timed
 
 _UNREADABLE = 4
 _MILLION = 1e6
@@ -64,8 +64,8 @@ def bench(
     Exits 0 if all were measured, 1 if one failed or crashed, or is not here and was asked for.
     """
     from gsgen.contract.commands.output import write_text
-    from gsgen.contract.drafts import refuse_model
-    from gsgen.sdk.binding.providers import installed
+    from gsgen.contract.process.atomic_files import refuse_model
+    from gsgen.sdk.binding.providers.selection import installed
     from gsgen.sdk.commands.sizes import sizes_of
 
     if output is not None:
@@ -88,7 +88,7 @@ def bench(
 
 def _need_models(models: list[Path]) -> None:
     """Refuse what is no model before minutes are spent on the others."""
-    from gsgen.contract.model import open_model
+    from gsgen.contract.model.model_file import open_model
 
     try:
         for model in models:
@@ -109,7 +109,7 @@ def _measure(
     from rich.console import Console
     from rich.progress import Progress
 
-    from gsgen.sdk.binding.timing import time_frames
+    from gsgen.sdk.binding.benchmark import time_frames
 
     results = []
     with Progress(console=Console(stderr=True), transient=True) as progress:

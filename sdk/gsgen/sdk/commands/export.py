@@ -9,11 +9,11 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from gsgen.cli.commands import escaped
+from gsgen.contract._extensions import escaped
 from gsgen.contract.errors import GsgenError, UnknownName
-from gsgen.sdk.export_request import with_common_options
-from gsgen.sdk.factory import is_target
-from gsgen.sdk.plugin import Plugin, find_plugins
+from gsgen.sdk.plugins.export_options import with_common_options
+from gsgen.sdk.plugins.factory import is_target
+from gsgen.sdk.plugins.plugin import Plugin, find_plugins
 
 _HELP = """Export a Gaussian Generator from your torch module, or from the files of a method.
 
@@ -73,13 +73,13 @@ def _command_for(target: str, *, wants_help: bool) -> Any:
     )
 
     def build(arg: Annotated[list[str] | None, entry] = None) -> Any:
-        from gsgen.sdk.factory import load_factory
+        from gsgen.sdk.plugins.factory import load_factory
 
         factory = load_factory(target)
         return factory.build(factory.arguments(arg or []))
 
     def run(made: Any, request: Any) -> None:
-        from gsgen.sdk.export_job import run_export
+        from gsgen.sdk.plugins.export_job import run_export
 
         run_export(made, request, target)
 
@@ -94,7 +94,7 @@ def _command_for(target: str, *, wants_help: bool) -> Any:
 
 def _described(target: str) -> str:
     """Say which arguments the factory takes."""
-    from gsgen.sdk.factory import load_factory
+    from gsgen.sdk.plugins.factory import load_factory
 
     parameters = load_factory(target).parameters.values()
     if not parameters:

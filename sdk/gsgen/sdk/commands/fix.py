@@ -12,8 +12,8 @@ import typer
 from gsgen.contract.errors import ConfigInvalid, GsgenError, ModelUnreadable
 
 if TYPE_CHECKING:
-    from gsgen.contract.manifest import GeneratorManifest
-    from gsgen.sdk.repair import Repaired
+    from gsgen.contract.spec.manifest import GeneratorManifest
+    from gsgen.sdk.exporting.repair import Repaired
 
 _UNREADABLE = 4
 
@@ -58,7 +58,7 @@ def fix(
     from gsgen.contract.reporters.text import render
     from gsgen.sdk.commands.copies import copy_of
     from gsgen.sdk.commands.sizes import sizes_of
-    from gsgen.sdk.repair import Request, repair
+    from gsgen.sdk.exporting.repair import Request, repair
 
     output = copy_of(output, dry_run)
     request = Request(
@@ -87,7 +87,7 @@ def fix(
 
 
 def _document(done: "Repaired", output: Path | None) -> dict[str, object]:
-    from gsgen.contract.reporters.machine import to_dict
+    from gsgen.contract.reporters.json_report import to_dict
 
     return {
         "path": str(output) if output else None,
@@ -98,8 +98,8 @@ def _document(done: "Repaired", output: Path | None) -> dict[str, object]:
 
 
 def _manifest(path: Path) -> "GeneratorManifest":
-    from gsgen.contract.manifest import GeneratorManifest
-    from gsgen.contract.manifest_json import loads
+    from gsgen.contract.spec.manifest import GeneratorManifest
+    from gsgen.contract.spec.manifest_io import loads
 
     try:
         made = loads(path.read_text("utf-8"))

@@ -15,7 +15,7 @@ from gsgen.contract.errors import ConfigInvalid, GsgenError, ModelUnreadable
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from gsgen.sdk.float16 import Halved
+    from gsgen.sdk.float16.convert_model import Halved
 
 _UNREADABLE = 4
 _SHOWN = 6
@@ -47,9 +47,9 @@ def float16(
     Exits 0 if the copy keeps the tolerances, 1 if none does (then nothing is written), 4 if MODEL
     is no model.
     """
-    from gsgen.contract.sandbox import Limits
+    from gsgen.contract.process.limits import Limits
     from gsgen.sdk.commands.copies import copy_of
-    from gsgen.sdk.float16 import write_float16
+    from gsgen.sdk.float16.convert_model import write_float16
 
     output = copy_of(output, dry_run)
     try:

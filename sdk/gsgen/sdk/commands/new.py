@@ -21,7 +21,7 @@ def new(
 
     Exits 0 if it was written, 2 if the name cannot be used or something stands there.
     """
-    from gsgen.sdk.scaffold import scaffold
+    from gsgen.sdk.plugins.plugin_template import scaffold
 
     made = scaffold(name, into)
     for file in made.files:

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from gsgen.cli.commands import Command
+from gsgen.contract._extensions import Command
 from gsgen.contract.errors import UnknownName
-from gsgen.sdk.plugin import Plugin, find_plugins
+from gsgen.sdk.plugins.plugin import Plugin, find_plugins
 
 
 def plugins(

@@ -15,7 +15,7 @@ from gsgen.contract.errors import ConfigInvalid, GsgenError, ModelUnreadable
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from gsgen.sdk.rewrite import Change, Rewritten
+    from gsgen.sdk.rewriting.rewrite import Change, Rewritten
 
 _UNREADABLE = 4
 _SHOWN = 4
@@ -66,10 +66,10 @@ def rewrite(
 
     Exits 0 if it does, 1 if it would not (then nothing is written), 4 if MODEL is no model.
     """
-    from gsgen.contract.targets import load_target
+    from gsgen.contract.spec.targets import load_target
     from gsgen.sdk.commands.copies import copy_of
     from gsgen.sdk.commands.sizes import sizes_of
-    from gsgen.sdk.rewrite import rewrite_file
+    from gsgen.sdk.rewriting.rewrite import rewrite_file
 
     chosen = load_target(target)
     if listed:
@@ -117,8 +117,8 @@ def _split(names: list[str] | None) -> list[str]:
 
 
 def _list(target: str, as_json: bool) -> None:
-    from gsgen.contract.targets import load_target
-    from gsgen.sdk.passes.base import Goal
+    from gsgen.contract.spec.targets import load_target
+    from gsgen.sdk.passes.framework.base import Goal
     from gsgen.sdk.passes.registry import REWRITES
 
     goal = Goal.of(load_target(target))

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gsgen.contract.spherical_harmonics import COEFFICIENTS, MAX_DEGREE, coefficients
+from gsgen.contract.spec.spherical_harmonics import COEFFICIENTS, MAX_DEGREE, coefficients
 from gsgen.sdk.errors import GeneratorInvalid
 
 # The constant basis function, ½ √(1/π).

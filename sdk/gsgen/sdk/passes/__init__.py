@@ -12,8 +12,9 @@ __all__ = [
     "SilencePadding",
 ]
 
-from gsgen.sdk.passes.end_outputs_on_compute import EndOutputsOnCompute
-from gsgen.sdk.passes.multiply_matrices import MultiplyMatrices
+from gsgen.sdk.passes.lowering.multiply_matrices import MultiplyMatrices
+from gsgen.sdk.passes.lowering.round_by_floor import RoundByFloor
+from gsgen.sdk.passes.portability.end_outputs_on_compute import EndOutputsOnCompute
 from gsgen.sdk.passes.repairs import (
     CastCount,
     PadColor,
@@ -22,4 +23,3 @@ from gsgen.sdk.passes.repairs import (
     ReorderHarmonics,
     SilencePadding,
 )
-from gsgen.sdk.passes.round_by_floor import RoundByFloor

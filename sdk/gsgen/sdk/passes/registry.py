@@ -9,40 +9,40 @@ __all__ = ["REWRITES", "find_rewrites"]
 from collections.abc import Sequence
 
 from gsgen.contract.errors import UnknownName
-from gsgen.sdk.passes.arithmetic_masks import ArithmeticMasks
-from gsgen.sdk.passes.base import Goal, Rewrite
-from gsgen.sdk.passes.chunk_concat import ChunkConcat
-from gsgen.sdk.passes.chunk_split import ChunkSplit
-from gsgen.sdk.passes.clip_before_cast import ClipBeforeCast
-from gsgen.sdk.passes.drop_idle_operators import DropIdleOperators
-from gsgen.sdk.passes.end_outputs_on_compute import EndOutputsOnCompute
-from gsgen.sdk.passes.fold_shapes import FoldShapes
-from gsgen.sdk.passes.freeze_dimensions import FreezeDimensions
-from gsgen.sdk.passes.gather_scatters import GatherScatters
-from gsgen.sdk.passes.gather_slices import GatherSlices
-from gsgen.sdk.passes.lower_opset import LowerOpset
-from gsgen.sdk.passes.mask_rows import MaskRows
-from gsgen.sdk.passes.merge_casts import MergeCasts
-from gsgen.sdk.passes.merge_reshapes import MergeReshapes
-from gsgen.sdk.passes.merge_transposes import MergeTransposes
-from gsgen.sdk.passes.multiply_matrices import MultiplyMatrices
-from gsgen.sdk.passes.narrow_integers import NarrowIntegers
-from gsgen.sdk.passes.pick_parts import PickParts
-from gsgen.sdk.passes.restore_guards import RestoreGuards
-from gsgen.sdk.passes.round_by_floor import RoundByFloor
-from gsgen.sdk.passes.sample_by_gather import SampleByGather
-from gsgen.sdk.passes.sample_by_product import SampleByProduct
-from gsgen.sdk.passes.select_extremes import SelectExtremes
-from gsgen.sdk.passes.share_weights import ShareWeights
-from gsgen.sdk.passes.spell_out_defaults import SpellOutDefaults
-from gsgen.sdk.passes.split_large_weights import SplitLargeWeights
-from gsgen.sdk.passes.unroll_control_flow import UnrollControlFlow
-from gsgen.sdk.passes.work_in_columns import WorkInColumns
-from gsgen.sdk.passes.write_out_activations import WriteOutActivations
-from gsgen.sdk.passes.write_out_modulo import WriteOutModulo
-from gsgen.sdk.passes.write_out_norms import WriteOutNorms
-from gsgen.sdk.passes.write_out_reductions import WriteOutReductions
-from gsgen.sdk.passes.write_out_signs import WriteOutSigns
+from gsgen.sdk.passes.framework.base import Goal, Rewrite
+from gsgen.sdk.passes.lowering.arithmetic_masks import ArithmeticMasks
+from gsgen.sdk.passes.lowering.gather_scatters import GatherScatters
+from gsgen.sdk.passes.lowering.gather_slices import GatherSlices
+from gsgen.sdk.passes.lowering.multiply_matrices import MultiplyMatrices
+from gsgen.sdk.passes.lowering.pick_parts import PickParts
+from gsgen.sdk.passes.lowering.round_by_floor import RoundByFloor
+from gsgen.sdk.passes.lowering.sample_by_gather import SampleByGather
+from gsgen.sdk.passes.lowering.sample_by_product import SampleByProduct
+from gsgen.sdk.passes.lowering.select_extremes import SelectExtremes
+from gsgen.sdk.passes.lowering.unroll_control_flow import UnrollControlFlow
+from gsgen.sdk.passes.lowering.write_out_activations import WriteOutActivations
+from gsgen.sdk.passes.lowering.write_out_modulo import WriteOutModulo
+from gsgen.sdk.passes.lowering.write_out_norms import WriteOutNorms
+from gsgen.sdk.passes.lowering.write_out_reductions import WriteOutReductions
+from gsgen.sdk.passes.lowering.write_out_signs import WriteOutSigns
+from gsgen.sdk.passes.portability.chunk_concat import ChunkConcat
+from gsgen.sdk.passes.portability.chunk_split import ChunkSplit
+from gsgen.sdk.passes.portability.clip_before_cast import ClipBeforeCast
+from gsgen.sdk.passes.portability.end_outputs_on_compute import EndOutputsOnCompute
+from gsgen.sdk.passes.portability.lower_opset import LowerOpset
+from gsgen.sdk.passes.portability.narrow_integers import NarrowIntegers
+from gsgen.sdk.passes.portability.restore_guards import RestoreGuards
+from gsgen.sdk.passes.portability.split_large_weights import SplitLargeWeights
+from gsgen.sdk.passes.rows.mask_rows import MaskRows
+from gsgen.sdk.passes.rows.work_in_columns import WorkInColumns
+from gsgen.sdk.passes.simplify.deduplicate_weights import ShareWeights
+from gsgen.sdk.passes.simplify.explicit_defaults import SpellOutDefaults
+from gsgen.sdk.passes.simplify.fold_shapes import FoldShapes
+from gsgen.sdk.passes.simplify.freeze_dimensions import FreezeDimensions
+from gsgen.sdk.passes.simplify.merge_casts import MergeCasts
+from gsgen.sdk.passes.simplify.merge_reshapes import MergeReshapes
+from gsgen.sdk.passes.simplify.merge_transposes import MergeTransposes
+from gsgen.sdk.passes.simplify.remove_no_ops import DropIdleOperators
 
 REWRITES: tuple[type[Rewrite], ...] = (
     # -- First what makes shapes and constants known: others look at them.

@@ -16,7 +16,12 @@ import onnx_ir as ir
 from onnx_ir import passes
 
 from gsgen.contract.errors import GsgenError
-from gsgen.sdk.passes.building import append_output, free_name, new_node, weight
+from gsgen.sdk.passes.framework.graph_builder import (
+    append_output,
+    free_name,
+    new_node,
+    weight,
+)
 
 _RGB = 3
 

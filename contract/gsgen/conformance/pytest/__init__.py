@@ -1,0 +1,1 @@
+"""How does pytest run the conformance suites?"""

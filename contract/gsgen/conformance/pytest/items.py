@@ -1,0 +1,105 @@
+"""How pytest collects a model: the file holds suites, a suite holds one test for each rule."""
+
+__all__ = ["ModelFile", "RuleItem", "StaleEntry", "SuiteNode", "stale_entries"]
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gsgen.conformance.expected import ExpectedFailure, strangers
+from gsgen.conformance.pytest.session import Bench, act, prepare, properties
+from gsgen.conformance.run import ModelRun
+from gsgen.contract.errors import GsgenError
+from gsgen.contract.validation.rule import Rule
+
+
+class ModelFile(pytest.File):
+    """An ONNX file named with ``--gsgen``."""
+
+    def collect(self) -> "Iterator[SuiteNode]":
+        """Yield the chosen suites that apply to the model."""
+        bench = Bench.of(self.config)
+        try:
+            planned = bench.plan(self.path, bench.settings)
+        except GsgenError as error:
+            raise self.CollectError(f"gsgen: {error}") from error
+        for name, rules in planned.items():
+            if not bench.suites or name in bench.suites:
+                yield SuiteNode.from_parent(self, name=name, rules=rules)
+
+    def run_model(self) -> ModelRun:
+        """Judge the model, unless that was done already."""
+        bench = Bench.of(self.config)
+        return bench.run(self.path, bench.settings, bench.expected)
+
+
+class SuiteNode(pytest.Collector):
+    """A suite of one model."""
+
+    def __init__(self, *, rules: tuple[Rule, ...], **rest: Any) -> None:
+        super().__init__(**rest)
+        self.rules = rules
+
+    def collect(self) -> "Iterator[RuleItem]":
+        """Yield a test for each rule."""
+        for rule in self.rules:
+            name = f"{rule.id}-{rule.slug}"
+            yield RuleItem.from_parent(self, name=name, rule=rule)
+
+
+class RuleItem(pytest.Item):
+    """One rule, tested on one model."""
+
+    def __init__(self, *, rule: Rule, **rest: Any) -> None:
+        super().__init__(**rest)
+        self.rule = rule
+
+    @property
+    def file(self) -> ModelFile:
+        """The model."""
+        found = self.getparent(ModelFile)
+        assert found is not None
+        return found
+
+    def setup(self) -> None:
+        """Judge the model; a crashed rule is an error."""
+        run = self.file.run_model()
+        case = run.case(self.rule.id)
+        self.user_properties += properties(run, case)
+        prepare(run, case)
+
+    def runtest(self) -> None:
+        """Pass, fail, skip, warn or xfail, as came of the rule."""
+        run = self.file.run_model()
+        act(run, run.case(self.rule.id))
+
+    def reportinfo(self) -> tuple[Path, None, str]:
+        """Say what is tested, for the headings of failures."""
+        assert self.parent is not None
+        return self.path, None, f"{self.path.name}: {self.parent.name}: {self.name}"
+
+
+class StaleEntry(pytest.Item):
+    """An expected failure that speaks of nothing that is tested: always an error."""
+
+    def __init__(self, *, entry: ExpectedFailure, **rest: Any) -> None:
+        super().__init__(**rest)
+        self.entry = entry
+
+    def setup(self) -> None:
+        """Say which entry it is."""
+        text = f"matches no rule of any tested model: remove or correct the entry\n  {self.entry}"
+        pytest.fail(text, pytrace=False)
+
+    def runtest(self) -> None:
+        """Do nothing: the set-up has failed."""
+
+
+def stale_entries(session: pytest.Session) -> Iterator[StaleEntry]:
+    """Yield an error for each entry of ``--gsgen-xfails`` that matches no collected model."""
+    bench = Bench.of(session.config)
+    if bench.tested:
+        for number, entry in enumerate(strangers(bench.expected, bench.tested), start=1):
+            yield StaleEntry.from_parent(session, name=f"xfail-{number}", entry=entry)

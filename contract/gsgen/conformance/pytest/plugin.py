@@ -1,0 +1,157 @@
+"""The pytest plugin: `pytest --gsgen model.onnx` tests a model by the contract, rule by rule.
+
+pytest loads this in every run where gsgen is installed. So it only declares options here; what
+reads models is imported when one is given.
+"""
+
+__all__: list[str] = []
+
+import sys
+from collections.abc import Generator, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from gsgen.conformance.pytest.testing import Check
+
+_MARK = "gsgen_rules"
+_CLASSES = "gsgen.conformance.pytest.generator"  # loaded if a test inherits from our class
+_SUFFIX = ".onnx"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Declare the options; all of them start with ``--gsgen``."""
+    group = parser.getgroup("gsgen", "conformance of Gaussian Generators")
+    group.addoption(
+        "--gsgen",
+        action="append",
+        default=[],
+        metavar="MODEL",
+        help="Test this ONNX file by the contract, one test a rule; repeatable.",
+    )
+    for name, metavar, text in _OPTIONS:
+        group.addoption(f"--gsgen-{name}", metavar=metavar, help=text)
+    group.addoption(
+        "--gsgen-suite",
+        action="append",
+        default=[],
+        metavar="SUITE",
+        help="Only this suite: basic, camera, time, avatar, …; repeatable.",
+    )
+
+
+_OPTIONS = (
+    ("target", "TARGET", "Consumer to judge for (default: core)."),
+    ("level", "LEVEL", "How far to go: static, values, behaviour, … (default: behaviour)."),
+    ("fail-on", "SEVERITY", "Lowest severity that fails (default: error); others warn."),
+    ("config", "FILE", "Configuration file (default: ./gsgen.toml, where there is one)."),
+    ("xfails", "FILE", "TOML file of expected failures, strict both ways."),
+    (
+        "dump",
+        "DIR",
+        "Where inputs and outputs of failing probes go (default: pytest's tmp).",
+    ),
+)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Add the models to what pytest collects; alone, they are all that it collects."""
+    config.addinivalue_line(
+        "markers", f"{_MARK}(request): give a test each rule of some models"
+    )
+    models = [str(Path(name)) for name in config.getoption("--gsgen")]
+    if not models:
+        return
+    from gsgen.conformance.pytest.session import Bench
+
+    Bench.of(config)  # a wrong option ends the run here
+    if config.args_source is pytest.Config.ArgsSource.INVOCATION_DIR:
+        config.args = []
+    config.args += [model for model in models if model not in config.args]
+
+
+def pytest_collect_file(
+    file_path: Path, parent: pytest.Collector
+) -> "pytest.Collector | None":
+    """Collect the models that were named with `--gsgen`, or stand behind one."""
+    if file_path.suffix != _SUFFIX and not parent.config.getoption("--gsgen"):
+        return None
+    named = {Path(name).resolve() for name in parent.config.getoption("--gsgen")}
+    extra = bool(named) and parent.session.isinitpath(file_path)
+    if file_path.resolve() not in named and not (extra and file_path.suffix == _SUFFIX):
+        return None
+    from gsgen.conformance.pytest.items import ModelFile
+
+    return ModelFile.from_parent(parent, path=file_path)
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Give a test that asks for rules a `check` for each."""
+    marker = metafunc.definition.get_closest_marker(_MARK)
+    if marker is not None:
+        from gsgen.conformance.pytest.session import Bench
+        from gsgen.conformance.pytest.testing import checks_for
+
+        bench, folder = Bench.of(metafunc.config), metafunc.definition.path.parent
+        checks = checks_for(marker.args[0], bench, folder)
+        metafunc.parametrize("check", checks, ids=[check.name for check in checks])
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(
+    session: pytest.Session, items: "list[pytest.Item]"
+) -> None:
+    """Add an error for each expected failure that speaks of nothing that is tested."""
+    if session.config.getoption("--gsgen-xfails"):
+        from gsgen.conformance.pytest.items import stale_entries
+
+        items += stale_entries(session)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Make a crashed rule an error of its test, and skip tests of a model that cannot be judged."""
+    if _CLASSES in sys.modules:
+        from gsgen.conformance.pytest.skipped import skip_if_noted
+
+        skip_if_noted(item)
+    check = _check_of(item)
+    if check is not None:
+        from gsgen.conformance.pytest.session import properties
+
+        item.user_properties += properties(check.run, check.case)
+        check.prepare()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Say once, and in few words, why the model of a conformance class cannot be judged."""
+    report = yield
+    if call.when == "setup" and report.failed and _CLASSES in sys.modules:
+        from gsgen.conformance.pytest.skipped import note, wants_model
+
+        if wants_model(item):
+            note(item, call, report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Iterator[None]:
+    """Fail a test that was given a rule and never checked it."""
+    result = yield
+    check = _check_of(pyfuncitem)
+    if check is not None and not check.called:
+        pytest.fail(f"the test never called check(), so {check.name} was not checked")
+    return result
+
+
+def _check_of(item: pytest.Item) -> "Check | None":
+    if item.get_closest_marker(_MARK) is None or not isinstance(item, pytest.Function):
+        return None
+    found: Any = item.callspec.params["check"]
+    check: Check = found
+    return check

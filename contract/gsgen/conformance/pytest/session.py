@@ -1,0 +1,169 @@
+"""What the tests of one pytest session share: options, and every model judged once."""
+
+__all__ = ["Bench", "RuleWarning", "act", "prepare", "properties"]
+
+import json
+import warnings
+from collections.abc import Iterable
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gsgen.conformance.cases import Case
+from gsgen.conformance.evidence import Dumps
+from gsgen.conformance.expected import ExpectedFailure, read_expected
+from gsgen.conformance.run import ModelRun, run_model, suites_of
+from gsgen.conformance.suite import find_suite
+from gsgen.contract.errors import GsgenError
+from gsgen.contract.reporters.json_report import to_dict
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.validation.rule import Rule
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validation.settings_from_options import make_settings
+
+# A dump that nobody asked for must not fill a disk: models of this field give 0.5 GB a frame.
+_MOST_UNASKED = 64 << 20
+
+
+class RuleWarning(UserWarning):
+    """A rule is broken, but not badly enough to fail (see ``--gsgen-fail-on``)."""
+
+
+class Bench:
+    """Options of a session and the models that it has judged so far.
+
+    Attributes:
+        tested: Models whose rules were collected → the rules' ids.
+    """
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.config = config
+        self.tested: dict[Path, set[str]] = {}
+        self._runs: dict[object, ModelRun | Exception] = {}
+
+    @classmethod
+    def of(cls, config: pytest.Config) -> "Bench":
+        """Return the bench of a session.
+
+        Raises:
+            UsageError: An option says something that cannot be meant.
+        """
+        if _BENCH not in config.stash:
+            bench = config.stash[_BENCH] = cls(config)
+            try:
+                _ = bench.settings, bench.suites, bench.expected
+                _ = bench.option("dump") and bench.dumps
+            except GsgenError as error:
+                raise pytest.UsageError(f"gsgen: {error}") from error
+        return config.stash[_BENCH]
+
+    def option(self, name: str) -> Any:
+        """Return the value of ``--gsgen-NAME``, or None."""
+        return self.config.getoption(f"--gsgen-{name}")
+
+    @cached_property
+    def settings(self) -> Settings:
+        """Settings by the options."""
+        return self.make_settings()
+
+    def make_settings(
+        self, *, target: str | None = None, level: str | None = None
+    ) -> Settings:
+        """Return settings by the options, but for what is given here."""
+        config = self.option("config")
+        return make_settings(
+            installed_rules(),
+            level=level or self.option("level"),
+            target=target or self.option("target"),
+            fail_on=self.option("fail-on"),
+            config=Path(config) if config else None,
+            prefix="--gsgen-",
+        )
+
+    @cached_property
+    def suites(self) -> tuple[str, ...]:
+        """Names of the chosen suites; empty for all."""
+        return tuple(
+            find_suite(name, "--gsgen-suite").name for name in self.option("suite")
+        )
+
+    @cached_property
+    def expected(self) -> tuple[ExpectedFailure, ...]:
+        """The expected failures of ``--gsgen-xfails``."""
+        file = self.option("xfails")
+        return read_expected(Path(file), installed_rules()) if file else ()
+
+    @cached_property
+    def dumps(self) -> Dumps:
+        """Where inputs and outputs of failing probes go: as asked, or small ones to pytest's tmp."""
+        folder = self.option("dump")
+        if folder:
+            return Dumps(Path(folder))
+        factory: pytest.TempPathFactory = self.config._tmp_path_factory  # type: ignore[attr-defined]
+        return Dumps(factory.mktemp("gsgen-dumps"), _MOST_UNASKED)
+
+    def plan(self, path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
+        """Return the suites of a model with their rules, and remember them as tested."""
+        planned = suites_of(path, settings)
+        rules = self.tested.setdefault(path, set())
+        rules |= {rule.id for held in planned.values() for rule in held}
+        return planned
+
+    def run(
+        self, path: Path, settings: Settings, expected: Iterable[ExpectedFailure]
+    ) -> ModelRun:
+        """Judge a model, unless that was done already."""
+        entries = tuple(expected)
+        stat = path.stat() if path.is_file() else None
+        version = (stat.st_mtime_ns, stat.st_size) if stat else ()
+        key = (path.resolve(), version, repr(settings), entries)
+        if key not in self._runs:
+            self._runs[key] = self._judge(path, settings, entries)
+        made = self._runs[key]
+        if isinstance(made, Exception):
+            raise made
+        return made
+
+    def _judge(
+        self, path: Path, settings: Settings, expected: tuple[ExpectedFailure, ...]
+    ) -> ModelRun | Exception:
+        """Judge a model; what stops us once would stop us at every rule, so it is kept, too."""
+        try:
+            return run_model(path, settings, expected=expected, dumps=self.dumps)
+        except Exception as error:
+            return error
+
+
+_BENCH = pytest.StashKey[Bench]()
+
+
+def prepare(run: ModelRun, case: Case) -> None:
+    """Raise, during a test's set-up, if the rule crashed: that is an error, not a failure."""
+    if case.status == "crashed":
+        pytest.fail(run.text(case), pytrace=False)
+
+
+def act(run: ModelRun, case: Case) -> None:
+    """Pass, fail, skip, warn or xfail, as came of the case."""
+    __tracebackhide__ = True
+    if case.status == "failed":
+        pytest.fail(run.text(case).lstrip(), pytrace=False)
+    if case.status == "expected":
+        pytest.xfail(case.text)
+    if case.status == "skipped":
+        pytest.skip(case.text)
+    if case.status == "warned":
+        warnings.warn(RuleWarning(case.text.lstrip()), stacklevel=2)
+
+
+def properties(run: ModelRun, case: Case) -> list[tuple[str, object]]:
+    """Return what a test report records of a case: rule, status, findings as in JSON reports."""
+    made: list[tuple[str, object]] = [("gsgen.rule", case.rule.id)]
+    made.append(("gsgen.status", case.status))
+    if case.findings:
+        findings = to_dict(run.report)["findings"]
+        found = [one for one in findings if one["rule"] == case.rule.id]
+        made.append(("gsgen.findings", json.dumps(found, ensure_ascii=False)))
+    return made

@@ -1,0 +1,75 @@
+"""Classes whose model cannot be made or read: one error says why, their other tests are skipped.
+
+Every test of such a class would end on the same error. A hundred and forty of them hide what is
+wrong; one shows it.
+"""
+
+__all__ = ["note", "skip_if_noted", "wants_model"]
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from gsgen.contract.errors import GsgenError
+
+_NOTED = pytest.StashKey[dict[object, str]]()
+_LOGS = "Captured log"
+_CHATTER = "DEBUG    torch."  # what torch's exporter logs for its own developers
+
+
+def wants_model(item: pytest.Item) -> bool:
+    """Say whether a test is one of a conformance class, and needs its model judged."""
+    module = sys.modules.get("gsgen.conformance.pytest.generator")
+    held = getattr(item, "cls", None)
+    if module is None or held is None or not issubclass(held, module.GeneratorConformance):
+        return False
+    return "conformance" in getattr(item, "fixturenames", ())
+
+
+def skip_if_noted(item: pytest.Item) -> None:
+    """Skip a test if another one has shown that its model cannot be judged."""
+    first = item.session.stash.get(_NOTED, {}).get(_subject(item))
+    if first is not None:
+        pytest.skip(f"there is no model to judge, as the error of {first} says")
+
+
+def note(item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport) -> None:
+    """Remember that a model cannot be judged, and leave of the report what its author needs."""
+    assert call.excinfo is not None
+    if "conformance" in getattr(item, "funcargs", {}):
+        return  # it was judged, and the rule crashed
+    item.session.stash.setdefault(_NOTED, {})[_subject(item)] = item.name
+    quiet = [(head, _quiet(head, text)) for head, text in report.sections]
+    report.sections = [(head, text) for head, text in quiet if text]
+    if isinstance(call.excinfo.value, GsgenError):
+        report.longrepr = call.excinfo.getrepr(style="value")
+        report.sections.insert(0, ("Where", "\n".join(_lines(item, call.excinfo))))
+
+
+def _subject(item: pytest.Item) -> object:
+    """Return what tells a model apart: its class, and parameters of its fixtures."""
+    indices = getattr(getattr(item, "callspec", None), "indices", {})
+    others = sorted((name, place) for name, place in indices.items() if name != "rule")
+    return getattr(item, "cls", None), tuple(others)
+
+
+def _quiet(head: str, text: str) -> str:
+    if not head.startswith(_LOGS):
+        return text
+    return "\n".join(line for line in text.splitlines() if not line.startswith(_CHATTER))
+
+
+def _lines(
+    item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException]
+) -> Iterator[str]:
+    """Yield the author's own lines that led to the error, the outermost first."""
+    root = item.config.rootpath
+    for entry in excinfo.traceback:
+        name = str(entry.frame.f_globals.get("__name__", ""))
+        path = Path(entry.path)
+        foreign = name.startswith("gsgen.") or "site-packages" in path.parts
+        if not foreign and path.is_relative_to(root):
+            line = str(entry.statement).strip()
+            yield f"{path.relative_to(root)}:{entry.lineno + 1}: {line}"

@@ -1,0 +1,178 @@
+"""What plugin authors import in their tests: rules as parameters, and a class to inherit from.
+
+Needs pytest: ``pip install 'gsgen[conformance]'``.
+"""
+
+__all__ = ["Check", "RuleWarning", "checks_for", "parametrize_with_rules"]
+
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from gsgen.conformance.cases import Case
+from gsgen.conformance.expected import ExpectedFailure, read_expected, strangers
+from gsgen.conformance.pytest.session import Bench, RuleWarning, act, prepare
+from gsgen.conformance.run import ModelRun
+from gsgen.conformance.suite import find_suite
+from gsgen.contract.errors import GsgenError
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.validation.rule import Rule
+from gsgen.contract.validation.settings import Settings
+
+PathLike = str | os.PathLike[str]
+Models = Iterable[PathLike] | Callable[[], Iterable[PathLike]]
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What :func:`parametrize_with_rules` was called with."""
+
+    models: Models
+    target: str | None
+    level: str | None
+    settings: Settings | None
+    suites: tuple[str, ...]
+    expected: PathLike | tuple[ExpectedFailure, ...] | None
+
+
+def parametrize_with_rules(
+    models: Models,
+    *,
+    target: str | None = None,
+    level: str | None = None,
+    settings: Settings | None = None,
+    suites: Iterable[str] = (),
+    expected_failures: PathLike | Iterable[ExpectedFailure] | None = None,
+) -> pytest.MarkDecorator:
+    """Call the decorated test once for each rule of each model, with a ``check`` to call.
+
+    Such as::
+
+        @parametrize_with_rules(["drift.onnx"], target="webgpu")
+        def test_drift_keeps_the_contract(check):
+            check()
+
+    Args:
+        models: ONNX files, or a function that returns them (called when tests are collected).
+            Relative paths start at the folder of the test file.
+        target: Consumer to judge for; ``--gsgen-target`` where absent.
+        level: How far to go; ``--gsgen-level`` where absent.
+        settings: All settings at once, instead of the options and of ``gsgen.toml``.
+        suites: Only these suites; ``--gsgen-suite`` where empty.
+        expected_failures: A TOML file, or entries; ``--gsgen-xfails`` where absent.
+    """
+    expected = expected_failures
+    if expected is not None and not isinstance(expected, (str, os.PathLike)):
+        expected = tuple(expected)
+    wanted = Request(models, target, level, settings, tuple(suites), expected)
+    return pytest.mark.gsgen_rules(wanted)
+
+
+class Check:
+    """One rule to be tested on one model; call it once.
+
+    Attributes:
+        model: The ONNX file.
+        suite: Name of the suite that holds the rule.
+        rule: The rule.
+        called: Whether the test has called it.
+    """
+
+    def __init__(
+        self, model: Path, suite: str, rule: Rule, judge: Callable[[], ModelRun]
+    ) -> None:
+        self.model = model
+        self.suite = suite
+        self.rule = rule
+        self.called = False
+        self._judge = judge
+
+    @property
+    def name(self) -> str:
+        """Model, suite and rule in one word, such as ``drift-basic-GV003-opacity-range``."""
+        return f"{self.model.stem}-{self.suite}-{self.rule.id}-{self.rule.slug}"
+
+    @property
+    def run(self) -> ModelRun:
+        """The model's run; judging it happens once a session."""
+        return self._judge()
+
+    @property
+    def case(self) -> Case:
+        """What came of the rule."""
+        return self.run.case(self.rule.id)
+
+    def prepare(self) -> None:
+        """Judge the model; a crashed rule is an error."""
+        prepare(self.run, self.case)
+
+    def __call__(self) -> None:
+        """Pass, fail, skip, warn or xfail the running test, as came of the rule."""
+        __tracebackhide__ = True
+        self.called = True
+        act(self.run, self.case)
+
+
+def checks_for(wanted: Request, bench: Bench, folder: Path) -> list[Check]:
+    """Return a check for each rule of each model that a test asks for.
+
+    Args:
+        wanted: What the test's decorator was given.
+        bench: Options of the session.
+        folder: Where relative paths start.
+    """
+    try:
+        return _checks(wanted, bench, folder)
+    except GsgenError as error:
+        raise pytest.UsageError(f"gsgen: {error}") from error
+
+
+def _checks(wanted: Request, bench: Bench, folder: Path) -> list[Check]:
+    settings = wanted.settings or bench.make_settings(
+        target=wanted.target, level=wanted.level
+    )
+    suites = [find_suite(name, "suites").name for name in wanted.suites] or bench.suites
+    expected = _expected(wanted.expected, bench, folder)
+    named = wanted.models() if callable(wanted.models) else wanted.models
+    paths = [folder / path for path in named]
+    plans = {path: bench.plan(path, settings) for path in paths}
+    if wanted.expected is not None:
+        refuse_strangers(expected, plans)
+
+    def judge(path: Path) -> Callable[[], ModelRun]:
+        return lambda: bench.run(path, settings, expected)
+
+    return [
+        Check(path, name, rule, judge(path))
+        for path, planned in plans.items()
+        for name, rules in planned.items()
+        if not suites or name in suites
+        for rule in rules
+    ]
+
+
+def _expected(
+    given: PathLike | tuple[ExpectedFailure, ...] | None, bench: Bench, folder: Path
+) -> tuple[ExpectedFailure, ...]:
+    if given is None:
+        return bench.expected
+    if isinstance(given, tuple):
+        return given
+    return read_expected(folder / given, installed_rules())
+
+
+def refuse_strangers(
+    expected: Iterable[ExpectedFailure], plans: dict[Path, dict[str, tuple[Rule, ...]]]
+) -> None:
+    """Raise UsageError if an entry speaks of no rule of any of the models."""
+    tested = {
+        path: [rule.id for rules in planned.values() for rule in rules]
+        for path, planned in plans.items()
+    }
+    for entry in strangers(expected, tested):
+        raise pytest.UsageError(
+            f"gsgen: matches no rule of any tested model: remove or correct the entry\n  {entry}"
+        )

@@ -1,0 +1,21 @@
+"""Which rules must be judged so that one of them can be."""
+
+__all__ = ["needed_by"]
+
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.rule import Registry, Rule
+
+# Without this one, the engine runs no model.
+_RUNS = "GV025"
+
+
+def needed_by(rule: Rule, registry: Registry) -> Registry:
+    """Return ``rule`` with all that must hold before it can be judged, in catalogue order."""
+    wanted: set[str] = set()
+    queue = [rule.id, *(() if rule.level == Level.STATIC else (_RUNS,))]
+    while queue:
+        name = queue.pop()
+        if name not in wanted and name in registry.rules:
+            wanted.add(name)
+            queue.extend(registry.rules[name].needs)
+    return Registry.of(one for one in registry.rules.values() if one.id in wanted)

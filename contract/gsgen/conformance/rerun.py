@@ -1,0 +1,136 @@
+"""Run a few probes of a model again, ask one rule about them, keep what went in and came out."""
+
+__all__ = ["ONE_PROBE", "Replay", "find_probes", "plan_for", "replay", "save"]
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from gsgen.contract.errors import UnknownName
+from gsgen.contract.model.inspected_model import Subject, read_subject
+from gsgen.contract.model.model_file import open_model
+from gsgen.contract.probing.outputs import Emission, chunks, read_emission
+from gsgen.contract.probing.probe_plan import Plan, fetched_outputs, make_plan
+from gsgen.contract.probing.probes import Probe
+from gsgen.contract.probing.run_comparison import Trial
+from gsgen.contract.probing.sandbox import Execution, execute
+from gsgen.contract.process.atomic_files import draft_of
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.finding import Finding
+from gsgen.contract.validation.outcomes import Board
+from gsgen.contract.validation.rule import Registry, Rule
+from gsgen.contract.validation.settings import Settings
+
+# Scopes of rules that can be judged by one probe alone.
+ONE_PROBE = ("rows", "emission", "execution")
+
+Arrays = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """Probes that were run once more, in a session of their own.
+
+    Attributes:
+        subject: The model.
+        probes: What it was run with, in order; methods take a number in this list.
+        execution: What came out; may have ended early.
+        settings: How it is judged.
+    """
+
+    subject: Subject
+    probes: tuple[Probe, ...]
+    execution: Execution
+    settings: Settings
+
+    def outputs(self, probe: int) -> Arrays:
+        """Return what the model gave for a probe; nothing where it did not get that far."""
+        for run in self.execution.runs:
+            if run.probe == probe:
+                return self.execution.samples[run.sample].outputs
+        return {}
+
+    def emission(self, probe: int) -> Emission:
+        """Return the outputs for a probe as value rules see them."""
+        one = self.probes[probe]
+        return read_emission(self.subject, one.label, one.zeros, self.outputs(probe))
+
+    def findings(self, rule: Rule, probe: int) -> tuple[Finding, ...]:
+        """Return what ``rule`` finds when it sees a probe alone."""
+        alone = Registry.of([replace(rule, needs=())])
+        board = Board(alone, self.settings, self.subject.kind)
+        for seen, start in self._seen(rule, probe):
+            board.judge(rule, seen, self.probes[probe].label, start)
+        board.settle(alone.rules.values())
+        return board.findings()
+
+    def _seen(self, rule: Rule, probe: int) -> Iterator[tuple[object, int]]:
+        if rule.scope == "execution":
+            plan = Plan(self.probes, len(self.probes))
+            yield Trial(self.subject, self.execution, plan), 0
+        elif self.outputs(probe):
+            emission = self.emission(probe)
+            if rule.scope == "emission":
+                yield emission, 0
+            elif rule.scope == "rows":
+                yield from ((chunk, chunk.start) for chunk in chunks(emission))
+
+
+def plan_for(path: Path, settings: Settings) -> tuple[Subject, Plan]:
+    """Return the model and the runs that ``settings`` ask for; its manifest must be readable.
+
+    Raises:
+        ModelUnreadable: The file is not an ONNX model at all.
+    """
+    subject = read_subject(
+        open_model(path), settings.target, settings.limits, settings.tolerances
+    )
+    level = min(max(settings.level, Level.VALUES), Level.BEHAVIOUR)
+    return subject, make_plan(subject, level, settings.seed)
+
+
+@contextmanager
+def replay(
+    subject: Subject, probes: Sequence[Probe], settings: Settings
+) -> Iterator[Replay]:
+    """Run ``probes`` once more; what came out lives as long as the block."""
+    path, names = subject.file.path, fetched_outputs(subject)
+    with execute(path, names, probes, subject.granted) as execution:
+        yield Replay(subject, tuple(probes), execution, settings)
+
+
+def find_probes(probes: Sequence[Probe], wanted: str) -> tuple[Probe, ...]:
+    """Return the probes with the label or number ``wanted``; several may share a label.
+
+    Raises:
+        UnknownName: There is no such probe; the message names the nearest.
+    """
+    named = [probe for probe in probes if probe.label == wanted]
+    if not named and wanted.isdecimal() and int(wanted) < len(probes):
+        named = [probes[int(wanted)]]
+    if not named:
+        labels = dict.fromkeys(probe.label for probe in probes)
+        raise UnknownName.among("probe", wanted, labels, "--probe")
+    return tuple({id(probe): probe for probe in named}.values())
+
+
+def save(path: Path, runs: Sequence[tuple[Probe, Arrays]]) -> None:
+    """Write inputs and outputs of a few runs to an ``.npz`` file.
+
+    The first run's arrays are called ``input.NAME`` and ``output.NAME``, the second's
+    ``2.input.NAME`` and so on; ``probe`` and ``2.probe`` are their labels.
+
+    Raises:
+        GsgenError: The file cannot be written.
+    """
+    arrays: Arrays = {}
+    for number, (probe, outputs) in enumerate(runs, start=1):
+        head = f"{number}." if number > 1 else ""
+        arrays[f"{head}probe"] = np.asarray(probe.label)
+        arrays |= {f"{head}input.{name}": array for name, array in probe.inputs.items()}
+        arrays |= {f"{head}output.{name}": array for name, array in outputs.items()}
+    with draft_of(path) as draft, draft.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]  # none is called `allow_pickle`

@@ -1,0 +1,28 @@
+"""Packages whose names are loaded when first used, so that importing the package costs nothing."""
+
+__all__ = ["attributes"]
+
+import sys
+from collections.abc import Callable, Mapping
+from importlib import import_module
+
+
+def attributes(package: str, home: Mapping[str, str]) -> Callable[[str], object]:
+    """Return a module ``__getattr__`` (PEP 562) for ``package``.
+
+    Args:
+        package: The package's ``__name__``.
+        home: Name → the submodule that defines it; a submodule that is itself public stands for
+            itself.
+    """
+
+    def load(name: str) -> object:
+        if name not in home:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        module = import_module(f"{package}.{home[name]}")
+        is_submodule = home[name].rpartition(".")[2] == name
+        value: object = module if is_submodule else getattr(module, name)
+        setattr(sys.modules[package], name, value)
+        return value
+
+    return load

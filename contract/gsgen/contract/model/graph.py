@@ -1,0 +1,457 @@
+"""A model's graph as rules want to see it: tensors with shapes, and who makes what from what."""
+
+__all__ = ["Conflict", "Graph", "Tensor", "read_graph", "static_dims", "tensor_bytes"]
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import onnx
+from onnx import (
+    AttributeProto,
+    FunctionProto,
+    GraphProto,
+    ModelProto,
+    NodeProto,
+    SparseTensorProto,
+    TensorProto,
+    ValueInfoProto,
+)
+
+from gsgen.contract.model.model_file import STUB, ModelFile, bodies, subgraphs
+from gsgen.contract.model.shape_inference import first_line, infer, propagate
+
+Dims = tuple[int | str | None, ...]
+
+_MAX_DEPTH = 64
+_SPELLED = {"FLOAT": "float32", "DOUBLE": "float64", "UNDEFINED": None}
+_DTYPES = {
+    code: _SPELLED.get(name, name.lower()) for name, code in TensorProto.DataType.items()
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Tensor:
+    """What is known of a tensor before the model runs.
+
+    Attributes:
+        name: Its name in the graph.
+        dtype: ``float32``, ``int64``, …; None where nothing says.
+        dims: A size, a symbol or None (unknown) for each axis; None where even the rank is unknown.
+    """
+
+    name: str
+    dtype: str | None
+    dims: Dims | None
+
+    def __str__(self) -> str:
+        dims = (
+            "?"
+            if self.dims is None
+            else ", ".join("?" if d is None else str(d) for d in self.dims)
+        )
+        return f"{self.dtype or '?'} [{dims}]"
+
+
+@dataclass(frozen=True, slots=True)
+class Conflict:
+    """A tensor whose declared and inferred types cannot both be true."""
+
+    name: str
+    declared: Tensor
+    inferred: Tensor
+
+
+@dataclass(slots=True)
+class _Facts:
+    """What the two libraries that know ONNX say about the model."""
+
+    tensors: dict[str, Tensor]
+    conflicts: tuple[Conflict, ...] = ()
+    checker: str = ""
+    inference: str = ""
+
+
+@dataclass(frozen=True)
+class Graph:
+    """The main graph of a model.
+
+    Attributes:
+        inputs: What a runtime feeds, in order; initialisers listed as inputs are not among them.
+        outputs: Declared outputs, in order, with inferred sizes where the model leaves them open.
+        nodes: Every node of the main graph.
+        initializers: Names of the weights.
+        conflicts: Tensors whose declared and inferred types contradict each other.
+        checker_fault: What ``onnx.checker`` objects to; empty if nothing.
+        inference_fault: What shape inference objects to; empty if nothing.
+    """
+
+    inputs: tuple[Tensor, ...]
+    outputs: tuple[Tensor, ...]
+    nodes: tuple[NodeProto, ...]
+    initializers: dict[str, Tensor]
+    tensors: dict[str, Tensor]
+    functions: frozenset[tuple[str, str]]
+    conflicts: tuple[Conflict, ...] = ()
+    checker_fault: str = ""
+    inference_fault: str = ""
+    output_names: tuple[str, ...] = field(default=())
+
+    @cached_property
+    def producers(self) -> dict[str, NodeProto]:
+        """Tensor name → the node of the main graph that makes it."""
+        return {name: node for node in self.nodes for name in node.output if name}
+
+    @cached_property
+    def uses(self) -> dict[str, int]:
+        """Tensor name → how many nodes and outputs of the main graph read it."""
+        count: dict[str, int] = {}
+        for names in self._reads.values():
+            for name in names:
+                count[name] = count.get(name, 0) + 1
+        for output in self.outputs:
+            count[output.name] = count.get(output.name, 0) + 1
+        return count
+
+    @cached_property
+    def _reads(self) -> dict[int, list[str]]:
+        """Node, by its identity → what it reads."""
+        return {id(node): reads(node) for node in self.nodes}
+
+    def output(self, name: str) -> Tensor | None:
+        """Return the output called ``name``, or None."""
+        return next((tensor for tensor in self.outputs if tensor.name == name), None)
+
+    def input(self, name: str) -> Tensor | None:
+        """Return the input called ``name``, or None."""
+        return next((tensor for tensor in self.inputs if tensor.name == name), None)
+
+    def ancestors(self, name: str) -> tuple[set[str], list[NodeProto]]:
+        """Return every tensor and every node that ``name`` is computed from, itself included.
+
+        The answer is kept, and given again: it is to be read alone.
+        """
+        if name not in self._lineages:
+            self._lineages[name] = self._traced(name)
+        return self._lineages[name]
+
+    @cached_property
+    def _lineages(self) -> dict[str, tuple[set[str], list[NodeProto]]]:
+        return {}
+
+    def _traced(self, name: str) -> tuple[set[str], list[NodeProto]]:
+        names, nodes, queue = {name}, [], [name]
+        visited: set[int] = set()
+        while queue:
+            node = self.producers.get(queue.pop())
+            key = id(node)
+            if node is None or key in visited:
+                continue
+            visited.add(key)
+            nodes.append(node)
+            for name in self._reads[key]:
+                if name not in names:
+                    names.add(name)
+                    queue.append(name)
+        return names, nodes
+
+    def varies(self, name: str) -> bool:
+        """Say whether ``name`` is computed from any frame input."""
+        names, _ = self.ancestors(name)
+        return any(tensor.name in names for tensor in self.inputs)
+
+    def all_nodes(self) -> Iterator[NodeProto]:
+        """Yield every node, those inside If, Loop and Scan bodies included."""
+        return iter(self._all_nodes)
+
+    @cached_property
+    def _all_nodes(self) -> list[NodeProto]:
+        return [inner for node in self.nodes for inner in _nested(node, 0)]
+
+
+def reads(node: NodeProto) -> list[str]:
+    """Return the names that ``node`` reads, from inside its subgraphs too."""
+    names = list(filter(None, node.input))
+    for attribute in node.attribute:
+        for graph in subgraphs(attribute):
+            for inner in graph.node:
+                names.extend(reads(inner))
+            names.extend(output.name for output in graph.output)
+    return names
+
+
+def read_graph(file: ModelFile) -> Graph:
+    """Look at the main graph: infer shapes, check well-formedness, note what contradicts.
+
+    Weights are not needed: where payload was left out, the tensor stands as an input of the
+    copy that ONNX's own library judges.
+    """
+    graph = file.proto.graph
+    facts = _facts(file)
+    weights = {tensor.name: _of_weight(tensor) for tensor in graph.initializer}
+    weights |= {s.values.name: _of_weight(_dense(s)) for s in graph.sparse_initializer}
+    inputs = tuple(_of_value(v) for v in graph.input if v.name not in weights)
+    outputs = tuple(_best(_of_value(v), facts.tensors.get(v.name)) for v in graph.output)
+    return Graph(
+        inputs=inputs,
+        outputs=outputs,
+        nodes=tuple(graph.node),
+        initializers=weights,
+        tensors=facts.tensors | weights | {t.name: t for t in (*inputs, *outputs)},
+        functions=frozenset((f.domain, f.name) for f in file.proto.functions),
+        conflicts=facts.conflicts,
+        checker_fault=facts.checker,
+        inference_fault=facts.inference,
+        output_names=tuple(v.name for v in graph.output),
+    )
+
+
+def _facts(file: ModelFile) -> _Facts:
+    proto = _without_stubs(file)
+    facts = _Facts({})
+    try:
+        onnx.checker.check_model(proto)
+    except (onnx.checker.ValidationError, ValueError, RuntimeError) as error:
+        facts.checker = first_line(error)
+        return facts  # inference on a malformed graph would only repeat it
+    declared = {
+        v.name: _of_value(v) for v in (*proto.graph.output, *proto.graph.value_info)
+    }
+    for value in proto.graph.output:
+        value.ClearField("type")
+    del proto.graph.value_info[:]
+    inferred, facts.inference = infer(proto)
+    if inferred is None:
+        return facts
+    found = _values(inferred)
+    if not facts.inference and _is_open(proto, found):
+        inferred, facts.inference = propagate(proto, inferred)
+        found = _values(inferred)
+    facts.tensors = {
+        name: _best(declared.get(name), tensor) for name, tensor in found.items()
+    }
+    facts.conflicts = tuple(
+        Conflict(name, tensor, found[name])
+        for name, tensor in declared.items()
+        if name in found and not _compatible(tensor, found[name])
+    )
+    return facts
+
+
+def _values(proto: ModelProto) -> dict[str, Tensor]:
+    return {v.name: _of_value(v) for v in (*proto.graph.value_info, *proto.graph.output)}
+
+
+def _is_open(proto: ModelProto, found: dict[str, Tensor]) -> bool:
+    """Say whether the size of any tensor that a node makes is still unknown."""
+    sizes = (one.dims for one in found.values())
+    if any(dims is None or any(type(d) is not int for d in dims) for dims in sizes):
+        return True
+    made = (name for node in proto.graph.node for name in node.output)
+    return any(name and name not in found for name in made)
+
+
+def _without_stubs(file: ModelFile) -> ModelProto:
+    """Return a copy that ONNX's library accepts although weights were not read.
+
+    Weights of the main graph become inputs of the same type. What lies deeper becomes a
+    sparse constant without entries, which has type and shape but no payload.
+    """
+    copy = ModelProto()
+    copy.CopyFrom(file.proto)
+    copy.ClearField("metadata_props")
+    if file.whole:
+        return copy
+    taken = {value.name for value in copy.graph.input}
+    for tensor in _take_stubs(copy.graph):
+        if tensor.name not in taken:
+            _add_input(copy.graph, tensor)
+    for body in bodies(copy):
+        if isinstance(body, GraphProto):
+            for tensor in _take_stubs(body):
+                body.node.insert(0, _constant(tensor))
+        _fill_nodes(body)
+    return copy
+
+
+def _is_stub(tensor: TensorProto) -> bool:
+    return tensor.raw_data == STUB
+
+
+def _take_stubs(graph: GraphProto) -> list[TensorProto]:
+    """Remove the weights of ``graph`` that are stubs, and return them.
+
+    Sparse ones, too: a runtime makes them dense, but shape inference does not know that.
+    """
+    weights = list(graph.initializer)
+    stubs = [tensor for tensor in weights if _is_stub(tensor)]
+    if stubs:
+        del graph.initializer[:]
+        graph.initializer.extend(tensor for tensor in weights if not _is_stub(tensor))
+    stubs += [_dense(sparse) for sparse in graph.sparse_initializer]
+    del graph.sparse_initializer[:]
+    return stubs
+
+
+def _dense(sparse: SparseTensorProto) -> TensorProto:
+    kind = sparse.values.data_type
+    return TensorProto(
+        name=sparse.values.name, data_type=kind, dims=sparse.dims, raw_data=STUB
+    )
+
+
+def _add_input(graph: GraphProto, tensor: TensorProto) -> None:
+    value = graph.input.add(name=tensor.name)
+    value.type.tensor_type.elem_type = tensor.data_type
+    value.type.tensor_type.shape.SetInParent()
+    for dim in tensor.dims:
+        value.type.tensor_type.shape.dim.add(dim_value=dim)
+
+
+def _constant(tensor: TensorProto) -> NodeProto:
+    value = AttributeProto(name="value", type=AttributeProto.TENSOR, t=tensor)
+    return NodeProto(op_type="Constant", output=[tensor.name], attribute=[value])
+
+
+def _fill_nodes(body: GraphProto | FunctionProto) -> None:
+    """Take the stubs out of the attributes of all nodes of ``body``."""
+    for index in reversed(range(len(body.node))):
+        node = body.node[index]
+        for attribute in node.attribute:
+            for tensor in (attribute.t, *attribute.tensors):
+                if _is_stub(tensor) and node.op_type == "Constant" and 0 not in tensor.dims:
+                    if not tensor.dims:  # sparse tensors have an axis; a scalar has none
+                        body.node.insert(index + 1, _squeeze(node))
+                    _make_sparse(attribute, tensor)
+                elif _is_stub(tensor):
+                    tensor.CopyFrom(_nothing(tensor.data_type))
+            for sparse in (attribute.sparse_tensor, *attribute.sparse_tensors):
+                _empty(sparse)
+
+
+def _squeeze(node: NodeProto) -> NodeProto:
+    """Let ``node`` make a vector, and return the node that makes a scalar of it."""
+    name = node.output[0]
+    node.output[0] = f"{name}/stub"
+    return NodeProto(op_type="Squeeze", input=node.output, output=[name])
+
+
+def _make_sparse(attribute: AttributeProto, tensor: TensorProto) -> None:
+    sparse = SparseTensorProto(dims=tensor.dims or [1], values=_nothing(tensor.data_type))
+    sparse.indices.CopyFrom(_nothing(TensorProto.INT64))
+    kind = AttributeProto.SPARSE_TENSOR
+    made = AttributeProto(name="sparse_value", type=kind, sparse_tensor=sparse)
+    attribute.CopyFrom(made)
+
+
+def _empty(sparse: SparseTensorProto) -> None:
+    if _is_stub(sparse.values) or _is_stub(sparse.indices):
+        sparse.values.CopyFrom(_nothing(sparse.values.data_type))
+        sparse.indices.CopyFrom(_nothing(TensorProto.INT64))
+
+
+def _nothing(dtype: int) -> TensorProto:
+    return TensorProto(data_type=dtype, dims=[0])
+
+
+def _nested(node: NodeProto, depth: int) -> Iterator[NodeProto]:
+    yield node
+    if depth < _MAX_DEPTH:
+        for attribute in node.attribute:
+            for graph in subgraphs(attribute):
+                for inner in graph.node:
+                    yield from _nested(inner, depth + 1)
+
+
+def _of_weight(tensor: TensorProto) -> Tensor:
+    return Tensor(tensor.name, _DTYPES.get(tensor.data_type), tuple(tensor.dims))
+
+
+def _of_value(value: ValueInfoProto) -> Tensor:
+    kind = value.type.tensor_type
+    if not value.type.HasField("tensor_type"):
+        return Tensor(value.name, None, None)
+    dims: Dims | None = None
+    if kind.HasField("shape"):
+        dims = tuple(
+            d.dim_value if d.HasField("dim_value") else (d.dim_param or None)
+            for d in kind.shape.dim
+        )
+    return Tensor(value.name, _DTYPES.get(kind.elem_type), dims)
+
+
+def _best(declared: Tensor | None, inferred: Tensor | None) -> Tensor:
+    """Combine what is declared with what is inferred; a number beats a symbol."""
+    if declared is None or inferred is None:
+        known = declared or inferred
+        assert known is not None
+        return known
+    dims = declared.dims
+    if dims is None:
+        dims = inferred.dims
+    elif inferred.dims is not None and len(inferred.dims) == len(dims):
+        pairs = zip(dims, inferred.dims, strict=True)
+        dims = tuple(
+            a if isinstance(a, int) else b if isinstance(b, int) else a or b
+            for a, b in pairs
+        )
+    return Tensor(declared.name, declared.dtype or inferred.dtype, dims)
+
+
+def _compatible(declared: Tensor, inferred: Tensor) -> bool:
+    if declared.dtype and inferred.dtype and declared.dtype != inferred.dtype:
+        return False
+    if declared.dims is None or inferred.dims is None:
+        return True
+    if len(declared.dims) != len(inferred.dims):
+        return False
+    pairs = zip(declared.dims, inferred.dims, strict=True)
+    return all(a == b or not (isinstance(a, int) and isinstance(b, int)) for a, b in pairs)
+
+
+def tensor_bytes(tensor: Tensor) -> int:
+    """Return the size of ``tensor``; 0 where it is not known."""
+    dims = static_dims(tensor)
+    if dims is None:
+        return 0
+    bits = _BITS.get(tensor.dtype or "", 32)
+    for dim in dims:
+        bits *= int(dim)
+    return -(-bits // 8)
+
+
+def static_dims(tensor: Tensor) -> tuple[int, ...] | None:
+    """Return the dimensions of ``tensor`` if all are positive numbers, else None."""
+    if tensor.dims is None:
+        return None
+    sizes = [dim for dim in tensor.dims if isinstance(dim, int) and dim > 0]
+    return tuple(sizes) if len(sizes) == len(tensor.dims) else None
+
+
+# Bits of an element, where that is not 32.
+_BITS = {
+    "complex128": 128,
+    "complex64": 64,
+    "float64": 64,
+    "int64": 64,
+    "uint64": 64,
+    "float16": 16,
+    "bfloat16": 16,
+    "int16": 16,
+    "uint16": 16,
+    "int8": 8,
+    "uint8": 8,
+    "bool": 8,
+    "float8e4m3fn": 8,
+    "float8e4m3fnuz": 8,
+    "float8e5m2": 8,
+    "float8e5m2fnuz": 8,
+    "float8e8m0": 8,
+    "float6e2m3": 6,
+    "float6e3m2": 6,
+    "float4e2m1": 4,
+    "int4": 4,
+    "uint4": 4,
+    "int2": 2,
+    "uint2": 2,
+}

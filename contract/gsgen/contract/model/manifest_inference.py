@@ -1,0 +1,182 @@
+"""Guess a manifest for a model that has none, and say which facts were guessed.
+
+Only whole names are recognised, never parts of them, and every guess is listed, so that its
+author confirms or mends it before it is embedded.
+"""
+
+__all__ = ["Candidate", "derive"]
+
+from dataclasses import dataclass
+from typing import Literal
+
+from gsgen.contract.model.graph import Graph, Tensor, static_dims
+from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, ROW
+from gsgen.contract.spec.manifest import (
+    AppearanceOutput,
+    CountOutput,
+    GaussiansOutput,
+    GeneratorManifest,
+    GeneratorOutputs,
+    Input,
+    Space,
+)
+from gsgen.contract.spec.roles import ROLES, Shape, matching_shape
+from gsgen.contract.spec.spherical_harmonics import degree_of
+
+_INPUT_NAMES = {
+    "view": (
+        "view",
+        "view_matrix",
+        "viewmatrix",
+        "camera",
+        "camera_matrix",
+        "viewmat",
+        "w2c",
+    ),
+    "projection": ("proj", "projection", "projection_matrix", "proj_matrix", "projmat"),
+    "time": ("time", "t", "timestamp"),
+    "frame_index": ("frame", "frame_index", "frame_id"),
+    "camera_position": ("camera_position", "camera_center", "campos", "cam_pos"),
+    "viewport": ("viewport", "resolution", "image_size"),
+    "pose": ("pose", "poses", "body_pose", "joint_rotations"),
+    "shape": ("shape", "betas", "shapes"),
+    "root_translation": ("trans", "root_translation", "transl", "translation"),
+    "root_rotation": ("root_rotation", "global_orient", "root_orient"),
+    "expression": ("expression", "expr"),
+    "appearance_id": ("appearance_id", "appearance", "embedding_id"),
+}
+_GAUSSIAN_NAMES = (
+    "gaussians",
+    "gaussian",
+    "gaussian_f16",
+    "gaussian_f32",
+    "gaussian_packed",
+)
+_COLOR_NAMES = (
+    "color",
+    "colors",
+    "color_sh",
+    "color_rgb",
+    "sh",
+    "shs",
+    "rgb",
+    "features",
+    "sh_f16",
+)
+_COUNT_NAMES = ("num_points", "count", "num_gaussians", "n_points")
+_PLACEHOLDER_CAPACITY = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A guessed manifest.
+
+    Attributes:
+        manifest: The guess.
+        guesses: One sentence for each fact that was guessed, for its author to confirm.
+    """
+
+    manifest: GeneratorManifest
+    guesses: tuple[str, ...]
+
+
+def derive(graph: Graph, name: str) -> Candidate:
+    """Guess the manifest of ``graph`` from whole tensor names and shapes."""
+    guesses: list[str] = []
+    inputs = tuple(_input(tensor, guesses) for tensor in graph.inputs if _role_of(tensor))
+    unknown = [tensor.name for tensor in graph.inputs if not _role_of(tensor)]
+    guesses += [
+        f"input {one!r} has no recognisable role: add it by hand" for one in unknown
+    ]
+    outputs = GeneratorOutputs(
+        _gaussians(graph, guesses), _appearance(graph, guesses), _count(graph, guesses)
+    )
+    manifest = GeneratorManifest(name=name, inputs=inputs, outputs=outputs, space=Space())
+    guesses.append("space: -y up, arbitrary unit, column matrix order (the usual for 3DGS)")
+    guesses.append("bounds: unknown, add the box that holds the Gaussians")
+    return Candidate(manifest, tuple(guesses))
+
+
+def _role_of(tensor: Tensor) -> str | None:
+    wanted = tensor.name.lower()
+    return next((role for role, names in _INPUT_NAMES.items() if wanted in names), None)
+
+
+def _input(tensor: Tensor, guesses: list[str]) -> Input:
+    role = _role_of(tensor)
+    assert role is not None
+    guesses.append(f"input {tensor.name!r} is the {role}, by its name")
+    static = static_dims(tensor)
+    entry = ROLES[role]
+    free = static is not None and matching_shape(entry, static) is not None
+    named = any(isinstance(dim, str) for shape in entry.shapes for dim in shape)
+    span = (0.0, 1.0) if role == "time" or entry.needs_range else None
+    if span:
+        guesses.append(f"input {tensor.name!r} has the range [0, 1]")
+    return Input(
+        name=tensor.name,
+        role=role,
+        shape=_sizes(static) if free and named else None,
+        range=span,
+        default="zeros",
+    )
+
+
+def _sizes(dims: Shape | None) -> tuple[int, ...] | None:
+    return tuple(int(dim) for dim in dims) if dims is not None else None
+
+
+def _named(graph: Graph, names: tuple[str, ...]) -> Tensor | None:
+    return next((t for t in graph.outputs if t.name.lower() in names), None)
+
+
+def _last(tensor: Tensor) -> int:
+    dim = tensor.dims[-1] if tensor.dims else None
+    return dim if isinstance(dim, int) else 0
+
+
+def _gaussians(graph: Graph, guesses: list[str]) -> GaussiansOutput | None:
+    found = _named(graph, _GAUSSIAN_NAMES)
+    packed = [tensor for tensor in graph.outputs if _last(tensor) == ROW]
+    if found is None and len(packed) == 1:
+        found = packed[0]
+    if found is None:
+        guesses.append(
+            f"no output is named like packed Gaussians or is the only one ending in {ROW}"
+        )
+        return None
+    guesses.append(f"output {found.name!r} holds the packed Gaussians")
+    first = found.dims[0] if found.dims else None
+    capacity = first if isinstance(first, int) and first > 0 else _PLACEHOLDER_CAPACITY
+    return GaussiansOutput(found.name, capacity, _float_dtype(found))
+
+
+def _float_dtype(tensor: Tensor) -> Literal["float32", "float16"]:
+    return "float16" if tensor.dtype == "float16" else "float32"
+
+
+def _appearance(graph: Graph, guesses: list[str]) -> AppearanceOutput | None:
+    found = _named(graph, _COLOR_NAMES)
+    if found is None:
+        guesses.append("no output is named like an appearance")
+        return None
+    channels = _last(found)
+    if channels in APPEARANCE_CHANNELS["sh"] and channels != 3:
+        degree = degree_of(channels // 3)
+        guesses.append(
+            f"output {found.name!r} holds SH of degree {degree}, by its {channels} channels"
+        )
+        return AppearanceOutput(found.name, "sh", degree)
+    guesses.append(
+        f"output {found.name!r} holds raw RGB, by its {channels or '?'} channels"
+    )
+    return AppearanceOutput(found.name, "rgb")
+
+
+def _count(graph: Graph, guesses: list[str]) -> CountOutput | None:
+    found = _named(graph, _COUNT_NAMES)
+    if found is None:
+        guesses.append("no output is named like a row count")
+        return None
+    guesses.append(f"output {found.name!r} is the number of live rows")
+    return CountOutput(found.name)

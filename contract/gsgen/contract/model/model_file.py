@@ -1,0 +1,409 @@
+"""An ONNX file opened for judging: its structure, its manifest, where its weights lie."""
+
+__all__ = [
+    "MANIFEST_KEY",
+    "STUB",
+    "ExternalRef",
+    "ModelFile",
+    "bodies",
+    "open_model",
+    "subgraphs",
+    "write_manifest",
+    "write_manifest_text",
+]
+
+import mmap
+import os
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from google.protobuf.message import DecodeError
+from onnx import (
+    AttributeProto,
+    FunctionProto,
+    GraphProto,
+    ModelProto,
+    StringStringEntryProto,
+    TensorProto,
+)
+
+from gsgen.contract.errors import ModelUnreadable
+from gsgen.contract.model.protobuf_scan import (
+    BYTES,
+    STUB,
+    Skeleton,
+    WireFault,
+    scan,
+    skeleton,
+)
+from gsgen.contract.spec.manifest import Manifest
+from gsgen.contract.spec.manifest_io import dumps
+
+Body = GraphProto | FunctionProto
+
+MANIFEST_KEY = "gsgen.manifest"
+
+_METADATA_FIELD = 14  # ModelProto.metadata_props
+_LONGEST = (1 << 63) - 1
+_DIGITS = 100  # Python refuses to read numbers of thousands
+
+# First bytes of files that people pass by mistake.
+_LOOKALIKES = (
+    (b"PK\x03\x04", "a zip archive (a torch checkpoint, an npz or SOG splats)"),
+    (b"ply", "a PLY point cloud: turn it into a model with `gsgen export static`"),
+    (b"glTF", "a GLB: turn its splats into a model with `gsgen export static`"),
+    (
+        b"\x1f\x8b",
+        "a gzip file (SPZ splats, which `gsgen export static` takes, or an archive)",
+    ),
+    (b"\x93NUMPY", "a NumPy array"),
+    (b"\x89HDF", "an HDF5 file"),
+    (b"\x89PNG", "a picture"),
+    (b"\xff\xd8\xff", "a picture"),
+    (b"\x80\x02", "a pickle"),
+    (b"\x80\x04", "a pickle"),
+    (b"\x80\x05", "a pickle"),
+    (b"<", "an XML or HTML page"),
+    (b"{", "a JSON document"),
+    (b"version https://git-lfs", "a git LFS pointer: fetch the file with `git lfs pull`"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ExternalRef:
+    """A tensor whose payload lies in another file.
+
+    Attributes:
+        tensor: Its name.
+        location: The path as written in the model, relative to the model's folder.
+        offset: First byte in that file.
+        length: Number of bytes, or None where the model does not say.
+    """
+
+    tensor: str
+    location: str
+    offset: int
+    length: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class ModelFile:
+    """A model's structure. Its weights stay in the file.
+
+    Attributes:
+        path: The file.
+        size: Its size, in bytes.
+        proto: The model, with stubs in place of large payloads and of external data.
+        stripped: Bytes of payload that were not read.
+        external: Tensors whose payload lies in other files.
+        whole: Nothing was left out, and no weight is sparse.
+    """
+
+    path: Path
+    size: int
+    proto: ModelProto
+    stripped: int
+    external: tuple[ExternalRef, ...]
+    whole: bool = False
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """The model-level ``metadata_props``; where a key repeats, the last one holds."""
+        return {entry.key: entry.value for entry in self.proto.metadata_props}
+
+    @property
+    def weight_bytes(self) -> int:
+        """Bytes of the file and of what its weights take of other files, each byte counted once.
+
+        What a model says of lengths does not count beyond what there is.
+        """
+        ranges: dict[str, list[tuple[int, int]]] = {}
+        for ref in self.external:
+            end = _LONGEST if ref.length is None else ref.offset + ref.length
+            ranges.setdefault(ref.location, []).append((ref.offset, end))
+        beside = (_covered(self.path.parent, *one) for one in ranges.items())
+        return self.size + sum(beside)
+
+    @property
+    def manifest_text(self) -> str | None:
+        """The embedded manifest as JSON text, or None."""
+        return self.metadata.get(MANIFEST_KEY)
+
+
+def _covered(folder: Path, location: str, ranges: list[tuple[int, int]]) -> int:
+    """Return how many bytes of a file lie in any of ``ranges``; none where there is no file."""
+    try:
+        entry = (folder / location).stat()
+        size = entry.st_size if stat.S_ISREG(entry.st_mode) else 0
+    except (OSError, ValueError):  # which is a finding of its own
+        return 0
+    total = reached = 0
+    for start, end in sorted(ranges):
+        start, end = max(start, reached), min(end, size)
+        total += max(0, end - start)
+        reached = max(reached, end)
+    return total
+
+
+def open_model(path: str | os.PathLike[str]) -> ModelFile:
+    """Open an ONNX file without reading its weights.
+
+    Raises:
+        ModelUnreadable: There is no such file, or it is not an ONNX model.
+    """
+    path = Path(path)
+    size = _size(path)
+    try:
+        with (
+            path.open("rb") as file,
+            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as view,
+        ):
+            bones = _skeleton(path, view)
+    except OSError as error:
+        raise ModelUnreadable(
+            f"cannot be read: {error.strerror}", where=str(path)
+        ) from error
+    proto = _parse(path, bones.data)
+    parts = list(bodies(proto))
+    _check_texts(path, proto, parts, bones.data[:32])
+    external = tuple(_detach_external(parts))
+    whole = not (bones.stripped or external or any(map(_has_sparse, parts)))
+    return ModelFile(path, size, proto, bones.stripped, external, whole)
+
+
+def _size(path: Path) -> int:
+    where = str(path)
+    try:
+        entry = path.stat()
+    except OSError as error:
+        raise ModelUnreadable(f"cannot be read: {error.strerror}", where=where) from error
+    if stat.S_ISDIR(entry.st_mode):
+        held = sorted(path.glob("*.onnx"))
+        mend = f"It holds {len(held)}: name {held[0]}, or {path}/*.onnx." if held else ""
+        raise ModelUnreadable("is a folder, wanted an ONNX file", where=where, mend=mend)
+    if not stat.S_ISREG(entry.st_mode):
+        raise ModelUnreadable("is not a regular file, wanted an ONNX file", where=where)
+    if entry.st_size == 0:
+        raise ModelUnreadable("is empty (0 bytes), wanted an ONNX model", where=where)
+    return entry.st_size
+
+
+def _skeleton(path: Path, view: mmap.mmap) -> Skeleton:
+    with memoryview(view) as data:
+        try:
+            return skeleton(data)
+        except WireFault as fault:
+            raise _not_onnx(
+                path, f"is damaged or cut off at {fault}", bytes(data[:32])
+            ) from fault
+
+
+def _parse(path: Path, data: bytes) -> ModelProto:
+    try:
+        proto = ModelProto.FromString(data)
+    except (DecodeError, RecursionError) as error:
+        raise _not_onnx(path, f"does not parse as ONNX ({error})", data[:32]) from error
+    if not proto.HasField("graph") or not (proto.ir_version or proto.opset_import):
+        raise _not_onnx(path, "holds no ONNX graph", data[:32])
+    return proto
+
+
+def _check_texts(path: Path, proto: ModelProto, parts: list[Body], head: bytes) -> None:
+    for text in _texts(proto, parts):
+        if isinstance(text, bytes):  # what protobuf gives where bytes are no UTF-8
+            raise _not_onnx(path, f"has a name that is no text ({text[:32]!r})", head)
+
+
+def _has_sparse(body: Body) -> bool:
+    return isinstance(body, GraphProto) and bool(body.sparse_initializer)
+
+
+def _not_onnx(path: Path, what: str, head: bytes) -> ModelUnreadable:
+    for magic, name in _LOOKALIKES:
+        if head.startswith(magic):
+            return ModelUnreadable(f"is not an ONNX model but {name}", where=str(path))
+    if head[8:9] == b"{" and head[:8].endswith(bytes(3)):
+        what = "is not an ONNX model but weights in safetensors"
+        return ModelUnreadable(what, where=str(path))
+    if _is_text(head):
+        return ModelUnreadable("is not an ONNX model but text", where=str(path))
+    mend = (
+        "Write the file again; a partial download or an interrupted export looks like this."
+    )
+    return ModelUnreadable(what, where=str(path), mend=mend)
+
+
+def _is_text(head: bytes) -> bool:
+    """Say whether a file begins as text does; a model begins with a field of one byte."""
+    written = head.decode("utf-8", errors="ignore")
+    return len(written) >= len(head) - 3 and all(
+        sign.isprintable() or sign in "\t\r\n" for sign in written
+    )
+
+
+def _detach_external(parts: list[Body]) -> Iterator[ExternalRef]:
+    """Put a stub in place of every external payload, and say where it was."""
+    for tensor in _tensors(parts):
+        if tensor.data_location != TensorProto.EXTERNAL:
+            continue
+        entries = {entry.key: entry.value for entry in tensor.external_data}
+        tensor.ClearField("external_data")
+        tensor.ClearField("data_location")
+        tensor.raw_data = STUB
+        yield ExternalRef(
+            tensor.name,
+            entries.get("location", ""),
+            _whole(entries.get("offset")) or 0,
+            _whole(entries.get("length")),
+        )
+
+
+def _whole(text: str | None) -> int | None:
+    """Return the number that ``text`` is, if it is one; no file is as long as the largest."""
+    if text is None or not (text.isascii() and text.isdigit()):
+        return None
+    return min(int(text), _LONGEST) if len(text) <= _DIGITS else _LONGEST
+
+
+def bodies(proto: ModelProto) -> Iterator[Body]:
+    """Yield every graph of a model: the main one, functions, and all that nodes hold."""
+    queue: list[Body] = [proto.graph, *proto.functions]
+    for training in proto.training_info:
+        queue += [training.initialization, training.algorithm]
+    while queue:
+        body = queue.pop()
+        yield body
+        for attribute in _attributes(body):
+            queue += subgraphs(attribute)
+
+
+def subgraphs(attribute: AttributeProto) -> list[GraphProto]:
+    """Return the graphs that an attribute holds."""
+    return [*([attribute.g] if attribute.HasField("g") else ()), *attribute.graphs]
+
+
+def _attributes(body: Body) -> Iterator[AttributeProto]:
+    if isinstance(body, FunctionProto):
+        yield from body.attribute_proto
+    for node in body.node:
+        yield from node.attribute
+
+
+def _tensors(parts: list[Body]) -> Iterator[TensorProto]:
+    """Yield every tensor that a file can hold, in subgraphs and functions too."""
+    for body in parts:
+        if isinstance(body, GraphProto):
+            yield from body.initializer
+            for sparse in body.sparse_initializer:
+                yield from (sparse.values, sparse.indices)
+        for attribute in _attributes(body):
+            yield from _attribute_tensors(attribute)
+
+
+def _attribute_tensors(attribute: AttributeProto) -> Iterator[TensorProto]:
+    if attribute.HasField("t"):
+        yield attribute.t
+    yield from attribute.tensors
+    if attribute.HasField("sparse_tensor"):
+        yield from (attribute.sparse_tensor.values, attribute.sparse_tensor.indices)
+    for sparse in attribute.sparse_tensors:
+        yield from (sparse.values, sparse.indices)
+
+
+def _texts(proto: ModelProto, parts: list[Body]) -> Iterator[str]:
+    """Yield every name and text that rules look at."""
+    for entry in proto.metadata_props:
+        yield from (entry.key, entry.value)
+    for opset in proto.opset_import:
+        yield opset.domain
+    for function in proto.functions:
+        yield from (function.domain, function.name)
+    for body in parts:
+        if isinstance(body, GraphProto):
+            for value in (*body.input, *body.output, *body.value_info):
+                yield value.name
+                yield from (dim.dim_param for dim in value.type.tensor_type.shape.dim)
+        for node in body.node:
+            yield from (node.op_type, node.domain, node.name, *node.input, *node.output)
+    for tensor in _tensors(parts):
+        yield tensor.name
+        for pair in tensor.external_data:
+            yield from (pair.key, pair.value)
+
+
+def write_manifest(
+    source: str | os.PathLike[str], manifest: Manifest, target: str | os.PathLike[str]
+) -> None:
+    """Copy the model ``source`` to ``target`` with ``manifest`` in it, replacing any other.
+
+    The weights pass through in chunks and are never parsed; ``target`` may be ``source``.
+    It is written beside its place and renamed, so a failure leaves what was there.
+
+    Raises:
+        ManifestInvalid: ``manifest`` does not follow its schema.
+        ModelUnreadable: ``source`` is not an ONNX model.
+        OSError: ``target`` cannot be written.
+    """
+    write_manifest_text(Path(source), dumps(manifest, indent=None), Path(target))
+
+
+def write_manifest_text(source: Path, text: str, target: Path) -> None:
+    """Do what :func:`write_manifest` does with a manifest that is text already."""
+    entry = StringStringEntryProto(key=MANIFEST_KEY, value=text)
+    appended = ModelProto(metadata_props=[entry]).SerializeToString()
+    open_model(source)  # says what is wrong with it, if something is
+    handle, name = tempfile.mkstemp(
+        dir=target.parent, prefix=f".{target.name}.", suffix=".part"
+    )
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, "wb") as out, source.open("rb") as file:
+            for start, end in _without_manifest(file.fileno()):
+                file.seek(start)
+                _copy_bytes(file, out, end - start)
+            out.write(appended)  # a repeated field may stand anywhere in the message
+        shutil.copymode(source, temporary)
+        temporary.replace(target)
+    except BaseException:
+        with suppress(FileNotFoundError):
+            temporary.unlink()
+        raise
+
+
+def _without_manifest(descriptor: int) -> list[tuple[int, int]]:
+    """Return the byte ranges of a model that are not its manifest, in order."""
+    ranges: list[tuple[int, int]] = []
+    with (
+        mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ) as view,
+        memoryview(view) as data,
+    ):
+        for one in scan(data, 0, len(data)):
+            if one.number == _METADATA_FIELD and _is_manifest(data, one.value, one.end):
+                continue
+            if ranges and ranges[-1][1] == one.start:
+                ranges[-1] = (ranges[-1][0], one.end)
+            else:
+                ranges.append((one.start, one.end))
+    return ranges
+
+
+def _is_manifest(data: memoryview, start: int, end: int) -> bool:
+    key = next(
+        (f for f in scan(data, start, end) if f.number == 1 and f.wire == BYTES), None
+    )
+    return key is not None and bytes(data[key.value : key.end]) == MANIFEST_KEY.encode()
+
+
+def _copy_bytes(source: BinaryIO, out: BinaryIO, count: int) -> None:
+    while count:
+        chunk = source.read(min(count, 1 << 20))
+        if not chunk:
+            raise OSError(f"{source.name} became shorter while it was copied")
+        out.write(chunk)
+        count -= len(chunk)

@@ -1,0 +1,221 @@
+"""Where a WebGPU provider runs the nodes of a graph, predicted from operator tables."""
+
+__all__ = ["Cause", "Placement", "frame_nodes", "placements", "shape_arguments"]
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from onnx import ModelProto, NodeProto, TensorProto
+
+from gsgen.contract.model.graph import Graph, reads
+from gsgen.contract.model.small_weights import small_array
+from gsgen.contract.spec.operator_tables import CAPTURE, OperatorTable
+
+# Why a node is not captured. Each has one rule, so that one node makes one finding.
+Cause = Literal[
+    "", "control flow", "shape", "float64", "int64", "norm", "opset", "operator", "unknown"
+]
+
+_MAIN_DOMAIN = ("", "ai.onnx")
+_CONTROL_FLOW = frozenset({"If", "Loop", "Scan"})
+# What these return depends on shapes alone, and is folded once shapes are fixed.
+_OF_SHAPES = frozenset({"Shape", "Size"})
+_DRAWS = frozenset(
+    {
+        "Bernoulli",
+        "Multinomial",
+        "RandomNormal",
+        "RandomNormalLike",
+        "RandomUniform",
+        "RandomUniformLike",
+    }
+)
+# The number of elements that these return depends on values.
+_SIZED_BY_DATA = frozenset({"Compress", "NonMaxSuppression", "NonZero", "Unique"})
+# Arguments that decide the shape of the result.
+_SHAPE_ARGUMENTS = {
+    "ConstantOfShape": (0,),
+    "Expand": (1,),
+    "OneHot": (1,),
+    "Pad": (1,),
+    "Range": (0, 1, 2),
+    "Reshape": (1,),
+    "Resize": (2, 3),
+    "Slice": (1, 2, 3, 4),
+    "Split": (1,),
+    "Squeeze": (1,),
+    "Tile": (1,),
+    "TopK": (1,),
+    "Unsqueeze": (1,),
+}
+_NORMS = frozenset(
+    {
+        "BatchNormalization",
+        "GroupNormalization",
+        "InstanceNormalization",
+        "LayerNormalization",
+        "LpNormalization",
+        "MeanVarianceNormalization",
+        "RMSNormalization",
+        "ReduceL2",
+    }
+)
+# The argument whose dtype chooses the kernel, where that is not the first.
+_KERNEL_ARGUMENT = {"OneHot": 2, "Where": 1}
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """What becomes of one node of the frame.
+
+    Attributes:
+        node: The node.
+        dtype: The dtype that chooses its kernel; empty if it is not known.
+        cause: Why it is not captured; empty where it is.
+        outcomes: Release → what it does instead of capturing; empty where that does not matter.
+    """
+
+    node: NodeProto
+    dtype: str
+    cause: Cause
+    outcomes: dict[str, str]
+
+
+def frame_nodes(graph: Graph) -> list[NodeProto]:
+    """Return the nodes that run anew every frame: the rest is folded or dropped at loading."""
+    varying = {tensor.name for tensor in graph.inputs}
+    running: list[NodeProto] = []
+    for node in graph.nodes:
+        draws = node.op_type in _DRAWS and node.domain in _MAIN_DOMAIN
+        fed = node.op_type not in _OF_SHAPES and not varying.isdisjoint(reads(node))
+        if draws or fed:
+            varying.update(node.output)
+            running.append(node)
+    needed: set[str] = {tensor.name for tensor in graph.outputs}
+    kept: list[NodeProto] = []
+    for node in reversed(running):
+        if not needed.isdisjoint(node.output):
+            needed.update(reads(node))
+            kept.append(node)
+    return kept[::-1]
+
+
+def shape_arguments(node: NodeProto) -> list[str]:
+    """Return the names of the arguments that decide the shape of what ``node`` returns."""
+    places = _SHAPE_ARGUMENTS.get(node.op_type, ())
+    return [node.input[k] for k in places if k < len(node.input) and node.input[k]]
+
+
+def placements(
+    graph: Graph, proto: ModelProto, tables: Sequence[OperatorTable]
+) -> list[Placement]:
+    """Predict what becomes of every node of the frame."""
+    nodes = frame_nodes(graph)
+    varying = {tensor.name for tensor in graph.inputs}
+    varying.update(name for node in nodes for name in node.output)
+    opset = next((o.version for o in proto.opset_import if o.domain in _MAIN_DOMAIN), 0)
+    backwards = _negative_weights(proto)
+    return [
+        _place(
+            graph, node, _variant(graph, node, varying, backwards), varying, opset, tables
+        )
+        for node in nodes
+    ]
+
+
+def _place(
+    graph: Graph,
+    node: NodeProto,
+    variant: str,
+    varying: set[str],
+    opset: int,
+    tables: Sequence[OperatorTable],
+) -> Placement:
+    dtype = _kernel_dtype(graph, node)
+    if node.op_type in _CONTROL_FLOW:
+        return Placement(node, dtype, "control flow", {})
+    if node.op_type in _SIZED_BY_DATA or not varying.isdisjoint(shape_arguments(node)):
+        return Placement(node, dtype, "shape", {})
+    if "float64" in (dtype, variant.removeprefix("to ")):
+        return Placement(node, dtype, "float64", {})
+    domain = node.domain in _MAIN_DOMAIN
+    found = {
+        table.runtime: table.outcome(node.op_type, variant, dtype, opset) if domain else ""
+        for table in tables
+    }
+    bad = {runtime: outcome for runtime, outcome in found.items() if outcome != CAPTURE}
+    if not bad:
+        return Placement(node, dtype, "", {})
+    known = {runtime: outcome for runtime, outcome in bad.items() if outcome}
+    if not known:
+        return Placement(node, dtype, "unknown", bad)
+    return Placement(node, dtype, _cause(node, variant, dtype, known, tables), known)
+
+
+def _cause(
+    node: NodeProto,
+    variant: str,
+    dtype: str,
+    failing: dict[str, str],
+    tables: Sequence[OperatorTable],
+) -> Cause:
+    if "int64" in (dtype, variant.removeprefix("to ")):
+        return "int64"
+    elsewhere = [
+        table.opset_with_kernel(node.op_type, variant, dtype)
+        for table in tables
+        if table.runtime in failing
+    ]
+    if all(opset is not None for opset in elsewhere):
+        return "opset"
+    return "norm" if node.op_type in _NORMS else "operator"
+
+
+def _kernel_dtype(graph: Graph, node: NodeProto) -> str:
+    place = _KERNEL_ARGUMENT.get(node.op_type, 0)
+    names = [*node.input[place : place + 1], *node.output[:1]]
+    tensors = (graph.tensors.get(name) for name in names)
+    return next((t.dtype for t in tensors if t is not None and t.dtype), "")
+
+
+def _variant(
+    graph: Graph, node: NodeProto, varying: set[str], backwards: frozenset[str]
+) -> str:
+    """Return which of an operator's measured variants ``node`` is; empty for the usual one."""
+    ranks = [_rank(graph, name) for name in node.input]
+    attributes = {attribute.name: attribute for attribute in node.attribute}
+    match node.op_type:
+        case "Cast":
+            made = graph.tensors.get(node.output[0])
+            return f"to {made.dtype}" if made is not None else ""
+        case "Conv":
+            return "" if "dilations" in attributes else "implicit dilations"
+        case "GatherND":
+            return "" if node.input[1] in varying else "constant"
+        case "GridSample":
+            return "5d" if ranks[0] == 5 else ""
+        case "MatMul":
+            return "vector" if 1 in ranks else ""
+        case "Resize":
+            mode = attributes.get("mode")
+            return "cubic" if mode is not None and mode.s == b"cubic" else ""
+        case "ScatterND" | "ScatterElements":
+            return "add" if "reduction" in attributes else ""
+        case "Slice":
+            return "backwards" if not backwards.isdisjoint(node.input[4:5]) else ""
+    return ""
+
+
+def _rank(graph: Graph, name: str) -> int | None:
+    tensor = graph.tensors.get(name)
+    return None if tensor is None or tensor.dims is None else len(tensor.dims)
+
+
+def _negative_weights(proto: ModelProto) -> frozenset[str]:
+    """Return the names of small weights that hold a negative whole number, such as a step of −1."""
+    whole = (TensorProto.INT32, TensorProto.INT64)
+    small = {
+        w.name: small_array(w) for w in proto.graph.initializer if w.data_type in whole
+    }
+    return frozenset(name for name, a in small.items() if a is not None and (a < 0).any())

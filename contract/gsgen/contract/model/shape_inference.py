@@ -1,0 +1,154 @@
+"""Shape inference that ends: ONNX's own, kept from what a few bytes of a model can make of it.
+
+Two things in a small file take ONNX's library hours and all memory. Functions that call functions
+are expanded at every call, 2ⁿ times where each calls the next one twice. And *data propagation*,
+which follows shapes that are computed inside a graph, keeps one entry for each element of a vector,
+be it one of two thousand million weights. So functions are counted first; and data is propagated
+only where something is still unknown without, in a child process if vectors may be long.
+"""
+
+__all__ = ["first_line", "infer", "propagate"]
+
+import subprocess
+import sys
+
+import onnx
+from google.protobuf.message import DecodeError
+from onnx import FunctionProto, GraphProto, ModelProto, ValueInfoProto
+
+from gsgen.contract.model.model_file import subgraphs
+from gsgen.contract.process.parent_watchdog import end_with_parent
+
+# What ONNX's library raises besides its own error.
+_ERRORS = (
+    onnx.shape_inference.InferenceError,
+    onnx.checker.ValidationError,
+    ValueError,
+    RuntimeError,
+    MemoryError,
+)
+_MOST_EXPANDED = 20_000
+_LONGEST = 4096
+# What the child may take. Where it is not enough, what is known without stands.
+_SECONDS, _MEMORY = 5.0, 1 << 30
+
+
+def infer(proto: ModelProto) -> tuple[ModelProto | None, str]:
+    """Return ``proto`` with inferred types, as far as they are, and what ONNX objects to.
+
+    No data is propagated: where sizes are unknown, :func:`propagate` may find them.
+    """
+    if _expanded(proto) > _MOST_EXPANDED:
+        return None, f"its functions expand to more than {_MOST_EXPANDED} nodes"
+    return _strictly(proto)
+
+
+def propagate(proto: ModelProto, inferred: ModelProto) -> tuple[ModelProto, str]:
+    """Infer ``proto`` again with data propagation; what it gave without it is ``inferred``."""
+    if _may_be_long(inferred):
+        return _propagated_elsewhere(proto) or inferred, ""
+    try:
+        return _propagated(proto, strict=True), ""
+    except _ERRORS as error:
+        return inferred, first_line(error)
+
+
+def _strictly(proto: ModelProto) -> tuple[ModelProto | None, str]:
+    run = onnx.shape_inference.infer_shapes
+    try:
+        return run(proto, check_type=True, strict_mode=True), ""
+    except _ERRORS as error:
+        fault = first_line(error)
+    try:
+        return run(proto), fault
+    except _ERRORS:
+        return None, fault  # the fault is already noted
+
+
+def _propagated(proto: ModelProto, *, strict: bool) -> ModelProto:
+    run = onnx.shape_inference.infer_shapes
+    return run(proto, check_type=strict, strict_mode=strict, data_prop=True)
+
+
+def _expanded(proto: ModelProto) -> int:
+    """Return how many nodes there are once every call of a function has a body of its own."""
+    if not proto.functions:
+        return 0
+    functions = {(one.domain, one.name): one for one in proto.functions}
+    sizes: dict[tuple[str, str], int] = {}
+
+    def size(body: GraphProto | FunctionProto) -> int:
+        total = 0
+        for node in body.node:
+            key = node.domain, node.op_type
+            if key in functions and key not in sizes:
+                sizes[key] = 0  # a function that calls itself is refused by ONNX
+                sizes[key] = size(functions[key])
+            total += 1 + sizes.get(key, 0)
+            total += sum(size(g) for a in node.attribute for g in subgraphs(a))
+        return min(total, 2 * _MOST_EXPANDED)
+
+    return size(proto.graph)
+
+
+def _may_be_long(proto: ModelProto) -> bool:
+    """Say whether data propagation may meet a vector of many elements."""
+    graph = proto.graph
+    if proto.functions or any(subgraphs(a) for node in graph.node for a in node.attribute):
+        return True  # what lies inside is not told
+    values = (*graph.input, *graph.value_info, *graph.output)
+    known = {value.name for value in values}
+    made = [name for node in graph.node for name in node.output if name]
+    weights = any(
+        len(one.dims) == 1 and one.dims[0] > _LONGEST for one in graph.initializer
+    )
+    return weights or any(map(_is_long, values)) or not known.issuperset(made)
+
+
+def _is_long(value: ValueInfoProto) -> bool:
+    kind = value.type.tensor_type
+    if not kind.HasField("shape"):
+        return True
+    dims = kind.shape.dim
+    return len(dims) == 1 and not (
+        dims[0].HasField("dim_value") and dims[0].dim_value <= _LONGEST
+    )
+
+
+def _propagated_elsewhere(proto: ModelProto) -> ModelProto | None:
+    """Propagate data in a child process; None where it failed or took too much."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", "gsgen.contract.model.shape_inference"],
+            input=proto.SerializeToString(),
+            capture_output=True,
+            timeout=_SECONDS,
+            check=False,
+        )
+        return ModelProto.FromString(done.stdout) if done.returncode == 0 else None
+    except (subprocess.TimeoutExpired, DecodeError, ValueError):
+        return None
+
+
+def _be_the_child() -> int:
+    from gsgen.contract.process.limits import limit_memory
+
+    limit_memory(_MEMORY)
+    proto = ModelProto.FromString(sys.stdin.buffer.read())
+    try:
+        made = _propagated(proto, strict=False)
+    except _ERRORS:
+        return 1
+    sys.stdout.buffer.write(made.SerializeToString())
+    return 0
+
+
+def first_line(error: Exception) -> str:
+    """Return what an error of ONNX's library says, in one line."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return " ".join(lines)[:300] or type(error).__name__
+
+
+if __name__ == "__main__":
+    end_with_parent()
+    sys.exit(_be_the_child())

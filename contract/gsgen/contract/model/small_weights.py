@@ -1,0 +1,19 @@
+"""Weights that are small enough to have been read with the model's structure."""
+
+__all__ = ["small_array"]
+
+import numpy as np
+from onnx import TensorProto, numpy_helper
+
+from gsgen.contract.model.model_file import STUB
+
+
+def small_array(weight: TensorProto) -> np.ndarray | None:
+    """Return the numbers of ``weight``; None where they were not read, or are none."""
+    if weight.raw_data == STUB:
+        return None
+    try:
+        array = np.asarray(numpy_helper.to_array(weight))
+    except (ValueError, TypeError, KeyError):  # damaged: other rules say so
+        return None
+    return array if array.dtype.kind in "biuf" and array.size else None

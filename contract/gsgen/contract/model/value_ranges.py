@@ -1,0 +1,165 @@
+"""How large the numbers inside a graph can become, as far as intervals can tell."""
+
+__all__ = ["Interval", "intervals"]
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+from onnx import NodeProto, TensorProto
+
+from gsgen.contract.model.graph import Graph, Tensor
+from gsgen.contract.model.small_weights import small_array
+from gsgen.contract.spec.manifest import Manifest
+from gsgen.contract.spec.roles import ROLES
+
+Interval = tuple[float, float]
+
+_INT32 = (-(2.0**31), 2.0**31 - 1)
+_BOUNDED: dict[str, Interval] = {
+    "Sigmoid": (0, 1),
+    "HardSigmoid": (0, 1),
+    "Softmax": (0, 1),
+    "Tanh": (-1, 1),
+    "Sin": (-1, 1),
+    "Cos": (-1, 1),
+    "Erf": (-1, 1),
+    # Places in a tensor, which is smaller than that.
+    "ArgMax": (0, _INT32[1]),
+    "ArgMin": (0, _INT32[1]),
+    "NonZero": (0, _INT32[1]),
+    "Shape": (0, _INT32[1]),
+    "Size": (0, _INT32[1]),
+    "Sign": (-1, 1),
+    # Booleans count as zero and one where they are cast.
+    **dict.fromkeys(("Equal", "Greater", "GreaterOrEqual", "Less", "LessOrEqual"), (0, 1)),
+    **dict.fromkeys(("And", "IsInf", "IsNaN", "Not", "Or", "Xor"), (0, 1)),
+}
+# What these return holds no other numbers than what they take.
+_MOVES = frozenset(
+    {
+        *("Identity", "Reshape", "Squeeze", "Unsqueeze", "Flatten", "Transpose", "Expand"),
+        *("Slice", "Gather", "GatherElements", "GatherND", "Split", "Tile", "DepthToSpace"),
+        *(
+            "ReduceMax",
+            "ReduceMin",
+            "ReduceMean",
+            "ReduceSum",
+        ),  # sums are counted afterwards
+    }
+)
+_JOINS = frozenset({"Concat", "Where"})
+
+
+def _products(a: Interval, b: Interval) -> Interval:
+    corners = [x * y for x in a for y in b]
+    return min(corners), max(corners)
+
+
+def _quotients(a: Interval, b: Interval) -> Interval:
+    if b[0] <= 0 <= b[1]:
+        return -math.inf, math.inf
+    return _products(a, (1 / b[1], 1 / b[0]))
+
+
+def _remainders(_: Interval, b: Interval) -> Interval:
+    """Return what can remain of a division by ``b``, by either rule for the sign."""
+    most = max(abs(b[0]), abs(b[1]))
+    return -most, most
+
+
+_OF_TWO: dict[str, Callable[[Interval, Interval], Interval]] = {
+    "Add": lambda a, b: (a[0] + b[0], a[1] + b[1]),
+    "Sub": lambda a, b: (a[0] - b[1], a[1] - b[0]),
+    "Mul": _products,
+    "Div": _quotients,
+    "Min": lambda a, b: (min(a[0], b[0]), min(a[1], b[1])),
+    "Max": lambda a, b: (max(a[0], b[0]), max(a[1], b[1])),
+    "Mod": _remainders,
+}
+_OF_ONE: dict[str, Callable[[Interval], Interval]] = {
+    "Neg": lambda a: (-a[1], -a[0]),
+    "Abs": lambda a: (max(0.0, a[0], -a[1]), max(abs(a[0]), abs(a[1]))),
+    "Floor": lambda a: (_whole(a[0], math.floor), _whole(a[1], math.floor)),
+    "Ceil": lambda a: (_whole(a[0], math.ceil), _whole(a[1], math.ceil)),
+    "Round": lambda a: (_whole(a[0], math.floor), _whole(a[1], math.ceil)),
+    "Relu": lambda a: (max(0.0, a[0]), max(0.0, a[1])),
+    "Cast": lambda a: a,
+}
+
+
+def _whole(value: float, rounded: Callable[[float], int]) -> float:
+    return float(rounded(value)) if math.isfinite(value) else value
+
+
+def intervals(
+    graph: Graph, weights: Iterable[TensorProto], manifest: Manifest | None
+) -> dict[str, Interval]:
+    """Return tensor → smallest and largest value it can hold; what is not known is absent.
+
+    Args:
+        graph: The main graph.
+        weights: Its weights; those whose payload was not read count as unknown.
+        manifest: Says what range each input has.
+    """
+    known = {w.name: span for w in weights if (span := _of_weight(w)) is not None}
+    for entry in manifest.inputs if manifest else ():
+        if entry.range is not None:
+            known[entry.name] = entry.range
+        elif ROLES[entry.role].index:
+            known[entry.name] = _INT32
+    for node in graph.nodes:
+        span = _of_node(node, [known.get(name) for name in node.input])
+        made = graph.tensors.get(node.output[0]) if node.output else None
+        if span is not None and node.op_type == "ReduceSum":
+            span = _added(span, graph.tensors.get(node.input[0]), made)
+        if made is not None and made.dtype == "bool":
+            span = (0.0, 1.0)
+        if span is None and made is not None and made.dtype == "int32":
+            span = _INT32  # no other number fits
+        if span is not None:
+            known.update({name: span for name in node.output if name})
+    return known
+
+
+def _added(span: Interval, taken: Tensor | None, made: Tensor | None) -> Interval | None:
+    """Return the interval of sums; None where nobody knows how many numbers are added."""
+    if taken is None or made is None or taken.dims is None or made.dims is None:
+        return None
+    sizes = [d for d in (*taken.dims, *made.dims) if isinstance(d, int) and d > 0]
+    if len(sizes) != len(taken.dims) + len(made.dims):
+        return None
+    count = math.prod(sizes[: len(taken.dims)]) / math.prod(sizes[len(taken.dims) :])
+    return span[0] * count, span[1] * count
+
+
+def _of_weight(weight: TensorProto) -> Interval | None:
+    array = small_array(weight)
+    if array is None:
+        return None
+    low, high = float(np.min(array)), float(np.max(array))
+    return (low, high) if low <= high else None  # NaN is no number
+
+
+def _of_node(node: NodeProto, spans: Sequence[Interval | None]) -> Interval | None:
+    kind = node.op_type
+    if kind in _BOUNDED:
+        return _BOUNDED[kind]
+    if kind == "Clip" and len(spans) == 3:
+        low, high = spans[1], spans[2]
+        return (low[0], high[1]) if low and high else None
+    first = spans[0] if spans else None
+    if kind in _MOVES:
+        return first
+    if kind in _JOINS:
+        parts = spans[1:] if kind == "Where" else spans
+        whole = [part for part in parts if part is not None]
+        if len(whole) != len(parts) or not whole:
+            return None
+        return min(part[0] for part in whole), max(part[1] for part in whole)
+    if kind in _OF_ONE:
+        return None if first is None else _OF_ONE[kind](first)
+    if kind in _OF_TWO and len(spans) == 2:
+        second = spans[1]
+        return None if first is None or second is None else _OF_TWO[kind](first, second)
+    return None

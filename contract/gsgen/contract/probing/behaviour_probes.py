@@ -1,0 +1,176 @@
+"""Probes that one behaviour rule asks for: edges, flipped axes, loops, frames, another order."""
+
+__all__ = ["AGAIN", "trial_probes"]
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from gsgen.contract.probing.probes import Array, Probe, as_tensor
+from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest
+from gsgen.contract.spec.roles import ROLES
+
+# What the label of a probe ends on where it is run a second time.
+AGAIN = "once more"
+
+# How far from its place the camera is moved, as a share of its distance from the origin.
+_STEP = 0.3
+# How far beyond a declared range a runtime may get by rounding or overshooting.
+_BEYOND = 0.01
+# Most frames that are visited: at both ends, and where skipping one shows.
+_WINDOW = 8
+_INTO_FRAME = 0.3
+_STEPS = 60
+_REFRESH = 60.0
+
+
+def trial_probes(
+    manifest: Manifest, base: Probe, first: tuple[Probe, ...]
+) -> Iterator[tuple[str, tuple[Probe, ...]]]:
+    """Yield, by the name of the group, the probes that behaviour rules ask for.
+
+    Args:
+        manifest: Says what each input means.
+        base: The probe that most of them differ from.
+        first: The probes that value rules look at.
+    """
+    if isinstance(manifest, GeneratorManifest):
+        yield "moved", tuple(_moved(manifest, base))
+        yield "flipped", tuple(_flipped(manifest, base))
+        yield "edges", tuple(_edges(manifest, base))
+        yield "outside", tuple(_outside(manifest, base))
+        for entry in manifest.inputs:
+            if entry.role == "time" and entry.range is not None:
+                yield "loop", tuple(_loop(entry, base))
+                yield "paces", tuple(_paces(entry, base))
+                yield "frames", tuple(_frames(entry, base))
+    if len(first) > 1:
+        again = dict.fromkeys((len(first) - 1, len(first) // 2, 1))
+        yield "again", tuple(_changed(first[index], AGAIN) for index in again)
+    yield "plain", (replace(_changed(base, "without optimisations"), optimise=False),)
+
+
+def _changed(base: Probe, words: str, **inputs: Array) -> Probe:
+    return Probe(f"{base.label} {words}", base.inputs | inputs, extra=True)
+
+
+def _of_role(manifest: Manifest, role: str) -> list[Input]:
+    return [entry for entry in manifest.inputs if entry.role == role]
+
+
+def _moved(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
+    """The camera as it was, moved, and moved as a reader of the other memory order sees it."""
+    order = manifest.space.matrix_order if manifest.space else "column"
+    for entry in _of_role(manifest, "view")[:1]:
+        view = base.inputs[entry.name]
+        matrix = as_tensor(view, order)  # its own inverse
+        step = np.zeros((4, 4))
+        step[:3, 3] = _STEP * max(float(np.linalg.norm(matrix[:3, 3])), 1.0)
+        tensor = as_tensor(step, order)
+        yield _changed(base, "again", **{entry.name: view})
+        yield _changed(base, "moved", **{entry.name: view + tensor})
+        yield _changed(base, "moved, transposed", **{entry.name: view + tensor.T})
+
+
+def _flipped(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
+    """The projection as it was, and with its second row negated."""
+    order = manifest.space.matrix_order if manifest.space else "column"
+    for entry in _of_role(manifest, "projection")[:1]:
+        lens = base.inputs[entry.name]
+        signs = as_tensor(np.diag([1.0, -1.0, 1.0, 1.0]) @ as_tensor(lens, order), order)
+        yield _changed(base, "again", **{entry.name: lens})
+        yield _changed(base, "with y turned", **{entry.name: signs})
+
+
+def _edges(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
+    """One role zero at a time, then all inputs at the ends of their ranges."""
+    for role in dict.fromkeys(entry.role for entry in manifest.inputs):
+        names = [entry.name for entry in _of_role(manifest, role)]
+        zeros = {name: np.zeros_like(base.inputs[name]) for name in names}
+        yield _changed(base, f"with zero {role}", **zeros)
+    for end, words in ((0, "at the lowest"), (1, "at the highest")):
+        ends = {
+            entry.name: _filled(base.inputs[entry.name], span[end])
+            for entry in manifest.inputs
+            if (span := _span(entry, base.inputs[entry.name])) is not None
+        }
+        if ends:
+            yield _changed(base, words, **ends)
+
+
+def _span(entry: Input, value: Array) -> tuple[float, float] | None:
+    """Return the ends of an input's range; poses turn by half a circle at most."""
+    angles = entry.role in ("pose", "root_rotation") and value.shape[-1:] == (3,)
+    if entry.range is None and angles and value.shape != (3, 3):
+        return -math.pi, math.pi
+    return entry.range
+
+
+def _outside(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
+    """All inputs that have a range just below it, then just above it."""
+    ranged = [
+        (entry, entry.range)
+        for entry in manifest.inputs
+        if entry.range is not None and not ROLES[entry.role].index
+    ]
+    for sign, end, words in ((-1, 0, "just below"), (1, 1, "just above")):
+        inputs = {
+            entry.name: _filled(
+                base.inputs[entry.name], span[end] + sign * _BEYOND * (span[1] - span[0])
+            )
+            for entry, span in ranged
+        }
+        if inputs:
+            yield _changed(base, f"{words} the declared ranges", **inputs)
+
+
+def _filled(like: Array, value: float) -> Array:
+    if like.dtype.kind == "f":
+        limits = np.finfo(like.dtype)
+        value = min(max(value, float(limits.min)), float(limits.max))
+    return np.full_like(like, value)
+
+
+def _at(entry: Input, base: Probe, along: float) -> Probe:
+    assert entry.range is not None
+    low, high = entry.range
+    value = low * (1 - along) + high * along
+    like = base.inputs[entry.name]
+    return _changed(base, f"at time={value:.6g}", **{entry.name: _filled(like, value)})
+
+
+def _loop(entry: Input, base: Probe) -> Iterator[Probe]:
+    """The first two and the last two instants of a time that loops."""
+    if entry.loop:
+        step = 1 / (entry.frames or _STEPS)
+        for along in (0.0, step, 1 - step, 1.0):
+            yield _at(entry, base, along)
+
+
+def _paces(entry: Input, base: Probe) -> Iterator[Probe]:
+    """Pairs of instants that lie one refresh of a screen apart."""
+    if entry.frames and entry.fps:
+        step = min(1.0, entry.fps / entry.frames / _REFRESH)
+        for start in (0.0, (1 - step) / 2, 0.5, 1 - step):
+            if start + step <= 1:
+                yield _at(entry, base, start)
+                yield _at(entry, base, start + step)
+
+
+def _frames(entry: Input, base: Probe) -> Iterator[Probe]:
+    """An instant within each frame, or of runs of frames where there are many.
+
+    A model that rounds time down to one frame less than there are shows the same frame twice
+    where the fraction of time that has passed is the fraction of a frame.
+    """
+    if not entry.frames or entry.frames < 2:
+        return
+    count = entry.frames
+    middle = int(_INTO_FRAME * count)
+    chosen = {k for start in (0, middle - _WINDOW, middle, count - _WINDOW) for k in
+              range(max(0, start), min(count, start + _WINDOW))}  # fmt: skip
+    for frame in sorted(chosen):
+        probe = _at(entry, base, (frame + _INTO_FRAME) / count)
+        yield replace(probe, label=f"frame {frame}")

@@ -1,0 +1,84 @@
+"""Tell from the numbers in which order the fields of packed rows stand."""
+
+__all__ = ["FieldOrder", "suspect_order"]
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from gsgen.contract.spec.geometry import smallest_eigenvalue
+
+# Fewer rows than this prove nothing.
+_FEWEST = 16
+# As declared, more than this share of the rows is broken; in the other order, fewer than that is.
+_BROKEN = 0.2
+_SOUND = 1e-3
+_SLACK = 2.0**-8
+_UNIT = 1e-2
+
+# Where xx xy xz yy yz zz stand in each order that exporters have used by mistake.
+_COVARIANCES = {
+    "xx yy zz xy xz yz": (0, 3, 4, 1, 5, 2),
+    "xx xy yy xz yz zz": (0, 1, 3, 2, 4, 5),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class FieldOrder:
+    """An order that fits the rows, where the declared one does not.
+
+    Attributes:
+        name: The fields in that order.
+        declared: Share of rows without a valid covariance, read as declared.
+        found: The same share, read in this order.
+        rows: How many rows were looked at.
+    """
+
+    name: str
+    declared: float
+    found: float
+    rows: int
+
+
+def suspect_order(rows: Float[np.ndarray, "n 10"]) -> FieldOrder | None:
+    """Return the order that nearly all of ``rows`` fit and that many do not fit as declared."""
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    covariance = rows[:, 4:]
+    rows = rows[np.abs(covariance).sum(axis=1) > 0]
+    covariance = rows[:, 4:]
+    if len(rows) < _FEWEST:
+        return None
+    declared = _share(_indefinite(covariance))
+    if declared <= _BROKEN:
+        return None
+    found = {
+        name: _share(_indefinite(covariance[:, places]))
+        for name, places in _COVARIANCES.items()
+    }
+    found |= {name: _share(bad) for name, bad in _turned(rows).items()}
+    name, share = min(found.items(), key=lambda item: item[1])
+    return FieldOrder(name, declared, share, len(rows)) if share <= _SOUND else None
+
+
+def _share(bad: Bool[np.ndarray, " n"]) -> float:
+    return float(np.count_nonzero(bad) / len(bad))
+
+
+def _indefinite(upper: Float[np.ndarray, "n 6"]) -> Bool[np.ndarray, " n"]:
+    size = np.abs(upper[:, [0, 3, 5]]).sum(axis=1)
+    return np.asarray(~(smallest_eigenvalue(upper) >= -_SLACK * size))
+
+
+def _turned(rows: Float[np.ndarray, "n 10"]) -> dict[str, Bool[np.ndarray, " n"]]:
+    """Say which rows are no position with scales and a unit quaternion."""
+
+    def unfit(scale: slice, quaternion: slice) -> Bool[np.ndarray, " n"]:
+        length = np.linalg.norm(rows[:, quaternion], axis=1)
+        fits = (rows[:, scale] >= 0).all(axis=1) & (np.abs(length - 1) <= _UNIT)
+        return np.asarray(~fits)
+
+    return {
+        "x y z, three scales, a quaternion": unfit(slice(3, 6), slice(6, 10)),
+        "x y z, a quaternion, three scales": unfit(slice(7, 10), slice(3, 7)),
+    }

@@ -1,0 +1,242 @@
+"""What value rules look at: the outputs of one probe, whole or in chunks of rows."""
+
+__all__ = ["CHUNK", "Emission", "Rows", "chunks", "read_emission"]
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt
+
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.probing.field_order import FieldOrder, suspect_order
+from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION
+from gsgen.contract.spec.manifest import AppearanceOutput
+
+# Rows judged at a time: their unpacked columns stay in the second-level cache.
+CHUNK = 16384
+
+_SAMPLE = 1 << 13
+_ORDER_SAMPLE = 1 << 10
+_EXPONENT = {2: 0x7C00, 4: 0x7F800000}
+_MAGNITUDE = {2: 0x7FFF, 4: 0x7FFFFFFF}
+_WORD: dict[int, type[np.unsignedinteger]] = {2: np.uint16, 4: np.uint32}
+
+
+@dataclass(frozen=True)
+class Emission:
+    """The outputs of one probe.
+
+    Attributes:
+        probe: The probe's label.
+        zeros: All inputs of the probe were zero.
+        outputs: Output name → array, as the model gave it.
+        gaussians: The packed rows, or None if they are not a [N, 10] array of floats.
+        appearance: The appearance rows, or None if they are not [N, C] floats.
+        count: How many rows are live, by the model's own word, clipped to the capacity.
+        declared: What the manifest says of the appearance.
+        subject: The model.
+        cells: The packed cells, or None if there are none that hold all rows.
+    """
+
+    probe: str
+    zeros: bool
+    outputs: dict[str, np.ndarray]
+    gaussians: Float[np.ndarray, "n 10"] | None
+    appearance: Float[np.ndarray, "n c"] | None
+    count: int
+    declared: AppearanceOutput | None
+    subject: Subject
+    cells: Float[np.ndarray, "c 10"] | None = None
+
+    @property
+    def rows_place(self) -> str:
+        """What a report calls the packed rows."""
+        declared = self.subject.declared_gaussians
+        return f"output {declared.name if declared else '?'}"
+
+    @property
+    def color_place(self) -> str:
+        """What a report calls the appearance."""
+        return f"output {self.declared.name if self.declared else '?'}"
+
+    @property
+    def cells_place(self) -> str:
+        """What a report calls the cells."""
+        declared = self.subject.declared_cells
+        return f"output {declared.name if declared else '?'}"
+
+    @property
+    def is_sh(self) -> bool:
+        """Whether the appearance is declared as SH."""
+        return self.declared is not None and self.declared.space == "sh"
+
+    @cached_property
+    def shown_colors(self) -> Float[np.ndarray, "m c"]:
+        """Finite colours of rows that are drawn, spread over all rows, in float32.
+
+        Enough for a mean; more would only cost time.
+        """
+        rows, color = self.gaussians, self.appearance
+        if rows is None or color is None:
+            return np.zeros((0, 0))
+        live = slice(0, self.count, max(1, self.count // _SAMPLE))
+        shown = rows[live, OPACITY].astype(np.float32) >= CULL_OPACITY
+        sample = color[live][shown].astype(np.float32)
+        finite = np.isfinite(sample).all(axis=1)
+        return sample if finite.all() else np.asarray(sample[finite])
+
+    @cached_property
+    def field_order(self) -> FieldOrder | None:
+        """The order that the rows seem to be in, where it is clearly another than ours."""
+        if self.gaussians is None:
+            return None
+        step = max(1, self.count // _ORDER_SAMPLE)
+        return suspect_order(self.gaussians[: self.count : step].astype(np.float64))
+
+
+def read_emission(
+    subject: Subject, probe: str, zeros: bool, outputs: dict[str, np.ndarray]
+) -> Emission:
+    """Sort the outputs of a run by what the manifest says they are."""
+
+    def take(name: str | None) -> np.ndarray | None:
+        return outputs.get(name) if name else None
+
+    rows = _float_rows(take(getattr(subject.declared_gaussians, "name", None)), 10)
+    color = _float_rows(take(getattr(subject.declared_appearance, "name", None)), None)
+    if rows is not None and color is not None and len(rows) != len(color):
+        color = None  # another rule says so
+    count = take(getattr(subject.declared_count, "name", None))
+    capacity = len(rows) if rows is not None else 0
+    whole = count is not None and count.size and count.dtype.kind in "iu"
+    live = int(count.reshape(-1)[0]) if count is not None and whole else capacity
+    clipped = min(max(live, 0), capacity)
+    cells = _float_rows(take(getattr(subject.declared_cells, "name", None)), 10)
+    per_cell = getattr(subject.declared_cells, "per_cell", 0)
+    if cells is not None and len(cells) * per_cell != capacity:
+        cells = None  # another rule says so
+    declared = subject.declared_appearance
+    return Emission(probe, zeros, outputs, rows, color, clipped, declared, subject, cells)
+
+
+def _float_rows(array: np.ndarray | None, columns: int | None) -> np.ndarray | None:
+    if array is None or array.ndim != 2 or array.dtype not in (np.float32, np.float16):
+        return None
+    return array if columns in (None, array.shape[1]) else None
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A chunk of rows of one probe, unpacked when first looked at.
+
+    Attributes:
+        emission: The outputs that the chunk is part of.
+        start: Number of its first row.
+        packed: The packed rows, as stored.
+        color: The appearance rows, as stored, or None where they cannot be read.
+    """
+
+    emission: Emission
+    start: int
+    packed: Float[np.ndarray, "n 10"]
+    color: Float[np.ndarray, "n c"] | None
+
+    def __len__(self) -> int:
+        return len(self.packed)
+
+    @cached_property
+    def wide(self) -> Float[np.ndarray, "10 n"]:
+        """The packed rows in float32, one contiguous array a field."""
+        return np.ascontiguousarray(self.packed.T, np.float32)
+
+    @property
+    def position(self) -> Float[np.ndarray, "3 n"]:
+        """Centres, one row an axis."""
+        return np.asarray(self.wide[POSITION])
+
+    @property
+    def opacity(self) -> Float[np.ndarray, " n"]:
+        """Opacity."""
+        return np.asarray(self.wide[OPACITY])
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "6 n"]:
+        """Upper triangles, one row an entry."""
+        return np.asarray(self.wide[COVARIANCE])
+
+    @cached_property
+    def live_rows(self) -> int:
+        """How many rows of the chunk lie before the count."""
+        return int(np.clip(self.emission.count - self.start, 0, len(self)))
+
+    @cached_property
+    def counted(self) -> Bool[np.ndarray, " n"]:
+        """Rows before the count."""
+        return np.arange(len(self)) < self.live_rows
+
+    @cached_property
+    def finite(self) -> Bool[np.ndarray, " n"]:
+        """Rows whose packed values and colour are all finite."""
+        kept: Bool[np.ndarray, " n"] = np.isfinite(self.wide).all(axis=0)
+        if self.color is not None:
+            kept &= self.color_peak < _EXPONENT[self.color.itemsize]
+        return kept
+
+    @cached_property
+    def color_peak(self) -> UInt[np.ndarray, " n"]:
+        """The largest magnitude in each row's colour, as its bit pattern.
+
+        Zero in all rows where no value of the chunk comes near the end of its dtype's range.
+        """
+        assert self.color is not None
+        bits = _magnitude_bits(self.color)
+        if bits.size == 0 or int(bits.max()) < _EXPONENT[self.color.itemsize] - 1:
+            return np.zeros(len(self), bits.dtype)
+        return np.asarray(bits.max(axis=1))
+
+    @cached_property
+    def drawn(self) -> Bool[np.ndarray, " n"]:
+        """Finite rows before the count that are opaque enough to change a pixel."""
+        return np.asarray(self.counted & self.finite & (self.opacity >= CULL_OPACITY))
+
+    @cached_property
+    def drawn_count(self) -> int:
+        """How many rows are drawn."""
+        return int(np.count_nonzero(self.drawn))
+
+    @cached_property
+    def trace(self) -> Float[np.ndarray, " n"]:
+        """Sum of the variances along the axes."""
+        xx, _, _, yy, _, zz = self.covariance
+        return np.asarray(xx + yy + zz)
+
+    @cached_property
+    def corners(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """The box around all centres, padding included; NaN where a centre is."""
+        return self.position.min(axis=1), self.position.max(axis=1)
+
+    @cached_property
+    def widest(self) -> Float[np.ndarray, " n"]:
+        """The largest variance along an axis."""
+        xx, _, _, yy, _, zz = self.covariance
+        return np.asarray(np.maximum(np.maximum(xx, yy), zz))
+
+
+def _magnitude_bits(array: np.ndarray) -> UInt[np.ndarray, "..."]:
+    """Return the bits of ``array`` without signs: ordered as the magnitudes, NaN and Inf on top."""
+    word = _WORD[array.itemsize]
+    return np.asarray(
+        np.ascontiguousarray(array).view(word) & word(_MAGNITUDE[array.itemsize])
+    )
+
+
+def chunks(emission: Emission) -> Iterator[Rows]:
+    """Yield the rows of an emission, :data:`CHUNK` at a time."""
+    packed = emission.gaussians
+    for start in range(0, 0 if packed is None else len(packed), CHUNK):
+        assert packed is not None
+        part = slice(start, start + CHUNK)
+        color = None if emission.appearance is None else emission.appearance[part]
+        yield Rows(emission, start, packed[part], color)

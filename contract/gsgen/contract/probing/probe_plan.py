@@ -1,0 +1,126 @@
+"""Which probes to run, in which order, so that one session answers every rule."""
+
+__all__ = ["Plan", "fetched_outputs", "make_plan", "probed_bytes", "probed_shapes"]
+
+import math
+from dataclasses import dataclass, field
+
+from gsgen.contract.model.graph import Tensor, static_dims
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.probing.behaviour_probes import trial_probes
+from gsgen.contract.probing.probes import Probe, default_probes, dependency_probes
+from gsgen.contract.probing.test_vectors import vector_probes
+from gsgen.contract.spec.manifest import Input
+from gsgen.contract.spec.severity import Level
+
+# All distinct outputs together should not fill the disk that holds temporary files.
+_BUDGET = 1 << 30
+_MOST, _FEWEST = 8, 3
+_VARIANTS = 2
+# Bytes of an element while inputs are drawn: float64.
+_WIDEST = 8
+# What an axis of open size is probed with, such as the height of an image.
+_OPEN_SIZE = 64
+# Dtypes that numpy can hold, so that ONNX Runtime can hand them over; None is not known yet.
+_FETCHABLE = (
+    *("float32", "float16", "float64", "bool", None),
+    *("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Probes in order, and what each is for.
+
+    Attributes:
+        probes: Inputs, one set a run.
+        values: How many of the first probes value rules look at.
+        repeated: Two consecutive runs with the same inputs.
+        revisited: Two runs with the same inputs and others between them.
+        variants: Role → (base run, runs that differ from it in that role alone).
+        trials: Name → the runs that one rule asks for.
+        seed: Seed of the probes that value rules look at.
+    """
+
+    probes: tuple[Probe, ...]
+    values: int
+    repeated: tuple[int, int] | None = None
+    revisited: tuple[int, int] | None = None
+    variants: dict[str, tuple[int, tuple[int, ...]]] = field(default_factory=dict)
+    trials: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    seed: int = 0
+
+
+def make_plan(subject: Subject, level: Level, seed: int = 0) -> Plan:
+    """Lay out the runs that ``level`` needs."""
+    manifest = subject.manifest
+    assert manifest is not None
+    tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
+    shapes = probed_shapes(subject)
+    dtypes = {i.name: tensors[i.name].dtype or "float32" for i in manifest.inputs}
+    count = _affordable(subject)
+    first = default_probes(manifest, shapes, dtypes, seed, count)
+    if level < Level.BEHAVIOUR:
+        return Plan(first, len(first), seed=seed)
+    base = len(first) - 1 if len(first) == 1 else 1
+    probes = [*first, first[base], first[base]]
+    again = len(first)
+    others = (first[-1], first[len(first) // 2])[:_VARIANTS]
+    variants: dict[str, tuple[int, tuple[int, ...]]] = {}
+    for role, changed in dependency_probes(manifest, first[base], others):
+        variants[role] = (base, tuple(range(len(probes), len(probes) + len(changed))))
+        probes.extend(changed)
+    trials: dict[str, tuple[int, ...]] = {}
+    groups = [
+        *vector_probes(manifest, shapes, dtypes, seed, count),
+        *trial_probes(manifest, first[base], first),
+    ]
+    for name, made in groups:
+        trials[name] = tuple(range(len(probes), len(probes) + len(made)))
+        probes.extend(made)
+    revisited = (base, again) if len(first) > 1 else None
+    repeated = (again, again + 1)
+    return Plan(tuple(probes), len(first), repeated, revisited, variants, trials, seed)
+
+
+def fetched_outputs(subject: Subject) -> list[str]:
+    """Return the outputs to fetch: the declared ones, or all; numpy cannot hold every dtype."""
+    graph = subject.graph
+    declared = [graph.output(name) for name in subject.output_names]
+    tensors = [tensor for tensor in declared if tensor] or graph.outputs
+    return [tensor.name for tensor in tensors if tensor.dtype in _FETCHABLE]
+
+
+def _probed_shape(entry: Input, tensor: Tensor) -> tuple[int, ...]:
+    """Return the shape to feed; sizes that the graph leaves open come from the manifest."""
+    dims = tensor.dims if tensor.dims is not None else entry.shape or ()
+    declared = entry.shape if entry.shape and len(entry.shape) == len(dims) else None
+    return tuple(
+        dim if isinstance(dim, int) else declared[axis] if declared else _OPEN_SIZE
+        for axis, dim in enumerate(dims)
+    )
+
+
+def probed_shapes(subject: Subject) -> dict[str, tuple[int, ...]]:
+    """Return the shapes that inputs are fed in, sizes that the graph leaves open included."""
+    tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
+    entries = subject.manifest.inputs if subject.manifest else ()
+    return {i.name: _probed_shape(i, tensors[i.name]) for i in entries if i.name in tensors}
+
+
+def probed_bytes(subject: Subject) -> int:
+    """Return the size of the inputs of one probe."""
+    shapes = probed_shapes(subject).values()
+    return sum(_WIDEST * math.prod(max(0, dim) for dim in shape) for shape in shapes)
+
+
+def _affordable(subject: Subject) -> int:
+    """Return how many probes' inputs and outputs fit the budget."""
+    total = probed_bytes(subject)
+    for tensor in (subject.gaussians, subject.appearance, subject.cells):
+        dims = static_dims(tensor) if tensor else None
+        size = 4
+        for dim in dims or (0,):
+            size *= int(dim)
+        total += size
+    return max(_FEWEST, min(_MOST, _BUDGET // max(total, 1)))

@@ -1,0 +1,199 @@
+"""Probes: the inputs that a model is run with, the same on every machine.
+
+Cameras orbit the declared bounds, times cover the declared range with both ends, and every
+other input is sampled within its range. The first probe is all zeros, because that is what
+runtimes feed before they know better.
+"""
+
+__all__ = ["Array", "Probe", "as_tensor", "default_probes", "dependency_probes"]
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.spec.geometry import look_at, perspective
+from gsgen.contract.spec.manifest import Bounds, GeneratorManifest, Input, Manifest
+from gsgen.contract.spec.roles import ROLES
+
+Array = np.ndarray
+
+# Images wide, square and tall, and lenses from the narrower to the wider angle: a model that
+# depends on either must show it.
+_VIEWPORTS = ((1280.0, 720.0), (960.0, 960.0), (720.0, 1280.0))
+_FOV = (np.deg2rad(50.0), np.deg2rad(70.0))
+_NEAR, _FAR = 0.01, 1000.0
+# Bounds beyond this are none; its square is still a float32.
+_FARTHEST = 1e18
+_UP = {"x": 0, "y": 1, "z": 2}
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """One set of inputs.
+
+    Attributes:
+        label: What a report calls it, such as ``camera 3, time=0.5``.
+        inputs: Input name → array.
+        zeros: Every input is zero.
+        extra: Behaviour rules alone look at it: of its outputs a part is kept, and if it fails the
+            model has not failed.
+        optimise: Whether ONNX Runtime may rewrite the graph.
+    """
+
+    label: str
+    inputs: dict[str, Array]
+    zeros: bool = False
+    extra: bool = False
+    optimise: bool = True
+
+
+def default_probes(
+    manifest: Manifest,
+    shapes: dict[str, tuple[int, ...]],
+    dtypes: dict[str, str],
+    seed: int = 0,
+    count: int = 8,
+) -> tuple[Probe, ...]:
+    """Return the deterministic probe set of a model.
+
+    Args:
+        manifest: Says what each input means and which range it has.
+        shapes: Input name → static shape.
+        dtypes: Input name → dtype in the graph.
+        seed: Another seed gives another set.
+        count: How many probes besides the one with all inputs zero; at least 2.
+
+    A model without inputs has one probe.
+    """
+    if not manifest.inputs:
+        return (Probe("no inputs", {}),)
+    zero = {i.name: np.zeros(shapes[i.name], dtypes[i.name]) for i in manifest.inputs}
+    probes = [Probe("all inputs zero", zero, zeros=True)]
+    for index in range(count):
+        rng = np.random.default_rng([seed, index])
+        along = index / (count - 1)
+        inputs = {
+            i.name: _cast(_sample(i, manifest, shapes[i.name], along, rng), dtypes[i.name])
+            for i in manifest.inputs
+        }
+        probes.append(Probe(_label(manifest, inputs, index), inputs))
+    return tuple(probes)
+
+
+def dependency_probes(
+    manifest: Manifest, base: Probe, others: tuple[Probe, ...]
+) -> Iterator[tuple[str, tuple[Probe, ...]]]:
+    """Yield, for each role, probes that differ from ``base`` in that role's inputs alone."""
+    for name in sorted({i.role for i in manifest.inputs}):
+        changed = [i.name for i in manifest.inputs if i.role == name]
+        variants = tuple(
+            Probe(
+                f"{base.label} with the {name} of {other.label}",
+                base.inputs | {key: other.inputs[key] for key in changed},
+            )
+            for other in others
+        )
+        yield name, variants
+
+
+def as_tensor(matrix: Float[np.ndarray, "4 4"], order: str) -> Float[np.ndarray, "4 4"]:
+    """Lay a matrix into its [4,4] tensor: ``column`` stores Mᵀ, ``row`` stores M."""
+    tensor = matrix.T if order == "column" else matrix
+    return np.ascontiguousarray(tensor, np.float32)
+
+
+def _sample(
+    one: Input,
+    manifest: Manifest,
+    shape: tuple[int, ...],
+    along: float,
+    rng: np.random.Generator,
+) -> Array:
+    space = manifest.space if isinstance(manifest, GeneratorManifest) else None
+    order = space.matrix_order if space else "column"
+    if one.role == "view":
+        return as_tensor(_camera(manifest, along), order)
+    if one.role == "projection":
+        return as_tensor(_lens(along), order)
+    if one.role == "camera_position":
+        view = _camera(manifest, along)
+        return np.asarray(-view[:3, :3].T @ view[:3, 3])
+    if one.role == "viewport":
+        return np.asarray(_viewport(along))
+    low, high = one.range or _usual_range(one)
+    if one.role in ("time", "frame_index", "appearance_id", "timestep"):
+        value = _between(low, high, np.asarray(along))  # both ends included
+        return np.full(shape, np.rint(value) if ROLES[one.role].index else value)
+    if one.role in ("pose", "root_rotation") and shape[-1] == 4:
+        quaternion = rng.normal(size=shape)
+        return np.asarray(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True))
+    if one.role == "root_rotation" and shape == (3, 3):
+        q, r = np.linalg.qr(rng.normal(size=(3, 3)))
+        q = q * np.sign(np.diag(r))
+        return np.asarray(q * np.linalg.det(q))
+    return _between(low, high, rng.random(shape))
+
+
+def _between(low: float, high: float, along: Array) -> Array:
+    """Interpolate without a difference that might overflow."""
+    return np.asarray(low * (1 - along) + high * along)
+
+
+def _cast(values: Array, dtype: str) -> Array:
+    """Convert to ``dtype``; what does not fit becomes the nearest number that does."""
+    kind = np.dtype(dtype)
+    if kind.kind in "iuf":
+        limits = np.finfo(kind) if kind.kind == "f" else np.iinfo(kind)
+        values = np.clip(values, limits.min, limits.max)
+    return np.asarray(values.astype(kind))
+
+
+def _usual_range(one: Input) -> tuple[float, float]:
+    usual = {
+        "pose": (-0.6, 0.6),
+        "root_rotation": (-0.6, 0.6),
+        "root_translation": (-0.5, 0.5),
+    }
+    return usual.get(one.role, (0.0, 1.0))
+
+
+def _viewport(along: float) -> tuple[float, float]:
+    return _VIEWPORTS[round(along * (len(_VIEWPORTS) - 1))]
+
+
+def _lens(along: float) -> Float[np.ndarray, "4 4"]:
+    """Return the projection of the camera ``along`` (0..1) the spiral, for its viewport."""
+    narrow, wide = _FOV
+    width, height = _viewport(along)
+    return perspective(narrow + (wide - narrow) * along, width / height, _NEAR, _FAR)
+
+
+def _camera(manifest: Manifest, along: float) -> Float[np.ndarray, "4 4"]:
+    """Return the view matrix of the camera ``along`` (0..1) a spiral around the bounds."""
+    bounds = getattr(manifest, "bounds", None) or Bounds(
+        (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)
+    )
+    low, high = np.clip([bounds.min, bounds.max], -_FARTHEST, _FARTHEST)
+    center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+    space = getattr(manifest, "space", None)
+    axis = space.up if space else "-y"
+    up = np.zeros(3)
+    up[_UP[axis[1]]] = 1.0 if axis[0] == "+" else -1.0
+    side = np.roll(up, 1)
+    azimuth = 1.75 * np.pi * along + 0.3
+    elevation = np.deg2rad(-30 + 80 * along)
+    ring = np.cos(azimuth) * side + np.sin(azimuth) * np.cross(up, side)
+    eye = center + 2.2 * radius * (np.cos(elevation) * ring + np.sin(elevation) * up)
+    return look_at(eye, center, up)
+
+
+def _label(manifest: Manifest, inputs: dict[str, Array], index: int) -> str:
+    words = []
+    if any(i.role in ("view", "camera_position") for i in manifest.inputs):
+        words.append(f"camera {index}")
+    for i in manifest.inputs:
+        if inputs[i.name].size == 1:
+            words.append(f"{i.name}={inputs[i.name].item():.3g}")
+    return ", ".join(words) or f"sample {index}"

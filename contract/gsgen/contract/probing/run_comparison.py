@@ -1,0 +1,187 @@
+"""What behaviour rules look at: several runs of one session, compared output by output."""
+
+__all__ = ["Behaviour", "Comparison", "Trial", "Visit", "difference", "read_behaviour"]
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.probing.probe_plan import Plan
+from gsgen.contract.probing.probes import Probe
+from gsgen.contract.probing.sandbox import Execution, Sample
+from gsgen.contract.probing.sandbox_worker import thinned
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A model's runs, as the plan laid them out."""
+
+    subject: Subject
+    execution: Execution
+    plan: Plan
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Two runs: their probes, and how much each output differs.
+
+    Attributes:
+        first: Label of the first run's probe.
+        second: Label of the second's.
+        changed: Output name → largest absolute difference; outputs with equal bits are absent.
+    """
+
+    first: str
+    second: str
+    changed: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """One run that a rule asked for.
+
+    Attributes:
+        probe: Its inputs.
+        sample: What it gave; None where it failed.
+        error: What ONNX Runtime said; empty where it did not fail.
+    """
+
+    probe: Probe
+    sample: Sample | None
+    error: str
+
+    @property
+    def outputs(self) -> dict[str, np.ndarray]:
+        """What it gave, or a part of the rows where there are many; empty where it failed."""
+        if self.sample is None:
+            return {}
+        return {name: thinned(value) for name, value in self.sample.outputs.items()}
+
+    @property
+    def digest(self) -> str:
+        """Stands for all that it gave, bit for bit; empty where it failed."""
+        return self.sample.digest if self.sample is not None else ""
+
+    @property
+    def not_finite(self) -> tuple[str, ...]:
+        """Outputs with a value that is NaN or infinite."""
+        if self.sample is None or self.sample.thin:
+            return self.sample.not_finite if self.sample else ()
+        floats = {n: v for n, v in self.sample.outputs.items() if v.dtype.kind == "f"}
+        return tuple(name for name, value in floats.items() if not np.isfinite(value).all())
+
+
+@dataclass(frozen=True, slots=True)
+class Behaviour:
+    """Comparisons between runs.
+
+    Attributes:
+        subject: The model.
+        repeated: The same inputs twice in a row.
+        revisited: The same inputs with others in between; None without inputs.
+        varied: Role → runs that differ in that role's inputs alone.
+        trial: The runs themselves.
+        left_out: Labels of the extra probes that were asked for, and for which no time was left.
+    """
+
+    subject: Subject
+    repeated: Comparison
+    revisited: Comparison | None
+    varied: dict[str, tuple[Comparison, ...]]
+    trial: Trial
+    left_out: list[str] = field(default_factory=list)
+
+    def for_a_rule(self) -> "Behaviour":
+        """Return the same runs, with an empty list of what was left out."""
+        return replace(self, left_out=[])
+
+    @property
+    def emitted(self) -> list[tuple[Probe, dict[str, np.ndarray]]]:
+        """The probes that value rules look at, all-zero ones left out, with their outputs."""
+        return [one for one in self._of(range(self.trial.plan.values)) if not one[0].zeros]
+
+    def variants(self, role: str) -> list[tuple[Probe, dict[str, np.ndarray]]]:
+        """The base probe and those that differ from it in the inputs of ``role`` alone."""
+        base, others = self.trial.plan.variants.get(role, (0, ()))
+        return self._of((base, *others)) if others else []
+
+    @property
+    def values(self) -> list[Visit]:
+        """The runs that value rules look at, in order."""
+        return [self._visit(index) for index in range(self.trial.plan.values)]
+
+    @property
+    def base(self) -> Visit:
+        """The run that most others are compared with."""
+        repeated = self.trial.plan.repeated
+        assert repeated is not None
+        return self._visit(repeated[0])
+
+    @property
+    def seconds(self) -> list[float]:
+        """How long each run of the value probes took."""
+        return [run.seconds for run in self.trial.execution.runs[: self.trial.plan.values]]
+
+    def visits(self, trial: str) -> list[Visit]:
+        """Return the extra runs of one name that took place, and note those that did not."""
+        asked = self.trial.plan.trials.get(trial, ())
+        missed = (index for index in asked if not self._ran(index))
+        self.left_out.extend(self.trial.plan.probes[index].label for index in missed)
+        return [self._visit(index) for index in asked if self._ran(index)]
+
+    def _ran(self, index: int) -> bool:
+        run = self.trial.execution.runs[index]
+        return run.sample >= 0 or bool(run.error)
+
+    def _visit(self, index: int) -> Visit:
+        run, probe = self.trial.execution.runs[index], self.trial.plan.probes[index]
+        sample = self.trial.execution.samples[run.sample] if run.sample >= 0 else None
+        return Visit(probe, sample, run.error)
+
+    def _of(self, indices: Iterable[int]) -> list[tuple[Probe, dict[str, np.ndarray]]]:
+        visits = (self._visit(index) for index in indices)
+        return [(v.probe, v.sample.outputs) for v in visits if v.sample is not None]
+
+
+def read_behaviour(trial: Trial) -> Behaviour:
+    """Compare the runs that the plan made for it."""
+    plan = trial.plan
+    assert plan.repeated is not None
+    varied = {
+        role: tuple(_compare(trial, base, other) for other in others)
+        for role, (base, others) in plan.variants.items()
+    }
+    revisited = _compare(trial, *plan.revisited) if plan.revisited else None
+    repeated = _compare(trial, *plan.repeated)
+    return Behaviour(trial.subject, repeated, revisited, varied, trial)
+
+
+def _compare(trial: Trial, first: int, second: int) -> Comparison:
+    runs, samples = trial.execution.runs, trial.execution.samples
+    labels = trial.plan.probes[first].label, trial.plan.probes[second].label
+    a, b = runs[first].sample, runs[second].sample
+    if a == b:
+        return Comparison(*labels, {})
+    pairs = (
+        (name, value, samples[b].outputs[name])
+        for name, value in samples[a].outputs.items()
+    )
+    changed = {name: difference(x, y) for name, x, y in pairs if not _same_bits(x, y)}
+    return Comparison(*labels, changed)
+
+
+def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
+    return a.shape == b.shape and a.tobytes() == b.tobytes()
+
+
+def difference(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the largest absolute difference; infinite where shapes or finiteness differ."""
+    if a.shape != b.shape:
+        return float("inf")
+    x, y = a.astype(np.float64), b.astype(np.float64)
+    same = (x == y) | (np.isnan(x) & np.isnan(y))
+    with np.errstate(invalid="ignore"):  # infinity less infinity
+        wide = np.where(same, 0, np.abs(x - y))
+    return float(np.where(np.isnan(wide), np.inf, wide).max(initial=0.0))

@@ -1,0 +1,263 @@
+"""Run a model in ONNX Runtime without trusting it: a child process with limits on time and memory.
+
+The child (:mod:`gsgen.contract.probing.sandbox_worker`) may hang, crash or be killed; the parent reads what it
+managed to write and says what happened.
+"""
+
+__all__ = ["Execution", "Fault", "Run", "Sample", "execute"]
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.probing.probes import Probe
+from gsgen.contract.process.limits import Limits
+
+_WORKER = "gsgen.contract.probing.sandbox_worker"
+
+Stage = Literal["load", "run", "time", "memory", "crash"]
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Why the model did not run to the end."""
+
+    stage: Stage
+    message: str
+    probe: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One distinct set of outputs; runs that gave the same bytes share it.
+
+    Attributes:
+        index: Its number, counted in order of appearance.
+        outputs: Output name → array, memory-mapped from the child's file.
+        digest: SHA-256 over all outputs, see :func:`gsgen.contract.probing.sandbox_worker.digest_of`.
+        thin: Only every so many rows were kept.
+        not_finite: Outputs with a value that is NaN or infinite, where thin.
+    """
+
+    index: int
+    outputs: dict[str, np.ndarray]
+    digest: str = ""
+    thin: bool = False
+    not_finite: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One inference: which probe, which sample it gave, and how long it took.
+
+    An extra probe may give none: then ``sample`` is −1, and ``error`` says why, or is empty where
+    there was no time left.
+    """
+
+    probe: int
+    sample: int
+    seconds: float
+    error: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Execution:
+    """All runs of one child.
+
+    Attributes:
+        runs: Completed runs, in order.
+        samples: Distinct outputs.
+        fault: Why it ended early, or None.
+        seconds: Wall-clock time of the child.
+        version: Version of ONNX Runtime that ran.
+        events: All that the child wrote down, in order.
+    """
+
+    runs: tuple[Run, ...]
+    samples: tuple[Sample, ...]
+    fault: Fault | None
+    seconds: float
+    version: str
+    events: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def inside(self) -> float:
+        """Seconds within ONNX Runtime itself: making sessions and running them."""
+        loading = (e["seconds"] for e in self.events if e["event"] == "loaded")
+        return float(sum(loading)) + sum(run.seconds for run in self.runs)
+
+
+@contextmanager
+def execute(
+    model: Path,
+    outputs: Sequence[str],
+    probes: Sequence[Probe],
+    limits: Limits,
+    worker: str = _WORKER,
+    **options: object,
+) -> Iterator[Execution]:
+    """Run ``model`` once for each probe, in order, in one session; results live as long as the block.
+
+    Args:
+        model: The ONNX file.
+        outputs: Names of the outputs to fetch.
+        probes: Inputs, one set a run.
+        limits: Time and memory for the child.
+        worker: The module that the child runs; another one may run the model another way.
+        options: What that worker wants to know besides; anything that JSON can hold.
+    """
+    folder = Path(tempfile.mkdtemp(prefix="gsgen-"))
+    try:
+        try:
+            _write_job(folder, model, outputs, probes, limits, **options)
+        except OSError as error:
+            what = f"inputs cannot be written: {error.strerror or error}"
+            mend = "Make room there, or set TMPDIR to a folder that has some."
+            raise ConfigInvalid(what, where=str(folder.parent), mend=mend) from error
+        started = time.monotonic()
+        ended = _run_child(folder, limits.seconds, worker)
+        yield _collect(folder, ended, time.monotonic() - started, limits)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _write_job(
+    folder: Path,
+    model: Path,
+    outputs: Sequence[str],
+    probes: Sequence[Probe],
+    limits: Limits,
+    **options: object,
+) -> None:
+    for index, probe in enumerate(probes):
+        with (folder / f"probe_{index}.npz").open("wb") as file:
+            # Names go by number: a tensor may be called "a/b" or "file".
+            arrays: dict[str, Any] = {
+                f"input_{k}": a for k, a in enumerate(probe.inputs.values())
+            }
+            np.savez(file, **arrays)
+    job = {
+        "model": str(model.resolve()),
+        "outputs": list(outputs),
+        "probes": [list(probe.inputs) for probe in probes],
+        "extra": [probe.extra for probe in probes],
+        "optimise": [probe.optimise for probe in probes],
+        "memory": limits.memory,
+        "seconds": limits.seconds,
+        **options,
+    }
+    (folder / "job.json").write_text(json.dumps(job))
+
+
+def _run_child(folder: Path, seconds: float, worker: str) -> int | None:
+    """Return the child's exit status, or None where it was stopped for taking too long."""
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    with (folder / "log").open("wb") as log:
+        child = subprocess.Popen(
+            [sys.executable, "-P", "-m", worker, str(folder)],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            env=environment,
+            start_new_session=True,
+        )
+        try:
+            return child.wait(timeout=seconds)
+        except subprocess.TimeoutExpired:
+            return None
+        finally:
+            _stop(child)
+
+
+def _stop(child: "subprocess.Popen[bytes]") -> None:
+    if child.poll() is None:
+        if hasattr(os, "killpg"):
+            os.killpg(child.pid, signal.SIGKILL)
+        else:  # no process groups on this system
+            child.kill()
+        child.wait()
+
+
+def _collect(folder: Path, status: int | None, seconds: float, limits: Limits) -> Execution:
+    events = _events(folder / "events.jsonl")
+    runs = tuple(
+        Run(event["probe"], event["sample"], event["seconds"], event.get("error", ""))
+        for event in events
+        if event["event"] == "run"
+    )
+    samples = tuple(
+        Sample(
+            event["sample"],
+            _load(folder, event["outputs"]),
+            event["digest"],
+            event["thin"],
+            tuple(event["not_finite"]),
+        )
+        for event in events
+        if event["event"] == "sample"
+    )
+    version = next((e["version"] for e in events if e["event"] == "started"), "")
+    fault = _fault(events, status, limits, folder / "log")
+    return Execution(runs, samples, fault, seconds, version, tuple(events))
+
+
+def _events(path: Path) -> list[dict[str, Any]]:
+    """Read what the child wrote; a half-written last line is its end, not an error."""
+    events: list[dict[str, Any]] = []
+    if path.exists():
+        for line in path.read_text().splitlines():
+            try:
+                events.append(json.loads(line))
+            except ValueError:
+                break
+    return events
+
+
+def _load(folder: Path, files: dict[str, str]) -> dict[str, np.ndarray]:
+    return {name: _map(folder / file) for name, file in files.items()}
+
+
+def _map(path: Path) -> np.ndarray:
+    try:
+        return np.asanyarray(np.load(path, mmap_mode="r", allow_pickle=False))
+    except ValueError:  # an empty array or a scalar cannot be mapped
+        return np.asarray(np.load(path, allow_pickle=False))
+
+
+def _fault(
+    events: list[dict[str, Any]], status: int | None, limits: Limits, log: Path
+) -> Fault | None:
+    last: dict[str, Any] = events[-1] if events else {"event": "nothing"}
+    marks = (one for one in reversed(events) if one["event"] in ("begin", "run"))
+    begun = next(marks, last)
+    probe = begun.get("probe") if begun["event"] == "begin" else None
+    if last["event"] == "done" and status == 0:
+        return None
+    if last["event"] == "fault":
+        return Fault(last["stage"], last["message"], last.get("probe"))
+    if status is None:
+        return Fault("time", f"still running after {limits.seconds:g} s", probe)
+    if status < 0:
+        return Fault("crash", f"ended by signal {_signal_name(-status)}", probe)
+    tail = log.read_text(errors="replace").strip().splitlines()[-1:] or ["no message"]
+    return Fault("crash", f"exit status {status}: {tail[0][:300]}", probe)
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return str(number)

@@ -1,0 +1,190 @@
+"""The child of :mod:`gsgen.contract.probing.sandbox`: run one model for a list of probes, then exit.
+
+It writes one JSON line an event, and every distinct output once as an ``.npy`` file, so that
+whatever stops it leaves all that was done before. Other workers are made of the same parts.
+"""
+
+__all__ = [
+    "SHARE_FOR_EXTRAS",
+    "Emit",
+    "digest_of",
+    "keep_outputs",
+    "main",
+    "one_line",
+    "read_inputs",
+    "serve",
+    "stage_of",
+    "thinned",
+]
+
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsgen.contract.process.limits import limit_memory
+from gsgen.contract.process.parent_watchdog import end_with_parent
+
+_OUT_OF_MEMORY = (
+    "bad_alloc",
+    "bad allocation",
+    "Failed to allocate memory",
+    "Cannot allocate memory",  # for a thread's stack
+    "MemoryError",
+)
+
+# Extra probes start only within this share of the time, so that they never use it up.
+SHARE_FOR_EXTRAS = 0.5
+_THIN_ROWS = 1 << 14
+
+Emit = Callable[..., None]
+
+
+def main(folder: Path) -> int:
+    """Do the job described in ``folder/job.json``."""
+    return serve(folder, _work)
+
+
+def serve(folder: Path, work: Callable[[Path, dict[str, Any], Emit], int]) -> int:
+    """Read the job in ``folder``, do its ``work``, and return the exit status."""
+    job = json.loads((folder / "job.json").read_text())
+    with (folder / "events.jsonl").open("w", buffering=1) as log:
+
+        def emit(event: str, **facts: object) -> None:
+            log.write(json.dumps({"event": event} | facts) + "\n")
+
+        return work(folder, job, emit)
+
+
+def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
+    import onnxruntime
+
+    began = time.monotonic()
+    emit("started", version=onnxruntime.__version__)
+    limit_memory(job["memory"])
+    deadline = began + SHARE_FOR_EXTRAS * job["seconds"]
+    known: dict[str, int] = {}
+    probe: int | None = None
+    optimised = True
+    try:
+        session = _session(job["model"], emit)
+        for probe, names in enumerate(job["probes"]):
+            emit("begin", probe=probe)
+            extra = job["extra"][probe]
+            if extra and time.monotonic() > deadline:
+                emit("run", probe=probe, sample=-1, seconds=0.0)
+                continue
+            try:
+                if job["optimise"][probe] is not optimised:
+                    optimised = job["optimise"][probe]
+                    del session  # first, so that two of them never need memory at once
+                    session = _session(job["model"], emit, optimise=optimised)
+                inputs = read_inputs(folder / f"probe_{probe}.npz", names)
+                started = time.perf_counter()
+                outputs = session.run(job["outputs"], inputs)
+                seconds = time.perf_counter() - started
+                named = dict(zip(job["outputs"], outputs, strict=True))
+                sample = keep_outputs(folder, named, known, emit, thin=extra)
+            except Exception as error:
+                if not extra:
+                    raise
+                emit("run", probe=probe, sample=-1, seconds=0.0, error=one_line(error))
+                continue
+            emit("run", probe=probe, sample=sample, seconds=seconds)
+    except Exception as error:  # ONNX Runtime's errors share no base class of their own
+        emit("fault", stage=stage_of(error, probe), message=one_line(error), probe=probe)
+        return 0
+    emit("done")
+    return 0
+
+
+def _session(model: str, emit: Emit, *, optimise: bool = True) -> Any:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 4
+    if not optimise:
+        level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
+        options.graph_optimization_level = level
+    began = time.perf_counter()
+    made = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    emit("loaded", seconds=time.perf_counter() - began)
+    return made
+
+
+def read_inputs(path: Path, names: list[str]) -> dict[str, np.ndarray]:
+    """Return the arrays of a probe, by the names of the inputs."""
+    with np.load(path, allow_pickle=False) as arrays:
+        return {name: arrays[f"input_{index}"] for index, name in enumerate(names)}
+
+
+def keep_outputs(
+    folder: Path,
+    outputs: dict[str, np.ndarray],
+    known: dict[str, int],
+    emit: Emit,
+    *,
+    thin: bool = False,
+) -> int:
+    """Store outputs that were not seen before; return the number of the sample they are.
+
+    Where ``thin``, a part of the rows is stored, and which outputs are not finite is noted.
+    """
+    key = digest_of(outputs)
+    if key not in known:
+        known[key] = len(known)
+        files = {name: f"sample_{known[key]}_{k}.npy" for k, name in enumerate(outputs)}
+        for name, file in files.items():
+            kept = thinned(outputs[name]) if thin else outputs[name]
+            np.save(folder / file, kept, allow_pickle=False)
+        bad = [name for name, value in outputs.items() if thin and not _finite(value)]
+        facts = {"digest": key, "outputs": files, "thin": thin, "not_finite": bad}
+        emit("sample", sample=known[key], **facts)
+    return known[key]
+
+
+def digest_of(outputs: dict[str, np.ndarray]) -> str:
+    """Return SHA-256 over a line "name dtype shape" and the bytes of each output, in order."""
+    digest = hashlib.sha256()
+    for name, value in outputs.items():
+        if not isinstance(value, np.ndarray) or value.dtype.hasobject:
+            saw = (
+                "strings" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
+            )
+            raise TypeError(f"output {name!r} is {saw}, wanted a numeric tensor")
+        digest.update(f"{name} {value.dtype} {value.shape}\n".encode())
+        digest.update(np.ascontiguousarray(value).data)
+    return digest.hexdigest()
+
+
+def thinned(value: np.ndarray) -> np.ndarray:
+    """Return every so many rows of ``value``, some 16,384 of them; all where there are fewer."""
+    step = max(1, len(value) // _THIN_ROWS) if value.ndim else 1
+    return value[::step] if step > 1 else value
+
+
+def _finite(value: np.ndarray) -> bool:
+    return value.dtype.kind != "f" or bool(np.isfinite(value).all())
+
+
+def stage_of(error: Exception, probe: int | None) -> str:
+    """Say which limit an error is about, or else when it happened."""
+    if isinstance(error, MemoryError) or any(word in str(error) for word in _OUT_OF_MEMORY):
+        return "memory"
+    return "load" if probe is None else "run"
+
+
+def one_line(error: Exception) -> str:
+    """Return the message of an error without line breaks, cut where it is long."""
+    text = " ".join(str(error).split())
+    return text[:500] or type(error).__name__
+
+
+if __name__ == "__main__":
+    end_with_parent()
+    sys.exit(main(Path(sys.argv[1])))

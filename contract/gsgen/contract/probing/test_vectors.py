@@ -1,0 +1,50 @@
+"""Test vectors: probes whose outputs a manifest promises, and how they are found again."""
+
+__all__ = ["MOST_SEEDS", "probed_seeds", "vector_label", "vector_probes"]
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from gsgen.contract.probing.probes import Probe, default_probes
+from gsgen.contract.spec.manifest import Manifest
+
+# Vectors of so many seeds, besides the one that is probed anyway, are run.
+MOST_SEEDS = 4
+
+
+def vector_label(label: str, seed: int) -> str:
+    """Return what the probe ``label`` of another seed than the usual one is called."""
+    return f"{label}, seed {seed}"
+
+
+def probed_seeds(manifest: Manifest, seed: int) -> tuple[int, ...]:
+    """Return the seeds, other than ``seed``, whose test vectors are run."""
+    others = dict.fromkeys(one.seed for one in manifest.test_vectors if one.seed != seed)
+    return tuple(others)[:MOST_SEEDS]
+
+
+def vector_probes(
+    manifest: Manifest,
+    shapes: dict[str, tuple[int, ...]],
+    dtypes: dict[str, str],
+    seed: int,
+    count: int,
+) -> Iterator[tuple[str, tuple[Probe, ...]]]:
+    """Yield the probes of test vectors that were made with another seed than ``seed``.
+
+    Args:
+        manifest: Holds the test vectors.
+        shapes: Input name → static shape.
+        dtypes: Input name → dtype in the graph.
+        seed: Seed of the probes that are run in any case.
+        count: How many probes a set has.
+    """
+    made = []
+    for other in probed_seeds(manifest, seed):
+        wanted = {one.inputs for one in manifest.test_vectors if one.seed == other}
+        for probe in default_probes(manifest, shapes, dtypes, other, count):
+            if probe.label in wanted:
+                label = vector_label(probe.label, other)
+                made.append(replace(probe, label=label, extra=True))
+    if made:
+        yield "vectors", tuple(made)

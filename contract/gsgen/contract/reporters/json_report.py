@@ -1,0 +1,170 @@
+"""A report for programs: JSON that follows the published schema ``gsgen-report/1``."""
+
+__all__ = ["SCHEMA", "to_dict", "to_json"]
+
+import json
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Any
+
+from gsgen.contract.reporters.document import (
+    SCHEMA,
+    CauseEntry,
+    Counts,
+    Document,
+    ExampleEntry,
+    Fault,
+    FindingEntry,
+    GoneEntry,
+    LevelEntry,
+    RuleEntry,
+    Stats,
+    SubjectEntry,
+    ToleranceEntry,
+    Tool,
+    UnreadableDocument,
+    WhereEntry,
+)
+from gsgen.contract.reporters.rule_pages import help_path
+from gsgen.contract.spec.json_schema import to_json as plain
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.digest import rules_digest
+from gsgen.contract.validation.finding import Example, Finding
+from gsgen.contract.validation.report import Cause, Entry, Gone, Outcome, Report, Unreadable
+from gsgen.contract.validation.rule import Rule
+
+_STATUSES = ("pass", "fail", "skipped", "not-applicable", "crashed")
+
+
+def to_json(entries: Sequence[Entry]) -> str:
+    """Return one report as an object, or several as an object with a list of ``reports``."""
+    made = [to_dict(entry) for entry in entries]
+    document: Any = made[0] if len(made) == 1 else {"schema": SCHEMA, "reports": made}
+    text = json.dumps(document, indent=2, ensure_ascii=False)
+    # Half a surrogate pair, which a path may hold, has no UTF-8; as an escape it is JSON.
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+def to_dict(entry: Entry) -> dict[str, Any]:
+    """Return a report as plain data; a model that could not be read stands with its error."""
+    document = _unreadable(entry) if isinstance(entry, Unreadable) else document_of(entry)
+    made: dict[str, Any] = plain(document)
+    return made
+
+
+def document_of(report: Report) -> Document:
+    """Return a report as the dataclasses that its schema is made from."""
+    rules = {outcome.rule.id: outcome.rule for outcome in report.outcomes}
+    return Document(
+        schema="gsgen-report/1",
+        tool=Tool("gsgen", version("gsgen"), rules_digest(rules.values())),
+        subject=_subject(report),
+        target=report.target.label,
+        level=report.level.word,
+        fail_on=_word(report.fail_on),
+        settings=report.settings,
+        verdict=report.verdict,
+        counts=_counts(report),
+        levels=tuple(
+            LevelEntry(o.level.word, "ran" if o.ran else "skipped", o.reason or None)
+            for o in report.levels
+        ),
+        findings=tuple(_finding(one, rules[one.rule]) for one in report.findings),
+        causes=tuple(_cause(cause, report) for cause in report.causes),
+        rules=tuple(_outcome(outcome) for outcome in report.outcomes),
+        tolerances=tuple(
+            ToleranceEntry(one.field, one.value, one.unit, one.source)
+            for one in report.tolerances
+        ),
+        probes=report.probes,
+        environment=report.environment,
+        truncated=any(finding.truncated for finding in report.findings),
+        seconds=round(report.seconds, 4),
+        baseline=report.baseline or None,
+        gone=tuple(_gone(one) for one in report.gone) if report.baseline else None,
+    )
+
+
+def _unreadable(entry: Unreadable) -> UnreadableDocument:
+    error = entry.error
+    fault = Fault(error.what, error.where, error.mend)
+    subject = SubjectEntry(uri=entry.path)
+    return UnreadableDocument("gsgen-report/1", subject, "unreadable", fault)
+
+
+def _subject(report: Report) -> SubjectEntry:
+    return SubjectEntry(
+        uri=report.path,
+        bytes=report.size,
+        sha256=report.sha256 or None,
+        kind=report.kind or None,
+        name=report.name or None,
+        contract=report.contract or None,
+        capacity=report.capacity,
+    )
+
+
+def _counts(report: Report) -> Counts:
+    return Counts(
+        error=report.count(Severity.ERROR),
+        warning=report.count(Severity.WARNING),
+        info=report.count(Severity.INFO),
+        waived=sum(finding.waived for finding in report.findings),
+        known=sum(finding.known for finding in report.findings),
+        rules={status: report.statuses[status] for status in _STATUSES},
+    )
+
+
+def _finding(finding: Finding, rule: Rule) -> FindingEntry:
+    return FindingEntry(
+        rule=finding.rule,
+        slug=finding.slug,
+        severity=_word(finding.severity),
+        certainty=finding.certainty,
+        where=WhereEntry(finding.where.subject, finding.where.field or None),
+        message=finding.message,
+        stats=Stats(
+            finding.count,
+            finding.total,
+            tuple(_example(example) for example in finding.examples),
+            _example(finding.worst) if finding.worst else None,
+        ),
+        why=rule.why,
+        mend=finding.mend,
+        source=finding.source,
+        waived=finding.waived,
+        known=finding.known,
+        truncated=finding.truncated,
+        fingerprint=finding.fingerprint,
+        help=help_path(rule) or None,
+        waiver=finding.waiver or None,
+        evidence=rule.evidence or None,
+    )
+
+
+def _gone(one: Gone) -> GoneEntry:
+    where = WhereEntry(one.where.subject, one.where.field or None)
+    return GoneEntry(one.rule, one.slug, where, one.message, one.fingerprint)
+
+
+def _word(severity: Severity) -> Any:
+    return severity.word
+
+
+def _example(example: Example) -> ExampleEntry:
+    return ExampleEntry(example.value, example.row, example.probe or None)
+
+
+def _cause(cause: Cause, report: Report) -> CauseEntry:
+    id = cause.outcome.rule.id
+    found = tuple(one.fingerprint for one in report.findings if one.rule == id)
+    blocked = tuple(rule.id for rule in cause.blocked)
+    return CauseEntry(id, cause.outcome.status, found, blocked)
+
+
+def _outcome(outcome: Outcome) -> RuleEntry:
+    made = RuleEntry(outcome.rule.id, outcome.status, outcome.reason or None)
+    if outcome.status not in ("pass", "fail"):
+        return made
+    spent = round(outcome.milliseconds, 3)
+    return RuleEntry(made.id, made.status, made.reason, spent, outcome.items)

@@ -1,0 +1,83 @@
+"""A rule's declaration as text: its page, its entry in the list, its data."""
+
+__all__ = ["help_path", "index", "page", "to_dict"]
+
+from typing import Any
+
+from gsgen.contract.validation.rule import Registry, Rule
+
+FAMILIES = {
+    "GM": "Manifest",
+    "GI": "Inputs",
+    "GO": "Outputs",
+    "GG": "Graph",
+    "GV": "Values",
+    "GB": "Behaviour",
+    "GL": "Limits",
+    "GS": "Safety",
+    "TV": "The Visionary viewer",
+    "GW": "Waivers",
+}
+
+
+def help_path(rule: Rule) -> str:
+    """Return the path of our page on ``rule``; nothing for the rules of others."""
+    return "" if "/" in rule.id else f"rules/{rule.id}.md"
+
+
+def page(rule: Rule, registry: Registry) -> str:
+    """Return the Markdown page of ``rule``."""
+    facts = [
+        ("severity", rule.severity.word),
+        ("level", rule.level.word),
+        ("applies to", ", ".join(rule.kinds)),
+        (
+            "target",
+            rule.target or (f"those with a limit {rule.limit}" if rule.limit else "all"),
+        ),
+        ("needs", ", ".join(f"{id} {registry.rules[id].slug}" for id in rule.needs)),
+        ("example that breaks it", f"`{rule.fixture}`" if rule.fixture else ""),
+    ]
+    listed = "\n".join(f"- {name}: {value}" for name, value in facts if value)
+    text = (
+        f"# {rule.id} {rule.slug}\n\n{rule.what}\n\n{listed}\n\n"
+        f"## Why\n\n{rule.why}\n\n## How to mend it\n\n{rule.mend}\n"
+    )
+    return f"{text}\n## Evidence\n\n{rule.evidence}\n" if rule.evidence else text
+
+
+def index(registry: Registry) -> str:
+    """Return the Markdown list of all rules, by family."""
+    lines = [
+        "# Rules",
+        "",
+        f"{len(registry.rules)} rules, each with a page of its own.",
+        "",
+    ]
+    family = ""
+    for rule in registry.rules.values():
+        if rule.family != family:
+            family = rule.family
+            lines += ["", f"## {FAMILIES.get(family, family)} ({family})", ""]
+            lines += ["| rule | severity | level | what must hold |", "|---|---|---|---|"]
+        name = f"[{rule.id} {rule.slug}]({rule.id.replace('/', '-')}.md)"
+        lines.append(f"| {name} | {rule.severity.word} | {rule.level.word} | {rule.what} |")
+    return "\n".join(lines) + "\n"
+
+
+def to_dict(rule: Rule) -> dict[str, Any]:
+    """Return ``rule`` as plain data."""
+    return {
+        "id": rule.id,
+        "slug": rule.slug,
+        "severity": rule.severity.word,
+        "level": rule.level.word,
+        "what": rule.what,
+        "why": rule.why,
+        "mend": rule.mend,
+        "fixture": rule.fixture,
+        "needs": list(rule.needs),
+        "kinds": list(rule.kinds),
+        "target": rule.target or None,
+        "evidence": rule.evidence or None,
+    }

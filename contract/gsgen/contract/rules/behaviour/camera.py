@@ -1,0 +1,168 @@
+"""GI and GB, cameras: matrices are read in the declared order, and what is seen is not culled."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from gsgen.contract.probing.probes import as_tensor
+from gsgen.contract.probing.run_comparison import Behaviour, difference
+from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.rule import rule
+
+_RUNS = ("GV025", "GB001", "GB002")
+
+# A cone that any camera sees: half of the narrowest lens' view, and well in front.
+_CONE = 0.2
+_NEAR = 0.1
+_CULLED_SHARE = 0.01
+
+
+@rule(
+    "GI007",
+    "matrix-order",
+    Severity.ERROR,
+    over="runs",
+    fixture="matrix_order_differs",
+    needs=(*_RUNS, "GI001", "GM006"),
+)
+def matrix_order(behaviour: Behaviour) -> Iterator[Breach]:
+    """The view matrix is read in the memory order that the manifest declares.
+
+    Why:
+        The same sixteen numbers are a matrix or its transpose. Read as the other one, the
+        translation is lost and the rotation turned around: the camera seems to stand still at the
+        origin.
+
+    Mend:
+        Declare the order that the model reads as space.matrix_order, or transpose inside the model.
+    """
+    visits = behaviour.visits("moved")
+    if len(visits) < 3 or not all(visit.digest for visit in visits):
+        return
+    still, moved, transposed = (visit.digest for visit in visits)
+    space = behaviour.subject.generator.space if behaviour.subject.generator else None
+    order = space.matrix_order if space else "column"
+    if moved == still and transposed != still:
+        saw = f"a moved camera changes nothing, read in {order} order; transposed it does"
+        name = next(iter(behaviour.subject.inputs_of("view")))[0].name
+        yield Breach.at(f"input {name}", saw, f"the {order} order, as declared")
+
+
+@rule(
+    "GI008",
+    "projection-y-sign",
+    Severity.WARNING,
+    over="runs",
+    fixture="projection_y_matters",
+    needs=(*_RUNS, "GI002"),
+)
+def projection_y_sign(behaviour: Behaviour) -> Iterator[Breach]:
+    """Turning the y axis of clip space around changes no output.
+
+    Why:
+        Some hosts pass a projection with +y up, some with +y down, and a generator has no use for
+        the sign: culling and level of detail are the same for both.
+
+    Mend:
+        Use absolute values of clip coordinates, or the view matrix alone.
+    """
+    visits = behaviour.visits("flipped")
+    if len(visits) < 2 or not all(visit.digest for visit in visits):
+        return
+    plain, turned = visits
+    if plain.digest != turned.digest:
+        for name, value in plain.outputs.items():
+            largest = difference(value, turned.outputs[name])
+            if largest > 0:
+                saw = f"differs by up to {largest:.3g} with row 1 of the projection negated"
+                yield Breach.at(f"output {name}", saw, "the same for both signs")
+
+
+@rule(
+    "GB008",
+    "culling-conservative",
+    Severity.WARNING,
+    over="runs",
+    fixture="culls_what_is_seen",
+    needs=(*_RUNS, "GO001", "GO002", "GI007", "GM006", "GV017"),
+)
+def culling_conservative(behaviour: Behaviour) -> Iterator[Breach]:
+    """A Gaussian in the middle of the view is not transparent where another camera sees it.
+
+    Why:
+        Models cull what their camera cannot see by setting its opacity to zero. Culling with a
+        wrong matrix, sign or margin makes holes in the picture that move with the camera.
+
+    Mend:
+        Cull behind the camera and outside the frustum widened by a tenth; check the matrix order
+        and that +z is forward. If a Gaussian fades on purpose, ignore this rule.
+    """
+    subject = behaviour.subject
+    declared, views = subject.declared_gaussians, subject.inputs_of("view")
+    space = subject.generator.space if subject.generator else None
+    if declared is None or not views or space is None:
+        return
+    seen = [
+        (probe, np.asarray(outputs[declared.name], np.float32))
+        for probe, outputs in behaviour.variants("view")
+    ]
+    shown = [rows[:, OPACITY] >= CULL_OPACITY for _, rows in seen]
+    for index, (probe, rows) in enumerate(seen):
+        matrix = as_tensor(probe.inputs[views[0][0].name], space.matrix_order)
+        middle = _in_cone(rows[:, POSITION], matrix) & (rows[:, OPACITY] == 0)
+        elsewhere = np.zeros(len(rows), bool)
+        for other, (_, others) in enumerate(seen):
+            if other != index and others.shape == rows.shape:
+                same = (others[:, POSITION] == rows[:, POSITION]).all(axis=1)
+                elsewhere |= same & shown[other]
+        culled = int(np.count_nonzero(middle & elsewhere))
+        if culled > _CULLED_SHARE * max(int(np.count_nonzero(shown[index])), 1):
+            saw = (
+                f"{culled} rows in the middle of the view have opacity 0 at {probe.label!r}"
+            )
+            want = "an opacity above 0, as other cameras get"
+            yield Breach.at(f"output {declared.name}", saw, want, certainty="possible")
+
+
+def _in_cone(
+    position: Float[np.ndarray, "n 3"], view: Float[np.ndarray, "4 4"]
+) -> Bool[np.ndarray, " n"]:
+    x, y, z = (position @ view[:3, :3].T + view[:3, 3]).T
+    return np.asarray((z > _NEAR) & (np.abs(x) < _CONE * z) & (np.abs(y) < _CONE * z))
+
+
+@rule(
+    "GV017",
+    "count-not-zero",
+    Severity.WARNING,
+    over="runs",
+    fixture="nothing_for_some_cameras",
+    needs=("GV025", "GO010", "GO011", "GV016"),
+)
+def count_not_zero(behaviour: Behaviour) -> Iterator[Breach]:
+    """No camera that sees the bounds gets an empty scene, where others do not.
+
+    Why:
+        All probes look at the middle of the bounds. A count of zero for some of them is culling
+        with a wrong matrix or sign.
+
+    Mend:
+        Check the matrix order, and that +z is forward.
+    """
+    subject = behaviour.subject
+    declared = subject.declared_count
+    roles = ("view", "projection", "camera_position")
+    if declared is None or not any(subject.inputs_of(role) for role in roles):
+        return
+    counts = {
+        probe.label: int(outputs[declared.name].reshape(-1)[0])
+        for probe, outputs in behaviour.emitted
+    }
+    empty = [label for label, count in counts.items() if count == 0]
+    if empty and len(empty) < len(counts):
+        saw = f"0 at {len(empty)} of {len(counts)} probes, first {empty[0]!r}"
+        want = "rows for every camera that sees the bounds"
+        yield Breach.at(f"output {declared.name}", saw, want, certainty="possible")

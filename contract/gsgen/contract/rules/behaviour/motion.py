@@ -1,0 +1,125 @@
+"""GB, time: it loops where it says so, moves without jumps, and reaches every frame."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from gsgen.contract.probing.run_comparison import Behaviour, Visit, difference
+from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.rule import rule
+
+_RUNS = ("GV025", "GB001", "GB002")
+
+# The step from the end to the start may be this much larger than its neighbours.
+_JUMP = 3.0
+# What rounding may do, relative to the largest value.
+_ROUNDING = 2e-3
+# A share of the bounds' diagonal that nothing crosses between two pictures.
+_POP = 0.1
+
+
+def _floats(visit: Visit) -> dict[str, np.ndarray]:
+    floats = {n: v for n, v in visit.outputs.items() if v.dtype.kind == "f"}
+    return floats if all(np.isfinite(v).all() for v in floats.values()) else {}
+
+
+@rule(
+    "GB004",
+    "time-loops",
+    Severity.WARNING,
+    over="runs",
+    fixture="loop_that_jumps",
+    needs=(*_RUNS, "GM010", "GB003", "GI006"),
+)
+def time_loops(behaviour: Behaviour) -> Iterator[Breach]:
+    """Where time is declared to loop, its end continues at its start.
+
+    Why:
+        Viewers wrap around at the end of the range: what is not the same there jumps, once a turn.
+
+    Mend:
+        Let the end of the range show what its start shows, or do not declare "loop".
+    """
+    visits = behaviour.visits("loop")
+    if len(visits) < 4:
+        return
+    start, after, before, end = (_floats(visit) for visit in visits[:4])
+    for name in start.keys() & after.keys() & before.keys() & end.keys():
+        jump = difference(start[name], end[name])
+        step = max(
+            difference(start[name], after[name]), difference(before[name], end[name])
+        )
+        peak = float(np.abs(start[name].astype(np.float64)).max(initial=0))
+        if jump > _JUMP * step + _ROUNDING * peak:
+            saw = f"jumps by up to {jump:.3g} from the end to the start"
+            want = f"steps like the {step:.3g} before and after"
+            yield Breach.at(f"output {name}", saw, want)
+
+
+@rule(
+    "GB005",
+    "time-continuous",
+    Severity.INFO,
+    over="runs",
+    fixture="scene_that_pops",
+    needs=(*_RUNS, "GM009", "GM010", "GO001", "GO002"),
+)
+def time_continuous(behaviour: Behaviour) -> Iterator[Breach]:
+    """No visible Gaussian crosses a tenth of the bounds between two pictures of a 60 Hz screen.
+
+    Why:
+        At the declared speed the eye sees a jump instead of motion. Usually two frames are not of
+        the same Gaussians, or the declared frames per second are wrong.
+
+    Mend:
+        Interpolate between frames of the same Gaussians; fade what appears. Check frames and fps.
+    """
+    generator, declared = behaviour.subject.generator, behaviour.subject.declared_gaussians
+    visits = behaviour.visits("paces")
+    if generator is None or generator.bounds is None or declared is None:
+        return
+    diagonal = np.linalg.norm(np.subtract(generator.bounds.max, generator.bounds.min))
+    for early, late in zip(visits[::2], visits[1::2], strict=False):
+        a, b = (_floats(visit).get(declared.name) for visit in (early, late))
+        if a is None or b is None or a.shape != b.shape:
+            continue
+        shown = np.minimum(a[:, OPACITY], b[:, OPACITY]) >= CULL_OPACITY
+        paths = (a[shown, POSITION].astype(np.float64), b[shown, POSITION])
+        far = float(np.linalg.norm(paths[0] - paths[1], axis=1).max(initial=0.0))
+        if far > _POP * diagonal:
+            saw = f"moves by {far:.3g} within 1/60 s, {early.probe.label!r}"
+            want = f"{_POP * diagonal:.3g} at most, a tenth of the bounds' diagonal"
+            yield Breach.at(f"output {declared.name}", saw, want, certainty="possible")
+
+
+@rule(
+    "GB006",
+    "every-frame-reached",
+    Severity.WARNING,
+    over="runs",
+    fixture="last_frame_unreachable",
+    needs=(*_RUNS, "GM010", "GB003", "GI006"),
+)
+def every_frame_reached(behaviour: Behaviour) -> Iterator[Breach]:
+    """Where frames are declared, each of them shows another picture.
+
+    Why:
+        Rounding time down to one frame less than there are shows a frame twice, and the last one
+        never.
+
+    Mend:
+        Take frame floor(time · frames), clamped to the last, for a time from 0 to 1. If the scene
+        stands still for a while, ignore this rule.
+    """
+    visits = [visit for visit in behaviour.visits("frames") if visit.digest]
+    twice = [
+        later.probe.label
+        for earlier, later in pairwise(visits)
+        if earlier.digest == later.digest
+    ]
+    if twice:
+        saw = f"{len(twice)} of {len(visits)} frames show what the frame before did, {twice[0]}"
+        yield Breach.at("role time", saw, "a picture a frame", certainty="possible")

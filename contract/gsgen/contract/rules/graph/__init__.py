@@ -1,0 +1,1 @@
+"""Will the graph load, stay the same, and be captured by a GPU?"""

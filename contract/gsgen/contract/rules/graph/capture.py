@@ -1,0 +1,222 @@
+"""GG, capture: whether a target's WebGPU provider can record every node of the frame.
+
+The provider's kernels are known from measured tables, see :mod:`gsgen.contract.spec.operator_tables`.
+Each node that is not captured has one cause, and each cause one rule.
+"""
+
+from collections.abc import Iterator
+
+from onnx import NodeProto
+
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.provider_placement import Cause, Placement, shape_arguments
+from gsgen.contract.spec.operator_tables import FAILURES
+from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.rule import rule
+
+_NEEDS = ("GG001", "GG002", "GG019")
+_CAPTURE = "graph_capture"
+
+
+def _place(node: NodeProto) -> str:
+    return f"node {node.name or node.output[0]} ({node.op_type})"
+
+
+def _of_cause(subject: Subject, cause: Cause) -> list[Placement]:
+    return [one for one in subject.placements if one.cause == cause]
+
+
+def _seen(one: Placement) -> str:
+    """Say what becomes of a node, and in which release."""
+    said = {
+        FAILURES[outcome]: [r for r, other in one.outcomes.items() if other == outcome]
+        for outcome in one.outcomes.values()
+    }
+    texts = [f"{text} in {' and '.join(runtimes)}" for text, runtimes in said.items()]
+    return f"{one.dtype} {'; '.join(texts)}"
+
+
+@rule(
+    "GG004",
+    "no-dynamic-shapes",
+    Severity.WARNING,
+    over="model",
+    fixture="kept_rows_by_value",
+    kinds=KINDS,
+    needs=_NEEDS,
+    limit=_CAPTURE,
+)
+def no_dynamic_shapes(subject: Subject) -> Iterator[Breach]:
+    """No tensor's shape depends on what the frame's inputs hold.
+
+    Why:
+        A recorded frame has fixed buffers. NonZero, Compress, Unique, and any shape computed from
+        values, are placed on the CPU, and graph capture is then refused for the whole model.
+
+    Mend:
+        Keep all rows, set the opacity of those that are not wanted to zero with Where, and lower
+        num_points.
+    """
+    for one in _of_cause(subject, "shape"):
+        names = shape_arguments(one.node)
+        saw = f"the shape comes from {names[0]!r}" if names else "as many as values say"
+        yield Breach.at(_place(one.node), saw, "a shape that is known before the frame")
+
+
+@rule(
+    "GG005",
+    "no-int64-compute",
+    Severity.WARNING,
+    over="model",
+    fixture="int64_times_minus_one",
+    kinds=KINDS,
+    needs=_NEEDS,
+    limit=_CAPTURE,
+)
+def no_int64_compute(subject: Subject) -> Iterator[Breach]:
+    """No operator of the frame computes in int64 without a kernel for it.
+
+    Why:
+        WebGPU has no 64-bit integers. Few operators take them by way of 32 bits; the others fall to
+        the CPU, and graph capture is then refused for the whole model.
+
+    Mend:
+        Cast to int32 first; frame numbers and identities come as int32 already.
+    """
+    for one in _of_cause(subject, "int64"):
+        yield Breach.at(_place(one.node), _seen(one), "int32, or a kernel for int64")
+
+
+@rule(
+    "GG006",
+    "operators-have-kernels",
+    Severity.WARNING,
+    over="model",
+    fixture="modulo_of_time",
+    kinds=KINDS,
+    needs=_NEEDS,
+    limit=_CAPTURE,
+)
+def operators_have_kernels(subject: Subject) -> Iterator[Breach]:
+    """The target's WebGPU provider has a kernel for every operator of the frame, in its dtype.
+
+    Why:
+        A node without one is copied to the CPU and back every frame, and graph capture is refused
+        for the whole model. A few kernels exist and compute something else.
+
+    Mend:
+        Write the operation with operators that have kernels: Round as Floor(x + 0.5), Mod as
+        x − Floor(x / y) · y, Sign as a difference of two comparisons.
+    """
+    for one in _of_cause(subject, "operator"):
+        yield Breach.at(_place(one.node), _seen(one), "an operator that is captured")
+
+
+@rule(
+    "GG007",
+    "narrow-concat-and-split",
+    Severity.WARNING,
+    over="model",
+    fixture="split_in_eight",
+    kinds=KINDS,
+    needs=("GG019",),
+    limit="split_outputs",
+)
+def narrow_concat_and_split(subject: Subject) -> Iterator[Breach]:
+    """A Split has no more outputs, and a Concat no more inputs, than the target can bind.
+
+    Why:
+        WebGPU guarantees eight storage buffers a stage, one of them for the whole tensor. A Split
+        of more fails at the first frame; onnxruntime-web 1.22 gives garbage for a wide Concat.
+
+    Mend:
+        Nest them: join or split seven at a time.
+    """
+    limits = subject.target.limits
+    for one in subject.placements:
+        node = one.node
+        if node.op_type == "Split" and len(node.output) > limits["split_outputs"]:
+            want = f"{limits['split_outputs']} at most"
+            yield Breach.at(_place(node), f"{len(node.output)} outputs", want)
+        widest = limits.get("concat_inputs")
+        if node.op_type == "Concat" and widest is not None and len(node.input) > widest:
+            yield Breach.at(_place(node), f"{len(node.input)} inputs", f"{widest} at most")
+
+
+@rule(
+    "GG008",
+    "norms-have-kernels",
+    Severity.WARNING,
+    over="model",
+    fixture="group_normalised",
+    kinds=KINDS,
+    needs=_NEEDS,
+    limit=_CAPTURE,
+)
+def norms_have_kernels(subject: Subject) -> Iterator[Breach]:
+    """The target's WebGPU provider has a kernel for every norm and normalisation of the frame.
+
+    Why:
+        GroupNormalization has none in current releases, LpNormalization none in onnxruntime-web
+        1.22. The node falls to the CPU, and graph capture is refused for the whole model.
+
+    Mend:
+        Write it out: subtract the mean, divide by the root of the mean square, and clamp under the
+        root rather than add a small number.
+    """
+    for one in _of_cause(subject, "norm"):
+        yield Breach.at(_place(one.node), _seen(one), "Mul, ReduceSum and Sqrt")
+
+
+@rule(
+    "GG018",
+    "opset-has-kernels",
+    Severity.WARNING,
+    over="model",
+    fixture="sine_of_opset_22",
+    kinds=KINDS,
+    needs=_NEEDS,
+    limit=_CAPTURE,
+)
+def opset_has_kernels(subject: Subject) -> Iterator[Breach]:
+    """Operators that the target's WebGPU provider knows are of an operator set it knows them in.
+
+    Why:
+        ONNX Runtime matches a kernel only up to the last version of the operator that it was
+        written for. From operator set 22 on, Sin and Cos among others are of a newer version:
+        they fall to the CPU, and graph capture is refused.
+
+    Mend:
+        Export at operator set 18.
+    """
+    for one in _of_cause(subject, "opset"):
+        yield Breach.at(_place(one.node), _seen(one), "operator set 18")
+
+
+@rule(
+    "GG009",
+    "capture-foreseen",
+    Severity.INFO,
+    over="model",
+    fixture="operator_not_measured",
+    kinds=KINDS,
+    needs=("GG003", "GG004", "GG005", "GG006", "GG008", "GG011", "GG018"),
+    limit=_CAPTURE,
+)
+def capture_foreseen(subject: Subject) -> Iterator[Breach]:
+    """Nothing in the graph stands against graph capture.
+
+    Why:
+        One node that is not captured makes the provider refuse capture for the whole model. This
+        rule sums up: it passes if every node is known to be captured, does not apply where one of
+        the rules it needs says what stands against it, and reports operators nobody has measured.
+
+    Mend:
+        Run `gsgen validate --level live`, which captures the model in the real provider.
+    """
+    for one in _of_cause(subject, "unknown"):
+        runtimes = " and ".join(one.outcomes)
+        saw = f"{one.dtype or 'unknown dtype'} was not measured in {runtimes}"
+        yield Breach.at(_place(one.node), saw, "a measured operator", certainty="possible")

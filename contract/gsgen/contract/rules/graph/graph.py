@@ -1,0 +1,243 @@
+"""GG: the graph itself is well formed, portable, and can be captured and replayed."""
+
+from collections.abc import Iterator
+
+from onnx import NodeProto
+
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.rule import rule
+
+_MAIN_DOMAIN = ("", "ai.onnx")
+_CONTROL_FLOW = frozenset({"If", "Loop", "Scan"})
+_RANDOM = frozenset(
+    {
+        "Bernoulli",
+        "Multinomial",
+        "RandomNormal",
+        "RandomNormalLike",
+        "RandomUniform",
+        "RandomUniformLike",
+    }
+)
+
+
+def _place(node: NodeProto) -> str:
+    return f"node {node.name or node.op_type} ({node.op_type})"
+
+
+@rule(
+    "GG001",
+    "opset-supported",
+    Severity.ERROR,
+    over="model",
+    fixture="ancient_opset",
+    kinds=KINDS,
+)
+def opset_supported(subject: Subject) -> Iterator[Breach]:
+    """Operator set and IR version are ones that the target runs.
+
+    Why:
+        A runtime refuses an operator set it does not know, and old sets lack operators and types
+        that the layout needs.
+
+    Mend:
+        Export at operator set 18, which every current runtime has kernels for.
+    """
+    low, high = subject.target.opset
+    proto = subject.file.proto
+    opsets = {entry.domain: entry.version for entry in proto.opset_import}
+    seen = next((opsets[domain] for domain in _MAIN_DOMAIN if domain in opsets), None)
+    if seen is None:
+        yield Breach.at(
+            "opset_import", "no version of the ONNX operator set", f"{low} to {high}"
+        )
+    elif not low <= seen <= high:
+        yield Breach.at("opset_import", f"operator set {seen}", f"{low} to {high}")
+    if proto.ir_version > subject.target.ir:
+        yield Breach.at("ir_version", str(proto.ir_version), f"{subject.target.ir} at most")
+
+
+@rule(
+    "GG002",
+    "standard-operators",
+    Severity.ERROR,
+    over="model",
+    fixture="custom_operator",
+    kinds=KINDS,
+)
+def standard_operators(subject: Subject) -> Iterator[Breach]:
+    """Every operator is a standard one, or a function that the model defines.
+
+    Why:
+        No runtime but the author's has kernels for operators of another domain.
+
+    Mend:
+        Export without custom operators; write the operation with standard ones.
+    """
+    graph, allowed = subject.graph, subject.target.domains
+    for node in graph.all_nodes():
+        known = node.domain in allowed or (node.domain, node.op_type) in graph.functions
+        if not known:
+            saw = f"domain {node.domain!r}"
+            yield Breach.at(
+                _place(node), saw, "the ONNX domain, or a function in the model"
+            )
+
+
+@rule(
+    "GG003",
+    "no-control-flow",
+    Severity.WARNING,
+    over="model",
+    fixture="if_node",
+    kinds=KINDS,
+)
+def no_control_flow(subject: Subject) -> Iterator[Breach]:
+    """The graph has no If, Loop or Scan.
+
+    Why:
+        Graph capture refuses control flow, so every frame pays for launching every kernel anew.
+
+    Mend:
+        Compute both branches and select with Where; unroll loops of fixed length.
+    """
+    for node in subject.graph.all_nodes():
+        if node.op_type in _CONTROL_FLOW and node.domain in _MAIN_DOMAIN:
+            yield Breach.at(_place(node), node.op_type, "straight-line operators")
+
+
+@rule(
+    "GG010",
+    "no-unseeded-random",
+    Severity.ERROR,
+    over="model",
+    fixture="unseeded_random",
+    kinds=KINDS,
+)
+def no_unseeded_random(subject: Subject) -> Iterator[Breach]:
+    """Random operators have a seed.
+
+    Why:
+        The same camera and time would give another picture every frame and on every machine.
+
+    Mend:
+        Draw the numbers before export and store them as weights.
+    """
+    for node in subject.graph.all_nodes():
+        seeded = any(attribute.name == "seed" for attribute in node.attribute)
+        if node.op_type in _RANDOM and node.domain in _MAIN_DOMAIN and not seeded:
+            yield Breach.at(_place(node), "no seed", "a seed, or stored numbers")
+
+
+@rule(
+    "GG011",
+    "no-float64",
+    Severity.ERROR,
+    over="model",
+    fixture="float64_inside",
+    kinds=KINDS,
+    needs=("GG019",),
+)
+def no_float64(subject: Subject) -> Iterator[Breach]:
+    """No tensor of the graph is float64.
+
+    Why:
+        WebGPU has no 64-bit floats: the node falls back to the CPU, and with graph capture the
+        session is refused.
+
+    Mend:
+        Keep constants and buffers in float32; numpy and Python floats are float64 by default.
+    """
+    for tensor in subject.graph.tensors.values():
+        if tensor.dtype == "float64":
+            yield Breach.at(f"tensor {tensor.name}", "float64", "float32 or float16")
+
+
+@rule(
+    "GG015",
+    "shapes-agree",
+    Severity.ERROR,
+    over="model",
+    fixture="shape_conflict",
+    kinds=KINDS,
+    needs=("GG019",),
+)
+def shapes_agree(subject: Subject) -> Iterator[Breach]:
+    """Declared shapes and dtypes agree with what the operators compute.
+
+    Why:
+        Readers allocate buffers from declared shapes; ONNX Runtime computes the real ones, and
+        only warns where they differ.
+
+    Mend:
+        Run shape inference again after editing a graph, and keep its result.
+    """
+    for conflict in subject.graph.conflicts:
+        saw = f"declared {conflict.declared}"
+        yield Breach.at(f"tensor {conflict.name}", saw, f"{conflict.inferred}, as inferred")
+    if subject.graph.inference_fault and not subject.graph.conflicts:
+        yield Breach.at(
+            "graph", subject.graph.inference_fault, "operators whose shapes fit"
+        )
+
+
+@rule(
+    "GG020",
+    "no-transposed-vector-product",
+    Severity.ERROR,
+    over="model",
+    fixture="transposed_times_vector",
+    kinds=KINDS,
+    needs=("GG019",),
+)
+def no_transposed_vector_product(subject: Subject) -> Iterator[Breach]:
+    """No MatMul multiplies the result of a Transpose with a vector of one axis.
+
+    Why:
+        ONNX Runtime's optimiser (seen in 1.31) fuses the Transpose into the product, and then
+        computes A v where Aᵀ v was meant. The camera centre −Rᵀ t comes out wrong without any
+        error, and right again when optimisation is switched off.
+
+    Mend:
+        Give the vector a second axis: Unsqueeze it to [n, 1], multiply, and Squeeze the result.
+        Models exported with the SDK are so already.
+    """
+    graph = subject.graph
+    for node in graph.nodes:
+        if (
+            node.op_type != "MatMul"
+            or node.domain not in _MAIN_DOMAIN
+            or len(node.input) != 2
+        ):
+            continue
+        maker, right = graph.producers.get(node.input[0]), graph.tensors.get(node.input[1])
+        turned = maker is not None and maker.op_type == "Transpose"
+        if turned and right is not None and right.dims is not None and len(right.dims) == 1:
+            yield Breach.at(
+                _place(node), f"Transpose times {right}", "a right side of two axes"
+            )
+
+
+@rule(
+    "GG019",
+    "onnx-well-formed",
+    Severity.ERROR,
+    over="model",
+    fixture="cyclic_graph",
+    kinds=KINDS,
+    needs=("GG001", "GG002"),
+)
+def onnx_well_formed(subject: Subject) -> Iterator[Breach]:
+    """ONNX's own checker accepts the model.
+
+    Why:
+        A graph with a cycle, a dangling name or a missing attribute does not load anywhere.
+
+    Mend:
+        Export again, or undo the edit that broke the graph; the message is that of onnx.checker.
+    """
+    if subject.graph.checker_fault:
+        yield Breach.at("graph", subject.graph.checker_fault, "what onnx.checker accepts")

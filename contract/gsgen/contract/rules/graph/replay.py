@@ -1,0 +1,79 @@
+"""GG, replay: what a captured graph shows from the second frame on."""
+
+from collections.abc import Iterator
+
+from onnx import NodeProto
+
+from gsgen.contract.model.buffer_copies import is_copy
+from gsgen.contract.model.graph import Graph
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.rule import rule
+
+_SCATTERS = frozenset({"ScatterElements", "ScatterND"})
+
+
+def _place(node: NodeProto) -> str:
+    return f"node {node.name or node.op_type} ({node.op_type})"
+
+
+@rule(
+    "GG016",
+    "outputs-survive-replay",
+    Severity.WARNING,
+    over="model",
+    fixture="output_from_reshape",
+    kinds=KINDS,
+    needs=("GG019",),
+)
+def outputs_survive_replay(subject: Subject) -> Iterator[Breach]:
+    """Every output that varies is written by an operator that computes, not by a view of a buffer.
+
+    Why:
+        Graph capture records kernels, not buffer copies. An output made by Reshape, Flatten,
+        Squeeze, Unsqueeze or Identity repeats the first frame for ever, without any error. So does
+        one by an operator with nothing to do (a reduction over no axes, Max or Min of one input),
+        and an update in place by ScatterND or ScatterElements.
+
+    Mend:
+        End the output on Cast, Concat, Mul by one, or Add of zero; reshape before that. Replace
+        Scatter by Concat, Where or Gather.
+    """
+    graph = subject.graph
+    for tensor in graph.outputs:
+        place = f"output {tensor.name}"
+        if graph.input(tensor.name):
+            yield Breach.at(place, "an input passed through", "the result of an operator")
+            continue
+        if not graph.varies(tensor.name):
+            continue
+        producer = graph.producers.get(tensor.name)
+        if producer is not None and _copies(graph, producer):
+            yield Breach.at(
+                place, f"made by {producer.op_type}", "an operator that computes"
+            )
+        for node in graph.ancestors(tensor.name)[1]:
+            if node.op_type in _SCATTERS and _shares_base(graph, node):
+                yield Breach.at(
+                    _place(node), "updates a tensor that others read", "Where or Concat"
+                )
+
+
+def _copies(graph: Graph, node: NodeProto) -> bool:
+    if node.domain not in ("", "ai.onnx"):
+        return False
+    idle = any(one.name == "noop_with_empty_axes" and one.i for one in node.attribute)
+    attribute = any(one.name == "axes" and one.ints for one in node.attribute)
+    named = [name for name in node.input[1:2] if name]
+    axes = graph.tensors.get(named[0]) if named else None
+    empty = not named or (axes is not None and axes.dims is not None and 0 in axes.dims)
+    return is_copy(
+        node.op_type, len(node.input), keeps_all_axes=idle and empty and not attribute
+    )
+
+
+def _shares_base(graph: Graph, node: NodeProto) -> bool:
+    base = node.input[0]
+    return base not in graph.producers or graph.uses.get(base, 0) > 1

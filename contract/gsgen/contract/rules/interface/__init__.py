@@ -1,0 +1,1 @@
+"""Do the manifest and the inputs declare what the contract requires?"""

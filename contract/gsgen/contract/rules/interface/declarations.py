@@ -1,0 +1,192 @@
+"""GM, declarations: what the manifest says of colours, time and origin means something."""
+
+import json
+import re
+from collections.abc import Iterator
+
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.spec.manifest import Input
+from gsgen.contract.spec.roles import KINDS, ROLES
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.rule import rule
+
+_PREFIX = "gsgen."
+_NAME = r"[A-Za-z0-9][A-Za-z0-9.+-]*(?::[A-Za-z0-9.+-]+)?"
+_TERM = rf"\(*\s*{_NAME}\s*\)*"
+_SPDX = re.compile(rf"^{_TERM}(?:\s+(?:AND|OR|WITH)\s+{_TERM})*$")
+
+
+@rule(
+    "GM007",
+    "sh-declared-as-sh",
+    Severity.ERROR,
+    over="model",
+    fixture="rgb_with_degree",
+    needs=("GM002", "GM003"),
+)
+def sh_declared_as_sh(subject: Subject) -> Iterator[Breach]:
+    """A degree is declared for SH alone.
+
+    Why:
+        Three channels are a colour or the constant term of SH; the two differ by 0.5 + 0.282 · c.
+        The contract fixes order, signs and direction of SH, so the declared space alone decides
+        how a row is read, and a degree beside `rgb` says the opposite.
+
+    Mend:
+        Set "space": "sh" if the rows hold coefficients; else remove the degree.
+    """
+    declared = subject.declared_appearance
+    if declared is not None and declared.space == "rgb" and declared.degree is not None:
+        saw = f"space rgb with degree {declared.degree}"
+        yield Breach.at("manifest outputs.appearance", saw, "sh, or no degree")
+
+
+@rule(
+    "GM008",
+    "color-space-declared",
+    Severity.INFO,
+    over="model",
+    fixture="no_color_space",
+    needs=("GM002", "GM003"),
+)
+def color_space_declared(subject: Subject) -> Iterator[Breach]:
+    """The manifest says whether colours are sRGB or linear.
+
+    Why:
+        Readers take sRGB where nothing is said, as trained scenes are. Linear colours shown so are
+        too dark.
+
+    Mend:
+        Add "color_space": "srgb" or "linear" to outputs.appearance.
+    """
+    if subject.declared_appearance is None or subject.file.manifest_text is None:
+        return
+    written = json.loads(subject.file.manifest_text)["outputs"]["appearance"]
+    if "color_space" not in written:
+        yield Breach.at("manifest outputs.appearance", "no color_space", "srgb or linear")
+
+
+@rule(
+    "GM010",
+    "time-domain",
+    Severity.WARNING,
+    over="model",
+    fixture="time_without_range",
+    needs=("GM004",),
+)
+def time_domain(subject: Subject) -> Iterator[Breach]:
+    """Time has a range with a beginning before its end, and nothing but time loops or has frames.
+
+    Why:
+        A viewer's timeline runs from one end of the range to the other; without one it guesses, and
+        shows the first instant of a scene that runs for minutes.
+
+    Mend:
+        Declare "range": [first, last] for time, and loop, frames and fps there alone.
+    """
+    for entry in subject.manifest.inputs if subject.manifest else ():
+        place = f"manifest input {entry.name}"
+        if entry.role == "time" and entry.range is None:
+            yield Breach.at(place, "no range", '"range": [first, last]')
+        backwards = entry.range is not None and not entry.range[0] < entry.range[1]
+        if entry.role in ("time", "frame_index") and backwards:
+            yield Breach.at(place, f"range {list(entry.range or ())}", "first < last")
+        yield from _foreign_fields(entry, place)
+
+
+def _foreign_fields(entry: Input, place: str) -> Iterator[Breach]:
+    timed = {"loop": entry.loop, "fps": entry.fps, "frames": entry.frames}
+    said = [name for name, value in timed.items() if value is not None]
+    if said and entry.role not in ("time", "frame_index"):
+        yield Breach.at(place, f"role {entry.role} with {', '.join(said)}", "role time")
+
+
+@rule(
+    "GM013",
+    "provenance-readable",
+    Severity.INFO,
+    over="model",
+    fixture="license_is_prose",
+    kinds=KINDS,
+    needs=("GM002", "GM003"),
+)
+def provenance_readable(subject: Subject) -> Iterator[Breach]:
+    """Where the producer is declared, its licence is an SPDX expression and its tool has a version.
+
+    Why:
+        Whoever collects models filters by licence, and a fault in an exporter can be traced to its
+        version; prose helps with neither. A manifest without a producer is fine.
+
+    Mend:
+        Write "license": "Apache-2.0" or another SPDX expression, and "tool": "name 1.2".
+    """
+    producer = subject.manifest.producer if subject.manifest else None
+    if producer is None:
+        return
+    if producer.license is not None and not _SPDX.match(producer.license):
+        yield Breach.at(
+            "manifest producer.license", repr(producer.license), "an SPDX expression"
+        )
+    if not any(letter.isdigit() for letter in producer.tool):
+        yield Breach.at("manifest producer.tool", repr(producer.tool), "name and version")
+
+
+@rule(
+    "GM014",
+    "manifest-at-model-level",
+    Severity.WARNING,
+    over="model",
+    fixture="contract_in_value_metadata",
+    kinds=KINDS,
+)
+def manifest_at_model_level(subject: Subject) -> Iterator[Breach]:
+    """Nothing of the contract is stored in the metadata of single tensors.
+
+    Why:
+        Simplifiers and optimisers keep the model's metadata, and drop that of tensors: what is said
+        there is lost on the way to the viewer.
+
+    Mend:
+        Say it in the manifest, under the model-level key gsgen.manifest.
+    """
+    graph = subject.file.proto.graph
+    said = [
+        (tensor.name, [entry.key for entry in tensor.metadata_props])
+        for tensors in (graph.input, graph.output, graph.value_info)
+        for tensor in tensors
+    ]
+    said += [(w.name, [entry.key for entry in w.metadata_props]) for w in graph.initializer]
+    for name, keys in said:
+        ours = [key for key in keys if key.startswith(_PREFIX)]
+        if ours:
+            yield Breach.at(f"tensor {name}", f"key {ours[0]!r}", "the manifest")
+
+
+@rule(
+    "GM016",
+    "dependencies-are-inputs",
+    Severity.WARNING,
+    over="model",
+    fixture="depends_on_unknown",
+    needs=("GM002", "GM003"),
+)
+def dependencies_are_inputs(subject: Subject) -> Iterator[Breach]:
+    """`depends_on` speaks of roles that some input has.
+
+    Why:
+        A misspelt role says nothing of the one that was meant, which then counts as one that the
+        outputs depend on: the model runs at every move of a camera that it does not look at.
+
+    Mend:
+        Write the role as it stands in the inputs, or remove the entry.
+    """
+    generator = subject.generator
+    if generator is None or subject.candidate is not None:
+        return
+    taken = list(dict.fromkeys(entry.role for entry in generator.inputs))
+    for role in generator.depends_on:
+        if role not in taken:
+            saw = "no such role" if role not in ROLES else "no input has it"
+            listed = ", ".join(taken) or "none: there are no inputs"
+            yield Breach.at(f"manifest depends_on {role!r}", saw, f"one of {listed}")

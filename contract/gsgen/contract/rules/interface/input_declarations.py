@@ -1,0 +1,196 @@
+"""GI, what the manifest says of an input: it can be true, and a runtime can act on it."""
+
+from collections.abc import Iterator
+from math import prod
+
+from gsgen.contract.model.graph import static_dims
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.spec.manifest import Input
+from gsgen.contract.spec.roles import KINDS, ROLES
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.rule import rule
+
+_TIMED = ("time", "frame_index")  # GM010 judges their ranges
+_SQUARE = ((4, 4), (3, 3))
+_QUATERNION = 4
+_AXIS_ANGLE = 3
+# Of a number that was written in decimal and read as binary.
+_ROUNDING = 1e-6
+# A runtime knows the camera, the clock, the window and the picture. The rest is for people to set.
+_CHOSEN = (
+    *("pose", "shape", "expression", "root_translation", "root_rotation"),
+    *("appearance_id", "control", "timestep", "conditioning"),
+)
+
+
+def _place(entry: Input) -> str:
+    return f"manifest input {entry.name}"
+
+
+def _entries(subject: Subject) -> tuple[Input, ...]:
+    return subject.manifest.inputs if subject.manifest else ()
+
+
+def _shape(subject: Subject, entry: Input) -> tuple[int, ...] | None:
+    """Return the size of every axis, from the graph or else from the manifest."""
+    tensor = subject.graph.input(entry.name)
+    dims = static_dims(tensor) if tensor else None
+    return entry.shape if dims is None else tuple(int(dim) for dim in dims)
+
+
+@rule(
+    "GI013",
+    "input-range-ordered",
+    Severity.ERROR,
+    over="model",
+    fixture="range_upside_down",
+    needs=("GM004",),
+    kinds=KINDS,
+)
+def input_range_ordered(subject: Subject) -> Iterator[Breach]:
+    """A declared range runs from low to high, and between whole numbers where the input counts.
+
+    Why:
+        A slider drawn for [1, 0] runs backwards or not at all, a clip to it gives one constant, and
+        a frame number of 7.5 is no frame.
+
+    Mend:
+        Write "range": [low, high]; for frame numbers, identities and timesteps with whole numbers.
+    """
+    for entry in _entries(subject):
+        if entry.range is None:
+            continue
+        low, high = entry.range
+        saw = f"range {[low, high]}"
+        if entry.role not in _TIMED and not low <= high:
+            yield Breach.at(_place(entry), saw, "low <= high")
+        elif ROLES[entry.role].index and not (low.is_integer() and high.is_integer()):
+            yield Breach.at(_place(entry), saw, "whole numbers")
+
+
+@rule(
+    "GI014",
+    "input-default-fits",
+    Severity.ERROR,
+    over="model",
+    fixture="default_of_wrong_length",
+    needs=("GM005", "GM010", "GI001", "GI002", "GI003", "GI005", "GI013"),
+    kinds=KINDS,
+)
+def input_default_fits(subject: Subject) -> Iterator[Breach]:
+    """A declared default fills its input, lies in its range, and is whole where the input counts.
+
+    Why:
+        It is what every runtime feeds first. One of another size cannot be fed, and one outside the
+        range starts a slider beyond its end.
+
+    Mend:
+        Give one number for all elements, as many as there are (row-major), "zeros", or "identity"
+        for matrices and quaternions.
+    """
+    for entry in _entries(subject):
+        shape = _shape(subject, entry)
+        if entry.default is None or shape is None:
+            continue
+        fault = _misfit(entry, shape)
+        if fault is not None:
+            yield Breach.at(_place(entry), *fault)
+
+
+def _misfit(entry: Input, shape: tuple[int, ...]) -> tuple[str, str] | None:
+    """Say what is wrong with a default, and what was wanted; None where it fits."""
+    default = entry.default
+    turns = entry.role == "pose" and shape[-1:] == (_QUATERNION,)
+    if default == "identity" and not (shape in _SQUARE or turns):
+        return f"default identity for shape {list(shape)}", "a matrix or quaternions"
+    if isinstance(default, tuple) and len(default) != prod(shape):
+        saw = f"default of {len(default)} numbers for shape {list(shape)}"
+        return saw, f"{prod(shape)} numbers"
+    numbers = _numbers(entry)
+    low, high = entry.range or (min(numbers, default=0), max(numbers, default=0))
+    room = _ROUNDING * max(abs(low), abs(high), 1.0)
+    beyond = [one for one in numbers if not low - room <= one <= high + room]
+    if beyond:
+        return f"default {beyond[0]:g} beyond the range {[low, high]}", "one within"
+    if ROLES[entry.role].index and not all(one.is_integer() for one in numbers):
+        return f"default {numbers[0]:g} of an input that counts", "a whole number"
+    return None
+
+
+def _numbers(entry: Input) -> tuple[float, ...]:
+    """Return the distinct numbers that a default consists of."""
+    words: dict[object, tuple[float, ...]] = {"zeros": (0.0,), "identity": (0.0, 1.0)}
+    default = entry.default
+    if isinstance(default, str):
+        return words[default]
+    return tuple(map(float, default if isinstance(default, tuple) else (default or 0.0,)))
+
+
+@rule(
+    "GI015",
+    "input-convention-known",
+    Severity.ERROR,
+    over="model",
+    fixture="convention_unknown",
+    needs=("GM004", "GI005"),
+    kinds=KINDS,
+)
+def input_convention_known(subject: Subject) -> Iterator[Breach]:
+    """A declared convention is one of the role's, and of the shape that the input has.
+
+    Why:
+        A runtime that drives an avatar writes rotations as the convention says. It cannot follow
+        one that it does not know, nor write quaternions into rows of three.
+
+    Mend:
+        Name one of the role's conventions, as the page of roles lists them, or none.
+    """
+    for entry in _entries(subject):
+        if entry.convention is None:
+            continue
+        known, shape = ROLES[entry.role].conventions, _shape(subject, entry)
+        saw = f"convention {entry.convention!r}"
+        if entry.convention not in known:
+            want = f"one of {', '.join(known)}" if known else f"none, as {entry.role} has"
+            yield Breach.at(_place(entry), saw, want)
+        elif shape is not None and not _holds(entry.convention, shape):
+            want = "a shape that can hold it"
+            yield Breach.at(_place(entry), f"{saw} for shape {list(shape)}", want)
+
+
+def _holds(convention: str, shape: tuple[int, ...]) -> bool:
+    if convention == "matrix":
+        return shape == (3, 3)
+    if convention == "quaternion-wxyz":
+        return shape[-1:] == (_QUATERNION,)
+    return shape[-1:] == (_AXIS_ANGLE,) and shape != (3, 3)
+
+
+@rule(
+    "GI016",
+    "input-has-a-start",
+    Severity.WARNING,
+    over="model",
+    fixture="pose_without_default",
+    needs=("GM004",),
+    kinds=KINDS,
+)
+def input_has_a_start(subject: Subject) -> Iterator[Breach]:
+    """An input that no runtime can know has a default.
+
+    Why:
+        Cameras, clocks and windows are known everywhere; a pose or a body shape is not. Without a
+        default a runtime feeds the low end of the range, which is a body at its most extreme, or
+        zeros, and the first picture is not what the author would show.
+
+    Mend:
+        Declare "default": a number, a list, "zeros" or "identity".
+    """
+    if subject.candidate is not None:
+        return
+    for entry in _entries(subject):
+        if entry.role in _CHOSEN and entry.default is None:
+            low = "zeros" if entry.range is None else f"{entry.range[0]:g}, the low end,"
+            saw = f"role {entry.role} without a default: {low} would be fed"
+            yield Breach.at(_place(entry), saw, '"default"')

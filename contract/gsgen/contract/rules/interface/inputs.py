@@ -1,0 +1,261 @@
+"""GI: frame inputs have the shapes and dtypes that any runtime can feed."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from gsgen.contract.model.graph import Tensor, static_dims
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.probing.outputs import Emission
+from gsgen.contract.spec.roles import GENERATOR, KINDS, ROLES, matching_shape
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.rule import rule
+
+# These roles have a rule for their shape of their own.
+_OWN_RULE = ("view", "projection", "time")
+
+
+def _wrong_shape(subject: Subject, role: str, want: tuple[int, ...]) -> Iterator[Breach]:
+    for _, tensor in subject.inputs_of(role):
+        if tensor.dims != want:
+            yield Breach.at(
+                f"input {tensor.name}", f"shape {_shown(tensor)}", str(list(want))
+            )
+
+
+def _shown(tensor: Tensor) -> str:
+    if tensor.dims is None:
+        return "unknown"
+    return "[" + ", ".join("?" if dim is None else str(dim) for dim in tensor.dims) + "]"
+
+
+@rule(
+    "GI001",
+    "view-is-4x4",
+    Severity.ERROR,
+    over="model",
+    fixture="view_flattened",
+    needs=("GM004",),
+)
+def view_is_4x4(subject: Subject) -> Iterator[Breach]:
+    """An input with the role `view` has the static shape [4, 4].
+
+    Why:
+        Runtimes feed a [4, 4] tensor; a [1, 16] or [1, 4, 4] input makes ONNX Runtime refuse the
+        frame with "Got invalid dimensions".
+
+    Mend:
+        Take a [4, 4] tensor and reshape inside the model.
+    """
+    yield from _wrong_shape(subject, "view", (4, 4))
+
+
+@rule(
+    "GI002",
+    "projection-is-4x4",
+    Severity.ERROR,
+    over="model",
+    fixture="projection_flattened",
+    needs=("GM004",),
+)
+def projection_is_4x4(subject: Subject) -> Iterator[Breach]:
+    """An input with the role `projection` has the static shape [4, 4].
+
+    Why:
+        Runtimes feed a [4, 4] tensor; any other shape is refused at the first frame.
+
+    Mend:
+        Take a [4, 4] tensor and reshape inside the model.
+    """
+    yield from _wrong_shape(subject, "projection", (4, 4))
+
+
+@rule(
+    "GI003",
+    "time-is-1",
+    Severity.ERROR,
+    over="model",
+    fixture="time_is_1x1",
+    needs=("GM004",),
+)
+def time_is_1(subject: Subject) -> Iterator[Breach]:
+    """An input with the role `time` has the static shape [1].
+
+    Why:
+        Runtimes feed one number as [1]. A [1, 1] input is refused ("Invalid rank"); a scalar works
+        in some runtimes only.
+
+    Mend:
+        Take a [1] tensor.
+    """
+    yield from _wrong_shape(subject, "time", (1,))
+
+
+@rule(
+    "GI004",
+    "input-dtype",
+    Severity.ERROR,
+    over="model",
+    fixture="frame_index_int64",
+    needs=("GM004",),
+    kinds=KINDS,
+)
+def input_dtype(subject: Subject) -> Iterator[Breach]:
+    """Every input has the dtype of its role: float32, or int32 for indices.
+
+    Why:
+        Runtimes feed 32-bit buffers. WebGPU has no 64-bit types, so an int64 index cannot be
+        captured and is truncated where it is accepted.
+
+    Mend:
+        Take the input in its role's dtype and cast inside the model.
+    """
+    for entry in subject.manifest.inputs if subject.manifest else ():
+        tensor = subject.graph.input(entry.name)
+        wanted = ROLES[entry.role].dtype
+        if tensor is not None and tensor.dtype not in wanted:
+            yield Breach.at(f"input {entry.name}", str(tensor.dtype), " or ".join(wanted))
+
+
+@rule(
+    "GI005",
+    "inputs-declared",
+    Severity.ERROR,
+    over="model",
+    fixture="extra_input",
+    needs=("GM004",),
+    kinds=KINDS,
+)
+def inputs_declared(subject: Subject) -> Iterator[Breach]:
+    """Every graph input is declared with a role, and any runtime can feed it.
+
+    Why:
+        An input that no role explains is never fed, and the first frame fails with "Required
+        inputs are missing". A free-form input needs a static shape, a range and a default, or no
+        runtime knows what to give it.
+
+    Mend:
+        Declare it in the manifest's inputs, or bake it into the model before export.
+    """
+    manifest = subject.manifest
+    declared = {entry.name: entry for entry in manifest.inputs} if manifest else {}
+    for tensor in subject.graph.inputs:
+        entry = declared.get(tensor.name)
+        place = f"input {tensor.name}"
+        if entry is None:
+            yield Breach.at(
+                place, f"{tensor} without a role", "a declared role, or no such input"
+            )
+            continue
+        role = ROLES[entry.role]
+        if manifest and manifest.kind not in role.kinds:
+            yield Breach.at(
+                place, f"role {entry.role}", f"a role that a {manifest.kind} may take"
+            )
+        if role.needs_range and entry.range is None:
+            yield Breach.at(
+                place, f"role {entry.role} without a range", '"range": [low, high]'
+            )
+        yield from _feedable(tensor, entry.role, manifest.kind if manifest else "")
+
+
+def _feedable(tensor: Tensor, role: str, kind: str) -> Iterator[Breach]:
+    if role in _OWN_RULE and kind == GENERATOR:
+        return
+    place = f"input {tensor.name}"
+    dims = static_dims(tensor)
+    if dims is None:
+        if kind == GENERATOR:
+            yield Breach.at(place, f"shape {_shown(tensor)}", "a static shape")
+        return
+    if matching_shape(ROLES[role], dims) is None:
+        shapes = " or ".join(
+            f"[{', '.join(map(str, shape))}]" for shape in ROLES[role].shapes
+        )
+        yield Breach.at(
+            place, f"shape {_shown(tensor)}", f"{shapes}, as the role {role} has"
+        )
+
+
+@rule(
+    "GI009",
+    "zero-inputs-finite",
+    Severity.ERROR,
+    over="emission",
+    fixture="nan_at_zero_inputs",
+    needs=("GV025",),
+)
+def zero_inputs_finite(emission: Emission) -> Iterator[Breach]:
+    """With all inputs zero, every output is finite.
+
+    Why:
+        Viewers run the model once on zeroed buffers before the first camera arrives; a NaN there
+        may stay in buffers and sort on top of the picture.
+
+    Mend:
+        Guard the division or the norm that sees the zero, with a clamp under the square root.
+    """
+    if not emission.zeros:
+        return
+    for name, value in emission.outputs.items():
+        if value.dtype.kind == "f" and not np.isfinite(value).all():
+            bad = int(np.count_nonzero(~np.isfinite(value)))
+            yield Breach.at(
+                f"output {name}", f"{bad} of {value.size} values not finite", "finite"
+            )
+
+
+@rule(
+    "GI006",
+    "inputs-reach-outputs",
+    Severity.WARNING,
+    over="model",
+    fixture="time_is_baked",
+    needs=("GM004", "GG019"),
+    kinds=KINDS,
+)
+def inputs_reach_outputs(subject: Subject) -> Iterator[Breach]:
+    """Some output is computed from each input, unless `depends_on` says that none is.
+
+    Why:
+        An input that leads nowhere was usually turned into a constant when the model was traced.
+        Runtimes still feed it, and run the model whenever it changes.
+
+    Mend:
+        Export without detaching the input (numpy round trips, `.item()`, Python branches), remove
+        it, or set "depends_on": {role: false}.
+    """
+    graph, generator = subject.graph, subject.generator
+    idle = generator.depends_on if generator else {}
+    used: set[str] = set()
+    for tensor in graph.outputs:
+        used |= graph.ancestors(tensor.name)[0]
+    for entry in subject.manifest.inputs if subject.manifest else ():
+        if entry.name not in used and idle.get(entry.role, True):
+            yield Breach.at(f"input {entry.name}", "leads to no output", "an effect")
+
+
+@rule(
+    "GI012",
+    "weights-are-no-inputs",
+    Severity.WARNING,
+    over="model",
+    fixture="weight_listed_as_input",
+    kinds=KINDS,
+)
+def weights_are_no_inputs(subject: Subject) -> Iterator[Breach]:
+    """No weight is listed among the inputs.
+
+    Why:
+        Old exporters list them, which lets a runtime feed other numbers: so no optimiser folds
+        them, and a viewer that walks the inputs finds one that nobody can explain.
+
+    Mend:
+        Remove the entry from the graph's inputs; the weight stays.
+    """
+    for value in subject.file.proto.graph.input:
+        if value.name in subject.graph.initializers:
+            yield Breach.at(
+                f"input {value.name}", "a weight of that name", "a weight alone"
+            )

@@ -1,0 +1,56 @@
+"""GO, the count: the output that says how many rows are live."""
+
+from collections.abc import Iterator
+
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.rule import rule
+
+_DECLARED = ("GM002", "GM003", "GM004")
+
+
+@rule(
+    "GO010",
+    "count-declared",
+    Severity.ERROR,
+    over="model",
+    fixture="no_count",
+    needs=_DECLARED,
+)
+def count_declared(subject: Subject) -> Iterator[Breach]:
+    """An output says how many rows are live.
+
+    Why:
+        Runtimes fetch it every frame; without it the fetch fails ("Invalid output name").
+
+    Mend:
+        Return an int32 [1] tensor, a constant where nothing varies, and declare it as outputs.count.
+    """
+    if subject.count is None:
+        yield Breach.at(
+            "outputs", "no row count", "one int32 [1] output, usually num_points"
+        )
+
+
+@rule(
+    "GO011",
+    "count-is-int32",
+    Severity.ERROR,
+    over="model",
+    fixture="count_is_int64",
+    needs=("GO010",),
+)
+def count_is_int32(subject: Subject) -> Iterator[Breach]:
+    """The row count is int32 with the static shape [1].
+
+    Why:
+        Runtimes bind four bytes to it. An int64 count is refused ("Unexpected output data type"),
+        and a scalar has another rank than the buffer.
+
+    Mend:
+        Cast the count to int32 and reshape it to [1]; `gsgen explain GG016` says in which order.
+    """
+    tensor = subject.count
+    if tensor is not None and (tensor.dtype != "int32" or tensor.dims != (1,)):
+        yield Breach.at(f"output {tensor.name}", str(tensor), "int32 [1]")

@@ -1,0 +1,1 @@
+"""Does the model run on a given target: its limits, and the Visionary viewer?"""

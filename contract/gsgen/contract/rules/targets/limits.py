@@ -1,0 +1,120 @@
+"""GL: outputs and weights fit the limits of the target."""
+
+from collections.abc import Iterator
+
+from gsgen.contract.model.graph import Graph, Tensor, reads, tensor_bytes
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.provider_placement import frame_nodes
+from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.rule import rule
+
+_MIB = 1 << 20
+
+
+def _buffers(subject: Subject) -> Iterator[tuple[str, int]]:
+    graph = subject.graph
+    for tensor in graph.outputs:
+        yield f"output {tensor.name}", tensor_bytes(tensor)
+    for name, tensor in graph.initializers.items():
+        yield f"weight {name}", tensor_bytes(tensor)
+    for tensor in _computed_once(graph):
+        yield f"tensor {tensor.name}, computed from weights", tensor_bytes(tensor)
+
+
+def _computed_once(graph: Graph) -> Iterator[Tensor]:
+    """Yield what frames read of what a runtime computes at loading, such as unpacked tables."""
+    running = frame_nodes(graph)
+    made = {name for node in running for name in node.output}
+    outputs = {tensor.name for tensor in graph.outputs}
+    for name in dict.fromkeys(name for node in running for name in reads(node)):
+        if name in graph.producers and name not in made and name not in outputs:
+            tensor = graph.tensors.get(name)
+            if tensor is not None:
+                yield tensor
+
+
+def _mib(size: int) -> str:
+    return f"{size / _MIB:.1f} MiB ({size} bytes)"
+
+
+def _larger(subject: Subject, limit: int) -> Iterator[Breach]:
+    """Report every output, weight and unpacked weight of more than ``limit`` bytes."""
+    for place, size in _buffers(subject):
+        if size > limit:
+            yield Breach.at(place, _mib(size), f"{_mib(limit)} at most")
+
+
+@rule(
+    "GL001",
+    "fits-binding",
+    Severity.WARNING,
+    over="model",
+    fixture="large_binding",
+    kinds=KINDS,
+    limit="binding_bytes",
+    needs=("GL002",),
+)
+def fits_binding(subject: Subject) -> Iterator[Breach]:
+    """Every output and weight fits one storage buffer binding of the target.
+
+    Why:
+        WebGPU guarantees 128 MiB a binding. Beyond it onnxruntime-web 1.22 returns zeros; newer
+        ones split the buffer, and pay for it. What is computed from weights alone is a buffer, too,
+        once a runtime has loaded the model: a table of 16 bits a number that is read as float32
+        is twice as large as in the file.
+
+    Mend:
+        Use float16, fewer SH degrees or a smaller capacity, or split the model.
+    """
+    yield from _larger(subject, subject.target.limits["binding_bytes"])
+
+
+@rule(
+    "GL002",
+    "fits-buffer",
+    Severity.WARNING,
+    over="model",
+    fixture="large_buffer",
+    kinds=KINDS,
+    limit="buffer_bytes",
+)
+def fits_buffer(subject: Subject) -> Iterator[Breach]:
+    """Every output and weight fits one buffer of the target.
+
+    Why:
+        WebGPU guarantees buffers of 256 MiB; creating a larger one fails on many devices. What is
+        computed from weights alone at loading, such as a table unpacked to float32, is one, too.
+
+    Mend:
+        Use float16, fewer SH degrees or a smaller capacity, or split the model.
+    """
+    yield from _larger(subject, subject.target.limits["buffer_bytes"])
+
+
+@rule(
+    "GL003",
+    "fits-dispatch",
+    Severity.ERROR,
+    over="model",
+    fixture="too_many_rows",
+    needs=("GO004", "GL001", "GL002"),
+    limit="workgroups",
+)
+def fits_dispatch(subject: Subject) -> Iterator[Breach]:
+    """One dispatch can visit every row.
+
+    Why:
+        WebGPU launches at most 65,535 workgroups along an axis. With 256 rows a workgroup, rows
+        beyond 16,776,960 are never visited.
+
+    Mend:
+        Lower the capacity, or split the model.
+    """
+    limits = subject.target.limits
+    most = limits["workgroups"] * limits["workgroup_size"]
+    tensor = subject.gaussians
+    rows = tensor.dims[0] if tensor is not None and tensor.dims else 0
+    if tensor is not None and isinstance(rows, int) and rows > most:
+        yield Breach.at(f"output {tensor.name}", f"{rows} rows", f"{most} rows at most")

@@ -1,0 +1,173 @@
+"""TV: what the Visionary web viewer 1.0.1 will do with the model, predicted.
+
+The only place where parts of tensor names are looked at, because that is what the viewer does.
+Source: its ``onnx_gpu_io.ts`` and ``preprocess.wgsl``, version 1.0.1.
+"""
+
+from collections.abc import Iterator
+
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.rule import rule
+
+_TARGET = "visionary"
+_COLOR_WORDS = ("color", "sh", "rgb")
+_COLOR_CHANNELS = (3, 4, 12, 27, 48)
+_SH_CHANNELS = 48
+
+
+def bound_role(name: str) -> str:
+    """Return what the viewer feeds to an input called ``name``; empty if nothing."""
+    lower = name.lower()
+    if any(word in lower for word in ("camera", "view", "matrix")):
+        return "view"
+    if "time" in lower or name == "t":
+        return "time"
+    return "projection" if "proj" in lower else ""
+
+
+@rule(
+    "TV101",
+    "visionary-finds-gaussians",
+    Severity.ERROR,
+    over="model",
+    fixture="visionary_output_name",
+    target=_TARGET,
+    needs=("GO001",),
+)
+def visionary_finds_gaussians(subject: Subject) -> Iterator[Breach]:
+    """The Gaussian output is the first whose name starts with `gauss`.
+
+    Why:
+        The viewer takes the first output with that prefix, in lower case, and falls back to
+        2,000,000 rows if there is none.
+
+    Mend:
+        Call it gaussians, and list it first.
+    """
+    tensor = subject.gaussians
+    taken = next(
+        (t.name for t in subject.graph.outputs if t.name.startswith("gauss")), None
+    )
+    if tensor is not None and taken != tensor.name:
+        saw = f"the viewer takes {taken!r}" if taken else "the viewer finds none"
+        yield Breach.at(
+            f"output {tensor.name}", saw, "a name that starts with 'gauss', first"
+        )
+
+
+@rule(
+    "TV102",
+    "visionary-finds-color",
+    Severity.ERROR,
+    over="model",
+    fixture="visionary_color_name",
+    target=_TARGET,
+    needs=("GO005", "TV101"),
+)
+def visionary_finds_color(subject: Subject) -> Iterator[Breach]:
+    """The appearance is the first output whose name contains `color`, `sh` or `rgb`.
+
+    Why:
+        An earlier output such as `mesh` or `shift` with a fitting last dimension is taken instead.
+
+    Mend:
+        Call it color_sh or color_rgb, and list it before other outputs.
+    """
+    tensor = subject.appearance
+    candidates = [
+        t.name
+        for t in subject.graph.outputs
+        if any(word in t.name for word in _COLOR_WORDS)
+        and t.dims
+        and t.dims[-1] in _COLOR_CHANNELS
+    ]
+    taken = candidates[0] if candidates else None
+    if tensor is not None and taken != tensor.name:
+        saw = f"the viewer takes {taken!r}" if taken else "the viewer finds none"
+        yield Breach.at(
+            f"output {tensor.name}", saw, "a name with 'color', 'sh' or 'rgb', first"
+        )
+
+
+@rule(
+    "TV103",
+    "visionary-binds-inputs",
+    Severity.ERROR,
+    over="model",
+    fixture="visionary_input_name",
+    target=_TARGET,
+    needs=("GM004", "GI005"),
+)
+def visionary_binds_inputs(subject: Subject) -> Iterator[Breach]:
+    """Every input is fed, and with what its role says.
+
+    Why:
+        The viewer tests for `camera`, `view` and `matrix` before `proj`: an input called
+        projection_matrix receives the view matrix. Inputs that match nothing are never fed, and
+        inference fails.
+
+    Mend:
+        Call them camera, proj and time; bake other inputs in before export.
+    """
+    for entry in subject.manifest.inputs if subject.manifest else ():
+        fed = bound_role(entry.name)
+        if fed != entry.role:
+            saw = f"will receive the {fed}" if fed else "will never be fed"
+            yield Breach.at(f"input {entry.name}", saw, f"the {entry.role}")
+
+
+@rule(
+    "TV104",
+    "visionary-reads-color",
+    Severity.ERROR,
+    over="model",
+    fixture="visionary_rgb_float32",
+    target=_TARGET,
+    needs=("GO006", "GO008", "GM005"),
+)
+def visionary_reads_color(subject: Subject) -> Iterator[Breach]:
+    """The appearance is SH with 48 channels, or float16 RGB with 4.
+
+    Why:
+        The shader's row strides are fixed for these two. All other layouts are accepted and drawn
+        with the colours of neighbouring rows.
+
+    Mend:
+        Pad SH to degree 3, or emit float16 RGB with four channels.
+    """
+    tensor, declared = subject.appearance, subject.declared_appearance
+    if tensor is None or declared is None or not tensor.dims:
+        return
+    channels = tensor.dims[-1]
+    if declared.space == "sh" and channels != _SH_CHANNELS:
+        yield Breach.at(
+            f"output {tensor.name}", f"SH with {channels} channels", "48 channels"
+        )
+    if declared.space == "rgb" and (channels, tensor.dtype) != (4, "float16"):
+        saw = f"RGB as {tensor.dtype} with {channels} channels"
+        yield Breach.at(f"output {tensor.name}", saw, "float16 with 4 channels")
+
+
+@rule(
+    "TV108",
+    "visionary-time-range",
+    Severity.WARNING,
+    over="model",
+    fixture="visionary_time_range",
+    target=_TARGET,
+    needs=("GM004",),
+)
+def visionary_time_range(subject: Subject) -> Iterator[Breach]:
+    """Time runs from 0 to 1.
+
+    Why:
+        The viewer feeds (timeline · 0.4) mod 1, whatever the manifest says.
+
+    Mend:
+        Scale time inside the model, so that its range is [0, 1].
+    """
+    for entry, _ in subject.inputs_of("time"):
+        if entry.range is not None and entry.range != (0.0, 1.0):
+            yield Breach.at(f"input {entry.name}", f"range {list(entry.range)}", "[0, 1]")

@@ -1,0 +1,188 @@
+"""TV and GL: how the Visionary web viewer 1.0.1 will draw what the model emits, predicted.
+
+Source: its ``gaussian_preprocessor.ts`` and ``preprocess.wgsl``, version 1.0.1.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.probing.outputs import Emission, Rows
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach, Where
+from gsgen.contract.validation.rule import rule
+
+_TARGET = "visionary"
+_WORKGROUP = 256
+# The viewer's filter, in squared pixels; a lens of 45 degrees on 1080 rows; a camera that sees all.
+_KERNEL = 0.1
+_FOCAL = 1304.0
+_ORBIT = 2.2
+_FADED = 0.5
+
+
+@rule(
+    "GL006",
+    "capacity-fills-workgroups",
+    Severity.WARNING,
+    over="emission",
+    fixture="visionary_odd_padding",
+    target=_TARGET,
+    needs=("GV025", "GO001", "GO002", "GO010", "GO011"),
+)
+def capacity_fills_workgroups(emission: Emission) -> Iterator[Breach]:
+    """A capacity that has padding is a multiple of 256.
+
+    Why:
+        The viewer draws with workgroups of 256 and does not stop at the end of the buffer. What is
+        read there depends on the driver; one draws hundreds of ghosts. A model that pads anyway can
+        pad to whole workgroups, whose last rows are inert.
+
+    Mend:
+        Raise the capacity to the next multiple of 256.
+    """
+    rows = emission.gaussians
+    if rows is not None and emission.count < len(rows) and len(rows) % _WORKGROUP:
+        want = f"{-(-len(rows) // _WORKGROUP) * _WORKGROUP} rows"
+        yield Breach.at(emission.rows_place, f"{len(rows)} rows", want)
+
+
+@rule(
+    "TV107",
+    "visionary-ignores-count",
+    Severity.INFO,
+    over="model",
+    fixture="visionary_count_varies",
+    target=_TARGET,
+    needs=("GO010",),
+)
+def visionary_ignores_count(subject: Subject) -> Iterator[Breach]:
+    """The count does not vary, because the viewer draws all rows whatever it says.
+
+    Why:
+        The test of the count is commented out in the viewer's shader. Rows behind it are drawn as
+        they are, so only their opacity of 0 keeps them invisible (rule padding-inert).
+
+    Mend:
+        Nothing, if rows behind the count are zeros; do not rely on the count alone.
+    """
+    declared = subject.declared_count
+    if declared is not None and subject.graph.varies(declared.name):
+        yield Breach.at(f"output {declared.name}", "varies", "a constant count")
+
+
+@rule(
+    "TV109",
+    "visionary-needs-f16",
+    Severity.INFO,
+    over="model",
+    fixture="visionary_half_inside",
+    target=_TARGET,
+    needs=("GO008", "GG019"),
+)
+def visionary_needs_f16(subject: Subject) -> Iterator[Breach]:
+    """A model with float32 outputs does not compute in float16.
+
+    Why:
+        Kernels in float16 need the WebGPU feature shader-f16. Outputs in float32 look as if the
+        model ran without it, and on a device that lacks it the viewer stops.
+
+    Mend:
+        Compute in float32, or emit float16 as well, which at least halves what is read.
+    """
+    outputs = (subject.gaussians, subject.appearance)
+    if any(tensor is not None and tensor.dtype == "float16" for tensor in outputs):
+        return
+    for one in subject.placements:
+        if one.dtype == "float16":
+            place = f"node {one.node.name or one.node.output[0]} ({one.node.op_type})"
+            yield Breach.at(place, "computes in float16", "float32, as the outputs are")
+            return
+
+
+@rule(
+    "TV110",
+    "visionary-fades-small",
+    Severity.INFO,
+    over="rows",
+    fixture="visionary_tiny",
+    target=_TARGET,
+    needs=("GV025", "GO001", "GO002", "GO008", "GM009"),
+)
+def visionary_fades_small(rows: Rows) -> Iterator[Breach]:
+    """Most Gaussians are large enough that the viewer's low-pass filter does not fade them.
+
+    Why:
+        The viewer always compensates for its filter, whatever the manifest says: a Gaussian
+        narrower than a third of a pixel loses most of its opacity. This is a prediction for a
+        camera that sees all of the bounds on a screen of 1080 rows.
+
+    Mend:
+        Declare "antialias": "mip" if it was trained so; else make tiny Gaussians larger.
+    """
+    generator = rows.emission.subject.generator
+    if generator is None or generator.bounds is None or generator.antialias == "mip":
+        return
+    low, high = np.asarray([generator.bounds.min, generator.bounds.max])
+    distance = _ORBIT * float(np.linalg.norm(high - low)) / 2
+    pixels = rows.widest * np.float32((_FOCAL / max(distance, 1e-9)) ** 2)
+    kept = pixels / (pixels + np.float32(_KERNEL))
+    yield Breach.rows(
+        Where(rows.emission.rows_place, "covariance"),
+        rows.drawn & (kept < _FADED),
+        rows.widest,
+        f"more than {_FADED:.0%} of the opacity in most rows",
+        judged=rows.drawn_count,
+        above_share=0.5,
+        certainty="possible",
+    )
+
+
+@rule(
+    "TV111",
+    "visionary-shows-srgb",
+    Severity.WARNING,
+    over="model",
+    fixture="visionary_linear",
+    target=_TARGET,
+    needs=("GO005", "GM002", "GM003"),
+)
+def visionary_shows_srgb(subject: Subject) -> Iterator[Breach]:
+    """Colours are sRGB.
+
+    Why:
+        The viewer writes colours to the screen as they are: linear ones are too dark.
+
+    Mend:
+        Convert colours to sRGB before packing.
+    """
+    declared = subject.declared_appearance
+    if declared is not None and declared.color_space != "srgb":
+        yield Breach.at(f"output {declared.name}", declared.color_space, "srgb")
+
+
+@rule(
+    "TV112",
+    "visionary-sorts",
+    Severity.WARNING,
+    over="model",
+    fixture="visionary_weighted_sum",
+    target=_TARGET,
+    needs=("GM017",),
+)
+def visionary_sorts(subject: Subject) -> Iterator[Breach]:
+    """Gaussians are blended by sorting.
+
+    Why:
+        The viewer knows no other way: it sorts Gaussians by depth, and neither reads cells nor
+        divides by a sum of weights. What was trained for a weighted sum looks near its own picture
+        at best, and cells are computed every frame for nothing.
+
+    Mend:
+        Export for sorting, where the method has such an option (`--blend alpha`), and compare
+        pictures.
+    """
+    generator = subject.generator
+    if generator is not None and generator.blend != "alpha":
+        yield Breach.at("manifest blend", generator.blend, "alpha")

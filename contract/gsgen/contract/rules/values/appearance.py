@@ -1,0 +1,179 @@
+"""GV, appearance: colours are in range, and coefficients in the order that readers take."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.probing.outputs import Emission, Rows
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.spherical_harmonics import degree_of
+from gsgen.contract.validation.finding import Breach, Where
+from gsgen.contract.validation.rule import rule
+
+_COLOR_SLACK = 1e-2
+
+_COLOR = ("GV025", "GO001", "GO002", "GO005", "GO006", "GO007", "GO008")
+
+# Mean degree of the coefficients' energy. Trained scenes lie below 0.3, since detail falls with
+# the degree; a wrong order spreads the constant terms over all degrees and gives 1 or more.
+_SUSPECT = 0.5
+_CLEARER = 0.4
+
+# Beyond what any colour needs; fewer than one in a hundred may be outliers.
+_LARGE = 10.0
+_LARGE_SHARE = 0.01
+
+
+@rule(
+    "GV012",
+    "rgb-range",
+    Severity.WARNING,
+    over="rows",
+    fixture="rgb_in_bytes",
+    needs=_COLOR,
+)
+def rgb_range(rows: Rows) -> Iterator[Breach]:
+    """Raw RGB lies in [0, 1] in every drawn row.
+
+    Why:
+        Values up to 255 are bytes that were not divided, and show as white. Values around zero
+        are SH coefficients passed as colours, and show as black. Where no manifest says that three
+        channels are RGB, they may be SH of degree 0, so the finding is possible then.
+
+    Mend:
+        Divide bytes by 255; turn the SH constant term into colour as 0.5 + 0.28209479 · f_dc.
+    """
+    declared, color = rows.emission.declared, rows.color
+    if declared is None or declared.space != "rgb" or color is None:
+        return
+    shown = color[:, :3].astype(np.float32)
+    kept = ((shown >= -_COLOR_SLACK) & (shown <= 1 + _COLOR_SLACK)).all(axis=1)
+    guessed = rows.emission.subject.candidate is not None
+    yield Breach.rows(
+        Where(rows.emission.color_place, "rgb"),
+        rows.drawn & ~kept,
+        shown,
+        "0 <= rgb <= 1",
+        judged=rows.drawn_count,
+        badness=np.nan_to_num(np.abs(shown - 0.5).max(axis=1)),
+        certainty="possible" if guessed else "confirmed",
+    )
+
+
+@rule(
+    "GV014",
+    "sh-order",
+    Severity.WARNING,
+    over="emission",
+    fixture="sh_channel_major",
+    needs=("GV025", "GO005", "GO006", "GO007", "GO008", "GM005"),
+)
+def sh_order(emission: Emission) -> Iterator[Breach]:
+    """SH coefficients stand coefficient by coefficient, red, green and blue innermost.
+
+    Why:
+        A 3DGS PLY stores all red coefficients first. Copied as they are, green and blue constants
+        are read as view-dependent detail: colours change wildly with every step of the camera.
+
+    Mend:
+        Transpose [N, 3, K] to [N, K, 3] before flattening. If the order is right and the scene is
+        unusual, ignore this rule.
+    """
+    declared, sample = emission.declared, emission.shown_colors
+    if declared is None or not emission.is_sh or emission.zeros:
+        return
+    if sample.shape[1] < 12 or not len(sample):  # a single coefficient has no order
+        return
+    energy = np.square(sample).mean(axis=0, dtype=np.float64)
+    if not energy.sum() > 0:
+        return
+    spread = {
+        name: _mean_degree(energy[slots]) for name, slots in _orders(len(energy)).items()
+    }
+    stored = spread.pop("coefficient-major")
+    name, other = min(spread.items(), key=lambda item: item[1])
+    if stored > _SUSPECT and other < _CLEARER * stored:
+        saw = (
+            f"energy lies at mean degree {stored:.2f} as stored, {other:.2f} if read {name}"
+        )
+        want = f"a mean degree below {_SUSPECT}, as coefficient-major SH of a scene has"
+        yield Breach.at(f"output {declared.name}", saw, want, certainty="possible")
+
+
+def _orders(size: int) -> dict[str, np.ndarray]:
+    """Return, for each order, the slot that holds coefficient k of channel c, as [K, 3]."""
+    k = size // 3
+    flat = np.arange(size)
+    twice = (flat % k) * 3 + flat // k  # interleaved once more, though it already was
+    return {
+        "coefficient-major": flat.reshape(k, 3),
+        "channel-major": flat.reshape(3, k).T,
+        "interleaved twice": twice.reshape(k, 3),
+    }
+
+
+def _mean_degree(energy: Float[np.ndarray, "k 3"]) -> float:
+    count = len(energy)
+    degrees = np.repeat(
+        np.arange(degree_of(count) + 1), 2 * np.arange(degree_of(count) + 1) + 1
+    )
+    return float((energy.sum(axis=1) * degrees).sum() / energy.sum())
+
+
+@rule(
+    "GV013",
+    "sh-magnitude",
+    Severity.WARNING,
+    over="emission",
+    fixture="sh_in_bytes",
+    needs=("GV025", "GO005", "GO006", "GO007", "GO008", "GM005"),
+)
+def sh_magnitude(emission: Emission) -> Iterator[Breach]:
+    """SH coefficients above degree 0 are not far larger than colours can use.
+
+    Why:
+        A coefficient of 3 alone moves a colour from black to white within a turn of the camera.
+        Coefficients beyond 10 are usually bytes, or quantised and never scaled back.
+
+    Mend:
+        Scale the coefficients as they were trained.
+    """
+    if not emission.is_sh or emission.shown_colors.shape[1] <= 3:
+        return
+    detail = emission.shown_colors[:, 3:]
+    if not len(detail) or max(-detail.min(), detail.max()) <= _LARGE:
+        return
+    detail = np.abs(detail)
+    share = float(np.count_nonzero(detail > _LARGE) / max(detail.size, 1))
+    if share > _LARGE_SHARE:
+        saw = f"{100 * share:.3g} % of coefficients beyond ±{_LARGE:g}, up to {detail.max():.3g}"
+        want = f"magnitudes up to {_LARGE:g}"
+        yield Breach.at(emission.color_place, saw, want, certainty="possible")
+
+
+@rule(
+    "GV022",
+    "fourth-channel-unused",
+    Severity.INFO,
+    over="emission",
+    fixture="rgb_with_alpha",
+    needs=("GV025", "GO005", "GO006", "GO007", "GO008", "GM005"),
+)
+def fourth_channel_unused(emission: Emission) -> Iterator[Breach]:
+    """The fourth channel of RGB holds the same number in all rows.
+
+    Why:
+        It only fills the row up to whole words, and no reader looks at it. What varies there was
+        meant to have an effect, such as an alpha, and has none.
+
+    Mend:
+        Put opacity in column 3 of the packed rows, and 1 in the fourth channel.
+    """
+    sample = emission.shown_colors
+    if emission.is_sh or sample.shape[1] != 4 or not len(sample):
+        return
+    low, high = sample[:, 3].min(), sample[:, 3].max()
+    if low != high:
+        saw = f"values from {low:.3g} to {high:.3g} in channel 3"
+        yield Breach.at(emission.color_place, saw, "one number in all rows")

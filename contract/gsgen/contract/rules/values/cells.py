@@ -1,0 +1,375 @@
+"""GM, GO and GV, cells: what a weighted sum needs is declared, fits the rows, and can be drawn."""
+
+import json
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.probing.outputs import Emission
+from gsgen.contract.rules.values.covariance import PSD_FLOOR, PSD_SLACK
+from gsgen.contract.spec.geometry import smallest_eigenvalue
+from gsgen.contract.spec.layout import (
+    COVARIANCE,
+    CULL_OPACITY,
+    OPACITY,
+    POSITION,
+    ROW,
+    VISIBILITY,
+)
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach, Where
+from gsgen.contract.validation.rule import rule
+
+_LARGEST_HALF = 65504.0
+# A sigmoid in float16 may round up by one unit in the last place.
+_VISIBILITY_SLACK = 1e-3
+# A renderer looks for a cell within twice its longest standard deviation.
+_REACH = 2.0
+_HALF_STEP = 2.0**-10
+
+_CELLS = ("GV025", "GO001", "GO002", "GO008", "GO021")
+
+
+@rule(
+    "GM017",
+    "weighted-sum-complete",
+    Severity.ERROR,
+    over="model",
+    fixture="weighted_sum_without_cells",
+    needs=("GM002", "GM003"),
+)
+def weighted_sum_complete(subject: Subject) -> Iterator[Breach]:
+    """`blend: wsr`, `weighted_sum` and `outputs.cells` are declared together or not at all.
+
+    Why:
+        A weighted sum is taken cell by cell, with weights that the manifest gives. A renderer that
+        knows two of the three has to make up the third, or blends in another way than was meant.
+
+    Mend:
+        Declare the tensor of cells as outputs.cells and the weights as weighted_sum, or blend by
+        alpha and declare neither.
+    """
+    generator = subject.generator
+    if generator is None:
+        return
+    said = {
+        "blend: wsr": generator.blend == "wsr",
+        "weighted_sum": generator.weighted_sum is not None,
+        "outputs.cells": generator.outputs.cells is not None,
+    }
+    if any(said.values()) and not all(said.values()):
+        there, lacking = (
+            " and ".join(name for name, given in said.items() if given is wanted)
+            for wanted in (True, False)
+        )
+        yield Breach.at("manifest", f"{there} without {lacking}", "all three, or none")
+
+
+@rule(
+    "GM018",
+    "weighted-sum-has-cells",
+    Severity.WARNING,
+    over="model",
+    fixture="weighted_sum_of_1_0",
+    needs=("GM002", "GM003"),
+)
+def weighted_sum_has_cells(subject: Subject) -> Iterator[Breach]:
+    """A manifest of contract 1.0 does not say `blend: wsr`.
+
+    Why:
+        1.0 had the word and no way to say which rows form a cell, so nobody can draw such a model
+        as it was meant. It is read as `alpha`: sorted, and the picture is another one.
+
+    Mend:
+        Export the model anew for contract 1.1, with its cells, or set "blend": "alpha".
+    """
+    parsed = subject.parsed
+    if parsed is None or parsed.version != (1, 0) or subject.generator is None:
+        return
+    if json.loads(subject.file.manifest_text or "{}").get("blend") == "wsr":
+        yield Breach.at("manifest blend", "wsr in contract 1.0", "alpha, or contract 1.1")
+
+
+@rule(
+    "GO020",
+    "cell-row-has-10",
+    Severity.ERROR,
+    over="model",
+    fixture="cells_with_one_field_less",
+    needs=("GM004", "GM017"),
+)
+def cell_row_has_10(subject: Subject) -> Iterator[Breach]:
+    """Cells are a matrix of ten columns and a fixed number of rows.
+
+    Why:
+        A row is x y z visibility xx xy xz yy yz zz, read by position. Buffers are allocated before
+        the first frame, and a recorded frame has fixed shapes.
+
+    Mend:
+        Return one [C, 10] tensor; the SDK packs it from `gsgen.sdk.Cells`.
+    """
+    tensor = subject.cells
+    if tensor is None:
+        return
+    dims = tensor.dims or ()
+    rows = dims[0] if dims else None
+    sized = isinstance(rows, int) and rows > 0
+    if not (len(dims) == 2 and dims[1] == ROW and sized):
+        want = f"[C, {ROW}] with a fixed C"
+        yield Breach.at(f"output {tensor.name}", f"shape {tensor}", want)
+
+
+@rule(
+    "GO021",
+    "cells-hold-all-rows",
+    Severity.ERROR,
+    over="model",
+    fixture="cells_for_other_rows",
+    needs=("GO020", "GO002", "GO004"),
+)
+def cells_hold_all_rows(subject: Subject) -> Iterator[Breach]:
+    """The number of cells times `per_cell` is the number of rows.
+
+    Why:
+        Row r belongs to cell r // per_cell, and to no other. With too few cells the last rows
+        belong to none, and a renderer reads beyond the buffer; with too many, cells are empty.
+
+    Mend:
+        Give every cell the same number of rows, and fill the last ones with inert rows.
+    """
+    declared, tensor, rows = subject.declared_cells, subject.cells, subject.gaussians
+    if declared is None or tensor is None or rows is None:
+        return
+    assert tensor.dims is not None
+    assert rows.dims is not None
+    cells, capacity = tensor.dims[0], rows.dims[0]
+    if isinstance(cells, int) and cells * declared.per_cell != capacity:
+        saw = f"{cells} cells of {declared.per_cell} rows"
+        yield Breach.at(f"output {tensor.name}", saw, f"cells for {capacity} rows")
+
+
+def _finite(cells: Float[np.ndarray, "c 10"]) -> Bool[np.ndarray, " c"]:
+    finite = np.isfinite(cells).all(axis=1)
+    if cells.dtype == np.float16:
+        finite &= np.abs(cells).max(axis=1, initial=0) < _LARGEST_HALF
+    return np.asarray(finite)
+
+
+def _per_cell(emission: Emission) -> int:
+    declared = emission.subject.declared_cells
+    assert declared is not None
+    return declared.per_cell
+
+
+def _live(emission: Emission) -> Bool[np.ndarray, " c"]:
+    """Return which cells have a row before the count."""
+    assert emission.cells is not None
+    first = np.arange(len(emission.cells)) * _per_cell(emission)
+    return np.asarray(first < emission.count)
+
+
+@rule(
+    "GV026",
+    "cells-finite",
+    Severity.ERROR,
+    over="emission",
+    fixture="nan_cell",
+    needs=_CELLS,
+)
+def cells_finite(emission: Emission) -> Iterator[Breach]:
+    """Every value of every cell is finite, and less than float16's largest where it is float16.
+
+    Why:
+        Cells are what is sorted: a NaN sorts anywhere, and takes all Gaussians of the cell along.
+        65504 means that the value was clamped on its way into float16.
+
+    Mend:
+        Find the division, logarithm or norm that sees zero, such as the mean of quaternions whose
+        weights are all zero, and clamp before it.
+    """
+    cells = emission.cells
+    if cells is not None and not emission.zeros:
+        place, want = Where(emission.cells_place), "finite values"
+        yield Breach.rows(place, ~_finite(cells), cells, want, judged=len(cells))
+
+
+@rule(
+    "GV027",
+    "visibility-range",
+    Severity.ERROR,
+    over="emission",
+    fixture="visibility_is_logits",
+    needs=_CELLS,
+)
+def visibility_range(emission: Emission) -> Iterator[Breach]:
+    """Visibility, column 3 of a cell, lies in [0, 1].
+
+    Why:
+        The weight of every Gaussian of the cell is multiplied by it: beyond 1 the cell outweighs
+        what is in front of it, and below 0 it takes away from the sum.
+
+    Mend:
+        Apply the activation, usually a sigmoid, before packing.
+    """
+    if emission.cells is None:
+        return
+    seen = emission.cells[:, VISIBILITY].astype(np.float64)
+    kept = (seen >= -_VISIBILITY_SLACK) & (seen <= 1 + _VISIBILITY_SLACK)
+    judged = _finite(emission.cells)
+    yield Breach.rows(
+        Where(emission.cells_place, "visibility"),
+        ~kept & judged,
+        seen,
+        "0 <= visibility <= 1",
+        judged=int(np.count_nonzero(judged)),
+        badness=np.abs(seen - 0.5),
+    )
+
+
+@rule(
+    "GV028",
+    "cell-covariance-psd",
+    Severity.ERROR,
+    over="emission",
+    fixture="indefinite_cell",
+    needs=_CELLS,
+)
+def cell_covariance_psd(emission: Emission) -> Iterator[Breach]:
+    """The covariance of every cell that is seen is positive semi-definite, up to rounding.
+
+    Why:
+        A renderer looks for a cell's Gaussians where its ellipsoid shows. One that is none shows
+        nowhere, or everywhere.
+
+    Mend:
+        Build the covariance as R S Sᵀ Rᵀ with a normalised rotation, and check the order of the
+        six entries: xx xy xz yy yz zz.
+    """
+    cells = emission.cells
+    if cells is None:
+        return
+    judged = _finite(cells) & (cells[:, VISIBILITY] > 0)
+    upper = np.where(judged[:, None], cells[:, COVARIANCE], 0).astype(np.float64)
+    slack, floor = PSD_SLACK[cells.itemsize], PSD_FLOOR[cells.itemsize]
+    lowest = smallest_eigenvalue(upper)
+    size = np.abs(upper[:, [0, 3, 5]]).sum(axis=1)
+    yield Breach.rows(
+        Where(emission.cells_place, "covariance"),
+        judged & ~(lowest >= -slack * size - floor),
+        lowest,
+        f"smallest eigenvalue >= -{slack:.2g} of the trace",
+        judged=int(np.count_nonzero(judged)),
+        badness=-lowest,
+    )
+
+
+@rule(
+    "GV029",
+    "hidden-cells-inert",
+    Severity.WARNING,
+    over="emission",
+    fixture="opaque_rows_of_a_hidden_cell",
+    needs=(*_CELLS, "GO010", "GO011"),
+)
+def hidden_cells_inert(emission: Emission) -> Iterator[Breach]:
+    """The rows of a cell with visibility 0 have opacity 0.
+
+    Why:
+        Renderers without a weighted sum blend the rows by sorting, and know nothing of visibility:
+        they show what the model hides, such as levels of detail that are too fine.
+
+    Mend:
+        Multiply opacities by the mask that hides the cell.
+    """
+    cells, rows = emission.cells, emission.gaussians
+    if cells is None or rows is None:
+        return
+    hidden = np.repeat(cells[:, VISIBILITY] == 0, _per_cell(emission))[: emission.count]
+    opacity = rows[: emission.count, OPACITY].astype(np.float32)
+    yield Breach.rows(
+        Where(emission.rows_place, "opacity"),
+        hidden & np.isfinite(opacity) & (opacity != 0),
+        opacity,
+        "opacity 0 in rows of cells with visibility 0",
+        judged=int(np.count_nonzero(hidden)),
+        badness=opacity,
+    )
+
+
+@rule(
+    "GV030",
+    "empty-cells-inert",
+    Severity.ERROR,
+    over="emission",
+    fixture="visible_cell_behind_the_count",
+    needs=(*_CELLS, "GO010", "GO011"),
+)
+def empty_cells_inert(emission: Emission) -> Iterator[Breach]:
+    """Visibility is 0 in every cell that has no row before the count.
+
+    Why:
+        Renderers sort all cells that are visible, and look for their Gaussians in every tile that
+        they touch: what has none costs as much as what has some.
+
+    Mend:
+        Fill cells behind the count with zeros; the SDK does it for you.
+    """
+    if emission.cells is None:
+        return
+    seen = emission.cells[:, VISIBILITY].astype(np.float32)
+    empty = ~_live(emission)
+    yield Breach.rows(
+        Where(emission.cells_place, "visibility"),
+        empty & np.isfinite(seen) & (seen != 0),
+        seen,
+        "visibility 0 in cells behind the count",
+        judged=int(np.count_nonzero(empty)),
+        badness=seen,
+    )
+
+
+@rule(
+    "GV031",
+    "rows-near-their-cell",
+    Severity.WARNING,
+    over="emission",
+    fixture="cells_in_another_order",
+    needs=_CELLS,
+)
+def rows_near_their_cell(emission: Emission) -> Iterator[Breach]:
+    """Every drawn Gaussian's centre is within twice the size of its cell from the cell's centre.
+
+    Why:
+        A renderer draws a cell's Gaussians only where the cell is, within twice its longest
+        standard deviation: what lies beyond is cut off in straight lines. If many do, rows and
+        cells probably stand in different orders.
+
+    Mend:
+        Row r belongs to cell r // per_cell: check the order of both, and that the covariance is
+        that of the cell, in square units. The size is the square root of its trace.
+    """
+    cells, rows = emission.cells, emission.gaussians
+    if cells is None or rows is None or emission.zeros:
+        return
+    wide, live = cells.astype(np.float32), np.asarray(rows[: emission.count], np.float32)
+    trace = np.maximum(wide[:, COVARIANCE][:, [0, 3, 5]].sum(axis=1), 0)
+    size = _REACH * np.sqrt(trace)
+    if np.float16 in (cells.dtype, rows.dtype):
+        size += _HALF_STEP * np.abs(wide[:, POSITION]).sum(axis=1)
+    seen = np.isfinite(wide).all(axis=1) & (wide[:, VISIBILITY] > 0)
+    centre, reach, seen = (
+        np.repeat(one, _per_cell(emission), axis=0)[: len(live)]
+        for one in (wide[:, POSITION], size, seen)
+    )
+    drawn = seen & np.isfinite(live).all(axis=1) & (live[:, OPACITY] >= CULL_OPACITY)
+    off = np.linalg.norm(live[:, POSITION] - centre, axis=1)
+    yield Breach.rows(
+        Where(emission.rows_place, "position"),
+        drawn & ~(off <= reach),
+        np.stack([off, reach], axis=1),
+        "distances from the cell's centre of at most twice its size",
+        judged=int(np.count_nonzero(drawn)),
+        badness=off - reach,
+    )

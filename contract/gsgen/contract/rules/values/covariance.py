@@ -1,0 +1,133 @@
+"""GV, covariance: whether every Gaussian has a shape that can be drawn."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool
+
+from gsgen.contract.probing.outputs import Rows
+from gsgen.contract.spec.geometry import smallest_eigenvalue
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach, Where
+from gsgen.contract.validation.rule import rule
+
+# How negative an eigenvalue may be by rounding alone: relative to the trace, and, because the
+# smallest float16 numbers are 2⁻²⁴ apart, for three entries a row that are off by half of that.
+PSD_SLACK = {2: 2.0**-10, 4: 1e-5}
+PSD_FLOOR = {2: 3 * 2.0**-25, 4: 0.0}
+# What rounding may do to a determinant in float32, relative to its largest terms, and the size
+# below which terms lose bits.
+_DET_DOUBT = np.float32(2e-6)
+_DET_FLOOR = np.float32(1e-30)
+
+_ROWS = ("GV025", "GO001", "GO002", "GO008")
+
+
+@rule(
+    "GV005",
+    "variance-not-negative",
+    Severity.ERROR,
+    over="rows",
+    fixture="negative_variance",
+    needs=_ROWS,
+)
+def variance_not_negative(rows: Rows) -> Iterator[Breach]:
+    """The variances xx, yy and zz are not negative in any drawn row.
+
+    Why:
+        A negative variance has no axes: the projected ellipse is NaN or covers the screen.
+
+    Mend:
+        Build the covariance as R S Sᵀ Rᵀ, and check the order of the six entries: xx xy xz yy yz zz.
+    """
+    if rows.emission.field_order is not None:
+        return  # another rule says what is wrong with all of them
+    lowest = rows.covariance[[0, 3, 5]].min(axis=0)
+    yield Breach.rows(
+        Where(rows.emission.rows_place, "covariance"),
+        rows.drawn & ~(lowest >= 0),
+        lowest,
+        "xx, yy, zz >= 0",
+        judged=rows.drawn_count,
+        badness=-lowest,
+    )
+
+
+@rule(
+    "GV006",
+    "covariance-psd",
+    Severity.ERROR,
+    over="rows",
+    fixture="indefinite_covariance",
+    needs=_ROWS,
+)
+def covariance_psd(rows: Rows) -> Iterator[Breach]:
+    """The covariance of every drawn row is positive semi-definite, up to rounding.
+
+    Why:
+        A renderer clamps the smaller eigenvalue of the projected ellipse, which hides the fault
+        until the other axis is hundreds of pixels long: a spike.
+
+    Mend:
+        Build the covariance as R S Sᵀ Rᵀ with a normalised rotation; in float16, scale the scene
+        so that variances do not underflow.
+    """
+    if rows.emission.field_order is not None:
+        return
+    slack, floor = PSD_SLACK[rows.packed.itemsize], PSD_FLOOR[rows.packed.itemsize]
+    fair = (rows.covariance[[0, 3, 5]] >= 0).all(axis=0)  # the others are GV005's
+    suspects = np.flatnonzero(rows.drawn & fair & ~_surely_psd(rows, slack))
+    bad = np.zeros(len(rows), bool)
+    lowest = np.zeros(len(rows))
+    if len(suspects):
+        upper = rows.covariance[:, suspects].T.astype(np.float64)
+        trace = upper[:, [0, 3, 5]].sum(axis=1)
+        lowest[suspects] = smallest_eigenvalue(upper)
+        bad[suspects] = ~(lowest[suspects] >= -slack * trace - floor)
+    yield Breach.rows(
+        Where(rows.emission.rows_place, "covariance"),
+        bad,
+        lowest,
+        f"smallest eigenvalue >= -{slack:.2g} of the trace",
+        judged=rows.drawn_count,
+        badness=-lowest,
+    )
+
+
+def _surely_psd(rows: Rows, slack: float) -> Bool[np.ndarray, " n"]:
+    """Sylvester's criterion on Σ + slack·tr(Σ)·I in float32: true only if well inside."""
+    xx, xy, xz, yy, yz, zz = rows.covariance
+    lift = np.float32(slack) * rows.trace
+    a, b, c = xx + lift, yy + lift, zz + lift
+    minor = a * b - xy * xy
+    taken = a * yz * yz + b * xz * xz
+    det = c * minor - taken + 2 * xy * xz * yz
+    doubt = np.maximum(_DET_DOUBT * (a * b * c + taken), _DET_FLOOR)
+    return np.asarray((a > 0) & (minor > 0) & (det > doubt))
+
+
+@rule(
+    "GV007",
+    "covariance-not-zero",
+    Severity.WARNING,
+    over="rows",
+    fixture="zero_covariance",
+    needs=_ROWS,
+)
+def covariance_not_zero(rows: Rows) -> Iterator[Breach]:
+    """The covariance of a drawn row is not all zero.
+
+    Why:
+        The Gaussian has no extent of its own and shows only as the renderer's low-pass filter. A
+        zero quaternion, or float16 underflow of a variance below 6e-8, gives such rows.
+
+    Mend:
+        Normalise rotations safely; scale the scene up before float16.
+    """
+    yield Breach.rows(
+        Where(rows.emission.rows_place, "covariance"),
+        rows.drawn & (rows.trace == 0) & (rows.covariance == 0).all(axis=0),
+        rows.trace,
+        "a trace above 0",
+        judged=rows.drawn_count,
+    )

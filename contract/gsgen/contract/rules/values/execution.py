@@ -1,0 +1,74 @@
+"""GV, running: the model runs, and gives what its graph declares."""
+
+from collections.abc import Iterator
+
+from gsgen.contract.model.graph import static_dims
+from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.probing.outputs import Emission
+from gsgen.contract.probing.run_comparison import Trial
+from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.gates import RUNNABLE
+from gsgen.contract.validation.rule import rule
+
+
+@rule(
+    "GV024",
+    "shapes-as-declared",
+    Severity.ERROR,
+    over="emission",
+    fixture="shape_differs_at_run",
+    needs=("GV025",),
+)
+def shapes_as_declared(emission: Emission) -> Iterator[Breach]:
+    """At run time every output has the shape and dtype that the graph declares.
+
+    Why:
+        ONNX Runtime only logs a warning where they differ, and readers have sized their buffers by
+        the declaration.
+
+    Mend:
+        Declare what the operators compute, or give data-dependent outputs a fixed capacity.
+    """
+    subject: Subject = emission.subject
+    for tensor in subject.graph.outputs:
+        value = emission.outputs.get(tensor.name)
+        if value is None or tensor.dims is None:
+            continue
+        dims = static_dims(tensor)
+        wrong_shape = dims is not None and tuple(dims) != value.shape
+        if wrong_shape or (
+            tensor.dtype in ("float32", "float16") and tensor.dtype != value.dtype
+        ):
+            saw = f"{value.dtype} {list(value.shape)}"
+            yield Breach.at(f"output {tensor.name}", saw, f"{tensor}, as declared")
+
+
+@rule(
+    "GV025",
+    "model-runs",
+    Severity.ERROR,
+    over="execution",
+    fixture="fails_at_run",
+    kinds=KINDS,
+    needs=(*RUNNABLE, "GS004"),
+)
+def model_runs(trial: Trial) -> Iterator[Breach]:
+    """ONNX Runtime loads the model and runs it at every probe.
+
+    Why:
+        What does not run here, on the CPU with the reference kernels, runs nowhere.
+
+    Mend:
+        The message is ONNX Runtime's own; the probe's inputs are what it was given.
+    """
+    fault = trial.execution.fault
+    if fault is not None and fault.stage not in ("time", "memory"):
+        probe = (
+            ""
+            if fault.probe is None
+            else f" at probe {trial.plan.probes[fault.probe].label!r}"
+        )
+        saw = f"{fault.stage}{probe}: {fault.message}"
+        yield Breach.at("ONNX Runtime", saw, "no error")

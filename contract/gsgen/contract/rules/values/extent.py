@@ -1,0 +1,234 @@
+"""GV, extent: where Gaussians are, how large, and whether float16 can tell."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from gsgen.contract.probing.outputs import Emission, Rows
+from gsgen.contract.spec.layout import CULL_OPACITY, FIELDS, OPACITY
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach, Where
+from gsgen.contract.validation.rule import rule
+
+_ROWS = ("GV025", "GO001", "GO002", "GO008")
+
+# The smallest normal float16, 2⁻¹⁴.
+_SMALLEST_HALF = np.float32(2.0**-14)
+# Float16 has 11 significant bits: next to 1, numbers are 2⁻¹⁰ apart.
+_HALF_STEP = np.float32(2.0**-10)
+_COARSE_SHARE = 0.01
+_OUTSIDE_SHARE = 1e-3
+_OUTSIDE_SLACK = 1e-3
+_SATURATED = 65504.0
+# A single Gaussian is as large as its bounds; among many, one that fills them stands out.
+_FEWEST = 16
+_BLOCK = 4096
+_EQUAL_SHARE = 0.1
+
+
+@rule(
+    "GO016",
+    "fields-in-order",
+    Severity.ERROR,
+    over="emission",
+    fixture="diagonal_first",
+    needs=_ROWS,
+)
+def fields_in_order(emission: Emission) -> Iterator[Breach]:
+    """The fields of a row stand in the order x y z opacity xx xy xz yy yz zz.
+
+    Why:
+        The contract fixes the order, and readers take it by position. With another one nearly every
+        covariance is none, and Gaussians become spikes.
+
+    Mend:
+        Reorder the columns before packing; the SDK packs for you.
+    """
+    order = emission.field_order
+    if order is not None:
+        saw = (
+            f"{100 * order.declared:.3g} % of {order.rows} rows have no valid covariance, "
+            f"{100 * order.found:.3g} % if read as {order.name}"
+        )
+        yield Breach.at(emission.rows_place, saw, " ".join(FIELDS))
+
+
+@rule(
+    "GV008",
+    "variance-not-subnormal",
+    Severity.WARNING,
+    over="rows",
+    fixture="subnormal_variances",
+    needs=_ROWS,
+    limit="subnormal_permille",
+)
+def variance_not_subnormal(rows: Rows) -> Iterator[Breach]:
+    """Float16 variances are not so small that a shader may take them for zero.
+
+    Why:
+        WGSL lets a device flush numbers below 2⁻¹⁴ to zero. A Gaussian whose largest variance is
+        below that, a standard deviation of 0.0078, then has no extent at all.
+
+    Mend:
+        Scale the scene up before float16, or emit float32.
+    """
+    if rows.packed.dtype != np.float16:
+        return
+    yield Breach.rows(
+        Where(rows.emission.rows_place, "covariance"),
+        rows.drawn & (rows.widest > 0) & (rows.widest < _SMALLEST_HALF),
+        rows.widest,
+        f"a largest variance of {_SMALLEST_HALF:.2g} or more in most rows",
+        judged=rows.drawn_count,
+        above_share=rows.emission.subject.target.limits["subnormal_permille"] / 1000,
+    )
+
+
+@rule(
+    "GV009",
+    "position-resolution",
+    Severity.WARNING,
+    over="rows",
+    fixture="coarse_positions",
+    needs=_ROWS,
+)
+def position_resolution(rows: Rows) -> Iterator[Breach]:
+    """Steps between neighbouring float16 positions are no larger than the Gaussians themselves.
+
+    Why:
+        Float16 has steps of 0.0078 at 8 and of 0.5 at 512. Where a step is larger than a Gaussian's
+        largest standard deviation, surfaces break into a grid, and motion jumps.
+
+    Mend:
+        Centre the scene, emit float32, or split it into tiles with origins of their own.
+    """
+    if rows.packed.dtype != np.float16:
+        return
+    bound = np.square(np.abs(rows.corners).max(initial=0) * _HALF_STEP)  # NaN finds all
+    farthest, coarse = np.zeros(len(rows), np.float32), np.zeros(len(rows), bool)
+    small = np.flatnonzero(rows.drawn & (rows.widest > 0) & ~(rows.widest >= bound))
+    if len(small):
+        far = np.abs(rows.position[:, small]).max(axis=0)
+        power = np.floor(np.log2(np.maximum(far, _SMALLEST_HALF)))
+        beyond = np.square(np.exp2(power) * _HALF_STEP) > rows.widest[small]
+        coarse[small] = beyond & (far < _SATURATED)
+        farthest[small] = far
+    yield Breach.rows(
+        Where(rows.emission.rows_place, "position"),
+        coarse,
+        rows.packed[:, :3],
+        "steps below the largest standard deviation",
+        judged=rows.drawn_count,
+        badness=farthest,
+        above_share=_COARSE_SHARE,
+    )
+
+
+@rule(
+    "GV011",
+    "size-within-bounds",
+    Severity.WARNING,
+    over="rows",
+    fixture="larger_than_the_scene",
+    needs=(*_ROWS, "GM009"),
+)
+def size_within_bounds(rows: Rows) -> Iterator[Breach]:
+    """No Gaussian's standard deviation exceeds the diagonal of the bounds.
+
+    Why:
+        One such Gaussian covers the picture from everywhere, and costs as much as all others. It
+        usually is a scale that was not activated, or diverged in training.
+
+    Mend:
+        Apply the activation (usually exp) once; clamp scales; prune outliers.
+    """
+    generator = rows.emission.subject.generator
+    if generator is None or generator.bounds is None or rows.emission.count < _FEWEST:
+        return
+    low, high = np.asarray([generator.bounds.min, generator.bounds.max])
+    diagonal = float(np.linalg.norm(high - low))
+    yield Breach.rows(
+        Where(rows.emission.rows_place, "covariance"),
+        rows.drawn & (rows.widest > diagonal**2),
+        rows.widest,
+        f"variances up to {diagonal**2:.4g}, the squared diagonal of the bounds",
+        judged=rows.drawn_count,
+        badness=rows.widest,
+    )
+
+
+@rule(
+    "GV021",
+    "centres-within-bounds",
+    Severity.WARNING,
+    over="rows",
+    fixture="outside_bounds",
+    needs=(*_ROWS, "GM009"),
+)
+def centres_within_bounds(rows: Rows) -> Iterator[Breach]:
+    """The declared bounds hold the centres of 99.9 % of the drawn rows, at every probe.
+
+    Why:
+        Viewers frame the camera, cull the whole model and choose near and far planes by the bounds:
+        what lies outside is cut off, or seen from inside.
+
+    Mend:
+        Measure bounds over all times and poses; the SDK does. If a few Gaussians fly off, clamp
+        them.
+    """
+    generator = rows.emission.subject.generator
+    if generator is None or generator.bounds is None:
+        return
+    low, high = np.asarray([generator.bounds.min, generator.bounds.max], np.float64)
+    slack = _OUTSIDE_SLACK * float(np.linalg.norm(high - low))
+    if rows.packed.dtype == np.float16:
+        slack += float(_HALF_STEP * max(np.abs(low).max(), np.abs(high).max()))
+    position, (lowest, highest) = rows.position, rows.corners
+    outside = np.zeros(len(rows), bool)
+    if not ((lowest >= low - slack) & (highest <= high + slack)).all():
+        inside = (position >= (low - slack)[:, None]) & (
+            position <= (high + slack)[:, None]
+        )
+        saturated = np.abs(position).max(axis=0) >= _SATURATED  # another rule says so
+        outside = rows.drawn & ~inside.all(axis=0) & ~saturated
+    yield Breach.rows(
+        Where(rows.emission.rows_place, "position"),
+        outside,
+        rows.packed[:, :3],
+        f"centres within {generator.bounds.min} to {generator.bounds.max}",
+        judged=rows.drawn_count,
+        above_share=_OUTSIDE_SHARE,
+    )
+
+
+@rule(
+    "GV020",
+    "rows-differ",
+    Severity.INFO,
+    over="emission",
+    fixture="every_row_twice",
+    needs=_ROWS,
+)
+def rows_differ(emission: Emission) -> Iterator[Breach]:
+    """Drawn rows are not copies of each other.
+
+    Why:
+        Copies are sorted and blended one over the other: they cost as much as other rows, and only
+        make the first more opaque.
+
+    Mend:
+        Drop the copies, and raise the opacity of what stays.
+    """
+    if emission.gaussians is None or emission.zeros:
+        return
+    block = emission.gaussians[: min(emission.count, _BLOCK)]
+    block = np.ascontiguousarray(
+        block[block[:, OPACITY].astype(np.float32) >= CULL_OPACITY]
+    )
+    if len(block) < _FEWEST:
+        return
+    different = len({row.tobytes() for row in block})
+    copies = len(block) - different
+    if copies > _EQUAL_SHARE * len(block):
+        saw = f"{copies} of the first {len(block)} drawn rows equal another"
+        yield Breach.at(emission.rows_place, saw, f"{100 * _EQUAL_SHARE:g} % at most")

@@ -1,0 +1,229 @@
+"""GV: the numbers that a model emits are Gaussians.
+
+Comparisons are written so that NaN fails them; rows that are not finite belong to GV001 and
+GV002 alone, so that one cause makes one finding.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from gsgen.contract.probing.outputs import Emission, Rows
+from gsgen.contract.spec.layout import CULL_OPACITY
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Breach, Where
+from gsgen.contract.validation.rule import rule
+
+_LARGEST_HALF = 65504.0
+_SHOWN = 8
+_INF_BITS = {2: 0x7C00, 4: 0x7F800000}
+
+# One unit in the last place of float16 below 1 is 2⁻¹¹; a sigmoid may round up by that much.
+_OPACITY_SLACK = 1e-3
+_MOSTLY_DEAD = 0.9
+
+_ROWS = ("GV025", "GO001", "GO002", "GO008")
+
+
+def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], judged: int) -> Iterator[Breach]:
+    """Report rows of ``among`` with a value that is NaN or infinite, output by output."""
+    if not judged:
+        return
+    packed = ~np.isfinite(rows.wide).all(axis=0) & among
+    yield Breach.rows(
+        Where(rows.emission.rows_place), packed, rows.packed, "finite values", judged=judged
+    )
+    color = rows.color
+    if color is None or not color.size:
+        return
+    bad = (rows.color_peak >= _INF_BITS[color.itemsize]) & among
+    shown = np.zeros((len(rows), 1), color.dtype)
+    first = np.flatnonzero(bad)[:_SHOWN]  # the rows that a report shows
+    broken = ~np.isfinite(color[first])
+    shown[first] = np.take_along_axis(color[first], broken.argmax(axis=1)[:, None], axis=1)
+    yield Breach.rows(
+        Where(rows.emission.color_place), bad, shown, "finite values", judged=judged
+    )
+
+
+@rule("GV001", "rows-finite", Severity.ERROR, over="rows", fixture="nan_row", needs=_ROWS)
+def rows_finite(rows: Rows) -> Iterator[Breach]:
+    """Every value of every live row is finite.
+
+    Why:
+        NaN passes every cull test, since all comparisons with it are false: the Gaussian is drawn
+        with a depth that sorts on top of everything.
+
+    Mend:
+        Find the division, logarithm or norm that sees zero, and clamp before it. The row and the
+        probe are given.
+    """
+    if not rows.emission.zeros:
+        yield from _not_finite(rows, rows.counted, rows.live_rows)
+
+
+@rule(
+    "GV002",
+    "padding-finite",
+    Severity.ERROR,
+    over="rows",
+    fixture="nan_padding",
+    needs=_ROWS,
+)
+def padding_finite(rows: Rows) -> Iterator[Breach]:
+    """Every value of the rows behind the count is finite.
+
+    Why:
+        Some viewers draw all rows whatever the count says, and NaN is then drawn on top.
+
+    Mend:
+        Pad with constants, not with arithmetic on live rows: x − x is NaN where x is infinite.
+    """
+    if not rows.emission.zeros:
+        yield from _not_finite(rows, ~rows.counted, len(rows) - rows.live_rows)
+
+
+@rule(
+    "GV003",
+    "opacity-range",
+    Severity.ERROR,
+    over="rows",
+    fixture="opacity_is_logits",
+    needs=_ROWS,
+)
+def opacity_range(rows: Rows) -> Iterator[Breach]:
+    """Opacity lies in [0, 1] in every live row.
+
+    Why:
+        Blending multiplies by it unclamped: an opacity of 1.7 subtracts light behind it. Values
+        below zero usually are logits whose sigmoid was forgotten.
+
+    Mend:
+        Apply the activation, usually a sigmoid, before packing.
+    """
+    opacity = rows.opacity
+    kept = (opacity >= -_OPACITY_SLACK) & (opacity <= 1 + _OPACITY_SLACK)
+    bad = ~kept & rows.counted & rows.finite
+    yield Breach.rows(
+        Where(rows.emission.rows_place, "opacity"),
+        bad,
+        opacity,
+        "0 <= opacity <= 1",
+        judged=rows.live_rows,
+        badness=np.abs(opacity - 0.5),
+    )
+
+
+@rule(
+    "GV004",
+    "mostly-visible",
+    Severity.WARNING,
+    over="rows",
+    fixture="all_transparent",
+    needs=_ROWS,
+)
+def mostly_visible(rows: Rows) -> Iterator[Breach]:
+    """Most live rows are opaque enough to change a pixel.
+
+    Why:
+        A Gaussian below 1/255 is never drawn, but it is decoded, uploaded and sorted every frame.
+        If nearly all are, the activation is probably missing or applied twice.
+
+    Mend:
+        Check the opacity activation; prune dead Gaussians before export.
+    """
+    dead = rows.counted & rows.finite & (rows.opacity < CULL_OPACITY)
+    yield Breach.rows(
+        Where(rows.emission.rows_place, "opacity"),
+        dead,
+        rows.opacity,
+        f"at least 1/255 in more than {100 * (1 - _MOSTLY_DEAD):.0f} % of live rows",
+        judged=rows.live_rows,
+        above_share=_MOSTLY_DEAD,
+    )
+
+
+@rule(
+    "GV010",
+    "float16-saturation",
+    Severity.ERROR,
+    over="rows",
+    fixture="saturated_half",
+    needs=_ROWS,
+)
+def float16_saturation(rows: Rows) -> Iterator[Breach]:
+    """No float16 value is as large as float16 can be.
+
+    Why:
+        65504 means that the value was clamped on its way into float16: the true one is lost.
+
+    Mend:
+        Centre and scale the scene, or emit float32.
+    """
+    if rows.packed.dtype == np.float16:
+        peak = np.abs(rows.wide).max(axis=0, initial=0)
+        yield _saturated(rows, rows.emission.rows_place, peak)
+    if rows.color is not None and rows.color.dtype == np.float16:
+        peak = rows.color_peak.view(np.float16).astype(np.float32)
+        yield _saturated(rows, rows.emission.color_place, peak)
+
+
+def _saturated(rows: Rows, subject: str, peak: Float[np.ndarray, " n"]) -> Breach:
+    bad = (peak >= _LARGEST_HALF) & rows.counted & rows.finite
+    want = f"magnitudes below {_LARGEST_HALF:g}"
+    return Breach.rows(Where(subject), bad, peak, want, judged=rows.live_rows)
+
+
+@rule(
+    "GV016",
+    "count-range",
+    Severity.ERROR,
+    over="emission",
+    fixture="count_above_capacity",
+    needs=("GV025", "GO001", "GO002", "GO010", "GO011"),
+)
+def count_range(emission: Emission) -> Iterator[Breach]:
+    """The row count lies between 0 and the capacity, at every probe.
+
+    Why:
+        A renderer that believes a count above the capacity reads beyond the buffer.
+
+    Mend:
+        Clamp the count to the number of rows that are returned.
+    """
+    declared = emission.subject.declared_count
+    capacity = 0 if emission.gaussians is None else len(emission.gaussians)
+    if declared is None or emission.gaussians is None:
+        return
+    value = emission.outputs[declared.name].reshape(-1)
+    if value.size and not 0 <= int(value[0]) <= capacity:
+        want = f"0 to {capacity}, the capacity"
+        yield Breach.at(f"output {declared.name}", f"count {int(value[0])}", want)
+
+
+@rule(
+    "GV018",
+    "padding-inert",
+    Severity.ERROR,
+    over="rows",
+    fixture="opaque_padding",
+    needs=_ROWS,
+)
+def padding_inert(rows: Rows) -> Iterator[Breach]:
+    """Opacity is 0 in every row behind the count.
+
+    Why:
+        Some viewers ignore the count and draw all rows: whatever stands there is seen.
+
+    Mend:
+        Fill rows behind the count with zeros; the SDK pads so.
+    """
+    yield Breach.rows(
+        Where(rows.emission.rows_place, "opacity"),
+        ~rows.counted & np.isfinite(rows.opacity) & (rows.opacity != 0),
+        rows.opacity,
+        "opacity 0 in rows behind the count",
+        judged=len(rows) - rows.live_rows,
+        badness=rows.opacity,
+    )

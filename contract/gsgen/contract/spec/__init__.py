@@ -1,0 +1,1 @@
+"""What does the contract say: manifest, roles, layout, conventions, targets?"""

@@ -1,0 +1,172 @@
+"""From dataclasses to JSON Schema 2020-12 and back: one truth, three uses.
+
+:func:`schema_of` writes the published schema of a dataclass, :func:`to_json` and
+:func:`from_json` convert its instances.
+"""
+
+__all__ = ["DIALECT", "Json", "from_json", "schema_of", "to_json"]
+
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, fields, is_dataclass
+from functools import cache
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+from gsgen.contract.spec.schema_text import Hint
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+# What `json.loads` gives.
+Json = dict[str, "Json"] | list["Json"] | str | int | float | bool | None
+
+_SCALARS: dict[object, dict[str, object]] = {
+    str: {"type": "string"},
+    bool: {"type": "boolean"},
+    int: {"type": "integer"},
+    float: {"type": "number"},
+    type(None): {"type": "null"},
+}
+# Third parties may add fields of their own under this prefix.
+_EXTENSION = "^x-"
+
+
+def schema_of(cls: type, *, title: str | None = None) -> dict[str, object]:
+    """Return the JSON Schema of the frozen dataclass ``cls``, with nested ones in ``$defs``."""
+    definitions: dict[str, object] = {}
+    body = _object_schema(cls, definitions)
+    head: dict[str, object] = {"$schema": DIALECT, "title": title or cls.__name__}
+    return head | body | {"$defs": dict(sorted(definitions.items()))}
+
+
+def _object_schema(cls: type, definitions: dict[str, object]) -> dict[str, object]:
+    hints = get_type_hints(cls, include_extras=True)
+    required = [
+        f.name for f in fields(cls) if f.default is MISSING and f.default_factory is MISSING
+    ]
+    properties: dict[str, object] = {}
+    for f in fields(cls):
+        entry = _type_schema(hints[f.name], definitions)
+        if (
+            f.default is not MISSING
+            and f.default is not None
+            and not is_dataclass(f.default)
+        ):
+            entry = entry | {"default": to_json(f.default)}
+        properties[f.name] = entry
+    return {
+        "type": "object",
+        "description": (cls.__doc__ or "").strip().splitlines()[0],
+        "properties": properties,
+        "patternProperties": {_EXTENSION: True},
+        "additionalProperties": False,
+        "required": required,
+    }
+
+
+def _type_schema(hint: Any, definitions: dict[str, object]) -> dict[str, object]:
+    origin = get_origin(hint)
+    if origin is Annotated:
+        base, *extra = get_args(hint)
+        entry = _type_schema(base, definitions)
+        for one in extra:
+            if isinstance(one, Hint):
+                entry = _constrain(entry, one)
+        return entry
+    if origin is Literal:
+        return {"enum": list(get_args(hint))}
+    if origin in (typing.Union, types.UnionType):
+        options = [o for o in get_args(hint) if o is not type(None)]
+        if len(options) == 1:
+            return _type_schema(options[0], definitions)  # absent rather than null
+        return {"anyOf": [_type_schema(option, definitions) for option in options]}
+    if origin is tuple:
+        return _tuple_schema(get_args(hint), definitions)
+    if origin is dict:
+        _, value = get_args(hint)
+        return {"type": "object", "additionalProperties": _type_schema(value, definitions)}
+    if is_dataclass(hint) and isinstance(hint, type):
+        if hint.__name__ not in definitions:
+            definitions[hint.__name__] = {}  # its place, should it refer to itself
+            definitions[hint.__name__] = _object_schema(hint, definitions)
+        return {"$ref": f"#/$defs/{hint.__name__}"}
+    return dict(_SCALARS[hint])
+
+
+def _constrain(entry: dict[str, object], hint: Hint) -> dict[str, object]:
+    """Add a hint's keywords; a text for a reference stands beside it, as 2020-12 allows."""
+    return entry | hint.keywords()
+
+
+def _tuple_schema(
+    args: tuple[Any, ...], definitions: dict[str, object]
+) -> dict[str, object]:
+    if len(args) == 2 and args[1] is Ellipsis:
+        return {"type": "array", "items": _type_schema(args[0], definitions)}
+    size = len(args)
+    item = _type_schema(args[0], definitions)  # all our fixed tuples hold one type
+    return {"type": "array", "items": item, "minItems": size, "maxItems": size}
+
+
+def to_json(value: Any) -> Any:
+    """Turn a dataclass (or a part of one) into what ``json.dumps`` takes, without absent fields."""
+    if is_dataclass(value) and not isinstance(value, type):
+        given = ((f, getattr(value, f.name)) for f in fields(value))
+        return {f.name: to_json(entry) for f, entry in given if not _is_absent(f, entry)}
+    if isinstance(value, (tuple, list)):
+        return [to_json(item) for item in value]
+    if isinstance(value, Mapping):
+        return {key: to_json(item) for key, item in value.items()}
+    return value
+
+
+def _is_absent(field: "Field[Any]", value: Any) -> bool:
+    """Say whether leaving ``field`` out means ``value``: it is None, or empty by default."""
+    if value is None:
+        return True
+    default = field.default
+    if field.default_factory is not MISSING:
+        default = field.default_factory()
+    return value in ((), {}) and value == default
+
+
+def from_json(hint: Any, value: Any) -> Any:
+    """Build ``hint`` from a JSON value that its schema accepts; fields not ours are left out."""
+    origin = get_origin(hint)
+    if origin is Annotated:
+        return from_json(get_args(hint)[0], value)
+    if origin in (typing.Union, types.UnionType):
+        return _from_union(get_args(hint), value)
+    if origin is tuple:
+        item = get_args(hint)[0]
+        return tuple(from_json(item, one) for one in value)
+    if origin is dict:
+        return {key: from_json(get_args(hint)[1], one) for key, one in value.items()}
+    if is_dataclass(hint) and isinstance(hint, type):
+        hints = _hints_of(hint)
+        return hint(**{k: from_json(hints[k], v) for k, v in value.items() if k in hints})
+    if hint is float:
+        return float(value)
+    if hint is int:
+        return int(value)  # JSON Schema calls 3.0 an integer
+    return value
+
+
+@cache
+def _hints_of(cls: type) -> dict[str, Any]:
+    hints = get_type_hints(cls, include_extras=True)
+    return {one.name: hints[one.name] for one in fields(cls)}
+
+
+def _from_union(options: tuple[Any, ...], value: Any) -> Any:
+    if value is None:
+        return None
+    for option in options:
+        bare = get_args(option)[0] if get_origin(option) is Annotated else option
+        origin = get_origin(bare)
+        if isinstance(value, (list, tuple)) == (origin is tuple):
+            if isinstance(value, str) != (bare is str or origin is Literal):
+                continue
+            if option is not type(None):
+                return from_json(option, value)
+    return value

@@ -1,0 +1,198 @@
+"""The packed layout: what a Gaussian is, byte for byte, between a model and a renderer."""
+
+__all__ = [
+    "APPEARANCE_CHANNELS",
+    "CELL_FIELDS",
+    "COVARIANCE",
+    "CULL_OPACITY",
+    "FIELDS",
+    "OPACITY",
+    "POSITION",
+    "ROW",
+    "VISIBILITY",
+    "WORD_BYTES",
+    "Cells",
+    "Gaussians",
+    "appearance_channels",
+    "decode",
+    "decode_cells",
+    "encode",
+]
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.errors import LayoutMismatch
+from gsgen.contract.spec.spherical_harmonics import COEFFICIENTS, coefficients, degree_of
+
+FIELDS = ("x", "y", "z", "opacity", "xx", "xy", "xz", "yy", "yz", "zz")
+ROW = len(FIELDS)
+POSITION = slice(0, 3)
+OPACITY = 3
+COVARIANCE = slice(4, 10)
+
+# A cell's row is a Gaussian's with its visibility where that has its opacity.
+VISIBILITY = OPACITY
+CELL_FIELDS = (*FIELDS[:VISIBILITY], "visibility", *FIELDS[VISIBILITY + 1 :])
+
+# A Gaussian below this opacity cannot change an 8-bit pixel; the reference
+# rasteriser of Kerbl et al. 2023 skips it.
+CULL_OPACITY = 1 / 255
+
+# Shaders read storage buffers in whole words of this many bytes.
+WORD_BYTES = 4
+
+# The channels an appearance row may have, by its declared space.
+APPEARANCE_CHANNELS: dict[str, tuple[int, ...]] = {
+    "sh": tuple(3 * count for count in COEFFICIENTS),
+    "rgb": (3, 4),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Gaussians:
+    """N Gaussians, unpacked, in the model's local space.
+
+    Exactly one of ``sh`` and ``rgb`` is given.
+
+    Attributes:
+        position: Centres, [N, 3], in the unit that the manifest declares.
+        opacity: Opacity after activation, [N], in [0, 1].
+        covariance: Upper triangle xx xy xz yy yz zz of Σ, [N, 6].
+        sh: Spherical harmonics, coefficient-major, [N, K, 3] with K = 1, 4, 9 or 16.
+        rgb: Raw colour in [0, 1], [N, 3].
+    """
+
+    position: Float[np.ndarray, "n 3"]
+    opacity: Float[np.ndarray, " n"]
+    covariance: Float[np.ndarray, "n 6"]
+    sh: Float[np.ndarray, "n k 3"] | None = None
+    rgb: Float[np.ndarray, "n 3"] | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.position)
+        wanted: dict[str, tuple[int, ...]] = {"position": (n, 3), "opacity": (n,)}
+        wanted["covariance"] = (n, 6)
+        if (self.sh is None) == (self.rgb is None):
+            raise LayoutMismatch("give exactly one of sh and rgb", where="Gaussians")
+        if self.rgb is not None:
+            wanted["rgb"] = (n, 3)
+        elif self.sh is not None:
+            k = self.sh.shape[1] if self.sh.ndim == 3 else 0
+            wanted["sh"] = (n, k if k in COEFFICIENTS else COEFFICIENTS[-1], 3)
+        for name, shape in wanted.items():
+            seen = getattr(self, name).shape
+            if seen != shape:
+                raise LayoutMismatch(
+                    f"shape is {list(seen)}, wanted {list(shape)}",
+                    where=f"Gaussians.{name}",
+                )
+
+    @property
+    def degree(self) -> int | None:
+        """The SH degree, or None where the appearance is raw RGB."""
+        return None if self.sh is None else degree_of(self.sh.shape[1])
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """C cells, unpacked, in the model's local space.
+
+    Attributes:
+        position: Centres, [C, 3].
+        visibility: How much is seen of their Gaussians, [C], in [0, 1].
+        covariance: Upper triangle xx xy xz yy yz zz of the cell's ellipsoid, [C, 6].
+    """
+
+    position: Float[np.ndarray, "c 3"]
+    visibility: Float[np.ndarray, " c"]
+    covariance: Float[np.ndarray, "c 6"]
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+def appearance_channels(
+    space: Literal["sh", "rgb"], degree: int | None, itemsize: int
+) -> int:
+    """Return how many channels an appearance row has.
+
+    Three float16 colours fill a word and a half, so they are padded to four.
+    """
+    if space == "sh":
+        return 3 * coefficients(degree or 0)
+    return 3 if (3 * itemsize) % WORD_BYTES == 0 else 4
+
+
+def encode(
+    gaussians: Gaussians, dtype: type[np.float32] | type[np.float16] = np.float32
+) -> tuple[Float[np.ndarray, "n 10"], Float[np.ndarray, "n c"]]:
+    """Pack Gaussians into rows: ``(gaussians [N, 10], appearance [N, C])`` of ``dtype``.
+
+    SH rows are ``[k0R k0G k0B k1R …]``; a fourth channel that float16 RGB needs is 1.
+    """
+    columns = (gaussians.position, gaussians.opacity[:, None], gaussians.covariance)
+    rows = np.concatenate(columns, axis=1).astype(dtype)
+    n = len(gaussians)
+    if gaussians.sh is not None:
+        return rows, gaussians.sh.reshape(n, 3 * gaussians.sh.shape[1]).astype(dtype)
+    channels = appearance_channels("rgb", None, np.dtype(dtype).itemsize)
+    color = np.ones((n, channels), dtype)
+    color[:, :3] = gaussians.rgb
+    return rows, color
+
+
+def decode(
+    rows: Float[np.ndarray, "n 10"],
+    appearance: Float[np.ndarray, "n c"],
+    space: Literal["sh", "rgb"],
+) -> Gaussians:
+    """Unpack rows into float32 Gaussians; the inverse of :func:`encode`.
+
+    Raises:
+        LayoutMismatch: The arrays are not [N, 10] and [N, C] with a C that ``space`` has.
+    """
+    if rows.ndim != 2 or rows.shape[1] != ROW:
+        raise LayoutMismatch(
+            f"shape is {list(rows.shape)}, wanted [N, {ROW}]", where="gaussians"
+        )
+    allowed = APPEARANCE_CHANNELS[space]
+    if (
+        appearance.ndim != 2
+        or appearance.shape[1] not in allowed
+        or len(appearance) != len(rows)
+    ):
+        raise LayoutMismatch(
+            f"shape is {list(appearance.shape)}, wanted [{len(rows)}, C] with C in {allowed}",
+            where="appearance",
+        )
+    wide = rows.astype(np.float32)
+    color = appearance.astype(np.float32)
+    n = len(rows)
+    return Gaussians(
+        position=wide[:, POSITION],
+        opacity=wide[:, OPACITY],
+        covariance=wide[:, COVARIANCE],
+        sh=color.reshape(n, color.shape[1] // 3, 3) if space == "sh" else None,
+        rgb=color[:, :3] if space == "rgb" else None,
+    )
+
+
+def decode_cells(rows: Float[np.ndarray, "c 10"]) -> Cells:
+    """Unpack rows of cells into float32.
+
+    Raises:
+        LayoutMismatch: The array is not [C, 10].
+    """
+    if rows.ndim != 2 or rows.shape[1] != ROW:
+        raise LayoutMismatch(
+            f"shape is {list(rows.shape)}, wanted [C, {ROW}]", where="cells"
+        )
+    wide = rows.astype(np.float32)
+    return Cells(wide[:, POSITION], wide[:, VISIBILITY], wide[:, COVARIANCE])

@@ -1,0 +1,389 @@
+"""The manifest: the JSON document inside a model that says what its tensors mean.
+
+These dataclasses are the single source of truth. The published JSON Schemas
+(``schemas/*.schema.json``) are generated from them by :mod:`gsgen.contract.spec.json_schema`.
+"""
+
+__all__ = [
+    "AppearanceOutput",
+    "Bounds",
+    "Capture",
+    "CellsOutput",
+    "CountOutput",
+    "FutureOutput",
+    "GaussiansOutput",
+    "GeneratorManifest",
+    "GeneratorOutputs",
+    "ImageOutput",
+    "Input",
+    "Manifest",
+    "PostProcessManifest",
+    "PostProcessOutputs",
+    "Producer",
+    "ReferenceImage",
+    "Space",
+    "TestVector",
+    "Tolerances",
+    "TrajectoryManifest",
+    "TrajectoryOutputs",
+    "UncertaintyOutput",
+    "WeightedSum",
+    "manifest_type",
+]
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.errors import UnknownName
+from gsgen.contract.spec.roles import ROLES
+from gsgen.contract.spec.schema_text import Hint
+
+CONTRACT = "1.1"
+
+RoleName = Annotated[str, Hint("What the input means.", enum=tuple(ROLES))]
+Name = Annotated[str, Hint("The tensor's name in the graph.", min_length=1)]
+Positive = Annotated[int, Hint(minimum=1)]
+Sha256 = Annotated[str, Hint("SHA-256, in lower-case hex.", pattern="^[0-9a-f]{64}$")]
+Fraction = Annotated[float, Hint(minimum=0)]
+AboveZero = Annotated[float, Hint(above=0)]
+
+
+@dataclass(frozen=True, slots=True)
+class Space:
+    """The coordinate frame that Gaussians, cameras and bounds are given in."""
+
+    handedness: Literal["right"] = "right"
+    up: Annotated[
+        Literal["+x", "-x", "+y", "-y", "+z", "-z"], Hint("The world's upward axis.")
+    ] = "-y"
+    unit: Annotated[
+        Literal["metre", "arbitrary"],
+        Hint("What one unit of length is; SfM scenes: arbitrary."),
+    ] = "arbitrary"
+    matrix_order: Annotated[
+        Literal["column", "row"],
+        Hint(
+            "`column`: the [4,4] tensor holds Mᵀ, as column-major bytes do. `row`: it holds M."
+        ),
+    ] = "column"
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """An axis-aligned box that holds the Gaussians' centres at every probe."""
+
+    min: Annotated[tuple[float, float, float], Hint("Lower corner, x y z.")]
+    max: Annotated[tuple[float, float, float], Hint("Upper corner, x y z.")]
+
+    @classmethod
+    def around(cls, points: Float[np.ndarray, "n 3"], margin: float) -> "Bounds | None":
+        """Return the box around all finite points, or None where there is none.
+
+        Args:
+            points: Centres, in local units.
+            margin: How much wider the box is, as a share of its size.
+        """
+        wide = np.asarray(points, np.float64)
+        finite = wide[np.isfinite(wide).all(axis=1)]
+        if not len(finite):
+            return None
+        low, high = finite.min(axis=0), finite.max(axis=0)
+        room = margin * (high - low) + 1e-6
+        corners = [
+            [float(f"{value:.6g}") for value in end] for end in (low - room, high + room)
+        ]
+        return cls(*((x, y, z) for x, y, z in corners))
+
+
+@dataclass(frozen=True, slots=True)
+class Producer:
+    """Who made the model, from what, and under which licence."""
+
+    tool: Annotated[str, Hint("Program and version.")]
+    source: str | None = None
+    license: Annotated[str | None, Hint("An SPDX expression.")] = None
+    weights_sha256: Sha256 | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """One frame input."""
+
+    name: Name
+    role: RoleName
+    shape: Annotated[tuple[Positive, ...] | None, Hint("Static size of every axis.")] = None
+    range: Annotated[
+        tuple[float, float] | None,
+        Hint("Smallest and largest meaningful value, both included."),
+    ] = None
+    default: Annotated[
+        float | Literal["zeros", "identity"] | tuple[float, ...] | None,
+        Hint("What a runtime feeds if it has nothing better; row-major where a list."),
+    ] = None
+    convention: Annotated[
+        str | None, Hint("Which of the role's conventions it follows.")
+    ] = None
+    loop: Annotated[
+        bool | None, Hint("Time: the end of the range continues at its start.")
+    ] = None
+    frames: Annotated[
+        Positive | None, Hint("Time: how many distinct frames there are.")
+    ] = None
+    fps: Annotated[
+        float | None, Hint("Time: frames per second at natural speed.", minimum=0)
+    ] = None
+    label: Annotated[str | None, Hint("What a user interface calls it.")] = None
+
+
+@dataclass(frozen=True, slots=True)
+class GaussiansOutput:
+    """The packed rows, [capacity, 10]: x y z opacity xx xy xz yy yz zz."""
+
+    name: Name
+    capacity: Annotated[int, Hint("Rows of the tensor, padding included.", minimum=1)]
+    dtype: Literal["float32", "float16"] = "float32"
+    layout: Literal["packed10"] = "packed10"
+
+
+@dataclass(frozen=True, slots=True)
+class AppearanceOutput:
+    """What colour the Gaussians have, [capacity, channels]."""
+
+    name: Name
+    space: Annotated[
+        Literal["sh", "rgb"],
+        Hint("`sh`: coefficient-major SH, RGB innermost. `rgb`: raw colour in [0, 1]."),
+    ]
+    degree: Annotated[
+        int | None, Hint("SH degree; required for `sh`.", minimum=0, maximum=3)
+    ] = None
+    color_space: Literal["srgb", "linear"] = "srgb"
+
+
+@dataclass(frozen=True, slots=True)
+class CountOutput:
+    """How many rows are live, int32 [1]; the rows behind them are inert."""
+
+    name: Name
+    semantics: Annotated[
+        Literal["exact", "upper-bound"],
+        Hint(
+            "`exact`: every row before it is drawn. `upper-bound`: some of them may be inert."
+        ),
+    ] = "exact"
+
+
+@dataclass(frozen=True, slots=True)
+class CellsOutput:
+    """The cells that a weighted sum is sorted by, [capacity / per_cell, 10].
+
+    A row is x y z visibility xx xy xz yy yz zz; Gaussian r belongs to cell r // per_cell.
+    """
+
+    name: Name
+    per_cell: Annotated[int, Hint("Rows of Gaussians in a row to one cell.", minimum=1)]
+    dtype: Literal["float32", "float16"] = "float32"
+
+
+@dataclass(frozen=True, slots=True)
+class GeneratorOutputs:
+    """What a Gaussian Generator puts out: GO001, GO005 and GO010 ask for three, GM017 for cells."""
+
+    gaussians: GaussiansOutput | None = None
+    appearance: AppearanceOutput | None = None
+    count: CountOutput | None = None
+    cells: CellsOutput | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class WeightedSum:
+    """How a renderer weighs Gaussians that it sums cell by cell; goes with `blend: wsr`."""
+
+    background: Annotated[Fraction, Hint("Weight of what lies behind.")]
+    depth_range: Annotated[
+        AboveZero | None,
+        Hint(
+            "Depth at which weights reach 0, in units of length; absent: they do not fall."
+        ),
+    ] = None
+    opacity_divisor: Annotated[
+        AboveZero, Hint("What opacity is divided by before it takes light away.")
+    ] = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Capture:
+    """What the model promises a runtime that records its kernels once."""
+
+    static_shapes: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerances:
+    """How closely two executions of the model agree, each field in its natural unit."""
+
+    position: Annotated[Fraction, Hint("In standard deviations of the Gaussian.")] = 1e-3
+    covariance: Annotated[Fraction, Hint("Relative to the covariance's trace.")] = 1e-3
+    opacity: Annotated[Fraction, Hint("Absolute.")] = 2e-3
+    appearance: Annotated[
+        Fraction, Hint("Absolute, of the colour seen from a direction.")
+    ] = 2e-3
+
+
+@dataclass(frozen=True, slots=True)
+class TestVector:
+    """Inputs and the digest of the outputs that they must give."""
+
+    inputs: Annotated[str, Hint("Which probe, by its label.")]
+    expected_sha256: Sha256
+    seed: Annotated[int, Hint("Seed of the probe set.", minimum=0)] = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReferenceImage:
+    """A picture beside the model, and from where the model must look like it; pixels from its corner.
+
+    Its camera looks along +z, x is right and y down; colours are over black.
+    """
+
+    path: Annotated[str, Hint("A PNG in the model's folder or below it.", min_length=1)]
+    sha256: Sha256
+    inputs: Annotated[str, Hint("Which probe, by its label.", min_length=1)]
+    view: Annotated[
+        tuple[tuple[float, float, float, float], ...],
+        Hint("World to camera: the first three rows of the matrix."),
+    ]
+    focal: Annotated[tuple[float, float], Hint("Focal lengths in x and y, in pixels.")]
+    center: Annotated[tuple[float, float], Hint("Principal point, in pixels.")]
+    psnr: Annotated[AboveZero, Hint("Least peak signal-to-noise ratio, in decibels.")] = (
+        40.0
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Common:
+    """What a manifest of any kind says."""
+
+    name: Annotated[str, Hint("What people call the model.", min_length=1)]
+    inputs: tuple[Input, ...] = ()
+    version: Annotated[str, Hint("The model's own version.")] = "1.0.0"
+    family: Annotated[str | None, Hint("Method family: static, mlp, 4d, avatar, …")] = None
+    producer: Producer | None = None
+    test_vectors: tuple[TestVector, ...] = ()
+    contract: Annotated[
+        str, Hint("Contract version, major.minor.", pattern=r"^[0-9]+\.[0-9]+$")
+    ] = CONTRACT
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeneratorManifest(_Common):
+    """A Gaussian Generator: frame inputs → packed Gaussians."""
+
+    outputs: GeneratorOutputs
+    space: Space | None = None
+    bounds: Bounds | None = None
+    depends_on: Annotated[
+        dict[str, bool], Hint("Role → does any output change with it; absent means yes.")
+    ] = field(default_factory=dict)
+    antialias: Annotated[
+        Literal["classic", "mip"], Hint("`classic`: 0.3 px dilation. `mip`: compensated.")
+    ] = "classic"
+    blend: Annotated[
+        Literal["alpha", "wsr"], Hint("`alpha`: sorted. `wsr`: weighted sum with cells.")
+    ] = "alpha"
+    weighted_sum: WeightedSum | None = None
+    capture: Capture = Capture()
+    tolerances: Tolerances | None = None
+    reference_images: tuple[ReferenceImage, ...] = ()
+    kind: Literal["gaussian-generator"] = "gaussian-generator"
+
+
+@dataclass(frozen=True, slots=True)
+class ImageOutput:
+    """An image, [1, 3 or 4, H, W], the same size as the input's."""
+
+    name: Name
+    dtype: Literal["float32", "float16"] = "float32"
+    range: Annotated[tuple[float, float], Hint("Values of black and white.")] = (0.0, 1.0)
+    color_space: Literal["srgb", "linear"] = "srgb"
+
+
+@dataclass(frozen=True, slots=True)
+class PostProcessOutputs:
+    """The output of a post-process model."""
+
+    image: ImageOutput
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PostProcessManifest(_Common):
+    """A post-process model: image (and conditioning) → image."""
+
+    outputs: PostProcessOutputs
+    image_range: Annotated[
+        tuple[float, float], Hint("Values of black and white in the input image.")
+    ] = (0.0, 1.0)
+    capture: Capture = Capture()
+    kind: Literal["post-process"] = "post-process"
+
+
+@dataclass(frozen=True, slots=True)
+class FutureOutput:
+    """Predicted camera states, [steps, S], nearest first."""
+
+    name: Name
+    steps: Positive
+    representation: Literal["position+quaternion-wxyz", "position+axis-angle"]
+
+
+@dataclass(frozen=True, slots=True)
+class UncertaintyOutput:
+    """How sure the prediction is, one row a step."""
+
+    name: Name
+    semantics: Literal["standard-deviation", "covariance-upper"] = "standard-deviation"
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectoryOutputs:
+    """The outputs of a trajectory predictor."""
+
+    future: FutureOutput
+    uncertainty: UncertaintyOutput
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrajectoryManifest(_Common):
+    """A trajectory predictor: past camera states → future ones, with uncertainty."""
+
+    outputs: TrajectoryOutputs
+    step_seconds: Annotated[float, Hint("Time between two states, in seconds.", minimum=0)]
+    kind: Literal["trajectory-predictor"] = "trajectory-predictor"
+
+
+Manifest = GeneratorManifest | PostProcessManifest | TrajectoryManifest
+
+_TYPES: dict[
+    str, type[GeneratorManifest] | type[PostProcessManifest] | type[TrajectoryManifest]
+]
+_TYPES = {
+    "gaussian-generator": GeneratorManifest,
+    "post-process": PostProcessManifest,
+    "trajectory-predictor": TrajectoryManifest,
+}
+
+
+def manifest_type(
+    kind: str,
+) -> type[GeneratorManifest] | type[PostProcessManifest] | type[TrajectoryManifest]:
+    """Return the dataclass of a manifest of ``kind``.
+
+    Raises:
+        UnknownName: There is no such kind.
+    """
+    if kind not in _TYPES:
+        raise UnknownName.among("kind", kind, _TYPES)
+    return _TYPES[kind]

@@ -1,0 +1,236 @@
+"""Manifests as text: parse, check against the schema, upgrade, write."""
+
+__all__ = ["Complaint", "Parsed", "dumps", "loads", "parse", "schema_name", "schemas"]
+
+import json
+import math
+import re
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from gsgen.contract.errors import ManifestInvalid
+from gsgen.contract.spec.json_schema import from_json, schema_of, to_json
+from gsgen.contract.spec.manifest import Manifest, manifest_type
+from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.upgrades import CURRENT, Version, upgrade
+
+_MAX_BYTES = 4 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Complaint:
+    """One thing that is wrong with a manifest, as data.
+
+    Attributes:
+        cause: ``syntax``, ``schema`` or ``version``.
+        where: A path such as ``outputs.gaussians.dtype``; empty for the whole document.
+        saw: The offending value, shortened.
+        want: What the schema asks for.
+    """
+
+    cause: str
+    where: str
+    saw: str
+    want: str
+
+
+@dataclass(frozen=True, slots=True)
+class Parsed:
+    """What became of a manifest's text.
+
+    Attributes:
+        manifest: The manifest, or None where a complaint prevents reading it.
+        complaints: What is wrong, in order of where.
+        version: The version it declares, as (major, minor), where readable.
+        newer: It declares a newer minor version than this reader knows.
+    """
+
+    manifest: Manifest | None
+    complaints: tuple[Complaint, ...] = ()
+    version: Version | None = None
+    newer: bool = False
+
+
+def schema_name(kind: str, version: Version = CURRENT) -> str:
+    """Return the file name of a published schema."""
+    return f"{kind}-{version[0]}.{version[1]}.schema.json"
+
+
+def schemas() -> dict[str, dict[str, object]]:
+    """Generate the schemas of the current version from the dataclasses: file name → document."""
+    made: dict[str, dict[str, object]] = {}
+    for kind in KINDS:
+        body = schema_of(manifest_type(kind), title=f"gsgen manifest: {kind}")
+        made[schema_name(kind)] = body | {"required": _required(body)}
+    return made
+
+
+def _required(body: dict[str, object]) -> list[object]:
+    required = body["required"]
+    assert isinstance(required, list)
+    return ["contract", "kind", *required]
+
+
+@cache
+def _validator(kind: str, version: Version) -> Any:
+    from jsonschema import Draft202012Validator
+
+    text = (
+        resources.files("gsgen.contract")
+        .joinpath("schemas", schema_name(kind, version))
+        .read_text("utf-8")
+    )
+    return Draft202012Validator(json.loads(text))
+
+
+def parse(text: str) -> Parsed:
+    """Read a manifest; everything wrong with it comes back as data, nothing is raised."""
+    if len(text) > _MAX_BYTES:
+        return _failed("syntax", "", f"{len(text)} characters", f"at most {_MAX_BYTES}")
+    try:
+        return _parse_document(text)
+    except RecursionError:
+        return _failed("syntax", "", _short(text), "fewer brackets inside each other")
+
+
+def _parse_document(text: str) -> Parsed:
+    try:
+        document = json.loads(
+            text, parse_float=_number, parse_int=_integer, parse_constant=_number
+        )
+        json.dumps(
+            document, ensure_ascii=False
+        ).encode()  # half a surrogate pair is no text
+    except ValueError as error:
+        return _failed("syntax", "", _short(text), f"a JSON document ({error})")
+    if not isinstance(document, dict):
+        return _failed("schema", "", _short(document), "a JSON object")
+    version = _version(document.get("contract"))
+    if version is None:
+        saw = _short(document.get("contract", "nothing"))
+        return _failed("version", "contract", saw, 'a version such as "1.0"')
+    if version[0] > CURRENT[0] or version[0] < 1:
+        want = f"major version 1 to {CURRENT[0]}"
+        return Parsed(
+            None, (Complaint("version", "contract", _dotted(version), want),), version
+        )
+    return _parse_body(document, version)
+
+
+def _parse_body(document: dict[str, Any], version: Version) -> Parsed:
+    kind = document.get("kind")
+    if kind not in KINDS:
+        return _failed("schema", "kind", _short(kind), f"one of {', '.join(KINDS)}")
+    newer = version > CURRENT
+    errors = list(_validator(kind, min(version, CURRENT)).iter_errors(document))
+    if newer:  # a newer minor may have fields that this reader does not know
+        errors = [error for error in errors if error.validator != "additionalProperties"]
+    complaints = tuple(_complaint(error) for error in sorted(errors, key=_place))
+    if complaints:
+        return Parsed(None, complaints, version, newer)
+    manifest: Manifest = from_json(manifest_type(kind), upgrade(document, version))
+    return Parsed(manifest, (), version, newer)
+
+
+def loads(text: str) -> Manifest:
+    """Read a manifest that must be right.
+
+    Raises:
+        ManifestInvalid: It is not; the message lists every complaint.
+    """
+    parsed = parse(text)
+    if parsed.manifest is None:
+        lines = [
+            f"{c.where or 'document'}: {c.saw}, wanted {c.want}" for c in parsed.complaints
+        ]
+        raise ManifestInvalid("; ".join(lines), where="manifest")
+    return parsed.manifest
+
+
+def dumps(manifest: Manifest, *, indent: int | None = 2) -> str:
+    """Write a manifest as JSON, contract version and kind first.
+
+    Raises:
+        ManifestInvalid: A value in it does not follow the schema.
+    """
+    plain = to_json(manifest)
+    first = {"contract": plain.pop("contract"), "kind": plain.pop("kind")}
+    text = json.dumps(first | {"inputs": []} | plain, indent=indent, ensure_ascii=False)
+    loads(text)
+    return text
+
+
+def _failed(cause: str, where: str, saw: str, want: str) -> Parsed:
+    return Parsed(None, (Complaint(cause, where, saw, want),))
+
+
+def _number(text: str) -> float:
+    """Read a number; what has no finite float, such as NaN or 1e999, is refused."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{_short(text)} is no finite number")
+    return value
+
+
+def _integer(text: str) -> int:
+    _number(text)  # some fields take it as a float
+    return int(text)
+
+
+def _version(value: object) -> Version | None:
+    parts = value.split(".") if isinstance(value, str) else []
+    if len(parts) != 2 or not all(
+        p.isascii() and p.isdigit() and len(p) < 6 for p in parts
+    ):
+        return None
+    return int(parts[0]), int(parts[1])
+
+
+def _dotted(version: Version) -> str:
+    return f"{version[0]}.{version[1]}"
+
+
+def _short(value: object) -> str:
+    text = (
+        value
+        if isinstance(value, str)
+        else json.dumps(value, ensure_ascii=False, default=str)
+    )
+    text = text.encode(errors="replace").decode() or "an empty text"
+    return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+def _place(error: Any) -> tuple[str | int, ...]:
+    return tuple(error.absolute_path)
+
+
+def _is_unknown(name: str, error: Any) -> bool:
+    patterns = error.schema.get("patternProperties", ())
+    known = name in error.schema.get("properties", ())
+    return not known and not any(re.search(pattern, name) for pattern in patterns)
+
+
+def _complaint(error: Any) -> Complaint:
+    """Translate a jsonschema error: what was seen, then what the schema wanted."""
+    where = ".".join(str(part) for part in error.absolute_path)
+    want = error.schema.get("description") if isinstance(error.schema, dict) else None
+    if error.validator == "required":
+        missing = error.message.split("'")[1]
+        return Complaint(
+            "schema", where, f"no field {missing!r}", f"{missing!r} to be present"
+        )
+    if error.validator == "additionalProperties":
+        known = ", ".join(error.schema.get("properties", {}))
+        strangers = ", ".join(
+            repr(name) for name in error.instance if _is_unknown(name, error)
+        )
+        return Complaint("schema", where, _short(strangers), f"only the fields {known}")
+    if error.validator == "enum":
+        options = ", ".join(str(option) for option in error.validator_value)
+        return Complaint("schema", where, _short(error.instance), f"one of {options}")
+    detail = f"{error.validator} {error.validator_value}"
+    return Complaint(
+        "schema", where, _short(error.instance), f"{want} ({detail})" if want else detail
+    )

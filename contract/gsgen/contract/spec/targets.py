@@ -1,0 +1,136 @@
+"""Targets: versioned data files with the limits and quirks of one consumer of models."""
+
+__all__ = ["Target", "known_targets", "load_target", "target_from_json"]
+
+import json
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from importlib.metadata import EntryPoint
+from typing import Any
+
+from gsgen.contract._entry_points import registered
+from gsgen.contract.errors import ConfigInvalid, UnknownName
+from gsgen.contract.spec.severity import Severity
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What one consumer of models can take.
+
+    Attributes:
+        name: What ``--target`` takes.
+        version: Version of the data file.
+        summary: One sentence for people.
+        opset: Lowest and highest ONNX operator set.
+        ir: Highest ONNX IR version.
+        domains: Operator domains it has kernels for.
+        limits: Name → number, such as ``binding_bytes``.
+        operators: Names of the operator tables of the releases that it runs on; empty where
+            nothing is known of them.
+        severities: Rule id → severity that differs from the rule's own.
+    """
+
+    name: str
+    version: str
+    summary: str
+    opset: tuple[int, int]
+    ir: int
+    domains: frozenset[str]
+    limits: dict[str, int] = field(default_factory=dict)
+    severities: dict[str, Severity] = field(default_factory=dict)
+    operators: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """Name and version, as reports show it."""
+        return f"{self.name}@{self.version}"
+
+
+def target_from_json(text: str, where: str) -> Target:
+    """Read a target's data file.
+
+    Raises:
+        ConfigInvalid: It is not such a file.
+    """
+    try:
+        data = json.loads(text)
+        return Target(
+            name=data["name"],
+            version=data["version"],
+            summary=data["summary"],
+            opset=(data["opset"][0], data["opset"][1]),
+            ir=data["ir"],
+            domains=frozenset(data["domains"]),
+            limits=data.get("limits", {}),
+            severities={
+                k: Severity.parse(v) for k, v in data.get("severities", {}).items()
+            },
+            operators=tuple(data.get("operators", ())),
+        )
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
+        raise ConfigInvalid(
+            f"is not a target's data file: {error!r}", where=where
+        ) from error
+
+
+@cache
+def _own_targets() -> dict[str, Target]:
+    """Return the targets that come with gsgen."""
+    folder = resources.files("gsgen.contract").joinpath("targets_data")
+    files = sorted(folder.iterdir(), key=lambda entry: entry.name)
+    found = [
+        target_from_json(file.read_text("utf-8"), file.name)
+        for file in files
+        if file.name.endswith(".json")
+    ]
+    return {target.name: target for target in found}
+
+
+@cache
+def known_targets() -> dict[str, Target]:
+    """Return every target that is installed, by name; third parties' come last.
+
+    A third party registers a :class:`Target`, or a function without arguments that returns one,
+    under the entry point group ``gsgen.targets``. It may build on ours with :func:`load_target`.
+
+    Raises:
+        ConfigInvalid: A registered target cannot be loaded.
+    """
+    found = dict(_own_targets())
+    for point in registered("gsgen.targets"):
+        target = _loaded(point)
+        found[target.name] = target
+    return found
+
+
+def _loaded(point: EntryPoint) -> Target:
+    where = f"target {point.name} = {point.value}"
+    try:
+        loaded: Any = point.load()
+        target = loaded() if callable(loaded) else loaded
+    except Exception as error:  # a third party's code may fail in any way
+        raise ConfigInvalid(f"does not load: {error!r}", where=where) from error
+    if not isinstance(target, Target):
+        raise ConfigInvalid(f"gives {target!r}, wanted a Target", where=where)
+    return target
+
+
+def load_target(name: str, where: str = "--target") -> Target:
+    """Return the target called ``name`` or ``name@version``.
+
+    Raises:
+        UnknownName: There is none of that name.
+        ConfigInvalid: There is, but in another version.
+    """
+    wanted, _, version = name.partition("@")
+    own = _own_targets()
+    targets = own if wanted in own else known_targets()
+    if wanted not in targets:
+        raise UnknownName.among("target", wanted, targets, where)
+    target = targets[wanted]
+    if version and version != target.version:
+        raise ConfigInvalid(
+            f"target {wanted} has version {target.version}, not {version}", where=where
+        )
+    return target

@@ -1,0 +1,1 @@
+"""What else can be done with a model: compare, record vectors, check the installation?"""

@@ -1,0 +1,189 @@
+"""How two models differ: in what they declare, in their graphs, and in what they emit."""
+
+__all__ = ["Difference", "OutputDifference", "compare_models"]
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsgen.contract.model.inspected_model import Subject, read_subject
+from gsgen.contract.model.model_file import open_model
+from gsgen.contract.probing.probe_plan import make_plan
+from gsgen.contract.probing.sandbox import Execution, execute
+from gsgen.contract.process.limits import Limits
+from gsgen.contract.spec.json_schema import to_json
+from gsgen.contract.spec.manifest_io import dumps
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.spec.targets import load_target
+
+_NOTHING = "(absent)"
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One fact that two models disagree about.
+
+    Attributes:
+        kind: ``contract`` or ``graph``.
+        what: What it is about, such as ``outputs.gaussians.dtype`` or ``operator MatMul``.
+        first: What the first model says.
+        second: What the second says.
+    """
+
+    kind: str
+    what: str
+    first: str
+    second: str
+
+
+@dataclass(frozen=True, slots=True)
+class OutputDifference:
+    """How far two outputs of the same role are apart, over all probes.
+
+    Attributes:
+        role: ``gaussians``, ``appearance``, ``count`` or ``cells``.
+        largest: The largest absolute difference; infinite where shapes differ.
+        rows: How many rows differ at the worst probe.
+        probe: Label of that probe.
+    """
+
+    role: str
+    largest: float
+    rows: int
+    probe: str
+
+
+def compare_models(
+    first: Path, second: Path, limits: Limits | None = None
+) -> tuple[list[Difference], list[OutputDifference], str]:
+    """Compare two models.
+
+    Returns:
+        Differences of contract and graph, those of outputs, and why outputs could not be
+        compared (empty if they were).
+
+    Raises:
+        ModelUnreadable: One of the files is no model.
+    """
+    limits, target = limits or Limits(), load_target("core")
+    a, b = (read_subject(open_model(path), target, limits) for path in (first, second))
+    facts = [*_contract(a, b), *_graph(a, b)]
+    reason = _incomparable(a, b)
+    if reason:
+        return facts, [], reason
+    outputs, reason = _outputs(a, b)
+    return facts, outputs, reason
+
+
+def _contract(a: Subject, b: Subject) -> Iterator[Difference]:
+    yield from _changes("contract", _declared(a), _declared(b))
+
+
+def _declared(subject: Subject) -> dict[str, str]:
+    if subject.parsed is None or subject.manifest is None:
+        return {"manifest": _NOTHING if subject.parsed is None else "(invalid)"}
+    dumps(subject.manifest)  # a manifest that cannot be written is no base for comparison
+    return dict(_flat("", to_json(subject.manifest)))
+
+
+def _flat(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _flat(f"{prefix}.{key}" if prefix else key, inner)
+    elif isinstance(value, list) and any(isinstance(one, dict) for one in value):
+        for index, inner in enumerate(value):
+            name = inner.get("name", index) if isinstance(inner, dict) else index
+            yield from _flat(f"{prefix}[{name}]", inner)
+    else:
+        yield prefix, str(value)
+
+
+def _graph(a: Subject, b: Subject) -> Iterator[Difference]:
+    yield from _changes("graph", _structure(a), _structure(b))
+
+
+def _structure(subject: Subject) -> dict[str, str]:
+    graph, proto = subject.graph, subject.file.proto
+    facts = {f"opset {e.domain or 'ai.onnx'}": str(e.version) for e in proto.opset_import}
+    facts |= {f"input {tensor.name}": str(tensor) for tensor in graph.inputs}
+    facts |= {f"output {tensor.name}": str(tensor) for tensor in graph.outputs}
+    operators = Counter(node.op_type for node in graph.all_nodes())
+    facts |= {f"operator {name}": f"{count} nodes" for name, count in operators.items()}
+    sizes = Counter(str(tensor) for tensor in graph.initializers.values())
+    return facts | {
+        f"weights {shape}": f"{count} of them" for shape, count in sizes.items()
+    }
+
+
+def _changes(kind: str, a: dict[str, str], b: dict[str, str]) -> Iterator[Difference]:
+    for name in dict.fromkeys([*a, *b]):
+        first, second = a.get(name, _NOTHING), b.get(name, _NOTHING)
+        if first != second:
+            yield Difference(kind, name, first, second)
+
+
+def _incomparable(a: Subject, b: Subject) -> str:
+    """Say why outputs cannot be compared; empty if they can."""
+    for subject in (a, b):
+        if subject.generator is None or not subject.output_names:
+            return f"{subject.file.path.name} is no Gaussian Generator"
+    if a.graph.inputs != b.graph.inputs:
+        return "the models take different inputs"
+    return ""
+
+
+def _outputs(a: Subject, b: Subject) -> tuple[list[OutputDifference], str]:
+    plan = make_plan(a, Level.VALUES)
+    with ExitStack() as stack:
+        runs: list[Execution] = []
+        for subject in (a, b):
+            names = [name for name in subject.output_names if subject.graph.output(name)]
+            job = execute(subject.file.path, names, plan.probes, subject.granted)
+            runs.append(stack.enter_context(job))
+            fault = runs[-1].fault
+            if fault is not None:
+                return [], f"{subject.file.path.name} does not run: {fault.message}"
+        labels = [probe.label for probe in plan.probes]
+        return list(_apart(a, b, runs, labels)), ""
+
+
+def _apart(
+    a: Subject, b: Subject, runs: list[Execution], labels: list[str]
+) -> Iterator[OutputDifference]:
+    for role in ("gaussians", "appearance", "count", "cells"):
+        first, second = getattr(a, f"declared_{role}"), getattr(b, f"declared_{role}")
+        if first is None or second is None:
+            continue
+        worst = OutputDifference(role, 0.0, 0, "")
+        for index, label in enumerate(labels):
+            x = runs[0].samples[runs[0].runs[index].sample].outputs[first.name]
+            y = runs[1].samples[runs[1].runs[index].sample].outputs[second.name]
+            if role == "appearance" and _is_rgb(a) and _is_rgb(b):
+                x, y = (
+                    x[..., :3],
+                    y[..., :3],
+                )  # float16 rows have a channel that fills words
+            largest, rows = _distance(x, y)
+            if largest > worst.largest:
+                worst = OutputDifference(role, largest, rows, label)
+        yield worst
+
+
+def _is_rgb(subject: Subject) -> bool:
+    declared = subject.declared_appearance
+    return declared is not None and declared.space == "rgb"
+
+
+def _distance(x: np.ndarray, y: np.ndarray) -> tuple[float, int]:
+    if x.shape != y.shape:
+        return float("inf"), max(len(x), len(y))
+    gap = np.abs(x.astype(np.float64) - y.astype(np.float64))
+    both = np.isnan(x.astype(np.float64)) & np.isnan(y.astype(np.float64))
+    gap = np.where(both | (x == y), 0.0, np.nan_to_num(gap, nan=np.inf, posinf=np.inf))
+    rows = gap.reshape(len(gap), -1).max(axis=1) if gap.size else np.zeros(0)
+    return float(gap.max(initial=0)), int(np.count_nonzero(rows))

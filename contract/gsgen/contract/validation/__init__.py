@@ -1,0 +1,1 @@
+"""How is a model validated: rule, finding, settings, engine, report?"""

@@ -1,0 +1,34 @@
+"""The validator's public door: validate a model by every installed rule."""
+
+__all__ = ["validate"]
+
+import os
+
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.validation.engine import Progress, silent, validate_with
+from gsgen.contract.validation.report import Report
+from gsgen.contract.validation.rule import Registry
+from gsgen.contract.validation.settings import Settings
+
+
+def validate(
+    path: str | os.PathLike[str],
+    settings: Settings | None = None,
+    *,
+    registry: Registry | None = None,
+    progress: Progress = silent,
+) -> Report:
+    """Validate the model at ``path`` and return the report; nothing is printed.
+
+    Args:
+        path: An ONNX file.
+        settings: Level, target, limits and severities; the defaults where absent.
+        registry: The rules to check; all installed rules where absent.
+        progress: Called with a few words whenever a new stage begins.
+
+    Raises:
+        ModelUnreadable: The file is not an ONNX model.
+    """
+    return validate_with(
+        registry or installed_rules(), path, settings or Settings(), progress=progress
+    )

@@ -1,0 +1,1 @@
+"""Anchor-decoded scenes: Scaffold-GS, Octree-GS, Duplex-GS."""

@@ -1,1 +1,0 @@
-"""The `gsgen export` subcommands of the plugins, one module each; importing them imports no torch."""

@@ -1,0 +1,1 @@
+"""Deformed scenes: Deformable 3DGS and HexPlane 4DGS."""

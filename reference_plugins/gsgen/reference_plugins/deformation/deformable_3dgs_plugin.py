@@ -1,0 +1,58 @@
+"""`gsgen export deformable-3dgs`: a checkpoint of Deformable-3D-Gaussians as a generator."""
+
+__all__ = ["PLUGIN"]
+
+from typing import TYPE_CHECKING
+
+from gsgen.reference_plugins.loading.options import (
+    Checkpoint,
+    Fps,
+    Frames,
+    Iteration,
+    Loop,
+    note,
+    tell,
+)
+from gsgen.sdk.plugins.plugin import Plugin
+
+if TYPE_CHECKING:
+    from gsgen.reference_plugins.deformation.deformable_3dgs import Deformable3DGS
+
+# What a good graphics card does in a sixtieth of a second, at a tenth of its peak.
+_HEAVY = 60e9
+_SOURCE = "https://github.com/ingra14m/Deformable-3D-Gaussians"
+
+
+def build(
+    checkpoint: Checkpoint,
+    iteration: Iteration = None,
+    frames: Frames = None,
+    fps: Fps = None,
+    loop: Loop = False,
+) -> "Deformable3DGS":
+    """Read a checkpoint, say what is in it, and return its generator."""
+    from gsgen.reference_plugins.deformation.deformable_3dgs import Deformable3DGS
+    from gsgen.reference_plugins.deformation.deformation_checkpoint import read_deformation
+    from gsgen.reference_plugins.loading.provenance import producer_of
+    from gsgen.sdk import inputs
+
+    read = read_deformation(checkpoint, iteration)
+    tell(read.describe(), read.cfg)
+    if not read.cfg.present:
+        note(f"note: there is no {read.cfg.path}; the kind is taken from the network")
+    if read.operations > _HEAVY:
+        note(f"warning: {read.operations / 1e9:.0f} GFLOP a frame is slow on most machines")
+    time = inputs.time(frames=frames, fps=fps, loop=loop or None)
+    made = Deformable3DGS(read.canonical, read.net, time)
+    made.producer = producer_of(_SOURCE, read.folder, read.iteration)
+    return made
+
+
+PLUGIN = Plugin(
+    name="deformable-3dgs",
+    summary="Gaussians that a network moves (Deformable-3D-Gaussians).",
+    reads="Reads DIR/cfg_args, DIR/point_cloud/iteration_N/point_cloud.ply and "
+    "DIR/deform/iteration_N/deform.pth.",
+    inputs=("time",),
+    build=build,
+)

@@ -1,0 +1,285 @@
+"""Checkpoints of 4DGaussians: a 3DGS PLY and, beside it, the network that moves it.
+
+``deformation.pth`` is the state dict of ``deform_network`` (hustvl/4DGaussians,
+``scene/deformation.py``, ``scene/hexplane.py``). Sizes follow from its tensors; which parts take
+effect is said by ``cfg_args`` alone.
+"""
+
+__all__ = [
+    "HEADS",
+    "Flags",
+    "HexPlaneCheckpoint",
+    "HexPlaneNets",
+    "Layer",
+    "read_hexplanes",
+]
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jaxtyping import Float
+from torch import Tensor
+
+from gsgen.reference_plugins.loading.canonical import Canonical, read_canonical
+from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
+from gsgen.reference_plugins.loading.errors import CheckpointInvalid
+from gsgen.reference_plugins.loading.folder import find_iteration, within_run
+from gsgen.reference_plugins.loading.method_detection import refuse_other_method
+from gsgen.reference_plugins.loading.states import Shape, checked, load_state, part
+
+# What each head changes, and how many numbers it gives.
+HEADS = {"pos": 3, "scales": 3, "rotations": 4, "opacity": 1, "shs": 48}
+
+_NET = "deformation_net."
+_GRID = re.compile(r"grid\.grids\.(\d+)\.(\d+)")
+_OUT = re.compile(r"feature_out\.(\d+)\.weight")
+_PLANES = 6
+# Left over from an earlier way to encode time, and computed again where needed.
+_UNUSED = ("timenet.", "time_poc", "pos_poc", "rotation_scaling_poc", "opacity_poc")
+
+Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
+
+
+@dataclass(frozen=True, slots=True)
+class Flags:
+    """Which parts of the network take effect.
+
+    Attributes:
+        active: Heads that do, in the order of ``HEADS``.
+        apply_rotation: The rotation is multiplied on, instead of added.
+        mask: What multiplies the canonical values: ``static_mlp``, ``empty_voxel`` or nothing.
+    """
+
+    active: tuple[str, ...]
+    apply_rotation: bool
+    mask: str
+
+    @classmethod
+    def of(cls, cfg: CfgArgs) -> "Flags":
+        """Return what a training run chose; defaults are those of the published code.
+
+        Raises:
+            CheckpointInvalid: It chose something that never worked there, or no deformation.
+        """
+        if cfg.flag("no_grid"):
+            mend = "The published code fails with it, too."
+            raise CheckpointInvalid("no_grid is True", where=str(cfg.path), mend=mend)
+        if cfg.integer("grid_pe", 0) > 1:
+            what = f"grid_pe is {cfg.values['grid_pe']}, wanted 0 or 1"
+            raise CheckpointInvalid(what, where=str(cfg.path))
+        off = {
+            "pos": cfg.flag("no_dx"),
+            "scales": cfg.flag("no_ds"),
+            "rotations": cfg.flag("no_dr"),
+            "opacity": cfg.flag("no_do", True),
+            "shs": cfg.flag("no_dshs", True),
+        }
+        active = tuple(head for head in HEADS if not off[head])
+        if not active:
+            what = "no_dx, no_ds, no_dr, no_do and no_dshs are all True: nothing moves"
+            mend = "Export the PLY with `gsgen export static`."
+            raise CheckpointInvalid(what, where=str(cfg.path), mend=mend)
+        mask = "static_mlp" if cfg.flag("static_mlp") else ""
+        mask = mask or ("empty_voxel" if cfg.flag("empty_voxel") else "")
+        return cls(active, cfg.flag("apply_rotation"), mask)
+
+
+@dataclass(frozen=True, slots=True)
+class HexPlaneNets:
+    """The network.
+
+    Attributes:
+        aabb: Box of the planes; the first row is the upper corner.
+        grids: For each resolution six planes [C, second axis, first axis], of the axes
+            xy xz xt yz yt zt.
+        feature: Layers behind the planes, with ReLU between them.
+        heads: For each active head two layers, with ReLU before each.
+        static: The same for the mask of static parts, where there is one.
+        voxels: Grid [x, y, z] and its lower and upper corner, where there is one.
+    """
+
+    aabb: Float[Tensor, "2 3"]
+    grids: tuple[tuple[Tensor, ...], ...]
+    feature: tuple[Layer, ...]
+    heads: Mapping[str, tuple[Layer, Layer]]
+    static: tuple[Layer, Layer] | None = None
+    voxels: tuple[Tensor, Tensor, Tensor] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class HexPlaneCheckpoint:
+    """Everything that inference needs.
+
+    Attributes:
+        folder: Of the training run.
+        iteration: Which one.
+        cfg: Its options.
+        flags: Which parts take effect.
+        canonical: The Gaussians.
+        nets: What moves them.
+    """
+
+    folder: Path
+    iteration: int
+    cfg: CfgArgs
+    flags: Flags
+    canonical: Canonical
+    nets: HexPlaneNets
+
+    def describe(self) -> str:
+        """Say in one line what it holds."""
+        grids = self.nets.grids
+        sizes = ["×".join(map(str, _sizes(planes))) for planes in grids]
+        parts = [
+            f"iteration {self.iteration}",
+            self.canonical.describe(),
+            f"planes of {grids[0][0].shape[0]} channels at {', '.join(sizes)}",
+            f"{len(self.nets.feature)} layers of {self.nets.feature[0][0].shape[0]}",
+            f"heads {', '.join(self.flags.active)}",
+        ]
+        parts += ["rotations multiplied"] if self.flags.apply_rotation else []
+        parts += [f"masked by {self.flags.mask}"] if self.flags.mask else []
+        return f"{self.folder}: {', '.join(parts)}"
+
+
+def _sizes(planes: tuple[Tensor, ...]) -> tuple[int, int, int, int]:
+    """Return the resolution along x, y, z and t."""
+    return (
+        planes[0].shape[2],
+        planes[0].shape[1],
+        planes[1].shape[1],
+        planes[2].shape[1],
+    )
+
+
+def read_hexplanes(folder: Path, iteration: int | None = None) -> HexPlaneCheckpoint:
+    """Read a checkpoint of 4DGaussians.
+
+    Args:
+        folder: What training wrote, or what is in it of an iteration.
+        iteration: The last where absent; those of the coarse stage do not count.
+
+    Raises:
+        CheckpointInvalid: Something is missing, or does not fit the rest.
+    """
+    folder, iteration = within_run(folder, iteration)
+    number, place = find_iteration(folder, iteration)
+    refuse_other_method("hexplane-4dgs", folder, place)
+    cfg = read_cfg_args(folder, required=True)
+    flags = Flags.of(cfg)
+    canonical = read_canonical(place / "point_cloud.ply")
+    if "shs" in flags.active and canonical.degree != 3:
+        what = (
+            f"SH of degree {canonical.degree}, but no_dshs is False, which needs degree 3"
+        )
+        raise CheckpointInvalid(what, where=str(place / "point_cloud.ply"))
+    nets = _read_nets(place / "deformation.pth", flags)
+    return HexPlaneCheckpoint(folder, number, cfg, flags, canonical, nets)
+
+
+def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
+    state = load_state(path, "the deformation network")
+    net = part(state, _NET)
+    scales, layers = _counts(path, net)
+    wanted = _wanted(path, net, flags, scales, layers)
+    # Heads and masks that are off were saved all the same.
+    idle = [f"{_NET}{head}_deform." for head in HEADS if head not in flags.active]
+    idle += [
+        f"{_NET}{mask}." for mask in ("static_mlp", "empty_voxel") if mask != flags.mask
+    ]
+    read = checked(path, state, {_NET + k: v for k, v in wanted.items()}, (*_UNUSED, *idle))
+    read = part(read, _NET)
+    grids = tuple(
+        tuple(read[f"grid.grids.{s}.{p}"][0] for p in range(_PLANES)) for s in range(scales)
+    )
+    _require_sizes(path, grids)
+    if (read["grid.aabb"][0] == read["grid.aabb"][1]).any():
+        what = (
+            f"{_NET}grid.aabb is {read['grid.aabb'].tolist()}, wanted a box with a volume"
+        )
+        raise CheckpointInvalid(what, where=str(path))
+    static = _pair(read, "static_mlp") if flags.mask == "static_mlp" else None
+    return HexPlaneNets(
+        aabb=read["grid.aabb"],
+        grids=grids,
+        feature=tuple(_layer(read, f"feature_out.{2 * i}") for i in range(layers)),
+        heads={head: _pair(read, f"{head}_deform") for head in flags.active},
+        static=static,
+        voxels=_voxels(read) if flags.mask == "empty_voxel" else None,
+    )
+
+
+def _counts(path: Path, net: Mapping[str, Any]) -> tuple[int, int]:
+    """Return how many resolutions and how many layers behind them there are."""
+    scales = {int(match[1]) for name in net if (match := _GRID.fullmatch(name))}
+    layers = {int(match[1]) for name in net if (match := _OUT.fullmatch(name))}
+    if scales != set(range(len(scales))) or not scales or not layers:
+        what = f"{len(scales)} resolutions of planes, {len(layers)} layers behind them"
+        mend = "Wanted deformation_net.grid.grids.S.P and deformation_net.feature_out.L."
+        raise CheckpointInvalid(what, where=str(path), mend=mend)
+    return len(scales), len(layers)
+
+
+def _wanted(
+    path: Path, net: Mapping[str, Any], flags: Flags, scales: int, layers: int
+) -> dict[str, Shape]:
+    first = net.get("feature_out.0.weight")
+    plane = net.get("grid.grids.0.0")
+    if not isinstance(first, Tensor) or not isinstance(plane, Tensor) or plane.ndim != 4:
+        what = "has no deformation_net.feature_out.0.weight or grid.grids.0.0"
+        raise CheckpointInvalid(what, where=str(path))
+    wide, channels = first.shape[0], plane.shape[1]
+    wanted: dict[str, Shape] = {"grid.aabb": (2, 3)}
+    for scale in range(scales):
+        for index in range(_PLANES):
+            wanted[f"grid.grids.{scale}.{index}"] = (1, channels, None, None)
+    for layer in range(layers):
+        wanted |= _linear(
+            f"feature_out.{2 * layer}", channels * scales if layer == 0 else wide, wide
+        )
+    outs = {f"{head}_deform": HEADS[head] for head in flags.active}
+    outs |= {"static_mlp": 1} if flags.mask == "static_mlp" else {}
+    for name, out in outs.items():
+        wanted |= _linear(f"{name}.1", wide, wide) | _linear(f"{name}.3", wide, out)
+    if flags.mask == "empty_voxel":
+        wanted["empty_voxel.grid"] = (1, 1, None, None, None)
+        for corner in ("xyz_min", "xyz_max"):
+            if f"empty_voxel.{corner}" in net:
+                wanted[f"empty_voxel.{corner}"] = (3,)
+    return wanted
+
+
+def _linear(name: str, inputs: int, outputs: int) -> dict[str, Shape]:
+    return {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
+
+
+def _layer(read: Mapping[str, Tensor], name: str) -> Layer:
+    return read[f"{name}.weight"], read[f"{name}.bias"]
+
+
+def _pair(read: Mapping[str, Tensor], name: str) -> tuple[Layer, Layer]:
+    return _layer(read, f"{name}.1"), _layer(read, f"{name}.3")
+
+
+def _voxels(read: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the grid and its corners, which are those of the planes where none are stored."""
+    upper, lower = read["grid.aabb"]
+    low = read.get("empty_voxel.xyz_min", lower)
+    return read["empty_voxel.grid"][0, 0], low, read.get("empty_voxel.xyz_max", upper)
+
+
+def _require_sizes(path: Path, grids: tuple[tuple[Tensor, ...], ...]) -> None:
+    """Demand that six planes agree about the resolution along each axis."""
+    pairs = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+    for scale, planes in enumerate(grids):
+        size = _sizes(planes)
+        for index, (first, second) in enumerate(pairs):
+            seen, want = tuple(planes[index].shape[1:]), (size[second], size[first])
+            if seen != want or min(seen) < 2:
+                what = (
+                    f"{_NET}grid.grids.{scale}.{index} is {seen}, wanted {want}, 2 or more"
+                )
+                raise CheckpointInvalid(what, where=str(path))

@@ -1,0 +1,83 @@
+"""Add LoRA to the weights of networks, which then compute what they would with it beside them.
+
+W′ = W + scale · α/r · B A (Hu et al. 2021, "LoRA", section 4.1), where A has r rows: a matrix, or
+for a convolution one with A's kernel and B of 1×1.
+"""
+
+__all__ = ["merge"]
+
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from gsgen.reference_plugins.diffusion.lora import Adapter, Pair
+from gsgen.reference_plugins.loading.errors import CheckpointInvalid
+from gsgen.reference_plugins.loading.states import listed
+
+
+def merge(adapter: Adapter, scale: float, homes: Mapping[str, nn.Module]) -> str:
+    """Add a LoRA to the layers of networks, in place, and say how much that was.
+
+    Args:
+        adapter: The LoRA.
+        scale: What its changes are multiplied by.
+        homes: The layers, by every name that they go by.
+
+    Raises:
+        CheckpointInvalid: A tensor has no layer, no partner, or another shape than its layer; all
+            of them are listed, and no layer is changed.
+    """
+    troubles = [
+        f"{name} {trouble}"
+        for name, pair in adapter.pairs.items()
+        if (trouble := _trouble(pair, homes.get(name)))
+    ]
+    if troubles or not adapter.pairs:
+        what = f"{len(troubles)} of {len(adapter.pairs)} layers do not fit the networks"
+        raise CheckpointInvalid(
+            f"{what}: {listed(troubles, '; ')}",
+            where=str(adapter.path),
+            mend="It may be made for another network.",
+        )
+    shares = set()
+    for name, pair in adapter.pairs.items():
+        layer, down = homes[name], pair.down
+        assert down is not None
+        shares.add(share := adapter.share(name, pair, len(down)))
+        weight = layer.weight
+        assert isinstance(weight, Tensor)
+        # A new tensor: those of a file may share memory.
+        made = (weight.double() + scale * share * _product(pair, weight)).to(weight.dtype)
+        layer.weight = nn.Parameter(made, requires_grad=False)
+    words = f"{min(shares):g}" + f" to {max(shares):g}" * (len(shares) > 1)
+    return f"{adapter.path.name} × {scale:g} in {len(adapter.pairs)} layers, α/r {words}"
+
+
+def _trouble(pair: Pair, layer: nn.Module | None) -> str:
+    """Say why a change cannot be that of a layer; nothing if it can."""
+    if layer is None:
+        return "is no layer of them"
+    if pair.down is None or pair.up is None:
+        return f"has no {'lora_A or down' if pair.down is None else 'lora_B or up'}"
+    weight = layer.weight
+    assert isinstance(weight, Tensor)
+    down, up = _kernel(pair.down), _kernel(pair.up)
+    fits = down.ndim == up.ndim == 4 and len(down) > 0 and up.shape[1:] == (len(down), 1, 1)
+    if fits and (len(up), *down.shape[1:]) == _kernel(weight).shape:
+        return ""
+    seen = f"{list(pair.up.shape)} × {list(pair.down.shape)}"
+    return f"has {seen}, which is no change of {list(weight.shape)}"
+
+
+def _product(pair: Pair, weight: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+    """Return B A in the shape of a layer's weight, as float64."""
+    assert pair.down is not None
+    assert pair.up is not None
+    down, up = _kernel(pair.down.double()), pair.up.double().flatten(1)
+    return torch.einsum("or,rihw->oihw", up, down).reshape(weight.shape)
+
+
+def _kernel(weight: Tensor) -> Tensor:
+    return weight[:, :, None, None] if weight.ndim == 2 else weight

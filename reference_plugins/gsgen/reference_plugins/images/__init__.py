@@ -1,0 +1,1 @@
+"""Networks on rendered images: denoiser and style transfer."""

@@ -1,0 +1,226 @@
+"""`gsgen export denoiser`: one step of a diffusion network as a post-process model."""
+
+__all__ = ["PLUGIN"]
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.reference_plugins.images.image_sizes import read_size
+from gsgen.reference_plugins.loading.options import note
+from gsgen.sdk.plugins.plugin import Plugin
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from gsgen.reference_plugins.images.denoiser import Denoiser
+    from gsgen.reference_plugins.images.diffusion_checkpoint import DiffusionCheckpoint
+    from gsgen.reference_plugins.images.embeddings import Embeddings
+
+_EMBEDDINGS = "prompt_embeds.npz"
+
+Folder = Annotated[
+    Path,
+    typer.Option(
+        "--checkpoint", help="Folder with unet/, vae/ and scheduler/.", show_default=False
+    ),
+]
+Vae = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder of the autoencoder, for a U-Net on latents that lies elsewhere.",
+        show_default="DIR/vae, if it is there",
+    ),
+]
+Lora = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--lora",
+        help="FILE[:SCALE]: add a LoRA to the weights, SCALE times (once if absent). Once for each.",
+        show_default="none",
+    ),
+]
+DifixFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--difix",
+        help="The model.pkl of Difix: its U-Net, LoRA and skip connections, over DIR.",
+        show_default="none",
+    ),
+]
+Timestep = Annotated[
+    float, typer.Option(help="At which timestep the step is taken.", min=0)
+]
+Steers = Annotated[
+    bool, typer.Option("--timestep-input", help="The timestep is an input of the model.")
+]
+Size = Annotated[
+    str | None,
+    typer.Option(
+        help="Images as HEIGHTxWIDTH, or any: then the graph is not captured.",
+        show_default="that of training",
+    ),
+]
+EmbeddingsFile = Annotated[
+    Path | None,
+    typer.Option(
+        help="What the text encoder makes of the prompt: npz with one array [1, L, D]; of SDXL "
+        "prompt_embeds, pooled_prompt_embeds and, if they are not to follow the size, time_ids.",
+        show_default=f"DIR/{_EMBEDDINGS}",
+    ),
+]
+TimeIds = Annotated[
+    str | None,
+    typer.Option(
+        help="What SDXL is told of the image: height,width,top,left,height,width.",
+        show_default="those of the embeddings, or the size of images",
+    ),
+]
+Values = Annotated[
+    Literal["signed", "unit"],
+    typer.Option(
+        help="Black and white of images: −1 and 1, or 0 and 1 as renderers have them."
+    ),
+]
+Result = Annotated[
+    Literal["image", "network"],
+    typer.Option(help="The clean image, or what the network itself predicts."),
+]
+
+
+def build(
+    checkpoint: Folder,
+    vae: Vae = None,
+    lora: Lora = None,
+    difix: DifixFile = None,
+    timestep: Timestep = 199.0,
+    timestep_input: Steers = False,
+    size: Size = None,
+    embeddings: EmbeddingsFile = None,
+    time_ids: TimeIds = None,
+    values: Values = "signed",
+    result: Result = "image",
+) -> "Denoiser":
+    """Read a checkpoint, say what is in it, and return its model."""
+    from importlib.metadata import version
+
+    from gsgen.contract.spec.manifest import Producer
+    from gsgen.reference_plugins.images.denoiser import Denoiser, Step
+    from gsgen.reference_plugins.images.diffusion_checkpoint import read_diffusion
+
+    given = None if size is None else read_size(size)
+    loras = [_scaled(word) for word in lora or ()]
+    read = read_diffusion(checkpoint, vae, difix=difix, loras=loras)
+    note(read.describe())
+    for warning in read.warnings:
+        note(f"warning: {warning}")
+    sides = _trained(read) if size is None else given
+    if sides and (sides[0] % read.stride or sides[1] % read.stride):
+        note(
+            f"note: sides are no multiples of {read.stride}; images are continued by their edge"
+        )
+    step = Step(timestep, timestep_input, sides, values == "unit", result == "network")
+    prompt = _conditioning(read, checkpoint, embeddings)
+    made = Denoiser(read, step, prompt.context, _vector(read, prompt, time_ids, sides))
+    made.producer = Producer(f"gsgen {version('gsgen')}", weights_sha256=read.digest)
+    return made
+
+
+def _scaled(word: str) -> tuple[Path, float]:
+    """Return the file and the scale that ``FILE[:SCALE]`` says."""
+    import math
+
+    name, colon, text = word.rpartition(":")
+    if not colon or Path(word).exists():
+        return Path(word), 1.0
+    if text.strip("0123456789.,+-eE") not in ("", "inf", "nan"):
+        return Path(word), 1.0  # a colon of the file's own
+    try:
+        scale = float(text)
+    except ValueError:
+        scale = math.nan
+    if not math.isfinite(scale):
+        mend = "Write it as FILE or FILE:0.8."
+        raise ConfigInvalid(f"{text!r} is no scale", where="--lora", mend=mend)
+    return Path(name), scale
+
+
+def _trained(read: "DiffusionCheckpoint") -> tuple[int, int]:
+    if read.size is None:
+        mend = "Give --size HEIGHTxWIDTH, or --size any."
+        raise ConfigInvalid("the checkpoint tells no size", where="--size", mend=mend)
+    note(f"size: {read.size[0]} × {read.size[1]}, that of training")
+    return read.size
+
+
+def _conditioning(
+    read: "DiffusionCheckpoint", folder: Path, embeddings: Path | None
+) -> "Embeddings":
+    """Return the conditioning: of the file given, or of the one that lies in the folder."""
+    from gsgen.reference_plugins.images.embeddings import Embeddings, read_embeddings
+
+    usual, options = folder / _EMBEDDINGS, read.unet.options
+    if embeddings is None and (options.context is None or not usual.is_file()):
+        return Embeddings()
+    path = embeddings or usual
+    found = read_embeddings(path, pooled=options.vector is not None)
+    note(f"conditioning: {path}, {found.describe()}")
+    return found
+
+
+def _vector(
+    read: "DiffusionCheckpoint",
+    prompt: "Embeddings",
+    ids: str | None,
+    size: tuple[int, int] | None,
+) -> "Tensor | None":
+    """Return what is added to the embedded time: the prompt, and numbers about the image."""
+    from gsgen.reference_plugins.diffusion.unet import added_vector
+
+    if read.unet.options.vector is None:
+        if ids is not None:
+            raise ConfigInvalid("the network takes no time_ids", where="--time-ids")
+        return None
+    if prompt.pooled is None:
+        return None  # that nothing was given is said of the conditioning as a whole
+    time_ids = prompt.time_ids if ids is None else _numbers(ids)
+    if time_ids is None:
+        if size is None:
+            mend = "Give --time-ids HEIGHT,WIDTH,0,0,HEIGHT,WIDTH."
+            what = "images of any size tell none"
+            raise ConfigInvalid(what, where="--time-ids", mend=mend)
+        time_ids = (*map(float, size), 0.0, 0.0, *map(float, size))
+        note(f"time_ids: {','.join(f'{one:g}' for one in time_ids)}, the size of images")
+    try:
+        return added_vector(prompt.pooled, time_ids, read.unet.options)
+    except ValueError as error:
+        what = f"the pooled prompt and time_ids do not fit the network: {error}"
+        raise ConfigInvalid(what, where="--time-ids") from error
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    import math
+
+    try:
+        made = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        made = ()
+    if not made or not all(map(math.isfinite, made)):
+        mend = "Write them as 1024,1024,0,0,1024,1024."
+        raise ConfigInvalid(
+            f"{text!r} is no list of numbers", where="--time-ids", mend=mend
+        )
+    return made
+
+
+PLUGIN = Plugin(
+    name="denoiser",
+    summary="One step of a diffusion network that cleans the rendered image (post-process).",
+    reads="Reads the layout of diffusers: DIR/unet/ and, for networks on latents, DIR/vae/, each "
+    "with config.json and diffusion_pytorch_model.safetensors (or .bin), and "
+    "DIR/scheduler/scheduler_config.json. A U-Net's own folder will do, too.",
+    inputs=("image", "timestep"),
+    build=build,
+)

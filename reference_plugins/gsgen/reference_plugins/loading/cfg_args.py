@@ -1,0 +1,199 @@
+"""The options of a training run, as ``cfg_args`` records them.
+
+The file is one line, ``str(argparse.Namespace)``: ``Namespace(feat_dim=32, eval=True, …)``. The
+published loaders hand it to ``eval``; here it is parsed, and only literals are taken. A path,
+which pathlib prints as ``PosixPath('…')``, is its text. Whatever else Python printed there stays
+the text that it is, and is an error for whoever asks for that option alone.
+"""
+
+__all__ = ["CfgArgs", "Printed", "read_cfg_args"]
+
+import ast
+import keyword
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gsgen.reference_plugins.loading.errors import CheckpointInvalid
+
+_NAME = "cfg_args"
+_MOST_BYTES = 1 << 20
+_SHOWN = 80
+# What pathlib calls the paths that it prints.
+_PATHS = frozenset(
+    f"{pure}{kind}Path" for pure in ("", "Pure") for kind in ("", "Posix", "Windows")
+)
+# Texts; and what Python prints, but does not read: objects, as <function main at 0x7f…>, and
+# options that are called as a word of Python, as --lambda.
+_WORDS = "|".join(keyword.kwlist)
+_TEXT_OR_NOT_PYTHON = re.compile(
+    r"""'(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*"|"""
+    rf"(?P<other><[^<>\n]*>|\b(?:{_WORDS}|__debug__)(?==))"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Printed:
+    """A value that is no literal, as Python printed it: its text, which nobody runs."""
+
+    text: str
+
+    def __repr__(self) -> str:
+        """Return the text."""
+        return self.text
+
+
+@dataclass(frozen=True, slots=True)
+class CfgArgs:
+    """The options of one training run.
+
+    Attributes:
+        path: Where they were read.
+        values: Option → literal, or :class:`Printed`; empty where the file is absent.
+        present: Whether there was a file.
+    """
+
+    path: Path
+    values: dict[str, Any]
+    present: bool = True
+
+    def flag(self, name: str, default: bool = False) -> bool:
+        """Return a yes or no."""
+        value = self.values.get(name, default)
+        if not isinstance(value, bool):
+            raise self._unlike(name, "True or False")
+        return value
+
+    def integer(self, name: str, default: int) -> int:
+        """Return a whole number."""
+        value = self.values.get(name, default)
+        if not isinstance(value, int) or isinstance(value, bool):
+            raise self._unlike(name, "a whole number")
+        return value
+
+    def number(self, name: str, default: float) -> float:
+        """Return a number."""
+        value = self.values.get(name, default)
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            raise self._unlike(name, "a number")
+        return float(value)
+
+    def word(self, name: str, default: str, known: Iterable[str] = ()) -> str:
+        """Return a word, one of ``known`` if that is given."""
+        value = self.values.get(name, default)
+        choices = tuple(known)
+        if not isinstance(value, str) or (choices and value not in choices):
+            raise self._unlike(name, " or ".join(map(repr, choices)) or "a word")
+        return value
+
+    def printed(self) -> dict[str, Printed]:
+        """Return the options that are no literals: whoever needs one of them cannot have it."""
+        return {
+            name: value for name, value in self.values.items() if isinstance(value, Printed)
+        }
+
+    def _unlike(self, name: str, wanted: str) -> CheckpointInvalid:
+        seen = repr(self.values[name])[:_SHOWN]
+        return CheckpointInvalid(f"{name} is {seen}, wanted {wanted}", where=str(self.path))
+
+
+def read_cfg_args(folder: Path, *, required: bool = False) -> CfgArgs:
+    """Read ``cfg_args`` of the training run in ``folder``.
+
+    Args:
+        folder: The output folder of a training run.
+        required: The method cannot be exported without.
+
+    Raises:
+        CheckpointInvalid: The file is missing but required, or is no ``Namespace`` of literals.
+    """
+    path = folder / _NAME
+    if not path.is_file():
+        if required:
+            mend = f"Copy {_NAME} from the folder that training wrote: its flags change the result."
+            raise CheckpointInvalid("is missing", where=str(path), mend=mend)
+        return CfgArgs(path, {}, present=False)
+    return CfgArgs(path, _parsed(path))
+
+
+def _parsed(path: Path) -> dict[str, Any]:
+    mend = "Wanted one line: Namespace(name=literal, …), as the training code writes it."
+    if path.stat().st_size > _MOST_BYTES:
+        raise CheckpointInvalid(
+            f"is larger than {_MOST_BYTES} bytes", where=str(path), mend=mend
+        )
+    try:
+        text = path.read_text("utf-8").strip()
+        tree = _tree(text)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        reason = getattr(error, "msg", str(error))
+        raise CheckpointInvalid(
+            f"cannot be parsed: {reason}", where=str(path), mend=mend
+        ) from error
+    if not (
+        isinstance(tree, ast.Call)
+        and isinstance(tree.func, ast.Name)
+        and tree.func.id == "Namespace"
+        and not tree.args
+        and all(one.arg or _is_unspellable(one.value) for one in tree.keywords)
+    ):
+        raise CheckpointInvalid("is no Namespace(…)", where=str(path), mend=mend)
+    return {name: _value(node, text) for name, node in _options(tree, text)}
+
+
+def _tree(text: str) -> ast.expr:
+    try:
+        return ast.parse(text, mode="eval").body
+    except SyntaxError:
+        # A name as long as it, so that everything stays where it is in the text.
+        named = _TEXT_OR_NOT_PYTHON.sub(
+            lambda found: "_" * len(found[0].encode()) if found["other"] else found[0], text
+        )
+        if named == text:
+            raise
+        return ast.parse(named, mode="eval").body
+
+
+def _is_unspellable(value: ast.expr) -> bool:
+    """Whether this is how argparse prints options whose names are no identifiers: ``**{'a-b': 1}``."""
+    return isinstance(value, ast.Dict) and all(
+        isinstance(key, ast.Constant)
+        and isinstance(key.value, str)
+        and not key.value.isidentifier()
+        for key in value.keys
+    )
+
+
+def _options(tree: ast.Call, text: str) -> Iterator[tuple[str, ast.expr]]:
+    for option in tree.keywords:
+        if option.arg:
+            # As it is in the text: Python normalises names.
+            source = ast.get_source_segment(text, option) or option.arg
+            yield source.partition("=")[0].rstrip(), option.value
+        elif isinstance(option.value, ast.Dict):
+            for key, value in zip(option.value.keys, option.value.values, strict=True):
+                assert isinstance(key, ast.Constant)
+                yield str(key.value), value
+
+
+def _value(node: ast.expr, text: str) -> Any:
+    source = ast.get_source_segment(text, node) or ""
+    try:
+        return ast.literal_eval(_Plain().visit(node))
+    except (ValueError, TypeError, RecursionError, MemoryError):
+        return Printed(source)
+
+
+class _Plain(ast.NodeTransformer):
+    """Reads numbers that have no literal, ``inf`` and ``nan``, and paths as their text."""
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        return ast.Constant(float(node.id)) if node.id in ("inf", "nan") else node
+
+    def visit_Call(self, node: ast.Call) -> ast.expr:
+        match node:
+            case ast.Call(ast.Name(name), [ast.Constant(str(path))], []) if name in _PATHS:
+                return ast.Constant(path)
+        return node

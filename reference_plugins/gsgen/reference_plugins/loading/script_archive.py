@@ -1,0 +1,166 @@
+"""Tensors of a TorchScript archive, read without loading its program.
+
+``torch.jit.load`` compiles code that is in the file. The weights alone are a pickle (``data.pkl``)
+and one raw file for each storage, inside an uncompressed zip; a pickle reader that knows tensors
+and nothing else finds them by the names that ``state_dict`` would give.
+"""
+
+__all__ = ["is_script_archive", "read_script_state"]
+
+import pickle
+import sys
+import zipfile
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, final
+
+import torch
+from torch import Tensor
+
+from gsgen.reference_plugins.loading.errors import CheckpointInvalid
+
+_DTYPES = {
+    "FloatStorage": torch.float32,
+    "DoubleStorage": torch.float64,
+    "HalfStorage": torch.float16,
+    "BFloat16Storage": torch.bfloat16,
+    "LongStorage": torch.int64,
+    "IntStorage": torch.int32,
+    "ShortStorage": torch.int16,
+    "CharStorage": torch.int8,
+    "ByteStorage": torch.uint8,
+    "BoolStorage": torch.bool,
+}
+
+
+def is_script_archive(path: Path) -> bool:
+    """Whether ``torch.jit.save`` wrote the file, and not ``torch.save``: it has constants.
+
+    An archive too damaged to be listed is one for :func:`read_script_state` to refuse.
+    """
+    try:
+        if not zipfile.is_zipfile(path):
+            return False
+        with zipfile.ZipFile(path) as archive:
+            return any(name.endswith("/constants.pkl") for name in archive.namelist())
+    except (zipfile.BadZipFile, ValueError, RuntimeError, OSError):
+        return True
+
+
+def read_script_state(path: Path) -> dict[str, Tensor]:
+    """Return the parameters and buffers of the archive at ``path``, by dotted name.
+
+    Raises:
+        CheckpointInvalid: The file is no TorchScript archive, or refers to anything but tensors
+            and modules.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return dict(_tensors(_Reader(archive).module(), ""))
+    except (zipfile.BadZipFile, pickle.UnpicklingError, KeyError, OSError) as error:
+        raise _damaged(path, error) from error
+    except (ValueError, TypeError, RuntimeError, EOFError, AttributeError) as error:
+        raise _damaged(path, error) from error  # what a pickle with wrong arguments raises
+
+
+def _damaged(path: Path, error: Exception) -> CheckpointInvalid:
+    reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+    mend = "Wanted a network saved by torch.jit.save, as the training code writes it."
+    return CheckpointInvalid(f"cannot be read: {reason}", where=str(path), mend=mend)
+
+
+@final
+class _Module:
+    """Stands for any TorchScript class; keeps its attributes and does nothing."""
+
+    def __init__(self) -> None:
+        self.attributes: dict[str, Any] = {}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.attributes = state
+
+
+@final
+class _Storage:
+    """Names a storage's dtype; never called."""
+
+    def __init__(self, dtype: torch.dtype) -> None:
+        self.dtype = dtype
+
+
+@final
+class _Reader:
+    """Reads the pickle of one archive."""
+
+    def __init__(self, archive: zipfile.ZipFile) -> None:
+        self._archive = archive
+        names = [name for name in archive.namelist() if name.endswith("/data.pkl")]
+        if len(names) != 1:
+            raise ValueError(f"{len(names)} entries data.pkl, wanted one")
+        self._root = names[0].removesuffix("data.pkl")
+        order = f"{self._root}byteorder"
+        if (
+            order in archive.namelist()
+            and self._bytes("byteorder") != sys.byteorder.encode()
+        ):
+            raise ValueError("is of the other byte order")
+
+    def module(self) -> Any:
+        with self._archive.open(f"{self._root}data.pkl") as file:
+            return _Unpickler(file, self.storage).load()
+
+    def storage(self, key: str, dtype: torch.dtype) -> Tensor:
+        return torch.frombuffer(bytearray(self._bytes(f"data/{key}")), dtype=dtype)
+
+    def _bytes(self, name: str) -> bytes:
+        info = self._archive.getinfo(self._root + name)
+        if info.compress_type != zipfile.ZIP_STORED:
+            raise ValueError(f"{info.filename} is compressed")
+        return self._archive.read(info)
+
+
+class _Unpickler(pickle.Unpickler):
+    def __init__(self, file: Any, storage: Callable[[str, torch.dtype], Tensor]) -> None:
+        super().__init__(file)
+        self._storage = storage
+
+    def find_class(self, module: str, name: str) -> Any:
+        if module == "__torch__" or module.startswith("__torch__."):
+            return _Module
+        if module == "torch" and name in _DTYPES:
+            return _Storage(_DTYPES[name])
+        if (module, name) == ("torch._utils", "_rebuild_tensor_v2"):
+            return _rebuilt
+        if (module, name) == ("collections", "OrderedDict"):
+            return OrderedDict
+        raise pickle.UnpicklingError(f"refers to {module}.{name}, which is no tensor")
+
+    def persistent_load(self, pid: Any) -> Tensor:
+        _, kind, key, *_ = pid
+        return self._storage(str(key), kind.dtype)
+
+
+def _rebuilt(
+    storage: Tensor, offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any
+) -> Tensor:
+    if not size or 0 in size:
+        return (
+            storage[offset : offset + 1].reshape(size)
+            if not size
+            else storage.new_empty(size)
+        )
+    last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
+    if offset < 0 or min(stride) < 0 or last >= len(storage):
+        raise ValueError(
+            f"a tensor {list(size)} does not fit its storage of {len(storage)}"
+        )
+    return storage.as_strided(size, stride, offset).clone()
+
+
+def _tensors(value: Any, prefix: str) -> Iterator[tuple[str, Tensor]]:
+    if isinstance(value, Tensor):
+        yield prefix, value
+    elif isinstance(value, _Module):
+        for name, child in value.attributes.items():
+            yield from _tensors(child, f"{prefix}.{name}" if prefix else str(name))

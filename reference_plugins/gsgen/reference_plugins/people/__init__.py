@@ -1,0 +1,1 @@
+"""People: GauHuman, LHM and R3-Avatar."""

@@ -1,0 +1,1 @@
+"""Splats and point clouds that do not move."""

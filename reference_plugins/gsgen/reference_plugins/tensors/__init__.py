@@ -1,0 +1,1 @@
+"""Which tensor operations do several families share?"""

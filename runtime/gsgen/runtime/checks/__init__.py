@@ -1,0 +1,1 @@
+"""Is what a model draws right (level render)?"""

@@ -1,0 +1,82 @@
+"""Example models that break a rule of level ``render``, and show nothing wrong before."""
+
+__all__ = ["render_fixtures", "with_reference"]
+
+import hashlib
+import sys
+from dataclasses import replace
+
+import numpy as np
+
+from gsgen.conformance.fixtures import Fixture
+from gsgen.conformance.fixtures.builders.arrays import f32
+from gsgen.conformance.fixtures.builders.clouds import still
+from gsgen.conformance.fixtures.builders.fixture import breaks, fixtures_in
+from gsgen.conformance.fixtures.builders.moving import drifting
+from gsgen.conformance.fixtures.builders.sketch import Sketch
+from gsgen.contract.spec.layout import COVARIANCE
+from gsgen.contract.spec.manifest import ReferenceImage
+from gsgen.contract.spec.severity import Level
+
+
+def render_fixtures() -> list[Fixture]:
+    """Return the models, one a rule."""
+    return fixtures_in(sys.modules[__name__])
+
+
+@breaks("GB018", level=Level.RENDER)
+def too_fine_to_be_seen() -> Sketch:
+    """Gaussians a thousandth of a pixel wide, of whose opacity antialiasing leaves nothing."""
+    fine = still()
+    rows = np.array(fine.weights["rows"])
+    rows[:, COVARIANCE] *= 1e-9
+    return fine.weighing(rows=rows).declaring(antialias="mip")
+
+
+@breaks("GB019", level=Level.RENDER)
+def grows_out_of_nothing() -> Sketch:
+    """At time zero Gaussians are too fine to be seen; they grow with time."""
+    growing = drifting().reworded(
+        "gaussians = Concat <axis = 1> (moved, opacity, spread)",
+        "size = Max (time, least) wide = Mul (spread, size) "
+        "gaussians = Concat <axis = 1> (moved, opacity, wide)",
+    )
+    return growing.weighing(least=f32(1e-9)).declaring(antialias="mip")
+
+
+@breaks("GB020", level=Level.RENDER)
+def opaque_behind_opaque() -> Sketch:
+    """A black sheet that fills the view, and a white one behind it: a hundredth of it shows, or not."""
+    sheets = still(2)
+    rows, colors = (np.array(sheets.weights[name]) for name in ("rows", "colors"))
+    rows[:, :3], rows[:, 3] = (0.0, 0.0, 0.0), 1.0
+    rows[:, COVARIANCE] = 0.0
+    rows[:, [4, 7, 9]] = 30.0**2
+    colors[0], colors[1] = -1.7, 1.7
+    return sheets.weighing(rows=rows, colors=colors)
+
+
+@breaks("GB021", level=Level.RENDER)
+def looks_otherwise() -> Sketch:
+    """The picture beside the model is all red; the model is not."""
+    from gsgen.runtime.media.pictures import png_of
+
+    red = np.zeros((36, 64, 3), np.uint8)
+    red[..., 0] = 255
+    return with_reference(still(), png_of(red))
+
+
+def with_reference(sketch: Sketch, png: bytes, **changes: object) -> Sketch:
+    """Return a copy that declares a picture of 64×36 pixels, seen from four units away."""
+    straight = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 4.0))
+    one = ReferenceImage(
+        path="reference.png",
+        sha256=hashlib.sha256(png).hexdigest(),
+        inputs="no inputs",
+        view=straight,
+        focal=(50.0, 50.0),
+        center=(32.0, 18.0),
+    )
+    declared = replace(one, **changes)  # type: ignore[arg-type]
+    beside = replace(sketch, beside={"reference.png": png})
+    return beside.declaring(reference_images=(declared,))

@@ -1,0 +1,105 @@
+"""What `gsgen doctor` asks of the graphics surroundings, of windows, and for files of splats."""
+
+__all__ = ["checks"]
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+from gsgen.contract.tools.doctor import Check, package
+
+_SECONDS = 60
+_PURPOSE = "draw; graph capture"
+_WINDOW = "windows of `gsgen view`"
+_NOTEBOOK = "`gsgen.runtime.view` in notebooks"
+_DRIVERS = "install a Vulkan driver; without a GPU, `make drivers` in the project, or Mesa 25 or newer"
+_RUNTIME = "pip install 'gsgen[runtime]'"
+
+# In a child process: a driver that crashes must not take the doctor down.
+_LIST = """
+import json, wgpu
+print(json.dumps([dict(a.info) for a in wgpu.gpu.enumerate_adapters_sync()], default=str))
+"""
+_SCREEN = """
+import json
+from gsgen.runtime.errors import DisplayUnavailable
+from gsgen.runtime.viewer.window import require_display
+try:
+    require_display()
+    print(json.dumps(None))
+except DisplayUnavailable as error:
+    print(json.dumps(error.what))
+"""
+
+
+def checks() -> Iterator[Check]:
+    """Yield the state of what drawing and showing need, and some file formats."""
+    wgpu = package("wgpu", _RUNTIME, purpose="draw")
+    yield wgpu
+    if wgpu.state == "ok":
+        yield from _adapters()
+    windows = [
+        package(name, _RUNTIME, purpose=_WINDOW) for name in ("glfw", "rendercanvas")
+    ]
+    yield from windows
+    if all(one.state == "ok" for one in windows):
+        yield _screen()
+    yield _widget()
+    remedy = "pip install 'gsgen[formats]'"
+    yield package("pillow", remedy, purpose="read SOG; write pictures")
+    yield package("zstandard", remedy, purpose="SPZ version 4")
+    yield package("trimesh", _RUNTIME, purpose="read meshes")
+
+
+def _adapters() -> Iterator[Check]:
+    adapters = _told("adapters", _LIST, _DRIVERS, _PURPOSE)
+    if isinstance(adapters, Check):
+        yield adapters
+        return
+    if not adapters:
+        yield Check("adapters", "missing", "no graphics adapter", _DRIVERS, _PURPOSE)
+    for adapter in adapters:
+        name, kind, backend = (
+            adapter.get(key, "?") for key in ("device", "adapter_type", "backend_type")
+        )
+        detail = f"{name} ({kind}, {backend}) {adapter.get('description', '')}"
+        yield Check("adapter", "ok", detail.strip(), purpose=_PURPOSE)
+
+
+def _screen() -> Check:
+    """Try whether a window could be opened."""
+    trouble = _told("screen", _SCREEN, _RUNTIME, _WINDOW)
+    if isinstance(trouble, Check):
+        return trouble
+    if trouble is None:
+        return Check("screen", "ok", "windows can be opened", purpose=_WINDOW)
+    return Check("screen", "missing", trouble, "without one, `gsgen render` draws", _WINDOW)
+
+
+def _widget() -> Check:
+    """Say what shows a scene in a notebook: rendercanvas has two ways, and one is enough."""
+    found = [package(name, "", purpose=_NOTEBOOK) for name in ("anywidget", "jupyter_rfb")]
+    there = [one for one in found if one.state == "ok"]
+    missing = Check(
+        "anywidget", "missing", "not installed", "pip install anywidget", _NOTEBOOK
+    )
+    return there[0] if there else missing
+
+
+def _told(name: str, code: str, remedy: str, purpose: str) -> Any:
+    """Return what ``code`` prints as JSON in a child, or the check that says how it failed."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", code],
+            capture_output=True,
+            text=True,
+            timeout=_SECONDS,
+        )
+    except subprocess.TimeoutExpired:
+        return Check(name, "broken", f"no answer after {_SECONDS} s", remedy, purpose)
+    if done.returncode != 0:
+        tail = done.stderr.strip().splitlines()[-1:] or [f"exit status {done.returncode}"]
+        return Check(name, "broken", tail[0], remedy, purpose)
+    return json.loads(done.stdout.strip().splitlines()[-1])

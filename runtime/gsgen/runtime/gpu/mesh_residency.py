@@ -1,0 +1,90 @@
+"""What of meshes is on the GPU: their triangles and colours, for as long as anybody holds them."""
+
+__all__ = ["MeshBuffers", "MeshResidency"]
+
+from dataclasses import dataclass
+from typing import Any, final
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from jaxtyping import UInt8
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.scene.mesh import MeshData
+
+_NO_UV = np.zeros((1, 2), np.float32)
+_WHITE = np.full((1, 1, 4), 255, np.uint8)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshBuffers:
+    """The arrays of one :class:`MeshData` on the GPU.
+
+    Attributes:
+        vertices: Buffer of float32, three a vertex.
+        faces: Buffer of uint32, three a triangle.
+        colors: Buffer of float32, three a vertex.
+        uvs: Buffer of float32, two a vertex, or of two in all.
+        picture: View of the texture, which may be one white texel.
+        count: How many triangles there are.
+    """
+
+    vertices: Any
+    faces: Any
+    colors: Any
+    uvs: Any
+    picture: Any
+    count: int
+
+
+@final
+class MeshResidency:
+    """Keeps each ``MeshData`` on the GPU for as long as anybody holds it.
+
+    Args:
+        device: Where the buffers are.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._held: WeakKeyDictionary[MeshData, MeshBuffers] = WeakKeyDictionary()
+        self._versions: WeakKeyDictionary[MeshData, int] = WeakKeyDictionary()
+
+    def buffers(self, data: MeshData) -> MeshBuffers:
+        """Return the buffers of ``data``, uploaded where it is new or has moved.
+
+        Raises:
+            CapacityExceeded: An array or the texture is larger than the device binds.
+        """
+        if data not in self._held:
+            self._held[data] = MeshBuffers(
+                self._uploaded("mesh vertices", data.vertices),
+                self._uploaded("mesh faces", data.faces),
+                self._uploaded("mesh colors", data.colors),
+                self._uploaded("mesh uv", _NO_UV if data.uv is None else data.uv),
+                self._picture(_WHITE if data.texture is None else data.texture),
+                len(data),
+            )
+        elif self._versions[data] != data.version:
+            self._device.write(self._held[data].vertices, data.vertices)
+        self._versions[data] = data.version
+        return self._held[data]
+
+    def _uploaded(self, label: str, values: np.ndarray) -> Any:
+        buffer = self._device.storage(label, values.nbytes)
+        self._device.write(buffer, values)
+        return buffer
+
+    def _picture(self, texture: UInt8[np.ndarray, "h w 4"]) -> Any:
+        height, width = texture.shape[:2]
+        made = self._device.texture(
+            "mesh texture", (width, height), "rgba8unorm", "TEXTURE_BINDING|COPY_DST"
+        )
+        self._device.raw.queue.write_texture(
+            {"texture": made},
+            np.ascontiguousarray(texture),
+            {"bytes_per_row": 4 * width, "rows_per_image": height},
+            (width, height, 1),
+        )
+        return made.create_view()

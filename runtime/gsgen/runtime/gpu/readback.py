@@ -1,0 +1,53 @@
+"""Staging: what comes back from the device, by one copy, through one buffer that stays."""
+
+__all__ = ["Staging"]
+
+from collections.abc import Iterable, Mapping
+from typing import Any, final
+
+import numpy as np
+
+from gsgen.runtime.gpu.device import Device
+
+_ALIGNMENT = 256
+
+
+@final
+class Staging:
+    """A buffer that the CPU can read, with a place for each of several others.
+
+    Args:
+        device: Of the buffers.
+        sources: Buffers to be read, by name.
+    """
+
+    def __init__(self, device: Device, sources: Mapping[str, Any]) -> None:
+        self._sources = dict(sources)
+        self._offsets: dict[str, int] = {}
+        size = 0
+        for name, buffer in self._sources.items():
+            self._offsets[name] = size
+            size += -(-buffer.size // _ALIGNMENT) * _ALIGNMENT
+        self._buffer = device.readable("what comes back from the device", size)
+
+    def encode(self, encoder: Any, names: Iterable[str] | None = None) -> None:
+        """Copy sources, all where absent, once what is encoded before has run."""
+        for name in self._sources if names is None else names:
+            source = self._sources[name]
+            encoder.copy_buffer_to_buffer(
+                source, 0, self._buffer, self._offsets[name], source.size
+            )
+
+    def read(self, dtypes: Mapping[str, type[np.generic]]) -> dict[str, np.ndarray]:
+        """Wait for the device, and return a copy of each named source as an array."""
+        self._buffer.map_sync("READ")
+        try:
+            return {
+                name: np.frombuffer(
+                    self._buffer.read_mapped(self._offsets[name], self._sources[name].size),
+                    dtype,
+                ).copy()
+                for name, dtype in dtypes.items()
+            }
+        finally:
+            self._buffer.unmap()

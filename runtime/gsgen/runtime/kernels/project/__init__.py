@@ -1,0 +1,1 @@
+"""Where in the image does each Gaussian lie, and which colour has it?"""

@@ -1,0 +1,91 @@
+"""Project cells: say how far away each is, and which tiles it has."""
+
+__all__ = ["CELL_REACH", "ProjectCells", "box_reference", "circle_reference"]
+
+from typing import Any, Final, final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.project.project import PAGE
+from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.kernels.shared.kernel import Kernel, Step
+from gsgen.runtime.kernels.shared.shader import LEAST_APART, ROUND, TILE
+
+CELL_REACH: Final = 2.0
+"""Standard deviations beyond which a cell ends (Liu et al. 2025, their code)."""
+
+_THREADS: Final = 64
+
+
+@final
+class ProjectCells:
+    """``project_cells.wgsl``.
+
+    Args:
+        device: Where it runs.
+        panorama: Whether the image is one.
+    """
+
+    def __init__(self, device: Device, panorama: bool = False) -> None:
+        self.kernel = Kernel(
+            device,
+            "project_cells",
+            "project_cells",
+            ("uwwwrww", "ur"),
+            THREADS=_THREADS,
+            DRAWN=int(Counts.DRAWN),
+            CELL_REACH=CELL_REACH,
+            **(ROUND if panorama else {}),
+        )
+
+    def step(
+        self, outputs: tuple[Any, ...], uniform: Any, slot: int, cells: Any, count: int
+    ) -> Step:
+        """Return the step for the cells of a set.
+
+        Args:
+            outputs: What group 0 of ``project_cells.wgsl`` binds, in its order.
+            uniform: Uniforms of all sets.
+            slot: Which of them is this set's.
+            cells: Their rows.
+            count: How many there are.
+        """
+        own = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
+        binds = (self.kernel.bind(*outputs), self.kernel.bind(own, cells, group=1))
+        return Step(self.kernel, binds, (-(-count // _THREADS), 1, 1))
+
+
+def circle_reference(
+    covariance: Float[np.ndarray, "n 2 2"], reach: float
+) -> Float[np.ndarray, " n"]:
+    """What ``circle.wgsl`` must find: a radius of whole pixels.
+
+    Args:
+        covariance: In pixels², with the dilation.
+        reach: Standard deviations.
+    """
+    middle = np.trace(covariance, axis1=1, axis2=2) / 2
+    apart = np.sqrt(np.maximum(LEAST_APART, middle**2 - np.linalg.det(covariance)))
+    return np.asarray(np.ceil(reach * np.sqrt(middle + apart)))
+
+
+def box_reference(
+    mean: Float[np.ndarray, "2"], radius: float, size: tuple[int, int]
+) -> Bool[np.ndarray, "rows columns"]:
+    """Say which tiles ``cell_box.wgsl`` must find, where the image is no panorama.
+
+    Args:
+        mean: In pixels of the image.
+        radius: In pixels.
+        size: Width and height of the image.
+    """
+    across, down = (np.arange(-(-side // TILE)) for side in size)
+    low = np.floor((mean - 0.5 - radius) / TILE)
+    high = np.floor((mean - 0.5 + radius + TILE - 1) / TILE)
+    columns, rows = (
+        (along >= low[axis]) & (along < high[axis])
+        for axis, along in enumerate((across, down))
+    )
+    return np.asarray(rows[:, None] & columns)

@@ -1,0 +1,1 @@
+"""What do render pipelines draw: quads of splats, meshes, the window?"""

@@ -1,0 +1,178 @@
+"""Draw quads: splats through the hardware's rasteriser instead of tiles."""
+
+__all__ = ["DrawQuads", "QuadsStep"]
+
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.raster.draw_meshes import DEPTHS, MeshesStep
+from gsgen.runtime.kernels.shared.counts import PLACES, Counts
+from gsgen.runtime.kernels.shared.shader import ROUND, source
+
+_ROW_BYTES: Final = 256  # what a row of a copied texture has to be a multiple of
+_UNDER: Final = {
+    "src_factor": "one",
+    "dst_factor": "one-minus-src-alpha",
+    "operation": "add",
+}
+_TESTED: Final = {
+    "format": DEPTHS,
+    "depth_write_enabled": False,
+    "depth_compare": "greater-equal",
+}
+_VISIBILITY: Final = "VERTEX|FRAGMENT"
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class QuadsStep:
+    """One drawing of all splats.
+
+    Attributes:
+        pipeline: What draws.
+        bind: What it binds.
+        texture: What it draws on.
+        view: Of the texture.
+        counts: Where the arguments of the drawing are.
+        image: The buffer that the picture is copied to.
+        row_bytes: Of the image.
+        size: Width and height, in pixels.
+        depth: View of the meshes' depths, or None; then ``texture`` is theirs, too.
+    """
+
+    pipeline: Any
+    bind: Any
+    texture: Any
+    view: Any
+    counts: Any
+    image: Any
+    row_bytes: int
+    size: tuple[int, int]
+    depth: Any
+
+    def encode(
+        self,
+        encoder: Any,
+        background: Float[np.ndarray, "3"],
+        stamps: dict[str, Any] | None = None,
+    ) -> None:
+        """Draw over ``background``, or over the meshes, and copy the picture to the image."""
+        target = {
+            "view": self.view,
+            "clear_value": (*background.tolist(), 0.0),
+            "load_op": "clear" if self.depth is None else "load",
+            "store_op": "store",
+        }
+        tested = (
+            None if self.depth is None else {"view": self.depth, "depth_read_only": True}
+        )
+        drawing = encoder.begin_render_pass(
+            label="quads",
+            color_attachments=[target],
+            depth_stencil_attachment=tested,
+            timestamp_writes=stamps,
+        )
+        drawing.set_pipeline(self.pipeline)
+        drawing.set_bind_group(0, self.bind)
+        drawing.draw_indirect(self.counts, 4 * Counts.DRAW_ARGUMENTS)
+        drawing.end()
+        encoder.copy_texture_to_buffer(
+            {"texture": self.texture},
+            {"buffer": self.image, "bytes_per_row": self.row_bytes},
+            (*self.size, 1),
+        )
+
+
+@final
+class DrawQuads:
+    """``draw_quads.wgsl``.
+
+    Args:
+        device: Where it runs; it has to be able to blend 32-bit floats.
+        tested: Whether meshes may hide splats.
+        panorama: Whether the image is one.
+    """
+
+    def __init__(
+        self, device: Device, tested: bool = False, panorama: bool = False
+    ) -> None:
+        self._device = device
+        raw = self._raw = device.raw
+        kinds = ["uniform"] + ["read-only-storage"] * 5
+        entries = [
+            {"binding": at, "visibility": _VISIBILITY, "buffer": {"type": kind}}
+            for at, kind in enumerate(kinds)
+        ]
+        self._layout = raw.create_bind_group_layout(label="quads", entries=entries)
+        module = raw.create_shader_module(
+            label="draw_quads",
+            code=source(
+                "draw_quads", TESTED=tested, **PLACES, **(ROUND if panorama else {})
+            ),
+        )
+        self._pipeline = raw.create_render_pipeline(
+            label="quads",
+            layout=raw.create_pipeline_layout(bind_group_layouts=[self._layout]),
+            vertex={"module": module, "entry_point": "corner_of", "buffers": []},
+            primitive={"topology": "triangle-strip"},
+            depth_stencil=_TESTED if tested else None,
+            fragment={
+                "module": module,
+                "entry_point": "color_at",
+                "targets": [
+                    {"format": "rgba32float", "blend": {"color": _UNDER, "alpha": _UNDER}}
+                ],
+            },
+        )
+
+    @staticmethod
+    def row_bytes(width: int) -> int:
+        """Return how many bytes a row of the image has."""
+        return -(-16 * width // _ROW_BYTES) * _ROW_BYTES
+
+    def step(
+        self,
+        size: tuple[int, int],
+        resources: tuple[Any, ...],
+        counts: Any,
+        image: Any,
+        meshes: MeshesStep | None = None,
+    ) -> QuadsStep:
+        """Return the drawing of a picture.
+
+        Args:
+            size: Width and height, in pixels.
+            resources: What ``draw_quads.wgsl`` binds, in its order.
+            counts: The frame's counts.
+            image: A buffer with rows of :meth:`row_bytes`.
+            meshes: What is drawn before, and hides splats, or None.
+        """
+        texture = meshes.color if meshes else self._texture(size)
+        bind = self._raw.create_bind_group(
+            label="quads",
+            layout=self._layout,
+            entries=[
+                {"binding": at, "resource": {"buffer": one, "offset": 0, "size": one.size}}
+                for at, one in enumerate(resources)
+            ],
+        )
+        return QuadsStep(
+            self._pipeline,
+            bind,
+            texture,
+            texture.create_view(),
+            counts,
+            image,
+            self.row_bytes(size[0]),
+            size,
+            meshes.depth if meshes else None,
+        )
+
+    def _texture(self, size: tuple[int, int]) -> Any:
+        return self._device.texture(
+            "image of quads", size, "rgba32float", "RENDER_ATTACHMENT|COPY_SRC"
+        )

@@ -1,0 +1,1 @@
+"""What do all kernels share: pipelines, shader assembly, counts, common WGSL?"""

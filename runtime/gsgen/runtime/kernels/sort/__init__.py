@@ -1,0 +1,1 @@
+"""In which order are splats drawn: scan, radix sort, ties?"""

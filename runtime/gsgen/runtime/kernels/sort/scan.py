@@ -1,0 +1,107 @@
+"""Scan: replace numbers by the sum of all before them, and announce the total."""
+
+__all__ = ["Scan", "scan_reference"]
+
+from functools import cache
+from typing import Any, Final, final
+
+import numpy as np
+from jaxtyping import UInt32
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.shared.counts import PLACES, Counts
+from gsgen.runtime.kernels.shared.kernel import Kernel, Step
+
+_THREADS: Final = 256
+_RUN: Final = 8
+_BLOCK: Final = _THREADS * _RUN
+_EFFECTS: Final = {None: 0, Counts.VISIBLE: 1, Counts.PAIRS: 2}
+
+
+@final
+class Scan:
+    """``scan.wgsl``, between the two kernels of ``scan_blocks.wgsl`` where there is much to do.
+
+    A CPU scans as fast in one workgroup as in many. A GPU has one of its hundred processors busy
+    then, so numbers beyond a few thousand are reduced by blocks, whose sums alone are scanned so.
+
+    Args:
+        device: Where it runs.
+        sort_block: Keys that a workgroup of the sort has.
+        walk_block: Splats that a workgroup of the binning has.
+        range_block: Pairs that a workgroup of the ranges has.
+    """
+
+    def __init__(
+        self, device: Device, sort_block: int, walk_block: int, range_block: int
+    ) -> None:
+        self._device = device
+        constants = {
+            "SORT_BLOCK": sort_block,
+            "WALK_BLOCK": walk_block,
+            "RANGE_BLOCK": range_block,
+        } | PLACES
+        self._whole, self._sums = (
+            cache(
+                lambda share=share: Kernel(
+                    device,
+                    "scan",
+                    "scan",
+                    ("uww",),
+                    THREADS=_THREADS,
+                    SHARE=share,
+                    **constants,
+                )
+            )
+            for share in (1, _BLOCK)
+        )
+        self._reduce, self._spread = (
+            cache(
+                lambda entry=entry: Kernel(
+                    device, "scan_blocks", entry, ("urww",), THREADS=_THREADS, RUN=_RUN
+                )
+            )
+            for entry in ("reduce", "spread")
+        )
+
+    def steps(
+        self,
+        counts: Any,
+        numbers: Any,
+        *,
+        source: Counts,
+        block: int,
+        rows: int = 1,
+        total: Counts | None = None,
+    ) -> list[Step]:
+        """Return the scan of rows × ⌈counts[source] / block⌉ numbers.
+
+        Args:
+            counts: The frame's counts.
+            numbers: What is scanned, in place; its size says how many there can be.
+            source: Which count the length follows from.
+            block: See above.
+            rows: See above.
+            total: What the sum of all is announced as: VISIBLE, PAIRS or nothing.
+        """
+        uniform = self._device.uniform("scan", 16)
+        words = np.array([source, block, rows, _EFFECTS[total]], np.uint32)
+        self._device.write(uniform, words)
+        blocks = -(-numbers.size // (4 * _BLOCK))
+        if self._device.software or blocks <= 2:
+            kernel = self._whole()
+            return [Step(kernel, (kernel.bind(uniform, counts, numbers),), (1, 1, 1))]
+        sums = self._device.storage("sums of blocks", 4 * blocks)
+        reduce, scan, spread = self._reduce(), self._sums(), self._spread()
+        every = (uniform, counts, numbers, sums)
+        return [
+            Step(reduce, (reduce.bind(*every),), (blocks, 1, 1)),
+            Step(scan, (scan.bind(uniform, counts, sums),), (1, 1, 1)),
+            Step(spread, (spread.bind(*every),), (blocks, 1, 1)),
+        ]
+
+
+def scan_reference(numbers: UInt32[np.ndarray, " n"]) -> UInt32[np.ndarray, " n"]:
+    """What a scan must leave: sums stop at 2³¹ − 1 instead of wrapping around."""
+    before = np.cumsum(numbers, dtype=np.uint64) - numbers
+    return np.asarray(np.minimum(before, 0x7FFFFFFF), np.uint32)

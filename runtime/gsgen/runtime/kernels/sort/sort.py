@@ -1,0 +1,150 @@
+"""Sort: a stable radix sort of keys with values."""
+
+__all__ = ["KEY_BITS", "Columns", "Cut", "RadixSort", "cut_for", "sort_reference"]
+
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+from jaxtyping import UInt32
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.kernels.shared.kernel import Kernel, Step
+from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.sort.scan import Scan
+
+KEY_BITS: Final = 32
+"""Of a depth: a positive float sorts as its bits do."""
+
+
+class Columns(NamedTuple):
+    """Two buffers of words that are sorted together."""
+
+    keys: Any
+    values: Any
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """How work is cut into workgroups.
+
+    Attributes:
+        threads: Invocations of a workgroup of the sort.
+        run: Keys of each.
+        digit_bits: Bits that one pass sorts by, at most.
+        walk: Sorted splats that one invocation bins.
+    """
+
+    threads: int
+    run: int
+    digit_bits: int
+    walk: int
+
+    @property
+    def block(self) -> int:
+        """Keys of a workgroup."""
+        return self.threads * self.run
+
+
+def cut_for(device: Device) -> Cut:
+    """Return the cut that suits a device: a CPU likes long runs, a GPU many invocations."""
+    return Cut(8, 512, 8, 64) if device.software else Cut(256, 16, 4, 4)
+
+
+@final
+class RadixSort:
+    """``sort.wgsl``: sorts keys with values, least significant digit first.
+
+    Args:
+        device: Where it runs.
+        cut: How work is cut.
+        scan: The scan between counting and scattering.
+    """
+
+    def __init__(self, device: Device, cut: Cut, scan: Scan) -> None:
+        self._device, self._cut, self._scan = device, cut, scan
+        constants = {
+            "THREADS": cut.threads,
+            "RUN": cut.run,
+            "DIGITS": 1 << cut.digit_bits,
+            "FOUR": 4,  # keys that are read at once; a run has whole fours of them
+        }
+        self._count = Kernel(device, "sort", "count", ("urrrwww",), **constants)
+        self._scatter = Kernel(device, "sort", "scatter", ("urrrwww",), **constants)
+
+    def histogram(self, capacity: int) -> Any:
+        """Return a histogram buffer for sorting up to ``capacity`` keys."""
+        size = 4 * (1 << self._cut.digit_bits) * self.blocks(capacity)
+        return self._device.storage("histogram", size)
+
+    def blocks(self, capacity: int) -> int:
+        """Return how many workgroups ``capacity`` keys take."""
+        return max(1, -(-capacity // self._cut.block))
+
+    def steps(
+        self,
+        counts: Any,
+        histogram: Any,
+        columns: list[Columns],
+        *,
+        bits: int,
+        source: Counts,
+        groups: Counts,
+        compacting: int | None = None,
+        given: Any = None,
+    ) -> tuple[list[Step], int]:
+        """Return the steps of a sort, and which of ``columns`` has the result.
+
+        Args:
+            counts: The frame's counts.
+            histogram: From :meth:`histogram`.
+            columns: The input, and as much room again; both are overwritten.
+            bits: How many low bits of the keys to sort by.
+            source: Which count says how many keys there are.
+            groups: Where the arguments of a dispatch for as many keys are.
+            compacting: If given, the first pass takes as many keys as this, with their places
+                as values, leaves out those that are ABSENT, and announces the rest as
+                ``source``.
+            given: Keys that a compacting sort reads first, in place of those of ``columns``, and
+                leaves as they are.
+        """
+        passes = -(-bits // self._cut.digit_bits)
+        width = -(-bits // passes)
+        made: list[Step] = []
+        for number in range(passes):
+            digits = min(width, bits - number * width)
+            first = number == 0 and compacting is not None
+            now = Counts.GAUSSIANS if first else source
+            dispatch: tuple[int, int, int] | tuple[Any, int] = (counts, 4 * groups)
+            if number == 0 and compacting is not None:
+                dispatch = (self.blocks(compacting), 1, 1)
+            uniform = self._device.uniform("digit", 16)
+            words = np.array([number * width, digits, now, first], np.uint32)
+            self._device.write(uniform, words)
+            before, after = columns[number % 2], columns[1 - number % 2]
+            if first and given is not None:
+                before = Columns(given, given)  # it reads no values
+            resources = (uniform, counts, *before, histogram, *after)
+            scan = self._scan.steps(
+                counts,
+                histogram,
+                source=now,
+                block=self._cut.block,
+                rows=1 << digits,
+                total=source if first else None,
+            )
+            made += [
+                Step(self._count, (self._count.bind(*resources),), dispatch),
+                *scan,
+                Step(self._scatter, (self._scatter.bind(*resources),), dispatch),
+            ]
+        return made, passes % 2
+
+
+def sort_reference(keys: UInt32[np.ndarray, " n"], bits: int) -> UInt32[np.ndarray, " m"]:
+    """What the sort must make of places as values: ABSENT keys left out, equal keys in order."""
+    kept = np.flatnonzero(keys != ABSENT)
+    order = np.argsort(keys[kept] & ((1 << bits) - 1), kind="stable")
+    return kept[order].astype(np.uint32)

@@ -1,0 +1,1 @@
+"""Which splats touch each tile, and what colour do they blend to?"""

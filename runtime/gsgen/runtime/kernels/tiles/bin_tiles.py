@@ -1,0 +1,79 @@
+"""Bin: list the tiles that each splat touches, nearest splat first."""
+
+__all__ = ["WALK_THREADS", "BinTiles", "touched_reference"]
+
+from typing import Any, Final, final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.shared.counts import PLACES, Counts
+from gsgen.runtime.kernels.shared.kernel import Kernel, Step
+from gsgen.runtime.kernels.shared.shader import ROUND, TILE
+
+WALK_THREADS: Final = 64
+_BINDINGS = {"bin_tiles": "urrrrrwww", "bin_cells": "urrrwww"}
+
+
+@final
+class BinTiles:
+    """``bin_tiles.wgsl``, or ``bin_cells.wgsl`` for cells in place of splats.
+
+    Args:
+        device: Where it runs.
+        walk: How many splats an invocation walks along.
+        panorama: Whether the image is one.
+        cells: Whether it is cells whose tiles are listed.
+    """
+
+    def __init__(
+        self, device: Device, walk: int, panorama: bool = False, *, cells: bool = False
+    ) -> None:
+        shader = "bin_cells" if cells else "bin_tiles"
+        constants = {"THREADS": WALK_THREADS, "RUN": walk, **PLACES}
+        constants |= ROUND if panorama else {}
+        self._measure, self._emit = (
+            Kernel(device, shader, entry, (_BINDINGS[shader],), **constants)
+            for entry in ("measure", "emit")
+        )
+
+    def steps(self, counts: Any, resources: tuple[Any, ...]) -> tuple[Step, Step]:
+        """Return measuring and emitting; between them the measures are to be scanned.
+
+        Args:
+            counts: The frame's counts, or those of its cells.
+            resources: What the shader binds, in its order.
+        """
+        dispatch = (counts, 4 * Counts.WALK_VISIBLE_GROUPS)
+        return (
+            Step(self._measure, (self._measure.bind(*resources),), dispatch),
+            Step(self._emit, (self._emit.bind(*resources),), dispatch),
+        )
+
+
+def touched_reference(
+    mean: Float[np.ndarray, "2"],
+    conic: Float[np.ndarray, "3"],
+    strength: float,
+    size: tuple[int, int],
+    period: float = 0.0,
+) -> Bool[np.ndarray, "rows columns"]:
+    """Say which tiles have a pixel that a splat reaches: those that must be listed.
+
+    Args:
+        mean: In pixels of the image.
+        conic: Inverse 2D covariance: xx, xy, yy.
+        strength: Logarithm of the opacity over CULL_OPACITY.
+        size: Width and height of the image.
+        period: Pixels of a whole turn, where the image is a panorama.
+    """
+    across, down = (-(-side // TILE) for side in size)
+    dx = np.arange(size[0]) + 0.5 - mean[0]
+    if period:
+        dx = dx - period * np.round(dx / period)
+    dy = np.arange(size[1])[:, None] + 0.5 - mean[1]
+    power = 0.5 * (conic[0] * dx**2 + conic[2] * dy**2) + conic[1] * dx * dy
+    reached = np.zeros((down * TILE, across * TILE), bool)
+    reached[: size[1], : size[0]] = power <= strength
+    return np.asarray(reached.reshape(down, TILE, across, TILE).any(axis=(1, 3)))

@@ -1,0 +1,156 @@
+"""Blend: composite each tile's splats, front to back."""
+
+__all__ = ["NOWHERE", "BlendTiles", "Layers", "blend_reference", "grain"]
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.spec import layout
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.project.project import Projected
+from gsgen.runtime.kernels.shared.kernel import Kernel, Step
+from gsgen.runtime.kernels.shared.shader import MAX_ALPHA, MIN_TRANSMITTANCE, ROUND, TILE
+from gsgen.runtime.kernels.shared.subgroups import lanes
+
+NOWHERE: Final = 3.4e38
+"""The depth of a layer where it has nothing: farther than any splat."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Layers:
+    """Images among the splats, the front one first; each is blended before what is behind it.
+
+    A pixel of a layer is its colour multiplied by its alpha, and its alpha; its depth is along +z,
+    or NOWHERE or infinite where the layer has nothing. A later layer is nowhere in front of an
+    earlier one; of several, only the last may be opaque.
+
+    Attributes:
+        count: How many there are.
+        colors: Buffer of four float32 a pixel, layer by layer.
+        depths: Buffer of one float32 a pixel, layer by layer.
+        normals: Like ``colors``, with normals in camera space in place of colours, or None where
+            no normals are asked for.
+    """
+
+    count: int
+    colors: Any
+    depths: Any
+    normals: Any = None
+
+
+def grain(
+    device: Device, panorama: bool, layers: int
+) -> tuple[bool, dict[str, int | float | bool]]:
+    """Say how a tile is shared among invocations, whichever way it is blended.
+
+    Returns:
+        Whether its invocations are one subgroup that reads splats together, and the constants of
+        the shader.
+    """
+    # A CPU's vector is as wide as half a tile: one invocation takes two columns, top to
+    # bottom. A GPU wants many invocations.
+    columns, quads = (2, 4) if device.software else (1, 1)
+    constants: dict[str, int | float | bool] = {
+        "COLUMNS": columns,
+        "QUADS": quads,
+        "CELLS": columns * quads,
+        "LANES": TILE // columns,
+        "POLYNOMIAL": device.software,
+    }
+    constants |= ROUND if panorama else {}
+    constants |= {"LAYERS": layers, "LAYERED": 1, "NOWHERE": NOWHERE} if layers else {}
+    return device.software and lanes(device) == TILE // columns, constants
+
+
+@final
+class BlendTiles:
+    """``blend_tiles.wgsl``, or ``blend_subgroups.wgsl`` where that is faster.
+
+    Args:
+        device: Where it runs.
+        pick: Whether to make depths and ids instead of colours.
+        panorama: Whether the image is one.
+        layers: How many layers stand among the splats.
+    """
+
+    def __init__(
+        self, device: Device, pick: bool, panorama: bool = False, layers: int = 0
+    ) -> None:
+        together, constants = grain(device, panorama, layers)
+        self.kernel = Kernel(
+            device,
+            "blend_subgroups" if together else "blend_tiles",
+            "blend",
+            ("urrrrrw", "rr") if layers else ("urrrrrw",),
+            PICK=pick,
+            MASKED=together and not panorama,
+            **constants,
+        )
+
+    def step(
+        self,
+        tiles: tuple[int, int],
+        resources: tuple[Any, ...],
+        layers: tuple[Any, Any] | None = None,
+    ) -> Step:
+        """Return the blending of an image.
+
+        Args:
+            tiles: How many there are across and down.
+            resources: What ``blend_tiles.wgsl`` binds, in its order.
+            layers: Colours, or normals, and depths of the layers, where there are any.
+        """
+        binds = [self.kernel.bind(*resources)]
+        if layers is not None:
+            binds.append(self.kernel.bind(*layers, group=1))
+        return Step(self.kernel, tuple(binds), (*tiles, 1))
+
+
+def blend_reference(
+    splats: Projected,
+    origin: Float[np.ndarray, "2"],
+    size: tuple[int, int],
+    layers: Sequence[tuple[Float[np.ndarray, "h w 4"], Float[np.ndarray, "h w"]]] = (),
+) -> Float[np.ndarray, "h w 4"]:
+    """What ``blend_tiles.wgsl`` must make of splats that are sorted, nearest first.
+
+    Args:
+        splats: All of them drawn.
+        origin: Of their means, in pixels of the image.
+        size: Width and height of the image.
+        layers: Colours and depths of each, as :class:`Layers` has them.
+    """
+    width, height = size
+    x = np.arange(width) + 0.5 - origin[0]
+    y = np.arange(height)[:, None] + 0.5 - origin[1]
+    through, live = np.ones((height, width)), np.ones((height, width), bool)
+    color = np.zeros((height, width, 3))
+    waiting = [depth < NOWHERE for _, depth in layers]
+
+    def meet(reach: float) -> None:
+        nonlocal through, color
+        for number, (shown, depth) in enumerate(layers):
+            met = waiting[number] & (depth < reach)
+            waiting[number] = waiting[number] & ~met
+            color = color + np.where(met, through, 0)[..., None] * shown[..., :3]
+            through = np.where(met, through * (1 - shown[..., 3]), through)
+
+    for mean, conic, strength, own, far in zip(
+        splats.mean, splats.conic, splats.strength, splats.color, splats.depth, strict=True
+    ):
+        meet(float(far))
+        dx, dy = x - mean[0], y - mean[1]
+        above = strength - 0.5 * (conic[0] * dx**2 + conic[2] * dy**2) - conic[1] * dx * dy
+        alpha = np.minimum(layout.CULL_OPACITY * np.exp(above), MAX_ALPHA)
+        after = through * (1 - alpha)
+        live &= ~((above >= 0) & (after <= MIN_TRANSMITTANCE))
+        drawn = live & (above >= 0)
+        color += np.where(drawn, alpha * through, 0)[..., None] * own
+        through = np.where(drawn, after, through)
+    meet(np.inf)
+    return np.concatenate([color, 1 - through[..., None]], axis=-1)

@@ -1,0 +1,109 @@
+"""Blend by weighted sums: composite each tile's cells, front to back, whose Gaussians are summed."""
+
+__all__ = ["FINISHED", "BlendWsr", "blend_wsr_reference"]
+
+from collections.abc import Sequence
+from typing import Any, Final, final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from gsgen.contract.spec import layout
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.project.project import Projected
+from gsgen.runtime.kernels.shared.kernel import Kernel, Step
+from gsgen.runtime.kernels.shared.shader import MAX_ALPHA, TILE
+from gsgen.runtime.kernels.tiles.blend_tiles import grain
+
+FINISHED: Final = 0.01
+"""A pixel through which less light passes takes no further cell (Liu et al. 2025, their code)."""
+
+
+@final
+class BlendWsr:
+    """``blend_wsr.wgsl``, or ``blend_wsr_subgroups.wgsl`` where that is faster.
+
+    Args:
+        device: Where it runs.
+        pick: Whether to make depths and ids instead of colours.
+        panorama: Whether the image is one.
+        published: Whether backgrounds count as in the method's own renderer.
+        layers: How many layers there are, if the image is the first of them.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        pick: bool,
+        panorama: bool = False,
+        published: bool = False,
+        layers: int = 0,
+    ) -> None:
+        together, constants = grain(device, panorama, layers)
+        self.kernel = Kernel(
+            device,
+            "blend_wsr_subgroups" if together else "blend_wsr",
+            "blend",
+            ("urrrrrrw", "w") if layers else ("urrrrrrw",),
+            PARTS=constants["CELLS"],  # cells are something else here
+            PICK=pick,
+            PUBLISHED=published,
+            FINISHED=FINISHED,
+            **constants,
+        )
+
+    def step(
+        self, tiles: tuple[int, int], resources: tuple[Any, ...], depths: Any = None
+    ) -> Step:
+        """Return the blending of an image.
+
+        Args:
+            tiles: How many there are across and down.
+            resources: What ``blend_wsr.wgsl`` binds, in its order.
+            depths: Of the layers, where there are any.
+        """
+        binds = [self.kernel.bind(*resources)]
+        if depths is not None:
+            binds.append(self.kernel.bind(depths, group=1))
+        return Step(self.kernel, tuple(binds), (*tiles, 1))
+
+
+def blend_wsr_reference(
+    splats: Projected,
+    radius: Float[np.ndarray, " n"],
+    cells: Sequence[tuple[slice, Bool[np.ndarray, "rows columns"]]],
+    factors: tuple[float, float],
+    origin: Float[np.ndarray, "2"],
+    size: tuple[int, int],
+) -> Float[np.ndarray, "h w 4"]:
+    """What ``blend_wsr.wgsl`` must make of one set with nothing behind it.
+
+    Args:
+        splats: Its Gaussians, drawn or not.
+        radius: Of the circle that each ends at, in pixels.
+        cells: The Gaussians and the tiles of each cell, nearest first.
+        factors: What opacity is divided by, and the weight of what is behind.
+        origin: Of the means, in pixels of the image.
+        size: Width and height of the image.
+    """
+    (divisor, behind), (width, height) = factors, size
+    x = np.arange(width) + 0.5 - origin[0]
+    y = np.arange(height)[:, None] + 0.5 - origin[1]
+    through, total = np.ones((height, width)), np.zeros((height, width))
+    color = np.zeros((height, width, 3))
+    for own, tiles in cells:
+        inside = np.kron(tiles, np.ones((TILE, TILE), bool))[:height, :width]
+        entered = np.where(inside & (through >= FINISHED), through, 0)
+        for i in np.flatnonzero(splats.drawn[own]) + own.start:
+            dx, dy = x - splats.mean[i, 0], y - splats.mean[i, 1]
+            xx, xy, yy = splats.conic[i]
+            above = splats.strength[i] - 0.5 * (xx * dx**2 + yy * dy**2) - xy * dx * dy
+            alpha = np.minimum(layout.CULL_OPACITY * np.exp(above), MAX_ALPHA) / divisor
+            hit = (entered > 0) & (above >= 0) & (dx**2 + dy**2 <= radius[i] ** 2)
+            alpha = np.where(hit, alpha, 0)
+            through *= np.maximum(1 - alpha, 0)
+            total += alpha * entered
+            color += (alpha * entered)[..., None] * splats.color[i]
+    left = np.where(through < FINISHED, 0, behind * through)
+    scale = np.where(total > 0, total + left, 1)
+    return np.concatenate([color, total[..., None]], axis=-1) / scale[..., None]

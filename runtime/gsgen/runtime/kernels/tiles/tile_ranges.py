@@ -1,0 +1,48 @@
+"""Ranges: find where each tile's pairs begin and end."""
+
+__all__ = ["RANGE_BLOCK", "TileRanges", "ranges_reference"]
+
+from typing import Any, Final, final
+
+import numpy as np
+from jaxtyping import UInt32
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.shared.counts import PLACES, Counts
+from gsgen.runtime.kernels.shared.kernel import Kernel, Step
+
+_THREADS: Final = 128
+_RUN: Final = 16
+RANGE_BLOCK: Final = _THREADS * _RUN
+"""Pairs of a workgroup: as many as a device may dispatch look at more than a binding holds."""
+
+
+@final
+class TileRanges:
+    """``tile_ranges.wgsl``."""
+
+    def __init__(self, device: Device) -> None:
+        self.kernel = Kernel(
+            device, "tile_ranges", "mark", ("rrw",), THREADS=_THREADS, RUN=_RUN, **PLACES
+        )
+
+    def step(self, counts: Any, tiles: Any, ranges: Any) -> Step:
+        """Return the marking of where each tile's pairs begin and end.
+
+        Args:
+            counts: The frame's counts.
+            tiles: The tile of each pair, in ascending order.
+            ranges: Two words a tile; zero before.
+        """
+        bind = self.kernel.bind(counts, tiles, ranges)
+        return Step(self.kernel, (bind,), (counts, 4 * Counts.WALK_PAIRS_GROUPS))
+
+
+def ranges_reference(
+    tiles: UInt32[np.ndarray, " n"], count: int
+) -> UInt32[np.ndarray, "t 2"]:
+    """What ``tile_ranges.wgsl`` must find for ``count`` tiles."""
+    every = np.arange(count)
+    ends = [np.searchsorted(tiles, every, side) for side in ("left", "right")]
+    made = np.stack(ends, axis=1)
+    return np.where(made[:, :1] < made[:, 1:], made, 0).astype(np.uint32)

@@ -1,0 +1,1 @@
+"""How are pictures and films written?"""

@@ -1,0 +1,43 @@
+"""What tells viewers of 360° pictures that a picture is a panorama: GPano, in XMP."""
+
+__all__ = ["gpano"]
+
+import math
+from typing import Final
+
+from gsgen.runtime.scene.camera import Camera
+
+_PACKET: Final = (
+    '<x:xmpmeta xmlns:x="adobe:ns:meta/">'
+    '<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+    '<rdf:Description rdf:about="" xmlns:GPano="http://ns.google.com/photos/1.0/panorama/" '
+    "{}/></rdf:RDF></x:xmpmeta>"
+)
+
+
+def gpano(camera: Camera) -> bytes | None:
+    """Return the XMP packet of a panorama's picture, in the terms of Google's Photo Sphere.
+
+    They place the picture in the whole sphere, whose middle is where the camera looks. None for
+    other kinds of cameras, and for what the terms cannot say: a sphere that is not twice as wide
+    as high, and a picture across the seam of it.
+    """
+    width, height = round(camera.period), round(math.pi * camera.fy)
+    left = round(width / 2 - camera.cx)
+    top = round(height / 2 - camera.cy)
+    held = left >= 0 and top >= 0
+    held &= left + camera.width <= width and top + camera.height <= height
+    if camera.kind != "panorama" or width != 2 * height or not held:
+        return None
+    terms = {
+        "ProjectionType": "equirectangular",
+        "UsePanoramaViewer": "True",
+        "FullPanoWidthPixels": width,
+        "FullPanoHeightPixels": height,
+        "CroppedAreaImageWidthPixels": camera.width,
+        "CroppedAreaImageHeightPixels": camera.height,
+        "CroppedAreaLeftPixels": left,
+        "CroppedAreaTopPixels": top,
+    }
+    said = " ".join(f'GPano:{name}="{value}"' for name, value in terms.items())
+    return _PACKET.format(said).encode()

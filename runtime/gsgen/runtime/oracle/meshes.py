@@ -1,0 +1,188 @@
+"""What meshes must look like: every pixel's ray against every triangle, in float64 NumPy.
+
+It shares no code with the kernels, and no method either: they look at triangles along the ray, in
+camera space, where all that counts is flat; here rays are in world space, meet planes, and points
+are placed by the areas that they span there.
+"""
+
+__all__ = ["Surface", "cast"]
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final, Literal, final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.mesh import Mesh
+
+_AMBIENT: Final = 0.2
+# What changes within so many pixels, rounding may decide.
+_BESIDE: Final = 1 / 1024
+_SHIFTS: Final = np.array([[0, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]]) * _BESIDE
+_JUMP: Final = 1e-2  # of colours, normals, and depths by their share
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """The first surface that each pixel's ray meets.
+
+    Attributes:
+        depth: Along the camera's +z, or from a panorama's centre; infinite where there is none.
+        color: In the scene's colour space.
+        normal: Unit vectors in world space that point towards the camera.
+        fragile: Pixels at an edge of what is seen, where rounding may decide otherwise.
+    """
+
+    depth: Float[np.ndarray, "h w"]
+    color: Float[np.ndarray, "h w 3"]
+    normal: Float[np.ndarray, "h w 3"]
+    fragile: Bool[np.ndarray, "h w"]
+
+
+def cast(
+    meshes: Iterable[Mesh], camera: Camera, color_space: Literal["srgb", "linear"]
+) -> Surface:
+    """Return what ``camera`` sees of ``meshes``: the first of the nearest.
+
+    Args:
+        meshes: In the order in which they are drawn.
+        camera: Of any kind.
+        color_space: Of the colours that are returned.
+    """
+    start, ahead = _rays(camera)
+    shape = ahead.shape[:3]
+    depth = np.full(shape, np.inf)
+    color, normal = np.zeros((*shape, 3)), np.zeros((*shape, 3))
+    for mesh in meshes:
+        linear, offset = mesh.transform[:3, :3], mesh.transform[:3, 3]
+        corners = (mesh.data.vertices.astype(np.float64) @ linear.T + offset)[
+            mesh.data.faces.astype(int)
+        ]
+        for face, triangle in enumerate(corners):
+            rows, columns = _window(triangle, camera)
+            part = (slice(None), rows, columns)
+            met = _met(triangle, start[part], ahead[part], camera.near)
+            if met is None:
+                continue
+            at, weights, upright = met
+            nearer = at < depth[part]
+            depth[part] = np.where(nearer, at, depth[part])
+            facing = (ahead[part] @ upright)[..., None]
+            toward = np.where(facing > 0, -upright, upright)
+            normal[part] = np.where(nearer[..., None], toward, normal[part])
+            own = _converted(_color(mesh, face, weights), mesh, color_space)
+            if mesh.shading == "headlight":
+                length = np.linalg.norm(ahead[part], axis=-1, keepdims=True)
+                own = own * (_AMBIENT + (1 - _AMBIENT) * np.abs(facing) / length)
+            color[part] = np.where(nearer[..., None], own, color[part])
+    return Surface(depth[0], color[0], normal[0], _edges(depth, color, normal))
+
+
+def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Return for each shift and pixel a point and a direction whose parameter is the depth."""
+    x = np.arange(camera.width) + 0.5 + _SHIFTS[:, 0, None]
+    y = np.arange(camera.height) + 0.5 + _SHIFTS[:, 1, None]
+    shape = (len(_SHIFTS), camera.height, camera.width)
+    across = np.broadcast_to(((x - camera.cx) / camera.fx)[:, None, :], shape)
+    down = np.broadcast_to(((y - camera.cy) / camera.fy)[:, :, None], shape)
+    none, one = np.zeros(shape), np.ones(shape)
+    to_world = camera.view[:3, :3]  # rows times R are Rᵀ times columns
+    if camera.kind == "orthographic":
+        start = np.stack([across, down, none], -1) @ to_world + camera.eye
+        return start, np.stack([none, none, one], -1) @ to_world
+    start = np.broadcast_to(camera.eye, (*shape, 3))
+    if camera.kind == "panorama":  # points of the unit sphere by longitude and latitude
+        level = np.cos(down)
+        around = [level * np.sin(across), np.sin(down), level * np.cos(across)]
+        return start, np.stack(around, -1) @ to_world
+    return start, np.stack([across, down, one], -1) @ to_world
+
+
+def _window(triangle: np.ndarray, camera: Camera) -> tuple[slice, slice]:
+    """Return rows and columns that the triangle may cover: all, where that is not plain."""
+    at = triangle @ camera.view[:3, :3].T + camera.view[:3, 3]
+    everything = slice(0, camera.height), slice(0, camera.width)
+    if camera.kind == "panorama":
+        return everything
+    if camera.kind == "pinhole":
+        if not (at[:, 2] > 0.5 * camera.near).all():
+            return everything
+        at = at[:, :2] / at[:, 2:]
+    x = camera.fx * at[:, 0] + camera.cx
+    y = camera.fy * at[:, 1] + camera.cy
+    low = np.clip(np.floor([y.min() - 1, x.min() - 1]), 0, None).astype(int)
+    high = np.clip(np.ceil([y.max() + 1, x.max() + 1]), 0, None).astype(int)
+    return slice(low[0], high[0]), slice(low[1], high[1])
+
+
+def _met(
+    triangle: np.ndarray, start: np.ndarray, ahead: np.ndarray, near: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Return depths (infinite for a miss), the corners' weights, and the unit normal."""
+    a, b, c = triangle
+    area = np.cross(b - a, c - a)
+    size = np.linalg.norm(area)
+    if not size > 0 or not start.size:
+        return None
+    upright = area / size
+    with np.errstate(all="ignore"):
+        at = ((a - start) @ upright) / (ahead @ upright)
+        point = start + at[..., None] * ahead
+        weights = np.stack(
+            [
+                np.cross(second - point, third - point) @ upright / size
+                for second, third in ((b, c), (c, a), (a, b))
+            ],
+            -1,
+        )
+        hit = (weights >= 0).all(axis=-1) & (at > near)
+    return np.where(hit, at, np.inf), np.where(hit[..., None], weights, 0), upright
+
+
+def _color(mesh: Mesh, face: int, weights: np.ndarray) -> np.ndarray:
+    data, corners = mesh.data, mesh.data.faces[face].astype(int)
+    color = weights @ data.colors[corners].astype(np.float64)
+    if data.texture is None or data.uv is None:
+        return np.asarray(color)
+    return np.asarray(
+        color * _texel(data.texture, weights @ data.uv[corners].astype(float))
+    )
+
+
+def _texel(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Return the texture between its texels, which repeats; (0, 0) is its lower left corner."""
+    height, width = texture.shape[:2]
+    made = np.zeros((*uv.shape[:-1], 3))
+    x, y = uv[..., 0] * width - 0.5, (1 - uv[..., 1]) * height - 0.5
+    for right in (0, 1):
+        for below in (0, 1):
+            column, row = np.floor(x) + right, np.floor(y) + below
+            share = np.maximum(1 - np.abs(x - column), 0) * np.maximum(
+                1 - np.abs(y - row), 0
+            )
+            own = texture[(row % height).astype(int), (column % width).astype(int), :3]
+            made += share[..., None] * (own / 255.0)
+    return made
+
+
+def _converted(color: np.ndarray, mesh: Mesh, space: str) -> np.ndarray:
+    """Return the colours in another space (IEC 61966-2-1)."""
+    if mesh.data.color_space == space:
+        return color
+    if space == "linear":
+        return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
+    return np.where(color <= 0.0031308, color * 12.92, 1.055 * color ** (1 / 2.4) - 0.055)
+
+
+def _edges(depth: np.ndarray, color: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Say which pixels see something else a little beside their centres."""
+    there = np.isfinite(depth)
+    edge = (there != there[0]).any(axis=0)
+    near = np.where(there, depth, 0)
+    edge |= (np.abs(near - near[0]) > _JUMP * near[0]).any(axis=0)
+    for image in (color, normal):
+        edge |= (np.abs(image - image[0]) > _JUMP).any(axis=(0, 3))
+    return np.asarray(edge)

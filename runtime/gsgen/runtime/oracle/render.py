@@ -1,0 +1,236 @@
+"""What a picture must be: a renderer in float64 NumPy that shares no code with the kernels.
+
+It follows the specification's page on conventions, section "Drawing", one Gaussian after the
+other, and is slow. Two details are the reference rasterisers' (gsplat, Kerbl et al. 2023), which
+the page leaves open: the Jacobian of a centre far outside of the image is that of a centre 0.3
+half images outside, and a pixel is finished before the first Gaussian that would leave less than
+1e-4 of the light. A panorama follows the guide "Coordinate systems and cameras".
+"""
+
+__all__ = ["Picture", "render"]
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from gsgen.runtime.oracle.meshes import Surface, cast
+from gsgen.runtime.oracle.projection import Picture, across, colors, ellipses, normals
+from gsgen.runtime.oracle.weighted_sums import Veil, alone, sums
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+
+_CULL: Final = 1 / 255
+_MOST: Final = 0.99
+_FINISHED: Final = 1e-4
+
+# Within these shares of a threshold, float32 may decide otherwise.
+_BAND: Final = 2e-3
+_TIE: Final = 1e-12  # of a depth: two floats tell more, even where they are added up
+_TOUCH: Final = 1e-4  # a Gaussian and a mesh so near to each other
+# Within so many pixels of half a turn, it may find the other side of a Gaussian.
+_HALF_TURN: Final = 2e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Splats:
+    """Projected Gaussians: mean, 2D covariance, opacity, depth, colour, normal, place."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    opacity: np.ndarray
+    depth: np.ndarray
+    color: np.ndarray
+    normal: np.ndarray
+    place: np.ndarray
+
+
+def render(
+    scene: Scene,
+    camera: Camera,
+    *,
+    background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+    published: bool = False,
+) -> Picture:
+    """Draw ``scene`` as ``camera`` sees it, in float64.
+
+    Args:
+        scene: What to draw.
+        camera: From where, and how large.
+        background: Red, green, blue and alpha behind it all.
+        published: Let backgrounds of weighted sums count as in the method's own renderer.
+    """
+    walls = cast(scene.meshes, camera, scene.color_space)
+    veil = sums(scene, camera, walls.depth)
+    if not scene.meshes and scene.sets and all(one.weighted for one in scene.sets):
+        return alone(veil, background, published)
+    first, parts = 0, [_project(SplatSet(_nobody()), camera, 0)]
+    for one in scene.sets:
+        if one.weighted is None:
+            parts.append(_project(one, camera, first))
+        first += len(one.data)
+    names = _Splats.__slots__
+    joined = [np.concatenate([getattr(part, name) for part in parts]) for name in names]
+    splats = _Splats(*joined)
+    order = np.argsort(splats.depth, kind="stable")
+    ordered = _Splats(*(column[order] for column in joined))
+    return _blend(ordered, camera, background, walls, veil.veil())
+
+
+def _nobody() -> SplatData:
+    return SplatData(np.zeros((0, 10), np.float32), np.zeros((0, 3), np.float32), "rgb")
+
+
+def _project(one: SplatSet, camera: Camera, first: int) -> _Splats:
+    data = one.data
+    rows = data.rows[: data.count].astype(np.float64)
+    found = ellipses(rows, one, camera)
+    with np.errstate(all="ignore"):  # rows that are not finite are dropped at the end
+        opacity = np.minimum(rows[:, 3] * one.opacity_scale, 1)
+        if one.antialias == "mip":
+            ratio = np.linalg.det(found.bare) / np.linalg.det(found.wide)
+            opacity = opacity * np.sqrt(np.maximum(ratio, 0))
+        color = colors(one, camera)
+        low, high = (-np.inf, np.inf) if one.clip is None else (one.clip.low, one.clip.high)
+        kept = found.sound & (found.depth > camera.near) & (opacity >= _CULL)
+        kept &= ((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)
+        kept &= np.isfinite(color).all(axis=1)
+    normal = np.zeros((len(rows), 3))
+    normal[kept] = normals(found, kept, camera)
+    place = np.arange(first, first + len(rows))
+    shown = np.maximum(color, 0)
+    columns = (found.mean, found.wide, opacity, found.depth, shown, normal, place)
+    return _Splats(*(column[kept] for column in columns))
+
+
+def _blend(
+    splats: _Splats,
+    camera: Camera,
+    background: Sequence[float],
+    walls: Surface,
+    veil: Veil,
+) -> Picture:
+    height, width = camera.height, camera.width
+    color, normal = np.zeros((height, width, 3)), np.zeros((height, width, 3))
+    through, depth = np.ones((height, width)), np.zeros((height, width))
+    median = np.full((height, width), np.inf)
+    ids = np.full((height, width), -1)
+    done = np.zeros((height, width), bool)
+    fragile, fragile_median = walls.fragile | veil.fragile, done.copy()
+    waiting = np.isfinite(veil.depth)
+    close = _ties(splats.depth)
+    nearer_hit = done.copy()
+    visible = 0
+    for i in range(len(splats.depth)):
+        window = _window(splats, i, camera)
+        if window is None:
+            nearer_hit[:] = False
+            continue
+        rows, columns = window
+        dx = across(np.arange(columns.start, columns.stop) + 0.5, splats.mean[i, 0], camera)
+        dy = np.arange(rows.start, rows.stop)[:, None] + 0.5 - splats.mean[i, 1]
+        (a, b), (_, c) = np.linalg.inv(splats.covariance[i])
+        bare = splats.opacity[i] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy)
+        alpha = np.minimum(bare, _MOST)
+        covered = np.zeros_like(waiting)
+        covered[window] = (waiting[window]) & (splats.depth[i] > veil.depth[window])
+        _cover(covered, veil, color, normal, depth, through, median, fragile_median)
+        waiting &= ~covered
+        before = through[window].copy()
+        in_front = splats.depth[i] <= walls.depth[window]
+        hit = (alpha >= _CULL) & ~done[window] & in_front
+        visible += bool((alpha >= _CULL).any())
+        after = before * (1 - alpha)
+        stop = hit & (after <= _FINISHED)
+        near_edge = np.abs(bare / _CULL - 1) <= _BAND
+        if camera.kind == "panorama":
+            behind = np.abs(np.abs(dx) - np.pi * camera.fx) <= _HALF_TURN
+            near_edge |= behind & (alpha >= _CULL * (1 - _BAND))
+        beside = np.abs(splats.depth[i] - walls.depth[window]) <= _TOUCH * splats.depth[i]
+        beside |= np.abs(splats.depth[i] - veil.depth[window]) <= _TOUCH * splats.depth[i]
+        fragile[window] |= ~done[window] & (alpha >= _CULL) & beside
+        near_stop = hit & (np.abs(after / _FINISHED - 1) <= _BAND)
+        fragile[window] |= ~done[window] & (near_edge | near_stop)
+        if close[i]:
+            fragile[window] |= hit & nearer_hit[window]
+        nearer_hit[:] = False
+        nearer_hit[window] = hit
+        done[window] |= stop
+        drawn = hit & ~stop
+        amount = np.where(drawn, alpha * before, 0)
+        color[window] += amount[..., None] * splats.color[i]
+        normal[window] += amount[..., None] * splats.normal[i]
+        depth[window] += amount * splats.depth[i]
+        halved = hit & (before >= 0.5) & (after < 0.5)
+        median[window] = np.where(halved, splats.depth[i], median[window])
+        ids[window] = np.where(halved, splats.place[i], ids[window])
+        fragile_median[window] |= hit & (np.abs(after - 0.5) <= _BAND)
+        through[window] = np.where(drawn, after, before)
+    _cover(waiting, veil, color, normal, depth, through, median, fragile_median)
+    # What is left goes to the meshes, and behind them there is nothing to see.
+    wall = np.isfinite(walls.depth)
+    rest = np.where(wall, through, 0)
+    color += rest[..., None] * walls.color
+    normal += rest[..., None] * walls.normal
+    depth += rest * np.where(wall, walls.depth, 0)
+    median = np.where(wall & (through >= 0.5), walls.depth, median)
+    through = through - rest
+    alpha_all = 1 - through
+    red, green, blue, opaque = background
+    color += through[..., None] * np.array([red, green, blue]) * opaque
+    rgba = np.concatenate([color, (alpha_all + through * opaque)[..., None]], axis=-1)
+    covered = alpha_all > 0
+    size = np.linalg.norm(normal, axis=-1, keepdims=True)
+    return Picture(
+        rgba,
+        np.where(covered, depth / np.where(covered, alpha_all, 1), np.inf),
+        median,
+        ids,
+        normal / np.where(size > 0, size, 1),
+        fragile,
+        fragile_median | fragile,
+        visible,
+    )
+
+
+def _cover(
+    pixels: np.ndarray,
+    veil: Veil,
+    color: np.ndarray,
+    normal: np.ndarray,
+    depth: np.ndarray,
+    through: np.ndarray,
+    median: np.ndarray,
+    fragile_median: np.ndarray,
+) -> None:
+    """Blend the veil into some pixels, in place."""
+    rest = through[pixels]
+    color[pixels] += rest[:, None] * veil.color[pixels]
+    normal[pixels] += rest[:, None] * veil.normal[pixels]
+    depth[pixels] += rest * veil.alpha[pixels] * veil.depth[pixels]
+    through[pixels] = rest * (1 - veil.alpha[pixels])
+    halved = (rest >= 0.5) & (through[pixels] < 0.5)
+    median[pixels] = np.where(halved, veil.depth[pixels], median[pixels])
+    fragile_median[pixels] |= np.abs(through[pixels] - 0.5) <= _BAND
+
+
+def _ties(depth: np.ndarray) -> np.ndarray:
+    """Say which depths differ so little from the one before that rounding may swap the two."""
+    gap = np.diff(depth, prepend=-np.inf)
+    return np.asarray((gap > 0) & (gap < _TIE * np.abs(depth)))
+
+
+def _window(splats: _Splats, i: int, camera: Camera) -> tuple[slice, slice] | None:
+    """Return the rows and columns that Gaussian ``i`` may reach, or None if there are none."""
+    spread = 2 * np.log(splats.opacity[i] / _CULL) * np.diagonal(splats.covariance[i])
+    reach = np.sqrt(np.maximum(spread, 0)) + 0.01
+    limits = np.array([camera.width, camera.height])
+    low = np.clip(np.floor(splats.mean[i] - reach - 0.5), 0, limits).astype(int)
+    high = np.clip(np.ceil(splats.mean[i] + reach + 0.5), 0, limits).astype(int)
+    if camera.kind == "panorama":  # it may come from behind
+        low[0], high[0] = 0, camera.width
+    if not (low < high).all():
+        return None
+    return slice(low[1], high[1]), slice(low[0], high[0])

@@ -1,0 +1,1 @@
+"""Which frame is drawn when: times, inputs, poses, cameras, sequences?"""

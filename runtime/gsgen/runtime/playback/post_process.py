@@ -1,0 +1,212 @@
+"""Post-process models: what a network makes of a frame once it is drawn."""
+
+__all__ = ["PostProcessor"]
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self, final
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from gsgen.contract.spec.manifest import Input, PostProcessManifest
+from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.playback.image_tiling import run_tiled
+from gsgen.runtime.scene.frame import Frame, srgb_of_linear
+from gsgen.runtime.sources.source import named
+from gsgen.sdk.binding import FrameSession
+from gsgen.sdk.binding.bound_session import Spec
+from gsgen.sdk.binding.model_facts import Sources, read_sources
+
+_OVERLAP: Final = 32  # pixels that tiles share, where they are large enough
+
+
+@final
+class PostProcessor:
+    """A post-process model that runs on frames of any size.
+
+    A model of fixed size runs tile by tile; one of open size sees the whole image, and is opened
+    anew when that has another size. It is given sRGB colours that are not multiplied by alpha,
+    clipped, and scaled to the range that its manifest declares. What it gives is scaled back,
+    and is in the colour space that the manifest declares. Where it gives no alpha, that stays.
+
+    Args:
+        path: The model.
+        provider: What ONNX Runtime runs it on: cpu, webgpu, cuda or auto.
+        sizes: Symbol → size of a dimension that is left open, beside those of the image.
+
+    Attributes:
+        name: What it was opened from.
+        manifest: What it declares.
+
+    Raises:
+        ModelUnreadable: The file is no ONNX model.
+        SceneInvalid: It is no post-process model.
+    """
+
+    def __init__(
+        self, path: Path, provider: str = "cpu", sizes: Mapping[str, int] | None = None
+    ) -> None:
+        self.name = str(path)
+        self._path, self._provider, self._sizes = path, provider, dict(sizes or {})
+        sources = read_sources(path, None)
+        self.manifest = _post_process(self.name, sources)
+        image = named(self.manifest.inputs, "image")
+        taken = {value.name for value in sources.file.proto.graph.input}
+        if not image or image[0].name not in taken:
+            raise SceneInvalid("has no input that is declared an image", where=self.name)
+        self._image = image[0].name
+        self._shapes = {one.name: one for one in _specs(sources)}
+        self._known = sources.sizes(self._sizes)
+        self._axes = {
+            axis: dim or f"{self._image}[{axis + 2}]"
+            for axis, dim in enumerate(self._shapes[self._image].dims[2:])
+            if not isinstance(dim, int)
+        }
+        self._opened: tuple[tuple[int, int], FrameSession] | None = None
+        if not self._axes:
+            self._session((0, 0))  # what is wrong with it shows before anything is drawn
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """What may be fed to it beside the image."""
+        return tuple(one for one in self.manifest.inputs if one.name != self._image)
+
+    def named(self, word: str) -> list[Input]:
+        """Return the inputs that a word means: a tensor of that name, or all of that role."""
+        return named(self.inputs, word)
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Return the shape of an input beside the image.
+
+        Raises:
+            SizeUnknown: It depends on the size of the image.
+        """
+        if self._opened is not None:
+            return self._opened[1].inputs[name].shape
+        return self._shapes[name].shape(self._known)
+
+    def __call__(self, frame: Frame, values: Mapping[str, object] | None = None) -> Frame:
+        """Return the frame with other colours.
+
+        Args:
+            frame: Drawn with colours.
+            values: Tensor name or role → value; what is not named keeps its value.
+
+        Raises:
+            SceneInvalid: The frame has no colours, or the model gives none that can be shown.
+            GsgenError: A value does not fit, or the model fails.
+        """
+        if frame.rgba is None:
+            raise SceneInvalid("works on colours, which were not drawn", where=self.name)
+        alpha = np.clip(frame.rgba[..., 3:], 0, 1)
+        height, width = alpha.shape[:2]
+        session = self._session((height, width))
+        session.update(values)
+        port = session.inputs[self._image]
+        given = np.concatenate([_srgb(frame, alpha), alpha], axis=-1)[..., : port.shape[1]]
+        low, high = self.manifest.image_range
+        image = (low + (high - low) * given).transpose(2, 0, 1)[None].astype(port.dtype)
+        made = self._run(session, image)
+        return replace(
+            frame,
+            rgba=self._blended(made, alpha),
+            color_space=self.manifest.outputs.image.color_space,
+        )
+
+    def _run(
+        self, session: FrameSession, image: Float[np.ndarray, "1 c h w"]
+    ) -> Float[np.ndarray, "1 c h w"]:
+        output = self.manifest.outputs.image.name
+
+        def network(part: Float[np.ndarray, "1 c h w"]) -> Float[np.ndarray, "1 c h w"]:
+            return session.run({self._image: part})[output]
+
+        height, width = session.inputs[self._image].shape[2:]
+        if (height, width) != image.shape[2:]:
+            overlap = min(_OVERLAP, (min(height, width) - 1) // 2)
+            return run_tiled(image, network, (height, width), overlap)
+        return network(image)
+
+    def _blended(
+        self, made: Float[np.ndarray, "1 c h w"], alpha: Float32[np.ndarray, "h w 1"]
+    ) -> Float32[np.ndarray, "h w 4"]:
+        """Return what the model gave as a frame has it: from 0 to 1, multiplied by alpha."""
+        height, width = alpha.shape[:2]
+        if made.shape not in ((1, 3, height, width), (1, 4, height, width)):
+            raise SceneInvalid(
+                f"gives {list(made.shape)} for an image of {height} × {width}, wanted "
+                f"[1, 3 or 4, {height}, {width}]",
+                where=self.name,
+            )
+        low, high = self.manifest.outputs.image.range
+        image = (made[0].transpose(1, 2, 0).astype(np.float32) - low) / (high - low)
+        wrong = ~np.isfinite(image)
+        if wrong.any():
+            what = f"gives {int(wrong.sum())} of {wrong.size} values that are not finite"
+            raise SceneInvalid(what, where=self.name)
+        if image.shape[2] == 4:
+            alpha = np.clip(image[..., 3:], 0, 1)
+        return np.concatenate([image[..., :3] * alpha, alpha], axis=-1, dtype=np.float32)
+
+    def _session(self, size: tuple[int, int]) -> FrameSession:
+        """Return the session for an image of a height and a width."""
+        wanted = size if self._axes else (0, 0)
+        if self._opened is not None and self._opened[0] == wanted:
+            return self._opened[1]
+        self.close()
+        sizes = self._sizes | {name: size[axis] for axis, name in self._axes.items()}
+        made = FrameSession(self._path, provider=self._provider, sizes=sizes)
+        self._opened = wanted, made
+        return made
+
+    def close(self) -> None:
+        """Release the session; the next frame would open another."""
+        if self._opened is not None:
+            self._opened[1].close()
+            self._opened = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _post_process(name: str, sources: Sources) -> PostProcessManifest:
+    manifest = sources.manifest
+    if isinstance(manifest, PostProcessManifest):
+        return manifest
+    seen = f"is a {manifest.kind}" if manifest else "has no manifest"
+    mend = "`gsgen inspect --emit-manifest` derives a manifest from names and shapes."
+    if manifest and manifest.kind == "gaussian-generator":
+        mend = "It makes Gaussians: name it among the scenes."
+    raise SceneInvalid(f"{seen}, wanted a post-process model", where=name, mend=mend)
+
+
+def _specs(sources: Sources) -> Iterator[Spec]:
+    """Yield each input of the graph with its dimensions."""
+    for value in sources.file.proto.graph.input:
+        tensor = value.type.tensor_type
+        dims = tuple(
+            dim.dim_value if dim.HasField("dim_value") else dim.dim_param or None
+            for dim in tensor.shape.dim
+        )
+        yield Spec(value.name, np.dtype(np.float32), dims)
+
+
+def _srgb(
+    frame: Frame, alpha: Float32[np.ndarray, "h w 1"]
+) -> Float32[np.ndarray, "h w 3"]:
+    """Return the colours as screens show them, from 0 to 1."""
+    assert frame.rgba is not None
+    straight = frame.rgba[..., :3] / np.where(alpha > 0, alpha, 1)
+    color = np.clip(straight, 0, 1)
+    return np.asarray(srgb_of_linear(color) if frame.color_space == "linear" else color)

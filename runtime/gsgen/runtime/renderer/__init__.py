@@ -1,0 +1,1 @@
+"""How do the kernels make one frame?"""

@@ -1,0 +1,234 @@
+"""Which rasteriser blends faster on a device: found by drawing one frame both ways, once.
+
+Compute tiles stop at pixels that are finished, and first list which splats each tile has. The
+hardware's quads need no list, and blend every fragment. Which is faster depends on how fast a GPU's
+fixed units blend 32-bit floats, which varies more than tenfold between GPUs of like arithmetic
+(those of data centres have few such units), and no limit or feature tells it.
+"""
+
+__all__ = ["Asked", "Rasteriser", "Timings", "choose", "probe"]
+
+import json
+import os
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Final, Literal, cast, final
+
+import numpy as np
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.gpu_timer import StageClock
+from gsgen.runtime.gpu.splat_residency import Residency
+from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.renderer.frame_plan import Kernels, Placed, Plan
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+
+Rasteriser = Literal["tiles", "quads"]
+Asked = Literal["auto", "tiles", "quads"]
+
+_GAUSSIANS: Final = 1 << 17
+_SIZE: Final = (1280, 720)
+_PAIRS: Final = 1 << 16  # room at first
+_WARM: Final = 2  # frames before those that count: drivers compile, clocks rise
+_FRAMES: Final = 7
+_WORTH: Final = (
+    0.8  # quads must be this much faster: tiles are nearer to exact, and stop early
+)
+_ONLY: Final[dict[Rasteriser, tuple[str, ...]]] = {
+    "tiles": ("bin", "group", "blend"),
+    "quads": ("quads",),
+}
+_NOTHING: Final = np.zeros(3)
+_VERSION: Final = 1  # of what is measured; another forgets what was kept
+_MOST_BYTES: Final = 1 << 16  # of the file
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Timings:
+    """Seconds that each rasteriser takes for what the other does not do.
+
+    Attributes:
+        tiles: Listing pairs, sorting them by tile, blending.
+        quads: Drawing.
+    """
+
+    tiles: float
+    quads: float
+
+    @property
+    def best(self) -> Rasteriser:
+        """The rasteriser to take: quads only where they are clearly faster."""
+        return "quads" if self.quads < _WORTH * self.tiles else "tiles"
+
+
+Measure = Callable[[Device, Kernels], Timings]
+
+
+def choose(device: Device, kernels: Kernels, measure: Measure | None = None) -> Rasteriser:
+    """Return the faster rasteriser of a device, measuring it if nobody has before.
+
+    What was measured is kept for the process, and for later ones in ``rasterisers.json`` under
+    ``$XDG_CACHE_HOME/gsgen`` (``~/.cache/gsgen``), by adapter and driver. With the environment
+    variable ``GSGEN_NO_CACHE`` set, no file is read or written.
+
+    Args:
+        device: Where to draw. Software drivers, and devices that cannot blend 32-bit floats,
+            have tiles without being measured.
+        kernels: Of the device.
+        measure: What measures; :func:`probe` where absent.
+    """
+    if device.software or not device.blends_floats:
+        return "tiles"
+    key = _key(device)
+    if key not in _measured:
+        kept = _read().get(key)
+        if kept is None:
+            kept = (measure or probe)(device, kernels)
+            _write(_read() | {key: kept})
+        _measured[key] = kept
+    return _measured[key].best
+
+
+def probe(
+    device: Device,
+    kernels: Kernels,
+    *,
+    gaussians: int = _GAUSSIANS,
+    size: tuple[int, int] = _SIZE,
+) -> Timings:
+    """Draw the same frame both ways, and return the median seconds of several times.
+
+    By the device's timestamps of the stages that differ; where those do not move, by the clock on
+    the wall from submitting a whole frame to having its counts: what both do is in both.
+
+    Args:
+        device: Where to draw.
+        kernels: Of the device.
+        gaussians: How many.
+        size: Width and height of the image.
+    """
+    camera = Camera(np.eye(4), size[0], size[0], size[0] / 2, size[1] / 2, *size)
+    data = _crowd(gaussians, size[1] / size[0])
+    residency = Residency(device)
+    residency.begin(data)
+    placed = [(SplatSet(data), page) for page in residency.pages(data)]
+    taken = {
+        one: _seconds(device, plan, placed, camera, stages)
+        for one, stages in _ONLY.items()
+        for plan in [_roomy(device, kernels, placed, camera, one == "quads")]
+    }
+    # Timestamps of one and wall clock of the other would not compare.
+    by = 0 if min(told for told, _ in taken.values()) > 0 else 1
+    return Timings(taken["tiles"][by], taken["quads"][by])
+
+
+def _crowd(n: int, tall: float) -> SplatData:
+    """Return Gaussians of a few pixels all over the image, several on top of each other."""
+    rng = np.random.default_rng(0)
+    rows = np.zeros((n, 10), np.float32)
+    z = rng.uniform(2, 8, n)
+    across = rng.uniform(-0.5, 0.5, (n, 2)) * (1, tall)
+    rows[:, :2], rows[:, 2] = across * z[:, None], z
+    rows[:, 3] = rng.beta(1.2, 0.8, n)
+    for column in (4, 7, 9):
+        rows[:, column] = np.square(z * 2e-3 * np.exp(0.6 * rng.normal(size=n)))
+    return SplatData(rows, rng.uniform(size=(n, 3)).astype(np.float32), "rgb")
+
+
+def _roomy(
+    device: Device, kernels: Kernels, placed: list[Placed], camera: Camera, quads: bool
+) -> Plan:
+    """Return a plan that has room for all pairs."""
+    room, size = _PAIRS, (camera.width, camera.height)
+    while True:
+        plan = Plan(device, kernels, placed, size, frozenset({"color"}), room, quads)
+        plan.submit(placed, camera, _NOTHING, fetch=False)
+        counts, _ = plan.collect(fetch=False)
+        if quads or counts[Counts.WANTED_PAIRS] <= room:
+            return plan
+        room = int(counts[Counts.WANTED_PAIRS])
+
+
+def _seconds(
+    device: Device,
+    plan: Plan,
+    placed: list[Placed],
+    camera: Camera,
+    stages: tuple[str, ...],
+) -> tuple[float, float]:
+    """Return the median seconds of some stages, 0 if no timestamps tell, and of the frame."""
+    clock = StageClock(device) if device.has_clock else None
+    ticks, walls = [], []
+    for number in range(_WARM + _FRAMES):
+        began = time.perf_counter()
+        plan.submit(placed, camera, _NOTHING, clock=clock, fetch=False)
+        plan.collect(fetch=False)
+        wall = time.perf_counter() - began
+        told = clock.seconds() if clock is not None else dict.fromkeys(stages, 0.0)
+        if number >= _WARM:
+            walls.append(wall)
+            ticks.append(sum(told[name] for name in stages))
+    return float(np.median(ticks)), float(np.median(walls))
+
+
+_measured: dict[str, Timings] = {}
+
+
+def _key(device: Device) -> str:
+    """Return what tells adapters and drivers apart."""
+    info = device.raw.adapter.info
+    words = ("vendor", "device", "description", "backend_type")
+    return " | ".join([*(str(info.get(word, "")) for word in words), f"probe {_VERSION}"])
+
+
+def _file() -> Path | None:
+    """Return where measurements are kept, or None: nowhere."""
+    if os.environ.get("GSGEN_NO_CACHE"):
+        return None
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(home) / "gsgen" / "rasterisers.json"
+
+
+def _read() -> dict[str, Timings]:
+    """Return what is kept; a file that cannot be read, or is none of ours, holds nothing."""
+    path = _file()
+    try:
+        if path is None or path.stat().st_size > _MOST_BYTES:
+            return {}
+        held = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        return {}
+    if not isinstance(held, dict):
+        return {}
+    return {key: made for key, one in held.items() if (made := _timings(one)) is not None}
+
+
+def _timings(one: object) -> Timings | None:
+    if not isinstance(one, dict) or set(one) != {"tiles", "quads"}:
+        return None
+    numbers = [one["tiles"], one["quads"]]
+    if not all(isinstance(number, float) and 0 < number < np.inf for number in numbers):
+        return None
+    return Timings(*cast("list[float]", numbers))
+
+
+def _write(measured: dict[str, Timings]) -> None:
+    """Keep what was measured; where nothing can be written, each process measures again."""
+    path = _file()
+    if path is None:
+        return
+    text = json.dumps({key: asdict(one) for key, one in measured.items()}, indent=2)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(text + "\n", "utf-8")
+        part.replace(path)
+    except OSError:
+        with suppress(OSError):
+            part.unlink()

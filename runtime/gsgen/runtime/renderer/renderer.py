@@ -1,0 +1,399 @@
+"""The renderer: a scene and a camera in, a frame out."""
+
+__all__ = ["Drawn", "Renderer"]
+
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import numpy as np
+from jaxtyping import Float32, Int64, UInt32
+
+from gsgen.runtime.errors import (
+    CapacityExceeded,
+    DeviceUnavailable,
+    MemoryFull,
+    SceneInvalid,
+)
+from gsgen.runtime.gpu.device import MOST_GROUPS, Device
+from gsgen.runtime.gpu.mesh_residency import MeshResidency
+from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, Residency, bytes_of
+from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
+from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
+from gsgen.runtime.renderer.frame_plan import Kernels, Placed, Plan
+from gsgen.runtime.renderer.rasteriser_choice import Asked, Rasteriser, choose
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.frame import NOTHING, Frame, Output
+from gsgen.runtime.scene.scene import Scene
+
+_FIRST_PAIRS: Final = 1 << 16
+_ROOM: Final = 1.25  # over what a frame needed, so that the next need not grow again
+_PIXEL: Final = 16  # bytes
+_OUTPUTS: Final = ("color", "depth", "normal")
+_COLOR: Final[tuple[Output, ...]] = ("color",)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """An image that stayed on the device.
+
+    Attributes:
+        image: The buffer: four 32-bit words a pixel, as the kernels blend them.
+        row: Pixels from the beginning of a row to that of the next.
+        visible: How many Gaussians were drawn.
+        pairs: Of a tile and a splat that touches it.
+    """
+
+    image: Any
+    row: int
+    visible: int
+    pairs: int
+
+
+@final
+class Renderer:
+    """Draws scenes of Gaussians on a graphics device.
+
+    What a frame needs is made once, and kept until another size, another choice of outputs or
+    other Gaussians are asked for: cameras, transforms, and values may change from frame to frame.
+
+    Args:
+        device: Where to draw; the fastest there is where absent.
+        rasteriser: What blends colours: compute shaders, tile by tile, or the hardware, a quad a
+            splat. The hardware cannot stop at pixels that are finished. "auto" measures once which
+            is faster on a GPU (:mod:`gsgen.runtime.renderer.rasteriser_choice`), and has tiles on a software
+            driver, and wherever a frame is more than colours.
+        compact: Keep harmonics and colours in float16, and covariances in 16 bytes: 128 bytes a
+            Gaussian of degree 3 instead of 232, 40 instead of 56 without harmonics, and less to
+            read; pictures differ by less than 1e-3, or 4e-3 where a threshold is met.
+        page_rows: Gaussians of a page, which is what one dispatch and one binding have.
+        published: Whether weighted sums count backgrounds as the method's own renderer does
+            (Liu et al. 2025): what is behind keeps its whole weight in the numerator. Such
+            pictures compare with that renderer's, and compose with nothing.
+
+    Attributes:
+        rasteriser: What blends colours, asked for or chosen.
+
+    Raises:
+        DeviceUnavailable: There is none, or it cannot blend what ``rasteriser`` asks for.
+    """
+
+    def __init__(
+        self,
+        device: Device | None = None,
+        *,
+        rasteriser: Asked = "auto",
+        compact: bool = False,
+        page_rows: int = PAGE_ROWS,
+        published: bool = False,
+    ) -> None:
+        self._published, self._compact = published, compact
+        self.device = device or Device.open()
+        with self.device.minding():
+            self._kernels = Kernels(self.device)
+        self._residency = Residency(self.device, page_rows, compact=compact)
+        self._mesh_residency = MeshResidency(self.device)
+        self._pairs = _FIRST_PAIRS
+        if rasteriser == "quads" and not self.device.blends_floats:
+            raise DeviceUnavailable(
+                f"{self.device.name} cannot blend 32-bit floats",
+                mend="Use the rasteriser 'tiles'.",
+            )
+        self._chosen = rasteriser == "auto"
+        with self.device.minding():
+            self.rasteriser: Rasteriser = (
+                choose(self.device, self._kernels) if rasteriser == "auto" else rasteriser
+            )
+        self._deep = False
+        self._rows: object = None
+        self._key: object = None
+        self._plan: Plan | None = None
+
+    def render(
+        self,
+        scene: Scene,
+        camera: Camera,
+        *,
+        background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+        outputs: Collection[Output] = _COLOR,
+    ) -> Frame:
+        """Draw ``scene`` as ``camera`` sees it.
+
+        Args:
+            scene: What to draw.
+            camera: From where, and how large.
+            background: Red, green, blue and alpha behind it all.
+            outputs: What to make.
+
+        Raises:
+            CapacityExceeded: The scene or the image is larger than the device's buffers.
+            DeviceLost: The device went away.
+            MemoryFull: The device has no memory for the scene or the image.
+            SceneInvalid: The background or the outputs are none.
+        """
+        _, counts, images = self._drawn(scene, camera, background, outputs)
+        return _frame(scene, camera, counts, images, float(background[3]))
+
+    def draw(
+        self,
+        scene: Scene,
+        camera: Camera,
+        *,
+        background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+        output: Output = "color",
+    ) -> Drawn:
+        """Draw ``scene``, and leave the image on the device, for what shows it from there.
+
+        Args:
+            scene: What to draw.
+            camera: From where, and how large.
+            background: Red, green, blue and alpha behind it all.
+            output: What to make.
+
+        Raises:
+            CapacityExceeded: The scene or the image is larger than the device's buffers.
+            DeviceLost: The device went away.
+            MemoryFull: The device has no memory for the scene or the image.
+            SceneInvalid: The background or the output is none.
+        """
+        plan, counts, _ = self._drawn(scene, camera, background, (output,), fetch=False)
+        image = plan.images[output]
+        row = image.size // camera.height // _PIXEL
+        return Drawn(image, row, int(counts[Counts.VISIBLE]), int(counts[Counts.PAIRS]))
+
+    def _drawn(
+        self,
+        scene: Scene,
+        camera: Camera,
+        background: Sequence[float],
+        outputs: Collection[Output],
+        fetch: bool = True,
+    ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
+        """Draw until there is room for everything; images are empty without ``fetch``."""
+        wanted = _known(outputs)
+        if self._published:
+            _require_alone(scene)
+        behind = _premultiplied(background)
+        with self._minding(scene, camera):
+            return self._fitted(scene, camera, behind, wanted, fetch)
+
+    @contextmanager
+    def _minding(self, scene: Scene, camera: Camera) -> Iterator[None]:
+        """Add to an error of the device what the scene takes."""
+        try:
+            with self.device.minding():
+                yield
+        except MemoryFull as error:
+            # Whoever draws something smaller needs it, and the rows that would stay with it.
+            self._plan, self._key, self._rows = None, None, None
+            self._pairs = _FIRST_PAIRS
+            raise _too_large(scene, camera, error, self._compact) from error
+
+    def _fitted(
+        self,
+        scene: Scene,
+        camera: Camera,
+        behind: np.ndarray,
+        wanted: frozenset[Output],
+        fetch: bool,
+    ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
+        placed, meshes = self.placed(scene), self.placed_meshes(scene)
+        plan = self.plan(placed, camera, wanted, meshes)
+        plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
+        counts, images = plan.collect(fetch)
+        while self._wants(counts, plan):
+            if counts[Counts.TIED]:
+                for one in scene.sets:
+                    self._residency.leave(one.data)
+                placed = self._pages(scene)
+            plan = self.plan(placed, camera, wanted, meshes)
+            plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
+            counts, images = plan.collect(fetch)
+        return plan, counts, images
+
+    def _wants(self, counts: np.ndarray, plan: Plan) -> bool:
+        """Say whether a frame has to be drawn again, and make room for what it was short of."""
+        short = int(counts[Counts.WANTED_PAIRS]) > plan.pair_capacity
+        if short:
+            self._grow(int(counts[Counts.WANTED_PAIRS]))
+        if counts[Counts.UNSORTED]:
+            self._deep = True
+        return bool(short or counts[Counts.UNSORTED] or counts[Counts.TIED])
+
+    def placed(self, scene: Scene) -> list[Placed]:
+        """Return each page of the scene with its set, uploaded where it is new or has changed."""
+        for data in dict.fromkeys(one.data for one in scene.sets):
+            self._residency.begin(data)
+        return self._pages(scene)
+
+    def _pages(self, scene: Scene) -> list[Placed]:
+        return [
+            (one, page) for one in scene.sets for page in self._residency.pages(one.data)
+        ]
+
+    def placed_meshes(self, scene: Scene) -> list[PlacedMesh]:
+        """Return each mesh of the scene with its buffers, uploaded where it is new."""
+        return [
+            PlacedMesh(one, self._mesh_residency.buffers(one.data), scene.color_space)
+            for one in scene.meshes
+        ]
+
+    def plan(
+        self,
+        placed: Sequence[Placed],
+        camera: Camera,
+        outputs: frozenset[Output],
+        meshes: Sequence[PlacedMesh] = (),
+    ) -> Plan:
+        """Return the plan for such a frame: the present one if it fits."""
+        size, panorama = (camera.width, camera.height), camera.kind == "panorama"
+        pages = tuple((page, one.weighted is None) for one, page in placed)
+        things = (pages, tuple(one.buffers for one in meshes))
+        rows = [page.rows for _, page in placed]
+        if rows != self._rows:
+            self._rows, self._deep = rows, False  # others may have depths farther apart
+        key = (things, size, outputs, self._pairs, panorama, self._deep)
+        if self._plan is None or key != self._key:
+            self._plan, self._key = None, None  # its memory goes before the new one's comes
+            self._plan = Plan(
+                self.device,
+                self._kernels,
+                placed,
+                size,
+                outputs,
+                self._pairs,
+                self._takes_quads(outputs),
+                panorama,
+                meshes,
+                self._published,
+                self._deep,
+            )
+            self._key = key
+        return self._plan
+
+    def _takes_quads(self, outputs: frozenset[Output]) -> bool:
+        """Whether quads draw the colours; who has to list pairs for another output, blends them."""
+        return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
+
+    def _grow(self, wanted: int) -> None:
+        """Make room for more pairs, or say why there can be none."""
+        most = min(self.device.largest_binding // 4, MOST_GROUPS * RANGE_BLOCK)
+        if wanted > most:
+            raise CapacityExceeded(
+                f"the image needs {wanted:,} pairs of a splat and a tile; "
+                f"{self.device.name} has room for {most:,}",
+                where="scene",
+                mend="Draw a smaller image, or step back from the largest Gaussians.",
+            )
+        self._pairs = min(int(wanted * _ROOM), most)
+
+
+def _too_large(
+    scene: Scene, camera: Camera, error: MemoryFull, compact: bool
+) -> MemoryFull:
+    """Return an error that says what the Gaussians take, and what would be less."""
+    sets = list(dict.fromkeys(one.data for one in scene.sets))
+    now, less = (sum(bytes_of(one, compact=how) for one in sets) for how in (compact, True))
+    count = sum(map(len, sets))
+    what = f"{error.what}; {count:,} Gaussians take {now:,} bytes of it"
+    mend = "Draw fewer of them, or without harmonics: `gsgen convert --sh-degree 0`."
+    if less < now:
+        mend = f"With `--compact` (`compact=True`) they take {less:,}. {mend}"
+    mend = f"{mend} A smaller image than {camera.width}×{camera.height} takes less, too."
+    return MemoryFull(what, where=error.where, mend=mend)
+
+
+def _require_alone(scene: Scene) -> None:
+    """Refuse other things beside weighted sums."""
+    summed = [one.weighted is not None for one in scene.sets]
+    if any(summed) and (scene.meshes or not all(summed)):
+        raise SceneInvalid(
+            "is True, which is defined for scenes of nothing but weighted sets",
+            where="published",
+            mend="Take another Renderer for sets that are sorted, and for meshes.",
+        )
+
+
+def _known(outputs: Collection[Output]) -> frozenset[Output]:
+    wanted = frozenset(outputs)
+    if not wanted or wanted - set(_OUTPUTS):
+        raise SceneInvalid(
+            f"is {sorted(wanted)}, wanted some of {', '.join(_OUTPUTS)}", where="outputs"
+        )
+    return wanted
+
+
+def _premultiplied(background: Sequence[float]) -> np.ndarray:
+    color = np.asarray(background, np.float64)
+    if color.shape != (4,) or not np.isfinite(color).all() or not 0 <= color[3] <= 1:
+        raise SceneInvalid(
+            f"is {list(background)}, wanted red, green, blue and an alpha from 0 to 1",
+            where="background",
+        )
+    return np.append(color[:3] * color[3], color[3])
+
+
+def _frame(
+    scene: Scene,
+    camera: Camera,
+    counts: np.ndarray,
+    images: dict[str, np.ndarray],
+    opacity_behind: float,
+) -> Frame:
+    """Turn the words of the images into what they mean."""
+    color, pick, normal = (
+        images[name].view(np.float32) if name in images else None
+        for name in ("color", "depth", "normal")
+    )
+    covered = next(image for image in (color, pick, normal) if image is not None)
+    alpha = covered[..., 3].copy()
+    if color is not None:
+        color[..., 3] += (1 - alpha) * np.float32(opacity_behind)
+    return Frame(
+        rgba=color,
+        alpha=alpha,
+        depth=None if pick is None else _mean_depth(pick),
+        median_depth=None if pick is None else _median_depth(pick),
+        ids=None if pick is None else _ids(images["depth"][..., 2], scene),
+        normal=None if normal is None else _in_world(normal[..., :3], camera),
+        visible=int(counts[Counts.VISIBLE]),
+        pairs=int(counts[Counts.PAIRS]),
+        color_space=scene.color_space,
+    )
+
+
+def _mean_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w"]:
+    total, alpha = pick[..., 0], pick[..., 3]
+    nothing = np.full(alpha.shape, np.inf, np.float32)
+    return np.asarray(np.divide(total, alpha, out=nothing, where=alpha > 0))
+
+
+def _median_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w"]:
+    median = pick[..., 1]
+    return np.asarray(np.where(median > 0, median, np.float32(np.inf)))
+
+
+def _ids(words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.ndarray, "h w"]:
+    """Return places in the scene; the plan counts sets that are sorted by themselves."""
+    ids = np.where(words == ABSENT, NOTHING, words.astype(np.int64))
+    summed = np.array([one.weighted is not None for one in scene.sets], bool)
+    if not summed.any() or summed.all():
+        return np.asarray(ids)
+    sizes = np.array([len(one.data) for one in scene.sets])
+    first, own = (np.cumsum(sizes) - sizes)[~summed], sizes[~summed]
+    start = np.cumsum(own) - own
+    which = np.searchsorted(start, ids, side="right") - 1
+    return np.asarray(np.where(ids < 0, NOTHING, ids + (first - start)[which]))
+
+
+def _in_world(
+    normal: Float32[np.ndarray, "h w 3"], camera: Camera
+) -> Float32[np.ndarray, "h w 3"]:
+    """Return unit vectors in world space, or zeros."""
+    turned = normal @ camera.view[:3, :3].astype(np.float32)  # rows times R are Rᵀ n
+    size = np.linalg.norm(turned, axis=-1, keepdims=True)
+    return np.asarray(np.divide(turned, size, out=np.zeros_like(turned), where=size > 0))

@@ -1,0 +1,299 @@
+"""What a plan does with sets that are blended by weighted sums, cell by cell.
+
+Only cells are sorted, and only they are listed for tiles; their Gaussians are looked up from
+there. A Gaussian so needs neither the two columns of a sort nor any pairs of its own.
+"""
+
+__all__ = ["WeightedKernels", "WeightedPart"]
+
+from collections.abc import Iterator, Sequence
+from functools import cache
+from typing import Any, Final, final
+
+import numpy as np
+from jaxtyping import Shaped
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.splat_residency import Page
+from gsgen.runtime.kernels.project.normals import NormalsKernel
+from gsgen.runtime.kernels.project.project import PAGE, ProjectKernel, page_uniform
+from gsgen.runtime.kernels.project.project_cells import ProjectCells
+from gsgen.runtime.kernels.shared import counts as counting
+from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.kernels.shared.kernel import Step
+from gsgen.runtime.kernels.shared.shader import TILE
+from gsgen.runtime.kernels.sort.scan import Scan
+from gsgen.runtime.kernels.sort.sort import Columns, Cut, RadixSort
+from gsgen.runtime.kernels.tiles.bin_tiles import BinTiles
+from gsgen.runtime.kernels.tiles.blend_tiles import Layers
+from gsgen.runtime.kernels.tiles.blend_wsr import BlendWsr
+from gsgen.runtime.kernels.tiles.tile_ranges import TileRanges
+from gsgen.runtime.renderer.depth_sort import DepthOrder
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.frame import Output
+from gsgen.runtime.scene.scene import SplatSet
+
+_VEC4: Final = 16
+
+
+@final
+class WeightedKernels:
+    """The kernels of weighted sums, each compiled when it is first needed.
+
+    Args:
+        device: Where they run.
+        cut: How work is cut.
+        scan: What is shared with the rest of the plan …
+        sort: …
+        order: …
+        ranges: …
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        cut: Cut,
+        scan: Scan,
+        sort: RadixSort,
+        order: DepthOrder,
+        ranges: TileRanges,
+    ) -> None:
+        self.cut, self.scan, self.sort = cut, scan, sort
+        self.order, self.ranges = order, ranges
+        self.project = cache(
+            lambda half, words, panorama: ProjectKernel(device, half, words, panorama, True)
+        )
+        self.cells = cache(lambda panorama: ProjectCells(device, panorama))
+        self.bin = cache(lambda panorama: BinTiles(device, cut.walk, panorama, cells=True))
+        self.blend = cache(
+            lambda pick, panorama, published, layers: BlendWsr(
+                device, pick, panorama, published, layers
+            )
+        )
+        self.normals = cache(lambda: NormalsKernel(device))
+
+
+@final
+class WeightedPart:
+    """The part of a plan that draws sets with cells.
+
+    Args:
+        device: Where it runs.
+        kernels: Of the device.
+        placed: Pages of sets that are weighted, and no others.
+        size: Width and height of the image, in pixels.
+        panorama: Whether the image is one.
+        outputs: What is asked for.
+        pair_capacity: For how many pairs of a cell and a tile there is room.
+        frames: The uniforms of the frame: with what is behind, and with nothing there.
+        layers: Where the result stands among others as the front layer; None where it is alone.
+        published: Whether backgrounds count as in the method's own renderer.
+        deep: Whether depths are sorted by all their bits, for very many share the leading ones.
+
+    Attributes:
+        stages: What a frame does, stage by stage.
+        buffers: What it does it with, by name.
+        images: What it makes, by output; nothing where the result is a layer.
+        counts: Of cells and their pairs, and of Gaussians that are drawn.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        kernels: WeightedKernels,
+        placed: Sequence[tuple[SplatSet, Page]],
+        size: tuple[int, int],
+        panorama: bool,
+        outputs: frozenset[Output],
+        pair_capacity: int,
+        frames: tuple[Any, Any],
+        layers: Layers | None,
+        published: bool,
+        deep: bool,
+    ) -> None:
+        self._device, self._kernels = device, kernels
+        self._size, self._panorama, self._published = size, panorama, published
+        self._frame, self._bare_frame = frames
+        self._layers, self._deep = layers, deep
+        self._tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
+        self.buffers: dict[str, Any] = {}
+        self.images: dict[str, Any] = {}
+        self._pair_capacity = pair_capacity
+        self._cells = sum(_cells(one) for one, _ in _sets(placed))
+        self.counts = self._storage("counts of cells", counting.BYTES, extra="INDIRECT")
+        device.write(self.counts, counting.initial(self._cells, pair_capacity))
+        self._ranges = self._storage("ranges of cells", 8 * self._tiles[0] * self._tiles[1])
+        self._slots = device.uniform("pages with cells", PAGE.itemsize * len(placed))
+        self._cell_slots = device.uniform("sets of cells", PAGE.itemsize * len(placed))
+        self.stages = self._record(placed, outputs)
+
+    def _storage(self, name: str, size: int, *, extra: str = "") -> Any:
+        self.buffers[name] = self._device.storage(name, size, extra=extra)
+        return self.buffers[name]
+
+    def _columns(self, name: str, length: int) -> Columns:
+        return Columns(
+            self._storage(f"keys of {name}", 4 * length),
+            self._storage(f"values of {name}", 4 * length),
+        )
+
+    def _record(
+        self, placed: Sequence[tuple[SplatSet, Page]], outputs: frozenset[Output]
+    ) -> dict[str, list[Step]]:
+        n = sum(page.capacity for _, page in placed)
+        keys = self._storage("keys of weighted", 4 * n)
+        shapes, weights, colors = (
+            self._storage(f"weighted {name}", _VEC4 * n)
+            for name in ("shapes", "weights", "colors")
+        )
+        columns = (
+            self._columns("cells a", self._cells),
+            self._columns("cells b", self._cells),
+        )
+        lows = self._storage("lows of cells", 4 * self._cells)
+        circles = self._storage("circles of cells", _VEC4 * self._cells)
+        spans = self._storage("spans of cells", _VEC4 * self._cells)
+        stages = {
+            "project weighted": self._project(placed, (keys, shapes, weights, colors)),
+            "project cells": self._project_cells(
+                placed, (columns[0].keys, circles, spans, keys, self.counts, lows)
+            ),
+        }
+        stages["sort cells"], order = self._sort(columns, lows)
+        pairs = [
+            self._columns(f"pairs of cells {side}", self._pair_capacity) for side in "ab"
+        ]
+        stages["bin cells"] = self._bin(order, circles, pairs[0])
+        stages["group cells"], members = self._group(pairs)
+        known = (self._ranges, members, spans, shapes, weights)
+        if "color" in outputs or self._layers is not None:
+            stages["sum"] = [self._blend("color", (*known, colors))]
+        if "depth" in outputs and self._layers is None:
+            stages["sum depth"] = [self._blend("depth", (*known, colors), pick=True)]
+        if "normal" in outputs:
+            normals = self._storage("weighted normals", _VEC4 * n)
+            stages["project weighted"] += self._normals(placed, keys, normals)
+            stages["sum normal"] = [self._blend("normal", (*known, normals))]
+        return stages
+
+    def _project(
+        self, placed: Sequence[tuple[SplatSet, Page]], outputs: tuple[Any, ...]
+    ) -> list[Step]:
+        made = []
+        for slot, (_, page) in enumerate(placed):
+            kernel = self._kernels.project(page.half, page.stride, self._panorama)
+            bound = (self._frame, *outputs)
+            made.append(kernel.step(bound, self._slots, slot, page, page.cells))
+        return made
+
+    def _project_cells(
+        self, placed: Sequence[tuple[SplatSet, Page]], outputs: tuple[Any, ...]
+    ) -> list[Step]:
+        kernel, bound = self._kernels.cells(self._panorama), (self._frame, *outputs)
+        return [
+            kernel.step(bound, self._cell_slots, slot, page.cells, _cells(one))
+            for slot, (one, page) in enumerate(_sets(placed))
+        ]
+
+    def _normals(
+        self, placed: Sequence[tuple[SplatSet, Page]], keys: Any, normals: Any
+    ) -> list[Step]:
+        kernel = self._kernels.normals()
+        return [
+            kernel.step(keys, normals, self._slots, slot, page)
+            for slot, (_, page) in enumerate(placed)
+        ]
+
+    def _sort(self, columns: tuple[Columns, Columns], lows: Any) -> tuple[list[Step], Any]:
+        """Return the steps, and the buffer of cells, nearest first."""
+        n = self._cells
+        spare = self._storage("keys of cells c", 4 * n) if self._deep else None
+        return self._kernels.order.steps(n, self.counts, columns, lows, None, spare)
+
+    def _bin(self, order: Any, circles: Any, pairs: Columns) -> list[Step]:
+        walk = self._kernels.cut.walk
+        run_pairs = self._storage("run pairs of cells", 4 * -(-self._cells // walk))
+        measure, emit = self._kernels.bin(self._panorama).steps(
+            self.counts, (self._frame, self.counts, order, circles, run_pairs, *pairs)
+        )
+        add = self._kernels.scan.steps(
+            self.counts, run_pairs, source=Counts.VISIBLE, block=walk, total=Counts.PAIRS
+        )
+        return [measure, *add, emit]
+
+    def _group(self, pairs: list[Columns]) -> tuple[list[Step], Any]:
+        """Return the steps, and the buffer of the cells of each tile after the other."""
+        last = self._tiles[0] * self._tiles[1] - 1
+        steps, at = self._kernels.sort.steps(
+            self.counts,
+            self._kernels.sort.histogram(self._pair_capacity),
+            pairs,
+            bits=max(1, last.bit_length()),
+            source=Counts.PAIRS,
+            groups=Counts.SORT_PAIRS_GROUPS,
+        )
+        mark = self._kernels.ranges.step(self.counts, pairs[at].keys, self._ranges)
+        return [*steps, mark], pairs[at].values
+
+    def _blend(self, name: str, resources: tuple[Any, ...], *, pick: bool = False) -> Step:
+        if self._layers is not None:
+            kernel = self._kernels.blend(False, self._panorama, False, self._layers.count)
+            image = self._layers.normals if name == "normal" else self._layers.colors
+            bound = (self._bare_frame, *resources, image)
+            return kernel.step(self._tiles, bound, self._layers.depths)
+        pixels = self._size[0] * self._size[1]
+        self.images[name] = self._storage(f"{name} image", _VEC4 * pixels)
+        frame = self._frame if name == "color" else self._bare_frame
+        kernel = self._kernels.blend(pick, self._panorama, self._published, 0)
+        return kernel.step(self._tiles, (frame, *resources, self.images[name]))
+
+    def clear(self, encoder: Any) -> None:
+        """Encode that what is added up starts at zero."""
+        encoder.clear_buffer(self._ranges)
+        encoder.clear_buffer(self.counts, 4 * Counts.DRAWN, 12)  # to UNSORTED
+
+    def write(self, placed: Sequence[tuple[SplatSet, Page]], camera: Camera) -> None:
+        """Write what changes from frame to frame.
+
+        Args:
+            placed: The pages that the part was made of, and how they are drawn now.
+            camera: Whose image it is.
+        """
+        slots, base = np.zeros(len(placed), PAGE), 0
+        cell_slots, cell_base, number = np.zeros(len(placed), PAGE), 0, 0
+        for slot, (one, page) in enumerate(placed):
+            if page.first == 0:
+                live = -(-one.data.count // one.data.per_cell)
+                made = page_uniform(one, camera, cell_base, _cells(one), live)
+                cell_slots[number] = _weighing(made, one)
+                cell_slots[number]["first_gaussian"] = base
+                cell_base, number = cell_base + _cells(one), number + 1
+            live = min(max(one.data.count - page.first, 0), page.capacity)
+            made = page_uniform(one, camera, base, page.capacity, live)
+            slots[slot] = _weighing(made, one)
+            slots[slot]["first_row"] = page.first
+            base += page.capacity
+        self._device.write(self._slots, slots)
+        self._device.write(self._cell_slots, cell_slots)
+
+
+def _sets(placed: Sequence[tuple[SplatSet, Page]]) -> Iterator[tuple[SplatSet, Page]]:
+    """Yield each set with its first page."""
+    return ((one, page) for one, page in placed if page.first == 0)
+
+
+def _cells(one: SplatSet) -> int:
+    return 0 if one.data.cells is None else len(one.data.cells)
+
+
+def _weighing(made: Shaped[np.ndarray, ""], one: SplatSet) -> Shaped[np.ndarray, ""]:
+    """Add to a page's uniform how a set's Gaussians are weighed."""
+    weighted, depth_range = one.weighted, one.depth_range
+    assert weighted is not None
+    made["per_cell"] = one.data.per_cell
+    made["inverse_range"] = 0 if depth_range is None else 1 / depth_range
+    made["inverse_divisor"], made["behind"] = (
+        1 / weighted.opacity_divisor,
+        weighted.background,
+    )
+    return made

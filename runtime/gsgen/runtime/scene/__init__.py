@@ -1,0 +1,1 @@
+"""What is drawn: scene, splats, meshes, cameras, frames, colours?"""

@@ -1,0 +1,398 @@
+"""Cameras in the OpenCV convention: as JSON, looking at a point, in orbit, flat, or all around."""
+
+__all__ = ["Camera"]
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, final, get_args
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.spec import geometry
+from gsgen.runtime.errors import SceneInvalid
+from gsgen.sdk.binding.camera_inputs import pinhole_projection
+
+_NEAR = 0.01
+_LARGEST_SIDE = 16_384
+_FAR = 1e5  # near planes to the far plane, which nothing but clip space needs
+_ROTATION_TOLERANCE = 1e-3
+_UP = (0.0, -1.0, 0.0)  # +y is down in the worlds that COLMAP makes
+_ROUNDING = 1e-6  # by this share a panorama may be wider than a turn
+
+Kind = Literal["pinhole", "orthographic", "panorama"]
+"""How a camera maps the world to its image."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A camera: +x right, +y down, +z forward; the first pixel's centre is (0.5, 0.5).
+
+    A pinhole sees a point at (fx x/z + cx, fy y/z + cy), an orthographic camera at
+    (fx x + cx, fy y + cy): its focal lengths are pixels for each world unit. A panorama sees it at
+    (fx λ + cx, fy φ + cy) with the longitude λ = atan2(x, z) and, downwards, the latitude
+    φ = asin(y/r): its focal lengths are pixels for each radian (an equirectangular picture).
+
+    Attributes:
+        view: World → camera, [4, 4], acting on column vectors; a rotation and a translation.
+        fx: Horizontal focal length, in pixels.
+        fy: Vertical focal length, in pixels.
+        cx: Principal point from the left edge, in pixels.
+        cy: Principal point from the upper edge, in pixels.
+        width: Of the image, in pixels.
+        height: Of the image, in pixels.
+        near: What is nearer along +z than this, in world units, is not drawn; in a panorama,
+            what is nearer in any direction.
+        kind: ``pinhole``, ``orthographic`` or ``panorama``.
+
+    Raises:
+        SceneInvalid: A number is not finite or out of range, or ``view`` is no rigid motion.
+    """
+
+    view: Float[np.ndarray, "4 4"]
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+    near: float = _NEAR
+    kind: Kind = "pinhole"
+
+    def __post_init__(self) -> None:
+        view = np.array(self.view, np.float64)
+        if view.shape != (4, 4) or not np.isfinite(view).all():
+            raise SceneInvalid(
+                f"is {view.tolist()}, wanted 4 rows of 4 finite numbers",
+                where="camera.view",
+            )
+        object.__setattr__(self, "view", view)
+        for name in ("fx", "fy", "near"):
+            _require_number(name, getattr(self, name), positive=True)
+        for name in ("cx", "cy"):
+            _require_number(name, getattr(self, name))
+        for name in ("width", "height"):
+            _require_side(name, getattr(self, name))
+        if self.kind not in get_args(Kind):
+            raise SceneInvalid(
+                f"is {self.kind!r}, wanted pinhole, orthographic or panorama",
+                where="camera.kind",
+            )
+        if self.kind == "panorama":
+            _require_sphere(self)
+        turn = view[:3, :3]
+        with np.errstate(all="ignore"):  # numbers may be so large that they overflow
+            off = np.abs(turn @ turn.T - np.eye(3)).max()
+            rigid = off <= _ROTATION_TOLERANCE and np.linalg.det(turn) > 0
+        if not (rigid and np.array_equal(view[3], [0, 0, 0, 1])):
+            raise SceneInvalid(
+                f"is no rotation with a translation: {view.tolist()}",
+                where="camera.view",
+                mend="It maps world to camera and acts on column vectors; its last row is 0 0 0 1.",
+            )
+
+    @classmethod
+    def look_at(
+        cls,
+        eye: Sequence[float],
+        target: Sequence[float],
+        *,
+        up: Sequence[float] = _UP,
+        width: int = 1280,
+        height: int = 720,
+        fov_y: float = 50.0,
+        near: float = _NEAR,
+    ) -> "Camera":
+        """Return the camera at ``eye`` that looks at ``target``.
+
+        Args:
+            eye: The camera centre, in world units.
+            target: What is in the middle of the image.
+            up: The world's upward direction.
+            width: Of the image, in pixels.
+            height: Of the image, in pixels.
+            fov_y: Vertical field of view, in degrees.
+            near: Distance of the near plane.
+
+        Raises:
+            SceneInvalid: ``eye`` and ``target`` are one point, or a number is out of range.
+        """
+        if not 0 < fov_y < 180:
+            raise SceneInvalid(f"is {fov_y} degrees, wanted 0 to 180", where="camera.fov_y")
+        _require_side("height", height)
+        at, goal = np.asarray(eye, np.float64), np.asarray(target, np.float64)
+        if not np.linalg.norm(goal - at) > 0:
+            raise SceneInvalid(
+                f"looks from {at.tolist()} at {goal.tolist()}, which is no direction",
+                where="camera",
+            )
+        upward = _direction("up", up)
+        focal = height / 2 / math.tan(math.radians(fov_y) / 2)
+        view = geometry.look_at(at, goal, upward)
+        return cls(view, focal, focal, width / 2, height / 2, width, height, near)
+
+    @classmethod
+    def orbit(
+        cls,
+        center: Sequence[float],
+        radius: float,
+        *,
+        azimuth: float = 0.0,
+        elevation: float = 0.0,
+        up: Sequence[float] = _UP,
+        width: int = 1280,
+        height: int = 720,
+        fov_y: float = 50.0,
+        near: float = _NEAR,
+    ) -> "Camera":
+        """Return the camera on a sphere around ``center`` that looks at it.
+
+        Args:
+            center: In world units.
+            radius: Of the sphere, > 0.
+            azimuth: Degrees around ``up``.
+            elevation: Degrees above the horizon.
+            up: The world's upward direction.
+            width: Of the image, in pixels.
+            height: Of the image, in pixels.
+            fov_y: Vertical field of view, in degrees.
+            near: Distance of the near plane.
+
+        Raises:
+            SceneInvalid: A number is out of range.
+        """
+        _require_number("radius", radius, positive=True)
+        axis = _direction("up", up)
+        side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        side /= np.linalg.norm(side)
+        turn, lift = math.radians(azimuth), math.radians(elevation)
+        level = math.cos(turn) * np.cross(side, axis) + math.sin(turn) * side
+        away = math.cos(lift) * level + math.sin(lift) * axis
+        middle = np.asarray(center, np.float64)
+        # Straight above, `up` says nothing: the horizon's direction does.
+        upward = axis if abs(lift) < math.pi / 2 - 1e-6 else -math.copysign(1, lift) * level
+        return cls.look_at(
+            (middle + radius * away).tolist(),
+            middle.tolist(),
+            up=upward.tolist(),
+            width=width,
+            height=height,
+            fov_y=fov_y,
+            near=near,
+        )
+
+    @classmethod
+    def panorama(
+        cls,
+        eye: Sequence[float],
+        toward: Sequence[float] = (0.0, 0.0, 1.0),
+        *,
+        up: Sequence[float] = _UP,
+        width: int = 2048,
+        height: int | None = None,
+        longitudes: tuple[float, float] = (-180.0, 180.0),
+        latitudes: tuple[float, float] = (-90.0, 90.0),
+        near: float = _NEAR,
+    ) -> "Camera":
+        """Return the camera at ``eye`` that sees all around: an equirectangular panorama.
+
+        Its horizon is level: ``toward`` says only which way its middle column looks.
+
+        Args:
+            eye: The camera centre, in world units.
+            toward: A direction, not along ``up``.
+            up: The world's upward direction.
+            width: Of the image, in pixels.
+            height: Of the image, in pixels; None for square pixels.
+            longitudes: Degrees at the left and the right edge; positive is to the right.
+            latitudes: Degrees at the lower and the upper edge; positive is up.
+            near: What is nearer than this is not drawn.
+
+        Raises:
+            SceneInvalid: The angles are not in order or too far apart, ``toward`` is along ``up``,
+                or a number is out of range.
+        """
+        for name, (low, high), most in (
+            ("longitudes", longitudes, 360),
+            ("latitudes", latitudes, 180),
+        ):
+            if not 0 < high - low <= most:
+                raise SceneInvalid(
+                    f"are {low} to {high} degrees, wanted low to high, {most} apart at most",
+                    where=f"camera.{name}",
+                )
+        across = math.radians(longitudes[1] - longitudes[0])
+        down = math.radians(latitudes[1] - latitudes[0])
+        _require_side("width", width)
+        tall = max(1, round(width * down / across)) if height is None else height
+        _require_side("height", tall)
+        fx, fy = width / across, tall / down
+        upward = _direction("up", up)
+        ahead = _direction("toward", toward)
+        ahead -= upward * (upward @ ahead)
+        if not np.linalg.norm(ahead) > 1e-6:
+            raise SceneInvalid(
+                f"is {list(toward)}, along {list(up)}: no direction on the horizon",
+                where="camera.toward",
+            )
+        view = geometry.look_at(np.zeros(3), ahead, upward)
+        view[:3, 3] = -view[:3, :3] @ np.asarray(eye, np.float64)
+        cx, cy = -math.radians(longitudes[0]) * fx, math.radians(latitudes[1]) * fy
+        return cls(view, fx, fy, cx, cy, width, tall, near, "panorama")
+
+    @classmethod
+    def from_json(cls, text: str) -> "Camera":
+        """Return the camera that a JSON object of this class's attributes describes.
+
+        Raises:
+            SceneInvalid: The text is no such object.
+        """
+        try:
+            made = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise SceneInvalid(f"is no JSON: {error}", where="camera") from error
+        return cls.from_dict(made)
+
+    @classmethod
+    def from_dict(cls, made: object) -> "Camera":
+        """Return the camera that a mapping of this class's attributes describes.
+
+        Raises:
+            SceneInvalid: A field is missing, unknown or invalid.
+        """
+        known = [field.name for field in fields(cls)]
+        if not isinstance(made, Mapping):
+            raise SceneInvalid(
+                f"is a {type(made).__name__}, wanted an object with {', '.join(known)}",
+                where="camera",
+            )
+        missing = [
+            name for name in known if name not in made and name not in ("near", "kind")
+        ]
+        unknown = [name for name in made if name not in known]
+        if missing or unknown:
+            parts = [f"lacks {', '.join(missing)}"] if missing else []
+            parts += [f"has unknown {', '.join(map(str, unknown))}"] if unknown else []
+            raise SceneInvalid(
+                "; ".join(parts), where="camera", mend=f"Fields: {', '.join(known)}."
+            )
+        values: dict[str, Any] = dict(made)
+        try:
+            values["view"] = np.array(values["view"], np.float64)
+        except (TypeError, ValueError) as error:
+            raise SceneInvalid(f"is no matrix: {error}", where="camera.view") from error
+        return cls(**values)
+
+    def to_json(self) -> str:
+        """Return the camera as a JSON object."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return json.dumps(values | {"view": self.view.tolist()}, indent=1)
+
+    @property
+    def eye(self) -> Float[np.ndarray, "3"]:
+        """The camera centre, in world units: −Rᵀt."""
+        return np.asarray(-self.view[:3, :3].T @ self.view[:3, 3])
+
+    @property
+    def projection(self) -> Float[np.ndarray, "4 4"]:
+        """Camera → clip, depth 0..1, as generators get it.
+
+        A panorama has no such matrix: it gives that of a box of 1e5 units around the camera, so
+        that models that hide what is out of view hide nothing.
+        """
+        if self.kind == "pinhole":
+            return np.asarray(pinhole_projection(self))
+        if self.kind == "panorama":
+            # A box around the camera: what is behind it is in view, too, and nothing is culled.
+            box = np.diag([1 / _FAR, -1 / _FAR, 0.5 / _FAR, 1])
+            box[2, 3] = 0.5
+            return np.asarray(box)
+        made = np.eye(4)
+        made[0, [0, 3]] = 2 * self.fx / self.width, 2 * self.cx / self.width - 1
+        made[1, [1, 3]] = -2 * self.fy / self.height, 1 - 2 * self.cy / self.height
+        depth = _FAR * self.near - self.near
+        made[2, 2:] = 1 / depth, -self.near / depth
+        return made
+
+    @property
+    def period(self) -> float:
+        """How many pixels a panorama has for a whole turn; 0 for other kinds."""
+        return 2 * math.pi * self.fx if self.kind == "panorama" else 0.0
+
+    def flattened(self, distance: float) -> "Camera":
+        """Return the orthographic camera that shows what is at ``distance`` as large as this one.
+
+        Raises:
+            SceneInvalid: The distance is no positive number, or this is a panorama.
+        """
+        _require_number("distance", distance, positive=True)
+        if self.kind == "panorama":
+            raise SceneInvalid("is panorama, which cannot be flat", where="camera.kind")
+        scale = distance if self.kind == "pinhole" else 1.0
+        return replace(self, fx=self.fx / scale, fy=self.fy / scale, kind="orthographic")
+
+    def all_around(self, width: int, height: int) -> "Camera":
+        """Return the full panorama from the same place, whose middle is this one's axis."""
+        fx, fy = width / (2 * math.pi), height / math.pi
+        center = (width / 2, height / 2)
+        return Camera(self.view, fx, fy, *center, width, height, self.near, "panorama")
+
+    def scaled(self, width: int, height: int) -> "Camera":
+        """Return the camera with the same view in an image of another size."""
+        across, down = width / self.width, height / self.height
+        return replace(
+            self,
+            fx=self.fx * across,
+            fy=self.fy * down,
+            cx=self.cx * across,
+            cy=self.cy * down,
+            width=width,
+            height=height,
+        )
+
+
+def _require_number(name: str, value: object, *, positive: bool = False) -> None:
+    good = isinstance(value, int | float) and math.isfinite(value)
+    if not good or (positive and not float(value) > 0):  # type: ignore[arg-type]
+        wanted = "a positive number" if positive else "a finite number"
+        raise SceneInvalid(f"is {value!r}, wanted {wanted}", where=f"camera.{name}")
+
+
+def _direction(name: str, given: Sequence[float]) -> Float[np.ndarray, "3"]:
+    vector = np.asarray(given, np.float64)
+    length = np.linalg.norm(vector)
+    if vector.shape != (3,) or not 0 < length < math.inf:
+        raise SceneInvalid(
+            f"is {list(given)}, which is no direction", where=f"camera.{name}"
+        )
+    return np.asarray(vector / length)
+
+
+def _require_sphere(camera: Camera) -> None:
+    """Refuse a panorama that shows a direction twice, or one beyond a pole."""
+    if camera.width > camera.period * (1 + _ROUNDING):
+        raise SceneInvalid(
+            f"is {camera.fx} pixels a radian, {camera.period:.6g} a turn, but the image is "
+            f"{camera.width} wide",
+            where="camera.fx",
+            mend="A full panorama has fx = width / 2π, a part of one has more.",
+        )
+    top, bottom = -camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy
+    if max(-top, bottom) > math.pi / 2 * (1 + _ROUNDING):
+        raise SceneInvalid(
+            f"and fy show latitudes from {math.degrees(-bottom):.6g} to "
+            f"{math.degrees(-top):.6g} degrees, wanted −90 to 90 at most",
+            where="camera.cy",
+            mend="A full panorama has cy = height / 2 and fy = height / π.",
+        )
+
+
+def _require_side(name: str, value: object) -> None:
+    if not (isinstance(value, int | np.integer) and 1 <= value <= _LARGEST_SIDE):
+        raise SceneInvalid(
+            f"is {value!r}, wanted an integer from 1 to {_LARGEST_SIDE}",
+            where=f"camera.{name}",
+        )

@@ -1,0 +1,183 @@
+"""Meshes of triangles: opaque surfaces that stand among the Gaussians."""
+
+__all__ = ["SHADINGS", "Mesh", "MeshData", "Shading"]
+
+from dataclasses import dataclass, field, replace
+from typing import Final, Literal, final, get_args
+
+import numpy as np
+from jaxtyping import Float, Float32, Integer, UInt8, UInt32
+
+from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.scene.transforms import identity, require_affine
+
+Shading = Literal["unlit", "headlight"]
+"""See :class:`Mesh`."""
+
+SHADINGS: Final[tuple[Shading, ...]] = get_args(Shading)
+
+_GREY: Final = 0.7
+_LARGEST: Final = 1e18  # its square is finite in float32
+
+
+@final
+class MeshData:
+    """Triangles and their colours. Several meshes may share them; they are on the GPU once.
+
+    Args:
+        vertices: Positions, [V, 3], finite.
+        faces: Three indices of vertices a triangle, [F, 3]; which way round does not matter.
+        colors: Red, green, blue of each vertex, [V, 3] or [V, 4], floats or bytes; an alpha is
+            left out, for meshes are opaque. None for grey, or white where there is a texture.
+        uv: Where each vertex is in the texture, [V, 2]: (0, 0) is its lower left corner, and
+            beyond (1, 1) it repeats.
+        texture: Bytes, [height, width, 3 or 4], the upper row first; it multiplies the colours.
+        color_space: Of colours and texture.
+
+    Attributes:
+        vertices: As float32.
+        faces: As uint32.
+        colors: As float32, [V, 3].
+        uv: As float32, or None.
+        texture: [height, width, 4], or None.
+        color_space: As given.
+        version: Grows with every update; who keeps a copy compares it.
+
+    Raises:
+        SceneInvalid: An array cannot be drawn; says which row and value.
+    """
+
+    vertices: Float32[np.ndarray, "v 3"]
+    faces: UInt32[np.ndarray, "f 3"]
+    colors: Float32[np.ndarray, "v 3"]
+    uv: Float32[np.ndarray, "v 2"] | None
+    texture: UInt8[np.ndarray, "h w 4"] | None
+    color_space: Literal["srgb", "linear"]
+    version: int
+
+    def __init__(
+        self,
+        vertices: Float[np.ndarray, "v 3"],
+        faces: Integer[np.ndarray, "f 3"],
+        colors: np.ndarray | None = None,
+        *,
+        uv: Float[np.ndarray, "v 2"] | None = None,
+        texture: UInt8[np.ndarray, "h w c"] | None = None,
+        color_space: Literal["srgb", "linear"] = "srgb",
+    ) -> None:
+        self.vertices = _floats(vertices, "vertices", (3,))
+        self.faces = _faces(faces, len(self.vertices))
+        self.texture = None if texture is None else _texture(texture)
+        self.uv = None if uv is None else _floats(uv, "uv", (2,), len(self.vertices))
+        if (self.uv is None) != (self.texture is None):
+            absent = "uv" if self.uv is None else "texture"
+            raise SceneInvalid("is absent: uv and texture need each other", where=absent)
+        if colors is None:
+            colors = np.full((len(self.vertices), 3), _GREY if texture is None else 1.0)
+        elif np.asarray(colors).dtype == np.uint8:
+            colors = np.asarray(colors) / 255
+        self.colors = _floats(colors, "colors", (3, 4), len(self.vertices))[:, :3]
+        _require_one_of(color_space, ("srgb", "linear"), "color_space")
+        self.color_space = color_space
+        self.version = 0
+
+    def update(self, vertices: Float[np.ndarray, "v 3"]) -> None:
+        """Move the vertices; how many there are stays, so that no buffer is made anew.
+
+        Raises:
+            SceneInvalid: There are more or fewer, or one is not finite.
+        """
+        self.vertices = _floats(vertices, "vertices", (3,), len(self.vertices))
+        self.version += 1
+
+    def __len__(self) -> int:
+        return len(self.faces)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """Triangles, and how they are drawn.
+
+    Attributes:
+        data: The triangles.
+        transform: Local → world, [4, 4], affine and invertible.
+        shading: ``unlit`` shows colours as they are; ``headlight`` multiplies them by
+            0.2 + 0.8 |n·v|, for the face's normal n and the direction v to the camera.
+
+    Raises:
+        SceneInvalid: The transform or the shading cannot be used.
+    """
+
+    data: MeshData
+    transform: Float[np.ndarray, "4 4"] = field(default_factory=identity)
+    shading: Shading = "unlit"
+
+    def __post_init__(self) -> None:
+        matrix = np.array(self.transform, np.float64)
+        object.__setattr__(self, "transform", matrix)
+        require_affine(matrix)
+        _require_one_of(self.shading, SHADINGS, "shading")
+
+    def placed(self, transform: Float[np.ndarray, "4 4"]) -> "Mesh":
+        """Return the same triangles, moved once more by ``transform``."""
+        return replace(self, transform=np.asarray(transform, np.float64) @ self.transform)
+
+
+def _require_one_of(value: str, known: tuple[str, ...], where: str) -> None:
+    if value not in known:
+        raise SceneInvalid(f"is {value!r}, wanted {' or '.join(known)}", where=where)
+
+
+def _floats(
+    given: np.ndarray, where: str, widths: tuple[int, ...], rows: int | None = None
+) -> Float32[np.ndarray, "n c"]:
+    """Return finite rows of one of some widths as float32, in C order."""
+    made = np.asarray(given)
+    fits = made.ndim == 2 and made.shape[1] in widths and made.dtype.kind in "fiu"
+    if not fits or (rows is not None and len(made) != rows):
+        wanted = " or ".join(map(str, widths))
+        raise SceneInvalid(
+            f"{made.dtype} {list(made.shape)}, wanted numbers "
+            f"[{'N' if rows is None else rows}, {wanted}]",
+            where=where,
+        )
+    wrong = ~(np.abs(made) <= _LARGEST).all(axis=1)
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise SceneInvalid(
+            f"{wrong.sum():,} of {len(made):,} rows are not finite or beyond {_LARGEST:g}; "
+            f"row {row} is {made[row].tolist()}",
+            where=where,
+            mend="Leave out these vertices and the faces that use them.",
+        )
+    return np.ascontiguousarray(made, np.float32)
+
+
+def _faces(given: np.ndarray, vertices: int) -> UInt32[np.ndarray, "f 3"]:
+    made = np.asarray(given)
+    if made.ndim != 2 or made.shape[1] != 3 or made.dtype.kind not in "iu":
+        raise SceneInvalid(
+            f"{made.dtype} {list(made.shape)}, wanted integers [F, 3]", where="faces"
+        )
+    wrong = ~((made >= 0) & (made < vertices)).all(axis=1)
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise SceneInvalid(
+            f"row {row} is {made[row].tolist()}, but there are {vertices:,} vertices",
+            where="faces",
+        )
+    return np.ascontiguousarray(made, np.uint32)
+
+
+def _texture(given: np.ndarray) -> UInt8[np.ndarray, "h w 4"]:
+    made = np.asarray(given)
+    fits = made.ndim == 3 and made.shape[2] in (3, 4) and made.dtype == np.uint8
+    if not fits or 0 in made.shape:
+        raise SceneInvalid(
+            f"{made.dtype} {list(made.shape)}, wanted uint8 [height, width, 3 or 4]",
+            where="texture",
+        )
+    opaque = np.full((*made.shape[:2], 4), 255, np.uint8)
+    opaque[..., :3] = made[..., :3]
+    return opaque

@@ -1,0 +1,155 @@
+"""Scenes: sets of Gaussians, each with its place in the world and how it is to be drawn."""
+
+__all__ = ["Box", "Scene", "SplatSet"]
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Literal, final
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.spec.manifest import WeightedSum
+from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
+from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.scene.mesh import Mesh, MeshData
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.scene.transforms import identity, require_affine
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Box:
+    """An axis-parallel box in the local space of a set; both ends are inside.
+
+    Attributes:
+        low: The least x, y and z.
+        high: The greatest.
+    """
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class SplatSet:
+    """Gaussians, and how they are drawn.
+
+    Attributes:
+        data: The Gaussians. Several sets may share them; they are on the GPU once.
+        transform: Local → world, [4, 4], affine and invertible. Covariances follow it;
+            harmonics follow its rotation (the orthogonal factor of its polar decomposition).
+        opacity_scale: Factor of all opacities, ≥ 0; what comes out above 1 is as 1.
+        degree: Use no harmonics above this degree; None for all there are.
+        antialias: What makes up for the 0.3 pixels² of dilation: nothing in ``classic``, less
+            opacity in ``mip`` (Yu et al. 2023, "Mip-Splatting").
+        clip: Centres outside of this box are not drawn; None for no box.
+        weighted: How Gaussians are weighed where they are summed cell by cell; None where they
+            are sorted and blended. The depth range, a length, follows the size of the set.
+
+    Raises:
+        SceneInvalid: The transform or a number cannot be used.
+    """
+
+    data: SplatData
+    transform: Float[np.ndarray, "4 4"] = field(default_factory=identity)
+    opacity_scale: float = 1.0
+    degree: int | None = None
+    antialias: Literal["classic", "mip"] = "classic"
+    clip: Box | None = None
+    weighted: WeightedSum | None = None
+
+    def __post_init__(self) -> None:
+        matrix = np.array(self.transform, np.float64)
+        object.__setattr__(self, "transform", matrix)
+        require_affine(matrix)
+        if not (np.isfinite(self.opacity_scale) and self.opacity_scale >= 0):
+            raise SceneInvalid(
+                f"is {self.opacity_scale}, wanted a number from 0", where="opacity_scale"
+            )
+        if self.degree is not None and not 0 <= self.degree <= MAX_DEGREE:
+            raise SceneInvalid(
+                f"is {self.degree}, wanted 0 to {MAX_DEGREE}", where="degree"
+            )
+        if self.antialias not in ("classic", "mip"):
+            raise SceneInvalid(
+                f"is {self.antialias!r}, wanted classic or mip", where="antialias"
+            )
+        if self.weighted is not None:
+            _require_weights(self.weighted, self.data)
+
+    @property
+    def depth_range(self) -> float | None:
+        """At which depth in the world weights are 0: the model's times the mean of its scales."""
+        if self.weighted is None or self.weighted.depth_range is None:
+            return None
+        volume = abs(float(np.linalg.det(self.transform[:3, :3])))
+        return self.weighted.depth_range * float(np.cbrt(volume))
+
+
+def _require_weights(weighted: WeightedSum, data: SplatData) -> None:
+    if data.cells is None:
+        raise SceneInvalid(
+            "are summed cell by cell, and have no cells",
+            where="weighted",
+            mend="Give SplatData its cells, or leave `weighted` out: they are sorted then.",
+        )
+    sizes = [weighted.opacity_divisor]
+    sizes += [] if weighted.depth_range is None else [weighted.depth_range]
+    if not all(np.isfinite(size) and size > 0 for size in sizes):
+        raise SceneInvalid(
+            f"divides by {weighted.opacity_divisor} within {weighted.depth_range}, "
+            "wanted numbers above 0",
+            where="weighted",
+        )
+    if not (np.isfinite(weighted.background) and weighted.background >= 0):
+        raise SceneInvalid(
+            f"weighs the background {weighted.background}, wanted a number from 0",
+            where="weighted",
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """Sets of Gaussians that are sorted and blended together.
+
+    Attributes:
+        sets: In any order; of Gaussians at the same depth, those of the earlier set are in front.
+        color_space: Of the colours of all sets; they are blended as they are.
+        meshes: Opaque surfaces, whose colours are converted to this space; where two are equally
+            far, the earlier is seen.
+    """
+
+    sets: tuple[SplatSet, ...]
+    color_space: Literal["srgb", "linear"] = "srgb"
+    meshes: tuple[Mesh, ...] = ()
+
+    def __init__(
+        self,
+        sets: Iterable[SplatSet | SplatData],
+        color_space: Literal["srgb", "linear"] = "srgb",
+        meshes: Iterable[Mesh | MeshData] = (),
+    ) -> None:
+        made = tuple(one if isinstance(one, SplatSet) else SplatSet(one) for one in sets)
+        object.__setattr__(self, "sets", made)
+        object.__setattr__(self, "color_space", color_space)
+        stood = tuple(one if isinstance(one, Mesh) else Mesh(one) for one in meshes)
+        object.__setattr__(self, "meshes", stood)
+
+    def locate(self, index: int) -> tuple[int, int]:
+        """Return the set and the row in it of the Gaussian that a frame's ids call ``index``.
+
+        Raises:
+            IndexError: The scene has fewer Gaussians.
+        """
+        rest = index
+        for number, one in enumerate(self.sets):
+            if 0 <= rest < len(one.data):
+                return number, rest
+            rest -= len(one.data)
+        raise IndexError(f"Gaussian {index} of {len(self)}")
+
+    def __len__(self) -> int:
+        return sum(len(one.data) for one in self.sets)

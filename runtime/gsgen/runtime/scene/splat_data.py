@@ -1,0 +1,208 @@
+"""Gaussians to be drawn: packed rows of the contract, whose values may change from frame to frame."""
+
+__all__ = ["SplatData"]
+
+from typing import Literal, final
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64
+
+from gsgen.contract.spec import layout
+from gsgen.contract.spec.geometry import covariance_upper
+from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE, coefficients, degree_of
+from gsgen.formats import PackedRows, PointCloud, Splats
+from gsgen.runtime.errors import SceneInvalid
+
+_HALVES = (np.dtype(np.float16), np.dtype(np.float32))
+
+
+@final
+class SplatData:
+    """Packed rows and their appearance, as a generator emits them.
+
+    Attributes:
+        rows: ``x y z opacity xx xy xz yy yz zz``, [N, 10], float32 or float16.
+        appearance: SH coefficients or RGB, [N, C], float32 or float16.
+        space: What ``appearance`` holds.
+        count: How many of the first rows are drawn.
+        rows_version: Grows when the rows change; who keeps a copy compares it.
+        appearance_version: The same of the appearance.
+        cells: What Gaussians may be summed by, [C, 10]: rows as those of Gaussians, with a
+            visibility for opacity; None where there are none.
+        per_cell: Gaussians of each cell: row r is of cell r // per_cell.
+        cells_version: Grows when the cells change.
+    """
+
+    def __init__(
+        self,
+        rows: Float[np.ndarray, "n 10"],
+        appearance: Float[np.ndarray, "n c"],
+        space: Literal["sh", "rgb"],
+        *,
+        count: int | None = None,
+        cells: Float[np.ndarray, "c 10"] | None = None,
+        per_cell: int = 1,
+    ) -> None:
+        self.space: Literal["sh", "rgb"] = space
+        self.rows_version = self.appearance_version = self.cells_version = 0
+        self.rows, self.appearance, self.count = _checked(rows, appearance, space, count)
+        self.per_cell = per_cell
+        self.cells = None if cells is None else _checked_cells(cells, per_cell, len(rows))
+
+    @classmethod
+    def from_splats(cls, splats: Splats) -> "SplatData":
+        """Activate what a splat file holds; harmonics above degree 3 are left out.
+
+        Opacity by the sigmoid, scale by the exponential, covariance by equation 6 of Kerbl
+        et al. 2023.
+        """
+        with np.errstate(over="ignore"):  # the sigmoid of -inf is the 0 that it means
+            opacity = 1 / (1 + np.exp(-splats.logit_opacity.astype(np.float64)))
+        scale = np.exp(splats.log_scale.astype(np.float64))
+        made = layout.Gaussians(
+            position=splats.position,
+            opacity=opacity,
+            covariance=covariance_upper(scale, splats.rotation),
+            sh=splats.sh[:, : coefficients(MAX_DEGREE)],
+        )
+        return cls(*layout.encode(made), "sh")
+
+    @classmethod
+    def from_packed(
+        cls, packed: PackedRows, space: Literal["sh", "rgb"] | None = None
+    ) -> "SplatData":
+        """Take packed rows as they are.
+
+        Args:
+            packed: The rows.
+            space: What the appearance is; three or four channels mean RGB where absent.
+        """
+        three = packed.appearance.shape[1] in (3, 4)
+        return cls(packed.gaussians, packed.appearance, space or ("rgb" if three else "sh"))
+
+    @classmethod
+    def from_points(cls, points: PointCloud, opacity: float = 0.8) -> "SplatData":
+        """Draw bare points as balls, each half as large as its three nearest neighbours are far.
+
+        Lonely points would hide the others: none is larger than four times the median.
+
+        Raises:
+            SceneInvalid: SciPy, whose search tree is used, is not installed.
+        """
+        spacing = _spacing(points.position)
+        variance = (0.5 * np.minimum(spacing, 4 * np.median(spacing))) ** 2
+        rows = np.zeros((len(points), layout.ROW), np.float32)
+        rows[:, layout.POSITION] = points.position
+        rows[:, layout.OPACITY] = opacity
+        rows[:, layout.COVARIANCE] = variance[:, None] * [1, 0, 0, 1, 0, 1]
+        return cls(rows, points.color, "rgb")
+
+    def update(
+        self,
+        rows: Float[np.ndarray, "n 10"] | None = None,
+        appearance: Float[np.ndarray, "n c"] | None = None,
+        count: int | None = None,
+        cells: Float[np.ndarray, "c 10"] | None = None,
+    ) -> None:
+        """Replace values; shapes and dtypes stay, so that no buffer is made anew.
+
+        Args:
+            rows: New rows; None where they are as before.
+            appearance: New appearance; None where it is as before.
+            count: How many rows are live; all where absent.
+            cells: New cells; None where they are as before.
+
+        Raises:
+            SceneInvalid: A shape or a dtype is another than before.
+        """
+        made = _checked(
+            self.rows if rows is None else rows,
+            self.appearance if appearance is None else appearance,
+            self.space,
+            count,
+        )
+        for name, new, old in (
+            ("rows", made[0], self.rows),
+            ("appearance", made[1], self.appearance),
+        ):
+            if new.shape != old.shape or new.dtype != old.dtype:
+                raise SceneInvalid(
+                    f"{new.dtype} {list(new.shape)}, wanted {old.dtype} {list(old.shape)} as before",
+                    where=name,
+                )
+        self.rows, self.appearance, self.count = made
+        if cells is not None:
+            self.cells = self._next_cells(cells)
+            self.cells_version += 1
+        self.rows_version += rows is not None
+        self.appearance_version += appearance is not None
+
+    def _next_cells(self, cells: np.ndarray) -> np.ndarray:
+        made = _checked_cells(cells, self.per_cell, len(self.rows))
+        if self.cells is None or made.dtype != self.cells.dtype:
+            before = "none" if self.cells is None else str(self.cells.dtype)
+            raise SceneInvalid(f"{made.dtype}, wanted {before} as before", where="cells")
+        return made
+
+    @property
+    def degree(self) -> int | None:
+        """The SH degree, or None where the appearance is RGB."""
+        return degree_of(self.appearance.shape[1] // 3) if self.space == "sh" else None
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+def _spacing(points: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+    """Return the root mean square distance of each point to its three nearest neighbours."""
+    try:
+        from scipy.spatial import KDTree
+    except ImportError as error:
+        raise SceneInvalid(
+            "sizes of bare points need scipy, which is not installed",
+            mend="pip install 'gsgen[runtime]'",
+        ) from error
+    wide = points.astype(np.float64)
+    k = min(3, len(wide) - 1)
+    if k < 1:
+        return np.full(len(wide), 1e-2)
+    distances, _ = KDTree(wide).query(wide, k=k + 1, workers=-1)
+    return np.asarray(np.sqrt(np.square(distances[:, 1:]).mean(axis=1)))
+
+
+def _checked(
+    rows: np.ndarray,
+    appearance: np.ndarray,
+    space: Literal["sh", "rgb"],
+    count: int | None,
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return the arrays in C order, and how many rows are live."""
+    allowed = layout.APPEARANCE_CHANNELS[space]
+    if rows.ndim != 2 or rows.shape[1] != layout.ROW or rows.dtype not in _HALVES:
+        raise SceneInvalid(
+            f"{rows.dtype} {list(rows.shape)}, wanted float16 or float32 [N, {layout.ROW}]",
+            where="rows",
+        )
+    fits = appearance.ndim == 2 and appearance.shape[1] in allowed
+    if not fits or len(appearance) != len(rows) or appearance.dtype not in _HALVES:
+        raise SceneInvalid(
+            f"{appearance.dtype} {list(appearance.shape)}, wanted float16 or float32 "
+            f"[{len(rows)}, C] with C one of {', '.join(map(str, allowed))} for {space}",
+            where="appearance",
+        )
+    live = len(rows) if count is None else int(count)
+    if not 0 <= live <= len(rows):
+        raise SceneInvalid(f"{live} is not within 0 to {len(rows)}", where="count")
+    return np.ascontiguousarray(rows), np.ascontiguousarray(appearance), live
+
+
+def _checked_cells(cells: np.ndarray, per_cell: int, rows: int) -> np.ndarray:
+    """Return the cells in C order."""
+    fits = cells.ndim == 2 and cells.shape[1] == layout.ROW and cells.dtype in _HALVES
+    if per_cell < 1 or not fits or len(cells) * per_cell != rows:
+        raise SceneInvalid(
+            f"{cells.dtype} {list(cells.shape)} of {per_cell} Gaussians each, wanted float16 or "
+            f"float32 [C, {layout.ROW}] with C times as many the {rows} rows",
+            where="cells",
+        )
+    return np.ascontiguousarray(cells)

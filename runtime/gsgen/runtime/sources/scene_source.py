@@ -1,0 +1,95 @@
+"""Scenes in memory as sources, for what shows sources."""
+
+__all__ = ["SceneSource", "sources_of"]
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal, final
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.sources.mesh_source import MeshSource
+from gsgen.runtime.sources.scene_file import is_scene_file, open_scene
+from gsgen.runtime.sources.source import Source, Values, open_source
+
+
+@final
+class SceneSource(Source):
+    """A set of Gaussians that is there already.
+
+    Args:
+        one: The set.
+        color_space: Of its colours.
+    """
+
+    def __init__(
+        self, one: SplatSet, color_space: Literal["srgb", "linear"] = "srgb"
+    ) -> None:
+        self._set = one
+        self.name, self.data, self.antialias = "scene", one.data, one.antialias
+        self.color_space, self.weighted = color_space, one.weighted
+
+    def splats(
+        self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
+    ) -> SplatSet:
+        """Return the set as it is drawn."""
+        degree = self._set.degree if sh_degree is None else sh_degree
+        return replace(self._set, degree=degree, antialias=antialias or self.antialias)
+
+    def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
+        """Do nothing: who made the set changes it."""
+
+    def finish(self) -> None:
+        """Do nothing: who made the set changes it."""
+
+    def abandon(self) -> None:
+        """Do nothing: who made the set changes it."""
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Raise: a set has no inputs."""
+        raise KeyError(name)
+
+    def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
+        """Return the middle in the world and half the diagonal of a box around most of it."""
+        center, reach = super().extent()
+        linear, offset = self._set.transform[:3, :3], self._set.transform[:3, 3]
+        scale = float(np.cbrt(abs(np.linalg.det(linear))))
+        return linear @ center + offset, reach * scale
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to release."""
+
+
+def sources_of(
+    scene: Scene | SplatData | str | Path | Sequence[str | Path],
+) -> list[Source]:
+    """Return what is drawn of a scene in memory, or of files.
+
+    Args:
+        scene: A scene, Gaussians, or splat files, meshes, generators and scene files.
+
+    Raises:
+        GsgenError: A file cannot be read.
+    """
+    if isinstance(scene, SplatData):
+        scene = Scene([scene])
+    if isinstance(scene, Scene):
+        made: list[Source] = [SceneSource(one, scene.color_space) for one in scene.sets]
+        if scene.meshes:
+            made.append(MeshSource(Path("meshes"), scene.meshes))
+        return made
+    paths = [scene] if isinstance(scene, str | Path) else scene
+    opened: list[Source] = []
+    try:
+        for path in map(Path, paths):
+            opened += open_scene(path) if is_scene_file(path) else [open_source(path)]
+    except BaseException:
+        for one in opened:
+            one.close()
+        raise
+    return opened

@@ -1,0 +1,1 @@
+"""How does `gsgen view` show a scene in a window?"""

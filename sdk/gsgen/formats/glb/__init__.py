@@ -1,0 +1,1 @@
+"""How are glTF binaries with Gaussians read and written?"""

@@ -1,0 +1,106 @@
+"""Read the arrays of a GLB file.
+
+The format is that of the glTF 2.0 specification, section 3.6 (Khronos).
+"""
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsgen.formats.glb.container import Container, Json, whole
+from gsgen.formats.shared.bytes import require_room
+from gsgen.formats.shared.errors import HeaderMalformed, NotSupported, shown
+
+_COMPONENTS: Final = {
+    5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4",
+}  # fmt: skip
+_WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_LONGEST_STRIDE = 252
+
+
+def read_accessor(
+    glb: Container, index: object, widths: tuple[int, ...], where: str
+) -> Float32[np.ndarray, "n w"]:
+    """Return the accessor ``index`` as floats; normalised whole numbers become shares.
+
+    Args:
+        glb: The file.
+        index: Of the accessor.
+        widths: How many components it may have.
+        where: What to call it in an error.
+
+    Raises:
+        HeaderMalformed: It is not what the specification says.
+        NotSupported: It is sparse.
+        FileTruncated: It reaches over the end of its buffer.
+    """
+    accessor = glb.item("accessors", index, where)
+    if "sparse" in accessor or "bufferView" not in accessor:
+        raise NotSupported("a sparse accessor", where=where, expected="one with all values")
+    kind, width = accessor.get("componentType"), accessor.get("type")
+    if (
+        not (isinstance(kind, int) and isinstance(width, str))
+        or kind not in _COMPONENTS
+        or width not in _WIDTHS
+    ):
+        raise HeaderMalformed(
+            f"{shown(str(width))} of type {shown(str(kind))}",
+            where=where,
+            expected=f"{', '.join(_WIDTHS)} of a type from 5120 to 5126",
+        )
+    if _WIDTHS[width] not in widths:
+        names = [name for name, size in _WIDTHS.items() if size in widths]
+        raise HeaderMalformed(width, where=where, expected=" or ".join(names))
+    stored = _stored(glb, accessor, np.dtype(_COMPONENTS[kind]), _WIDTHS[width], where)
+    made = stored.astype(np.float32)
+    if accessor.get("normalized") and stored.dtype.kind != "f":
+        made = np.maximum(made / np.float32(np.iinfo(stored.dtype).max), -1)
+    return made
+
+
+def _stored(
+    glb: Container, accessor: Json, dtype: np.dtype, width: int, where: str
+) -> np.ndarray:
+    view = glb.item("bufferViews", accessor["bufferView"], where)
+    count = whole(accessor.get("count"), f"{where}, count")
+    each = dtype.itemsize * width
+    stride = whole(view.get("byteStride", each), f"{where}, byteStride", _LONGEST_STRIDE)
+    if stride < each:
+        raise HeaderMalformed(
+            f"a stride of {stride} bytes", where=where, expected=f"{each} or more"
+        )
+    start, size = view_range(glb, view, where)
+    at = whole(accessor.get("byteOffset", 0), f"{where}, byteOffset")
+    needed = stride * (count - 1) + each if count else 0
+    if at + needed > size:
+        raise HeaderMalformed(
+            f"{count} values end at byte {at + needed}",
+            where=where,
+            expected=f"{size} or less, where the buffer view ends",
+        )
+    if not count:
+        return np.empty((0, width), dtype)
+    return np.ndarray((count, width), dtype, glb.data, start + at, (stride, dtype.itemsize))
+
+
+def view_range(glb: Container, view: Json, where: str) -> tuple[int, int]:
+    """Return where in the file a buffer view begins, and its length.
+
+    Raises:
+        NotSupported: It is of a buffer outside of the file.
+        FileTruncated: It reaches over the end of the binary chunk.
+    """
+    buffer = whole(view.get("buffer"), f"{where}, buffer")
+    if buffer or "uri" in glb.item("buffers", 0, where):
+        raise NotSupported(
+            f"buffer {buffer}, which is not in the file",
+            where=where,
+            expected="the binary chunk",
+            mend="pack all buffers into the GLB file",
+        )
+    at = whole(view.get("byteOffset", 0), f"{where}, byteOffset")
+    size = whole(view.get("byteLength"), f"{where}, byteLength")
+    chunk = memoryview(glb.data)[: glb.start + glb.size]
+    require_room(chunk, glb.start + at, size, where)
+    return glb.start + at, size

@@ -1,0 +1,159 @@
+"""The frame of a GLB file, and values in its JSON, each judged when it is asked for.
+
+The format is that of the glTF 2.0 specification, section 4 (Khronos).
+"""
+
+import json
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+from gsgen.formats.shared.bytes import AGAIN, Data, require_room
+from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSupported, shown
+
+MAGIC: Final = b"glTF"
+
+_HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
+_MOST_JSON = 1 << 28
+Json = dict[str, Any]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Container:
+    """What a GLB file is made of.
+
+    Attributes:
+        document: The parsed JSON.
+        data: The bytes of the file.
+        start: The byte where the binary chunk begins.
+        size: Its length; 0 where there is none.
+    """
+
+    document: Json
+    data: Data
+    start: int
+    size: int
+
+    def item(self, group: str, index: object, where: str) -> Json:
+        """Return the object ``index`` of the array ``group`` of the document."""
+        items = self.document.get(group, [])
+        if not isinstance(items, list):
+            raise _malformed(items, group, "an array")
+        number = whole(index, where)
+        if number >= len(items):
+            raise _malformed(number, where, f"less than the {len(items)} of {group}")
+        if not isinstance(items[number], dict):
+            raise _malformed(items[number], f"{group}[{number}]", "an object")
+        return dict(items[number])
+
+
+def parse(data: Data) -> Container:
+    """Return the parts of the GLB file ``data``.
+
+    Raises:
+        NotRecognised: It is no GLB file.
+        NotSupported: It is of another version than 2.
+        FileTruncated: The file ends early.
+        HeaderMalformed: A chunk is of no known kind, or the JSON is none.
+    """
+    require_room(data, 0, _HEADER.size + _CHUNK.size, "header")
+    magic, version, length = _HEADER.unpack_from(data)
+    if magic != MAGIC:
+        raise NotRecognised(
+            magic.hex(" "), where="first bytes", expected="67 6c 54 46 (glTF), as of GLB"
+        )
+    if version != 2:
+        raise NotSupported(f"glTF version {version}", where="byte 4", expected="2")
+    require_room(data, 0, length, "header")
+    size, kind = _CHUNK.unpack_from(data, _HEADER.size)
+    start = _HEADER.size + _CHUNK.size
+    if kind != b"JSON" or size > _MOST_JSON:
+        raise HeaderMalformed(
+            f"a chunk {kind!r} of {size} bytes",
+            where=f"byte {_HEADER.size}",
+            expected=f"a chunk JSON of at most {_MOST_JSON} bytes",
+        )
+    require_room(data, start, size, "chunk JSON")
+    document = _document(bytes(data[start : start + size]))
+    binary, body = start + size, 0
+    if binary + _CHUNK.size <= min(length, len(data)):
+        body, kind = _CHUNK.unpack_from(data, binary)
+        body = body if kind == b"BIN\0" else 0
+        require_room(data, binary + _CHUNK.size, body, "chunk BIN")
+    return Container(document, data, binary + _CHUNK.size, body)
+
+
+def _document(content: bytes) -> Json:
+    try:
+        document = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise HeaderMalformed(
+            f"no JSON ({error})", where="chunk JSON", expected="JSON", mend=AGAIN
+        ) from error
+    if not isinstance(document, dict):
+        raise _malformed(document, "chunk JSON", "an object")
+    return document
+
+
+def build(document: Json, size: int) -> bytes:
+    """Return all of a GLB file up to its binary chunk, which is ``size`` bytes long."""
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    total = _HEADER.size + 2 * _CHUNK.size + len(text) + size
+    return b"".join(
+        [
+            _HEADER.pack(MAGIC, 2, total),
+            _CHUNK.pack(len(text), b"JSON"),
+            text,
+            _CHUNK.pack(size, b"BIN\0"),
+        ]
+    )
+
+
+def whole(value: object, where: str, most: int = 2**53) -> int:
+    """Return ``value``, which has to be a whole number from 0 to ``most``."""
+    number = int(value) if isinstance(value, float) and value.is_integer() else value
+    if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= most:
+        raise _malformed(value, where, f"a whole number from 0 to {most}")
+    return number
+
+
+def part(holder: Mapping[str, Any], key: str, where: str) -> Json:
+    """Return the object ``key`` of ``holder``; an empty one where it is absent."""
+    found = holder.get(key, {})
+    if not isinstance(found, dict):
+        raise _malformed(found, f"{where}.{key}", "an object")
+    return found
+
+
+def members(holder: Mapping[str, Any], key: str, where: str) -> list[Any]:
+    """Return the array ``key`` of ``holder``; an empty one where it is absent."""
+    found = holder.get(key, [])
+    if not isinstance(found, list):
+        raise _malformed(found, f"{where}.{key}", "an array")
+    return found
+
+
+def numbers(
+    holder: Mapping[str, Any], key: str, default: tuple[float, ...], where: str
+) -> tuple[float, ...]:
+    """Return the finite numbers ``key`` of ``holder``, as many as ``default`` has."""
+    found = holder.get(key, default)
+    size = len(default)
+    fits = isinstance(found, list | tuple) and len(found) == size
+    if not fits or not all(_is_finite(value) for value in found):
+        raise _malformed(found, f"{where}.{key}", f"{size} finite numbers")
+    return tuple(float(value) for value in found)
+
+
+def _is_finite(value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) < 1e300 and not math.isnan(value)
+
+
+def _malformed(value: object, where: str, expected: str) -> HeaderMalformed:
+    return HeaderMalformed(shown(str(value)), where=where, expected=expected)

@@ -1,0 +1,209 @@
+"""What the attributes of a primitive mean: those of KHR_gaussian_splatting, and of its drafts.
+
+In the file's own space, x left, y up, z forward. Besides the ratified extension there are
+files of drafts: SPZ in a buffer view, and ``_ROTATION`` and ``_SCALE`` beside COLOR_0.
+"""
+
+import re
+from dataclasses import replace
+from typing import Any, Final, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from gsgen.formats.glb.accessors import read_accessor, view_range
+from gsgen.formats.glb.container import Container, Json, part
+from gsgen.formats.shared.axes import RDF_LUF, RDF_RUB, flip
+from gsgen.formats.shared.errors import (
+    HeaderMalformed,
+    NotSupported,
+    PropertyMissing,
+    ValueInvalid,
+    shown,
+)
+from gsgen.formats.shared.quantities import SH_C0, log, logit, unit
+from gsgen.formats.shared.splats import SH_COUNTS, Splats
+from gsgen.formats.spz import container, streams
+
+NAME: Final = "KHR_gaussian_splatting"
+COLOR_SPACES: Final[dict[str, Literal["srgb", "linear"]]] = {
+    "srgb_rec709_display": "srgb",
+    "lin_rec709_display": "linear",
+}
+
+_SPZ = (
+    "KHR_gaussian_splatting_compression_spz_2",
+    "KHR_gaussian_splatting_compression_spz",
+    "KHR_spz_gaussian_splats_compression",
+)
+_POINTS = 0
+_COEFFICIENT = re.compile(re.escape(NAME) + r":SH_DEGREE_(\d)_COEF_(\d)")
+
+
+def is_splats(primitive: Json) -> bool:
+    """Say whether a primitive is splats, of the extension or of a draft."""
+    extensions, attributes = primitive.get("extensions"), primitive.get("attributes")
+    named = isinstance(extensions, dict) and any(key in extensions for key in (NAME, *_SPZ))
+    drafted = isinstance(attributes, dict) and {"_ROTATION", "_SCALE"} <= attributes.keys()
+    return named or drafted
+
+
+def read_primitive(glb: Container, primitive: Json, where: str, max_bytes: int) -> Splats:
+    """Return the splats of a primitive.
+
+    Raises:
+        FormatError: They are not what the extension says; the subclass says how.
+    """
+    extensions = part(primitive, "extensions", where)
+    extension = part(extensions, NAME, where)
+    mode = primitive.get("mode", 4)
+    if mode != _POINTS:
+        raise HeaderMalformed(
+            shown(str(mode)), where=f"{where}, mode", expected="0, points"
+        )
+    space: Literal["srgb", "linear"] = "srgb"
+    if NAME in extensions:
+        space = _color_space(extension, where)
+    packed = extensions | part(extension, "extensions", where)
+    for name in _SPZ:
+        if name in packed:
+            splats = _from_spz(
+                glb, part(packed, name, where), f"{where}, {name}", max_bytes
+            )
+            return replace(splats, color_space=space)
+    attributes = part(primitive, "attributes", where)
+    return _from_attributes(glb, attributes, where, space)
+
+
+def _color_space(extension: Json, where: str) -> Literal["srgb", "linear"]:
+    kernel, space = extension.get("kernel", "ellipse"), extension.get("colorSpace")
+    if kernel != "ellipse":
+        raise NotSupported(shown(str(kernel)), where=f"{where}, kernel", expected="ellipse")
+    if space is None and "extensions" in extension:  # the drafts with SPZ have none
+        return "srgb"
+    if not isinstance(space, str) or space not in COLOR_SPACES:
+        raise NotSupported(
+            shown(str(space)),
+            where=f"{where}, colorSpace",
+            expected=" or ".join(COLOR_SPACES),
+        )
+    return COLOR_SPACES[space]
+
+
+def _from_spz(glb: Container, extension: Json, where: str, max_bytes: int) -> Splats:
+    view = glb.item("bufferViews", extension.get("bufferView"), where)
+    start, size = view_range(glb, view, where)
+    frame = container.unpack(bytes(glb.data[start : start + size]), max_bytes)
+    splats = streams.decode(
+        frame.streams,
+        version=frame.version,
+        degree=frame.degree,
+        fractional_bits=frame.fractional_bits,
+        antialiased=frame.antialiased,
+    )
+    if frame.signs == RDF_RUB:  # nothing is declared, and then the draft says LUF
+        return splats
+    return flip(flip(splats, frame.signs), RDF_LUF)
+
+
+def _from_attributes(
+    glb: Container, attributes: Json, where: str, space: Literal["srgb", "linear"]
+) -> Splats:
+    arrays = _Arrays(glb, attributes, where)
+    position = arrays.read("POSITION", widths=(3,))
+    rotation = arrays.read(f"{NAME}:ROTATION", "_ROTATION", widths=(4,))
+    scale = arrays.read(f"{NAME}:SCALE", "_SCALE", widths=(3,))
+    color = None
+    if f"{NAME}:OPACITY" in attributes:
+        opacity = arrays.read(f"{NAME}:OPACITY", widths=(1,))[:, 0]
+        sh = _harmonics(arrays, attributes, where)
+    else:
+        color = arrays.read("COLOR_0", widths=(4,))
+        opacity, sh = color[:, 3], ((color[:, None, :3] - 0.5) / SH_C0).astype(np.float32)
+    _require(scale, scale >= 0, f"{where}, SCALE", "0 or more")
+    _require(opacity, (opacity >= 0) & (opacity <= 1), f"{where}, OPACITY", "0 to 1")
+    return Splats(
+        position=position,
+        rotation=unit(rotation[:, [3, 0, 1, 2]]),
+        log_scale=log(scale),
+        logit_opacity=logit(opacity),
+        sh=sh,
+        color_space=space,
+    )
+
+
+class _Arrays:
+    """The arrays of one primitive, all of which have as many rows as the first."""
+
+    def __init__(self, glb: Container, attributes: dict[str, Any], where: str) -> None:
+        self._glb, self._attributes, self._where = glb, attributes, where
+        self._rows: int | None = None
+
+    def read(self, *names: str, widths: tuple[int, ...]) -> Float32[np.ndarray, "n w"]:
+        """Return the first of ``names`` that is there."""
+        name = next((name for name in names if name in self._attributes), None)
+        if name is None:
+            raise PropertyMissing(
+                f"no attribute {names[0]}",
+                where=self._where,
+                expected=f"POSITION, and ROTATION, SCALE, OPACITY and SH of {NAME}",
+            )
+        where = f"{self._where}, attribute {name}"
+        array = read_accessor(self._glb, self._attributes[name], widths, where)
+        if self._rows is not None and len(array) != self._rows:
+            raise HeaderMalformed(
+                f"{len(array)} values",
+                where=where,
+                expected=f"{self._rows}, as of POSITION",
+            )
+        self._rows = len(array)
+        return array
+
+
+def _harmonics(
+    arrays: _Arrays, attributes: Json, where: str
+) -> Float32[np.ndarray, "n k 3"]:
+    found = {
+        (int(match[1]), int(match[2]))
+        for match in map(_COEFFICIENT.fullmatch, attributes)
+        if match
+    }
+    degree = max((band for band, _ in found), default=0)
+    if degree >= len(SH_COUNTS):
+        raise NotSupported(f"SH degree {degree}", where=where, expected="0 to 4")
+    pairs = [(band, n) for band in range(degree + 1) for n in range(2 * band + 1)]
+    missing = [coefficient(*pair) for pair in pairs if pair not in found]
+    if missing:
+        raise PropertyMissing(
+            f"no attribute {missing[0]}",
+            where=where,
+            expected=f"all {len(pairs)} coefficients of SH degree {degree}",
+        )
+    made = np.empty((0, 0, 3), np.float32)
+    for column, pair in enumerate(pairs):
+        values = arrays.read(coefficient(*pair), widths=(3,))
+        if not column:
+            made = np.empty((len(values), len(pairs), 3), np.float32)
+        made[:, column] = values
+    return made
+
+
+def coefficient(band: int, index: int) -> str:
+    """Return the name of the attribute of the harmonic of order m = index − band."""
+    return f"{NAME}:SH_DEGREE_{band}_COEF_{index}"
+
+
+def _require(
+    values: Float32[np.ndarray, "..."],
+    kept: Bool[np.ndarray, "..."],
+    where: str,
+    expected: str,
+) -> None:
+    if not kept.all():
+        first = int(np.argmin(kept))  # phrased so that NaN is not kept
+        raise ValueInvalid(
+            f"{kept.size - np.count_nonzero(kept)} of {kept.size} values, "
+            f"the first is {values.ravel()[first]:g}",
+            where=where,
+            expected=expected,
+        )

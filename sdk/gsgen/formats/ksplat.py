@@ -1,0 +1,248 @@
+"""Read KSPLAT files, version 0.1, of all three compression levels.
+
+The format is that of mkkellogg/GaussianSplats3D: a header, a header for each section, and
+sections of buckets, whose splats are placed relative to the middle of their bucket.
+"""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Float32, Shaped
+
+from gsgen.formats.shared.bytes import AGAIN, Data, contents, require_room, take
+from gsgen.formats.shared.errors import (
+    HeaderMalformed,
+    NotRecognised,
+    NotSupported,
+    ValueInvalid,
+)
+from gsgen.formats.shared.files import FilePath
+from gsgen.formats.shared.joined import joined
+from gsgen.formats.shared.quantities import SH_C0, log, logit, unit
+from gsgen.formats.shared.splat_values import require_drawable
+from gsgen.formats.shared.splats import SH_COUNTS, Splats
+
+__all__ = ["looks_like_ksplat", "read_ksplat"]
+
+HEADER: Final = 4096
+SECTION: Final = 1024
+
+_MAIN = struct.Struct("<BB2xIIIIHxx3f2f")
+_PART = struct.Struct("<IIIIfH2xI4xIIH")
+_SH_RANGE = (-1.5, 1.5)
+_POSITIONS = ("<f4", "<u2", "<u2")
+_HALVES = ("<f4", "<f2", "<f2")
+_HARMONICS = ("<f4", "<f2", "u1")
+_SCALE_RANGE = 32767
+_MOST_DEGREE = 2
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Section:
+    """What the header of a section says.
+
+    Attributes:
+        start: The byte where its data begin.
+        buckets: The byte where the middles of the buckets begin.
+        rows: The byte where the splats begin.
+        end: The byte behind its data.
+    """
+
+    count: int
+    degree: int
+    bucket_size: int
+    bucket_count: int
+    block: float
+    storage: int
+    scale_range: int
+    full: int
+    partial: int
+    start: int
+    buckets: int
+    rows: int
+    end: int
+
+
+def read_ksplat(path: FilePath) -> Splats:
+    """Read the KSPLAT file at ``path``; sections of different degrees become the highest.
+
+    Raises:
+        FileUnreadable: The file is missing, empty or closed to us.
+        NotRecognised: It is no KSPLAT file.
+        NotSupported: It is of another version.
+        HeaderMalformed: A header contradicts itself.
+        FileTruncated: The file ends early.
+        ValueInvalid: There is no splat, or one that cannot be drawn.
+    """
+    with contents(path) as data:
+        splats = decode_ksplat(data)
+        require_drawable(splats)
+        return splats
+
+
+def looks_like_ksplat(data: Data) -> bool:
+    """Say whether ``data`` begins like a KSPLAT file: its version, and sections that fit."""
+    if len(data) < HEADER:
+        return False
+    major, minor, sections, _, _, _, level, *_ = _MAIN.unpack_from(data)
+    reserved = data[2:4] == b"\0\0"
+    known = (major, minor) == (0, 1) and reserved and level <= 2
+    return known and sections > 0 and HEADER + sections * SECTION <= len(data)
+
+
+def decode_ksplat(data: Data) -> Splats:
+    """Return the splats of the KSPLAT file ``data``; values are not judged."""
+    require_room(data, 0, HEADER, "header")
+    fields = _MAIN.unpack_from(data)
+    major, minor, sections, _, _, _, level, _, _, _, sh_low, sh_high = fields
+    if major or data[2:4] != b"\0\0":
+        raise NotRecognised(
+            data[:4].hex(" "), where="first bytes", expected="00 01 00 00, as of KSPLAT 0.1"
+        )
+    if minor != 1:
+        raise NotSupported(f"version 0.{minor}", where="byte 1", expected="0.1")
+    if level > 2:
+        raise HeaderMalformed(
+            f"compression level {level}", where="byte 20", expected="0, 1 or 2"
+        )
+    # How many sections are in use (byte 8) is not read: writers leave it 0, and the rest empty.
+    require_room(data, HEADER, sections * SECTION, "section headers")
+    sh_range = (sh_low or _SH_RANGE[0], sh_high or _SH_RANGE[1])
+    parts = [
+        _splats(data, section, level, sh_range)
+        for section in _sections(data, sections, HEADER + sections * SECTION, level)
+    ]
+    if not parts:
+        raise ValueInvalid("0 splats", where="sections", expected="at least one")
+    return joined(parts)
+
+
+def _sections(data: Data, count: int, start: int, level: int) -> Iterator[_Section]:
+    """Yield the sections, empty ones left out; each begins where the one before ends."""
+    for index in range(count):
+        section = _section(data, index, start, level)
+        start = section.end
+        if section.count:
+            yield section
+
+
+def _section(data: Data, index: int, start: int, level: int) -> _Section:
+    at = HEADER + index * SECTION
+    fields = _PART.unpack_from(data, at)
+    count, most, size, buckets, block, storage, scale, full, partial, degree = fields
+    where = f"section {index}, byte {at}"
+    if degree > _MOST_DEGREE:
+        raise HeaderMalformed(f"SH degree {degree}", where=where, expected="0, 1 or 2")
+    if count > most:
+        raise HeaderMalformed(f"{count} of {most} splats", where=where, expected="no more")
+    if level and not count <= full * size + partial * size:
+        raise HeaderMalformed(
+            f"{count} splats in {full} full and {partial} other buckets of {size}",
+            where=where,
+            expected="as many as fit",
+        )
+    if (
+        level
+        and count
+        and (full + partial > buckets or storage < 12 or not np.isfinite(block))
+    ):
+        raise HeaderMalformed(
+            f"{buckets} buckets of {storage} bytes and {block:g} units",
+            where=where,
+            expected=f"{full + partial} or more of 12 bytes or more, and finite",
+        )
+    middles = start + 4 * partial
+    rows = middles + storage * buckets
+    end = rows + most * _record(level, degree).itemsize
+    require_room(data, start, end - start, where)
+    return _Section(
+        count, degree, size, buckets, block, storage, scale or _SCALE_RANGE, full, partial,
+        start, middles, rows, end,
+    )  # fmt: skip
+
+
+def _record(level: int, degree: int) -> np.dtype:
+    fields = [
+        ("position", _POSITIONS[level], 3),
+        ("scale", _HALVES[level], 3),
+        ("rotation", _HALVES[level], 4),
+        ("rgba", "u1", 4),
+        ("sh", _HARMONICS[level], 3 * (SH_COUNTS[degree] - 1)),
+    ]
+    return np.dtype(fields)
+
+
+def _splats(
+    data: Data, section: _Section, level: int, sh_range: tuple[float, float]
+) -> Splats:
+    record = _record(level, section.degree)
+    rows = take(data, record, (section.count,), section.rows, "splats")
+    rgba = rows["rgba"] / np.float32(255)
+    constant = (rgba[:, None, :3] - np.float32(0.5)) / np.float32(SH_C0)
+    higher = _harmonics(rows["sh"], level, sh_range)
+    return Splats(
+        position=_positions(data, section, rows, level),
+        rotation=unit(rows["rotation"]),
+        log_scale=log(rows["scale"]),  # NaN, of one below zero, is refused
+        logit_opacity=logit(rgba[:, 3]),
+        sh=np.concatenate([constant, higher], axis=1).astype(np.float32),
+    )
+
+
+def _positions(
+    data: Data, section: _Section, rows: Shaped[np.ndarray, " n"], level: int
+) -> Float32[np.ndarray, "n 3"]:
+    stored = rows["position"]
+    if not level:
+        return stored.astype(np.float32)
+    steps = stored.astype(np.float64) - section.scale_range
+    step = section.block / 2 / section.scale_range
+    return np.asarray(steps * step + _middles(data, section), np.float32)
+
+
+def _middles(data: Data, section: _Section) -> Float32[np.ndarray, "n 3"]:
+    """Return the middle of the bucket of each splat: the full buckets come first."""
+    lengths = take(data, "<u4", (section.partial,), section.start, "bucket lengths")
+    if (lengths > section.bucket_size).any():
+        raise HeaderMalformed(
+            f"a bucket of {int(lengths.max())} splats",
+            where=f"bucket lengths, byte {section.start}",
+            expected=f"{section.bucket_size} or fewer",
+            mend=AGAIN,
+        )
+    kind = np.dtype([("middle", "<f4", 3), ("rest", "u1", section.storage - 12)])
+    middles = take(data, kind, (section.bucket_count,), section.buckets, "buckets")
+    ends = np.concatenate(
+        [
+            np.arange(1, section.full + 1, dtype=np.int64) * section.bucket_size,
+            section.full * section.bucket_size + np.cumsum(lengths, dtype=np.int64),
+        ]
+    )
+    if section.count and (not len(ends) or ends[-1] < section.count):
+        raise HeaderMalformed(
+            f"{section.count} splats, {int(ends[-1]) if len(ends) else 0} in buckets",
+            where=f"bucket lengths, byte {section.start}",
+            expected="all of them",
+            mend=AGAIN,
+        )
+    bucket = np.searchsorted(ends, np.arange(section.count), side="right")
+    return np.asarray(middles["middle"][bucket])
+
+
+def _harmonics(
+    stored: Shaped[np.ndarray, "n m"], level: int, sh_range: tuple[float, float]
+) -> Float32[np.ndarray, "n k 3"]:
+    """Return the harmonics above degree 0; each degree is stored channel by channel."""
+    values = stored.astype(np.float32)
+    if level == 2:
+        low, high = sh_range
+        values = np.asarray(low + values / 255 * (high - low), np.float32)
+    first, second = values[:, :9], values[:, 9:]
+    degrees = [part.reshape(len(part), 3, -1) for part in (first, second) if part.size]
+    made = [part.swapaxes(1, 2) for part in degrees]
+    empty = np.empty((len(stored), 0, 3), np.float32)
+    return np.concatenate([empty, *made], axis=1).astype(np.float32)

@@ -1,0 +1,131 @@
+"""Read packed Gaussians or coloured points from NumPy archives."""
+
+import zipfile
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float32, Shaped
+
+from gsgen.formats.shared.errors import (
+    NotRecognised,
+    NotSupported,
+    PropertyMissing,
+    ValueInvalid,
+    listed,
+)
+from gsgen.formats.shared.files import FilePath, opened
+from gsgen.formats.shared.npz_arrays import read_arrays, unpacking
+from gsgen.formats.shared.splats import PackedRows, PointCloud
+from gsgen.formats.shared.values import require_colors, require_finite, require_rows
+
+__all__ = ["MAX_BYTES", "read_npz"]
+
+MAX_BYTES: Final = 8 << 30
+"""How much memory the arrays of one archive may take, unless the caller says more."""
+
+_PACKED = ("gaussians", "appearance")
+_POINTS = ("points", "xyz", "means3d")
+_COLORS = "colors"
+
+
+def read_npz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> PointCloud | PackedRows:
+    """Read the packed rows, or else the coloured points, of the archive at ``path``.
+
+    It is packed rows if there are ``gaussians`` [n, 10] and ``appearance`` [n, c], in
+    float16 or float32, which they keep. It is points if there are ``colors`` [n, 3] in
+    uint8 or in floats from 0 to 1, and one of ``points``, ``xyz`` and ``means3d``
+    [n, 3]; both become float32. Other arrays are passed over.
+
+    Args:
+        path: The archive, as ``np.savez`` or ``np.savez_compressed`` writes it.
+        max_bytes: How much memory the needed arrays may take. What they declare is
+            looked at before they are unpacked, so a small archive of something huge
+            does no harm.
+
+    Raises:
+        FileUnreadable: The file is missing, empty or closed to us.
+        NotRecognised: It is no zip archive.
+        ArchiveDamaged: The archive, or a needed array, cannot be unpacked.
+        PropertyMissing: The needed arrays are not there; all that are there are named.
+        NotSupported: A needed array holds Python objects, or there are two of positions.
+        SizeExceeded: The needed arrays would take more than ``max_bytes``.
+        ValueInvalid: An array has the wrong shape, type or values.
+    """
+    with opened(path) as file:
+        first = file.read(4)
+        if first != b"PK\x03\x04":
+            raise NotRecognised(
+                first.hex(" "), where="first bytes", expected="50 4b 03 04, as of an .npz"
+            )
+        with unpacking("archive"), zipfile.ZipFile(file) as archive:
+            keys = _choose(
+                [name[:-4] for name in archive.namelist() if name[-4:] == ".npy"]
+            )
+            arrays = read_arrays(archive, keys, max_bytes)
+        return _packed(*arrays) if keys == _PACKED else _cloud(keys[0], *arrays)
+
+
+def _choose(names: list[str]) -> tuple[str, str]:
+    """Return the names of the two arrays to read."""
+    if set(_PACKED) <= set(names):
+        return _PACKED
+    positions = [name for name in _POINTS if name in names]
+    if not positions or _COLORS not in names:
+        raise PropertyMissing(
+            f"holds {listed(names, limit=40)}",
+            expected="gaussians and appearance, or colors and one of points, xyz, means3d",
+        )
+    if len(positions) > 1:
+        raise NotSupported(
+            f"holds {listed(positions)}", expected="one of them, as all mean positions"
+        )
+    return positions[0], _COLORS
+
+
+def _packed(
+    gaussians: Shaped[np.ndarray, "..."], appearance: Shaped[np.ndarray, "..."]
+) -> PackedRows:
+    packed = PackedRows(_native(gaussians), _native(appearance))
+    require_rows(len(packed), "array gaussians")
+    return packed
+
+
+def _native(array: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "..."]:
+    """Return ``array`` in C order and in the byte order of this machine."""
+    return array.astype(array.dtype.newbyteorder("="), order="C", copy=False)
+
+
+def _cloud(
+    key: str, points: Shaped[np.ndarray, "..."], colors: Shaped[np.ndarray, "..."]
+) -> PointCloud:
+    position = _triples(points, key)
+    color = _triples(colors, _COLORS, also=np.uint8)
+    require_rows(len(position), f"array {key}")
+    if len(color) != len(position):
+        raise ValueInvalid(
+            f"{len(color)} rows",
+            where=f"array {_COLORS}",
+            expected=f"{len(position)}, as many as {key} has",
+        )
+    if colors.dtype == np.uint8:
+        color /= np.float32(255)
+    require_finite(position, [f"array {key}[:, {axis}]" for axis in range(3)])
+    require_colors(color, [f"array {_COLORS}[:, {axis}]" for axis in range(3)])
+    return PointCloud(position, color)
+
+
+def _triples(
+    array: Shaped[np.ndarray, "..."], key: str, *, also: type[np.uint8] | None = None
+) -> Float32[np.ndarray, "n 3"]:
+    """Return ``array`` in float32; it has to be floats, or ``also``, of shape [n, 3]."""
+    typed = array.dtype.kind == "f" or array.dtype == also
+    if not typed or array.shape[1:] != (3,):
+        wanted = f"{np.dtype(also).name} or float" if also else "float"
+        raise ValueInvalid(
+            f"{array.dtype} {list(array.shape)}",
+            where=f"array {key}",
+            expected=f"{wanted} [n, 3]",
+        )
+    # A double may be more than a float holds; as infinity it meets the check of values.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return array.astype(np.float32, order="C")

@@ -1,0 +1,1 @@
+"""How are PLY files read and written, compressed ones included?"""

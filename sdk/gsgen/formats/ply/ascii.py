@@ -1,0 +1,131 @@
+"""Walk through the rows of a text PLY file, a chunk of columns at a time."""
+
+import mmap
+from collections.abc import Iterator
+from itertools import islice
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.formats.ply.header import Element, Header
+from gsgen.formats.shared.errors import BodyMalformed, FileTruncated, shown
+
+CHUNK_ROWS = 1 << 12
+MAX_LINE = 1 << 24
+"""Bytes of one line; a splat needs about 1000, a long list of indices more."""
+
+
+def ascii_rows(
+    data: mmap.mmap, header: Header, vertex: Element
+) -> Iterator[dict[str, Float64[np.ndarray, " rows"]]]:
+    """Return the columns of ``vertex`` by name, for chunk after chunk of its rows.
+
+    Numbers are read as doubles, which hold every PLY type exactly.
+
+    Raises:
+        FileTruncated: At once if the file is too short for as many rows, or later if
+            the rows end early.
+        BodyMalformed: A row holds too many or too few values, or no numbers.
+    """
+    _require_room(data, header, vertex)
+    return _chunks(data, header, vertex)
+
+
+def _chunks(
+    data: mmap.mmap, header: Header, vertex: Element
+) -> Iterator[dict[str, Float64[np.ndarray, " rows"]]]:
+    lines = _lines(data, header.body)
+    for element in _before(header, vertex):
+        _take(lines, element)
+    for start in range(0, vertex.count, CHUNK_ROWS):
+        rows = list(islice(lines, min(CHUNK_ROWS, vertex.count - start)))
+        if len(rows) < min(CHUNK_ROWS, vertex.count - start):
+            raise _ended(vertex, start + len(rows))
+        table = _parse(rows, start, len(vertex.properties))
+        yield dict(zip(vertex.types, table.T, strict=True))
+
+
+def _before(header: Header, vertex: Element) -> tuple[Element, ...]:
+    """Return the elements before ``vertex`` that have lines: empty rows have none."""
+    elements = header.elements[: header.elements.index(vertex)]
+    return tuple(element for element in elements if element.properties)
+
+
+def _require_room(data: mmap.mmap, header: Header, vertex: Element) -> None:
+    """Raise FileTruncated if even rows of one-digit numbers would not fit."""
+    left = len(data) - header.body
+    for element in (*_before(header, vertex), vertex):
+        # A digit and a blank or line end for each value; the last line may end bare.
+        least = 2 * len(element.properties) * element.count - 1
+        if least > left:
+            raise FileTruncated(
+                f"{element.count} rows take {least} bytes or more, {left} are left",
+                where=f"element {shown(element.name)}",
+                mend="copy or download the file again",
+            )
+
+
+def _take(lines: Iterator[str], element: Element) -> None:
+    """Read past the rows of ``element``: a row is a line, whatever lists are in it."""
+    seen = sum(1 for _ in islice(lines, element.count))
+    if seen < element.count:
+        raise _ended(element, seen)
+
+
+def _ended(element: Element, seen: int) -> FileTruncated:
+    return FileTruncated(
+        f"the file ends after {seen} of {element.count} rows",
+        where=f"element {shown(element.name)}",
+        mend="copy or download the file again",
+    )
+
+
+def _lines(data: mmap.mmap, start: int) -> Iterator[str]:
+    """Yield the lines from byte ``start`` on that hold something, without their ends."""
+    while start < len(data):
+        end = data.find(b"\n", start, start + MAX_LINE)
+        if end < 0:
+            end = len(data)
+        if end - start > MAX_LINE:
+            raise BodyMalformed(
+                f"a line of more than {MAX_LINE} bytes", where=f"byte {start}"
+            )
+        # What is not ASCII is no number either; the parser will point at it.
+        line = data[start:end].decode("ascii", "replace").strip()
+        if line:
+            yield line
+        start = end + 1
+
+
+def _parse(rows: list[str], first: int, width: int) -> Float64[np.ndarray, "rows width"]:
+    """Return ``rows`` as numbers; ``first`` is the number of the first row."""
+    try:
+        table = np.loadtxt(rows, dtype=np.float64, comments=None, ndmin=2)
+    except ValueError as error:
+        raise _diagnosis(rows, first, width, str(error)) from error
+    if table.shape != (len(rows), width):
+        raise _diagnosis(rows, first, width, f"{table.shape[1]} values per row")
+    return table
+
+
+def _diagnosis(rows: list[str], first: int, width: int, trouble: str) -> BodyMalformed:
+    """Return an error that points at the first bad row, or else says ``trouble``."""
+    for number, row in enumerate(rows, start=first):
+        values = row.split()
+        where = f"element 'vertex', row {number}"
+        if len(values) != width:
+            expected = f"{width}, one for each property"
+            return BodyMalformed(f"{len(values)} values", where=where, expected=expected)
+        for value in values:
+            if not _is_number(value):
+                return BodyMalformed(shown(value), where=where, expected="a number")
+    where = f"element 'vertex', rows {first} to {first + len(rows) - 1}"
+    return BodyMalformed(trouble, where=where, expected=f"{width} numbers in each")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

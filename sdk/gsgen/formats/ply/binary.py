@@ -1,0 +1,90 @@
+"""Walk through the rows of a binary PLY file, a chunk of columns at a time."""
+
+import mmap
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Shaped
+
+from gsgen.formats.ply.header import Element, Header, Property
+from gsgen.formats.shared.errors import BodyMalformed, FileTruncated, shown
+
+CHUNK_ROWS = 1 << 12
+"""Rows that stay in a processor's cache while their columns are picked one by one."""
+
+
+def binary_rows(
+    data: mmap.mmap, header: Header, vertex: Element
+) -> Iterator[dict[str, Shaped[np.ndarray, " rows"]]]:
+    """Return the columns of ``vertex`` by name, for chunk after chunk of its rows.
+
+    The columns are views of ``data`` in the types of the file.
+
+    Raises:
+        FileTruncated: The file ends before the last row.
+        BodyMalformed: A list before ``vertex`` has a negative count.
+    """
+    start = first_row(data, header, vertex)
+    order = ">" if header.byte_order == "big" else "<"
+    fields = [(name, order + code) for name, code in vertex.types.items()]
+    rows = np.frombuffer(data, np.dtype(fields), vertex.count, start)
+    return (
+        {name: rows[name][at : at + CHUNK_ROWS] for name in vertex.types}
+        for at in range(0, vertex.count, CHUNK_ROWS)
+    )
+
+
+def first_row(data: mmap.mmap, header: Header, vertex: Element) -> int:
+    """Return the byte where the rows of ``vertex`` begin, all of which are there.
+
+    Raises:
+        FileTruncated: The file ends before the last row.
+        BodyMalformed: A list before ``vertex`` has a negative count.
+    """
+    start = header.body
+    for element in header.elements[: header.elements.index(vertex)]:
+        start = _end(data, header, element, start)
+    _require_room(data, vertex, start)
+    return start
+
+
+def _end(data: mmap.mmap, header: Header, element: Element, start: int) -> int:
+    """Return the byte after ``element``, which begins at byte ``start``."""
+    if not element.has_lists:
+        _require_room(data, element, start)
+        return start + element.count * element.row_bytes
+    for row in range(element.count):
+        for item in element.properties:
+            start += item.size * _length(data, header, item, start, row)
+            start += int(item.count_type[1]) if item.count_type else 0
+            if start > len(data):
+                raise FileTruncated(
+                    f"the file ends after {row} of {element.count} rows",
+                    where=f"element {shown(element.name)}",
+                    mend="copy or download the file again",
+                )
+    return start
+
+
+def _length(data: mmap.mmap, header: Header, item: Property, start: int, row: int) -> int:
+    """Return how many values ``item`` has in the row where it begins at ``start``."""
+    if item.count_type is None:
+        return 1
+    count = data[start : start + int(item.count_type[1])]
+    signed = item.count_type[0] == "i"
+    length = int.from_bytes(count, header.byte_order, signed=signed)
+    if length < 0:
+        where = f"property {shown(item.name)}, row {row}, byte {start}"
+        raise BodyMalformed(f"a list of {length} values", where=where, expected="0 or more")
+    return length
+
+
+def _require_room(data: mmap.mmap, element: Element, start: int) -> None:
+    needed, left = element.count * element.row_bytes, len(data) - start
+    if needed > left:
+        raise FileTruncated(
+            f"{element.count} rows of {element.row_bytes} bytes take {needed} bytes, "
+            f"{left} are left from byte {start} on",
+            where=f"element {shown(element.name)}",
+            mend="copy or download the file again",
+        )

@@ -1,0 +1,230 @@
+"""Read the header of a PLY file: what it holds, in which types, from which byte on.
+
+The format is that of Greg Turk, "The PLY Polygon File Format", 1994, with the sized
+type names (``float32``) that later writers added.
+"""
+
+import mmap
+import re
+from dataclasses import dataclass
+from typing import Final, Literal, final, get_args
+
+from gsgen.formats.shared.errors import FileTruncated, HeaderMalformed, NotRecognised, shown
+
+Encoding = Literal["ascii", "binary_little_endian", "binary_big_endian"]
+"""How the rows of a PLY file are written."""
+
+ENCODINGS: Final[tuple[Encoding, ...]] = get_args(Encoding)
+MAX_HEADER = 1 << 20
+"""Bytes to look for the end of the header in; a splat file needs about 2000."""
+MAX_COUNT_DIGITS = 18
+"""Digits of an element count; more rows than that would not fit on any disk."""
+
+TYPES = {
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "float": "f4",
+    "double": "f8",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "float32": "f4",
+    "float64": "f8",
+}
+"""NumPy kind and size in bytes of every scalar type a PLY file can name."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Property:
+    """One value of each row, or one list of values if ``count_type`` is given."""
+
+    name: str
+    type: str
+    count_type: str | None = None
+
+    @property
+    def size(self) -> int:
+        """Bytes of one value."""
+        return int(self.type[1])
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Element:
+    """A table: ``count`` rows of the same properties."""
+
+    name: str
+    count: int
+    properties: tuple[Property, ...]
+
+    @property
+    def has_lists(self) -> bool:
+        """Whether rows differ in size."""
+        return any(item.count_type for item in self.properties)
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one binary row without lists."""
+        return sum(item.size for item in self.properties)
+
+    @property
+    def types(self) -> dict[str, str]:
+        """The type of each property, by name."""
+        return {item.name: item.type for item in self.properties}
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Header:
+    """The tables of a PLY file in their order, and the byte where the first begins."""
+
+    encoding: Encoding
+    elements: tuple[Element, ...]
+    body: int
+
+    @property
+    def byte_order(self) -> Literal["little", "big"]:
+        """The order of the bytes of a binary value."""
+        return "big" if self.encoding == "binary_big_endian" else "little"
+
+    def find(self, name: str) -> Element | None:
+        """Return the element ``name``, or None."""
+        return next((item for item in self.elements if item.name == name), None)
+
+
+def parse_header(data: mmap.mmap) -> Header:
+    """Read the header at the start of ``data``.
+
+    Raises:
+        NotRecognised: The data does not begin with ``ply`` on a line of its own.
+        FileTruncated: The data ends inside the header.
+        HeaderMalformed: A line breaks the rules of the format.
+    """
+    lines, body = _split(data)
+    encoding: Encoding | None = None
+    tables: dict[str, tuple[int, dict[str, Property]]] = {}
+    for number, line in enumerate(lines, start=2):
+        match line.split():
+            case [] | ["comment", *_] | ["obj_info", *_]:
+                continue
+            case ["format", name, "1.0"] if encoding is None and name in ENCODINGS:
+                encoding = ENCODINGS[ENCODINGS.index(name)]  # for the type checker
+            case ["element", name, count]:
+                _add_element(tables, name, count, number)
+            case ["property", "list", count_type, item_type, name] if tables:
+                listing = Property(
+                    name, _known(item_type, number), _countable(count_type, number)
+                )
+                _add_property(tables, listing, number)
+            case ["property", type_name, name] if tables:
+                _add_property(tables, Property(name, _known(type_name, number)), number)
+            case _:
+                raise _malformed(number, shown(line), _grammar(line))
+    if encoding is None:
+        raise _malformed(2, "no format line", _grammar("format"))
+    elements = (
+        Element(name, count, tuple(properties.values()))
+        for name, (count, properties) in tables.items()
+    )
+    return Header(encoding, tuple(elements), body)
+
+
+def _split(data: mmap.mmap) -> tuple[list[str], int]:
+    """Return the lines between ``ply`` and ``end_header``, and the byte after both."""
+    head = data[:MAX_HEADER]
+    if not re.match(rb"ply\r?\n", head):
+        raise NotRecognised(
+            shown(head[:4].decode("latin-1")),
+            where="first bytes",
+            expected="`ply` on a line of its own, as a PLY file begins",
+        )
+    end = re.search(rb"(?<=\n)end_header[ \t]*\r?\n", head)
+    if end is None:
+        raise _endless(len(head), len(data))
+    if not head[: end.start()].isascii():
+        offset = next(at for at, byte in enumerate(head) if byte > 127)
+        raise HeaderMalformed(
+            f"byte {head[offset]:#04x} at offset {offset}",
+            where="header",
+            expected="ASCII only",
+        )
+    lines = head[: end.start()].decode("ascii").split("\n")
+    return lines[1:-1], end.end()
+
+
+def _endless(seen: int, size: int) -> FileTruncated | HeaderMalformed:
+    what = f"no end_header in the first {seen} bytes"
+    expected = "a line that says end_header"
+    if seen < size:
+        return HeaderMalformed(what, where="header", expected=expected)
+    return FileTruncated(
+        f"{what}, which are all there are",
+        where="header",
+        expected=expected,
+        mend="copy or download the file again",
+    )
+
+
+def _add_element(
+    tables: dict[str, tuple[int, dict[str, Property]]], name: str, count: str, number: int
+) -> None:
+    if name in tables:
+        raise _malformed(number, f"element {shown(name)} for the second time", "it once")
+    if not (count.isdigit() and len(count) <= MAX_COUNT_DIGITS):
+        raise _malformed(
+            number,
+            f"element {shown(name)} with {shown(count)} rows",
+            f"a whole number of rows, not negative, of {MAX_COUNT_DIGITS} digits at most",
+        )
+    tables[name] = int(count), {}
+
+
+def _add_property(
+    tables: dict[str, tuple[int, dict[str, Property]]], added: Property, number: int
+) -> None:
+    element, (_, properties) = next(reversed(tables.items()))
+    if added.name in properties:
+        what = f"property {shown(added.name)} of element {shown(element)}"
+        raise _malformed(number, f"{what} for the second time", "it once")
+    properties[added.name] = added
+
+
+def _known(type_name: str, number: int) -> str:
+    if type_name not in TYPES:
+        raise _malformed(
+            number, f"unknown type {shown(type_name)}", f"one of {', '.join(TYPES)}"
+        )
+    return TYPES[type_name]
+
+
+def _countable(type_name: str, number: int) -> str:
+    code = _known(type_name, number)
+    if code[0] == "f":
+        raise _malformed(
+            number, f"a list counted in {shown(type_name)}", "a whole-number type"
+        )
+    return code
+
+
+def _grammar(line: str) -> str:
+    """Return what a line that begins like ``line`` should have been."""
+    forms = {
+        "format": f"one line `format ENCODING 1.0`, ENCODING {' or '.join(ENCODINGS)}",
+        "element": "`element NAME COUNT`",
+        "property": "`property TYPE NAME` or `property list TYPE TYPE NAME`, "
+        "after an element",
+    }
+    keyword = line.split()[0]
+    return forms.get(keyword, "format, element, property, comment or obj_info")
+
+
+def _malformed(number: int, what: str, expected: str) -> HeaderMalformed:
+    return HeaderMalformed(what, where=f"header line {number}", expected=expected)

@@ -1,0 +1,114 @@
+"""Read a compressed PLY file: packed words in boxes of 256 splats."""
+
+import mmap
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float32, Shaped
+
+from gsgen.formats.ply import packed_rows as rows
+from gsgen.formats.ply.ascii import ascii_rows
+from gsgen.formats.ply.binary import binary_rows
+from gsgen.formats.ply.header import Element, Header
+from gsgen.formats.shared.errors import HeaderMalformed, PropertyMissing, listed
+from gsgen.formats.shared.splat_values import require_drawable
+from gsgen.formats.shared.splats import SH_COUNTS, Splats
+from gsgen.formats.shared.values import require_rows
+
+_OLD_BOX = rows.BOX[:12]
+_REST_COUNTS = tuple(3 * (count - 1) for count in SH_COUNTS[1:])
+
+
+def is_packed(header: Header) -> bool:
+    """Say whether the vertices are packed words."""
+    vertex = header.find("vertex")
+    return vertex is not None and rows.WORDS[0] in vertex.types
+
+
+def read_packed(data: mmap.mmap, header: Header) -> Splats:
+    """Return the splats of a compressed PLY file.
+
+    Raises:
+        PropertyMissing: The boxes, the words or harmonics are not all there.
+        HeaderMalformed: There are too few boxes, or other than one row of harmonics a splat.
+        FileTruncated: The file ends before the last row.
+        ValueInvalid: There is no splat, or one that cannot be drawn.
+    """
+    vertex, boxes = _element(header, "vertex"), _element(header, "chunk")
+    require_rows(vertex.count, "element 'vertex'")
+    needed = -(-vertex.count // rows.CHUNK)
+    if boxes.count < needed:
+        raise HeaderMalformed(
+            f"{boxes.count} rows", where="element 'chunk'", expected=f"{needed} or more"
+        )
+    words = _columns(data, header, vertex, rows.WORDS, "u4")
+    box = _boxes(data, header, boxes, vertex.count)
+    low_color = np.zeros((1, 3), np.float32) if box.shape[1] == 12 else box[:, 12:15]
+    high_color = np.ones((1, 3), np.float32) if box.shape[1] == 12 else box[:, 15:18]
+    constant, logit_opacity = rows.unpack_color(words[3], low_color, high_color)
+    splats = Splats(
+        position=rows.unpack_in_box(words[0], box[:, 0:3], box[:, 3:6]),
+        rotation=rows.unpack_rotation(words[1]),
+        log_scale=rows.unpack_in_box(words[2], box[:, 6:9], box[:, 9:12]),
+        logit_opacity=logit_opacity,
+        sh=np.concatenate([constant[:, None], _higher(data, header, vertex.count)], axis=1),
+    )
+    require_drawable(splats)
+    return splats
+
+
+def _boxes(
+    data: mmap.mmap, header: Header, element: Element, count: int
+) -> Float32[np.ndarray, "n b"]:
+    """Return the box of each splat; files before 2024 have none for colours."""
+    names = rows.BOX if rows.BOX[-1] in element.types else _OLD_BOX
+    columns = _columns(data, header, element, names, "f4")
+    return np.repeat(np.stack(columns, axis=1), rows.CHUNK, axis=0)[:count]
+
+
+def _higher(data: mmap.mmap, header: Header, count: int) -> Float32[np.ndarray, "n k 3"]:
+    element = header.find("sh")
+    if element is None:
+        return np.empty((count, 0, 3), np.float32)
+    if element.count != count:
+        raise HeaderMalformed(
+            f"{element.count} rows", where="element 'sh'", expected=f"{count}, as of vertex"
+        )
+    rest = len(element.properties)
+    if rest not in _REST_COUNTS:
+        raise PropertyMissing(
+            f"{rest} properties", where="element 'sh'", expected="9, 24, 45 or 72 of f_rest"
+        )
+    names = [f"f_rest_{index}" for index in range(rest)]
+    columns = _columns(data, header, element, names, "u1")
+    channels = rows.unpack_sh(np.stack(columns, axis=1)).reshape(count, 3, rest // 3)
+    return np.ascontiguousarray(channels.swapaxes(1, 2))
+
+
+def _element(header: Header, name: str) -> Element:
+    element = header.find(name)
+    if element is None:
+        raise PropertyMissing(
+            f"no element {name!r}", expected="elements chunk and vertex of a compressed PLY"
+        )
+    return element
+
+
+def _columns(
+    data: mmap.mmap, header: Header, element: Element, names: Sequence[str], code: str
+) -> list[Shaped[np.ndarray, " n"]]:
+    """Return the columns ``names`` of ``element``, whose type has to be ``code``."""
+    wrong = [name for name in names if element.types.get(name) != code]
+    if wrong or element.has_lists:
+        kinds = {"u4": "uint", "f4": "float", "u1": "uchar"}
+        raise PropertyMissing(
+            f"{listed(wrong)} missing or of another type, found {listed(list(element.types))}",
+            where=f"element {element.name!r}",
+            expected=f"{listed(list(names), limit=100)} of type {kinds[code]}, no lists",
+        )
+    read = ascii_rows if header.encoding == "ascii" else binary_rows
+    parts = list(read(data, header, element))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return [
+            np.concatenate([part[name] for part in parts]).astype(code) for name in names
+        ]

@@ -1,0 +1,151 @@
+"""The four packed words of a splat in a compressed PLY file, and the boxes they count in.
+
+The format is that of PlayCanvas (playcanvas/splat-transform): 256 splats share a box of
+positions, log scales and colours; a word divides the box evenly.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64, Int64, UInt8, UInt32
+
+from gsgen.formats.shared.quantities import (
+    SH_C0,
+    from_largest,
+    logit,
+    rounded,
+    sigmoid,
+    to_bytes,
+    unit,
+    without_largest,
+)
+
+CHUNK: Final = 256
+"""Splats that share a box."""
+BOX: Final = tuple(
+    f"{end}_{axis}"
+    for group in (("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b"))
+    for end in ("min", "max")
+    for axis in group
+)
+"""Properties of a box, in the order of the file."""
+WORDS: Final = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+LARGEST_LOG_SCALE: Final = 20.0
+
+_AXES = (11, 10, 11)
+_COLORS = (8, 8, 8, 8)
+_TURNS = (2, 10, 10, 10)
+_ROOT_TWO = float(np.sqrt(2))
+_SH_REACH = 8.0  # harmonics lie from -4 to 4
+
+Words = UInt32[np.ndarray, " n"]
+
+
+def split(words: Words, widths: Sequence[int]) -> Int64[np.ndarray, "n m"]:
+    """Return the numbers that ``words`` are made of, of so many bits each, highest first."""
+    made, shift = [], 32
+    for width in widths:
+        shift -= width
+        made.append(words.astype(np.int64) >> shift & ((1 << width) - 1))
+    return np.stack(made, axis=1)
+
+
+def join(numbers: Int64[np.ndarray, "n m"], widths: Sequence[int]) -> Words:
+    """Undo ``split``."""
+    word, shift = np.zeros(len(numbers), np.int64), 32
+    for column, width in zip(numbers.T, widths, strict=True):
+        shift -= width
+        word |= column << shift
+    return word.astype(np.uint32)
+
+
+def shares(words: Words, widths: Sequence[int]) -> Float64[np.ndarray, "n m"]:
+    """Return the numbers in ``words`` as shares of the largest that fits, from 0 to 1."""
+    return split(words, widths) / (2.0 ** np.array(widths) - 1)
+
+
+def from_shares(values: Float[np.ndarray, "n m"], widths: Sequence[int]) -> Words:
+    """Undo ``shares``; what is beyond 0 or 1 is cut."""
+    numbers = rounded(np.clip(values, 0, 1) * (2.0 ** np.array(widths) - 1), 0, 2**31)
+    return join(numbers, widths)
+
+
+def unpack_in_box(
+    words: Words, low: Float[np.ndarray, "n 3"], high: Float[np.ndarray, "n 3"]
+) -> Float32[np.ndarray, "n 3"]:
+    """Return positions or log scales."""
+    share = shares(words, _AXES)
+    with np.errstate(invalid="ignore", over="ignore"):  # what comes of it is judged later
+        return np.asarray(low * (1 - share) + high * share, np.float32)
+
+
+def pack_in_box(
+    values: Float32[np.ndarray, "n 3"],
+    low: Float[np.ndarray, "n 3"],
+    high: Float[np.ndarray, "n 3"],
+) -> Words:
+    """Undo ``unpack_in_box``."""
+    return from_shares(_share(values, low, high), _AXES)
+
+
+def unpack_rotation(words: Words) -> Float32[np.ndarray, "n 4"]:
+    """Return unit quaternions (w, x, y, z)."""
+    largest = split(words, _TURNS)[:, 0]
+    rest = (shares(words, _TURNS)[:, 1:] - 0.5) * _ROOT_TWO
+    return unit(from_largest(largest, rest))
+
+
+def pack_rotation(rotation: Float32[np.ndarray, "n 4"]) -> Words:
+    """Undo ``unpack_rotation``."""
+    largest, rest = without_largest(unit(rotation))
+    numbers = rounded((rest / _ROOT_TWO + 0.5) * 1023, 0, 1023)
+    return join(np.column_stack([largest, numbers]), _TURNS)
+
+
+def unpack_color(
+    words: Words, low: Float[np.ndarray, "n 3"], high: Float[np.ndarray, "n 3"]
+) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
+    """Return the constant harmonics, and opacity before the sigmoid."""
+    share = shares(words, _COLORS)
+    with np.errstate(invalid="ignore", over="ignore"):
+        color = low * (1 - share[:, :3]) + high * share[:, :3]
+        return ((color - 0.5) / SH_C0).astype(np.float32), logit(share[:, 3])
+
+
+def color_of(constant: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    """Return the colour of a constant harmonic, which boxes are made of."""
+    return np.asarray(0.5 + SH_C0 * constant.astype(np.float64))
+
+
+def pack_color(
+    color: Float64[np.ndarray, "n 3"],
+    logit_opacity: Float32[np.ndarray, " n"],
+    low: Float[np.ndarray, "n 3"],
+    high: Float[np.ndarray, "n 3"],
+) -> Words:
+    """Undo ``unpack_color``."""
+    share = np.column_stack([_share(color, low, high), sigmoid(logit_opacity)])
+    return from_shares(share, _COLORS)
+
+
+def unpack_sh(bytes_: UInt8[np.ndarray, "n m"]) -> Float32[np.ndarray, "n m"]:
+    """Return harmonics above degree 0; the end bytes mean the ends of the range."""
+    share = (bytes_ + 0.5) / 256
+    share[bytes_ == 0], share[bytes_ == 255] = 0, 1
+    return ((share - 0.5) * _SH_REACH).astype(np.float32)
+
+
+def pack_sh(sh: Float32[np.ndarray, "n m"]) -> UInt8[np.ndarray, "n m"]:
+    """Undo ``unpack_sh``."""
+    return to_bytes(np.floor((sh.astype(np.float64) / _SH_REACH + 0.5) * 256))
+
+
+def _share(
+    values: Float[np.ndarray, "n 3"],
+    low: Float[np.ndarray, "n 3"],
+    high: Float[np.ndarray, "n 3"],
+) -> Float64[np.ndarray, "n 3"]:
+    """Return where between ``low`` and ``high`` each value is; 0 where there is no between."""
+    wide = high.astype(np.float64) - low
+    return np.asarray((values - low.astype(np.float64)) / np.where(wide > 0, wide, 1))

@@ -1,0 +1,107 @@
+"""Read and write PLY files of splats and of coloured points."""
+
+import mmap
+
+import numpy as np
+
+from gsgen.formats.ply.columns import read_columns
+from gsgen.formats.ply.header import Element, Encoding, Header, parse_header
+from gsgen.formats.ply.layout import (
+    XYZ,
+    cloud_colors,
+    find_vertex,
+    is_splat,
+    splat_degree,
+    splat_groups,
+)
+from gsgen.formats.ply.packed import is_packed, read_packed
+from gsgen.formats.ply.values import (
+    only_drawable,
+    only_finite,
+    require_cloud,
+    require_splats,
+)
+from gsgen.formats.ply.write import write_ply
+from gsgen.formats.shared.errors import ValueInvalid
+from gsgen.formats.shared.files import FilePath, mapped
+from gsgen.formats.shared.splats import PointCloud, Splats
+from gsgen.formats.shared.values import require_rows
+
+__all__ = ["Encoding", "read_ply", "write_ply"]
+
+_MEND = "`gsgen convert --drop-invalid` writes a file without such rows"
+
+
+def read_ply(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointCloud:
+    """Read the splats, or else the coloured points, of the PLY file at ``path``.
+
+    It is splats if any property is one of splats (``f_dc_0``, ``opacity``, ``scale_0``,
+    ``rot_0``, …), and then all have to be there. Otherwise it is points: x, y, z and a
+    colour in bytes or in floats from 0 to 1. Properties are found by name. Numbers may
+    be text or binary, of either byte order and any type; all become float32. Other
+    properties and elements are passed over. A compressed PLY file is unpacked.
+
+    Args:
+        path: The file.
+        drop_invalid: Leave out rows that cannot be drawn, which training leaves in some
+            files, and warn of them (FormatWarning). Those of a compressed file are always
+            refused: a row there is a part of 256.
+
+    Raises:
+        FileUnreadable: The file is missing, empty or closed to us.
+        NotRecognised: It is no PLY file.
+        NotSupported: It is a kind of PLY file that is not read here.
+        HeaderMalformed: The header breaks the rules of the format.
+        BodyMalformed: A row of text, or a list on the way, breaks them.
+        PropertyMissing: A needed property is not there; all that are missing are named.
+        FileTruncated: The file ends before the last row.
+        ValueInvalid: There is no row, or a value that cannot be drawn: a NaN, or an
+            infinity other than those of opacity and -inf for a scale. With
+            ``drop_invalid``, there is such a value in every row.
+    """
+    with mapped(path) as data:
+        header = parse_header(data)
+        if is_packed(header):
+            return read_packed(data, header)
+        vertex = find_vertex(header)
+        read = _read_splats if is_splat(vertex.types) else _read_cloud
+        try:
+            return read(data, header, vertex, path if drop_invalid else None)
+        except ValueInvalid as error:
+            error.mend = error.mend or ("" if drop_invalid else _MEND)
+            raise
+
+
+def _read_splats(
+    data: mmap.mmap, header: Header, vertex: Element, dropping: FilePath | None
+) -> Splats:
+    groups = splat_groups(splat_degree(vertex.types))
+    require_rows(vertex.count, "element 'vertex'")
+    tables = read_columns(data, header, vertex, groups)
+    splats = Splats(
+        position=tables["position"],
+        rotation=tables["rotation"],
+        log_scale=tables["log_scale"],
+        logit_opacity=tables["logit_opacity"].reshape(-1),
+        sh=tables["sh"].reshape(vertex.count, -1, 3),
+    )
+    if dropping is not None:
+        return only_drawable(splats, dropping)
+    require_splats(splats)
+    return splats
+
+
+def _read_cloud(
+    data: mmap.mmap, header: Header, vertex: Element, dropping: FilePath | None
+) -> PointCloud:
+    colors = cloud_colors(vertex.types)
+    require_rows(vertex.count, "element 'vertex'")
+    groups = {"position": XYZ, "color": colors}
+    tables = read_columns(data, header, vertex, groups)
+    if vertex.types[colors[0]] == "u1":
+        tables["color"] /= np.float32(255)
+    cloud = PointCloud(position=tables["position"], color=tables["color"])
+    if dropping is not None:
+        cloud = only_finite(cloud, dropping)
+    require_cloud(cloud, colors)
+    return cloud

@@ -1,0 +1,70 @@
+"""Read the plain columns of a PLY file, whatever they mean: for files that hold no splats.
+
+Methods that store anchors, or other points that only a network turns into splats, use PLY too,
+with properties of their own.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsgen.formats.ply.columns import read_columns
+from gsgen.formats.ply.header import parse_header
+from gsgen.formats.ply.layout import find_vertex
+from gsgen.formats.shared.errors import PropertyMissing, listed
+from gsgen.formats.shared.files import FilePath, mapped
+from gsgen.formats.shared.values import require_finite, require_rows
+
+__all__ = ["ply_properties", "read_ply_columns"]
+
+
+def ply_properties(path: FilePath) -> tuple[str, ...]:
+    """Return the names of the properties of the element ``vertex``, in the file's order.
+
+    Raises:
+        FormatError: The file cannot be read, or is no PLY file with such an element.
+    """
+    with mapped(path) as data:
+        return tuple(item.name for item in find_vertex(parse_header(data)).properties)
+
+
+def read_ply_columns(
+    path: FilePath, groups: Mapping[str, Sequence[str]]
+) -> dict[str, Float32[np.ndarray, "n m"]]:
+    """Return one array for each of ``groups``, with a column for each property named in it.
+
+    Numbers may be text or binary, of either byte order and any type; all become float32, and
+    all have to be finite.
+
+    Args:
+        path: The file.
+        groups: What to call an array → the properties that make it up, in order.
+
+    Raises:
+        FormatError: The file cannot be read.
+        PropertyMissing: A property is not in the file; all that are missing are named.
+        ValueInvalid: There is no row, or a value is NaN or infinite.
+    """
+    with mapped(path) as data:
+        header = parse_header(data)
+        vertex = find_vertex(header)
+        _require_properties(vertex.types, groups)
+        require_rows(vertex.count, "element 'vertex'")
+        tables = read_columns(data, header, vertex, groups)
+        for group, names in groups.items():
+            require_finite(tables[group], [f"property {name}" for name in names])
+        return tables
+
+
+def _require_properties(
+    types: Mapping[str, str], groups: Mapping[str, Sequence[str]]
+) -> None:
+    needed = [name for names in groups.values() for name in names]
+    missing = [name for name in needed if name not in types]
+    if missing:
+        raise PropertyMissing(
+            f"{listed(missing, limit=100)} missing, found {listed(list(types))}",
+            where="element 'vertex'",
+            expected=f"the properties {listed(needed, limit=100)}",
+        )

@@ -1,0 +1,105 @@
+"""Write splats and point clouds as PLY files."""
+
+from collections.abc import Iterator
+from typing import BinaryIO
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsgen.formats.ply.header import ENCODINGS, Encoding
+from gsgen.formats.ply.layout import COLORS, XYZ, splat_groups, splat_names
+from gsgen.formats.ply.values import require_cloud, require_splats
+from gsgen.formats.shared.errors import ValueInvalid, shown
+from gsgen.formats.shared.files import FilePath, naming, replacing
+from gsgen.formats.shared.splats import PointCloud, Splats
+
+CHUNK_ROWS = 1 << 12
+
+Columns = dict[str, tuple[str, Float32[np.ndarray, " n"]]]
+"""The type and the values of each property, in the order of the file."""
+
+
+def write_ply(
+    path: FilePath,
+    content: Splats | PointCloud,
+    *,
+    format: Encoding = "binary_little_endian",
+) -> None:
+    """Write ``content`` to ``path`` as a PLY file that ``read_ply`` reads back.
+
+    Splats come back bit for bit (a NaN would not, and is refused). The colours of a
+    point cloud are written as bytes, which is what other programs expect, so they come
+    back to within 1/510. The file appears whole or not at all.
+
+    Args:
+        path: Where to; a file that is there is replaced.
+        content: What to write.
+        format: How to write the numbers.
+
+    Raises:
+        ValueInvalid: ``content`` is empty or holds values that cannot be drawn, or
+            there is no such ``format``.
+        FileUnwritable: The file could not be written or put in place.
+    """
+    with naming(path):
+        if format not in ENCODINGS:
+            raise ValueInvalid(
+                shown(str(format)), where="format", expected=", ".join(ENCODINGS)
+            )
+        columns = (
+            _splat_columns(content) if isinstance(content, Splats) else _points(content)
+        )
+    with replacing(path) as file:
+        file.write(_header(columns, len(content), format))
+        for chunk in _chunks(columns, len(content)):
+            _write_rows(file, chunk, format)
+
+
+def _splat_columns(splats: Splats) -> Columns:
+    require_splats(splats)
+    columns = {}
+    for array, names in splat_groups(splats.degree).items():
+        table = getattr(splats, array).reshape(len(splats), len(names))
+        columns.update({name: ("f4", table[:, i]) for i, name in enumerate(names)})
+    return {name: columns[name] for name in splat_names(splats.degree)}
+
+
+def _points(cloud: PointCloud) -> Columns:
+    require_cloud(cloud)
+    color = np.rint(cloud.color * np.float32(255))
+    places = {name: ("f4", cloud.position[:, i]) for i, name in enumerate(XYZ)}
+    return places | {name: ("u1", color[:, i]) for i, name in enumerate(COLORS[0])}
+
+
+def _header(columns: Columns, count: int, encoding: Encoding) -> bytes:
+    words = {"f4": "float", "u1": "uchar"}
+    lines = [
+        "ply",
+        f"format {encoding} 1.0",
+        f"element vertex {count}",
+        *(f"property {words[code]} {name}" for name, (code, _) in columns.items()),
+        "end_header\n",
+    ]
+    return "\n".join(lines).encode("ascii")
+
+
+def _chunks(columns: Columns, count: int) -> Iterator[Columns]:
+    for at in range(0, count, CHUNK_ROWS):
+        yield {
+            name: (code, values[at : at + CHUNK_ROWS])
+            for name, (code, values) in columns.items()
+        }
+
+
+def _write_rows(file: BinaryIO, columns: Columns, encoding: Encoding) -> None:
+    if encoding == "ascii":
+        # Nine digits tell every float32 from its neighbours.
+        digits = ["%.9g" if code == "f4" else "%d" for code, _ in columns.values()]
+        np.savetxt(file, np.stack([v for _, v in columns.values()], axis=1), fmt=digits)
+        return
+    order = ">" if encoding == "binary_big_endian" else "<"
+    fields = [(name, order + code) for name, (code, _) in columns.items()]
+    rows = np.empty(len(next(iter(columns.values()))[1]), np.dtype(fields))
+    for name, (_, values) in columns.items():
+        rows[name] = values
+    file.write(rows.tobytes())

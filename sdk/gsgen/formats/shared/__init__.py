@@ -1,0 +1,1 @@
+"""What do all codecs share: splats, errors, notices, axes, quantities?"""

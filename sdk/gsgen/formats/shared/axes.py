@@ -1,0 +1,57 @@
+"""Turn splats between coordinate systems that differ in the signs of their axes.
+
+Signs of the harmonics follow from their parity: the function of degree l and order m is a
+polynomial of z of the parity of l + m, times cos mφ for m ≥ 0 or sin |m|φ for m < 0.
+"""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsgen.formats.shared.splats import Splats
+
+Signs = tuple[int, int, int]
+"""What x, y and z are multiplied by."""
+
+RDF_RUB: Final[Signs] = (1, -1, -1)
+"""Between x right, y down, z forward (PLY) and x right, y up, z back (SPZ)."""
+RDF_LUF: Final[Signs] = (-1, -1, 1)
+"""Between x right, y down, z forward (PLY) and x left, y up, z forward (glTF)."""
+
+
+def flip(splats: Splats, signs: Signs) -> Splats:
+    """Return ``splats`` in a system whose axes are those of now times ``signs``.
+
+    A second call with the same ``signs`` undoes the first.
+    """
+    x, y, z = signs
+    return replace(
+        splats,
+        position=_times(splats.position, np.array(signs, np.float32)),
+        rotation=_times(splats.rotation, np.array([1, y * z, x * z, x * y], np.float32)),
+        sh=_times(splats.sh, sh_signs(splats.degree, signs)[:, None]),
+    )
+
+
+def _times(
+    array: Float32[np.ndarray, "..."], signs: Float32[np.ndarray, "..."]
+) -> Float32[np.ndarray, "..."]:
+    made = array * signs
+    made += 0  # so that no zero is negative
+    return np.asarray(made)
+
+
+def sh_signs(degree: int, signs: Signs) -> Float32[np.ndarray, " k"]:
+    """Return what each harmonic is multiplied by where x, y and z are by ``signs``."""
+    orders = [(band, m) for band in range(degree + 1) for m in range(-band, band + 1)]
+    return np.array([_sh_sign(band, m, signs) for band, m in orders], np.float32)
+
+
+def _sh_sign(degree: int, order: int, signs: Signs) -> int:
+    x, y, z = signs
+    sine = order < 0
+    odd_in_x = (order % 2 == 1) != sine  # cos m(π − φ) = (−1)^m cos mφ, and −(−1)^m for sin
+    odd_in_z = (degree + order) % 2 == 1
+    return (x if odd_in_x else 1) * (y if sine else 1) * (z if odd_in_z else 1)

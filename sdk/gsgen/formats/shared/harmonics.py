@@ -1,0 +1,75 @@
+"""Turn spherical harmonics, up to degree 4: the colours then turn with the splats."""
+
+import math
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64
+
+from gsgen.formats.shared.splats import SH_COUNTS
+
+_SAMPLES = 200
+
+
+def rotate_sh(
+    sh: Float32[np.ndarray, "n k 3"], rotation: Float[np.ndarray, "3 3"]
+) -> Float32[np.ndarray, "n k 3"]:
+    """Return harmonics whose colour along ``rotation`` · d is that of ``sh`` along d.
+
+    Each degree turns within itself by a matrix of its own (Wigner's D). It is found here from
+    the values along more directions than it has rows, which hold for it without remainder.
+    """
+    degree = SH_COUNTS.index(sh.shape[1])
+    directions = _directions()
+    here, there = (
+        sh_basis(directions, degree),
+        sh_basis(directions @ np.asarray(rotation).T, degree),
+    )
+    made = sh.copy()
+    for band in range(1, degree + 1):
+        part = slice(band * band, (band + 1) * (band + 1))
+        turn, *_ = np.linalg.lstsq(there[:, part], here[:, part], rcond=None)
+        made[:, part] = np.einsum("lk,nkc->nlc", turn, sh[:, part])
+    return made
+
+
+def _directions() -> Float64[np.ndarray, "d 3"]:
+    """Return directions that are spread evenly: along a spiral of golden angles."""
+    steps = np.arange(_SAMPLES) + 0.5
+    z = 1 - 2 * steps / _SAMPLES
+    around = math.pi * (3 - math.sqrt(5)) * steps
+    ring = np.sqrt(1 - z * z)
+    return np.column_stack([ring * np.cos(around), ring * np.sin(around), z])
+
+
+def sh_basis(
+    directions: Float[np.ndarray, "d 3"], degree: int
+) -> Float64[np.ndarray, "d k"]:
+    """Evaluate the real harmonics of the 3DGS sign convention along unit ``directions``.
+
+    Y_lm = (−1)^m √(2 (2l+1)/4π · (l−|m|)!/(l+|m|)!) P_l^|m|(z) times cos mφ for m > 0, or
+    sin |m|φ for m < 0, with P without the Condon-Shortley phase (Ramamoorthi & Hanrahan 2001,
+    equation 3, times (−1)^m).
+    """
+    x, y, z = np.asarray(directions, np.float64).T
+    # Of (x + iy)^m = (ring e^iφ)^m, and of P_l^m over ring^m, which is a polynomial of z.
+    turns = [(x + 1j * y) ** m for m in range(degree + 1)]
+    made = np.empty((len(z), SH_COUNTS[degree]))
+    for band in range(degree + 1):
+        for order in range(-band, band + 1):
+            m = abs(order)
+            ratio = math.factorial(band - m) / math.factorial(band + m)
+            norm = math.sqrt((2 if m else 1) * (2 * band + 1) / (4 * math.pi) * ratio)
+            angle = turns[m].imag if order < 0 else turns[m].real
+            column = band * band + band + order
+            made[:, column] = (-1) ** m * norm * _legendre(band, m, z) * angle
+    return made
+
+
+def _legendre(band: int, m: int, z: Float64[np.ndarray, " d"]) -> Float64[np.ndarray, " d"]:
+    """Return P_l^m(z) / (1 − z²)^(m/2), by the recurrence in l."""
+    before = np.zeros_like(z)
+    now = np.full_like(z, float(math.prod(range(1, 2 * m, 2))))
+    for step in range(m + 1, band + 1):
+        after = ((2 * step - 1) * z * now - (step + m - 1) * before) / (step - m)
+        before, now = now, after
+    return now

@@ -1,0 +1,31 @@
+"""Several sets of splats as one."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsgen.formats.shared.splats import Splats
+
+
+def joined(parts: Sequence[Splats]) -> Splats:
+    """Return all splats of ``parts``, in order; harmonics that some lack are zero for them."""
+    if len(parts) == 1:
+        return parts[0]
+    count = max(part.sh.shape[1] for part in parts)
+
+    def join(name: str) -> Float32[np.ndarray, "..."]:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    def padded(sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "n l 3"]:
+        return np.pad(sh, [(0, 0), (0, count - sh.shape[1]), (0, 0)])
+
+    return Splats(
+        position=join("position"),
+        rotation=join("rotation"),
+        log_scale=join("log_scale"),
+        logit_opacity=join("logit_opacity"),
+        sh=np.concatenate([padded(part.sh) for part in parts]),
+        antialiased=any(part.antialiased for part in parts),
+        color_space=parts[0].color_space,
+    )

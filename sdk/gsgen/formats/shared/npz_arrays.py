@@ -1,0 +1,116 @@
+"""Unpack arrays from an .npz archive, after a look at what they say they are."""
+
+import errno
+import math
+import zipfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from io import BytesIO
+
+import numpy as np
+from jaxtyping import Shaped
+
+from gsgen.formats.shared.errors import (
+    ArchiveDamaged,
+    FormatError,
+    NotSupported,
+    SizeExceeded,
+)
+
+MAX_HEADER = 1 << 16
+"""Bytes to look for the header of an array in; a plain array needs 128."""
+
+_LONGEST = 200
+
+
+@contextmanager
+def unpacking(where: str) -> Iterator[None]:
+    """Turn what zipfile, zlib and NumPy raise over damaged data into ArchiveDamaged."""
+    try:
+        yield
+    except FormatError:
+        raise
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # that one is a place before the start of the file
+            raise
+        raise _damaged(where, error) from error
+    except MemoryError as error:
+        raise SizeExceeded("takes more memory than there is", where=where) from error
+    # They document no common base: BadZipFile, zlib.error, EOFError, ValueError,
+    # NotImplementedError, RuntimeError, struct.error, tokenize.TokenError and others.
+    except Exception as error:
+        raise _damaged(where, error) from error
+
+
+def _damaged(where: str, error: Exception) -> ArchiveDamaged:
+    reason = str(error)  # it may quote the file
+    short = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]}…"
+    return ArchiveDamaged(
+        f"cannot be unpacked ({type(error).__name__}: {short})",
+        where=where,
+        mend="copy, download or save the file again",
+    )
+
+
+def read_arrays(
+    archive: zipfile.ZipFile, keys: Sequence[str], max_bytes: int
+) -> list[Shaped[np.ndarray, "..."]]:
+    """Return the arrays ``keys``, if all of them fit in ``max_bytes`` of memory.
+
+    Raises:
+        ArchiveDamaged: An array cannot be unpacked, or is not of the size it declares.
+        NotSupported: An array holds Python objects.
+        SizeExceeded: The arrays would take more than ``max_bytes``.
+    """
+    sizes = {key: _declared_bytes(archive, key) for key in keys}
+    if sum(sizes.values()) > max_bytes:
+        parts = " and ".join(f"{key} of {size}" for key, size in sizes.items())
+        raise SizeExceeded(
+            f"arrays {parts} bytes",
+            expected=f"{max_bytes} bytes or fewer together",
+            mend="if the file can be trusted, read it with a larger max_bytes",
+        )
+    return [_read_array(archive, key) for key in keys]
+
+
+def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
+    """Return the bytes that the array ``key`` says it has, once they are believable."""
+    entry = archive.getinfo(f"{key}.npy")
+    with unpacking(f"array {key}"), archive.open(entry) as stream:
+        # No more than this much is unpacked, whatever length the header claims.
+        head = BytesIO(stream.read(MAX_HEADER))
+        shape, dtype = _parse_header(head)
+    if dtype.hasobject:
+        raise NotSupported(
+            "Python objects",
+            where=f"array {key}",
+            expected="numbers",
+            mend="save it again as an array of one numeric type",
+        )
+    size = math.prod(shape) * dtype.itemsize
+    if head.tell() + size != entry.file_size:
+        raise ArchiveDamaged(
+            f"{entry.file_size} bytes, but {dtype} {list(shape)} takes "
+            f"{head.tell() + size}, header included",
+            where=f"array {key}",
+            mend="copy, download or save the file again",
+        )
+    return size
+
+
+def _parse_header(head: BytesIO) -> tuple[tuple[int, ...], np.dtype]:
+    """Read the header of an array, leaving ``head`` at the first byte of its data."""
+    version = np.lib.format.read_magic(head)
+    if version == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(head)
+    elif version == (2, 0):
+        shape, _, dtype = np.lib.format.read_array_header_2_0(head)
+    else:
+        # Version 3 is for field names beyond Latin-1, which plain arrays do not have.
+        raise ValueError(f"version {version} of the .npy format")
+    return shape, dtype
+
+
+def _read_array(archive: zipfile.ZipFile, key: str) -> Shaped[np.ndarray, "..."]:
+    with unpacking(f"array {key}"), archive.open(f"{key}.npy") as stream:
+        return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))

@@ -1,0 +1,1 @@
+"""How are SOG archives read?"""

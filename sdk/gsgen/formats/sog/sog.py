@@ -1,0 +1,185 @@
+"""Read SOG files, version 2: splats in lossless WebP images, in a zip archive or beside meta.json.
+
+The format is that of PlayCanvas (playcanvas/splat-transform, "SOG"). Pillow reads the images.
+"""
+
+import math
+import os
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsgen.formats.shared.bytes import AGAIN, MAX_BYTES
+from gsgen.formats.shared.errors import (
+    FileTruncated,
+    HeaderMalformed,
+    PropertyMissing,
+    SizeExceeded,
+    shown,
+)
+from gsgen.formats.shared.files import FilePath, naming, opened
+from gsgen.formats.shared.npz_arrays import unpacking
+from gsgen.formats.shared.quantities import from_largest, logit, unit
+from gsgen.formats.shared.splat_values import require_drawable
+from gsgen.formats.shared.splats import SH_COUNTS, Splats
+from gsgen.formats.sog.image import Image, decode_image, most_pixels
+from gsgen.formats.sog.meta import META, Meta
+
+__all__ = ["read_sog"]
+
+MAX_META: Final = 1 << 22
+_MOST_PER_BYTE = 1024  # splats in a byte of their positions: more would not be data
+_MOST_INFLATION = 1040  # what deflate can make of a byte
+_BYTES_PER_PIXEL = 8  # lossless WebP of noise takes little more than four
+_BYTES_EACH = 236  # of a splat of degree 3 in memory
+_PALETTE_WIDTH = 64
+_QUATERNION_TAG = 252  # alpha of a quaternion whose largest component is the first
+
+Fetch = Callable[[str, int], bytes]
+"""Gives the content of a file, if it has no more bytes than the second argument."""
+
+
+def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
+    """Read the SOG at ``path``: a zip archive, or the meta.json of one that is unpacked.
+
+    Args:
+        path: The file.
+        max_bytes: What an image may unpack to.
+
+    Raises:
+        FileUnreadable: A file is missing, empty or closed to us.
+        NotRecognised: It is no SOG.
+        NotSupported: It is of another version, or Pillow is not installed.
+        HeaderMalformed: meta.json is no JSON, or does not say what it has to.
+        PropertyMissing: meta.json, or an image that it names, is not there.
+        FileTruncated: An image has too few pixels.
+        ArchiveDamaged: The archive or an image cannot be unpacked.
+        SizeExceeded: An image would take more than ``max_bytes``.
+        ValueInvalid: There is no splat, or one that cannot be drawn.
+    """
+    with naming(path), opened(path) as file, np.errstate(all="ignore"):
+        if file.read(4) != b"PK\x03\x04":
+            return _decode(_beside(path), Path(path).name, max_bytes)
+        with unpacking("archive"), zipfile.ZipFile(file) as archive:
+            return _decode(_within(archive, Path(path).stat().st_size), META, max_bytes)
+
+
+def _within(archive: zipfile.ZipFile, size: int) -> Fetch:
+    names = set(archive.namelist())
+
+    def fetch(name: str, limit: int) -> bytes:
+        if name not in names:
+            raise PropertyMissing(f"no {shown(name)}", where="archive")
+        most = min(limit, size * _MOST_INFLATION)
+        with unpacking(f"file {shown(name)}"), archive.open(name) as stream:
+            return _limited(stream.read(most + 1), most, name)
+
+    return fetch
+
+
+def _beside(path: FilePath) -> Fetch:
+    folder = Path(path).parent
+
+    def fetch(name: str, limit: int) -> bytes:
+        if Path(name).name != name:
+            raise HeaderMalformed(
+                shown(name), where=META, expected="the name of a file beside it"
+            )
+        with opened(folder / name) as file:
+            most = min(limit, os.fstat(file.fileno()).st_size)
+            return _limited(file.read(most + 1), most, name)
+
+    return fetch
+
+
+def _limited(content: bytes, limit: int, name: str) -> bytes:
+    if len(content) > limit:
+        raise SizeExceeded(
+            f"more than {limit} bytes", where=f"file {shown(name)}", mend=AGAIN
+        )
+    return content
+
+
+def _decode(fetch: Fetch, name: str, max_bytes: int) -> Splats:
+    meta = Meta.parse(fetch(name, MAX_META))
+    count = meta.count
+    if count * _BYTES_EACH > max_bytes:
+        raise SizeExceeded(
+            f"{count} splats of some {_BYTES_EACH} bytes",
+            expected=f"{max_bytes} bytes or fewer",
+            mend="if the file can be trusted, read it with a larger max_bytes",
+        )
+
+    def fetched(file: str, pixels: int) -> bytes:
+        return fetch(file, _BYTES_PER_PIXEL * most_pixels(pixels))
+
+    means = [fetched(file, count) for file in meta.files("means", 2)]
+    packed = sum(map(len, means))
+    if count > packed * _MOST_PER_BYTE:
+        raise FileTruncated(
+            f"{count} splats, whose positions are {packed} bytes",
+            where=f"{META}, count",
+            expected=f"{packed * _MOST_PER_BYTE} or fewer, however packed",
+            mend=AGAIN,
+        )
+    low, high = (decode_image(image, count, "means") for image in means)
+
+    def image(group: str) -> Image:
+        (file,) = meta.files(group, 1)
+        return decode_image(fetched(file, count), count, group)
+
+    color = image("sh0")
+    constant = meta.codebook("sh0")[color[:, :3]]
+    splats = Splats(
+        position=_positions(meta, low, high),
+        rotation=_rotations(image("quats")),
+        log_scale=meta.codebook("scales")[image("scales")[:, :3]],
+        logit_opacity=logit(color[:, 3] / np.float32(255)),
+        sh=np.concatenate([constant[:, None], _higher(meta, fetched)], axis=1),
+    )
+    require_drawable(splats)
+    return splats
+
+
+def _positions(meta: Meta, low: Image, high: Image) -> Float32[np.ndarray, "n 3"]:
+    share = (low[:, :3] | high[:, :3].astype(np.int64) << 8) / 65535
+    least, most = meta.triple("means", "mins"), meta.triple("means", "maxs")
+    stored = least * (1 - share) + most * share
+    return np.asarray(np.sign(stored) * np.expm1(np.abs(stored)), np.float32)
+
+
+def _rotations(image: Image) -> Float32[np.ndarray, "n 4"]:
+    """Return quaternions; where the tag is none, the identity."""
+    tag = image[:, 3].astype(np.int64) - _QUATERNION_TAG
+    rest = (image[:, :3] / 127.5 - 1) * math.sqrt(0.5)
+    made = unit(from_largest(np.maximum(tag, 0), rest))
+    made[tag < 0] = (1, 0, 0, 0)
+    return made
+
+
+def _higher(
+    meta: Meta, fetched: Callable[[str, int], bytes]
+) -> Float32[np.ndarray, "n k 3"]:
+    """Return the harmonics above degree 0: each splat has one of a palette."""
+    palette = meta.palette()
+    if palette is None:
+        return np.empty((meta.count, 0, 3), np.float32)
+    size, degree = palette
+    rest = SH_COUNTS[degree] - 1
+    centroids, labels = meta.files("shN", 2)
+    height = -(-size // _PALETTE_WIDTH)
+    pixels = _PALETTE_WIDTH * rest * height
+    image = decode_image(fetched(centroids, pixels), pixels, "shN", _PALETTE_WIDTH * rest)
+    indices = decode_image(fetched(labels, meta.count), meta.count, "shN")
+    label = indices[:, 0] | indices[:, 1].astype(np.int64) << 8
+    if (label >= size).any():
+        raise HeaderMalformed(
+            f"label {int(label.max())}", where="shN", expected=f"0 to {size - 1}"
+        )
+    # Row y of the image holds palette entries 64 y to 64 y + 63, one after the other.
+    entries = image[:, :3].reshape(height * _PALETTE_WIDTH, rest, 3)
+    return np.asarray(meta.codebook("shN")[entries[label]])

@@ -1,0 +1,110 @@
+"""Read and write SPLAT files: 32 bytes a splat, no header, no harmonics but the colour.
+
+The format is that of antimatter15/splat: position and linear scale as three float32 each,
+red, green, blue and opacity as bytes, and the quaternion (w, x, y, z) as bytes v that mean
+(v − 128) / 128.
+"""
+
+import numpy as np
+from jaxtyping import Float32
+
+from gsgen.formats.shared.bytes import AGAIN, Data, contents, take
+from gsgen.formats.shared.errors import FileTruncated
+from gsgen.formats.shared.files import FilePath, naming, replacing
+from gsgen.formats.shared.quantities import SH_C0, log, logit, sigmoid, to_bytes, unit
+from gsgen.formats.shared.splat_values import linear_scale, require_drawable
+from gsgen.formats.shared.splats import Splats
+
+__all__ = ["looks_like_splat", "read_splat", "write_splat"]
+
+RECORD = np.dtype(
+    [("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)]
+)
+_CHUNK = 1 << 14
+_LOOKED_AT = 256
+_LENGTHS = (0.9, 1.1)  # of a quaternion whose components are rounded to 1/128
+
+
+def read_splat(path: FilePath) -> Splats:
+    """Read the SPLAT file at ``path``.
+
+    Raises:
+        FileUnreadable: The file is missing, empty or closed to us.
+        FileTruncated: Its size is no multiple of 32 bytes.
+        ValueInvalid: A value that cannot be drawn: NaN, infinite, or a negative scale.
+    """
+    with contents(path) as data:
+        splats = decode_splat(data)
+        require_drawable(splats)
+        return splats
+
+
+def decode_splat(data: Data) -> Splats:
+    """Return the splats whose records are ``data``; values are not judged."""
+    count, rest = divmod(len(data), RECORD.itemsize)
+    if rest:
+        raise FileTruncated(
+            f"{len(data)} bytes are {count} records of 32 and {rest} bytes more",
+            where=f"byte {count * RECORD.itemsize}",
+            expected="a multiple of 32 bytes, as of a SPLAT file",
+            mend=AGAIN,
+        )
+    records = take(data, RECORD, (count,), 0, "records")
+    rgba = records["rgba"] / np.float32(255)
+    color = (rgba[:, None, :3] - np.float32(0.5)) / np.float32(SH_C0)
+    rotation = (records["rotation"].astype(np.float32) - 128) / 128
+    return Splats(
+        position=records["position"].astype(np.float32),
+        rotation=unit(rotation),
+        log_scale=log(records["scale"]),  # NaN, of one below zero, is refused
+        logit_opacity=logit(rgba[:, 3]),
+        sh=color.astype(np.float32),
+    )
+
+
+def write_splat(path: FilePath, splats: Splats) -> None:
+    """Write ``splats`` to ``path`` as a SPLAT file.
+
+    Positions and scales stay as exact as float32 is. Opacity and colour come back to
+    within 1/510, colour outside of [0, 1] is cut, quaternions come back to within 1/256,
+    and harmonics above degree 0 are dropped. The file appears whole or not at all.
+
+    Raises:
+        ValueInvalid: ``splats`` is empty or holds values that cannot be drawn.
+        FileUnwritable: The file could not be written or put in place.
+    """
+    with naming(path):
+        require_drawable(splats)
+        scale = linear_scale(splats)
+    with replacing(path) as file:
+        for at in range(0, len(splats), _CHUNK):
+            file.write(_records(splats, scale, slice(at, at + _CHUNK)).tobytes())
+
+
+def _records(splats: Splats, scale: Float32[np.ndarray, "n 3"], part: slice) -> np.ndarray:
+    records = np.empty(len(splats.position[part]), RECORD)
+    records["position"] = splats.position[part]
+    records["scale"] = scale[part]
+    records["rgba"][:, :3] = to_bytes((0.5 + SH_C0 * splats.sh[part, 0]) * 255)
+    records["rgba"][:, 3] = to_bytes(sigmoid(splats.logit_opacity[part]) * 255)
+    records["rotation"] = to_bytes(unit(splats.rotation[part]) * 128 + 128)
+    return records
+
+
+def looks_like_splat(data: Data) -> bool:
+    """Say whether ``data`` can be a SPLAT file, which has no header to tell it by.
+
+    Its first records, as far as there are any, hold finite positions, scales from 0 on and
+    quaternions of length one.
+    """
+    if len(data) == 0 or len(data) % RECORD.itemsize:
+        return False
+    count = min(len(data) // RECORD.itemsize, _LOOKED_AT)
+    records = np.frombuffer(data, RECORD, count)
+    scale = records["scale"]
+    length = np.linalg.norm((records["rotation"].astype(np.float64) - 128) / 128, axis=1)
+    return bool(
+        np.isfinite(records["position"]).all()
+        and ((scale >= 0) & (scale < np.inf)).all()
+        and ((length > _LENGTHS[0]) & (length < _LENGTHS[1])).all()
+    )

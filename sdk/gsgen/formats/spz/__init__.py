@@ -1,0 +1,1 @@
+"""How are SPZ files read and written?"""

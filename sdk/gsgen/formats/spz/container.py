@@ -1,0 +1,282 @@
+"""The frame of an SPZ file: its header, and the attributes in gzip or in zstd.
+
+The format is that of nianticlabs/spz. Nothing is unpacked beyond what the header's count asks
+for, and that count has to be possible in a file of this size.
+"""
+
+import struct
+import warnings
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import UInt8
+
+from gsgen.formats.shared.axes import RDF_RUB, Signs
+from gsgen.formats.shared.bytes import AGAIN, Data, require_room, take
+from gsgen.formats.shared.errors import (
+    ArchiveDamaged,
+    FileTruncated,
+    HeaderMalformed,
+    NotRecognised,
+    NotSupported,
+    SizeExceeded,
+    ValueInvalid,
+)
+from gsgen.formats.shared.notices import FormatWarning
+from gsgen.formats.spz import zstd
+from gsgen.formats.spz.streams import NAMES, sizes
+
+MAGIC: Final = b"NGSP"
+GZIP: Final = b"\x1f\x8b"
+LAST_GZIP, LAST = 3, 4
+"""The last version in gzip, and the last of all."""
+
+_ANTIALIASED, _EXTENDED = 1, 2
+_HEADER, _LONG_HEADER = struct.Struct("<4sIIBBBx"), struct.Struct("<4sIIBBBBI12x")
+_TOC_ENTRY = struct.Struct("<QQ")
+_RECORD = struct.Struct("<II")
+_MOST_PER_NINE_BYTES = 1024
+_MOST_SPLATS = 2**31 - 1
+_MOST_DEGREE, _MOST_FRACTION = 4, 24
+_MOST_EXTENSIONS = 1 << 20
+_CHUNK = 1 << 20
+_CAMERA, _COORDINATES = 0xADBE0002, 0xADBE0003
+
+Streams = dict[str, UInt8[np.ndarray, " b"]]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """What the header of an SPZ file says, and the attributes behind it.
+
+    Attributes:
+        signs: What turns the axes of the file into those of a PLY file, and back.
+    """
+
+    version: int
+    count: int
+    degree: int
+    fractional_bits: int
+    antialiased: bool
+    streams: Streams
+    signs: Signs = RDF_RUB
+
+
+def unpack(data: Data, max_bytes: int) -> Frame:
+    """Return what the SPZ file ``data`` holds.
+
+    Raises:
+        NotRecognised: It is no SPZ file.
+        NotSupported: It is of a later version, or in a space whose axes are swapped.
+        HeaderMalformed: The header contradicts itself or the size of the file.
+        FileTruncated: The data ends early.
+        ArchiveDamaged: The data cannot be unpacked.
+        SizeExceeded: The attributes would take more than ``max_bytes``.
+    """
+    if data[:2] == GZIP:
+        return _unpack_gzip(data, max_bytes)
+    require_room(data, 0, _HEADER.size, "header")
+    version = _HEADER.unpack_from(data)[1]
+    if data[:4] == MAGIC and version <= LAST_GZIP:  # as it is inside of the gzip
+        return _unpack_plain(iter([bytes(data)]), len(data), max_bytes)
+    return _unpack_zstd(data, max_bytes)
+
+
+def _unpack_gzip(data: Data, max_bytes: int) -> Frame:
+    return _unpack_plain(_inflated(data), len(data), max_bytes)
+
+
+def _inflated(data: Data) -> Iterator[bytes]:
+    """Yield what the gzip file ``data`` unpacks to, piece by piece."""
+    unpacker = zlib.decompressobj(wbits=31)
+    try:
+        for at in range(0, len(data), _CHUNK):
+            piece = data[at : at + _CHUNK]
+            made = b"more"
+            while not unpacker.eof and (piece or made):
+                made = unpacker.decompress(piece, _CHUNK)
+                piece = unpacker.unconsumed_tail
+                yield made
+    except zlib.error as error:
+        raise ArchiveDamaged(
+            f"cannot be unpacked ({error})", where="gzip stream", mend=AGAIN
+        ) from error
+    if not unpacker.eof:
+        raise FileTruncated(
+            f"the gzip stream does not end within {len(data)} bytes",
+            where="gzip stream",
+            mend=AGAIN,
+        )
+
+
+def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
+    """Read the header and the attributes of version 1 to 3 as they come."""
+    body = bytearray()
+    _fill(body, pieces, _HEADER.size)
+    require_room(body, 0, _HEADER.size, "header, unpacked")
+    magic, version, count, degree, fraction, flags = _HEADER.unpack_from(body)
+    if version > LAST_GZIP:
+        raise HeaderMalformed(
+            f"version {version} in gzip", where="byte 4", expected="1, 2 or 3"
+        )
+    _require_header(magic, version, count, degree, fraction, size)
+    parts = sizes(version, count, degree)
+    end = _HEADER.size + sum(parts.values())
+    _require_memory(end, max_bytes)
+    # One more byte than needed, so that one too many is seen.
+    _fill(body, pieces, end + (_MOST_EXTENSIONS if flags & _EXTENDED else 1))
+    require_room(body, _HEADER.size, end - _HEADER.size, f"{count} splats, unpacked")
+    extra = body[end:]
+    if extra and not flags & _EXTENDED:
+        raise HeaderMalformed(
+            f"more than the {end} bytes of {count} splats of degree {degree}",
+            where="unpacked data",
+            expected=f"{end} bytes",
+            mend=AGAIN,
+        )
+    signs = _extensions(bytes(extra)) if flags & _EXTENDED else RDF_RUB
+    streams, at = {}, _HEADER.size
+    for name, length in parts.items():
+        streams[name] = take(body, np.uint8, (length,), at, name)
+        at += length
+    aliased = bool(flags & _ANTIALIASED)
+    return Frame(version, count, degree, fraction, aliased, streams, signs)
+
+
+def _fill(body: bytearray, pieces: Iterator[bytes], length: int) -> None:
+    for piece in pieces if len(body) < length else ():
+        body += piece
+        if len(body) >= length:
+            return
+
+
+def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
+    require_room(data, 0, _LONG_HEADER.size, "header")
+    fields = _LONG_HEADER.unpack_from(data)
+    magic, version, count, degree, fraction, flags, found, toc = fields
+    _require_header(magic, version, count, degree, fraction, len(data))
+    parts = {name: size for name, size in sizes(version, count, degree).items() if size}
+    _require_memory(sum(parts.values()), max_bytes)
+    if found != len(parts):
+        raise HeaderMalformed(
+            f"{found} streams", where="byte 15", expected=f"{len(parts)}, one an attribute"
+        )
+    if toc < _LONG_HEADER.size:
+        raise HeaderMalformed(
+            f"table of contents at byte {toc}", where="byte 16", expected="32 or more"
+        )
+    require_room(data, toc, found * _TOC_ENTRY.size, "table of contents")
+    signs = (
+        _extensions(bytes(data[_LONG_HEADER.size : toc])) if flags & _EXTENDED else RDF_RUB
+    )
+    streams, at = {}, toc + found * _TOC_ENTRY.size
+    for index, (name, size) in enumerate(parts.items()):
+        entry = toc + index * _TOC_ENTRY.size
+        packed, unpacked = _TOC_ENTRY.unpack_from(data, entry)
+        if unpacked != size:
+            raise HeaderMalformed(
+                f"{name} of {unpacked} bytes", where=f"byte {entry + 8}", expected=f"{size}"
+            )
+        require_room(data, at, packed, f"stream {name}")
+        content = zstd.unpack(
+            bytes(data[at : at + packed]), size, f"stream {name}, byte {at}"
+        )
+        streams[name] = np.frombuffer(content, np.uint8)
+        at += packed
+    if at != len(data):
+        raise HeaderMalformed(
+            f"{len(data)} bytes", where="file", expected=f"{at}, where the last stream ends"
+        )
+    streams = {name: streams.get(name, np.empty(0, np.uint8)) for name in NAMES}
+    aliased = bool(flags & _ANTIALIASED)
+    return Frame(version, count, degree, fraction, aliased, streams, signs)
+
+
+def _require_header(
+    magic: bytes, version: int, count: int, degree: int, fraction: int, size: int
+) -> None:
+    if magic != MAGIC:
+        raise NotRecognised(
+            magic.hex(" "), where="first bytes", expected="4e 47 53 50 (NGSP), as of SPZ"
+        )
+    if not 1 <= version <= LAST:
+        raise NotSupported(f"version {version}", where="byte 4", expected="1, 2, 3 or 4")
+    if count == 0:
+        raise ValueInvalid("0 splats", where="byte 8", expected="at least one")
+    require_count(count, size)
+    if degree > _MOST_DEGREE:
+        raise HeaderMalformed(f"SH degree {degree}", where="byte 12", expected="0 to 4")
+    if fraction > _MOST_FRACTION:
+        raise HeaderMalformed(
+            f"{fraction} fractional bits", where="byte 13", expected="0 to 24"
+        )
+
+
+def require_count(count: int, size: int) -> None:
+    """Raise FileTruncated if a file of ``size`` bytes cannot hold as many splats."""
+    if count > min(_MOST_SPLATS, size * _MOST_PER_NINE_BYTES // 9):
+        raise FileTruncated(
+            f"{count} splats in a file of {size} bytes",
+            where="byte 8",
+            expected=f"{size * _MOST_PER_NINE_BYTES // 9} or fewer, however packed",
+            mend=AGAIN,
+        )
+
+
+def _require_memory(needed: int, max_bytes: int) -> None:
+    if needed > max_bytes:
+        raise SizeExceeded(
+            f"unpacks to {needed} bytes",
+            expected=f"{max_bytes} bytes or fewer",
+            mend="if the file can be trusted, read it with a larger max_bytes",
+        )
+
+
+def _extensions(zone: bytes) -> Signs:
+    """Return the signs of the axes that the records in ``zone`` declare; warn of unknown ones."""
+    signs, at = RDF_RUB, 0
+    while at < len(zone):
+        require_room(zone, at, _RECORD.size, "extension record")
+        kind, length = _RECORD.unpack_from(zone, at)
+        at += _RECORD.size
+        require_room(zone, at, length, f"extension {kind:#x}")
+        if kind == _COORDINATES:
+            signs = _declared_signs(zone[at : at + length])
+        elif kind != _CAMERA:
+            text = f"extension {kind:#x} is passed over: what it changes is not known"
+            warnings.warn(text, FormatWarning, stacklevel=2)
+        at += length
+    return signs
+
+
+def _declared_signs(payload: bytes) -> Signs:
+    """Return the signs that turn a named system of the standard family into that of PLY."""
+    code = int.from_bytes(payload, "little")
+    if not 1 <= code <= 8:
+        raise NotSupported(
+            f"coordinate system {code}",
+            where="extension SPZ_ADOBE_coordinate_system",
+            expected="1 to 8, whose axes are not swapped",
+            mend="save it again in RUB, which every reader understands",
+        )
+    right, up, forward = code - 1 & 1, code - 1 & 2, code - 1 & 4
+    return (1 if right else -1, -1 if up else 1, 1 if forward else -1)
+
+
+def pack(frame: Frame, content: Mapping[str, bytes]) -> bytes:
+    """Return the file of ``frame`` whose attributes are ``content``."""
+    flags = _ANTIALIASED if frame.antialiased else 0
+    common = (MAGIC, frame.version, frame.count, frame.degree, frame.fractional_bits, flags)
+    if frame.version <= LAST_GZIP:
+        packer = zlib.compressobj(6, wbits=31)
+        pieces = [_HEADER.pack(*common), *(content[name] for name in NAMES)]
+        return b"".join([*map(packer.compress, pieces), packer.flush()])
+    parts = [content[name] for name in NAMES if content[name]]
+    streams = [zstd.pack(part) for part in parts]
+    toc = (_TOC_ENTRY.pack(len(a), len(b)) for a, b in zip(streams, parts, strict=True))
+    header = _LONG_HEADER.pack(*common, len(parts), _LONG_HEADER.size)
+    return b"".join([header, *toc, *streams])

@@ -1,0 +1,1 @@
+"""How does an author write a generator or a post-process model in torch?"""

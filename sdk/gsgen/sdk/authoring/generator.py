@@ -1,0 +1,157 @@
+"""What an author writes: a torch module that declares its inputs and returns Gaussians."""
+
+__all__ = ["GaussianGenerator", "Gaussians"]
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from gsgen.contract.spec.manifest import Input, Producer, Space, WeightedSum
+from gsgen.contract.spec.spherical_harmonics import COEFFICIENTS
+from gsgen.sdk.authoring.cells import Cells, expect_shape, expect_spread
+from gsgen.sdk.errors import GeneratorInvalid
+from gsgen.sdk.math import covariance_upper
+
+
+@dataclass(frozen=True, slots=True)
+class Gaussians:
+    """N Gaussians in the model's local space, as torch tensors of float32 or float16.
+
+    Shape is given either by ``scale`` and ``rotation`` or by ``covariance``; colour either by
+    ``sh`` or by ``rgb``.
+
+    Attributes:
+        position: Centres, [N, 3].
+        opacity: Opacity after activation in [0, 1], [N] or [N, 1].
+        scale: Linear standard deviations, [N, 3] (after ``exp``, where the method stores logs).
+        rotation: Quaternions (w, x, y, z), [N, 4]; need not be normalised.
+        covariance: Upper triangle xx xy xz yy yz zz, [N, 6].
+        sh: Spherical harmonics, coefficient-major, [N, K, 3] with K = 1, 4, 9 or 16.
+        rgb: Raw colour in [0, 1], [N, 3].
+        count: How many of the first rows are live, an integer tensor of one element; all if absent.
+        cells: Cells of N / C Gaussians each, in the order of the rows, for a generator with a
+            ``weighted_sum``.
+
+    Raises:
+        GeneratorInvalid: A shape is not as above, or a choice is made twice or not at all.
+    """
+
+    position: Float[Tensor, "n 3"]
+    opacity: Float[Tensor, "..."]
+    scale: Float[Tensor, "n 3"] | None = None
+    rotation: Float[Tensor, "n 4"] | None = None
+    covariance: Float[Tensor, "n 6"] | None = None
+    sh: Float[Tensor, "n k 3"] | None = None
+    rgb: Float[Tensor, "n 3"] | None = None
+    count: Int[Tensor, "..."] | None = None
+    cells: Cells | None = None
+
+    def __post_init__(self) -> None:
+        expect_spread(self.scale, self.rotation, self.covariance, "Gaussians")
+        if (self.sh is None) == (self.rgb is None):
+            raise GeneratorInvalid("give exactly one of sh and rgb", where="Gaussians")
+        n = self.position.shape[0]
+        for name, width in (
+            ("position", 3),
+            ("scale", 3),
+            ("rotation", 4),
+            ("covariance", 6),
+        ):
+            self._expect(name, (n, width))
+        self._expect("rgb", (n, 3))
+        self._expect("opacity", (n,), (n, 1))
+        self._expect("sh", *((n, k, 3) for k in COEFFICIENTS))
+        if self.count is not None and self.count.numel() != 1:
+            seen = list(self.count.shape)
+            raise GeneratorInvalid(
+                f"shape is {seen}, wanted one element", where="Gaussians.count"
+            )
+        cells = 0 if self.cells is None else self.cells.position.shape[0]
+        if self.cells is not None and (not cells or n % cells):
+            what = f"{n} Gaussians do not fill {cells} cells equally"
+            raise GeneratorInvalid(what, where="Gaussians.cells")
+
+    def _expect(self, name: str, *shapes: tuple[int, ...]) -> None:
+        value: Tensor | None = getattr(self, name)
+        if value is None:
+            return
+        mend = ""
+        if name == "sh" and value.ndim == 3 and value.shape[1] == 3:
+            mend = "It looks channel-major [N, 3, K]: transpose(1, 2) makes it coefficient-major."
+        if name == "sh" and value.ndim == 2:
+            mend = "Reshape to [N, K, 3]; f_rest of a 3DGS PLY is channel-major: [N, 3, K-1] first."
+        expect_shape(f"Gaussians.{name}", value, *shapes, mend=mend)
+
+    def take(
+        self, rows: Int[Tensor, " m"], count: Int[Tensor, "1"] | None = None
+    ) -> "Gaussians":
+        """Return the Gaussians of some rows, in that order.
+
+        Args:
+            rows: Row numbers, such as :func:`gsgen.sdk.math.keep_rows` gives.
+            count: How many of them are live; all where absent.
+
+        Raises:
+            GeneratorInvalid: They lie in cells, which single rows cannot leave.
+        """
+        if self.cells is not None:
+            mend = "Choose cells, and make Gaussians of those alone."
+            what = "rows cannot be taken out of their cells"
+            raise GeneratorInvalid(what, where="Gaussians.take", mend=mend)
+        fields = ("position", "opacity", "scale", "rotation", "covariance", "sh", "rgb")
+        taken = {
+            name: value.index_select(0, rows)
+            for name in fields
+            if (value := getattr(self, name)) is not None
+        }
+        return Gaussians(**taken, count=count)
+
+    def covariances(self) -> Float[Tensor, "n 6"]:
+        """Return the covariance's upper triangle, computed if it was not given."""
+        if self.covariance is not None:
+            return self.covariance
+        assert self.scale is not None
+        assert self.rotation is not None
+        return covariance_upper(self.scale, self.rotation)
+
+
+class GaussianGenerator(nn.Module, ABC):
+    """A torch module that emits Gaussians every frame.
+
+    Subclasses set the class attributes below (or set them on the instance) and write
+    ``forward``, which takes the declared inputs in order and returns :class:`Gaussians`.
+
+    Attributes:
+        inputs: Frame inputs, made by the functions of :mod:`gsgen.sdk.authoring.inputs`.
+        space: Coordinate frame and matrix memory order.
+        color_space: Of the colours that come out of SH or RGB.
+        antialias: How the model was trained: ``classic`` (0.3 px dilation) or ``mip``.
+        depends_on: Role → whether outputs change with it; roles not named do.
+        count_semantics: ``upper-bound`` where rows before the count may have opacity 0.
+        family: ``static``, ``mlp``, ``4d``, ``avatar`` or another word.
+        producer: Tool, source and licence; the SDK fills in itself where absent.
+        weighted_sum: How Gaussians are weighed, where they are summed cell by cell and not
+            sorted: ``forward`` then returns :attr:`Gaussians.cells`.
+    """
+
+    inputs: Sequence[Input] = ()
+    space: Space = Space()
+    color_space: Literal["srgb", "linear"] = "srgb"
+    antialias: Literal["classic", "mip"] = "classic"
+    depends_on: ClassVar[dict[str, bool]] = {}
+    count_semantics: Literal["exact", "upper-bound"] = "exact"
+    family: str | None = None
+    producer: Producer | None = None
+    weighted_sum: WeightedSum | None = None
+
+    @abstractmethod
+    def forward(self, *inputs: Any, **_: Any) -> Any:
+        """Return the :class:`Gaussians` of one frame.
+
+        Args:
+            inputs: One tensor for each declared input, in order, of its role's shape and dtype.
+        """

@@ -1,0 +1,188 @@
+"""Declare frame inputs by role; each function returns an entry of the manifest.
+
+The names that are given by default are ones that the Visionary viewer binds to the right role.
+"""
+
+__all__ = [
+    "appearance_id",
+    "camera_position",
+    "conditioning",
+    "control",
+    "expression",
+    "frame_index",
+    "image",
+    "pose",
+    "projection",
+    "root_rotation",
+    "root_translation",
+    "shape",
+    "time",
+    "timestep",
+    "view",
+    "viewport",
+]
+
+from typing import Literal
+
+from gsgen.contract.spec.manifest import Input
+
+Range = tuple[float, float]
+
+
+def view(name: str = "camera") -> Input:
+    """World→camera matrix, float32 [4, 4], in the memory order that the generator declares."""
+    return Input(name, "view", shape=(4, 4), default="identity")
+
+
+def projection(name: str = "proj") -> Input:
+    """Camera→clip matrix, float32 [4, 4], depth 0..1."""
+    return Input(name, "projection", shape=(4, 4), default="identity")
+
+
+def time(
+    name: str = "time",
+    *,
+    range: Range = (0.0, 1.0),
+    loop: bool | None = None,
+    frames: int | None = None,
+    fps: float | None = None,
+) -> Input:
+    """Time, float32 [1].
+
+    Args:
+        name: The tensor's name.
+        range: First and last moment, in the model's own unit.
+        loop: The end continues at the start.
+        frames: How many distinct frames there are.
+        fps: Frames per second at natural speed.
+    """
+    low, high = float(range[0]), float(range[1])
+    return Input(
+        name,
+        "time",
+        shape=(1,),
+        range=(low, high),
+        default=low,
+        loop=loop,
+        frames=frames,
+        fps=fps,
+    )
+
+
+def frame_index(frames: int, name: str = "frame_index") -> Input:
+    """Frame number, int32 [1], from 0 to ``frames`` − 1."""
+    return Input(
+        name, "frame_index", shape=(1,), range=(0, frames - 1), default=0, frames=frames
+    )
+
+
+def camera_position(name: str = "camera_position") -> Input:
+    """Camera centre in local space, float32 [3]."""
+    return Input(name, "camera_position", shape=(3,), default="zeros")
+
+
+def viewport(name: str = "viewport") -> Input:
+    """Width and height of the image in pixels, float32 [2]."""
+    return Input(name, "viewport", shape=(2,), default=(1280.0, 720.0))
+
+
+def pose(
+    joints: int,
+    name: str = "pose",
+    *,
+    convention: Literal["smpl-axis-angle", "axis-angle", "quaternion-wxyz"] = "axis-angle",
+    range: Range = (-3.1416, 3.1416),
+) -> Input:
+    """Joint rotations, float32 [joints, 3] (axis-angle, radians) or [joints, 4] (quaternions)."""
+    quaternions = convention == "quaternion-wxyz"
+    return Input(
+        name,
+        "pose",
+        shape=(joints, 4 if quaternions else 3),
+        range=(-1.0, 1.0) if quaternions else range,
+        default="identity" if quaternions else "zeros",
+        convention=convention,
+    )
+
+
+def shape(count: int, name: str = "shape", *, range: Range = (-3.0, 3.0)) -> Input:
+    """Body shape coefficients, float32 [count]."""
+    return Input(name, "shape", shape=(count,), range=range, default="zeros")
+
+
+def root_translation(
+    name: str = "root_translation", *, range: Range = (-1.0, 1.0)
+) -> Input:
+    """Translation of the root in local units, float32 [3]."""
+    return Input(name, "root_translation", shape=(3,), range=range, default="zeros")
+
+
+def root_rotation(
+    name: str = "root_rotation",
+    *,
+    convention: Literal["axis-angle", "matrix"] = "axis-angle",
+) -> Input:
+    """Rotation of the root, float32 [3] (axis-angle, radians) or [3, 3] (matrix)."""
+    if convention == "matrix":
+        return Input(
+            name, "root_rotation", shape=(3, 3), default="identity", convention=convention
+        )
+    return Input(
+        name,
+        "root_rotation",
+        shape=(3,),
+        range=(-3.1416, 3.1416),
+        default="zeros",
+        convention=convention,
+    )
+
+
+def expression(
+    count: int, name: str = "expression", *, range: Range = (-2.0, 2.0)
+) -> Input:
+    """Expression coefficients, float32 [count]."""
+    return Input(name, "expression", shape=(count,), range=range, default="zeros")
+
+
+def appearance_id(count: int, name: str = "appearance_id") -> Input:
+    """Which of ``count`` appearances, int32 [1]."""
+    return Input(name, "appearance_id", shape=(1,), range=(0, count - 1), default=0)
+
+
+def control(
+    name: str, *, range: Range, default: float, size: int = 1, label: str | None = None
+) -> Input:
+    """A named slider, float32 [size]."""
+    return Input(name, "control", shape=(size,), range=range, default=default, label=label)
+
+
+def image(
+    channels: int = 3,
+    size: tuple[int, int] | None = None,
+    name: str = "image",
+    *,
+    range: Range = (0.0, 1.0),
+) -> Input:
+    """The rendered image of a post-process model, [1, channels, height, width].
+
+    Args:
+        channels: 3, or 4 where alpha comes along.
+        size: Height and width; open where absent.
+        name: The tensor's name.
+        range: Values of black and white.
+    """
+    shape = None if size is None else (1, channels, *size)
+    return Input(name, "image", shape=shape, range=range)
+
+
+def timestep(default: float, name: str = "timestep", *, range: Range = (0, 999)) -> Input:
+    """Diffusion timestep of a post-process model, float32 [1]."""
+    low, high = float(range[0]), float(range[1])
+    return Input(name, "timestep", shape=(1,), range=(low, high), default=float(default))
+
+
+def conditioning(rows: int, width: int, name: str = "conditioning") -> Input:
+    """Conditioning vectors of a post-process model, float32 [1, rows, width]."""
+    return Input(
+        name, "conditioning", shape=(1, rows, width), range=(-3.0, 3.0), default="zeros"
+    )

@@ -1,0 +1,50 @@
+"""What a module has to be and to declare before it is run: mistakes that Python lets through."""
+
+__all__ = ["require_declared"]
+
+from typing import Any
+
+from torch import nn
+
+from gsgen.contract.spec.manifest import Input
+from gsgen.sdk.errors import GeneratorInvalid
+
+_MADE = (
+    "Make inputs with the functions of gsgen.sdk.authoring.inputs, such as inputs.time()."
+)
+
+
+def require_declared(module: Any) -> None:
+    """Refuse what is no module, one that was not set up, and inputs that are none.
+
+    Args:
+        module: What was given to be exported, a generator or a post-process model.
+
+    Raises:
+        GeneratorInvalid: It is a class, or nothing of torch; its ``__init__`` forgot that of its
+            parent; or ``inputs`` is not a sequence of inputs.
+    """
+    if isinstance(module, type):
+        name = module.__name__
+        raise GeneratorInvalid("is a class, wanted a module", where=name, mend=f"{name}()")
+    name = type(module).__name__
+    if not isinstance(module, nn.Module):
+        mend = "Return an instance of a subclass of gsgen.sdk.GaussianGenerator."
+        raise GeneratorInvalid("is no torch module", where=name, mend=mend)
+    if "_modules" not in vars(module):
+        mend = "Begin it with super().__init__()."
+        raise GeneratorInvalid("__init__ does not call its parent's", where=name, mend=mend)
+    _require_inputs(getattr(module, "inputs", ()), f"{name}.inputs")
+
+
+def _require_inputs(declared: Any, where: str) -> None:
+    if isinstance(declared, Input):
+        mend = "A tuple of one has a comma: inputs = (inputs.time(),)"
+        raise GeneratorInvalid("is one input, wanted a tuple", where=where, mend=mend)
+    if isinstance(declared, str) or not isinstance(declared, tuple | list):
+        what = f"is {type(declared).__name__}, wanted a tuple of inputs"
+        raise GeneratorInvalid(what, where=where, mend=_MADE)
+    for place, entry in enumerate(declared):
+        if not isinstance(entry, Input):
+            what = f"{entry!r} is no input"
+            raise GeneratorInvalid(what, where=f"{where}[{place}]", mend=_MADE)

@@ -1,0 +1,1 @@
+"""How does a torch module become a validated ONNX file?"""

@@ -1,0 +1,218 @@
+"""Repair a model: only what has one right answer, each repair validated and listed."""
+
+__all__ = ["Repair", "Repaired", "Request", "repair"]
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import onnx_ir as ir
+from onnx_ir import passes
+from onnx_ir.passes.common import NameFixPass
+
+from gsgen.contract.errors import GsgenError, UnknownName
+from gsgen.contract.model.inspected_model import Subject, read_subject
+from gsgen.contract.model.model_file import MANIFEST_KEY, open_model
+from gsgen.contract.spec.manifest import GeneratorManifest
+from gsgen.contract.spec.manifest_io import dumps
+from gsgen.contract.validation.report import Report
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
+from gsgen.sdk.authoring.packed_module import (
+    APPEARANCE_RGB,
+    APPEARANCE_SH,
+    COUNT,
+    GAUSSIANS,
+)
+from gsgen.sdk.passes import (
+    CastCount,
+    PadColor,
+    PinDimensions,
+    RenameOutputs,
+    ReorderHarmonics,
+    SilencePadding,
+)
+from gsgen.sdk.rewriting.atomic_model_files import draft_of
+from gsgen.sdk.rewriting.model_io import (
+    has_external_weights,
+    refuse_overwriting,
+    save_model,
+)
+from gsgen.sdk.rewriting.rule_regression import refuse_worse
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What cannot be known from the model, and what is only done if it is asked for.
+
+    Attributes:
+        sizes: Symbolic dimension → its size.
+        manifest: The manifest to embed; the model's own where absent.
+        rename: Give the outputs the names that viewers look for.
+        channel_major: The SH stand channel by channel and are to be reordered.
+    """
+
+    sizes: Mapping[str, int] = field(default_factory=dict)
+    manifest: GeneratorManifest | None = None
+    rename: bool = False
+    channel_major: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Repair:
+    """One change, and the rule that asked for it."""
+
+    what: str
+    rule: str
+
+
+@dataclass(frozen=True, slots=True)
+class Repaired:
+    """The result.
+
+    Attributes:
+        repairs: What was changed, in order.
+        before: The report of the model as it came.
+        after: The report of the model as it was written.
+    """
+
+    repairs: tuple[Repair, ...]
+    before: Report
+    after: Report
+
+
+def repair(
+    source: Path,
+    target: Path | None,
+    request: Request | None = None,
+    settings: Settings | None = None,
+) -> Repaired:
+    """Write a repaired copy of ``source`` to ``target``; nothing ambiguous is guessed.
+
+    Args:
+        source: The model.
+        target: Where the copy goes; None repairs and judges it, and writes nothing.
+        request: What cannot be known from the model.
+        settings: How the two are judged.
+
+    Raises:
+        ModelUnreadable: ``source`` is no model.
+        ConfigInvalid: ``target`` would replace the weights of ``source``.
+        UnknownName: A size is given for no dimension of its inputs and outputs.
+        GsgenError: There is nothing to repair, or the result would break a rule that was kept.
+    """
+    request, settings = request or Request(), settings or Settings()
+    before = validate(source, settings)
+    subject = read_subject(open_model(source), settings.target, settings.limits)
+    if target is not None:
+        refuse_overwriting(subject.file, target)
+    broken = {finding.rule for finding in before.findings}
+    manifest = request.manifest or _own_manifest(subject)
+    steps, manifest = _steps(subject, manifest, broken, request)
+    if request.manifest is not None:
+        steps.append((Repair("embedded the manifest given", "GM001"), _nothing))
+    if not steps:
+        raise GsgenError("nothing that has one right answer is broken", where=str(source))
+    model = ir.load(source)
+    _check_symbols(model, request.sizes)
+    beside = has_external_weights(model)
+    for _, change in steps:
+        change(model)
+    NameFixPass()(model)
+    model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
+    with _draft(target, source) as draft:
+        save_model(model, draft, beside=beside)
+        after = validate(draft, settings)
+        refuse_worse(before, after, "repaired")
+    return Repaired(
+        tuple(step for step, _ in steps), before, replace(after, path=str(target or source))
+    )
+
+
+@contextmanager
+def _draft(target: Path | None, source: Path) -> Iterator[Path]:
+    """Yield where the copy is written to be judged; without ``target`` it goes no further."""
+    if target is not None:
+        with draft_of(target) as draft:
+            yield draft
+        return
+    with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
+        yield Path(folder) / source.name
+
+
+def _check_symbols(model: ir.Model, sizes: Mapping[str, int]) -> None:
+    ends = (*model.graph.inputs, *model.graph.outputs)
+    dims = (dim for value in ends if value.shape is not None for dim in value.shape)
+    known = {dim.value for dim in dims if isinstance(dim, ir.SymbolicDim) and dim.value}
+    for name in sizes.keys() - known:
+        raise UnknownName.among("dimension", name, known, "--size")
+
+
+Change = Callable[[ir.Model], passes.PassResult | None]
+Steps = list[tuple[Repair, Change]]
+
+
+def _nothing(_: ir.Model) -> None:
+    return
+
+
+def _own_manifest(subject: Subject) -> GeneratorManifest:
+    if subject.parsed is None:
+        raise GsgenError(
+            "carries no manifest, so its outputs' meaning would be guessed",
+            where=str(subject.file.path),
+            mend="Derive one with `gsgen inspect MODEL --emit-manifest`, check it, and give it "
+            "with --manifest FILE.",
+        )
+    if not isinstance(subject.manifest, GeneratorManifest):
+        mend = "See `gsgen validate --level static`."
+        raise GsgenError(
+            "is no Gaussian Generator", where=str(subject.file.path), mend=mend
+        )
+    return subject.manifest
+
+
+def _steps(
+    subject: Subject, manifest: GeneratorManifest, broken: set[str], request: Request
+) -> tuple[Steps, GeneratorManifest]:
+    """Return the changes to make, in order, and the manifest that fits the result."""
+    steps: Steps = []
+    outputs = manifest.outputs
+    rows, color, count = outputs.gaussians, outputs.appearance, outputs.count
+    for symbol, size in request.sizes.items():
+        steps.append(
+            (
+                Repair(f"dimension {symbol} is {size}", "GO004"),
+                PinDimensions({symbol: size}),
+            )
+        )
+    if count is not None and "GO011" in broken:
+        steps.append(
+            (Repair(f"{count.name} is cast to int32 [1]", "GO011"), CastCount(count.name))
+        )
+    if color is not None and color.space == "rgb" and "GO015" in broken:
+        what = f"{color.name} is padded to four channels"
+        steps.append((Repair(what, "GO015"), PadColor(color.name)))
+    if color is not None and request.channel_major:
+        what = f"{color.name} is reordered to coefficient-major"
+        steps.append((Repair(what, "GV014"), ReorderHarmonics(color.name)))
+    if rows and color and count and broken & {"GV002", "GV018"}:
+        silence = SilencePadding((rows.name, color.name), count.name)
+        steps.append((Repair("rows behind the count are zero", "GV018"), silence))
+    if rows and color and count and request.rename:
+        wanted = APPEARANCE_SH if color.space == "sh" else APPEARANCE_RGB
+        names = {rows.name: GAUSSIANS, color.name: wanted, count.name: COUNT}
+        changed = ", ".join(f"{old} → {new}" for old, new in names.items() if old != new)
+        if changed:
+            steps.append(
+                (Repair(f"outputs are renamed: {changed}", "TV101"), RenameOutputs(names))
+            )
+            outputs = replace(
+                outputs,
+                gaussians=replace(rows, name=GAUSSIANS),
+                appearance=replace(color, name=wanted),
+                count=replace(count, name=COUNT),
+            )
+    return steps, replace(manifest, outputs=outputs)

@@ -1,0 +1,189 @@
+"""The child of :mod:`gsgen.sdk.live.level`: run one model in ONNX Runtime's WebGPU provider, then exit.
+
+Every frame is computed twice: by a plain session, then by one that captures its commands with the
+first frame and replays them for the others. Both write down what they gave, so that the parent
+can compare; whatever stops this process leaves all that was done before.
+"""
+
+__all__ = ["main"]
+
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import astuple
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsgen.contract.probing.sandbox_worker import Emit, keep_outputs, read_inputs, serve
+from gsgen.contract.process.limits import limit_memory
+from gsgen.contract.process.parent_watchdog import end_with_parent
+from gsgen.sdk.binding.bound_session import Bound
+from gsgen.sdk.binding.providers.errors import FellBack, ProviderUnavailable
+from gsgen.sdk.binding.providers.node_placement import placement, words
+from gsgen.sdk.binding.providers.selection import MEMORY, Choice, Opening, open_session
+from gsgen.sdk.binding.providers.webgpu import DRIVER, AdapterMissing, find_adapter
+
+# What drivers and shader compilers may take beside the model.
+_DRIVER_BYTES = 2 << 30
+# The loader tells, on demand, which device was opened.
+_OPENED = re.compile(r'Using "([^"]+)" with driver')
+_SOFTWARE = re.compile("llvmpipe|swiftshader|basic render|warp", re.IGNORECASE)
+
+# Opens a session for a model, capturing or not.
+Opener = Callable[[Path | bytes, bool], Any]
+
+
+def main(folder: Path) -> int:
+    """Do the job described in ``folder/job.json``."""
+    return serve(folder, _work)
+
+
+def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
+    _set_surroundings(folder)
+    try:
+        import onnxruntime
+
+        emit("started", version=onnxruntime.__version__)
+        onnxruntime.set_default_logger_severity(3)
+        opener = _find_provider(emit)
+        _try_adapter(opener, folder, emit, half=job["half"])
+        limit_memory(job["memory"] + _DRIVER_BYTES)
+        if job["probes"]:
+            _Frames(folder, job, emit, opener).run()
+    except AdapterMissing as error:
+        emit("unavailable", what=error.what, mend=error.mend)
+    except FellBack as error:
+        emit("fell-back", message=error.what)
+    emit("done")
+    return 0
+
+
+def _set_surroundings(folder: Path) -> None:
+    """Say what drivers need to hear; what the user set already wins."""
+    usual = {
+        "ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER": "1",
+        "VK_LOADER_DEBUG": "driver",
+        "XDG_RUNTIME_DIR": str(folder),
+    }
+    for name, value in usual.items():
+        os.environ.setdefault(name, value)
+
+
+def _find_provider(emit: Emit) -> Opener:
+    """Say which device there is, and return what opens sessions on it, capturing or not."""
+    adapter = find_adapter()
+    emit("device", name=adapter.name, version=adapter.version)
+    choice = Choice("webgpu", "asked for", adapter, asked=True)
+
+    def open_one(model: Path | bytes, capture: bool) -> Any:
+        return open_session(model, Opening(choice, capture))
+
+    return open_one
+
+
+def _try_adapter(opener: Opener, folder: Path, emit: Emit, *, half: bool) -> None:
+    """Run the smallest model, in float16 too if the model needs that; say on which adapter."""
+    try:
+        _run_smallest(opener, "float32")
+    except FellBack:
+        raise
+    except Exception as error:  # ONNX Runtime's errors share no base class of their own
+        said = error.what if isinstance(error, ProviderUnavailable) else words(error)
+        raise AdapterMissing(
+            f"there is no usable WebGPU adapter ({said})", DRIVER
+        ) from error
+    log = (folder / "log").read_text(errors="replace")
+    opened = _OPENED.findall(log)
+    name = opened[-1] if opened else ""
+    try:
+        _run_smallest(opener, "float16")
+    except Exception as error:
+        emit("adapter", name=name, software=bool(_SOFTWARE.search(name)), half=False)
+        if half:
+            what = f"the model has float16 tensors, and adapter {name or '?'} no shader-f16"
+            raise AdapterMissing(what, "use a newer driver") from error
+    else:
+        emit("adapter", name=name, software=bool(_SOFTWARE.search(name)), half=True)
+
+
+def _run_smallest(opener: Opener, dtype: str) -> None:
+    from onnx import ModelProto, NodeProto, TensorProto
+
+    kind = TensorProto.FLOAT16 if dtype == "float16" else TensorProto.FLOAT
+    model = ModelProto(ir_version=8)
+    model.opset_import.add(domain="", version=18)
+    model.graph.name = "smallest"
+    model.graph.node.append(NodeProto(op_type="Add", input=["x", "x"], output=["y"]))
+    for name, values in (("x", model.graph.input), ("y", model.graph.output)):
+        tensor = values.add(name=name).type.tensor_type
+        tensor.elem_type = kind
+        tensor.shape.dim.add(dim_value=4)
+    session = opener(model.SerializeToString(), False)
+    (made,) = session.run(None, {"x": np.arange(4, dtype=dtype)})
+    if made.tolist() != [0, 2, 4, 6]:
+        raise RuntimeError(f"0..3 doubled are {made.tolist()}")
+
+
+class _Frames:
+    """The frames of one model, computed plainly and by replay."""
+
+    def __init__(
+        self, folder: Path, job: dict[str, Any], emit: Emit, opener: Opener
+    ) -> None:
+        self.folder, self.job, self.emit, self.opener = folder, job, emit, opener
+        self.known: dict[str, int] = {}
+
+    def run(self) -> None:
+        if self._phase("plain", self._plain):
+            self._phase("captured", self._captured)
+
+    def _phase(self, name: str, work: Callable[[], None]) -> bool:
+        """Do ``work``, and say if it was done; what stops it is a fact about the model."""
+        self.at = -1
+        try:
+            work()
+        except FellBack:
+            raise
+        except Exception as error:
+            self.emit("stopped", phase=name, frame=self.at, message=words(error))
+            return False
+        return True
+
+    def _frames(self, phase: str) -> Iterator[dict[str, np.ndarray]]:
+        for at, names in enumerate(self.job["probes"]):
+            self.at = at
+            self.emit("begin", phase=phase, probe=at)
+            yield read_inputs(self.folder / f"probe_{self.at}.npz", names)
+
+    def _keep(self, phase: str, outputs: dict[str, np.ndarray]) -> None:
+        sample = keep_outputs(self.folder, outputs, self.known, self.emit)
+        self.emit("frame", phase=phase, frame=self.at, sample=sample)
+
+    def _plain(self) -> None:
+        session = self.opener(Path(self.job["model"]), False)
+        self.emit("placed", nodes=[astuple(node) for node in placement(session)])
+        names = [one.name for one in session.get_outputs()]
+        for inputs in self._frames("plain"):
+            outputs = session.run(names, inputs)
+            self._keep("plain", dict(zip(names, outputs, strict=True)))
+
+    def _captured(self) -> None:
+        """Capture the first frame and replay it for the others; all buffers stay in place."""
+        session = self.opener(Path(self.job["model"]), True)
+        self.emit("accepted")
+        bound: Bound | None = None
+        for inputs in self._frames("captured"):
+            if bound is None:
+                shapes = {name: array.shape for name, array in inputs.items()}
+                bound = Bound(session, shapes, inputs, MEMORY["webgpu"])
+            bound.write(inputs)
+            bound.run()
+            self._keep("captured", bound.copies())
+
+
+if __name__ == "__main__":
+    end_with_parent()
+    sys.exit(main(Path(sys.argv[1])))

@@ -1,0 +1,1 @@
+"""What do all passes share: building nodes, facts about values, refusing to rewrite?"""

@@ -1,0 +1,1 @@
+"""Which operators are written as others that every GPU runtime has?"""

@@ -1,0 +1,189 @@
+"""Activations, written out with exponentials and selections."""
+
+__all__ = ["WriteOutActivations"]
+
+import math
+from collections.abc import Callable
+from typing import ClassVar
+
+import numpy as np
+import onnx_ir as ir
+
+from gsgen.sdk.passes.framework.base import Exactness, Substitute
+from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.value_facts import int_attribute
+
+_FLOATS = (ir.DataType.FLOAT, ir.DataType.FLOAT16, ir.DataType.DOUBLE)
+
+
+class WriteOutActivations(Substitute):
+    """Write activations out that a release has no kernel for.
+
+    Softsign, Selu and Celu have none anywhere, Softplus, Mish and PRelu none in onnxruntime-web
+    1.22, and operator set 22 takes Elu, HardSigmoid, HardSwish and ThresholdedRelu away::
+
+        Softplus(x)   →   Relu(x) + Log(1 + Exp(−|x|))
+
+    Exponents are never positive, so that nothing overflows on the way.
+    """
+
+    name: ClassVar[str] = "write-out-activations"
+    exactness: ClassVar[Exactness] = Exactness(relative=1e-5, absolute=1e-7)
+    kinds: ClassVar[frozenset[str]] = frozenset(
+        {
+            *(
+                "Celu",
+                "Elu",
+                "Gelu",
+                "HardSigmoid",
+                "HardSwish",
+                "LogSoftmax",
+                "Mish",
+                "PRelu",
+            ),
+            *("Selu", "Shrink", "Softplus", "Softsign", "Swish", "ThresholdedRelu"),
+        }
+    )
+
+    def suits(self, node: ir.Node) -> bool:
+        """Say whether it is of floats."""
+        value = node.inputs[0]
+        if value is None or value.dtype not in _FLOATS:
+            return False
+        return node.op_type != "LogSoftmax" or self.opset >= 13  # before, it flattens
+
+    def replace(self, node: ir.Node) -> None:
+        """Write the activation out."""
+        write = Before(node)
+        write.replace(_FORMULAS[node.op_type](_Formula(write, node, self.opset)))
+
+
+class _Formula:
+    """What writing a formula down takes."""
+
+    def __init__(self, write: Before, node: ir.Node, opset: int) -> None:
+        self.write, self.node, self.opset = write, node, opset
+        x = node.inputs[0]
+        assert x is not None
+        assert x.dtype is not None
+        self.x, self.kind = x, x.dtype.numpy()
+
+    def number(self, value: float) -> ir.Value:
+        return self.write.constant(np.asarray(value, self.kind), "number")
+
+    def attribute(self, name: str, default: float) -> float:
+        given = self.node.attributes.get(name)
+        return default if given is None else given.as_float()
+
+    def op(self, kind: str, *inputs: ir.Value | float) -> ir.Value:
+        values = [self.number(one) if isinstance(one, float) else one for one in inputs]
+        return self.write.op(kind, *values)
+
+    def where(self, test: str, bound: float, then: ir.Value, other: ir.Value) -> ir.Value:
+        """Return ``then`` where x is beyond ``bound``, and else ``other``."""
+        limit = self.number(bound)
+        beyond = self.write.op(test, self.x, limit, dtype=ir.DataType.BOOL)
+        return self.write.op("Where", beyond, then, other, dtype=self.x.dtype)
+
+    def below(self) -> ir.Value:
+        """X where it is negative, and zero elsewhere."""
+        return self.op("Neg", self.op("Relu", self.op("Neg", self.x)))
+
+    def powers(self, scale: float = 1.0) -> ir.Value:
+        """e^(x / scale) − 1 where x is negative, and zero elsewhere."""
+        below = self.below() if scale == 1 else self.op("Div", self.below(), scale)
+        return self.op("Sub", self.op("Exp", below), 1.0)
+
+
+def _elu(f: _Formula) -> ir.Value:
+    negative = f.op("Mul", f.powers(), f.attribute("alpha", 1.0))
+    return f.op("Add", f.op("Relu", f.x), negative)
+
+
+def _celu(f: _Formula) -> ir.Value:
+    alpha = f.attribute("alpha", 1.0)
+    return f.op("Add", f.op("Relu", f.x), f.op("Mul", f.powers(alpha), alpha))
+
+
+def _selu(f: _Formula) -> ir.Value:
+    alpha = f.attribute("alpha", 1.67326319217681884765625)
+    gamma = f.attribute("gamma", 1.05070102214813232421875)
+    return f.op(
+        "Mul", f.op("Add", f.op("Relu", f.x), f.op("Mul", f.powers(), alpha)), gamma
+    )
+
+
+def _softplus(f: _Formula) -> ir.Value:
+    power = f.op("Exp", f.op("Neg", f.op("Abs", f.x)))
+    return f.op("Add", f.op("Relu", f.x), f.op("Log", f.op("Add", power, 1.0)))
+
+
+def _gelu(f: _Formula) -> ir.Value:
+    given = f.node.attributes.get("approximate")
+    if given is not None and given.as_string() == "tanh":
+        cube = f.op("Mul", f.op("Mul", f.x, f.x), f.x)
+        inner = f.op("Add", f.x, f.op("Mul", cube, 0.044715))
+        turned = f.op("Tanh", f.op("Mul", inner, math.sqrt(2 / math.pi)))
+    else:
+        turned = f.op("Erf", f.op("Mul", f.x, math.sqrt(0.5)))
+    return f.op("Mul", f.op("Mul", f.x, 0.5), f.op("Add", turned, 1.0))
+
+
+def _hard_sigmoid(f: _Formula) -> ir.Value:
+    line = f.op("Mul", f.x, f.attribute("alpha", 0.2))
+    return f.op("Clip", f.op("Add", line, f.attribute("beta", 0.5)), 0.0, 1.0)
+
+
+def _hard_swish(f: _Formula) -> ir.Value:
+    gate = f.op("Clip", f.op("Add", f.op("Mul", f.x, 1 / 6), 0.5), 0.0, 1.0)
+    return f.op("Mul", f.x, gate)
+
+
+def _log_softmax(f: _Formula) -> ir.Value:
+    axis = int_attribute(f.node, "axis", -1)
+    axes = f.write.whole(axis)
+    most = (
+        f.write.op("ReduceMax", f.x, axes, keepdims=1)
+        if f.opset >= 18
+        else f.write.op("ReduceMax", f.x, axes=[axis], keepdims=1)
+    )
+    shifted = f.op("Sub", f.x, most)
+    total = f.write.op("ReduceSum", f.op("Exp", shifted), axes, keepdims=1)
+    return f.op("Sub", shifted, f.op("Log", total))
+
+
+def _prelu(f: _Formula) -> ir.Value:
+    slope = f.node.inputs[1]
+    assert slope is not None
+    return f.where("Less", 0.0, f.op("Mul", f.x, slope), f.x)
+
+
+def _shrink(f: _Formula) -> ir.Value:
+    bound, bias = f.attribute("lambd", 0.5), f.attribute("bias", 0.0)
+    upper = f.where("Greater", bound, f.op("Sub", f.x, bias), f.number(0))
+    return f.where("Less", -bound, f.op("Add", f.x, bias), upper)
+
+
+def _swish(f: _Formula) -> ir.Value:
+    alpha = f.attribute("alpha", 1.0)
+    return f.op("Mul", f.x, f.op("Sigmoid", f.op("Mul", f.x, alpha) if alpha != 1 else f.x))
+
+
+_FORMULAS: dict[str, Callable[[_Formula], ir.Value]] = {
+    "Celu": _celu,
+    "Elu": _elu,
+    "Gelu": _gelu,
+    "HardSigmoid": _hard_sigmoid,
+    "HardSwish": _hard_swish,
+    "LogSoftmax": _log_softmax,
+    "Mish": lambda f: f.op("Mul", f.x, f.op("Tanh", _softplus(f))),
+    "PRelu": _prelu,
+    "Selu": _selu,
+    "Shrink": _shrink,
+    "Softplus": _softplus,
+    "Softsign": lambda f: f.op("Div", f.x, f.op("Add", f.op("Abs", f.x), 1.0)),
+    "Swish": _swish,
+    "ThresholdedRelu": lambda f: f.where(
+        "Greater", f.attribute("alpha", 1.0), f.x, f.number(0)
+    ),
+}

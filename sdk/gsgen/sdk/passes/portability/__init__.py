@@ -1,0 +1,1 @@
+"""Which rewrites keep a model within the limits and defects of runtimes?"""

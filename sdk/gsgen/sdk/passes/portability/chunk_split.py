@@ -1,0 +1,73 @@
+"""Splits that a shader stage can bind."""
+
+__all__ = [
+    "ChunkSplit",
+]
+
+from itertools import pairwise
+from typing import ClassVar
+
+import onnx_ir as ir
+
+from gsgen.sdk.passes.framework.base import WithinLimit, is_op
+from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.value_facts import split_sizes
+
+# From this operator set on, sizes are an argument; before, an attribute.
+_SIZES_ARE_INPUT = 13
+
+
+class ChunkSplit(WithinLimit, CautiousRewrite):
+    """Write a Split with more than seven outputs as a tree of smaller ones.
+
+    A Split binds one storage buffer for its argument and one for each output, and WebGPU
+    guarantees eight. Above the adapter's number it fails at the first frame, not at loading::
+
+        a, …, n = Split(x)   →   left, right = Split(x); a, …, g = Split(left); h, …, n = Split(right)
+    """
+
+    name: ClassVar[str] = "chunk-split"
+    wanted_by: ClassVar[str] = (
+        "targets with a limit `split_outputs`: webgpu, visionary, core"
+    )
+    limited_by: ClassVar[str] = "split_outputs"
+
+    def rewrite(self, model: ir.Model) -> None:
+        """Split every wide Split whose sizes are known."""
+        for node in list(model.graph.all_nodes()):
+            if not is_op(node, "Split") or len(node.outputs) <= self.limit:
+                continue
+            sizes = split_sizes(node)
+            if sizes is None:
+                self.refuse(node, "the sizes of its parts are not known before the frame")
+                continue
+            self.note(node)
+            self._split(node, sizes)
+
+    def _split(self, node: ir.Node, sizes: list[int]) -> None:
+        write = Before(node)
+        axis = node.attributes["axis"].as_int() if "axis" in node.attributes else 0
+        parts = [(node.inputs[0], sizes)]
+        while any(len(inner) > 1 for _, inner in parts):
+            made: list[tuple[ir.Value | None, list[int]]] = []
+            for value, inner in parts:
+                groups = self._groups(inner)
+                outer = [sum(group) for group in groups]
+                cut = self._cut(write, value, outer, axis) if len(groups) > 1 else [value]
+                made += zip(cut, groups, strict=True)
+            parts = made
+        write.replace(*(value for value, _ in parts if value is not None))
+
+    def _groups(self, sizes: list[int]) -> list[list[int]]:
+        """Cut into as many groups as one Split may return, all about as long."""
+        count = min(self.limit, len(sizes))
+        ends = [len(sizes) * k // count for k in range(count + 1)]
+        return [sizes[a:b] for a, b in pairwise(ends)]
+
+    def _cut(
+        self, write: Before, value: ir.Value | None, sizes: list[int], axis: int
+    ) -> list[ir.Value]:
+        if self.opset >= _SIZES_ARE_INPUT:
+            return write.ops("Split", len(sizes), value, write.whole(*sizes), axis=axis)
+        return write.ops("Split", len(sizes), value, axis=axis, split=sizes)

@@ -1,0 +1,84 @@
+"""Numbers that are bounded before they become whole."""
+
+__all__ = ["ClipBeforeCast"]
+
+from typing import ClassVar
+
+import numpy as np
+import onnx_ir as ir
+
+from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
+from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.value_facts import constant_of
+
+_WHOLE = (ir.DataType.INT32, ir.DataType.INT64)
+_FLOATS = {ir.DataType.FLOAT: 2**24, ir.DataType.FLOAT16: 2**11, ir.DataType.DOUBLE: 2**53}
+
+
+class ClipBeforeCast(NodeRewrite):
+    """Clip floats and cast then, where integers are clipped after the cast.
+
+    A frame number is ``(t * frames).long().clamp(0, frames - 1)``: an int64 Clip, which has a
+    kernel hardly anywhere, of a number whose range nobody knows. Whole bounds commute with cutting
+    the fraction off, and a clipped number fits an int32::
+
+        Clip(Cast<to int64>(x), 0, 59)   →   Cast<to int64>(Clip(x, 0, 59))
+
+    Numbers that no int64 holds are an exception: what they become, ONNX leaves open. Those too large
+    become the upper bound now; NaN stays undefined.
+    """
+
+    name: ClassVar[str] = "clip-before-cast"
+
+    def matches(self, node: ir.Node) -> bool:
+        """Say whether ``node`` bounds floats that were cast to integers, by constants."""
+        if (
+            not is_op(node, "Clip", "Max", "Min")
+            or self.opset < 12
+            or node.inputs[0] is None
+        ):
+            return False
+        inner = node.inputs[0].producer()
+        x = inner.inputs[0] if inner is not None and is_op(inner, "Cast") else None
+        if x is None or x.dtype not in _FLOATS or node.inputs[0].dtype not in _WHOLE:
+            return False
+        bounds = _bounds(node)
+        return bounds is not None and all(
+            bound is None or abs(bound) <= _FLOATS[x.dtype] for bound in bounds
+        )
+
+    def replace(self, node: ir.Node) -> None:
+        """Bound what is cast."""
+        inner = node.inputs[0].producer() if node.inputs[0] is not None else None
+        assert inner is not None
+        x, kind, bounds = inner.inputs[0], node.outputs[0].dtype, _bounds(node)
+        assert x is not None
+        assert x.dtype is not None
+        assert kind is not None
+        assert bounds is not None
+        write, dtype = Before(node), x.dtype.numpy()
+        numbers = [
+            None if bound is None else write.constant(np.asarray(bound, dtype), "bound")
+            for bound in bounds
+        ]
+        while numbers and numbers[-1] is None:
+            numbers.pop()
+        clipped = write.op("Clip", x, *numbers, shape=x.shape)
+        write.replace(write.op("Cast", clipped, dtype=kind, shape=x.shape, to=int(kind)))
+
+
+def _bounds(node: ir.Node) -> tuple[int | None, int | None] | None:
+    """Return the lower and the upper bound; None where they are not single constants."""
+    others = (*node.inputs[1:], None, None)[:2]
+    numbers: list[int | None] = []
+    for value in others:
+        known = constant_of(value)
+        if value is not None and (known is None or known.size != 1 or known.ndim > 0):
+            return None
+        numbers.append(None if known is None else int(known))
+    low, high = numbers
+    if is_op(node, "Clip"):
+        return (low, high) if low is not None or high is not None else None
+    if len(node.inputs) != 2:
+        return None
+    return (low, None) if is_op(node, "Max") else (None, low)

@@ -1,0 +1,1 @@
+"""How are operators that select rows rewritten so that shapes stay static?"""

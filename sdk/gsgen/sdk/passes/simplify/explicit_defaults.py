@@ -1,0 +1,54 @@
+"""What operators mean by saying nothing."""
+
+__all__ = ["SpellOutDefaults"]
+
+from typing import ClassVar, Self
+
+import onnx_ir as ir
+
+from gsgen.sdk.passes.framework.base import Goal, NodeRewrite, is_op
+from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.value_facts import constant_of, rank_of
+
+_AXES = 3
+
+
+class SpellOutDefaults(NodeRewrite):
+    """Say what an operator leaves to the standard, where a release gets that wrong.
+
+    onnxruntime-web 1.22 fails at the first frame of a Conv without ``dilations``, and of a Slice
+    without axes::
+
+        Conv(x, w)               →   Conv<dilations = [1, 1]>(x, w)
+        Slice(x, starts, ends)   →   Slice(x, starts, ends, [0, 1])
+    """
+
+    name: ClassVar[str] = "spell-out-defaults"
+    wanted_by: ClassVar[str] = "targets with operator tables"
+
+    @classmethod
+    def for_goal(cls, goal: Goal) -> Self | None:
+        """Return the pass; without tables there is nothing to suit."""
+        return cls() if goal.tables else None
+
+    def matches(self, node: ir.Node) -> bool:
+        """Say whether ``node`` leaves out dilations or axes, and they are known."""
+        if is_op(node, "Conv"):
+            rank = rank_of(node.inputs[0])
+            return "dilations" not in node.attributes and rank is not None and rank > 2
+        if not is_op(node, "Slice") or len(node.inputs) < _AXES:
+            return False
+        missing = len(node.inputs) == _AXES or node.inputs[_AXES] is None
+        return missing and constant_of(node.inputs[1]) is not None
+
+    def replace(self, node: ir.Node) -> None:
+        """Add what was left out."""
+        if is_op(node, "Conv"):
+            spatial = (rank_of(node.inputs[0]) or 2) - 2
+            node.attributes["dilations"] = ir.AttrInt64s("dilations", [1] * spatial)
+            return
+        starts = constant_of(node.inputs[1])
+        assert starts is not None
+        if len(node.inputs) == _AXES:
+            node.resize_inputs(_AXES + 1)
+        node.replace_input_with(_AXES, Before(node).whole(*range(len(starts))))

@@ -1,0 +1,91 @@
+"""Symbolic sizes that a user knows."""
+
+__all__ = ["FreezeDimensions"]
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import ClassVar
+
+import onnx_ir as ir
+
+from gsgen.contract.errors import ConfigInvalid, UnknownName
+from gsgen.sdk.passes.framework.base import Goal
+from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
+
+
+class FreezeDimensions(CautiousRewrite):
+    """Give symbolic dimensions the sizes that were asked for, everywhere in the graph.
+
+    A recorded frame has buffers of fixed size, and a reader takes the number of rows from the
+    output's shape. Shapes inside the graph that hang on a frozen name are inferred anew::
+
+        pose float[J, 3], rows float[N, 10]   →   with J=24, N=1000   →   pose float[24, 3], …
+
+    For frames whose inputs have these sizes nothing changes; for others the model no longer loads.
+    """
+
+    name: ClassVar[str] = "freeze-dimensions"
+    wanted_by: ClassVar[str] = "whoever names a size: `--size N=1000`"
+
+    def __init__(self, sizes: Mapping[str, int]) -> None:
+        super().__init__()
+        for name, size in sizes.items():
+            if size < 1:
+                raise ConfigInvalid(f"{name}={size}, wanted 1 or more", where="--size")
+        self.sizes = dict(sizes)
+        self._frozen: set[str] = set()
+
+    @classmethod
+    def for_goal(cls, goal: Goal) -> "FreezeDimensions | None":
+        """Return the pass where sizes are known."""
+        return cls(goal.sizes) if goal.sizes else None
+
+    def rewrite(self, model: ir.Model) -> None:
+        """Replace each name that has a size.
+
+        Raises:
+            UnknownName: A name is that of no dimension.
+        """
+        names = {dim for value in _values(model) for dim in _symbols(value)}
+        ends = {*model.graph.inputs, *model.graph.outputs}
+        for name in self.sizes.keys() - names - self._frozen:
+            declared = {dim for value in ends for dim in _symbols(value)}
+            raise UnknownName.among("dimension", name, declared, "--size")
+        self._frozen |= names & self.sizes.keys()
+        for value in _values(model):
+            if value.shape is None:
+                continue
+            dims = [self._frozen_dim(dim) for dim in value.shape]
+            if dims == list(value.shape):
+                continue
+            value.shape = ir.Shape(dims)
+            if value in ends:
+                self.note(value)
+
+    def _frozen_dim(self, dim: int | ir.SymbolicDim) -> int | ir.SymbolicDim:
+        text = "" if isinstance(dim, int) else dim.value or ""
+        if text in self.sizes:
+            return self.sizes[text]
+        # An expression such as `20 - N` is inferred again, from sizes that are known now.
+        if self.sizes.keys() & set(_words(text)):
+            return ir.SymbolicDim(None)
+        return dim
+
+
+def _words(text: str) -> list[str]:
+    return re.findall(r"\w+", text)
+
+
+def _symbols(value: ir.Value) -> Iterator[str]:
+    for dim in value.shape or ():
+        if not isinstance(dim, int) and dim.value:
+            yield dim.value
+            yield from _words(dim.value)
+
+
+def _values(model: ir.Model) -> Iterator[ir.Value]:
+    """Yield every value of the model, those of subgraphs included."""
+    for graph in (model.graph, *model.graph.subgraphs()):
+        yield from graph.inputs
+        yield from (value for node in graph for value in node.outputs)
+        yield from (value for value in graph.outputs if value.producer() is None)

@@ -1,0 +1,47 @@
+"""Reshapes of reshapes."""
+
+__all__ = ["MergeReshapes"]
+
+from typing import ClassVar
+
+import onnx_ir as ir
+
+from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
+from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.value_facts import fixed_shape
+
+_SHAPERS = ("Flatten", "Reshape", "Squeeze", "Unsqueeze")
+
+
+class MergeReshapes(NodeRewrite):
+    """Reshape once where Reshape, Squeeze, Unsqueeze and Flatten follow each other.
+
+    None of them moves an element, so the last shape is all that counts::
+
+        Squeeze(Unsqueeze(Reshape(x, …), …), …)   →   Reshape(x, last shape)
+    """
+
+    name: ClassVar[str] = "merge-reshapes"
+
+    def matches(self, node: ir.Node) -> bool:
+        """Say whether ``node`` gives another shape to what was just given one."""
+        if not is_op(node, *_SHAPERS) or node.inputs[0] is None:
+            return False
+        shape = fixed_shape(node.outputs[0])
+        return (
+            shape is not None
+            and 0 not in shape
+            and is_op(node.inputs[0].producer(), *_SHAPERS)
+        )
+
+    def replace(self, node: ir.Node) -> None:
+        """Give the last shape to what the first took."""
+        write, shape = Before(node), fixed_shape(node.outputs[0])
+        assert shape is not None
+        x = node.inputs[0]
+        while x is not None and is_op(x.producer(), *_SHAPERS):
+            producer = x.producer()
+            assert producer is not None
+            x = producer.inputs[0]
+        assert x is not None
+        write.replace(write.op("Reshape", x, write.whole(*shape), shape=ir.Shape(shape)))

@@ -1,0 +1,1 @@
+"""How does a method become a subcommand of `gsgen export`?"""

@@ -1,0 +1,1 @@
+"""How is a model rewritten for a target, and proven to compute the same?"""

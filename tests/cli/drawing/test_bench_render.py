@@ -1,0 +1,124 @@
+"""`gsgen bench-render`: what it measures, and how it says so."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from gsgen.conformance.fixtures import find
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.runtime.commands.bench_render import bench_render
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.playback.camera_options import viewpoint
+from gsgen.runtime.playback.frame_cost import measure
+from gsgen.runtime.playback.frame_sequence import Film
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.mesh import Mesh, MeshData
+from gsgen.runtime.sources.source import open_source
+from support.commands import gsgen
+
+STAGES = ["project", "sort", "bin", "group", "blend"]
+SMALL = ("--width", "48", "--height", "32", "--frames", "3")
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Renderer:
+    return Renderer(Device.open(), rasteriser="tiles")
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two hundred Gaussians that stand still, and five that move."""
+    folder = tmp_path_factory.mktemp("scenes")
+    rng = np.random.default_rng(0)
+    rows = np.zeros((200, 10), np.float32)
+    rows[:, :3] = rng.normal(size=(200, 3))
+    rows[:, 3], rows[:, [4, 7, 9]] = 0.8, 0.02
+    color = rng.uniform(size=(200, 3)).astype(np.float32)
+    np.savez(folder / "still.npz", gaussians=rows, appearance=color)
+    return [folder / "still.npz", find("drift").write(folder)]
+
+
+@pytest.mark.parametrize("clock", ["timestamps", "cpu"])
+def test_figures_are_those_of_the_film(
+    scenes: list[Path], renderer: Renderer, monkeypatch: pytest.MonkeyPatch, clock: str
+) -> None:
+    if clock == "cpu":
+        monkeypatch.setattr(renderer.device, "has_clock", False)
+    elif not renderer.device.has_clock:
+        pytest.skip("this device has no timestamps")
+    sources = [open_source(path) for path in scenes]
+    film = Film(sources, viewpoint(None, 48, 32), frames=4, renderer=renderer)
+    said: list[str] = []
+    cost = measure(film, said.append)
+    drawn = [film.draw(number) for number in range(4)]
+    assert (cost.frames, cost.size, cost.gaussians, cost.capacity) == (
+        4,
+        (48, 32),
+        205,
+        205,
+    )
+    assert cost.visible == int(np.median([frame.visible for frame in drawn]))
+    assert cost.pairs == int(np.median([frame.pairs for frame in drawn]))
+    words = -(-205 * 40 // 16)  # buffers have whole ones
+    assert cost.rows_bytes == words * 16 + 205 * 16
+    assert cost.plan_bytes > 48 * 32 * 16
+    assert cost.device == renderer.device.name
+    assert list(cost.inference) == [str(scenes[1])]
+    assert list(cost.stages) == STAGES
+    assert cost.clock == clock
+    assert sum(cost.stages.values()) > 0
+    for span in (cost.wall, cost.cpu, cost.submit, *cost.inference.values()):
+        assert 0 < span.p50 <= span.p95
+    assert said == ["warming up", "drawing 4 frames", "measuring stages"]
+    for source in sources:
+        source.close()
+
+
+def test_what_the_rasteriser_draws_is_a_stage(
+    scenes: list[Path], renderer: Renderer
+) -> None:
+    if not renderer.device.has_clock:
+        pytest.skip("this device has no timestamps")
+    source = open_source(scenes[0])
+    triangle = MeshData(
+        np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.int32([[0, 1, 2]])
+    )
+    source.meshes = (Mesh(triangle),)
+    quads = Renderer(renderer.device, rasteriser="quads")
+    film = Film([source], viewpoint(None, 48, 32), frames=2, renderer=quads)
+    cost = measure(film)
+    assert list(cost.stages) == ["meshes", "project", "sort", "quads"]
+    assert min(cost.stages["meshes"], cost.stages["quads"]) > 0
+
+
+def test_the_table(scenes: list[Path], tmp_path: Path) -> None:
+    done = gsgen("bench-render", *scenes, *SMALL, "-o", tmp_path / "new" / "cost.json")
+    assert done.code == 0, done.err
+    for words in ("wall", "CPU, all threads", "inference, drift.onnx", "blend, ", "p95 ms",
+                  "3 frames of 48×32", "205 Gaussians", "56 bytes each"):  # fmt: skip
+        assert words in done.out
+    read = json.loads((tmp_path / "new" / "cost.json").read_text())
+    assert list(read["stages"]) == STAGES
+    assert read["scenes"] == [str(path) for path in scenes]
+    assert set(read["tools"]) == {"gsgen", "onnxruntime", "wgpu"}
+
+
+def test_json_and_mistakes(scenes: list[Path]) -> None:
+    app = typer.Typer()
+    app.command()(bench_render)
+    words = [str(scenes[0]), *SMALL, "--json", "--compact"]
+    read = json.loads(CliRunner().invoke(app, words).stdout)
+    assert read["inference"] == {}
+    assert read["rows_bytes"] == 200 * (32 + 8)  # packed, and three colours in float16
+    assert read["size"] == [48, 32]
+    assert CliRunner().invoke(app, ["nowhere.ply"]).exit_code == 4
+    wrong = CliRunner().invoke(app, [str(scenes[1]), "--size", "J=2"]).exception
+    assert isinstance(wrong, ConfigInvalid)
+    assert "--size: unknown open dimension 'J'" in str(wrong)
+    itself = CliRunner().invoke(app, [str(scenes[1]), "-o", str(scenes[1])]).exception
+    assert isinstance(itself, ConfigInvalid)
+    assert "is the file that is read" in str(itself)

@@ -1,0 +1,103 @@
+"""Commands that draw, on devices that fail: what is said, and that nothing half is left."""
+
+import json
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.conformance.fixtures import find
+from support.commands import gsgen_here
+from support.rendering.failing_devices import lost_at, memory_of
+
+SMALL = ("--width", "64", "--height", "48")
+TILES = ("--rasteriser", "tiles")
+DRAWING = {
+    "render": ("render", "cloud.npz", "-o", "out.gif", "--frames", "3", *SMALL, *TILES),
+    "bench-render": (
+        "bench-render",
+        "cloud.npz",
+        "-o",
+        "out.json",
+        "--frames",
+        "3",
+        *SMALL,
+    ),
+}
+ROWS = 3000
+ENOUGH = 1_720_000  # bytes for the picture and compact rows, and not for others
+
+
+@pytest.fixture(autouse=True)
+def _cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three thousand Gaussians of degree 2: 16 kB of them are 100 kB of harmonics."""
+    rng = np.random.default_rng(0)
+    rows = np.zeros((ROWS, 10), np.float32)
+    rows[:, :3] = rng.normal(size=(ROWS, 3))
+    rows[:, 3], rows[:, [4, 7, 9]] = 0.8, 0.02
+    color = rng.uniform(size=(ROWS, 27)).astype(np.float32)
+    np.savez(tmp_path / "cloud.npz", gaussians=rows, appearance=color)
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("command", DRAWING)
+@pytest.mark.parametrize("frame", [0, 2])
+def test_a_lost_device_ends_a_command(command: str, frame: int) -> None:
+    with lost_at(frame):
+        ran = gsgen_here(*DRAWING[command])
+    assert ran.code == 2, ran.err
+    said = ran.err[ran.err.index("gsgen:") :].splitlines()
+    assert said[0].startswith("gsgen: the graphics device was lost: ")
+    assert "smaller image" in said[1]
+    assert not list(Path().glob("out.*"))
+
+
+@pytest.mark.parametrize("command", DRAWING)
+def test_a_full_memory_says_what_wanted_how_much(command: str) -> None:
+    with memory_of(400_000):
+        ran = gsgen_here(*DRAWING[command])
+    assert ran.code == 2, ran.err
+    # Rows have 40 bytes, their 27 numbers 112; packed, and in float16, 32 and 64.
+    assert f"{ROWS:,} Gaussians take {ROWS * (40 + 112):,} bytes of it" in ran.err
+    assert f"With `--compact` (`compact=True`) they take {ROWS * (32 + 64):,}." in ran.err
+    assert "needs 336,000 bytes, and the memory of" in ran.err
+    assert "gsgen: appearance: " in ran.err
+    assert "--sh-degree 0" in ran.err
+    assert not list(Path().glob("out.*"))
+
+
+def test_what_is_said_to_take_less_does() -> None:
+    with memory_of(ENOUGH):
+        assert gsgen_here(*DRAWING["render"]).code == 2
+    with memory_of(ENOUGH):
+        ran = gsgen_here(*DRAWING["render"], "--compact")
+    assert ran.code == 0, ran.err
+    assert Path("out.gif").exists()
+
+
+@pytest.mark.parametrize(
+    ("device", "reason"),
+    [(lost_at(0), "the graphics device was lost"), (memory_of(1000), "the memory of")],
+    ids=["lost", "full"],
+)
+def test_a_level_that_a_device_fails_at_is_skipped_with_the_reason(
+    device: AbstractContextManager[None], reason: str
+) -> None:
+    model = find("still_sh3").write(Path())
+    with device:
+        ran = gsgen_here("validate", model, "--level", "render", "--format", "json")
+    assert ran.code == 0, ran.err
+    (level,) = (one for one in json.loads(ran.out)["levels"] if one["level"] == "render")
+    assert level["status"] == "skipped"
+    assert reason in level["reason"]
+
+
+def test_an_image_that_no_device_binds() -> None:
+    ran = gsgen_here(
+        "render", "cloud.npz", "-o", "out.png", "--width", "16384", "--height", "16384"
+    )
+    assert ran.code == 2, ran.err
+    assert "color image: would take 4,294,967,296 bytes" in ran.err
+    assert len(ran.err.strip().splitlines()) == 2
+    assert not Path("out.png").exists()

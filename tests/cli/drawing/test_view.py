@@ -1,0 +1,115 @@
+"""`gsgen view`, up to where a window would open: that takes a screen."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from gsgen.conformance.fixtures import find
+from gsgen.contract.errors import GsgenError
+from gsgen.runtime.commands.view import view
+from gsgen.runtime.viewer import surface_renderer, window
+from gsgen.runtime.viewer.surface_renderer import Painter
+from gsgen.runtime.viewer.viewer import HELP, Viewer
+from support.commands import gsgen
+
+DOCS = Path(__file__).parents[3] / "docs"
+
+
+@pytest.fixture(scope="module")
+def drift(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return find("drift").write(tmp_path_factory.mktemp("drift"))
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Viewer, str, tuple[int, int]]]:
+    """What windows would have been opened with."""
+    made: list[tuple[Viewer, str, tuple[int, int]]] = []
+    monkeypatch.setattr(window, "require_display", lambda: None)
+    monkeypatch.setattr(window, "open_window", lambda *words: made.append(words))
+    return made
+
+
+def ran(*words: str) -> Any:
+    app = typer.Typer()
+    app.command()(view)
+    return CliRunner().invoke(app, list(words))
+
+
+def test_without_a_screen_it_says_what_draws_the_same(
+    drift: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    done = gsgen("view", str(drift))
+    assert done.code == 2
+    assert "no window can be opened here" in done.err
+    assert f"gsgen render {drift} -o view.png" in done.err
+    assert "Traceback" not in done.err
+
+
+def test_options_reach_the_viewer(
+    drift: Path,
+    tmp_path: Path,
+    opened: list[tuple[Viewer, str, tuple[int, int]]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    painted: dict[str, object] = {}
+    monkeypatch.setattr(
+        surface_renderer, "Painter", lambda **words: painted.update(words) or Painter()
+    )
+    done = ran(
+        str(drift), "--width", "300", "--height", "200", "--mode", "depth",
+        "--frames", "7", "--fps", "5", "--camera", "look-at:0,0,-4,0,0,0",
+        "--pictures", str(tmp_path), "--sh-degree", "1", "--rasteriser", "quads", "--compact",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    (viewer, title, size) = opened[0]
+    assert (title, size) == ("drift.onnx - gsgen", (300, 200))
+    assert (viewer.mode, viewer.stage.frames, viewer.stage.fps) == ("depth", 7, 5)
+    assert (viewer.stage.playing, viewer.stage.sh_degree) == (True, 1)
+    np.testing.assert_allclose(viewer.controls.eye, [0, 0, -4], atol=1e-9)
+    assert painted == {"rasteriser": "quads", "compact": True}
+
+
+def test_a_time_stands_still(
+    drift: Path, opened: list[tuple[Viewer, str, tuple[int, int]]]
+) -> None:
+    assert ran(str(drift), "--time", "0.5").exit_code == 0
+    assert opened[0][0].stage.frames == 1
+    assert not opened[0][0].stage.playing
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("nothing.ply",), 4, "nothing.ply"),
+        (("DRIFT", "--camera", "upside-down"), 2, "--camera"),
+        (("DRIFT", "--input", "wind=3"), 2, "wind"),
+        (("DRIFT", "--background", "plaid"), 2, "--background"),
+        (("DRIFT", "--frames", "1"), 2, "--frames"),
+    ],
+)
+def test_mistakes_are_named(
+    drift: Path,
+    opened: list[tuple[Viewer, str, tuple[int, int]]],
+    words: tuple[str, ...],
+    code: int,
+    said: str,
+) -> None:
+    done = ran(*(str(drift) if word == "DRIFT" else word for word in words))
+    if isinstance(done.exception, GsgenError):
+        assert (code, said in str(done.exception)) == (2, True)
+    else:
+        assert done.exit_code == code, done.output
+        assert said in done.output + done.stderr
+    assert not opened
+
+
+def test_the_guide_has_the_keys_that_the_window_shows() -> None:
+    guide = (DOCS / "guides/view-a-scene.md").read_text("utf-8")
+    for keys, meaning in HELP:
+        assert f"| {keys} | {meaning} |" in guide

@@ -1,0 +1,80 @@
+"""Every command that reads a file ends with 4 where it cannot, whatever it would have done."""
+
+from pathlib import Path
+
+import pytest
+
+from gsgen.sdk.plugins.plugin import find_plugins
+from support.commands import gsgen_here
+
+# What is typed for MODEL, where the file named is none.
+MODELS = {
+    "bench": ("bench", "MODEL"),
+    "bench-render": ("bench-render", "MODEL"),
+    "conformance": ("conformance", "MODEL"),
+    "diff": ("diff", "MODEL", "MODEL"),
+    "fix": ("fix", "MODEL", "-o", "out.onnx"),
+    "float16": ("float16", "MODEL", "-o", "out.onnx"),
+    "inspect": ("inspect", "MODEL"),
+    "inspect --emit-manifest": ("inspect", "MODEL", "--emit-manifest"),
+    "references": ("references", "MODEL", "-o", "out.onnx"),
+    "render": ("render", "MODEL", "-o", "out.png"),
+    "repro": ("repro", "MODEL", "--rule", "GV003"),
+    "rewrite": ("rewrite", "MODEL", "-o", "out.onnx"),
+    "validate": ("validate", "MODEL"),
+    "vectors": ("vectors", "MODEL"),
+}
+SCENES = {
+    "bench-render": ("bench-render", "MODEL"),
+    "convert": ("convert", "MODEL", "out.ply"),
+    "export static": ("export", "static", "MODEL", "-o", "out.onnx"),
+    "render": ("render", "MODEL", "-o", "out.png"),
+}
+METHODS = sorted(set(find_plugins()) - {"static"})
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("file", ["gone", "text"])
+@pytest.mark.parametrize(
+    ("words", "suffix"),
+    [
+        *(pytest.param(words, ".onnx", id=name) for name, words in MODELS.items()),
+        *(pytest.param(words, ".ply", id=f"{name} ply") for name, words in SCENES.items()),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_4(
+    words: tuple[str, ...], suffix: str, file: str
+) -> None:
+    Path(f"text{suffix}").write_text("this is nothing of the sort")
+    named = f"{file}{suffix}"
+    ran = gsgen_here(*(named if word == "MODEL" else word for word in words))
+    assert ran.code == 4, ran.err
+    assert named in ran.err
+    assert not list(Path.cwd().glob("out.*"))
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("folder", ["gone", "empty"])
+def test_a_checkpoint_that_cannot_be_read_is_4(method: str, folder: str) -> None:
+    Path("empty").mkdir()
+    ran = gsgen_here("export", method, "--checkpoint", folder, "-o", "out.onnx")
+    assert ran.code == 4, ran.err
+    assert ran.err.rpartition("gsgen: ")[2].startswith(folder)
+    assert not Path("out.onnx").exists()
+
+
+def test_wrong_options_are_2() -> None:
+    Path("text.onnx").write_text("no model")
+    for words in (
+        ("export", "static", "gone.ply", "-o", "out.onnx", "--level", "values2"),
+        ("export", "lhm", "--checkpoint", "gone"),
+        ("rewrite", "text.onnx"),
+        ("validate", "text.onnx", "--target", "core2"),
+        ("explain", "GV03"),
+    ):
+        ran = gsgen_here(*words)
+        assert ran.code == 2, (words, ran.err)

@@ -1,0 +1,120 @@
+"""Ctrl-C ends a command within seconds, with 130, whatever it is in the middle of."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from gsgen.contract.process.interrupts import ending_at_interrupts
+from support.commands import gsgen_here
+from support.models.endless import endless
+
+TASKS = Path("/proc/self/task")
+LONG = 100  # seconds that a test waits for what must happen within a few
+BUSY = 0.3  # processor seconds of a thread that is not the first: a frame is being computed
+
+
+def interrupted(*words: str | Path) -> tuple[int, str]:
+    """Run a command until it computes, press Ctrl-C, and return its code and what it said."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "gsgen.cli", *map(str, words)],
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as running:
+        try:
+            end = time.monotonic() + LONG
+            while _of_a_thread(running.pid) < BUSY:
+                assert running.poll() is None, running.communicate()
+                assert time.monotonic() < end, "it never computed"
+                time.sleep(0.05)
+            running.send_signal(signal.SIGINT)
+            said = running.communicate(timeout=LONG)[1]
+        finally:
+            running.kill()
+    return running.returncode, said
+
+
+def _of_a_thread(process: int) -> float:
+    """Return the processor seconds of the busiest thread but the first."""
+    used = [0.0]
+    for task in Path(f"/proc/{process}/task").iterdir():
+        if task.name != str(process):
+            fields = (task / "stat").read_text().rpartition(")")[2].split()
+            used.append((int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"))
+    return max(used)
+
+
+@pytest.mark.skipif(not TASKS.exists(), reason="what threads do is read from /proc")
+@pytest.mark.parametrize("after", [-1.0, 0.5], ids=["while it opens", "in a later frame"])
+def test_a_model_that_never_ends_is_ended(tmp_path: Path, after: float) -> None:
+    model = endless(tmp_path, after)
+    film = tmp_path / "film.gif"
+    code, said = interrupted("render", model, "-o", film, "--frames", "3", "--width", "32",
+                             "--height", "32")  # fmt: skip
+    assert code == 130, said
+    assert "Traceback" not in said
+    assert "onnxruntime" not in said
+    assert [path.name for path in tmp_path.iterdir()] == [model.name]
+
+
+def test_a_thread_that_never_ends_does_not_keep_the_process() -> None:
+    code = (
+        "import threading, time\n"
+        "from gsgen.contract.process.interrupts import ending_at_interrupts\n"
+        "with ending_at_interrupts(0.2):\n"
+        "    threading.Thread(target=time.sleep, args=(10_000,)).start()\n"
+        "    print('waits', flush=True)\n"
+        "    time.sleep(10_000)\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    ) as running:
+        try:
+            assert running.stdout is not None
+            running.stdout.readline()
+            running.send_signal(signal.SIGINT)
+            assert running.wait(LONG) == 130
+        finally:
+            running.kill()
+
+
+def test_a_loop_that_takes_the_interrupt_for_itself_does_not_hide_it() -> None:
+    taken: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: taken.append(number))
+    try:
+        with ending_at_interrupts(10_000) as interrupts:
+            os.kill(os.getpid(), signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert taken == [signal.SIGINT]
+    assert interrupts.seen.is_set()
+
+
+def test_other_signals_are_none_of_its_business() -> None:
+    before = signal.signal(signal.SIGTERM, lambda *_: None)
+    try:
+        with ending_at_interrupts(10_000) as interrupts:
+            os.kill(os.getpid(), signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert not interrupts.seen.is_set()
+
+
+def test_a_crash_is_3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("by zero")
+
+    monkeypatch.setattr("gsgen.runtime.commands.render.fed", broken)
+    (tmp_path / "dots.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+        "property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
+        "end_header\n0 0 1 9 9 9\n"
+    )
+    ran = gsgen_here("render", tmp_path / "dots.ply", "-o", tmp_path / "dots.png")
+    assert ran.code == 3
+    assert "ZeroDivisionError: by zero" in ran.err
+    assert ran.err.strip().splitlines()[-1].startswith("gsgen: internal error")

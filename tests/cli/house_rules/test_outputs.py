@@ -1,0 +1,186 @@
+"""What is written goes to its place whole or not at all; what keeps it from there is one line."""
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gsgen.conformance.fixtures import find
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.process.atomic_files import draft_of
+from gsgen.formats import FileUnwritable, write_ply
+from support.commands import gsgen_here
+from support.splat_files import scene
+
+SMALL = ("--width", "32", "--height", "24", "--rasteriser", "tiles")
+# What is typed before and after the output, how it ends, and the code where it cannot be.
+WRITING: dict[str, tuple[tuple[str, ...], str, tuple[str, ...], int]] = {
+    "validate": (("validate", "MODEL", "--level", "static", "-o"), ".txt", (), 2),
+    "export": (("export", "static", "cloud.npz", "--level", "static", "-o"), ".onnx", (), 2),
+    "render a picture": (("render", "cloud.npz", *SMALL, "-o"), ".png", (), 2),
+    "render floats": (("render", "cloud.npz", *SMALL, "-o"), ".npy", (), 2),
+    "render a GIF": (("render", "cloud.npz", *SMALL, "-o"), ".gif", (), 2),
+    "render a film": (("render", "cloud.npz", *SMALL, "-o"), ".mp4", (), 2),
+    "render pictures": (("render", "cloud.npz", *SMALL, "--frames", "2", "-o"), "", (), 2),
+    "convert": (("convert", "cloud.npz"), ".ply", (), 1),
+    "references": (("references", "MODEL", "--width", "16", "--count", "1", "-o"), ".onnx", (), 2),
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def _files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    rows = np.zeros((400, 10), np.float32)
+    rows[:, :3] = rng.normal(size=(400, 3))
+    rows[:, 3], rows[:, [4, 7, 9]] = 0.8, 0.02
+    color = rng.uniform(size=(400, 3)).astype(np.float32)
+    np.savez(tmp_path / "cloud.npz", gaussians=rows, appearance=color)
+    find("drift").write(tmp_path).rename(tmp_path / "MODEL")
+    (tmp_path / "file").touch()
+    monkeypatch.chdir(tmp_path)
+
+
+class FullDisk(tempfile.TemporaryDirectory[str]):
+    """A folder for a draft whose file is /dev/full: no byte fits."""
+
+    def __init__(self, dir: Path, prefix: str) -> None:
+        super().__init__(dir=dir, prefix=prefix)
+        (Path(self.name) / prefix[1:-1]).symlink_to("/dev/full")
+
+
+def trouble(name: str, output: str) -> tuple[int, list[str]]:
+    before, suffix, after, _ = WRITING[name]
+    ran = gsgen_here(*before, f"{output}{suffix}", *after)
+    return ran.code, [
+        line for line in ran.err.splitlines() if line.startswith("gsgen: ")
+    ] if "Traceback" not in ran.err else [ran.err]
+
+
+@pytest.mark.parametrize("name", WRITING)
+def test_a_place_that_cannot_be_written_to_is_one_line(name: str) -> None:
+    code, (said,) = trouble(name, "file/out")
+    assert code == WRITING[name][3]
+    assert said.startswith("gsgen: file/out")
+    assert "cannot be written" in said
+
+
+@pytest.mark.parametrize(
+    "name", ["validate", "export", "render a picture", "render floats", "convert"]
+)
+def test_a_folder_is_no_file(name: str) -> None:
+    Path(f"out{WRITING[name][1]}").mkdir()
+    code, (said,) = trouble(name, "out")
+    assert code == WRITING[name][3]
+    assert said.startswith(f"gsgen: out{WRITING[name][1]}: ")
+    assert not list(Path(f"out{WRITING[name][1]}").iterdir())
+
+
+@pytest.mark.parametrize("name", [one for one in WRITING if one.startswith(("ren", "exp"))])
+def test_a_full_disk_is_one_line_and_leaves_nothing(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = SimpleNamespace(TemporaryDirectory=FullDisk)
+    monkeypatch.setattr("gsgen.contract.process.atomic_files.tempfile", full)
+    code, (said,) = trouble(name, "out")
+    assert code == 2
+    assert said.startswith("gsgen: out")
+    assert "cannot be written: " in said
+    assert _left() == ["MODEL", "cloud.npz"]
+
+
+@pytest.mark.parametrize("name", ["validate", "convert"])
+def test_a_disk_that_takes_no_large_file(name: str) -> None:
+    """The limit of a process says the same as a full disk, but drivers do not survive it."""
+    before, suffix, after, code = WRITING[name]
+    limited = (
+        "import resource; from gsgen.cli import main; "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (60, 60)); main()"
+    )
+    words = [sys.executable, "-c", limited, *before, f"out{suffix}", *after]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == code, done.stderr
+    assert "cannot be written: " in done.stderr
+    assert "Traceback" not in done.stderr
+    assert _left() == ["MODEL", "cloud.npz"]
+
+
+def _left() -> list[str]:
+    found = (path.name for path in Path().rglob("*") if path.name not in ("out", "file"))
+    return sorted(found)
+
+
+@pytest.mark.parametrize("name", ["validate", "export", "render pictures", "convert"])
+def test_folders_on_the_way_are_made(name: str) -> None:
+    code, said = trouble(name, "new/and/deep")
+    assert (code, said) == (0, [])
+    assert Path(f"new/and/deep{WRITING[name][1]}").exists()
+
+
+@pytest.mark.parametrize("words", [("rules",), ("--help",)])
+def test_a_full_disk_behind_stdout_is_one_line(words: tuple[str, ...]) -> None:
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "gsgen.cli", *words],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    assert done.returncode == 2
+    assert done.stderr.startswith("gsgen: output, or a temporary file, cannot be written: ")
+    assert len(done.stderr.splitlines()) == 2
+
+
+def test_a_device_stays_what_it_is(tmp_path: Path) -> None:
+    """As root, a file that is moved to /dev/null would be there in its place."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(ConfigInvalid, match="is a device or a pipe"), draft_of(pipe):
+        pass
+    with pytest.raises(FileUnwritable, match="is a device or a pipe"):
+        write_ply(pipe, scene(3, 0))
+    assert pipe.is_fifo()
+
+
+@pytest.mark.parametrize("name", ["/dev/stdout", "/dev/fd/1"])
+@pytest.mark.parametrize("kind", ["a pipe", "a file"])
+def test_a_report_to_stdout_by_a_name_of_it_takes_nobodys_place(
+    name: str, kind: str
+) -> None:
+    code = (
+        "import sys; from pathlib import Path; from gsgen.contract.commands.output import "
+        "write_text; write_text(Path(sys.argv[1]), 'a report')"
+    )
+    words = [sys.executable, "-c", code, name]
+    before = os.lstat("/dev/stdout").st_ino
+    if kind == "a pipe":
+        said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    else:
+        with Path("said").open("w") as file:
+            subprocess.run(words, stdout=file, check=True)
+        said = Path("said").read_text()
+    assert said == "a report"
+    assert os.lstat("/dev/stdout").st_ino == before
+
+
+def test_a_report_to_a_device_leaves_it_there() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "gsgen.cli", "validate", "MODEL", "--level", "static",
+         "-o", "/dev/null"],
+        capture_output=True,
+        text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ""
+    assert not Path("/dev/null").is_file()
+
+
+def test_what_is_wrong_with_a_file_that_is_read_is_not_told_of_the_output(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(FileNotFoundError), draft_of(tmp_path / "out"):
+        (tmp_path / "gone").read_bytes()

@@ -1,0 +1,170 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+
+from gsgen.contract.rules.catalogue import installed_rules
+from support.commands import ROOT, gsgen, gsgen_here
+
+
+def test_help_lists_every_command() -> None:
+    ran = gsgen("--help")
+    assert ran.code == 0
+    for name in ("validate", "inspect", "explain", "rules", "doctor", "export"):
+        assert name in ran.out
+
+
+def test_version_is_the_distribution_s() -> None:
+    ran = gsgen("--version")
+    assert ran.code == 0
+    assert ran.out.startswith("gsgen 0.")
+
+
+def test_explain_takes_ids_and_names_in_any_case() -> None:
+    by_id, by_name = gsgen_here("explain", "gv003"), gsgen_here("explain", "opacity-range")
+    assert by_id.out == by_name.out
+    assert "## Why" in by_id.out
+    assert "## How to mend it" in by_id.out
+    wrong = gsgen("explain", "GV03")
+    assert wrong.code == 2
+    assert "Did you mean 'GV003'?" in wrong.err
+
+
+def test_rules_as_json_is_the_catalogue() -> None:
+    listed = json.loads(gsgen("rules", "--json").out)
+    assert [entry["id"] for entry in listed] == list(installed_rules().rules)
+
+
+def test_published_rule_pages_are_current(tmp_path: Path) -> None:
+    assert gsgen("rules", "--pages", tmp_path).code == 0
+    fresh = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    kept = {path.name: path.read_text() for path in (ROOT / "docs/rules").iterdir()}
+    assert fresh == kept, "run: gsgen rules --pages docs/rules"
+
+
+def test_inspect_shows_what_a_model_says(good: Path) -> None:
+    ran = gsgen("inspect", good)
+    assert ran.code == 0
+    assert "output  gaussians: float32 [40, 10]" in ran.out
+    facts = json.loads(gsgen("inspect", good, "--json").out)
+    assert facts["manifest"]["outputs"]["gaussians"]["capacity"] == 40
+
+
+def test_inspect_derives_a_manifest_that_validates(good: Path, tmp_path: Path) -> None:
+    import onnx
+
+    from gsgen.contract.model.model_file import write_manifest
+    from gsgen.contract.spec.manifest_io import loads
+
+    model = onnx.load(good)
+    del model.metadata_props[:]
+    onnx.save(model, good)
+    ran = gsgen("inspect", good, "--emit-manifest")
+    assert ran.code == 0
+    assert "Confirm:" in ran.err
+    write_manifest(good, loads(ran.out), tmp_path / "with.onnx")
+    assert gsgen("validate", tmp_path / "with.onnx").code == 0
+
+
+def test_inspect_prints_the_schema_of_a_kind() -> None:
+    schema = json.loads(gsgen("inspect", "--schema", "gaussian-generator").out)
+    assert schema["$schema"].endswith("2020-12/schema")
+    assert "Did you mean" in gsgen("inspect", "--schema", "gaussian-generater").err
+
+
+def test_inspect_of_no_model_exits_4(tmp_path: Path) -> None:
+    assert gsgen("inspect", tmp_path).code == 4
+
+
+def test_doctor_finds_the_software_driver_that_tests_need() -> None:
+    """A missing driver fails here, and is not skipped: `make drivers` installs it."""
+    ran = gsgen("doctor", "--json")
+    rooms = json.loads(ran.out)
+    adapters = [
+        c for c in rooms["runtime"] if c["name"] == "adapter" and c["state"] == "ok"
+    ]
+    vulkan = [c["detail"] for c in adapters if "Vulkan" in c["detail"]]
+    assert vulkan, f"no Vulkan adapter: {rooms['runtime']}"
+    assert ran.code == 0
+
+
+def test_doctor_says_how_to_mend(tmp_path: Path) -> None:
+    ran = gsgen(
+        "doctor",
+        env={"VK_DRIVER_FILES": str(tmp_path / "none.json"), "WGPU_BACKEND": "Vulkan"},
+    )
+    assert "contract" in ran.out
+    assert "sandbox" in ran.out
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float16"])
+def test_export_static_passes_packed_rows_through(tmp_path: Path, dtype: str) -> None:
+    import onnxruntime
+
+    rng = np.random.default_rng(1)
+    packed = np.zeros((9, 10), dtype)
+    packed[:, :3] = rng.normal(size=(9, 3))
+    packed[:, 3] = 0.5
+    packed[:, [4, 7, 9]] = 0.01
+    color = rng.normal(size=(9, 48)).astype(dtype) * np.asarray(0.1, dtype)
+    np.savez(tmp_path / "rows.npz", gaussians=packed, appearance=color)
+    ran = gsgen("export", "static", tmp_path / "rows.npz", "-o", tmp_path / "m.onnx")
+    assert ran.code == 0, ran.err
+    session = onnxruntime.InferenceSession(tmp_path / "m.onnx")
+    gaussians, appearance, count = session.run(["gaussians", "color_sh", "num_points"], {})
+    assert gaussians.dtype == packed.dtype
+    np.testing.assert_array_equal(gaussians, packed)
+    np.testing.assert_array_equal(appearance, color)
+    assert count.tolist() == [9]
+
+
+def test_export_static_says_when_packed_rows_do_not_conform(tmp_path: Path) -> None:
+    packed = np.full((4, 10), np.nan, np.float32)
+    np.savez(
+        tmp_path / "rows.npz", gaussians=packed, appearance=np.zeros((4, 3), np.float32)
+    )
+    ran = gsgen("export", "static", tmp_path / "rows.npz", "-o", tmp_path / "m.onnx")
+    assert "does NOT conform" in ran.out
+    assert "GV001" in ran.out
+    assert gsgen("validate", tmp_path / "m.onnx").code == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "cannot be read: No such file"),
+        (b"", "empty"),
+        (b"hello", "first bytes: 'hell'"),
+        (b"ply\nformat binary_little_endian 1.0\nelement vertex 5\nend_header\n", "x"),
+    ],
+)
+def test_export_static_of_a_bad_file_exits_4_and_writes_nothing(
+    tmp_path: Path, content: bytes | None, words: str
+) -> None:
+    path = tmp_path / "in.ply"
+    if content is not None:
+        path.write_bytes(content)
+    ran = gsgen_here("export", "static", path, "-o", tmp_path / "m.onnx")
+    assert ran.code == 4
+    assert words in ran.err
+    assert "Traceback" not in ran.err
+    assert {entry.name for entry in tmp_path.iterdir()} <= {"in.ply"}
+
+
+def test_export_static_takes_the_options_of_every_export(tmp_path: Path) -> None:
+    rows = np.zeros((4, 10), np.float32)
+    rows[:, 3], rows[:, [4, 7, 9]] = 0.5, 0.01
+    np.savez(tmp_path / "rows.npz", gaussians=rows, appearance=np.zeros((4, 48), "f4"))
+    words = ("--opset", "17", "--target", "visionary", "--no-rewrite", "--capacity", "256")
+    ran = gsgen(
+        *("export", "static", "rows.npz", "-o", "m.onnx", "--report", "r.json", *words),
+        cwd=tmp_path,
+    )
+    assert ran.code == 0, ran.err
+    told = json.loads((tmp_path / "r.json").read_text())
+    assert (told["schema"], told["source"]) == ("gsgen-export/1", "static")
+    assert (told["written"], told["options"]["opset"]) == (True, 17)
+    assert told["validation"]["target"].startswith("visionary")
+    assert onnx.load(tmp_path / "m.onnx").opset_import[0].version == 17

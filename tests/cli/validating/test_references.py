@@ -1,0 +1,186 @@
+"""`gsgen references`, and what `gsgen validate --level render` makes of what it wrote."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from PIL import Image
+
+from gsgen.conformance.fixtures import find
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.model.model_file import MANIFEST_KEY, open_model
+from gsgen.contract.spec.manifest import GeneratorManifest
+from gsgen.contract.spec.manifest_io import loads
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.tools.recording import RecordingRefused
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
+from gsgen.runtime.checks import level as showing
+from gsgen.runtime.checks import reference_recording
+from gsgen.runtime.checks.reference_recording import record_references
+from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from support.commands import gsgen_here
+
+RENDER = Settings(level=Level.RENDER)
+WIDTH = 96
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Renderer:
+    return Renderer(Device.open(), rasteriser="tiles")
+
+
+@pytest.fixture(scope="module")
+def quads(renderer: Renderer) -> Renderer | None:
+    there = renderer.device.blends_floats
+    return Renderer(renderer.device, rasteriser="quads") if there else None
+
+
+@pytest.fixture(autouse=True)
+def _one_device(
+    renderer: Renderer, quads: Renderer | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kernels are compiled once, and not for every command."""
+    both = {"tiles": renderer, "quads": quads}
+    for module in (showing, reference_recording):
+        monkeypatch.setattr(module, "Renderer", lambda *_, rasteriser: both[rasteriser])
+
+
+def declared(path: Path) -> GeneratorManifest:
+    text = open_model(path).manifest_text
+    assert text is not None
+    manifest = loads(text)
+    assert isinstance(manifest, GeneratorManifest)
+    return manifest
+
+
+def judged(path: Path) -> tuple[str, list[str]]:
+    """Return what became of the rule, and what it found."""
+    report = validate(path, RENDER)
+    found = [one.message for one in report.findings if one.rule == "GB021"]
+    return report.outcome("GB021").status, found
+
+
+def test_pictures_are_drawn_again_until_a_weight_changes(tmp_path: Path) -> None:
+    source = find("drift").write(tmp_path)
+    before = source.read_bytes()
+    copy = tmp_path / "promised" / "drift.onnx"
+    ran = gsgen_here("references", source, "-o", copy, "--width", str(WIDTH))
+    assert ran.code == 0, ran.err
+    assert f"gsgen validate {copy} --level render" in ran.out
+    assert source.read_bytes() == before
+    folder = copy.with_name("drift-references")
+    assert sorted(one.name for one in folder.iterdir()) == ["0.png", "1.png", "2.png"]
+    images = declared(copy).reference_images
+    assert len({one.inputs for one in images}) == 3
+    for one in images:
+        with Image.open(copy.parent / one.path) as picture:
+            assert (picture.width, picture.mode) == (WIDTH, "RGB")
+            assert np.asarray(picture).max() > 40
+    assert judged(copy) == ("pass", [])
+
+    model = onnx.load(copy)
+    (weight,) = (one for one in model.graph.initializer if one.name == "center")
+    made = onnx.numpy_helper.to_array(weight) + np.float32(0.05)
+    weight.CopyFrom(onnx.numpy_helper.from_array(made, "center"))
+    onnx.save(model, copy)
+    words = ("validate", copy, "--level", "render", "--fail-on", "warning")
+    ran = gsgen_here(*words)
+    assert ran.code == 1
+    assert "GB021" in ran.out
+    assert "dB" in ran.out
+
+    # What was meant to change is recorded anew, in place.
+    again = ("references", copy, "-o", copy, "--width", str(WIDTH), "--count", "1")
+    refused = gsgen_here(*again)
+    assert refused.code == 2
+    assert "holds 0.png already" in refused.err
+    ran = gsgen_here(*again, "--force", "--json")
+    assert ran.code == 0, ran.err
+    assert len(json.loads(ran.out)["reference_images"]) == 1
+    assert [one.name for one in folder.iterdir()] == ["0.png"]
+
+
+@pytest.mark.parametrize("name", ["camera_and_proj", "weighted_sum", "nothing_live"])
+def test_models_of_all_kinds_keep_their_promise(
+    name: str, renderer: Renderer, tmp_path: Path
+) -> None:
+    source, copy = find(name).write(tmp_path), tmp_path / "copy.onnx"
+    made = record_references(source, copy, count=1, width=WIDTH, renderer=renderer)
+    assert made.images == declared(copy).reference_images
+    assert bool(made.empty) is (name == "nothing_live")
+    assert judged(copy) == ("pass", [])
+
+
+def test_an_old_manifest_is_lifted_to_the_version_that_knows_of_pictures(
+    renderer: Renderer, tmp_path: Path
+) -> None:
+    source = find("still_sh3").write(tmp_path)
+    model = onnx.load(source)
+    (entry,) = (one for one in model.metadata_props if one.key == MANIFEST_KEY)
+    document = json.loads(entry.value) | {"contract": "1.0"}
+    entry.value = json.dumps(document)
+    onnx.save(model, source)
+    copy = tmp_path / "copy.onnx"
+    record_references(source, copy, width=WIDTH, psnr=33.0, renderer=renderer)
+    assert declared(copy).contract == "1.1"
+    assert declared(copy).reference_images[0].psnr == 33
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("no_manifest", "has no manifest"),
+        ("count_is_int64", "breaks GO011"),
+        ("post_process", "is no gaussian-generator"),
+    ],
+)
+def test_what_cannot_be_promised_is_refused_and_leaves_nothing(
+    name: str, said: str, renderer: Renderer, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(RecordingRefused, match=said):
+        record_references(find(name).write(tmp_path), out / "m.onnx", renderer=renderer)
+    assert not out.exists()
+
+
+def test_wrong_numbers(renderer: Renderer, tmp_path: Path) -> None:
+    source = find("drift").write(tmp_path)
+    with pytest.raises(ConfigInvalid, match="17 pictures, wanted from 1 to 8"):
+        record_references(source, tmp_path / "a.onnx", count=17, renderer=renderer)
+    few = replace(RENDER, seed=3)
+    made = record_references(
+        source, tmp_path / "a.onnx", count=8, width=16, settings=few, renderer=renderer
+    )
+    assert len(made.images) == 8
+    report = validate(made.model, few)
+    assert report.outcome("GB021").status == "pass"
+    for words in (("--count", "0"), ("--width", "5000"), ("--psnr", "0")):
+        assert gsgen_here("references", source, "-o", tmp_path / "b.onnx", *words).code == 2
+
+
+def test_cameras_are_those_that_were_asked_for(renderer: Renderer, tmp_path: Path) -> None:
+    source, copy = find("drift").write(tmp_path), tmp_path / "copy.onnx"
+    near = record_references(
+        source, copy, camera="look-at:0,0,-3,0,0,0", count=2, width=WIDTH, renderer=renderer
+    )
+    for one in near.images:
+        np.testing.assert_allclose(np.array(one.view)[:, 3], [0, 0, 3], atol=1e-12)
+        assert one.center == (WIDTH / 2, 27)
+    (tmp_path / "round.json").write_text(
+        Camera.panorama((0, 0, 0), (0, 0, 1), width=64, height=32).to_json()
+    )
+    with pytest.raises(SceneInvalid, match="of kind panorama"):
+        record_references(
+            source,
+            tmp_path / "b.onnx",
+            camera=str(tmp_path / "round.json"),
+            renderer=renderer,
+        )
+    assert not (tmp_path / "b.onnx").exists()

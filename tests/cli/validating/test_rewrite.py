@@ -1,0 +1,37 @@
+"""`gsgen rewrite` as a user runs it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+from gsgen.conformance.fixtures import find
+from support.commands import gsgen
+
+
+def test_a_model_is_rewritten_and_validates_for_the_viewer(tmp_path: Path) -> None:
+    path, made = find("largest_of_two_on_jsep").write(tmp_path), tmp_path / "made.onnx"
+    before = gsgen("validate", path, "--target", "visionary", "--level", "static")
+    assert "GG006" in before.out
+    ran = gsgen("rewrite", path, "-o", made, "--target", "visionary")
+    assert ran.code == 0, ran.err
+    assert "select-extremes: 1× " in ran.out
+    assert ran.err == ""
+    after = gsgen("validate", made, "--target", "visionary", "--level", "static")
+    assert "GG006" not in after.out
+
+
+def test_a_mistake_is_told_without_a_traceback(tmp_path: Path) -> None:
+    path = find("drift").write(tmp_path)
+    ran = gsgen("rewrite", path, "-o", tmp_path / "o.onnx", "--pass", "chunk-conat")
+    assert ran.code == 2
+    assert "Did you mean 'chunk-concat'?" in ran.err
+    gone = gsgen("rewrite", tmp_path / "gone.onnx", "--dry-run")
+    assert gone.code == 4
+    assert "Traceback" not in ran.err + gone.err
+
+
+def test_rewriting_needs_no_torch() -> None:
+    """A model from elsewhere is rewritten at once: torch alone would take seconds to load."""
+    code = "import gsgen.sdk.rewriting.rewrite, sys; print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "False", done.stderr

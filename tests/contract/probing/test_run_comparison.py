@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+
+from gsgen.contract.probing.probe_plan import Plan
+from gsgen.contract.probing.probes import Probe
+from gsgen.contract.probing.run_comparison import Comparison, Trial, read_behaviour
+from gsgen.contract.probing.sandbox import Execution, Run, Sample
+
+
+def compared(*outputs, samples=None, variants=None, revisited=None):
+    """What is seen when the runs, from first to last, gave ``outputs``."""
+    probes = tuple(Probe(f"probe {index}", {}) for index in range(len(outputs)))
+    numbers = samples or range(len(outputs))
+    runs = tuple(Run(index, sample, 0.1) for index, sample in enumerate(numbers))
+    kept = tuple(Sample(index, output) for index, output in enumerate(outputs))
+    plan = Plan(probes, 1, (0, 1), revisited, variants or {})
+    return read_behaviour(Trial(None, Execution(runs, kept, None, 0.0, ""), plan))
+
+
+def array(*values, dtype=np.float32):
+    return {"y": np.array(values, dtype)}
+
+
+def test_runs_that_share_a_sample_do_not_differ():
+    made = compared(array(1), array(2), samples=[0, 0])
+    assert made.repeated == Comparison("probe 0", "probe 1", {})
+    assert made.revisited is None
+    assert made.varied == {}
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "changed"),
+    [
+        (array(1, 2), array(1, 2), {}),
+        (array(1, 2), array(1, 2.5), {"y": 0.5}),
+        (array(0.0), array(-0.0), {"y": 0.0}),
+        (array(np.nan), array(np.nan), {}),
+        (array(np.nan, 1), array(0, 1), {"y": np.inf}),
+        (array(np.inf, 1), array(-np.inf, 1), {"y": np.inf}),
+        (array(np.inf, 1), array(np.inf, 3), {"y": 2.0}),
+        (array(np.nan, 1), array(np.nan, 3), {"y": 2.0}),
+        (array(1, 2), array(1), {"y": np.inf}),
+        (array(250, dtype=np.uint8), array(5, dtype=np.uint8), {"y": 245.0}),
+        (array(True, dtype=bool), array(False, dtype=bool), {"y": 1.0}),
+        (array(), array(), {}),
+    ],
+)
+def test_the_largest_difference_of_each_output_that_differs_is_kept(first, second, changed):
+    assert compared(first, second).repeated.changed == changed
+
+
+def test_outputs_are_compared_one_by_one():
+    first = {"a": np.zeros(2), "b": np.zeros(2), "c": np.zeros(2)}
+    second = {"a": np.zeros(2), "b": np.ones(2), "c": np.full(2, 3.0)}
+    assert compared(first, second).repeated.changed == {"b": 1.0, "c": 3.0}
+
+
+def test_every_role_is_compared_with_its_base():
+    made = compared(
+        *(array(value) for value in (1, 1, 2, 4)),
+        variants={"time": (0, (2, 3)), "view": (1, (2,))},
+        revisited=(0, 3),
+    )
+    assert made.revisited == Comparison("probe 0", "probe 3", {"y": 3.0})
+    assert [one.changed for one in made.varied["time"]] == [{"y": 1.0}, {"y": 3.0}]
+    assert [(one.first, one.second) for one in made.varied["view"]] == [
+        ("probe 1", "probe 2")
+    ]
+
+
+def test_an_extra_run_that_no_time_was_left_for_is_noted_by_whoever_asks_for_it():
+    probes = tuple(Probe(f"probe {index}", {}, extra=index > 1) for index in range(5))
+    runs = (
+        Run(0, 0, 0.1),
+        Run(1, 0, 0.1),
+        Run(2, 0, 0.1),
+        Run(3, -1, 0),
+        Run(4, -1, 0, "bad"),
+    )
+    trials = {"edges": (2, 3), "outside": (4,)}
+    plan = Plan(probes, 1, (0, 1), trials=trials)
+    execution = Execution(runs, (Sample(0, array(1)),), None, 0.0, "")
+    behaviour = read_behaviour(Trial(None, execution, plan))
+    first, second = behaviour.for_a_rule(), behaviour.for_a_rule()
+    assert [visit.probe.label for visit in first.visits("edges")] == ["probe 2"]
+    assert first.left_out == ["probe 3"]
+    assert [visit.error for visit in second.visits("outside")] == ["bad"]  # it did run
+    assert second.left_out == behaviour.left_out == []

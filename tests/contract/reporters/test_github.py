@@ -1,0 +1,79 @@
+from dataclasses import replace
+
+import pytest
+
+from gsgen.contract.errors import ModelUnreadable
+from gsgen.contract.reporters.github import to_github
+from gsgen.contract.validation.finding import Where
+from gsgen.contract.validation.report import Unreadable
+from support.reports.goldens import assert_is_golden
+from support.reports.judged import MODELS
+
+
+def read(line):
+    """Read a workflow command as the runner does: command, properties, message."""
+    assert line.startswith("::")
+    head, _, message = line[2:].partition("::")
+    command, _, listed = head.partition(" ")
+    pairs = (pair.partition("=") for pair in listed.split(","))
+    properties = {key: value for key, _, value in pairs}
+    for code, letter in (("%2C", ","), ("%3A", ":"), ("%0A", "\n"), ("%25", "%")):
+        properties = {key: v.replace(code, letter) for key, v in properties.items()}
+        message = message.replace(code, letter) if code != "%2C" else message
+    return command, properties, message
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_annotations_are_what_they_were(reports, name):
+    assert_is_golden(f"{name}.github.txt", to_github([reports[name]]) + "\n")
+
+
+def test_an_annotation_names_its_file_and_says_how_to_mend(reports):
+    first, *_ = reports["broken"].findings
+    command, properties, message = read(to_github([reports["broken"]]).splitlines()[0])
+    assert command == "error"
+    assert properties == {"file": "broken.onnx", "title": f"{first.rule} {first.slug}"}
+    assert message == f"{first.where}: {first.message}\nmend: {first.mend}"
+
+
+def test_severities_become_commands_and_a_guess_is_no_error(reports):
+    lines = to_github([reports["broken"]]).splitlines()
+    assert [line.split(" ")[0] for line in lines] == [
+        *("::error", "::error", "::warning", "gsgen:")
+    ]
+    first, *_ = reports["broken"].findings
+    doubtful = replace(first, certainty="possible")
+    line, _ = to_github([replace(reports["broken"], findings=(doubtful,))]).splitlines()
+    assert line.startswith("::warning ")
+
+
+def test_what_is_waived_or_known_is_not_annotated(reports):
+    first, second, *_ = reports["broken"].findings
+    found = (replace(first, known=True), replace(second, waived=True))
+    made = to_github([replace(reports["broken"], findings=found, baseline="b.json")])
+    assert "::" not in made
+
+
+def test_trouble_is_annotated(reports):
+    outcome, *rest = reports["good"].outcomes
+    crashed = replace(outcome, status="crashed", reason="Traceback:\n  ValueError: x")
+    report = replace(reports["good"], outcomes=(crashed, *rest))
+    error = ModelUnreadable("is empty", where="a.onnx", mend="Write it again.")
+    lines = to_github([report, Unreadable("a.onnx", error)]).splitlines()
+    assert read(lines[0])[1]["title"] == f"{outcome.rule.id} crashed"
+    assert read(lines[2])[2] == "a.onnx: is empty\n  Write it again."
+    assert lines[-1] == "2 models: 1 without verdict, 1 unreadable"
+
+
+@pytest.mark.parametrize(
+    "name", ["a::b,c=d%0A", "x\r\n::error::y", "##[error]z", "\x1b[2J"]
+)
+def test_no_name_makes_another_command(reports, name):
+    first, *_ = reports["broken"].findings
+    report = replace(
+        reports["broken"], path=name, findings=(replace(first, where=Where(name)),)
+    )
+    first_line, last_line = to_github([report]).splitlines()
+    assert read(first_line)[0] == "error"
+    assert last_line.startswith("gsgen: ")
+    assert "##[" not in last_line

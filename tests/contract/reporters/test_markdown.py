@@ -1,0 +1,72 @@
+import re
+from dataclasses import replace
+
+import pytest
+
+from gsgen.contract.errors import ModelUnreadable
+from gsgen.contract.reporters.markdown import code, to_markdown
+from gsgen.contract.validation.finding import Where
+from gsgen.contract.validation.report import Unreadable
+from support.reports.goldens import assert_is_golden
+from support.reports.judged import MODELS
+
+UNREADABLE = Unreadable("a|b.onnx", ModelUnreadable("is empty", where="a|b.onnx"))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_page_reads_as_it_did(reports, name):
+    assert_is_golden(f"{name}.md", to_markdown([reports[name]]) + "\n")
+
+
+def test_several_models_begin_with_a_table(reports):
+    page = to_markdown([*reports.values(), UNREADABLE])
+    head = page.splitlines()[:8]
+    assert head[0] == "**4 models: 1 conforms, 2 invalid, 1 unreadable**"
+    assert head[4:] == [
+        "| `good.onnx` | ✅ conforms | 0 | 0 |",
+        "| `broken.onnx` | ❌ invalid | 2 | 1 |",
+        "| `foreign.onnx` | ❌ invalid | 2 | 3 |",
+        r"| `a\|b.onnx` | ⛔ unreadable | | |",
+    ]
+    assert page.endswith("### ⛔ `a|b.onnx`\n\n`a|b.onnx: is empty`")
+
+
+def test_a_crashed_rule_is_named(reports):
+    outcome, *rest = reports["good"].outcomes
+    crashed = replace(outcome, status="crashed", reason="Traceback:\n  ValueError: x")
+    page = to_markdown([replace(reports["good"], outcomes=(crashed, *rest))])
+    assert page.startswith("### 💥 `good.onnx`")
+    assert f"**{outcome.rule.id}** crashed, a fault of the rule: ` " in page
+
+
+def test_what_is_known_is_counted_but_not_listed(reports):
+    first, *_ = reports["broken"].findings
+    known = replace(first, known=True)
+    page = to_markdown([replace(reports["broken"], findings=(known,), baseline="b_1.json")])
+    assert r"1 known from b\_1.json" in page
+    assert first.slug not in page
+
+
+@pytest.mark.parametrize(
+    ("text", "span"),
+    [
+        ("a", "`a`"),
+        ("a`b", "``a`b``"),
+        ("`", "`` ` ``"),
+        ("a\nb\x1b", r"`a\nb\x1b`"),
+        ("@everyone <b> |", "`@everyone <b> |`"),
+        ("", "`  `"),
+    ],
+)
+def test_nothing_ends_a_code_span(text, span):
+    assert code(text) == span
+
+
+def test_what_a_tensor_is_called_formats_nothing(reports):
+    first, *_ = reports["broken"].findings
+    evil = replace(first, where=Where("output `</code>**@a** [x](http://b)\n# c"))
+    page = to_markdown([replace(reports["broken"], findings=(evil,))])
+    outside = re.sub(r"(`+)(?!`).+?(?<!`)\1(?!`)", "", page)
+    assert "@a" not in outside
+    assert "</code>" not in outside
+    assert "\n# c" not in page

@@ -1,0 +1,115 @@
+import json
+from dataclasses import replace
+
+import pytest
+
+from gsgen.contract.reporters.rule_pages import FAMILIES, help_path, index, page, to_dict
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.rule import Registry
+from support.reports.rules import made_up
+
+FIRST = made_up("GV901")
+SECOND = made_up(
+    "GV902", severity=Severity.WARNING, needs=("GV901",), kinds=KINDS, limit="rows"
+)
+THIRD = made_up("acme/AC001", target="webgpu")
+REGISTRY = Registry.of([FIRST, SECOND, THIRD])
+
+PAGE = """\
+# GV902 made-up-gv902
+
+Something holds.
+
+- severity: warning
+- level: static
+- applies to: gaussian-generator, post-process, trajectory-predictor
+- target: those with a limit rows
+- needs: GV901 made-up-gv901
+- example that breaks it: `none`
+
+## Why
+
+Because.
+
+## How to mend it
+
+Make it so.
+"""
+
+INDEX = """\
+# Rules
+
+3 rules, each with a page of its own.
+
+
+## Values (GV)
+
+| rule | severity | level | what must hold |
+|---|---|---|---|
+| [GV901 made-up-gv901](GV901.md) | error | static | Something holds. |
+| [GV902 made-up-gv902](GV902.md) | warning | static | Something holds. |
+
+## AC (AC)
+
+| rule | severity | level | what must hold |
+|---|---|---|---|
+| [acme/AC001 made-up-acme-ac001](acme-AC001.md) | error | static | Something holds. |
+"""
+
+
+def test_a_page_says_all_that_the_rule_declares():
+    assert page(SECOND, REGISTRY) == PAGE
+
+
+def test_a_page_leaves_out_what_the_rule_does_not_declare():
+    text = page(FIRST, REGISTRY)
+    assert "- target: all\n" in text
+    assert "needs" not in text
+    assert "- target: webgpu\n" in page(THIRD, REGISTRY)
+
+
+def test_a_page_tells_where_the_rule_was_seen_to_break_something():
+    seen = replace(SECOND, evidence="In a viewer.")
+    assert page(seen, REGISTRY) == f"{PAGE}\n## Evidence\n\nIn a viewer.\n"
+
+
+def test_only_our_own_rules_have_a_page_of_ours():
+    assert help_path(FIRST) == "rules/GV901.md"
+    assert help_path(THIRD) == ""
+
+
+def test_the_index_lists_rules_by_family():
+    assert index(REGISTRY) == INDEX
+
+
+def test_every_family_of_ours_has_a_name():
+    assert {rule.family for rule in installed_rules().rules.values()} <= set(FAMILIES)
+
+
+@pytest.mark.parametrize(
+    "rule", installed_rules().rules.values(), ids=installed_rules().rules
+)
+def test_every_rule_has_a_page(rule):
+    text = page(rule, installed_rules())
+    assert text.startswith(f"# {rule.id} {rule.slug}\n\n{rule.what}\n\n- severity: ")
+    assert "None" not in text.split("## Why")[0]
+
+
+def test_a_rule_as_data_is_plain():
+    made = json.loads(json.dumps(to_dict(SECOND)))
+    assert made == {
+        "id": "GV902",
+        "slug": "made-up-gv902",
+        "severity": "warning",
+        "level": "static",
+        "what": "Something holds.",
+        "why": "Because.",
+        "mend": "Make it so.",
+        "fixture": "none",
+        "needs": ["GV901"],
+        "kinds": list(KINDS),
+        "target": None,
+        "evidence": None,
+    }

@@ -1,0 +1,44 @@
+from dataclasses import replace
+
+import pytest
+
+from gsgen.contract.errors import ModelUnreadable
+from gsgen.contract.reporters.summary import plural, printable, several, verdict
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.report import Unreadable
+
+UNREADABLE = Unreadable("a.onnx", ModelUnreadable("is empty"))
+
+
+def crashed(report):
+    first, *rest = report.outcomes
+    return replace(report, outcomes=(replace(first, status="crashed", reason="x"), *rest))
+
+
+def test_a_verdict_counts_what_does_not_count(reports):
+    first, second, *rest = reports["broken"].findings
+    found = (replace(first, known=True), replace(second, severity=Severity.INFO), *rest)
+    said = verdict(replace(reports["broken"], findings=found, baseline="b.json"))
+    assert said == (
+        "conforms: 29 rules hold; 1 warning; 1 info; ignored: GV018; 1 waived; "
+        "1 known from b.json; 2 not applicable"
+    )
+
+
+def test_several_models_are_counted_by_verdict(reports):
+    good, broken = reports["good"], reports["broken"]
+    assert several([good]) == "1 model: 1 conforms"
+    assert several([good, good, broken]) == "3 models: 2 conform, 1 invalid"
+    said = several([crashed(good), UNREADABLE, crashed(good)])
+    assert said == "3 models: 2 without verdict, 1 unreadable"
+    assert several([]) == "0 models: nothing judged"
+
+
+@pytest.mark.parametrize(("count", "said"), [(0, "0 rules"), (1, "1 rule"), (2, "2 rules")])
+def test_nouns_have_plurals(count, said):
+    assert plural(count, "rule") == said
+
+
+def test_control_characters_are_written_out():
+    assert printable("a\x1b[2J\x9b\ud800é\u202e\n") == r"a\x1b[2J\x9b\ud800é\u202e\n"
+    assert printable("a\nb\r", keep="\n") == "a\nb\\r"

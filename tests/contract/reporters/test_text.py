@@ -1,0 +1,160 @@
+import re
+from dataclasses import replace
+
+import pytest
+
+from gsgen.contract.errors import ModelUnreadable
+from gsgen.contract.reporters.text import Line, render, render_all
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Where
+from gsgen.contract.validation.report import Unreadable
+from support.reports.goldens import assert_is_golden
+from support.reports.judged import MODELS
+
+VOLATILE = (
+    (r"\b\d+\.\d ms, [\d,]+ looked", "0.0 ms, N looked"),  # runs may be planned anew
+    (r"\b\d+\.\d\d s\b", "0.00 s"),
+)
+
+
+def text_of(report, **options):
+    text = "".join(line.text + "\n" for line in render(report, **options))
+    for pattern, stand_in in VOLATILE:
+        text = re.sub(pattern, stand_in, text)
+    return text
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_report_reads_as_it_did(reports, name):
+    assert_is_golden(f"{name}.txt", text_of(reports[name]))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_verbose_report_reads_as_it_did(reports, name):
+    assert_is_golden(f"{name}.verbose.txt", text_of(reports[name], verbose=True))
+
+
+def test_no_line_of_a_finding_is_longer_than_a_terminal(reports):
+    for report in reports.values():
+        for line in render(report)[2:-1]:
+            assert len(line.text) <= 96
+
+
+def styles(report):
+    return [line.style for line in render(report) if line.style]
+
+
+def test_the_verdict_and_errors_have_a_style(reports):
+    assert styles(reports["good"]) == ["bold", "bold green"]
+    assert set(styles(reports["broken"])) == {"bold", "bold red", "yellow"}
+
+
+def test_a_finding_says_whether_it_is_possible_and_where_it_comes_from(reports):
+    (finding, *_) = reports["broken"].findings
+    doubtful = replace(finding, certainty="possible", source="webgpu@1.0")
+    text = text_of(replace(reports["broken"], findings=(doubtful,)))
+    assert f"  {finding.rule} error (possible) {finding.slug} [webgpu@1.0]\n" in text
+
+
+def test_a_crashed_rule_is_shown_with_its_traceback(reports):
+    report = reports["good"]
+    crashed = replace(
+        report.outcomes[0], status="crashed", reason="Traceback:\n  ValueError: x"
+    )
+    text = text_of(replace(report, outcomes=(crashed, *report.outcomes[1:])))
+    shown = f"  {crashed.rule.id} crashed: this is a fault of the rule\n    Traceback:\n      Val"
+    assert shown in text
+    assert text.splitlines()[-1].startswith("a rule crashed, no verdict: ")
+
+
+def test_the_last_line_counts_in_the_plural_where_there_are_several(reports):
+    (finding, *_) = reports["broken"].findings
+    found = [replace(finding, severity=severity, waived=False) for severity in Severity]
+    report = replace(reports["broken"], findings=(*found, found[-1], found[0]))
+    assert "2 errors; 1 warning; 2 info;" in text_of(report).splitlines()[-1]
+
+
+def test_sizes_are_shown_in_mebibytes_from_one_on(reports):
+    big = replace(reports["good"], size=5 << 19, settings="gsgen.toml")
+    first, second = text_of(big).splitlines()[:2]
+    assert first.endswith(", 8 rows, 2.5 MiB")
+    assert second.endswith(", settings from gsgen.toml")
+
+
+def test_what_a_model_is_called_cannot_steer_the_terminal(reports):
+    (finding, *_) = reports["broken"].findings
+    evil = replace(finding, where=Where("output \x1b[2J\x9b1m\ud800é"), message="a\nb\x07")
+    lines = render(replace(reports["broken"], findings=(evil,)))
+    assert Line(r"    output \x1b[2J\x9b1m\ud800é: a b\x07") in lines
+    assert all(line.text.isprintable() for line in lines)
+
+
+def test_a_finding_is_followed_by_what_could_not_be_judged_because_of_it(reports):
+    lines = text_of(reports["foreign"]).splitlines()
+    after = lines[lines.index("  GO005 error appearance-declared") :]
+    assert after[3] == "    so 1 rule could not be judged: GO008"
+
+
+@pytest.mark.parametrize("most", [10, 11])
+def test_many_rules_that_could_not_be_judged_are_counted(reports, monkeypatch, most):
+    monkeypatch.setattr("gsgen.contract.reporters.text._MOST_BLOCKED", most)
+    report = reports["foreign"]
+    short = "so 11 rules could not be judged, which `gsgen validate -v` lists\n"
+    assert (short in text_of(report)) == (most < 11)
+    assert "so 11 rules could not be judged: GV001, " in text_of(report, verbose=True)
+
+
+def test_causes_that_are_no_finding_are_named_all_the_same(reports):
+    report = replace(reports["foreign"], findings=())
+    lines = text_of(report).splitlines()
+    at = lines.index("  GO005 fail: appearance-declared")
+    assert lines[at + 1] == "    so 1 rule could not be judged: GO008"
+
+
+def test_what_is_known_is_shown_only_where_all_is(reports):
+    first, *rest = reports["broken"].findings
+    found = (replace(first, known=True), *rest)
+    report = replace(reports["broken"], findings=found, baseline="old.json")
+    assert f"{first.rule} error" not in text_of(report)
+    assert "1 known from old.json" in text_of(report).splitlines()[-1]
+    assert f"  {first.rule} error {first.slug} (known)\n" in text_of(report, verbose=True)
+
+
+def test_places_that_are_not_listed_are_spoken_of(reports):
+    first, *_ = reports["broken"].findings
+    report = replace(reports["broken"], findings=(replace(first, truncated=True),))
+    want = "    with what was found at further places, which are not listed\n"
+    assert want in text_of(report)
+
+
+@pytest.mark.parametrize(("places", "shown"), [(1, 1), (5, 5), (6, 4), (40, 4)])
+def test_findings_of_a_kind_share_their_head_and_cure(reports, places, shown):
+    first, *_ = reports["broken"].findings
+    found = tuple(replace(first, where=Where(f"tensor t{i}")) for i in range(places))
+    other = replace(first, mend="Something else.")
+    report = replace(reports["broken"], findings=(*found, other))
+    text = text_of(report)
+    assert text.count(f"  {first.rule} error {first.slug}\n") == 2
+    assert text.count(f"    mend: {first.mend[:40]}") == 1
+    assert text.count("    tensor t") == shown
+    more = f"    and at {places - shown} more places, which `gsgen validate -v` lists\n"
+    assert (more in text) == (shown < places)
+    assert text_of(report, verbose=True).count("    tensor t") == places
+
+
+def test_quiet_is_a_line_a_model(reports):
+    error = ModelUnreadable("is empty", where="a.onnx")
+    entries = [reports["good"], Unreadable("a.onnx", error), reports["broken"]]
+    lines = [line.text for line in render_all(entries, quiet=True)]
+    assert lines == [
+        "good.onnx: conforms: 34 rules hold; 2 not applicable",
+        "broken.onnx: invalid: 29 rules hold; 2 errors; 1 warning; ignored: GV018; "
+        "1 waived; 2 not applicable",
+        "3 models: 1 conforms, 1 invalid, 1 unreadable",
+    ]
+
+
+def test_one_model_is_not_summed_up(reports):
+    report = reports["good"]
+    assert render_all([report]) == render(report)
+    assert render_all([report, report])[:-1] == render(report) * 2

@@ -1,0 +1,120 @@
+import sys
+from importlib.metadata import EntryPoint
+from types import ModuleType
+
+import pytest
+
+from gsgen.contract.rules import catalogue as installed
+from gsgen.contract.rules.catalogue import catalogue, installed_rules
+from gsgen.contract.spec.roles import KINDS
+from gsgen.contract.validation.outcomes import Board
+from gsgen.contract.validation.rule import Registry
+from gsgen.contract.validation.settings import Settings
+from support.reports.rules import made_up
+
+FAMILIES = ["GM", "GI", "GO", "GG", "GV", "GB", "GL", "GS", "TV", "GW"]
+
+
+def test_the_catalogue_goes_family_by_family_in_order_of_ids():
+    rules = catalogue()
+    assert len(rules) > 50
+    order = [(FAMILIES.index(rule.family), rule.id) for rule in rules]
+    assert order == sorted(order)
+
+
+def test_every_rule_has_an_id_and_a_name_of_its_own():
+    rules = catalogue()
+    assert len({rule.id for rule in rules}) == len(rules)
+    assert len({rule.slug for rule in rules}) == len(rules)
+    assert Registry.of(rules)
+
+
+def test_every_rule_applies_to_a_kind_and_its_first_sentence_is_one():
+    for rule in catalogue():
+        assert rule.kinds
+        assert set(rule.kinds) <= set(KINDS)
+        assert rule.what.endswith("."), rule.id
+
+
+@pytest.fixture
+def plugin(monkeypatch):
+    """Register a module, made here, as a third party's rules."""
+    points = []
+
+    def register(name, module=None, **content):
+        point = EntryPoint(name, module or f"acme_{len(points)}", "gsgen.rules")
+        if module is None:
+            made = ModuleType(point.value)
+            vars(made).update(content)
+            monkeypatch.setitem(sys.modules, point.value, made)
+        points.append(point)
+
+    monkeypatch.setattr(installed, "registered", lambda group: points)
+    installed_rules.cache_clear()
+    yield register
+    installed_rules.cache_clear()
+
+
+def foreign():
+    own = {rule.id for rule in catalogue()}
+    return [rule for rule in installed_rules().rules.values() if rule.id not in own]
+
+
+def test_without_plugins_our_own_rules_are_all(plugin):
+    assert foreign() == []
+    assert installed_rules() is installed_rules()
+
+
+def test_a_plugins_module_brings_its_rules(plugin):
+    plugin("acme", rule=made_up("acme/AC001"), other=3)
+    assert [rule.id for rule in foreign()] == ["acme/AC001"]
+
+
+def test_a_plugin_may_name_a_list_of_rules(plugin, monkeypatch):
+    monkeypatch.setattr(EntryPoint, "load", lambda self: (made_up("acme/AC001"),))
+    plugin("acme", "acme:RULES")
+    assert [rule.id for rule in foreign()] == ["acme/AC001"]
+
+
+@pytest.mark.parametrize(
+    ("name", "id"),
+    [
+        ("acme", "acme/XX000"),
+        ("Acme_Rules 2", "acme-rules-2/XX000"),
+        ("2acme", "acme/XX000"),
+        ("規則", "plugin/XX000"),
+    ],
+)
+def test_a_plugin_that_does_not_load_is_a_rule_that_crashes(plugin, name, id):
+    plugin(name, "absent_module_of_acme")
+    (rule,) = foreign()
+    assert rule.id == id
+    assert rule.kinds == KINDS
+    board = Board(installed_rules(), Settings(), "")
+    assert board.is_ready(rule)
+    assert not board.judge(rule, None)
+    reason = board.outcomes[rule.id].reason.splitlines()[-1]
+    assert reason == (
+        f"ImportError: rules {name} = absent_module_of_acme do not load: "
+        "ModuleNotFoundError(\"No module named 'absent_module_of_acme'\")"
+    )
+
+
+def test_two_plugins_that_do_not_load_are_two_rules(plugin):
+    plugin("acme", "absent_module_of_acme")
+    plugin("acme", "another_absent_module")
+    assert [rule.id for rule in foreign()] == ["acme/XX000", "acme/XX001"]
+
+
+def test_a_plugin_cannot_take_the_place_of_a_rule(plugin):
+    plugin("acme", rule=made_up("GV003"))
+    (rule,) = foreign()
+    assert rule.id == "acme/XX000"
+    with pytest.raises(ImportError, match="rule GV003 is declared twice"):
+        list(rule.check(None))
+
+
+def test_a_plugin_that_names_something_else_is_a_rule_that_crashes(plugin, monkeypatch):
+    monkeypatch.setattr(EntryPoint, "load", lambda self: [3])
+    plugin("acme", "acme:RULES")
+    assert [rule.id for rule in foreign()] == ["acme/XX000"]

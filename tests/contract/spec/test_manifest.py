@@ -1,0 +1,320 @@
+import dataclasses
+import json
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsgen.contract.errors import ManifestInvalid, UnknownName
+from gsgen.contract.spec.manifest import (
+    CellsOutput,
+    GaussiansOutput,
+    GeneratorManifest,
+    GeneratorOutputs,
+    Input,
+    PostProcessManifest,
+    TrajectoryManifest,
+    WeightedSum,
+    manifest_type,
+)
+from gsgen.contract.spec.manifest_io import Complaint, dumps, loads, parse
+from support.models.manifests import manifests
+
+MINIMAL = {"contract": "1.0", "kind": "gaussian-generator", "name": "a", "outputs": {}}
+
+
+def text(**changes):
+    return json.dumps(MINIMAL | changes)
+
+
+def complaint(document):
+    parsed = parse(document)
+    assert parsed.manifest is None
+    assert len(parsed.complaints) == 1
+    return parsed.complaints[0]
+
+
+@settings(max_examples=40)
+@given(manifests())
+def test_a_manifest_survives_a_round_trip_through_text(manifest):
+    assert loads(dumps(manifest)) == manifest
+    assert loads(dumps(manifest, indent=None)) == manifest
+
+
+@settings(max_examples=300)
+@given(st.text() | st.tuples(st.integers(0, 150), st.integers(0, 9), st.text(max_size=3)))
+def test_no_text_makes_the_reader_raise(document):
+    if isinstance(document, tuple):  # a good one with something else in one place
+        at, gone, put = document
+        good = text(bounds={"min": [0, 0, 0], "max": [1, 1, 1]}, blend="alpha")
+        document = good[:at] + put + good[at + gone :]
+    parsed = parse(document)
+    assert (parsed.manifest is None) == bool(parsed.complaints)
+
+
+def test_text_starts_with_what_tells_readers_apart():
+    made = dumps(GeneratorManifest(name="ä", outputs=GeneratorOutputs()), indent=None)
+    assert made.startswith(
+        '{"contract": "1.1", "kind": "gaussian-generator", "inputs": [], "name": "ä"'
+    )
+
+
+def test_a_manifest_without_outputs_can_be_written_for_people_to_fill_in():
+    assert json.loads(dumps(loads(text())))["outputs"] == {}
+
+
+def test_an_input_without_axes_keeps_its_shape():
+    scalar = Input("gain", "control", shape=(), range=(0.0, 1.0), default=())
+    made = GeneratorManifest(name="a", inputs=(scalar,), outputs=GeneratorOutputs())
+    assert loads(dumps(made)).inputs == (scalar,)
+
+
+@pytest.mark.parametrize(
+    ("changes", "want"),
+    [
+        (
+            {"bounds": {"min": [0, 0], "max": [1, 1, 1]}},
+            Complaint(
+                "schema", "bounds.min", "[0, 0]", "Lower corner, x y z. (minItems 3)"
+            ),
+        ),
+        (
+            {"outputs": {"gaussians": {"name": "g"}}},
+            Complaint(
+                "schema",
+                "outputs.gaussians",
+                "no field 'capacity'",
+                "'capacity' to be present",
+            ),
+        ),
+        (
+            {"blend": "add"},
+            Complaint("schema", "blend", "add", "one of alpha, wsr"),
+        ),
+        (
+            {"space": {"upp": "-y", "x-a": 1}},
+            Complaint(
+                "schema",
+                "space",
+                "'upp'",
+                "only the fields handedness, up, unit, matrix_order",
+            ),
+        ),
+        (
+            {"name": ""},
+            Complaint(
+                "schema",
+                "name",
+                "an empty text",
+                "What people call the model. (minLength 1)",
+            ),
+        ),
+        (
+            {"inputs": [{"name": "t", "role": "clock"}]},
+            "inputs.0.role",
+        ),
+        ({"kind": "generator"}, "kind"),
+        ({"kind": ["gaussian-generator"]}, "kind"),
+        ({"outputs": None}, "outputs"),
+    ],
+)
+def test_a_complaint_says_where_what_and_what_else(changes, want):
+    found = complaint(text(**changes))
+    if isinstance(want, str):
+        assert (found.cause, found.where) == ("schema", want)
+    else:
+        assert found == want
+
+
+def test_complaints_come_in_order_of_their_place():
+    inputs = [{"name": "t", "role": "time", "fps": -1}] * 11
+    parsed = parse(text(inputs=inputs, blend="add"))
+    assert [one.where for one in parsed.complaints] == [
+        "blend",
+        *(f"inputs.{index}.fps" for index in range(11)),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("document", "want"),
+    [
+        ("", "a JSON document (Expecting value"),
+        ("{", "a JSON document (Expecting property name"),
+        ('{"contract": "1.0",}', "a JSON document ("),
+        (text()[:-1] + ', "x-a": NaN}', "a JSON document (NaN is no finite number)"),
+        (text()[:-1] + ', "x-a": -Infinity}', "a JSON document (-Infinity is no finite"),
+        (text()[:-1] + ', "x-a": 1e999}', "a JSON document (1e999 is no finite number)"),
+        (text()[:-1] + f', "x-a": {10**400}}}', "a JSON document (1000000"),
+        (text()[:-1] + ', "x-a": ' + "9" * 5000 + "}", "a JSON document (9999999"),
+        (text(name="\ud800"), "a JSON document ('utf-8' codec can't encode"),
+        ("[" * 100_000, "fewer brackets inside each other"),
+    ],
+)
+def test_what_is_no_json_document_is_one_complaint_about_the_whole(document, want):
+    found = complaint(document)
+    assert (found.cause, found.where) == ("syntax", "")
+    assert found.saw
+    assert found.want.startswith(want)
+
+
+@pytest.mark.parametrize("depth", range(900, 1000, 3))
+def test_no_depth_of_brackets_stops_the_reader(depth):
+    assert parse(text()[:-1] + f', "inputs": {"[" * depth}{"]" * depth}}}').complaints
+
+
+def test_a_text_of_many_megabytes_is_not_parsed():
+    found = complaint(" " * (1 + (4 << 20)))
+    assert (found.saw, found.want) == ("4194305 characters", "at most 4194304")
+
+
+@pytest.mark.parametrize("document", ["[]", "3", '"text"', "null"])
+def test_a_document_that_is_no_object_is_refused(document):
+    assert complaint(document).want == "a JSON object"
+
+
+@pytest.mark.parametrize(
+    "version", ["1", "1.0.0", "a.b", "", 1.0, None, "1.0\n", "١.٠", "1.123456"]
+)
+def test_a_version_that_is_none_is_refused(version):
+    found = complaint(text(contract=version))
+    assert (found.cause, found.where) == ("version", "contract")
+    assert found.want == 'a version such as "1.0"'
+
+
+def test_a_manifest_without_a_version_is_refused():
+    assert complaint('{"kind": "post-process"}').saw == "nothing"
+
+
+@pytest.mark.parametrize("version", ["2.0", "0.9", "17.3"])
+def test_another_major_version_is_refused(version):
+    parsed = parse(text(contract=version))
+    want = Complaint("version", "contract", version, "major version 1 to 1")
+    assert parsed.complaints == (want,)
+    assert parsed.version == tuple(int(part) for part in version.split("."))
+
+
+def test_a_newer_minor_version_is_read_with_fields_that_are_not_known():
+    gaussians = {"name": "g", "capacity": 4, "packing": "dense"}
+    parsed = parse(text(contract="1.7", outputs={"gaussians": gaussians}, mood="good"))
+    assert parsed.newer
+    assert parsed.version == (1, 7)
+    assert parsed.manifest is not None
+    assert parsed.manifest.outputs == GeneratorOutputs(GaussiansOutput("g", 4))
+
+
+def test_a_newer_minor_version_must_still_get_the_known_fields_right():
+    parsed = parse(text(contract="1.7", blend="add", mood="good"))
+    assert [one.where for one in parsed.complaints] == ["blend"]
+
+
+def test_extension_fields_are_accepted_everywhere():
+    gaussians = {"name": "g", "capacity": 4, "x-acme": {"any": [1, None]}}
+    parsed = parse(text(outputs={"gaussians": gaussians, "x-b": 1}, **{"x-c": "text"}))
+    assert parsed.complaints == ()
+    assert parsed.manifest is not None
+    assert not parsed.newer
+
+
+def test_writing_a_wrong_value_says_what_is_wrong():
+    made = GeneratorManifest(name="a", outputs=GeneratorOutputs(GaussiansOutput("g", 0)))
+    with pytest.raises(ManifestInvalid) as caught:
+        dumps(made)
+    assert str(caught.value) == (
+        "manifest: outputs.gaussians.capacity: 0, wanted "
+        "Rows of the tensor, padding included. (minimum 1)"
+    )
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_what_is_not_finite_cannot_be_written(value):
+    clock = Input("t", "time", range=(0.0, value))
+    made = GeneratorManifest(name="a", inputs=(clock,), outputs=GeneratorOutputs())
+    with pytest.raises(ManifestInvalid, match="is no finite number"):
+        dumps(made)
+
+
+def test_reading_a_wrong_text_lists_every_complaint():
+    with pytest.raises(ManifestInvalid) as caught:
+        loads(text(blend="add", antialias="none"))
+    assert str(caught.value) == (
+        "manifest: antialias: none, wanted one of classic, mip; "
+        "blend: add, wanted one of alpha, wsr"
+    )
+
+
+def test_every_kind_has_a_type():
+    types = {"gaussian-generator": GeneratorManifest, "post-process": PostProcessManifest}
+    types |= {"trajectory-predictor": TrajectoryManifest}
+    for kind, cls in types.items():
+        assert manifest_type(kind) is cls
+        defaults = {field.name: field.default for field in dataclasses.fields(cls)}
+        assert defaults["kind"] == kind
+
+
+def test_an_unknown_kind_names_the_nearest():
+    with pytest.raises(UnknownName) as caught:
+        manifest_type("gaussian-generater")
+    assert str(caught.value) == (
+        "unknown kind 'gaussian-generater'\n  Did you mean 'gaussian-generator'?"
+    )
+
+
+# ---- Cells -------------------------------------------------------------------------------------
+
+SUMMED = {
+    "blend": "wsr",
+    "weighted_sum": {"background": 0.1, "depth_range": 12.5},
+    "outputs": {"cells": {"name": "cells", "per_cell": 5}},
+}
+
+
+def test_cells_and_their_weights_are_read():
+    made = loads(text(**SUMMED, contract="1.1"))
+    assert made.outputs.cells == CellsOutput("cells", 5, "float32")
+    assert made.weighted_sum == WeightedSum(0.1, 12.5, 1.0)
+    assert loads(dumps(made)) == made
+    endless = loads(text(contract="1.1", weighted_sum={"background": 0}))
+    assert endless.weighted_sum.depth_range is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "where"),
+    [
+        ({"outputs": {"cells": {"name": "c"}}}, "outputs.cells"),
+        ({"outputs": {"cells": {"name": "c", "per_cell": 0}}}, "outputs.cells.per_cell"),
+        (
+            {"outputs": {"cells": {"name": "c", "per_cell": 2, "dtype": "int8"}}},
+            "outputs.cells.dtype",
+        ),
+        ({"weighted_sum": {}}, "weighted_sum"),
+        ({"weighted_sum": {"background": -0.1}}, "weighted_sum.background"),
+        (
+            {"weighted_sum": {"background": 0, "depth_range": 0}},
+            "weighted_sum.depth_range",
+        ),
+        (
+            {"weighted_sum": {"background": 0, "depth_range": None}},
+            "weighted_sum.depth_range",
+        ),
+        (
+            {"weighted_sum": {"background": 0, "opacity_divisor": 0}},
+            "weighted_sum.opacity_divisor",
+        ),
+    ],
+)
+def test_cells_and_weights_that_mean_nothing_are_refused(changes, where):
+    found = complaint(text(**changes, contract="1.1"))
+    assert (found.cause, found.where) == ("schema", where)
+
+
+def test_the_first_version_has_no_cells():
+    parsed = parse(text(**SUMMED))
+    assert [one.where for one in parsed.complaints] == ["", "outputs"]
+    assert parsed.complaints[0].saw == "'weighted_sum'"
+    assert parsed.complaints[1].saw == "'cells'"
+
+
+def test_a_weighted_sum_of_the_first_version_is_read_as_sorted():
+    parsed = parse(text(blend="wsr"))
+    assert parsed.manifest.blend == "alpha"
+    assert (parsed.manifest.contract, parsed.version) == ("1.1", (1, 0))

@@ -1,0 +1,73 @@
+import pytest
+
+from gsgen.contract.errors import UnknownName
+from gsgen.contract.spec.roles import KINDS, ROLES, matching_shape, role
+
+SPECIFIED = {
+    "view": ("float32", ((4, 4),)),
+    "projection": ("float32", ((4, 4),)),
+    "time": ("float32", ((1,),)),
+    "frame_index": ("int32", ((1,),)),
+    "camera_position": ("float32", ((3,),)),
+    "viewport": ("float32", ((2,),)),
+    "pose": ("float32", (("J", 3), ("J", 4))),
+    "shape": ("float32", (("B",),)),
+    "root_translation": ("float32", ((3,),)),
+    "root_rotation": ("float32", ((3,), (3, 3))),
+    "expression": ("float32", (("E",),)),
+    "appearance_id": ("int32", ((1,),)),
+    "control": ("float32", (("*",),)),
+}
+
+
+@pytest.mark.parametrize("name", SPECIFIED)
+def test_a_generator_role_has_the_dtype_and_shapes_of_the_contract(name):
+    dtype, shapes = SPECIFIED[name]
+    assert role(name).dtype[0] == dtype
+    assert role(name).shapes == shapes
+
+
+def test_a_generator_takes_the_roles_of_the_contract_and_no_others():
+    generators = {one.name for one in ROLES.values() if "gaussian-generator" in one.kinds}
+    assert generators == set(SPECIFIED)
+
+
+def test_every_role_is_known_by_its_own_name_and_belongs_to_a_kind():
+    for name, entry in ROLES.items():
+        assert entry.name == name
+        assert entry.summary.endswith(".")
+        assert set(entry.kinds) <= set(KINDS)
+        assert entry.kinds
+
+
+@pytest.mark.parametrize(
+    ("name", "dims", "want"),
+    [
+        ("view", (4, 4), (4, 4)),
+        ("view", (16,), None),
+        ("view", (1, 4, 4), None),
+        ("pose", (24, 3), ("J", 3)),
+        ("pose", (24, 4), ("J", 4)),
+        ("pose", (24, 6), None),
+        ("root_rotation", (3, 3), (3, 3)),
+        ("root_rotation", (3,), (3,)),
+        ("control", (), ("*",)),
+        ("control", (2, 5, 7), ("*",)),
+        ("image", (1, 3, "height", 64), (1, 3, "H", "W")),
+        ("conditioning", (1, 768), (1, "D")),
+    ],
+)
+def test_a_shape_matches_a_role_by_numbers_and_named_sizes(name, dims, want):
+    assert matching_shape(role(name), dims) == want
+
+
+def test_an_unknown_role_names_the_nearest():
+    with pytest.raises(UnknownName) as caught:
+        role("projektion")
+    assert str(caught.value) == "unknown role 'projektion'\n  Did you mean 'projection'?"
+
+
+def test_a_name_like_no_role_says_how_many_are_known():
+    with pytest.raises(UnknownName) as caught:
+        role("xyz")
+    assert str(caught.value) == f"unknown role 'xyz'\n  {len(ROLES)} are known."

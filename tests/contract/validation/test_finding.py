@@ -1,0 +1,103 @@
+from dataclasses import replace
+
+import pytest
+
+from gsgen.contract.errors import GsgenError, UnknownName
+from gsgen.contract.spec.severity import Level, Severity
+from gsgen.contract.validation.finding import Example, Finding, Where
+
+
+def test_severities_and_levels_are_ordered_and_read_in_any_case():
+    assert Severity.words() == ("info", "warning", "error")
+    assert Level.words() == ("static", "values", "behaviour", "live", "render")
+    assert Severity.parse("Warning") == Severity.WARNING > Severity.INFO
+    assert Level.parse("LIVE") == Level.LIVE > Level.BEHAVIOUR
+
+
+@pytest.mark.parametrize(
+    ("kind", "word", "text"),
+    [
+        (Severity, "fatal", "x: unknown severity 'fatal'\n  Known: error, info, warning."),
+        (Severity, "warn", "x: unknown severity 'warn'\n  Did you mean 'warning'?"),
+        (Level, "behavior", "x: unknown level 'behavior'\n  Did you mean 'behaviour'?"),
+    ],
+)
+def test_an_unknown_word_names_the_nearest(kind, word, text):
+    with pytest.raises(UnknownName) as caught:
+        kind.parse(word, "x")
+    assert str(caught.value) == text
+
+
+@pytest.mark.parametrize(
+    ("example", "text"),
+    [
+        (Example("nan"), "nan"),
+        (Example("nan", 3), "row 3: nan"),
+        (Example("nan", 3, "time=1"), "row 3 (time=1): nan"),
+        (Example("nan", None, "time=1"), "nan"),
+    ],
+)
+def test_an_example_says_its_row_and_probe(example, text):
+    assert str(example) == text
+
+
+def test_a_place_says_its_field():
+    assert str(Where("output g")) == "output g"
+    assert str(Where("output g", "opacity")) == "output g, opacity"
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({}, "9 rows"),
+        ({"where": "output g"}, "output g: 9 rows"),
+        ({"mend": "Try again."}, "9 rows\n  Try again."),
+        ({"where": "output g", "mend": "Try again."}, "output g: 9 rows\n  Try again."),
+    ],
+)
+def test_an_error_says_where_what_and_what_next(fields, text):
+    assert str(GsgenError("9 rows", **fields)) == text
+
+
+FOUND = Finding(
+    *("GV003", "opacity-range", Severity.ERROR, Where("output g", "opacity")),
+    *("2 of 4 rows", "Mend it.", 2, 4, (Example("1.5", 3, "time=0"),)),
+)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"count": 3, "total": 9, "message": "3 of 9 rows"},
+        {"examples": (Example("nan", 1, "time=1"), Example("2", 2))},
+        {"severity": Severity.INFO, "waived": True, "known": True, "mend": "Do."},
+    ],
+)
+def test_a_fingerprint_does_not_change_with_numbers_and_settings(change):
+    assert replace(FOUND, **change).fingerprint == FOUND.fingerprint == "b83b67613a63b931"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"rule": "GV004"},
+        {"where": Where("output g")},
+        {"where": Where("output h", "opacity")},
+        {"examples": (Example("no rows"),)},
+        {"certainty": "possible"},
+    ],
+)
+def test_another_fault_has_another_fingerprint(change):
+    assert replace(FOUND, **change).fingerprint != FOUND.fingerprint
+
+
+def test_places_that_read_alike_have_their_own_fingerprints():
+    joined = replace(FOUND, where=Where("output g, opacity"))
+    assert str(joined.where) == str(FOUND.where)
+    assert joined.fingerprint != FOUND.fingerprint
+
+
+@pytest.mark.parametrize(("waived", "known"), [(True, False), (False, True)])
+def test_what_is_waived_or_known_does_not_count(waived, known):
+    assert FOUND.counts
+    assert not replace(FOUND, waived=waived, known=known).counts

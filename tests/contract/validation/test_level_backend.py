@@ -1,0 +1,128 @@
+"""A level that another package runs: it is prepared once, judged, skipped or crashed."""
+
+from contextlib import contextmanager
+
+import pytest
+
+from gsgen.contract.rules.catalogue import catalogue
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.level_backend import LevelUnavailable, Prepared, Runner
+from gsgen.contract.validation.report import Report
+from gsgen.contract.validation.rule import Registry
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
+from support.models.small_models import good_rows, save_moving
+from support.reports.rules import made_up
+
+CONTEXT = "what the runner prepared"
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    return save_moving(tmp_path_factory.mktemp("good") / "good.onnx", good_rows(4))
+
+
+def told(context):
+    yield Breach.at("output g", str(context), "something else")
+
+
+def judged(path, prepare, *rules, level=Level.LIVE) -> Report:
+    runner = Runner(Level.LIVE, "doing it live", contextmanager(prepare))
+    registry = Registry.of([*catalogue(), *rules], [runner])
+    return validate(path, Settings(level=level), registry=registry)
+
+
+def of_level(report, level=Level.LIVE):
+    return next(one for one in report.levels if one.level is level)
+
+
+def test_rules_of_the_level_are_judged_with_what_was_prepared(good):
+    seen = []
+
+    def prepare(trial):
+        seen.append(len(trial.execution.runs))
+        yield Prepared(CONTEXT, items=3, environment={"device": "made up"}, seconds=100)
+        seen.append("closed")
+
+    needing = made_up("acme/AC001", over="live", needs=("acme/AC002",))
+    report = judged(good, prepare, needing, made_up("acme/AC002", told, over="live"))
+    assert (seen[0] > 8, seen[1:]) == (True, ["closed"])
+    assert of_level(report).ran
+    assert report.outcome("acme/AC001").reason == "because acme/AC002 does not hold"
+    assert report.outcome("acme/AC002").items == 3
+    assert report.findings[0].message == f"{CONTEXT}; wanted something else"
+    assert report.environment["device"] == "made up"
+    assert report.runtime_seconds > 100
+
+
+def test_a_rule_that_cannot_be_judged_here_is_skipped_with_its_reason(good):
+    def prepare(trial):
+        yield Prepared(CONTEXT, unjudged={"acme/AC001": "no such unit"})
+
+    rules = [made_up(f"acme/AC00{k}", told, over="live", needs=()) for k in (1, 2)]
+    report = judged(good, prepare, *rules)
+    outcome = report.outcome("acme/AC001")
+    assert (outcome.status, outcome.reason) == ("skipped", "no such unit")
+    assert report.outcome("acme/AC002").status == "fail"
+
+
+def test_a_level_that_cannot_run_is_skipped_with_its_reason(good):
+    def prepare(trial):
+        raise LevelUnavailable("no such device", mend="buy one")
+        yield
+
+    rules = [made_up(f"acme/AC00{k}", told, over="live", needs=()) for k in (1, 2)]
+    report = judged(good, prepare, *rules)
+    assert (of_level(report).ran, of_level(report).reason) == (
+        False,
+        "no such device: buy one",
+    )
+    for rule in rules:
+        outcome = report.outcome(rule.id)
+        assert (outcome.status, outcome.reason) == ("skipped", "no such device: buy one")
+    assert report.verdict == "conforms"
+
+
+def test_a_runner_that_crashes_leaves_no_verdict_but_the_report_stands(good):
+    def prepare(trial):
+        raise ZeroDivisionError("no luck")
+        yield
+
+    report = judged(good, prepare, made_up("acme/AC001", over="live"))
+    assert report.outcome("acme/AC001").status == "crashed"
+    assert report.outcome("acme/AC001").reason.endswith("ZeroDivisionError: no luck")
+    assert report.verdict == "internal-error"
+    assert report.outcome("GV003").status == "pass"
+
+
+def test_a_level_that_was_not_asked_for_is_not_prepared(good):
+    def prepare(trial):
+        raise AssertionError
+        yield
+
+    report = judged(
+        good, prepare, made_up("acme/AC001", over="live"), level=Level.BEHAVIOUR
+    )
+    assert report.outcome("acme/AC001").reason == "level live was not asked for"
+
+
+def test_a_model_that_does_not_run_is_not_run_live(tmp_path):
+    rows = good_rows(4)
+    path = save_moving(tmp_path / "a.onnx", rows)
+    path.write_bytes(path.read_bytes().replace(b'"contract"', b'"contrakt"'))
+
+    def prepare(trial):
+        raise AssertionError
+        yield
+
+    report = judged(path, prepare, made_up("acme/AC001", over="live", needs=("GV025",)))
+    reason = "the model did not run to the end on the CPU"
+    assert (of_level(report).ran, of_level(report).reason) == (False, reason)
+    assert report.outcome("acme/AC001").status == "not-applicable"
+
+
+def test_a_level_has_one_runner():
+    runner = Runner(Level.LIVE, "doing it live", contextmanager(lambda trial: iter(())))
+    with pytest.raises(ValueError, match="level live has two runners"):
+        Registry.of([], [runner, runner])

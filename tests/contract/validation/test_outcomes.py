@@ -1,0 +1,232 @@
+import warnings
+
+import numpy as np
+import pytest
+
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.targets import Target
+from gsgen.contract.validation.finding import Breach, Where
+from gsgen.contract.validation.outcomes import Board
+from gsgen.contract.validation.report import Outcome
+from gsgen.contract.validation.rule import Registry
+from gsgen.contract.validation.settings import Settings
+from support.reports.rules import breaking, crashing, made_up
+
+TARGET = Target("acme", "2", "A test.", (13, 20), 10, frozenset(), {"rows": 5})
+
+
+def board(*rules, kind="gaussian-generator", **settings):
+    return Board(Registry.of(rules), Settings(**settings), kind)
+
+
+def judge(made, *rules):
+    for rule in rules:
+        if made.is_ready(rule):
+            made.judge(rule, None)
+            made.settle([rule], items=3)
+    return made
+
+
+def test_a_rule_that_finds_nothing_passes():
+    rule = made_up("GV901")
+    outcome = judge(board(rule), rule).outcomes["GV901"]
+    assert (outcome.status, outcome.reason, outcome.items) == ("pass", "", 3)
+    assert 0 <= outcome.milliseconds < 1000
+
+
+def test_a_rule_that_finds_something_fails_with_a_finding():
+    rule = made_up("GV901", breaking, severity=Severity.WARNING)
+    made = judge(board(rule), rule)
+    assert made.outcomes["GV901"].status == "fail"
+    (finding,) = made.findings()
+    assert (finding.rule, finding.slug) == ("GV901", "made-up-gv901")
+    assert finding.severity == Severity.WARNING
+    assert finding.where == Where("output g")
+    assert finding.message == "nine; wanted ten"
+    assert finding.mend == "Make it so."
+    assert (finding.count, finding.total, finding.certainty) == (1, 1, "confirmed")
+    assert (finding.source, finding.waived) == ("contract", False)
+
+
+def test_a_rule_that_raises_is_crashed_and_says_where():
+    rule, other = made_up("GV901", crashing), made_up("GV902")
+    made = judge(board(rule, other), rule, other)
+    crashed = made.outcomes["GV901"]
+    assert crashed.status == "crashed"
+    assert crashed.reason.endswith("ZeroDivisionError: no luck")
+    assert "in crashing" in crashed.reason
+    assert made.outcomes["GV902"].status == "pass"
+
+
+def test_what_a_rule_found_before_it_crashed_is_kept():
+    def both(subject):
+        yield from breaking(subject)
+        yield from crashing(subject)
+
+    rule = made_up("GV901", both)
+    made = judge(board(rule), rule)
+    assert made.outcomes["GV901"].status == "crashed"
+    assert len(made.findings()) == 1
+
+
+def test_rules_that_need_a_broken_one_are_not_judged_and_name_it():
+    first = made_up("GV901", breaking)
+    second, third = made_up("GV902", needs=("GV901",)), made_up("GV903", needs=("GV902",))
+    made = judge(board(first, second, third), first, second, third)
+    text = "because GV901 does not hold"
+    for rule in (second, third):
+        outcome = Outcome(rule, "not-applicable", text, blocked_by="GV901")
+        assert made.outcomes[rule.id] == outcome
+
+
+@pytest.mark.parametrize("status", ["crashed", "skipped"])
+def test_what_crashed_or_was_skipped_blocks_as_well(status):
+    first, second = made_up("GV901", crashing), made_up("GV902", needs=("GV901",))
+    made = board(first, second)
+    if status == "skipped":
+        made.skip([first], "no time")
+    else:
+        judge(made, first)
+    assert not made.is_ready(second)
+    assert made.outcomes["GV902"].blocked_by == "GV901"
+
+
+def test_what_was_not_judged_blocks_as_well():
+    first, second = made_up("GV901"), made_up("GV902", needs=("GV901",))
+    made = board(first, second)
+    assert made.ready([second]) == []
+    assert made.outcomes["GV902"].blocked_by == "GV901"
+
+
+def test_what_does_not_apply_blocks_nothing():
+    first = made_up("GV901", breaking, target="another")
+    second = made_up("GV902", needs=("GV901",))
+    made = judge(board(first, second), first, second)
+    assert made.outcomes["GV901"].status == "not-applicable"
+    assert made.outcomes["GV902"].status == "pass"
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "reason"),
+    [
+        ({"target": "webgpu"}, "gaussian-generator", "only for target webgpu"),
+        ({"limit": "bytes"}, "gaussian-generator", "target acme sets no limit bytes"),
+        ({}, "post-process", "only for kind gaussian-generator"),
+        ({"target": "acme"}, "gaussian-generator", None),
+        ({"limit": "rows"}, "gaussian-generator", None),
+        ({"kinds": ("gaussian-generator", "post-process")}, "post-process", None),
+        ({}, "", None),
+    ],
+)
+def test_a_rule_applies_to_its_target_limit_and_kind(options, kind, reason):
+    rule = made_up("GV901", **options)
+    made = board(rule, kind=kind, target=TARGET)
+    assert made.ready([rule]) == ([] if reason else [rule])
+    assert made.outcomes == (
+        {"GV901": Outcome(rule, "not-applicable", reason)} if reason else {}
+    )
+
+
+def test_a_rule_is_judged_once():
+    rule = made_up("GV901")
+    made = judge(board(rule), rule)
+    assert not made.is_ready(rule)
+    made.skip([rule], "too late")
+    made.settle([rule], items=99)
+    assert made.outcomes["GV901"].items == 3
+
+
+def test_breaches_at_one_place_are_one_finding():
+    def many(_):
+        yield Breach.at("output a", "x", "y")
+        yield Breach.at("output b", "x", "y")
+        yield Breach.at("output a", "x", "y")
+
+    rule = made_up("GV901", many)
+    found = judge(board(rule), rule).findings()
+    assert [(one.where.subject, one.count) for one in found] == [
+        ("output a", 2),
+        ("output b", 1),
+    ]
+
+
+def test_more_than_twenty_places_are_counted_with_the_first():
+    def many(_):
+        for _ in range(2):
+            for index in range(25):
+                yield Breach.at(f"output {index}", "x", "y")
+
+    rule = made_up("GV901", many)
+    found = judge(board(rule), rule).findings()
+    assert len(found) == 20
+    assert [one.count for one in found] == [12] + [2] * 19
+    assert [one.truncated for one in found] == [True] + [False] * 19
+
+
+def test_findings_come_worst_first_then_in_order_of_the_catalogue():
+    severities = [Severity.INFO, Severity.ERROR, Severity.WARNING, Severity.ERROR]
+    rules = [
+        made_up(f"GV90{index}", breaking, severity=severity)
+        for index, severity in enumerate(severities)
+    ]
+    found = judge(board(*rules), *rules).findings()
+    assert [one.rule for one in found] == ["GV901", "GV903", "GV902", "GV900"]
+
+
+def test_an_ignored_rule_is_found_but_waived():
+    rule = made_up("GV901", breaking)
+    (finding,) = judge(board(rule, ignore=frozenset({"GV901"})), rule).findings()
+    assert finding.waived
+
+
+def test_severities_from_the_settings_hold():
+    rule = made_up("GV901", breaking)
+    made = judge(board(rule, severities={"GV901": Severity.INFO}), rule)
+    assert made.findings()[0].severity == Severity.INFO
+
+
+@pytest.mark.parametrize("options", [{"target": "acme"}, {"limit": "rows"}])
+def test_what_only_a_target_asks_for_is_said_to_come_from_it(options):
+    rule = made_up("GV901", breaking, **options)
+    assert judge(board(rule, target=TARGET), rule).findings()[0].source == "acme@2"
+
+
+def test_a_severity_that_a_target_sets_comes_from_it():
+    severities = {"GV901": Severity.WARNING}
+    target = Target("acme", "2", "A test.", (13, 20), 10, frozenset(), {}, severities)
+    rule = made_up("GV901", breaking)
+    (finding,) = judge(board(rule, target=target), rule).findings()
+    assert (finding.source, finding.severity) == ("acme@2", Severity.WARNING)
+
+
+def test_rows_of_several_probes_add_up():
+    def odd(chunk):
+        bad = chunk % 2 == 1
+        yield Breach.rows(Where("output g"), bad, chunk, "even", judged=len(bad))
+
+    rule = made_up("GV901", odd, over="rows")
+    made = board(rule)
+    for probe in ("a", "b"):
+        for start in (0, 4):
+            assert made.judge(rule, np.arange(start, start + 4), probe, start)
+    made.settle([rule])
+    (finding,) = made.findings()
+    assert (finding.count, finding.total) == (8, 16)
+    assert [(e.row, e.probe) for e in finding.examples] == [
+        (1, "a"),
+        (3, "a"),
+        (5, "a"),
+        (7, "a"),
+        (1, "b"),
+    ]
+
+
+def test_arithmetic_on_a_models_numbers_does_not_warn():
+    def overflow(_):
+        huge = np.array([np.finfo(np.float32).max, np.inf], np.float32)
+        yield Breach.at("output g", str(huge * huge - huge), "something smaller")
+
+    rule = made_up("GV901", overflow)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert judge(board(rule), rule).outcomes["GV901"].status == "fail"

@@ -1,0 +1,109 @@
+from dataclasses import replace
+
+import pytest
+
+from gsgen.contract.spec.severity import Level, Severity
+from gsgen.contract.spec.targets import load_target
+from gsgen.contract.validation.finding import Finding, Where
+from gsgen.contract.validation.report import Cause, Outcome, Report, exit_code
+from support.reports.rules import made_up
+
+RULE = made_up("GV901")
+
+
+def finding(severity=Severity.ERROR, **changes):
+    made = Finding("GV901", "s", severity, Where("output g"), "nine", "mend", 1, 1)
+    return replace(made, **changes)
+
+
+def report(*findings, statuses=("pass",), fail_on=Severity.ERROR):
+    outcomes = tuple(Outcome(RULE, status) for status in statuses)
+    return Report(
+        path="a.onnx",
+        size=1,
+        kind="gaussian-generator",
+        name="a",
+        contract="1.0",
+        capacity=4,
+        target=load_target("core"),
+        level=Level.STATIC,
+        fail_on=fail_on,
+        findings=findings,
+        outcomes=outcomes,
+        levels=(),
+    )
+
+
+@pytest.mark.parametrize("fail_on", Severity)
+@pytest.mark.parametrize("severity", Severity)
+def test_findings_at_or_above_the_bar_make_a_model_invalid(severity, fail_on):
+    verdict = report(finding(severity), fail_on=fail_on).verdict
+    assert verdict == ("invalid" if severity >= fail_on else "conforms")
+
+
+def test_without_findings_a_model_conforms():
+    assert report().verdict == "conforms"
+
+
+@pytest.mark.parametrize(
+    "changes", [{"waived": True}, {"known": True}, {"certainty": "possible"}]
+)
+def test_what_is_waived_known_or_only_possible_never_fails(changes):
+    assert report(finding(**changes), fail_on=Severity.INFO).verdict == "conforms"
+
+
+@pytest.mark.parametrize("findings", [(), (finding(),)])
+def test_a_crashed_rule_leaves_no_verdict(findings):
+    made = report(*findings, statuses=("pass", "crashed", "fail"))
+    assert made.verdict == "internal-error"
+
+
+def test_counts_leave_out_what_is_waived_or_known():
+    made = report(
+        finding(), finding(waived=True), finding(known=True), finding(Severity.INFO)
+    )
+    assert [made.count(severity) for severity in Severity] == [1, 0, 1]
+
+
+def test_every_status_is_counted():
+    made = report(statuses=("pass", "pass", "skipped", "fail"))
+    assert made.statuses == {"pass": 2, "skipped": 1, "fail": 1}
+    assert made.statuses["crashed"] == 0
+
+
+def test_an_outcome_is_found_by_its_rule():
+    made = report()
+    assert made.outcome("GV901") is made.outcomes[0]
+    with pytest.raises(KeyError, match="GV902"):
+        made.outcome("GV902")
+
+
+def test_causes_are_rules_that_keep_others_from_being_judged():
+    names = ("GV901", "GV902", "GV903", "GV904")
+    first, second, third, fourth = (made_up(name) for name in names)
+    root = Outcome(second, "fail")
+    blocked = [
+        Outcome(one, "not-applicable", "because", blocked_by="GV902")
+        for one in (first, fourth)
+    ]
+    outcomes = (blocked[0], root, Outcome(third, "pass"), blocked[1])
+    made = replace(report(), outcomes=outcomes)
+    assert made.causes == (Cause(root, (first, fourth)),)
+    assert report().causes == ()
+
+
+GOOD, BAD, CRASHED = report(), report(finding()), report(statuses=("crashed",))
+
+
+@pytest.mark.parametrize(
+    ("reports", "code"),
+    [
+        ([], 0),
+        ([GOOD, GOOD], 0),
+        ([GOOD, BAD], 1),
+        ([CRASHED, GOOD], 3),
+        ([BAD, CRASHED], 3),
+    ],
+)
+def test_the_exit_code_is_that_of_the_worst_report(reports, code):
+    assert exit_code(reports) == code

@@ -1,0 +1,192 @@
+from types import ModuleType
+
+import pytest
+
+from gsgen.contract.errors import UnknownName
+from gsgen.contract.spec.severity import Level, Severity
+from gsgen.contract.validation.rule import Registry, rule, rules_in
+from support.reports.rules import made_up
+
+
+def declared(
+    id="GV999", slug="always-so", doc="It is so.\n\nWhy:\n  x\n\nMend:\n  y", **options
+):
+    def check(_):
+        return iter(())
+
+    check.__doc__ = doc
+    options = {"over": "rows", "fixture": "broken"} | options
+    return rule(id, slug, Severity.ERROR, **options)(check)
+
+
+def test_a_rule_takes_its_text_from_its_docstring():
+    @rule("GV999", "always-so", Severity.WARNING, over="emission", fixture="broken")
+    def always_so(_):
+        """It is so,
+        whatever happens.
+
+        Why:
+            Because nothing else
+            would do.
+
+        Mend:
+            Make it
+            so.
+        """
+
+    assert always_so.what == "It is so, whatever happens."
+    assert always_so.why == "Because nothing else would do."
+    assert always_so.mend == "Make it so."
+    assert (always_so.id, always_so.slug, always_so.family) == ("GV999", "always-so", "GV")
+    assert (always_so.severity, always_so.fixture) == (Severity.WARNING, "broken")
+    assert always_so.kinds == ("gaussian-generator",)
+    assert (always_so.needs, always_so.target, always_so.limit) == ((), "", "")
+    assert always_so.evidence == ""
+
+
+def test_a_rule_may_say_where_it_was_seen_to_break_something():
+    doc = "It is so.\n\nWhy:\n  x\n\nMend:\n  y\n\nEvidence:\n  Seen\n  in a viewer.\n"
+    made = declared(doc=doc)
+    assert (made.mend, made.evidence) == ("y", "Seen in a viewer.")
+
+
+@pytest.mark.parametrize(
+    ("scope", "level"),
+    [
+        ("model", Level.STATIC),
+        ("execution", Level.VALUES),
+        ("emission", Level.VALUES),
+        ("rows", Level.VALUES),
+        ("runs", Level.BEHAVIOUR),
+        ("report", Level.STATIC),
+    ],
+)
+def test_what_a_rule_looks_at_decides_its_level(scope, level):
+    assert declared(over=scope).level == level
+    assert declared(over=scope, level=Level.LIVE).level == Level.LIVE
+
+
+@pytest.mark.parametrize("id", ["GV003", "acme/AC001", "acme-2/ZZ999"])
+def test_an_id_is_two_letters_and_three_digits_with_a_name_in_front(id):
+    assert declared(id).id == id
+
+
+@pytest.mark.parametrize(
+    "id", ["GV3", "gv003", "GV0033", "GVX003", "/GV003", "Acme/AC001", "3/AC001"]
+)
+def test_another_id_is_refused(id):
+    with pytest.raises(
+        ValueError, match="wanted an id like GV003 and a slug like opacity-range"
+    ):
+        declared(id)
+
+
+@pytest.mark.parametrize(
+    "slug", ["", "Opacity", "opacity_range", "-opacity", "opacity--range"]
+)
+def test_another_slug_is_refused(slug):
+    with pytest.raises(
+        ValueError, match="wanted an id like GV003 and a slug like opacity-range"
+    ):
+        declared(slug=slug)
+
+
+@pytest.mark.parametrize(
+    "doc",
+    [
+        None,
+        "",
+        "It is so.",
+        "It is so.\n\nWhy:\n  x",
+        "It is so.\n\nMend:\n  y",
+        "It is so.\n\nMend:\n  y\n\nWhy:\n  x",
+        "\nWhy:\n  x\n\nMend:\n  y",
+        "It is so.\n\nWhy:\n\nMend:\n  y",
+        "It is so.\n\nWhy:\n  x\n\nMend:\n",
+    ],
+)
+def test_a_rule_without_sentence_reason_or_remedy_is_refused(doc):
+    with pytest.raises(
+        ValueError, match=r"^GV999: the docstring needs a sentence, a `Why:` and"
+    ):
+        declared(doc=doc)
+
+
+def test_a_module_has_the_rules_it_declares_in_order():
+    module = ModuleType("acme")
+    module.b, module.a, module.number = made_up("GV902"), made_up("GV901"), 3
+    assert [one.id for one in rules_in(module)] == ["GV902", "GV901"]
+
+
+def test_a_registry_has_every_id_once():
+    with pytest.raises(ValueError, match="rule GV901 is declared twice"):
+        Registry.of([made_up("GV901"), made_up("GV901")])
+
+
+def test_a_registry_has_all_that_its_rules_need():
+    with pytest.raises(ValueError, match="rule GV901 needs GV900, which does not exist"):
+        Registry.of([made_up("GV901", needs=("GV900",))])
+
+
+REGISTRY = Registry.of(
+    [declared("GV901", "opacity-range"), declared("acme/GV902", "rows-finite")]
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "id"),
+    [
+        ("GV901", "GV901"),
+        ("gv901", "GV901"),
+        ("opacity-range", "GV901"),
+        ("Opacity-Range", "GV901"),
+        ("ACME/gv902", "acme/GV902"),
+    ],
+)
+def test_a_rule_is_found_by_id_or_name_in_any_case(name, id):
+    assert REGISTRY.find(name).id == id
+
+
+@pytest.mark.parametrize(
+    ("name", "mend"),
+    [
+        ("GV910", "Did you mean 'GV901'?"),
+        ("opacity-rang", "Did you mean 'opacity-range'?"),
+        ("zzz", "Known: opacity-range, rows-finite."),
+        ("opacity-range2", "Did you mean 'opacity-range'?"),
+        ("GV902", "Did you mean 'acme/GV902'?"),
+        ("GX901", "Ids begin with GV, acme/GV; `gsgen rules` lists them."),
+        (
+            "acme/GV7",
+            "Ids of acme/GV are acme/GV902 to acme/GV902; `gsgen rules` lists them.",
+        ),
+    ],
+)
+def test_an_unknown_rule_names_the_nearest_of_its_sort(name, mend):
+    with pytest.raises(UnknownName) as caught:
+        REGISTRY.find(name, "--ignore")
+    assert str(caught.value) == f"--ignore: unknown rule {name!r}\n  {mend}"
+
+
+ALL = Registry.of(made_up(f"GV{number:03}") for number in (1, 2, 3, 12, 21, 30, 31))
+
+
+@pytest.mark.parametrize(
+    ("typed", "mend"),
+    [
+        *(
+            (typed, "Did you mean 'GV003'?")
+            for typed in ("GV03", "gv3", "GV-003", "GV0003")
+        ),
+        ("GV903", "Did you mean 'GV003'?"),
+        ("GV013", "Did you mean 'GV003' or 'GV012' or 'GV031'?"),
+        ("GV011", "Ids of GV are GV001 to GV031; `gsgen rules` lists them."),
+        ("GV100", "Did you mean 'GV001'?"),
+        ("GV0031000", "Ids of GV are GV001 to GV031; `gsgen rules` lists them."),
+        ("GV777", "Ids of GV are GV001 to GV031; `gsgen rules` lists them."),
+    ],
+)
+def test_only_ids_that_exist_are_suggested(typed, mend):
+    with pytest.raises(UnknownName) as caught:
+        ALL.find(typed)
+    assert caught.value.mend == mend

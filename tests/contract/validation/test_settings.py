@@ -1,0 +1,296 @@
+from datetime import date
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from gsgen.contract.errors import ConfigInvalid, UnknownName
+from gsgen.contract.process.limits import Limits
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.spec.severity import Level, Severity
+from gsgen.contract.spec.targets import Target, load_target
+from gsgen.contract.validation.settings import Settings, config_schema, read_config
+from gsgen.contract.validation.waivers import Waiver
+
+REGISTRY = installed_rules()
+OPACITY = REGISTRY.find("GV003")
+
+
+@pytest.fixture
+def read(tmp_path):
+    def write_and_read(text, base=None):
+        (tmp_path / "gsgen.toml").write_text(text)
+        return read_config(tmp_path / "gsgen.toml", REGISTRY, base)
+
+    return write_and_read
+
+
+def test_a_file_can_set_everything(read, tmp_path):
+    settings = read(
+        """
+        [validate]
+        level = "values"
+        target = "webgpu@1.0"
+        fail_on = "warning"
+        ignore = ["GM001", "opacity-range"]
+        timeout = 2.5
+        memory_mib = 64
+        strict = true
+        seed = 7
+
+        [severity]
+        GV005 = "info"
+        covariance-psd = "warning"
+        gv007 = "error"
+    """
+    )
+    assert settings == Settings(
+        level=Level.VALUES,
+        target=load_target("webgpu"),
+        fail_on=Severity.WARNING,
+        ignore=frozenset({"GM001", "GV003"}),
+        severities={
+            "GV005": Severity.INFO,
+            "GV006": Severity.WARNING,
+            "GV007": Severity.ERROR,
+        },
+        limits=Limits(2.5, 64 << 20),
+        strict=True,
+        seed=7,
+        source=str(tmp_path / "gsgen.toml"),
+    )
+
+
+def test_an_empty_file_changes_nothing_but_the_source(read, tmp_path):
+    base = Settings(level=Level.STATIC, seed=3, ignore=frozenset({"GM001"}), strict=True)
+    settings = read("", base)
+    assert settings.source == str(tmp_path / "gsgen.toml")
+    assert (settings.level, settings.seed, settings.strict) == (Level.STATIC, 3, True)
+    assert settings.ignore == {"GM001"}
+    assert settings.limits == base.limits
+
+
+def test_what_a_file_ignores_comes_on_top(read):
+    base = Settings(ignore=frozenset({"GM001"}), severities={"GV003": Severity.INFO})
+    settings = read('[validate]\nignore = ["GV004"]\n[severity]\nGV004 = "info"\n', base)
+    assert settings.ignore == {"GM001", "GV004"}
+    assert settings.severities == {"GV003": Severity.INFO, "GV004": Severity.INFO}
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "said"),
+    [
+        (
+            "[validte]\n",
+            UnknownName,
+            ": unknown key 'validte'\n  Did you mean 'validate'?",
+        ),
+        (
+            '[validate]\nlevle = "static"\n',
+            UnknownName,
+            ", validate: unknown key 'levle'\n  Did you mean 'level'?",
+        ),
+        (
+            '[validate]\nignore = ["GV903"]\n',
+            UnknownName,
+            ", ignore: unknown rule 'GV903'\n  Did you mean 'GV0",
+        ),
+        (
+            '[severity]\nopacity-rage = "info"\n',
+            UnknownName,
+            ", [severity]: unknown rule 'opacity-rage'\n  Did you mean 'opacity-range'?",
+        ),
+        (
+            '[validate]\ntarget = "webgl"\n',
+            UnknownName,
+            ": unknown target 'webgl'\n  Did you mean 'webgpu'?",
+        ),
+        (
+            '[validate]\ntarget = "webgpu@0.1"\n',
+            ConfigInvalid,
+            ": target webgpu has version 1.0, not 0.1",
+        ),
+        (
+            '[validate]\nlevel = "all"\n',
+            ConfigInvalid,
+            ", validate.level: 'all' is not one of ['static', 'values', 'behaviour', ",
+        ),
+        (
+            "[validate]\nfail_on = 3\n",
+            ConfigInvalid,
+            ", validate.fail_on: 3 is not one of ['info', 'warning', 'error']",
+        ),
+        (
+            '[severity]\nGV003 = "fatal"\n',
+            ConfigInvalid,
+            ", severity.GV003: 'fatal' is not one of ['info', 'warning', 'error']",
+        ),
+        (
+            "[severity]\ngv003 = 3\n",
+            ConfigInvalid,
+            ", severity.gv003: 3 is not one of ['info', 'warning', 'error']",
+        ),
+        (
+            '[validate]\ntimeout = "long"\n',
+            ConfigInvalid,
+            ", validate.timeout: 'long' is not of type 'number'",
+        ),
+        (
+            "[validate]\ntimeout = 0\n",
+            ConfigInvalid,
+            ", validate.timeout: 0 is less than or equal to the minimum of 0",
+        ),
+        (
+            "[validate]\nmemory_mib = 63\n",
+            ConfigInvalid,
+            ", validate.memory_mib: 63 is less than the minimum of 64",
+        ),
+        (
+            '[validate]\nignore = "GV003"\n',
+            ConfigInvalid,
+            ", validate.ignore: 'GV003' is not of type 'array'",
+        ),
+        (
+            "validate = 3\n",
+            ConfigInvalid,
+            ", validate: 3 is not of type 'object'",
+        ),
+        (
+            "[validate\n",
+            ConfigInvalid,
+            ": is not TOML: Expected ']' at the end of a table declaration (at line 1, ",
+        ),
+    ],
+)
+def test_what_cannot_be_meant_is_an_error_with_its_place(read, tmp_path, text, error, said):
+    with pytest.raises(error) as caught:
+        read(text)
+    assert str(caught.value).startswith(f"{tmp_path / 'gsgen.toml'}{said}")
+
+
+def test_a_time_that_is_no_number_is_refused(read):
+    with pytest.raises(ConfigInvalid, match=r"nan s and .* wanted more than 0 of each"):
+        read("[validate]\ntimeout = nan\n")
+
+
+def test_a_file_that_is_not_there_is_an_error(tmp_path):
+    with pytest.raises(ConfigInvalid) as caught:
+        read_config(tmp_path / "absent.toml", REGISTRY)
+    want = f"{tmp_path / 'absent.toml'}: cannot be read: No such file or directory"
+    assert str(caught.value) == want
+
+
+def test_a_file_that_is_no_text_is_an_error(tmp_path):
+    (tmp_path / "gsgen.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(ConfigInvalid, match="is not TOML: 'utf-8' codec"):
+        read_config(tmp_path / "gsgen.toml", REGISTRY)
+
+
+def test_the_schema_of_the_file_lists_every_rule_by_id_and_name():
+    schema = config_schema(REGISTRY)
+    Draft202012Validator.check_schema(schema)
+    listed = schema["properties"]["severity"]["properties"]
+    names = {name for rule in REGISTRY.rules.values() for name in (rule.id, rule.slug)}
+    assert set(listed) == names
+    assert listed["GV003"]["description"] == OPACITY.what
+    section = schema["properties"]["validate"]["properties"]
+    assert set(section["ignore"]["items"]["examples"]) == names
+    assert all("description" in entry for entry in section.values())
+
+
+def target(**severities):
+    return Target("t", "1", "A test.", (13, 20), 10, frozenset({""}), {}, severities)
+
+
+@pytest.mark.parametrize(
+    ("settings", "severity"),
+    [
+        (Settings(), Severity.ERROR),
+        (Settings(target=target(GV003=Severity.WARNING)), Severity.WARNING),
+        (
+            Settings(
+                target=target(GV003=Severity.WARNING), severities={"GV003": Severity.INFO}
+            ),
+            Severity.INFO,
+        ),
+        (Settings(strict=True), Severity.ERROR),
+    ],
+)
+def test_settings_win_over_the_target_which_wins_over_the_rule(settings, severity):
+    assert settings.severity_of(OPACITY) == severity
+
+
+def test_a_strict_run_makes_a_missing_manifest_an_error_unless_said_otherwise():
+    missing = REGISTRY.find("GM001")
+    assert Settings().severity_of(missing) == Severity.WARNING
+    assert Settings(strict=True).severity_of(missing) == Severity.ERROR
+    lenient = Settings(strict=True, severities={"GM001": Severity.INFO})
+    assert lenient.severity_of(missing) == Severity.INFO
+
+
+def test_a_file_can_waive_findings_with_a_reason(read, tmp_path):
+    settings = read(
+        """
+        [[waive]]
+        rule = "GV004"
+        reason = " Dust, on purpose. "
+
+        [[waive]]
+        rule = "opacity-range"
+        where = "output gaussians, opacity"
+        model = "garden*.onnx"
+        reason = "Until the next export."
+        until = 2027-01-01
+
+        [[waive]]
+        rule = "gv005"
+        reason = "Known."
+        until = "2027-01-02"
+    """
+    )
+    where, next_year = "output gaussians, opacity", date(2027, 1, 1)
+    assert settings.waivers == (
+        Waiver("GV004", "Dust, on purpose."),
+        Waiver("GV003", "Until the next export.", where, "garden*.onnx", next_year),
+        Waiver("GV005", "Known.", until=date(2027, 1, 2)),
+    )
+    assert settings.source == str(tmp_path / "gsgen.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('rule = "GV004"', ", waive.0: 'reason' is a required property"),
+        ('reason = "x"', ", waive.0: 'rule' is a required property"),
+        ('rule = "GV004"\nreason = " "', ", waive.0.reason: ' ' does not match"),
+        (
+            'rule = "opacity-rage"\nreason = "x"',
+            ", waive.0.rule: unknown rule 'opacity-rage'\n  Did you mean 'opacity-range'?",
+        ),
+        (
+            'rule = "GV004"\nreason = "x"\nuntill = 2027-01-01',
+            ", waive.0: unknown key 'untill'\n  Did you mean 'until'?",
+        ),
+        (
+            'rule = "GV004"\nreason = "x"\nuntil = "soon"',
+            ", waive.0.until: 'soon' is no day; wanted one like 2027-01-01",
+        ),
+        (
+            'rule = "GV004"\nreason = "x"\nuntil = 2027-01-01T00:00:00',
+            ", waive.0.until: datetime.datetime(2027, 1, 1, 0, 0) is not of type 'string'",
+        ),
+        (
+            'rule = "GV004"\nreason = "x"\nuntil = 3',
+            ", waive.0.until: 3 is not of type 'string'",
+        ),
+    ],
+)
+def test_a_waiver_that_cannot_be_meant_is_an_error(read, tmp_path, text, said):
+    with pytest.raises(ConfigInvalid) as caught:
+        read(f"[[waive]]\n{text}\n")
+    assert str(caught.value).startswith(f"{tmp_path / 'gsgen.toml'}{said}")
+
+
+@pytest.mark.parametrize("text", ["waive = 3", "waive = [3]", "[waive]\nrule = 1"])
+def test_what_is_no_list_of_waivers_is_an_error(read, text):
+    with pytest.raises(ConfigInvalid, match=", waive"):
+        read(f"{text}\n")

@@ -1,0 +1,65 @@
+"""Settings from words, as every front end takes them."""
+
+from pathlib import Path
+
+import pytest
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.spec.severity import Level, Severity
+from gsgen.contract.validation.settings_from_options import make_settings
+
+REGISTRY = installed_rules()
+
+
+def test_words_win_over_the_file_of_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert make_settings(REGISTRY).source == "defaults"
+    text = '[validate]\ntarget = "webgpu"\nlevel = "static"\nfail_on = "warning"\n'
+    Path("gsgen.toml").write_text(text)
+    found = make_settings(REGISTRY, level="values")
+    assert (found.target.name, found.source) == ("webgpu", "gsgen.toml")
+    assert (found.level, found.fail_on) == (Level.VALUES, Severity.WARNING)
+    Path("other.toml").write_text('[validate]\ntarget = "visionary"\n')
+    other = make_settings(REGISTRY, config=Path("other.toml"))
+    assert (other.target.name, other.level) == ("visionary", Level.BEHAVIOUR)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ({"target": "webgpuu"}, "Did you mean 'webgpu'?"),
+        (
+            {"level": "behavior"},
+            "--level: unknown level 'behavior'\n  Did you mean 'behaviour'?",
+        ),
+        ({"fail_on": "never"}, "unknown severity 'never'"),
+        ({"ignore": ["GV003,GV03"]}, "--ignore: unknown rule 'GV03'"),
+        ({"severity": ["GV003"]}, "--severity: 'GV003' has no '='"),
+        ({"severity": ["GV003=bad"], "prefix": "--gsgen-"}, "--gsgen-severity: unknown"),
+        ({"timeout": 0.0}, "wanted more than 0"),
+        ({"config": Path("none.toml")}, "none.toml: cannot be read"),
+    ],
+)
+def test_a_wrong_word_names_itself(words: dict[str, str], message: str) -> None:
+    with pytest.raises(ConfigInvalid) as caught:
+        make_settings(REGISTRY, **words)
+    assert message in str(caught.value)
+
+
+def test_every_word_counts() -> None:
+    made = make_settings(
+        REGISTRY,
+        ignore=["GV003,mostly-visible", "gm001"],
+        severity=["GV005=info"],
+        timeout=3.5,
+        memory=70,
+        strict=True,
+        seed=4,
+    )
+    assert made.ignore >= {"GV003", "GV004", "GM001"}
+    assert dict(made.severities) == {"GV005": Severity.INFO}
+    assert (made.limits.seconds, made.limits.memory) == (3.5, 70 << 20)
+    assert (made.strict, made.seed) == (True, 4)

@@ -1,0 +1,116 @@
+import json
+from dataclasses import replace
+
+import pytest
+
+from gsgen.conformance.fixtures import find
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.spec.manifest import Tolerances
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.settings import Settings, read_config
+from gsgen.contract.validator import validate
+from support.models.small_models import good_rows, manifest_of, moving, save
+
+STATIC = Settings(level=Level.STATIC)
+
+
+def tolerances(path):
+    found = validate(path, STATIC).tolerances
+    return {one.field: (one.value, one.source) for one in found}
+
+
+@pytest.fixture
+def declaring(tmp_path):
+    """Save a model whose manifest declares some tolerances."""
+
+    def saved(declared):
+        path = save(tmp_path / "a.onnx", moving(good_rows(4)), manifest_of(4))
+        import onnx
+
+        proto = onnx.load(path)
+        document = json.loads(proto.metadata_props[0].value) | declared
+        proto.metadata_props[0].value = json.dumps(document)
+        onnx.save(proto, path)
+        return path
+
+    return saved
+
+
+def test_what_the_manifest_does_not_say_is_the_default(declaring):
+    assert tolerances(declaring({})) == {
+        "position": (1e-3, "default"),
+        "covariance": (1e-3, "default"),
+        "opacity": (2e-3, "default"),
+        "appearance": (2e-3, "default"),
+    }
+
+
+def test_what_the_manifest_says_holds_even_where_it_says_the_default(declaring):
+    found = tolerances(declaring({"tolerances": {"opacity": 0.1, "position": 1e-3}}))
+    assert found["opacity"] == (0.1, "manifest")
+    assert found["position"] == (1e-3, "manifest")
+    assert found["covariance"] == (1e-3, "default")
+
+
+def test_units_come_from_the_manifest_s_own_declaration(declaring):
+    units = {one.field: one.unit for one in validate(declaring({}), STATIC).tolerances}
+    assert units["position"] == "in standard deviations of the Gaussian"
+    assert units["opacity"] == "absolute"
+
+
+def test_a_guessed_manifest_has_the_defaults(tmp_path):
+    path = save(tmp_path / "a.onnx", moving(good_rows(4)))
+    assert {source for _, source in tolerances(path).values()} == {"default"}
+
+
+def test_what_is_no_generator_has_none(tmp_path):
+    report = validate(find("post_process").write(tmp_path), STATIC)
+    assert report.kind == "post-process"
+    assert report.tolerances == ()
+
+
+def test_the_configuration_wins_over_the_manifest(declaring, tmp_path):
+    path = declaring({"tolerances": {"opacity": 0.1, "position": 0.2}})
+    file = tmp_path / "gsgen.toml"
+    file.write_text("[tolerances]\nopacity = 0.5\n")
+    settings = replace(read_config(file, installed_rules()), level=Level.STATIC)
+    found = {
+        one.field: (one.value, one.source) for one in validate(path, settings).tolerances
+    }
+    assert found["opacity"] == (0.5, "config")
+    assert found["position"] == (0.2, "manifest")
+    assert found["covariance"] == (1e-3, "default")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("opacty = 1", "Did you mean 'opacity'"), ("opacity = -1", "less than the minimum")],
+)
+def test_a_tolerance_that_cannot_be_meant_is_refused(tmp_path, text, message):
+    file = tmp_path / "gsgen.toml"
+    file.write_text(f"[tolerances]\n{text}\n")
+    with pytest.raises(ConfigInvalid, match=message):
+        read_config(file, installed_rules())
+
+
+def told_of_the_optimiser(path, **settings):
+    report = validate(path, Settings(**settings))
+    assert report.outcome("GB010").status in ("pass", "fail")
+    return [f"{one.where}: {one.message}" for one in report.findings if one.rule == "GB010"]
+
+
+def test_rules_that_compare_take_their_numbers_from_there(tmp_path):
+    sketch = find("optimised_wrongly").draw()
+    sketch.write(tmp_path / "m.onnx")
+    (message,) = told_of_the_optimiser(tmp_path / "m.onnx")
+    assert message.startswith("output gaussians, position: row ")
+    unit = "in standard deviations of the Gaussian"
+    assert f"wanted 0.001 at most, {unit} (the contract's own)" in message
+    (message,) = told_of_the_optimiser(tmp_path / "m.onnx", tolerances={"position": 0.5})
+    assert f"wanted 0.5 at most, {unit} (by the configuration)" in message
+    assert not told_of_the_optimiser(tmp_path / "m.onnx", tolerances={"position": 1e3})
+    sketch.declaring(tolerances=Tolerances(position=0.25)).write(tmp_path / "m.onnx")
+    (message,) = told_of_the_optimiser(tmp_path / "m.onnx")
+    assert "wanted 0.25 at most" in message
+    assert "(by the manifest)" in message

@@ -1,0 +1,112 @@
+from datetime import date
+from pathlib import Path
+
+import pytest
+
+from gsgen.contract.spec.severity import Level, Severity
+from gsgen.contract.validation.finding import Finding, Where
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validation.waivers import Waiver, waive
+from gsgen.contract.validator import validate
+from support.models.small_models import good_rows, save_moving
+
+TODAY = date(2026, 6, 1)
+FINDING = Finding(
+    "GV003", "s", Severity.ERROR, Where("output g", "opacity"), "nine", "mend", 1, 1
+)
+
+
+@pytest.mark.parametrize(
+    ("rule", "where", "covers"),
+    [
+        ("GV003", "", True),
+        ("GV003", "output g", True),
+        ("GV003", "output g, opacity", True),
+        ("GV003", "output", False),
+        ("GV003", "output h", False),
+        ("GV003", "output g, position", False),
+        ("GV004", "", False),
+    ],
+)
+def test_a_waiver_covers_findings_of_its_rule_at_its_place(rule, where, covers):
+    waiver = Waiver(rule, "Known.", where=where)
+    (found,) = waive([FINDING], [waiver], TODAY)
+    assert waiver.covers(FINDING) is covers
+    assert (found.waived, found.waiver) == (covers, "Known." if covers else "")
+
+
+@pytest.mark.parametrize(
+    ("until", "holds"),
+    [(None, True), (date(2026, 6, 1), True), (date(2026, 5, 31), False)],
+)
+def test_a_waiver_holds_on_its_last_day_and_not_after(until, holds):
+    (found,) = waive([FINDING], [Waiver("GV003", "Known.", until=until)], TODAY)
+    assert found.waived is holds
+
+
+@pytest.mark.parametrize(
+    ("model", "speaks"),
+    [
+        ("", True),
+        ("a.onnx", True),
+        ("*.onnx", True),
+        ("m/a.onnx", True),
+        ("m/*", True),
+        ("b.onnx", False),
+        ("n/a.onnx", False),
+    ],
+)
+def test_a_waiver_speaks_of_all_models_or_of_those_it_names(model, speaks):
+    settings = Settings(waivers=(Waiver("GV003", "Known.", model=model),))
+    assert bool(settings.for_model(Path("m/a.onnx")).waivers) is speaks
+
+
+@pytest.fixture
+def judge(tmp_path):
+    """Judge a model whose opacities are 2, with waivers."""
+    rows = good_rows(4)
+    rows[:, 3] = 2
+    path = save_moving(tmp_path / "a.onnx", rows)
+
+    def judged(*waivers, level=Level.VALUES):
+        settings = Settings(level=level, waivers=waivers, today=TODAY)
+        return validate(path, settings)
+
+    return judged
+
+
+def rules_of(report):
+    return [(one.rule, one.waived) for one in report.findings]
+
+
+def test_a_waived_finding_does_not_fail(judge):
+    assert judge().verdict == "invalid"
+    report = judge(Waiver("GV003", "Known."))
+    assert report.verdict == "conforms"
+    assert rules_of(report) == [("GV003", True)]
+
+
+def test_a_waiver_that_waives_nothing_is_a_finding(judge):
+    report = judge(Waiver("GV003", "Known.", where="output gaussian"))
+    assert rules_of(report) == [("GV003", False), ("GW001", False)]
+    assert report.findings[1].where == Where("waiver of GV003 at output gaussian")
+    assert report.findings[1].message.startswith("nothing to waive; wanted ")
+
+
+def test_a_waiver_that_has_ended_is_a_finding_and_waives_nothing(judge):
+    report = judge(Waiver("GV003", "Known.", until=date(2026, 5, 31)))
+    assert rules_of(report) == [("GV003", False), ("GW001", False)]
+    assert report.findings[1].message.startswith("ended on 2026-05-31; wanted ")
+
+
+def test_a_waiver_of_what_was_not_judged_is_left_alone(judge):
+    report = judge(Waiver("GV003", "Known."), level=Level.STATIC)
+    assert report.outcome("GV003").status == "skipped"
+    assert rules_of(report) == []
+    assert report.outcome("GW001").status == "pass"
+
+
+def test_what_reviews_waivers_can_be_waived(judge):
+    unneeded = Waiver("GV004", "For later.")
+    report = judge(Waiver("GV003", "Known."), unneeded, Waiver("GW001", "I know."))
+    assert rules_of(report) == [("GV003", True), ("GW001", True)]

@@ -1,0 +1,386 @@
+import itertools
+import struct
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsgen.formats import (
+    BodyMalformed,
+    FileTruncated,
+    FormatError,
+    HeaderMalformed,
+    NotRecognised,
+    NotSupported,
+    PropertyMissing,
+    ValueInvalid,
+    ply_properties,
+    read_ply,
+)
+
+CORE = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"
+CLOUD = ["float x", "float y", "float z", "uchar red", "uchar green", "uchar blue"]
+AGAIN = "copy or download the file again"
+
+
+def ply(vertex: list[str], count: int = 1, encoding: str = "binary_little_endian") -> bytes:
+    """A header whose vertices have the properties ``vertex``."""
+    lines = "".join(f"property {line}\n" for line in vertex)
+    head = f"ply\nformat {encoding} 1.0\nelement vertex {count}\n{lines}end_header\n"
+    return head.encode()
+
+
+def floats(names: str) -> list[str]:
+    return [f"float {name}" for name in names.split()]
+
+
+def refusal(tmp_path: Path, content: bytes, kind: type[FormatError]) -> str:
+    """The text of the error over ``content``, without the path that it begins with."""
+    file = tmp_path / "bad.ply"
+    file.write_bytes(content)
+    with pytest.raises(FormatError) as caught:
+        read_ply(file)
+    assert type(caught.value) is kind
+    assert caught.value.path == str(file)
+    return str(caught.value).removeprefix(f"{file}: ")
+
+
+@pytest.mark.parametrize(
+    ("line", "seen", "wanted"),
+    [
+        ("element vertex -1", "element 'vertex' with '-1' rows", "not negative"),
+        ("element vertex 1_0", "element 'vertex' with '1_0' rows", "a whole number"),
+        ("element vertex 1e3", "element 'vertex' with '1e3' rows", "a whole number"),
+        ("element vertex " + "9" * 19, "with '9999999999999999999' rows", "18 digits"),
+        ("element vertex", "'element vertex'", "`element NAME COUNT`"),
+        ("property float", "'property float'", "`property TYPE NAME`"),
+        ("property float x", "'property float x'", "after an element"),
+        ("format ascii 1.0", "'format ascii 1.0'", "one line `format ENCODING 1.0`"),
+        ("vertices 3", "'vertices 3'", "format, element, property, comment or obj_info"),
+    ],
+)
+def test_a_header_line_that_breaks_the_rules_is_named(tmp_path, line, seen, wanted):
+    content = f"ply\nformat ascii 1.0\ncomment -\n{line}\nend_header\n".encode()
+    text = refusal(tmp_path, content, HeaderMalformed)
+    assert text.startswith("header line 4: ")
+    assert seen in text.splitlines()[0]
+    assert wanted in text.splitlines()[1]
+
+
+@pytest.mark.parametrize(
+    ("properties", "text"),
+    [
+        (
+            ["float x", "half y"],
+            "header line 5: unknown type 'half'\nwanted one of char, uchar, short, ushort, "
+            "int, uint, float, double, int8, uint8, int16, uint16, int32, uint32, float32, "
+            "float64",
+        ),
+        (
+            ["float x", "double x"],
+            "header line 5: property 'x' of element 'vertex' for the second time\n"
+            "wanted it once",
+        ),
+        (
+            ["float x", "list float int y"],
+            "header line 5: a list counted in 'float'\nwanted a whole-number type",
+        ),
+    ],
+)
+def test_a_property_that_breaks_the_rules_is_named(tmp_path, properties, text):
+    assert refusal(tmp_path, ply(properties), HeaderMalformed) == text
+
+
+def test_an_element_cannot_come_twice(tmp_path):
+    content = b"ply\nformat ascii 1.0\nelement a 1\nelement a 2\nend_header\n"
+    assert refusal(tmp_path, content, HeaderMalformed) == (
+        "header line 4: element 'a' for the second time\nwanted it once"
+    )
+
+
+@pytest.mark.parametrize("line", ["format ascii 2.0", "format binary 1.0", "comment none"])
+def test_the_format_line_has_to_be_known(tmp_path, line):
+    content = f"ply\n{line}\nelement vertex 1\nend_header\n".encode()
+    text = refusal(tmp_path, content, HeaderMalformed)
+    assert text.startswith("header line 2: ")
+    assert text.endswith(
+        "one line `format ENCODING 1.0`, "
+        "ENCODING ascii or binary_little_endian or binary_big_endian"
+    )
+
+
+def test_a_header_without_end_is_truncated(tmp_path):
+    assert refusal(tmp_path, b"ply\nformat ascii 1.0\n", FileTruncated) == (
+        "header: no end_header in the first 21 bytes, which are all there are\n"
+        f"wanted a line that says end_header\n{AGAIN}"
+    )
+
+
+def test_a_header_is_looked_for_in_one_mebibyte_only(tmp_path):
+    content = b"ply\n" + b"comment -\n" * 200_000 + b"end_header\n"
+    assert refusal(tmp_path, content, HeaderMalformed) == (
+        "header: no end_header in the first 1048576 bytes\n"
+        "wanted a line that says end_header"
+    )
+
+
+def test_a_header_is_ascii(tmp_path):
+    content = "ply\nformat ascii 1.0\ncomment Gauß\nend_header\n".encode()
+    assert refusal(tmp_path, content, HeaderMalformed) == (
+        "header: byte 0xc3 at offset 32\nwanted ASCII only"
+    )
+
+
+@pytest.mark.parametrize("content", [b"plyx\n", b"PLY\n", b"\x1f\x8b\x08\x00", b"p"])
+def test_a_file_that_does_not_begin_with_ply_is_not_recognised(tmp_path, content):
+    text = refusal(tmp_path, content, NotRecognised)
+    assert text == (
+        f"first bytes: {content[:4].decode('latin-1')!r}\n"
+        "wanted `ply` on a line of its own, as a PLY file begins"
+    )
+
+
+@pytest.mark.parametrize(
+    "gone", [["opacity"], ["f_dc_1", "rot_3"], ["x", "z"], ["scale_1", "scale_2"]]
+)
+def test_missing_properties_of_splats_are_named_and_no_others(tmp_path, gone):
+    kept = [name for name in CORE.split() if name not in gone]
+    text = refusal(tmp_path, ply(floats(" ".join(kept))), PropertyMissing)
+    first, second = text.splitlines()
+    assert first.startswith(f"element 'vertex': {', '.join(gone)} missing, found ")
+    assert second == "wanted all properties of a 3DGS PLY, as some are there"
+
+
+def test_one_property_of_splats_asks_for_the_others(tmp_path):
+    text = refusal(tmp_path, ply([*CLOUD, "float f_rest_0"]), PropertyMissing)
+    assert text == (
+        "element 'vertex': f_dc_0, f_dc_1, f_dc_2, opacity, scale_0, scale_1, scale_2, "
+        "rot_0, rot_1, rot_2, rot_3 missing, "
+        "found x, y, z, red, green, blue, f_rest_0\n"
+        "wanted all properties of a 3DGS PLY, as some are there"
+    )
+
+
+def test_two_scales_look_like_2dgs(tmp_path):
+    text = refusal(tmp_path, ply(floats(CORE.replace("scale_2 ", ""))), PropertyMissing)
+    assert "scale_2 missing" in text
+    assert text.endswith(
+        "\ntwo scales look like a 2DGS file: flat splats, which are not read here"
+    )
+
+
+@pytest.mark.parametrize("count", [1, 3, 8, 10, 44, 46, 75])
+def test_a_number_of_coefficients_of_no_degree_is_refused(tmp_path, count):
+    rest = [f"float f_rest_{index}" for index in range(count)]
+    text = refusal(tmp_path, ply(floats(CORE) + rest), PropertyMissing)
+    assert text.startswith(f"element 'vertex': {count} properties f_rest: f_rest_0")
+    assert text.endswith("\nwanted 0, 9, 24, 45 or 72 of them, for SH degree 0 to 4")
+
+
+def test_a_gap_between_coefficients_is_named(tmp_path):
+    rest = [f"float f_rest_{index}" for index in [0, 1, 2, 3, 4, 5, 6, 7, 9]]
+    text = refusal(tmp_path, ply(floats(CORE) + rest), PropertyMissing)
+    assert text.startswith("element 'vertex': f_rest_8 missing")
+
+
+def test_points_need_a_colour(tmp_path):
+    assert refusal(tmp_path, ply(CLOUD[:4]), PropertyMissing) == (
+        "element 'vertex': green, blue missing, found x, y, z, red\n"
+        "wanted x, y, z and a colour, or all properties of a 3DGS PLY"
+    )
+
+
+def test_colours_are_bytes_or_floats(tmp_path):
+    mixed = [*CLOUD[:3], "float red", "uchar green", "ushort blue"]
+    assert refusal(tmp_path, ply(mixed), NotSupported) == (
+        "properties red, green, blue: colours of types f4, u1, u2\n"
+        "wanted uchar (0 to 255) for all, or float (0 to 1) for all"
+    )
+
+
+def test_colours_in_floats_lie_in_the_unit_range(tmp_path):
+    content = ply(floats("x y z red green blue")) + struct.pack("<6f", 0, 0, 0, 0, 255, 0)
+    assert refusal(tmp_path, content, ValueInvalid) == (
+        "property green: 1 of 1 rows, row 0 is 255\nwanted 0 <= value <= 1\n"
+        "colours from 0 to 255 have to be stored as bytes (uchar, uint8)"
+    )
+
+
+def test_an_empty_cloud_is_refused(tmp_path):
+    assert refusal(tmp_path, ply(CLOUD, count=0), ValueInvalid) == (
+        "element 'vertex': 0 rows\nwanted at least one\n"
+        "whatever made this may have dropped every point"
+    )
+
+
+def test_a_file_without_points_says_what_it_holds(tmp_path):
+    content = b"ply\nformat ascii 1.0\nelement face 0\nelement edge 0\nend_header\n"
+    assert refusal(tmp_path, content, PropertyMissing) == (
+        "no element 'vertex', found face, edge\nwanted element 'vertex'"
+    )
+
+
+def test_columns_of_a_compressed_file_mean_nothing_alone(tmp_path):
+    file = tmp_path / "packed.ply"
+    file.write_bytes(ply(["uint packed_position", "uint packed_rotation"]))
+    with pytest.raises(NotSupported) as caught:
+        ply_properties(file)
+    assert str(caught.value) == (
+        f"{file}: element 'vertex', property packed_position: a compressed PLY\n"
+        "wanted a plain 3DGS PLY\n"
+        "unpack it: `gsgen convert packed.ply plain.ply`"
+    )
+
+
+def test_points_cannot_hold_lists(tmp_path):
+    assert refusal(tmp_path, ply([*CLOUD, "list uchar int near"]), NotSupported) == (
+        "element 'vertex': near in lists\nwanted plain numbers"
+    )
+
+
+def test_more_points_than_the_file_can_hold_are_refused_with_numbers(tmp_path):
+    header = ply(CLOUD, count=10**17)
+    assert refusal(tmp_path, header + bytes(100), FileTruncated) == (
+        "element 'vertex': 100000000000000000 rows of 15 bytes take 1500000000000000000 "
+        f"bytes, 100 are left from byte {len(header)} on\n{AGAIN}"
+    )
+
+
+def test_one_byte_too_few_is_one_too_few(tmp_path):
+    text = refusal(tmp_path, ply(CLOUD, count=2) + bytes(29), FileTruncated)
+    assert "2 rows of 15 bytes take 30 bytes, 29 are left" in text
+
+
+def test_more_lines_than_the_file_can_hold_are_refused_with_numbers(tmp_path):
+    content = ply(CLOUD, count=10**17, encoding="ascii") + b"1 2 3 4 5 6\n"
+    assert refusal(tmp_path, content, FileTruncated) == (
+        "element 'vertex': 100000000000000000 rows take 1199999999999999999 bytes or more, "
+        f"12 are left\n{AGAIN}"
+    )
+
+
+def test_text_that_ends_early_says_after_which_row(tmp_path):
+    content = ply(CLOUD, count=3, encoding="ascii") + b"1.5 2.5 3.5 0 0 255\n" * 2
+    assert refusal(tmp_path, content, FileTruncated) == (
+        f"element 'vertex': the file ends after 2 of 3 rows\n{AGAIN}"
+    )
+
+
+@pytest.mark.parametrize(
+    ("row", "text"),
+    [
+        (b"1 2 3 4 5", "row 1: 5 values\nwanted 6, one for each property"),
+        (b"1 2 3 4 5 6 7", "row 1: 7 values\nwanted 6, one for each property"),
+        (b"1 2 3 4 5 6 # 7", "row 1: 8 values\nwanted 6, one for each property"),
+        (b"1 2 red 4 5 6", "row 1: 'red'\nwanted a number"),
+        (b"1 2 \xff 4 5 6", "row 1: '\ufffd'\nwanted a number"),
+    ],
+)
+def test_a_bad_row_of_text_is_named(tmp_path, row, text):
+    content = ply(CLOUD, count=2, encoding="ascii") + b"1 2 3 4 5 6\n" + row + b"\n\n"
+    assert refusal(tmp_path, content, BodyMalformed) == f"element 'vertex', {text}"
+
+
+def test_rows_that_are_all_too_long_are_no_better(tmp_path):
+    content = ply(CLOUD, count=2, encoding="ascii") + b"1 2 3 4 5 6 7\n" * 2
+    text = refusal(tmp_path, content, BodyMalformed)
+    assert text == "element 'vertex', row 0: 7 values\nwanted 6, one for each property"
+
+
+def test_a_line_without_end_is_not_read_into_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr("gsgen.formats.ply.ascii.MAX_LINE", 40)
+    header = ply(CLOUD, encoding="ascii")
+    assert refusal(tmp_path, header + b"1" * 41, BodyMalformed) == (
+        f"byte {len(header)}: a line of more than 40 bytes"
+    )
+
+
+def with_faces(kind: str, body: bytes, encoding: str = "binary_little_endian") -> bytes:
+    faces = f"element face 2\nproperty list {kind} int ids\nelement vertex".encode()
+    return ply(CLOUD, encoding=encoding).replace(b"element vertex", faces) + body
+
+
+def test_a_list_of_negative_length_is_refused(tmp_path):
+    content = with_faces("char", b"\x01\0\0\0\0\xff" + bytes(40))
+    start = content.index(b"end_header\n") + len(b"end_header\n")
+    assert refusal(tmp_path, content, BodyMalformed) == (
+        f"property 'ids', row 1, byte {start + 5}: a list of -1 values\nwanted 0 or more"
+    )
+
+
+@pytest.mark.parametrize("length", [b"\xff\xff\xff\xff", b"\x02\0\0\0" + bytes(8)])
+def test_a_list_that_runs_over_the_end_is_refused(tmp_path, length):
+    rows = 0 if length[0] == 255 else 1
+    assert refusal(tmp_path, with_faces("uint", length), FileTruncated) == (
+        f"element 'face': the file ends after {rows} of 2 rows\n{AGAIN}"
+    )
+
+
+def test_text_that_ends_in_an_earlier_element_says_so(tmp_path):
+    content = with_faces("uchar", b"5 1 2 3 4 5                \n", "ascii")
+    text = refusal(tmp_path, content, FileTruncated)
+    assert text == f"element 'face': the file ends after 1 of 2 rows\n{AGAIN}"
+
+
+VALID = {
+    encoding: with_faces("uchar", body, encoding)
+    for encoding, body in {
+        "ascii": b"3 1 2 3\n0\n1 2 3 4 5 6\n",
+        "binary_little_endian": struct.pack("<B3iB3f3B", 3, 1, 2, 3, 0, 1, 2, 3, 4, 5, 6),
+        "binary_big_endian": struct.pack(">B3iB3f3B", 3, 1, 2, 3, 0, 1, 2, 3, 4, 5, 6),
+    }.items()
+}
+
+
+def read_or_refuse(file: Path, content: bytes) -> bool:
+    """Whether ``content`` is read; anything raised but a FormatError fails the test."""
+    file.write_bytes(content)
+    try:
+        read_ply(file)
+    except FormatError as error:
+        text = str(error)
+    else:
+        return True
+    assert 1 <= len(text.splitlines()) <= 3
+    return False
+
+
+@pytest.mark.parametrize("encoding", VALID)
+def test_every_truncated_file_is_refused(tmp_path, encoding):
+    content = VALID[encoding].rstrip(b"\n")
+    assert read_or_refuse(tmp_path / "whole.ply", content)
+    shorter = (content[:size] for size in range(1, len(content)))
+    read = [read_or_refuse(tmp_path / "part.ply", part) for part in shorter]
+    assert not any(read)
+
+
+@settings(max_examples=250, deadline=None)
+@given(
+    encoding=st.sampled_from([*VALID]),
+    edits=st.lists(
+        st.tuples(st.integers(0, 400), st.integers(0, 3), st.binary(max_size=3)),
+        min_size=1,
+        max_size=4,
+    ),
+)
+def test_a_mutated_file_is_read_or_refused_but_never_crashes(
+    tmp_path_factory, encoding, edits
+):
+    content = VALID[encoding]
+    for at, gone, put in edits:
+        content = content[:at] + put + content[at + gone :]
+    read_or_refuse(tmp_path_factory.getbasetemp() / "mutated.ply", content or b"-")
+
+
+WORDS = ["element", "vertex", "property", "list", "uchar", "float", "x", "0", "3", "-1"]
+WORDS += ["format", "ascii", "1.0", "comment", "\x1c", "\x00", "opacity"]
+
+
+@settings(max_examples=150, deadline=None)
+@given(lines=st.lists(st.lists(st.sampled_from(WORDS), max_size=5), max_size=8))
+def test_a_header_of_known_words_never_crashes(tmp_path_factory, lines):
+    text = "\n".join(
+        itertools.chain(["ply"], map(" ".join, lines), ["end_header", "1 2 3"])
+    )
+    read_or_refuse(tmp_path_factory.getbasetemp() / "words.ply", text.encode())

@@ -1,0 +1,604 @@
+import json
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsgen.contract.spec.geometry import rotation_matrix
+from gsgen.contract.spec.spherical_harmonics import evaluate
+from gsgen.formats import (
+    FileTruncated,
+    FormatError,
+    HeaderMalformed,
+    NotRecognised,
+    NotSupported,
+    PropertyMissing,
+    SizeExceeded,
+    Splats,
+    ValueInvalid,
+    read_glb,
+    read_ply,
+    read_spz,
+    write_glb,
+    write_spz,
+)
+from gsgen.formats.codecs import recognised
+from support.splat_files import GOLDENS, assert_near, scene
+
+NAME = "KHR_gaussian_splatting"
+
+
+def parts(content: bytes) -> tuple[dict, bytes]:
+    size = struct.unpack_from("<I", content, 12)[0]
+    return json.loads(content[20 : 20 + size]), content[28 + size :]
+
+
+def built(document: dict, binary: bytes) -> bytes:
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    total = 28 + len(text) + len(binary)
+    head = struct.pack("<4sIII4s", b"glTF", 2, total, len(text), b"JSON")
+    return head + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+
+
+def covariance(splats: Splats) -> np.ndarray:
+    axes = (
+        rotation_matrix(splats.rotation) * np.exp(splats.log_scale.astype(float))[:, None]
+    )
+    return axes @ axes.swapaxes(1, 2)
+
+
+def directions(count: int = 40) -> np.ndarray:
+    made = np.random.default_rng(0).standard_normal((count, 3))
+    return made / np.linalg.norm(made, axis=1, keepdims=True)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    degree=st.integers(0, 4),
+    seed=st.integers(0, 2**32 - 1),
+    space=st.sampled_from(["srgb", "linear"]),
+)
+def test_only_the_last_digits_are_lost(tmp_path_factory, degree, seed, space):
+    splats = scene(9, degree, seed, color_space=space)
+    file = tmp_path_factory.getbasetemp() / "round.glb"
+    write_glb(file, splats)
+    back = read_glb(file)
+    assert_near(back, splats, rotation=1e-6, log_scale=1e-6, opacities=1e-7)
+    assert back.color_space == space
+
+
+def test_the_file_is_what_the_extension_says(tmp_path):
+    splats = scene(4, 1)
+    write_glb(tmp_path / "a.glb", splats)
+    content = (tmp_path / "a.glb").read_bytes()
+    assert struct.unpack_from("<4sII", content) == (b"glTF", 2, len(content))
+    document, binary = parts(content)
+    assert document["asset"]["version"] == "2.0"
+    assert document["extensionsUsed"] == [NAME]
+    assert document["buffers"] == [{"byteLength": len(binary)}]
+    primitive = document["meshes"][0]["primitives"][0]
+    assert primitive["mode"] == 0
+    assert primitive["extensions"][NAME] == {
+        "kernel": "ellipse",
+        "colorSpace": "srgb_rec709_display",
+        "projection": "perspective",
+        "sortingMethod": "cameraDistance",
+    }
+
+    def values(name: str, width: int) -> np.ndarray:
+        accessor = document["accessors"][primitive["attributes"][name]]
+        kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[width]
+        assert (accessor["componentType"], accessor["type"]) == (5126, kind)
+        view = document["bufferViews"][accessor["bufferView"]]
+        at = view["byteOffset"]
+        return np.array(struct.unpack_from(f"<{4 * width}f", binary, at)).reshape(4, width)
+
+    flipped = splats.position * np.array([-1, -1, 1])
+    np.testing.assert_allclose(values("POSITION", 3), flipped, rtol=1e-6)
+    accessor = document["accessors"][primitive["attributes"]["POSITION"]]
+    np.testing.assert_allclose(accessor["min"], flipped.min(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(accessor["max"], flipped.max(axis=0), rtol=1e-6)
+    turns = values(f"{NAME}:ROTATION", 4)
+    np.testing.assert_allclose(np.linalg.norm(turns, axis=1), 1, atol=1e-6)
+    sizes = values(f"{NAME}:SCALE", 3)
+    np.testing.assert_allclose(sizes, np.exp(splats.log_scale), rtol=1e-5)
+    np.testing.assert_allclose(
+        values(f"{NAME}:OPACITY", 1)[:, 0],
+        1 / (1 + np.exp(-splats.logit_opacity)),
+        rtol=1e-5,
+    )
+    names = [name for name in primitive["attributes"] if "SH" in name]
+    wanted = [(0, 0), (1, 0), (1, 1), (1, 2)]
+    assert names == [f"{NAME}:SH_DEGREE_{band}_COEF_{n}" for band, n in wanted]
+    signs = [1, -1, 1, -1]  # of 1, y, z, x
+    for index, name in enumerate(names):
+        np.testing.assert_allclose(values(name, 3), splats.sh[:, index] * signs[index])
+    # The stored quaternion (x, y, z, w) and scale make up the covariance, x and y flipped.
+    axes = rotation_matrix(turns[:, [3, 0, 1, 2]]) * sizes[:, None]
+    mirror = np.diag([-1, -1, 1])
+    np.testing.assert_allclose(
+        axes @ axes.swapaxes(1, 2),
+        mirror @ covariance(splats) @ mirror,
+        rtol=1e-4,
+        atol=1e-9,
+    )
+
+
+def test_splat_transform_writes_the_same_ellipsoids():
+    """Its quaternions are turned by 180° about z, which changes no ellipsoid."""
+    here, there = read_glb(GOLDENS / "scene.glb"), read_ply(GOLDENS / "scene.ply")
+    assert isinstance(there, Splats)
+    np.testing.assert_array_equal(here.position, there.position)
+    np.testing.assert_allclose(covariance(here), covariance(there), rtol=1e-4, atol=1e-9)
+    np.testing.assert_array_equal(here.sh, there.sh)
+    np.testing.assert_allclose(here.logit_opacity, there.logit_opacity, atol=1e-5)
+
+
+def with_nodes(file, splats: Splats, nodes: list, **document: object) -> Splats:
+    write_glb(file, splats)
+    old, binary = parts(file.read_bytes())
+    file.write_bytes(built(old | {"nodes": nodes} | document, binary))
+    return read_glb(file)
+
+
+def spun(node: dict) -> np.ndarray:
+    """The matrix of a node of translation, rotation and scale."""
+    x, y, z, w = node.get("rotation", [0, 0, 0, 1])
+    made = np.eye(4)
+    made[:3, :3] = rotation_matrix(np.array([[w, x, y, z]]))[0] * node.get(
+        "scale", [1, 1, 1]
+    )
+    made[:3, 3] = node.get("translation", [0, 0, 0])
+    return made
+
+
+TURN = (np.array([0.5, -0.3, 0.2, 0.7]) / np.linalg.norm([0.5, -0.3, 0.2, 0.7])).tolist()
+EVEN = {"translation": [1, 2, 3], "rotation": TURN, "scale": [2, 2, 2]}
+UNEVEN = {"translation": [-1, 0, 3], "rotation": TURN, "scale": [2, 0.5, 1]}
+
+
+@pytest.mark.parametrize("inner", [{}, EVEN, UNEVEN])
+@pytest.mark.parametrize("outer", [{}, EVEN, UNEVEN])
+def test_nodes_put_splats_into_the_world(tmp_path, outer, inner):
+    splats = scene(6, 3)
+    nodes = [outer | {"children": [1]}, inner | {"mesh": 0}]
+    moved = with_nodes(tmp_path / "a.glb", splats, nodes)
+    flip = np.diag([-1, -1, 1, 1])
+    matrix = flip @ spun(outer) @ spun(inner) @ flip
+    linear = matrix[:3, :3]
+    np.testing.assert_allclose(
+        moved.position, splats.position @ linear.T + matrix[:3, 3], atol=1e-5
+    )
+    wanted = linear @ covariance(splats) @ linear.T
+    np.testing.assert_allclose(covariance(moved), wanted, rtol=1e-3, atol=1e-8)
+    left, _, right = np.linalg.svd(linear)
+    np.testing.assert_allclose(
+        evaluate(moved.sh, directions() @ (left @ right).T),
+        evaluate(splats.sh, directions()),
+        atol=1e-5,
+    )
+
+
+def test_a_matrix_does_what_its_parts_do(tmp_path):
+    splats = scene(3, 1)
+    as_parts = with_nodes(tmp_path / "a.glb", splats, [UNEVEN | {"mesh": 0}])
+    matrix = {"matrix": spun(UNEVEN).T.ravel().tolist(), "mesh": 0}
+    assert_near(with_nodes(tmp_path / "a.glb", splats, [matrix]), as_parts, position=1e-6)
+
+
+def test_a_mesh_may_be_shown_twice_and_not_at_all(tmp_path):
+    splats = scene(3, 1)
+    nodes = [{"mesh": 0}, {"mesh": 0, "translation": [5, 0, 0]}, {"mesh": 0}]
+    both = with_nodes(
+        tmp_path / "a.glb", splats, nodes, scenes=[{}, {"nodes": [1, 0]}], scene=1
+    )
+    assert len(both) == 6
+    np.testing.assert_allclose(both.position[:3], splats.position - [5, 0, 0], atol=1e-6)
+    np.testing.assert_array_equal(both.position[3:], splats.position)
+    with pytest.raises(PropertyMissing, match="no splats in the scene"):
+        with_nodes(tmp_path / "a.glb", splats, nodes, scenes=[{}])
+
+
+def test_a_file_without_scenes_shows_all_roots(tmp_path):
+    splats = scene(3, 1)
+    write_glb(tmp_path / "a.glb", splats)
+    document, binary = parts((tmp_path / "a.glb").read_bytes())
+    del document["scenes"], document["scene"]
+    document["nodes"] = [{"mesh": 0}, {"children": [0]}]
+    (tmp_path / "a.glb").write_bytes(built(document, binary))
+    assert len(read_glb(tmp_path / "a.glb")) == 3
+
+
+STORED = {
+    "ROTATION": [(5122, "<i2", 32767), (5120, "i1", 127)],
+    "SCALE": [(5121, "u1", 1), (5123, "<u2", 1), (5121, "u1", 255), (5123, "<u2", 65535)],
+    "OPACITY": [(5121, "u1", 255), (5123, "<u2", 65535)],
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "code", "largest"),
+    [(name, *one) for name, kinds in STORED.items() for one in kinds],
+)
+def test_whole_numbers_are_shares_where_they_are_normalised(
+    tmp_path, name, kind, code, largest
+):
+    write_glb(tmp_path / "a.glb", scene(5, 0))
+    document, binary = parts((tmp_path / "a.glb").read_bytes())
+    attribute = document["meshes"][0]["primitives"][0]["attributes"][f"{NAME}:{name}"]
+    accessor = document["accessors"][attribute]
+    width = {"VEC4": 4, "VEC3": 3, "SCALAR": 1}[accessor["type"]]
+    low = 0 if code[-2] == "u" else -largest
+    stored = np.random.default_rng(0).integers(low, max(largest, 9), (5, 4)).astype(code)
+    each = stored.itemsize * width
+    stride = -(-each // 4) * 4  # glTF aligns rows to four bytes
+    rows = b"".join(row[:width].tobytes().ljust(stride, b"\0") for row in stored)
+    view = {"buffer": 0, "byteOffset": len(binary), "byteLength": len(rows)}
+    document["bufferViews"].append(view | {"byteStride": stride})
+    accessor |= {"bufferView": len(document["bufferViews"]) - 1, "componentType": kind}
+    accessor["normalized"] = largest > 1
+    (tmp_path / "a.glb").write_bytes(built(document, binary + rows))
+    back = read_glb(tmp_path / "a.glb")
+    wanted = stored[:, :width] / (largest if largest > 1 else 1)
+    if name == "SCALE":
+        np.testing.assert_allclose(np.exp(back.log_scale), wanted, rtol=1e-5)
+    elif name == "OPACITY":
+        shown = 1 / (1 + np.exp(-back.logit_opacity))
+        np.testing.assert_allclose(shown, wanted[:, 0], rtol=1e-5)
+    else:
+        turn = wanted[:, [3, 0, 1, 2]] * [1, -1, -1, 1]
+        turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+        np.testing.assert_allclose(back.rotation, turn, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        {
+            NAME: {
+                "extensions": {
+                    "KHR_gaussian_splatting_compression_spz_2": {"bufferView": 0}
+                }
+            }
+        },
+        {
+            NAME: {
+                "extensions": {"KHR_gaussian_splatting_compression_spz": {"bufferView": 0}}
+            }
+        },
+        {"KHR_spz_gaussian_splats_compression": {"bufferView": 0}},
+    ],
+)
+def test_spz_of_the_drafts_is_read_as_left_up_forward(tmp_path, place):
+    splats = scene(5, 2)
+    write_spz(tmp_path / "a.spz", splats, version=2)
+    packed = (tmp_path / "a.spz").read_bytes()
+    document = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": len(packed)}],
+        "bufferViews": [{"buffer": 0, "byteLength": len(packed)}],
+        "meshes": [{"primitives": [{"mode": 0, "attributes": {}, "extensions": place}]}],
+        "nodes": [{"mesh": 0}],
+    }
+    (tmp_path / "a.glb").write_bytes(built(document, packed))
+    here, there = read_glb(tmp_path / "a.glb"), read_spz(tmp_path / "a.spz")
+    # What SPZ alone calls right up back is here called left up forward.
+    np.testing.assert_array_equal(here.position, there.position * [-1, 1, -1])
+    np.testing.assert_array_equal(here.log_scale, there.log_scale)
+
+
+def test_attributes_of_the_first_draft_are_read(tmp_path):
+    splats = scene(4, 0)
+    write_glb(tmp_path / "a.glb", splats)
+    document, binary = parts((tmp_path / "a.glb").read_bytes())
+    primitive = document["meshes"][0]["primitives"][0]
+    del primitive["extensions"]
+    old = primitive["attributes"]
+    rgba = np.arange(16, dtype=np.uint8) * 16
+    view = {"buffer": 0, "byteOffset": len(binary), "byteLength": 16}
+    document["bufferViews"].append(view)
+    accessor = {"componentType": 5121, "count": 4, "type": "VEC4", "normalized": True}
+    document["accessors"].append(
+        accessor | {"bufferView": len(document["bufferViews"]) - 1}
+    )
+    primitive["attributes"] = {
+        "POSITION": old["POSITION"],
+        "_ROTATION": old[f"{NAME}:ROTATION"],
+        "_SCALE": old[f"{NAME}:SCALE"],
+        "COLOR_0": len(document["accessors"]) - 1,
+    }
+    (tmp_path / "a.glb").write_bytes(built(document, binary + rgba.tobytes()))
+    back = read_glb(tmp_path / "a.glb")
+    np.testing.assert_array_equal(back.position, splats.position)
+    shown = np.column_stack(
+        [0.5 + 0.28209479 * back.sh[:, 0], 1 / (1 + np.exp(-back.logit_opacity))]
+    )
+    np.testing.assert_allclose(shown, rgba.reshape(4, 4) / 255, atol=1e-6)
+
+
+def change(document: dict, path: str, value: object) -> None:
+    *way, last = [int(key) if key.isdigit() else key for key in path.split("/")]
+    for key in way:
+        document = document[key]
+    if value is None:
+        del document[last]  # type: ignore[attr-defined]
+    else:
+        document[last] = value  # type: ignore[index]
+
+
+P = "meshes/0/primitives/0"
+A = f"{P}/attributes/{NAME}"
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "kind", "text"),
+    [
+        (f"{P}/mode", 4, HeaderMalformed, "meshes[0].primitives[0], mode: '4'\nwanted 0"),
+        (
+            f"{P}/extensions/{NAME}/kernel",
+            "cube",
+            NotSupported,
+            "meshes[0].primitives[0], k",
+        ),
+        (
+            f"{P}/extensions/{NAME}/colorSpace",
+            "x",
+            NotSupported,
+            "meshes[0].primitives[0], c",
+        ),
+        (f"{P}/extensions", [], PropertyMissing, "no splats in the scene"),
+        (
+            f"{A}:ROTATION",
+            None,
+            PropertyMissing,
+            f"meshes[0].primitives[0]: no attribute {NAME}",
+        ),
+        (
+            f"{A}:SH_DEGREE_1_COEF_1",
+            None,
+            PropertyMissing,
+            "meshes[0].primitives[0]: no attr",
+        ),
+        (
+            f"{A}:SH_DEGREE_5_COEF_0",
+            4,
+            NotSupported,
+            "meshes[0].primitives[0]: SH degree 5",
+        ),
+        (
+            f"{A}:SCALE",
+            1,
+            HeaderMalformed,
+            "meshes[0].primitives[0], attribute KHR_gaussian_",
+        ),
+        (
+            f"{A}:SCALE",
+            99,
+            HeaderMalformed,
+            "meshes[0].primitives[0], attribute KHR_gaussian_",
+        ),
+        (
+            f"{A}:SCALE",
+            -1,
+            HeaderMalformed,
+            "meshes[0].primitives[0], attribute KHR_gaussian_",
+        ),
+        (
+            f"{A}:SCALE",
+            "a",
+            HeaderMalformed,
+            "meshes[0].primitives[0], attribute KHR_gaussia",
+        ),
+        (
+            "accessors/0/count",
+            10**12,
+            HeaderMalformed,
+            "meshes[0].primitives[0], attribute PO",
+        ),
+        (
+            "accessors/0/count",
+            0,
+            HeaderMalformed,
+            "meshes[0].primitives[0], attribute KHR_g",
+        ),
+        (
+            "accessors/0/componentType",
+            1,
+            HeaderMalformed,
+            "meshes[0].primitives[0], attribut",
+        ),
+        (
+            "accessors/0/componentType",
+            [],
+            HeaderMalformed,
+            "meshes[0].primitives[0], attribu",
+        ),
+        (
+            "accessors/0/type",
+            "MAT4",
+            HeaderMalformed,
+            "meshes[0].primitives[0], attribute PO",
+        ),
+        (
+            "accessors/0/sparse",
+            {},
+            NotSupported,
+            "meshes[0].primitives[0], attribute POSITIO",
+        ),
+        (
+            "accessors/0/byteOffset",
+            10**9,
+            HeaderMalformed,
+            "meshes[0].primitives[0], attribut",
+        ),
+        (
+            "bufferViews/0/byteOffset",
+            10**9,
+            FileTruncated,
+            "meshes[0].primitives[0], attribut",
+        ),
+        (
+            "bufferViews/0/byteLength",
+            10**12,
+            FileTruncated,
+            "meshes[0].primitives[0], attrib",
+        ),
+        (
+            "bufferViews/0/byteStride",
+            8,
+            HeaderMalformed,
+            "meshes[0].primitives[0], attribute ",
+        ),
+        (
+            "bufferViews/0/buffer",
+            1,
+            NotSupported,
+            "meshes[0].primitives[0], attribute POSITI",
+        ),
+        (
+            "buffers/0/uri",
+            "a.bin",
+            NotSupported,
+            "meshes[0].primitives[0], attribute POSITI",
+        ),
+        ("nodes/0/children", [0], HeaderMalformed, "nodes[0]: a node within itself"),
+        (
+            "nodes/0/scale",
+            [1, 0, 1],
+            NotSupported,
+            "nodes[0]: a transform that mirrors or fl",
+        ),
+        (
+            "nodes/0/scale",
+            [1, -1, 1],
+            NotSupported,
+            "nodes[0]: a transform that mirrors or f",
+        ),
+        (
+            "nodes/0/scale",
+            [1, 1],
+            HeaderMalformed,
+            "nodes[0].scale: '[1, 1]'\nwanted 3 finit",
+        ),
+        ("nodes/0/matrix", [1] * 16, HeaderMalformed, "nodes[0].matrix: last row"),
+        (
+            "nodes/0/mesh",
+            7,
+            HeaderMalformed,
+            "nodes: '7'\nwanted less than the 1 of meshes",
+        ),
+        (
+            "scenes/0/nodes",
+            [3],
+            HeaderMalformed,
+            "nodes[3]: '3'\nwanted less than the 1 of",
+        ),
+        ("scene", 1, HeaderMalformed, "scene: '1'\nwanted less than the 1 of scenes"),
+        (
+            "meshes/0/primitives",
+            {},
+            HeaderMalformed,
+            "meshes[0].primitives: '{}'\nwanted an",
+        ),
+        ("meshes", 3, HeaderMalformed, "meshes: '3'\nwanted an array"),
+    ],
+)
+def test_a_document_that_cannot_be_is_refused(tmp_path, path, value, kind, text):
+    file = tmp_path / "bad.glb"
+    write_glb(file, scene(4, 1))
+    document, binary = parts(file.read_bytes())
+    change(document, path, value)
+    file.write_bytes(built(document, binary))
+    with pytest.raises(FormatError) as caught:
+        read_glb(file)
+    assert str(caught.value).removeprefix(f"{file}: ").startswith(text), str(caught.value)
+    assert type(caught.value) is kind
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("SCALE", -1.0), ("OPACITY", 1.5), ("OPACITY", np.nan)]
+)
+def test_values_beyond_their_range_are_refused(tmp_path, name, value):
+    file = tmp_path / "bad.glb"
+    write_glb(file, scene(4, 1))
+    document, binary = parts(file.read_bytes())
+    index = document["meshes"][0]["primitives"][0]["attributes"][f"{NAME}:{name}"]
+    at = document["bufferViews"][index]["byteOffset"]
+    binary = binary[:at] + struct.pack("<f", value) + binary[at + 4 :]
+    file.write_bytes(built(document, binary))
+    with pytest.raises(
+        ValueInvalid, match=rf"{name}: 1 of \d+ values, the first is {value:g}"
+    ):
+        read_glb(file)
+
+
+def test_nodes_that_multiply_a_mesh_meet_the_limit(tmp_path):
+    splats = scene(100, 1)
+    nodes = [{"mesh": 0} for _ in range(50)]
+    file = tmp_path / "many.glb"
+    write_glb(file, splats)
+    document, binary = parts(file.read_bytes())
+    document |= {"nodes": nodes, "scenes": [{"nodes": list(range(50))}]}
+    file.write_bytes(built(document, binary))
+    assert len(read_glb(file)) == 5_000
+    with pytest.raises(SizeExceeded, match="wanted 100000 or fewer"):
+        read_glb(file, max_bytes=100_000)
+
+
+def test_sets_of_both_colour_spaces_are_refused(tmp_path):
+    file = tmp_path / "a.glb"
+    write_glb(file, scene(4, 1))
+    document, binary = parts(file.read_bytes())
+    (primitive,) = document["meshes"][0]["primitives"]
+    other = json.loads(json.dumps(primitive))
+    other["extensions"][NAME]["colorSpace"] = "lin_rec709_display"
+    document["meshes"][0]["primitives"].append(other)
+    file.write_bytes(built(document, binary))
+    with pytest.raises(HeaderMalformed, match="sRGB and linear colours"):
+        read_glb(file)
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "kind", "text"),
+    [
+        (0, b"GLTF", NotRecognised, "first bytes: 47 4c 54 46\n"),
+        (4, b"\x01", NotSupported, "byte 4: glTF version 1\nwanted 2"),
+        (
+            8,
+            b"\xff\xff\xff\x7f",
+            FileTruncated,
+            "header: 2147483647 bytes needed from byte 0",
+        ),
+        (12, b"\xff\xff\xff\x07", FileTruncated, "chunk JSON: 134217727 bytes needed from"),
+        (
+            12,
+            b"\xff\xff\xff\xff",
+            HeaderMalformed,
+            "byte 12: a chunk b'JSON' of 4294967295",
+        ),
+        (16, b"TEXT", HeaderMalformed, "byte 12: a chunk b'TEXT' of "),
+        (20, b"!", HeaderMalformed, "chunk JSON: no JSON ("),
+    ],
+)
+def test_a_frame_that_cannot_be_is_refused(tmp_path, at, value, kind, text):
+    file = tmp_path / "bad.glb"
+    write_glb(file, scene(4, 1))
+    content = bytearray(file.read_bytes())
+    content[at : at + len(value)] = value
+    file.write_bytes(content)
+    with pytest.raises(FormatError) as caught:
+        read_glb(file)
+    assert str(caught.value).removeprefix(f"{file}: ").startswith(text), str(caught.value)
+    assert type(caught.value) is kind
+
+
+def test_the_antialiased_flag_is_not_kept(tmp_path):
+    write_glb(tmp_path / "a.glb", replace(scene(1, 0), antialiased=True))
+    assert not read_glb(tmp_path / "a.glb").antialiased
+    codec = recognised(tmp_path / "a.glb", (tmp_path / "a.glb").read_bytes())
+    assert codec is not None
+    assert "antialiased" not in codec.keeps_flags

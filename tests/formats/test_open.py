@@ -1,0 +1,197 @@
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.formats import (
+    FileTruncated,
+    FileUnreadable,
+    NotRecognised,
+    PackedRows,
+    PointCloud,
+    Splats,
+    ValueInvalid,
+    codec_named,
+    codec_of_suffix,
+    open_splats,
+    read_npz,
+    read_ply,
+    write_ply,
+)
+from gsgen.formats.codecs import recognised
+from support.splat_files import samples
+
+SHARED = Path(os.environ.get("GSGEN_SHARED", Path(__file__).parents[3] / "shared"))
+with tempfile.TemporaryDirectory() as _folder:
+    SAMPLES = samples(Path(_folder))
+READERS = [open_splats, read_ply, read_npz]
+
+shared_only = pytest.mark.skipif(
+    not (SHARED / "data").is_dir(), reason=f"no data under GSGEN_SHARED ({SHARED})"
+)
+
+
+def test_the_content_decides_and_not_the_name(tmp_path):
+    cloud = PointCloud(np.zeros((1, 3), np.float32), np.zeros((1, 3), np.float32))
+    ply, npz = tmp_path / "really_ply.npz", tmp_path / "really_npz"
+    write_ply(ply, cloud)
+    with npz.open("wb") as file:
+        np.savez(file, gaussians=np.zeros((1, 10), "f4"), appearance=np.zeros((1, 3), "f4"))
+    assert isinstance(open_splats(ply), PointCloud)
+    assert isinstance(open_splats(str(npz)), PackedRows)
+
+
+def test_carriage_returns_are_no_other_format(tmp_path):
+    file = tmp_path / "crlf.ply"
+    file.write_bytes(
+        b"ply\r\nformat ascii 1.0\r\nelement vertex 0\r\nproperty float x\r\n"
+        b"property float y\r\nproperty float z\r\nproperty uchar r\r\n"
+        b"property uchar g\r\nproperty uchar b\r\nend_header\r\n"
+    )
+    with pytest.raises(ValueInvalid, match="0 rows"):
+        open_splats(file)
+
+
+@pytest.mark.parametrize("name", [*SAMPLES])
+def test_every_format_is_told_by_its_content(tmp_path, name):
+    for content in SAMPLES[name]:
+        file = tmp_path / "a.bin"
+        file.write_bytes(content)
+        codec = recognised(file, content)
+        assert codec is not None
+        # A compressed PLY file begins like any other; its reader sees the difference.
+        assert codec.name == name.removeprefix("compressed-")
+        here, there = open_splats(file), codec_named(name).read(file)
+        assert type(here) is type(there)
+        assert len(here) == len(there)
+
+
+def test_a_json_file_that_is_no_sog_is_refused(tmp_path):
+    file = tmp_path / "scene.gltf"
+    file.write_text('{"asset": {"version": "2.0"}}')
+    with pytest.raises(NotRecognised, match="JSON without means"):
+        open_splats(file)
+
+
+@pytest.mark.parametrize(
+    ("content", "seen"), [(b"\x93NUMPY\x01\x00", "93 4e 55 4d 50"), (b"p", "70")]
+)
+def test_other_content_is_refused_by_its_first_bytes(tmp_path, content, seen):
+    file = tmp_path / "scene.abc"
+    file.write_bytes(content)
+    with pytest.raises(NotRecognised) as caught:
+        open_splats(file)
+    assert str(caught.value) == (
+        f"{file}: first bytes: {seen}\n"
+        "wanted a file of splats: PLY, SPZ, GLB, SOG, KSPLAT, SPLAT or NPZ\n"
+        "if it is of another format, convert it to one of these first"
+    )
+
+
+@pytest.mark.parametrize(
+    ("suffix", "kind"),
+    [("splat", FileTruncated), ("ksplat", FileTruncated), ("ply", NotRecognised)],
+)
+def test_where_nothing_fits_the_name_says_who_explains(tmp_path, suffix, kind):
+    file = tmp_path / f"scene.{suffix}"
+    file.write_bytes(bytes(33))
+    with pytest.raises(kind):
+        open_splats(file)
+
+
+@pytest.mark.parametrize(
+    ("name", "codec"),
+    [
+        ("a.ply", "ply"),
+        ("a.compressed.ply", "compressed-ply"),
+        ("A.SPZ", "spz"),
+        ("meta.json", "sog"),
+        ("a.tar", None),
+    ],
+)
+def test_the_longest_suffix_names_the_format(name, codec):
+    found = codec_of_suffix(name)
+    assert (found.name if found else None) == codec
+
+
+def unreadable(path: Path, read: object) -> str:
+    assert callable(read)
+    with pytest.raises(FileUnreadable) as caught:
+        read(path)
+    assert caught.value.path == str(path)
+    return str(caught.value).removeprefix(f"{path}: ")
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_a_file_that_cannot_be_opened_is_refused(tmp_path, read):
+    empty, pipe = tmp_path / "empty", tmp_path / "pipe"
+    empty.touch()
+    os.mkfifo(pipe)
+    missing = "cannot be read: No such file or directory"
+    assert unreadable(tmp_path / "missing", read) == missing
+    assert unreadable(tmp_path, read) == "is a folder\nwanted a file"
+    assert unreadable(pipe, read) == ("is a device, pipe or socket\nwanted a regular file")
+    assert unreadable(empty, read) == (
+        "is empty\nmake it again: whatever wrote it may have failed"
+    )
+    assert unreadable(tmp_path / "a\0b", read) == "cannot be read: embedded null byte"
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_a_file_that_is_closed_to_us_is_refused(tmp_path, read, monkeypatch):
+    def closed(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    file = tmp_path / "closed"
+    file.write_bytes(b"ply\n")
+    monkeypatch.setattr("builtins.open", closed)  # the tests may run as root
+    assert unreadable(file, read) == "cannot be read: Permission denied"
+
+
+@shared_only
+def test_splats_of_a_real_training_are_read():
+    splats = open_splats(SHARED / "data/twins/test-splat.3-points-from-train.ply")
+    assert isinstance(splats, Splats)
+    assert (len(splats), splats.degree) == (3, 3)
+    np.testing.assert_allclose(splats.position[0], [2.0078, 0.0811, 1.3286], atol=2e-4)
+
+
+@shared_only
+def test_splats_agree_with_the_same_scene_in_another_format():
+    """The 32-byte records beside it: position, linear scale, colour, quaternion."""
+    splats = open_splats(SHARED / "data/twins/test-splat.3-points-from-train.ply")
+    assert isinstance(splats, Splats)
+    record = [
+        ("position", "<f4", 3),
+        ("scale", "<f4", 3),
+        ("rgba", "u1", 4),
+        ("q", "u1", 4),
+    ]
+    twin = np.fromfile(SHARED / "data/twins/test-splat.3-points-from-train.splat", record)
+    splats_at = [
+        int(np.argmin(np.abs(splats.position - place).sum(axis=1)))
+        for place in twin["position"]
+    ]
+    assert sorted(splats_at) == [0, 1, 2]
+    np.testing.assert_array_equal(twin["position"], splats.position[splats_at])
+    np.testing.assert_allclose(
+        twin["scale"], np.exp(splats.log_scale[splats_at]), rtol=1e-5
+    )
+    opacity = 1 / (1 + np.exp(-splats.logit_opacity[splats_at]))
+    np.testing.assert_allclose(twin["rgba"][:, 3] / 255, opacity, atol=1 / 255)
+    rotation = splats.rotation[splats_at]
+    rotation /= np.linalg.norm(rotation, axis=1, keepdims=True)
+    np.testing.assert_allclose(twin["q"] / 128 - 1.0, rotation, atol=1 / 64)
+    color = np.clip(0.5 + 0.28209479 * splats.sh[splats_at, 0], 0, 1)
+    np.testing.assert_allclose(twin["rgba"][:, :3] / 255, color, atol=1 / 255)
+
+
+@shared_only
+def test_points_of_a_real_capture_are_read():
+    cloud = open_splats(SHARED / "data/garden/test_garden.npz")
+    assert isinstance(cloud, PointCloud)
+    assert len(cloud) == 138_766
+    assert cloud.color.min() >= 0
+    assert cloud.color.max() <= 1

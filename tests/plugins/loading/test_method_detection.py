@@ -1,0 +1,46 @@
+"""A run of one method, given to the plugin of another."""
+
+from pathlib import Path
+
+import pytest
+
+from gsgen.reference_plugins.loading.errors import CheckpointInvalid
+from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
+from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
+from support.checkpoints.method_runs import METHODS
+
+# LHM's files are like those of no other method.
+ALIKE = {name: both for name, both in METHODS.items() if name != "lhm"}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    home = tmp_path_factory.mktemp("runs")
+    made = {name: write(home / name) for name, (write, _) in ALIKE.items()}
+    # Training of R3-Avatar writes the files of GauHuman, too; they are not enough for it.
+    for place in ("point_cloud", "mlp_ckpt"):
+        target = made["r3-avatar"] / place
+        target.symlink_to(made["gauhuman"] / place)
+    return made
+
+
+@pytest.mark.parametrize("plugin", ALIKE)
+def test_the_right_plugin_is_named(plugin: str, runs: dict[str, Path]) -> None:
+    read = ALIKE[plugin][1]
+    read(runs[plugin])
+    for name, run in runs.items():
+        if name == plugin or (name == "r3-avatar" and plugin != "gauhuman"):
+            continue
+        with pytest.raises(CheckpointInvalid, match="is a checkpoint of") as caught:
+            read(run)
+        assert caught.value.mend == f"Export it with `gsgen export {name}`."
+
+
+def test_a_resume_file_of_gauhuman_is_not_taken_for_one_of_r3(
+    runs: dict[str, Path],
+) -> None:
+    run = runs["gauhuman"]
+    (run / "chkpnt1200.pth").write_bytes(b"PK but no archive")
+    assert read_gauhuman(run).nets is not None
+    with pytest.raises(CheckpointInvalid, match="cannot be read"):
+        read_r3(run, dataset="zju")

@@ -1,0 +1,172 @@
+"""Avatars against plain implementations of their methods, over many configurations."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.reference_plugins.bodies.actors import ActorInputs
+from gsgen.reference_plugins.people.gauhuman import GauHuman
+from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
+from gsgen.reference_plugins.people.lhm import LHM
+from gsgen.reference_plugins.people.lhm_checkpoint import Face, read_lhm
+from gsgen.reference_plugins.people.r3_avatar import R3Avatar
+from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
+from gsgen.reference_plugins.synthetic import (
+    PersonOptions,
+    write_gauhuman,
+    write_lhm,
+    write_r3,
+)
+from support.checkpoints import avatar_oracles as oracles
+from support.checkpoints.avatar_oracles import Told
+from support.checkpoints.plugin_checks import assert_like, eager
+from support.checkpoints.plugin_oracles import Wanted
+
+
+def told(rng: np.random.Generator, joints: int, shapes: int) -> Told:
+    """Return a pose whose joints turn by any angle, up to a whole half turn."""
+    axis = rng.normal(size=(joints, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    angle = rng.choice([0.0, 1e-9, 0.3, 1.5, np.pi], (joints, 1))
+    turn = oracles.turns_of(rng.normal(size=3))[0]
+    return Told(
+        (axis * angle).astype(np.float32).astype(np.float64),
+        turn.astype(np.float32).astype(np.float64),
+        rng.normal(size=3).astype(np.float32).astype(np.float64),
+        rng.normal(size=shapes).astype(np.float32).astype(np.float64),
+    )
+
+
+def fed(
+    actors: ActorInputs, bodies: list[Told], poses: list[int] | None = None
+) -> list[np.ndarray]:
+    """Lay what moves bodies into the inputs, in order."""
+    made = []
+    for one in actors.declared():
+        tail = one.name.rpartition("_")[2]
+        body = bodies[int(tail) if tail.isdecimal() else 0]
+        value: np.ndarray = {
+            "pose": body.pose,
+            "root_rotation": body.turn,
+            "root_translation": body.shift,
+            "shape": body.shape,
+            "expression": np.zeros(100) if body.expression is None else body.expression,
+            "frame_index": np.array([(poses or [0]).index(body.pose_id)] if poses else [0]),
+        }[one.role]
+        if one.role == "root_rotation" and one.shape == (3,):
+            value = oracles.Rotation.from_matrix(value).as_rotvec()
+        made.append(value.astype(np.int32 if one.role == "frame_index" else np.float32))
+    return made
+
+
+def assert_bodies(rows: np.ndarray, color: np.ndarray, wanted: list[Wanted]) -> None:
+    count = len(rows) // len(wanted)
+    assert count * len(wanted) == len(rows)
+    for body, one in enumerate(wanted):
+        part = slice(body * count, (body + 1) * count)
+        assert_like(rows[part], color[part], one)
+
+
+@pytest.mark.parametrize("seed", range(14))
+def test_gauhuman_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    options = PersonOptions(
+        count=int(rng.integers(1, 80)),
+        kind=str(rng.choice(["smpl", "smplx"])),
+        shapes=int(rng.choice([8, 10, 20, 30])),
+        nets=bool(rng.integers(0, 2)),
+        hands=bool(rng.integers(0, 2)),
+        degree=int(rng.integers(0, 4)),
+        seed=seed,
+    )
+    read = read_gauhuman(write_gauhuman(tmp_path, options))
+    bodies = int(rng.integers(1, 4))
+    baked, matrix = bool(rng.integers(0, 2)), bool(rng.integers(0, 2))
+    shapes = read.body.shape_dirs.shape[2]
+    assert shapes == min(options.shapes, 10 if options.kind == "smpl" else 20)
+    people = [told(rng, options.joints, shapes) for _ in range(bodies)]
+    for one in people:
+        one.shape = people[0].shape
+    generator = GauHuman(
+        read.canonical,
+        read.body,
+        read.nets,
+        shape=people[0].shape.tolist() if baked else None,
+        rotation="matrix" if matrix else "axis-angle",
+        bodies=bodies,
+    )
+    assert [one.role for one in generator.inputs].count("shape") == (not baked)
+    made = eager(generator, *fed(generator.actors, people))
+    assert_bodies(*made, [oracles.gauhuman(read, one) for one in people])
+
+
+def test_raw_hands_are_added_to_their_mean(tmp_path: Path) -> None:
+    options = PersonOptions(kind="smplx", hands=True, nets=True)
+    read = read_gauhuman(write_gauhuman(tmp_path, options))
+    one = told(np.random.default_rng(0), 55, 10)
+    generator = GauHuman(read.canonical, read.body, read.nets, add_hands=True)
+    made = eager(generator, *fed(generator.actors, [one]))
+    assert read.body.hand_mean is not None
+    one.pose[25:] += read.body.hand_mean.reshape(30, 3)
+    assert_like(*made, oracles.gauhuman(read, one))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_lhm_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    options = PersonOptions(count=int(rng.integers(1, 90)), seed=seed)
+    read = read_lhm(write_lhm(tmp_path, options))
+    bodies, expression = int(rng.integers(1, 4)), bool(seed % 4)
+    vertices = rng.permutation(options.vertices)[:20]
+    face = Face(vertices, rng.normal(0, 0.01, (20, 3, 100))) if seed % 2 else None
+    people = [told(rng, 55, 10) for _ in range(bodies)]
+    for one in people:
+        one.expression = rng.normal(size=100).astype(np.float32) if expression else None
+    generator = LHM(read, face, expression=expression, bodies=bodies)
+    made = eager(generator, *fed(generator.actors, people))
+    assert_bodies(*made, [oracles.lhm(read, face, one) for one in people])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_r3_avatar_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    options = PersonOptions(
+        count=int(rng.integers(1, 60)),
+        kind=str(rng.choice(["smpl", "smplx"])),
+        nets=True,
+        hands=bool(rng.integers(0, 2)),
+        resolution=tuple(int(n) for n in rng.integers(2, 9, 4)),  # type: ignore[arg-type]
+        channels=int(rng.integers(1, 6)),
+        degree=int(rng.integers(0, 4)),
+        seed=seed,
+    )
+    read = read_r3(write_r3(tmp_path, options))
+    poses = [int(one) for one in rng.permutation(320)[:5]]  # time is clamped beyond 300
+    bodies, baked = int(rng.integers(1, 3)), bool(rng.integers(0, 2))
+    people = [told(rng, options.joints, options.shapes) for _ in range(bodies)]
+    for one in people:
+        one.shape, one.pose_id = people[0].shape, int(rng.choice(poses))
+    shape = people[0].shape.tolist() if baked else None
+    generator = R3Avatar(read, poses, shape=shape, bodies=bodies)
+    made = eager(generator, *fed(generator.actors, people, poses))
+    assert_bodies(*made, [oracles.r3(read, one) for one in people])
+
+
+def test_a_rotation_of_zeros_is_none(tmp_path: Path) -> None:
+    read = read_gauhuman(write_gauhuman(tmp_path))
+    generator = GauHuman(read.canonical, read.body, read.nets)
+    still = told(np.random.default_rng(0), 24, 10)
+    still.turn = np.zeros((3, 3))
+    rows, color = eager(generator, *fed(generator.actors, [still]))
+    still.turn = np.eye(3)
+    assert_like(rows, color, oracles.gauhuman(read, still))
+
+
+def test_weights_are_stored_once_for_all_bodies(tmp_path: Path) -> None:
+    read = read_gauhuman(write_gauhuman(tmp_path))
+    sizes = []
+    for bodies in (1, 5):
+        generator = GauHuman(read.canonical, read.body, bodies=bodies)
+        sizes.append(sum(one.numel() for one in generator.buffers()))
+    assert sizes[0] == sizes[1]

@@ -1,0 +1,347 @@
+"""Body models and checkpoints of people: what is read, and what is refused."""
+
+import io
+import pickle
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from gsgen.reference_plugins.bodies.body_models import read_body
+from gsgen.reference_plugins.loading.array_pickles import read_array_pickle
+from gsgen.reference_plugins.loading.cfg_args import CfgArgs
+from gsgen.reference_plugins.loading.errors import CheckpointInvalid, NotInCheckpoint
+from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
+from gsgen.reference_plugins.people.lhm_checkpoint import read_face, read_lhm
+from gsgen.reference_plugins.people.r3_avatar_checkpoint import guessed_dataset, read_r3
+from gsgen.reference_plugins.synthetic import (
+    PersonOptions,
+    write_body,
+    write_gauhuman,
+    write_lhm,
+    write_r3,
+)
+from support.checkpoints.harmful import Harmful
+
+
+def unpickled(path: Path, value: object) -> Path:
+    path.write_bytes(pickle.dumps(value, protocol=2))
+    return path
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_a_body_model_runs_nothing(hidden: bool, tmp_path: Path) -> None:
+    harm = Harmful(tmp_path / "harmed")
+    value = {"v_template": np.array([harm], object) if hidden else harm}
+    path = unpickled(tmp_path / "SMPL_NEUTRAL.pkl", value)
+    with pytest.raises(CheckpointInvalid, match="system, which is no array"):
+        read_body(path, 24)
+    assert not (tmp_path / "harmed").exists()
+
+
+def test_a_checkpoint_of_r3_runs_nothing(tmp_path: Path) -> None:
+    folder = write_r3(tmp_path / "run")
+    torch.save((Harmful(tmp_path / "harmed"), 60000), folder / "chkpnt60000.pth")
+    with pytest.raises(CheckpointInvalid, match="system"):
+        read_r3(folder)
+    assert not (tmp_path / "harmed").exists()
+
+
+def test_an_avatar_of_lhm_runs_nothing(tmp_path: Path) -> None:
+    folder = write_lhm(tmp_path / "run")
+    torch.save([Harmful(tmp_path / "harmed")] * 10, folder / "avatar.pth")
+    with pytest.raises(CheckpointInvalid, match="system"):
+        read_lhm(folder)
+    assert not (tmp_path / "harmed").exists()
+
+
+def test_a_body_lies_where_training_read_it_from(tmp_path: Path) -> None:
+    run = write_gauhuman(tmp_path / "GauHuman/output/zju/my_377", PersonOptions(count=3))
+    (run / "assets").rename(tmp_path / "GauHuman/assets")
+    assert read_gauhuman(run).body.path == tmp_path / "GauHuman/assets/SMPL_NEUTRAL.pkl"
+    (tmp_path / "GauHuman/assets").rename(tmp_path / "elsewhere")
+    with pytest.raises(CheckpointInvalid, match="my_377/assets/SMPL_NEUTRAL"):
+        read_gauhuman(run)
+
+
+@pytest.mark.parametrize("kind", ["smpl", "smplx"])
+def test_without_options_the_body_says_which_it_is(kind: str, tmp_path: Path) -> None:
+    chosen = PersonOptions(count=3, kind=kind, shapes=20, nets=True)  # type: ignore[arg-type]
+    run = write_gauhuman(tmp_path / "run", chosen)
+    body = read_gauhuman(run).body
+    (run / "cfg_args").unlink()
+    read = read_gauhuman(run, body=body.path).body
+    assert (read.joints, read.shape_dirs.shape) == (body.joints, body.shape_dirs.shape)
+
+
+def test_an_avatar_may_be_of_one_gaussian(tmp_path: Path) -> None:
+    run = write_lhm(tmp_path, PersonOptions(count=1))
+    path = run / "avatar.pth"
+    read = torch.load(path, weights_only=False)
+    torch.save([one.squeeze() if torch.is_tensor(one) else one for one in read], path)
+    assert read_lhm(run).position.shape == (1, 3)
+
+
+@pytest.mark.parametrize("module", ["numpy.core", "numpy._core"])
+def test_numbers_of_numpy_beside_the_tensors_do_no_harm(
+    module: str, tmp_path: Path
+) -> None:
+    """Learning rates, the extent of a scene: old and new NumPy name them differently."""
+    files = {
+        write_r3(tmp_path / "r3") / "chkpnt60000.pth": lambda: read_r3(tmp_path / "r3"),
+        write_lhm(tmp_path / "lhm") / "avatar.pth": lambda: read_lhm(tmp_path / "lhm"),
+    }
+    for path, read in files.items():
+        rewritten = io.BytesIO()
+        with zipfile.ZipFile(path) as old, zipfile.ZipFile(rewritten, "w") as new:
+            for name in old.namelist():
+                data = old.read(name)
+                if name.endswith("data.pkl"):
+                    assert b"numpy._core.multiarray" in data
+                    data = data.replace(b"numpy._core", module.encode())
+                new.writestr(name, data)
+        path.write_bytes(rewritten.getvalue())
+        assert len(read().body.parents) in (24, 55)
+
+
+# As Python 2 wrote them: protocol 0 and the module names of that time.
+OLD = (
+    b"(dp0\nS'x'\np1\nccopy_reg\n_reconstructor\np2\n(cchumpy.ch\nCh\np3\nc__builtin__\nobject\n"
+    b"p4\nNtp5\nRp6\n(dp7\nS'x'\np8\ncnumpy.core.multiarray\n_reconstruct\np9\n(cnumpy\nndarray\n"
+    b"p10\n(I0\ntp11\nS'b'\np12\ntp13\nRp14\n(I1\n(I2\ntp15\ncnumpy\ndtype\np16\n(S'f8'\np17\nI0\n"
+    b"I1\ntp18\nRp19\n(I3\nS'<'\np20\nNNNI-1\nI-1\nI0\ntp21\nbI00\n"
+    b"S'\\x00\\x00\\x00\\x00\\x00\\x00\\xf0?\\x00\\x00\\x00\\x00\\x00\\x00\\x00@'\np22\ntp23\n"
+    b"bsbs."
+)
+
+
+def test_arrays_that_chumpy_wraps_are_taken_out(tmp_path: Path) -> None:
+    path = tmp_path / "old.pkl"
+    path.write_bytes(OLD)
+    np.testing.assert_array_equal(read_array_pickle(path)["x"], [1.0, 2.0])
+
+
+@pytest.fixture
+def chumpy(monkeypatch: pytest.MonkeyPatch) -> dict[str, type]:
+    """Return classes that pickle as those of chumpy do, with the notes that they keep."""
+    made: dict[str, type] = {}
+    for module, name in (("chumpy.ch", "Ch"), ("chumpy.reordering", "Select")):
+        made[name] = type(name, (), {"__module__": module})
+        home = ModuleType(module)
+        setattr(home, name, made[name])
+        monkeypatch.setitem(sys.modules, module, home)
+    monkeypatch.setitem(sys.modules, "chumpy", ModuleType("chumpy"))
+    return made
+
+
+def with_state(kind: type, **state: Any) -> object:
+    one = kind()
+    one.__dict__.update(state, _dirty_vars={"x"}, _itr=None, _depends_on_deps={})
+    return one
+
+
+@pytest.mark.parametrize("protocol", [0, 2, 4])
+def test_selections_of_chumpy_are_taken_out(
+    protocol: int, chumpy: dict[str, type], tmp_path: Path
+) -> None:
+    whole = np.random.default_rng(0).random((5, 3, 9))
+    chosen = np.arange(whole.size).reshape(whole.shape)[:, :, :4].ravel()
+    inner = with_state(chumpy["Ch"], x=whole)
+    value = with_state(chumpy["Select"], a=inner, idxs=chosen, preferred_shape=(5, 3, 4))
+    path = tmp_path / "a.pkl"
+    path.write_bytes(pickle.dumps({"shapedirs": value, "one": inner}, protocol=protocol))
+    read = read_array_pickle(path)
+    np.testing.assert_array_equal(read["shapedirs"], whole[:, :, :4])
+    np.testing.assert_array_equal(read["one"], whole)
+
+
+def test_an_array_that_is_made_of_itself_is_refused(
+    chumpy: dict[str, type], tmp_path: Path
+) -> None:
+    one = with_state(chumpy["Ch"])
+    one.x = one  # type: ignore[attr-defined]
+    with pytest.raises(CheckpointInvalid, match="RecursionError"):
+        read_array_pickle(unpickled(tmp_path / "a.pkl", {"x": one}))
+
+
+@pytest.mark.parametrize("kind", ["csc", "csr"])
+def test_sparse_matrices_become_arrays(kind: str, tmp_path: Path) -> None:
+    from scipy import sparse
+
+    dense = np.random.default_rng(0).random((4, 7)) * (
+        np.random.default_rng(1).random((4, 7)) > 0.5
+    )
+    made = sparse.csc_matrix(dense) if kind == "csc" else sparse.csr_matrix(dense)
+    path = unpickled(tmp_path / "a.pkl", {"m": made})
+    np.testing.assert_array_equal(read_array_pickle(path)["m"], dense)
+
+
+@pytest.mark.parametrize("cut", [0, 1, 50, 1000, -1])
+def test_a_damaged_body_is_no_traceback(cut: int, tmp_path: Path) -> None:
+    for name in ("SMPL.pkl", "SMPL.npz"):
+        path = write_body(tmp_path / name)
+        path.write_bytes(path.read_bytes()[:cut])
+        with pytest.raises(CheckpointInvalid):
+            read_body(path, 24)
+
+
+def rewritten(path: Path, change: Callable[[dict[str, Any]], object]) -> Path:
+    with np.load(path) as read:
+        arrays = dict(read)
+    change(arrays)
+    np.savez(path, **arrays)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda a: a.pop("weights"), "lacks weights"),
+        (
+            lambda a: a.update(posedirs=a["posedirs"][:, :, 1:]),
+            r"posedirs is \[150, 3, 206\]",
+        ),
+        (lambda a: a.update(weights=a["weights"] * np.nan), "weights holds NaN"),
+        (lambda a: a["kintree_table"].__setitem__((0, 3), 9), "joint 3 the parent 9"),
+        (lambda a: a.update(v_template=np.array(["x"])), "wanted numbers"),
+        (lambda a: a.update(v_template=np.zeros(0)), "v_template is"),
+    ],
+)
+def test_a_body_of_another_shape_is_refused(
+    change: Callable[[dict[str, Any]], object], words: str, tmp_path: Path
+) -> None:
+    path = rewritten(write_body(tmp_path / "SMPL.npz"), change)
+    with pytest.raises(CheckpointInvalid, match=words):
+        read_body(path, 24)
+
+
+def test_the_other_body_is_refused_by_its_joints(tmp_path: Path) -> None:
+    path = write_body(tmp_path / "SMPLX.npz", PersonOptions(kind="smplx"))
+    with pytest.raises(CheckpointInvalid, match="Give the SMPL model"):
+        read_body(path, 24)
+
+
+def edited(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def test_flags_have_to_agree_with_files(tmp_path: Path) -> None:
+    folder = write_gauhuman(tmp_path / "a", PersonOptions(nets=True))
+    edited(folder / "cfg_args", "motion_offset_flag=True", "motion_offset_flag=False")
+    with pytest.raises(
+        CheckpointInvalid, match="motion_offset_flag is False, but there is"
+    ):
+        read_gauhuman(folder)
+    folder = write_gauhuman(tmp_path / "b")
+    edited(folder / "cfg_args", "motion_offset_flag=False", "motion_offset_flag=True")
+    with pytest.raises(CheckpointInvalid, match=r"ckpt\.pth: is missing"):
+        read_gauhuman(folder)
+    edited(folder / "cfg_args", "'smpl'", "'simple_smplx'")
+    with pytest.raises(CheckpointInvalid, match="'simple_smplx', wanted 'smpl' or 'smplx'"):
+        read_gauhuman(folder)
+
+
+def test_networks_have_to_have_every_tensor_and_no_other(tmp_path: Path) -> None:
+    folder = write_gauhuman(tmp_path, PersonOptions(nets=True))
+    path = folder / "mlp_ckpt/iteration_1200/ckpt.pth"
+    state = torch.load(path, weights_only=True)
+    state["pose_decoder"]["block_mlps.6.weight"] = torch.zeros(1)
+    del state["pose_decoder"]["block_mlps.4.bias"]
+    torch.save(state, path)
+    with pytest.raises(CheckpointInvalid) as caught:
+        read_gauhuman(folder)
+    assert "missing: block_mlps.4.bias" in str(caught.value)
+    assert "unexpected: block_mlps.6.weight" in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["bw_linears.0.weight", "bw_fc.bias"])
+def test_a_network_without_one_of_its_tensors_is_refused(name: str, tmp_path: Path) -> None:
+    folder = write_gauhuman(tmp_path, PersonOptions(nets=True))
+    path = folder / "mlp_ckpt/iteration_1200/ckpt.pth"
+    state = torch.load(path, weights_only=True)
+    del state["lweight_offset_decoder"][name]
+    torch.save(state, path)
+    with pytest.raises(CheckpointInvalid, match=f"missing: {name}"):
+        read_gauhuman(folder)
+
+
+def test_the_data_set_is_asked_for_where_it_cannot_be_told(tmp_path: Path) -> None:
+    folder = write_r3(tmp_path)
+    assert read_r3(folder).origin == 150
+    edited(folder / "cfg_args", "/data/zju_mocap/my_377", "/data/scene")
+    with pytest.raises(CheckpointInvalid, match="--dataset, one of dna, zju"):
+        read_r3(folder)
+    assert read_r3(folder, dataset="dna").origin == 50
+
+
+@pytest.mark.parametrize(
+    ("options", "dataset"),
+    [
+        ({"source_path": "../dataset/DNA-Rendering/0012_03"}, "dna"),
+        ({"source_path": "/home/edna/zju_mocap/my_377"}, "zju"),  # as training decides
+        ({"source_path": "/HiFi4G/MVHumanNet/a"}, "hifi4g"),
+        ({"source_path": "/data/MvHuman/100003"}, "mvhuman"),
+        ({"source_path": "/data/scene", "exp_name": "hifi4g_mono/4K_Actor1"}, "hifi4g"),
+        ({"exp_name": "dna_stage1/zju_377", "smpl_type": "smpl"}, "zju"),  # by its body
+        ({"exp_name": "dna_stage1/zju_377", "smpl_type": "smplx"}, "dna"),
+        ({"exp_name": "zju_hifi4g"}, None),
+        ({}, None),
+    ],
+)
+def test_whose_data_it_is_follows_from_paths_and_names(
+    options: dict[str, str], dataset: str | None, tmp_path: Path
+) -> None:
+    cfg = CfgArgs(tmp_path, options)
+    if dataset is not None:
+        assert guessed_dataset(cfg) == dataset
+        return
+    with pytest.raises(CheckpointInvalid, match="--dataset, one of"):
+        guessed_dataset(cfg)
+
+
+def test_what_lies_in_a_run_of_people_stands_for_it(tmp_path: Path) -> None:
+    run = write_r3(tmp_path / "r3")
+    for given in (run / "chkpnt60000.pth", run / "cfg_args"):
+        assert read_r3(given).path == run / "chkpnt60000.pth"
+    with pytest.raises(NotInCheckpoint, match="has no iteration 5"):
+        read_r3(run / "chkpnt60000.pth", 5)
+    with pytest.raises(CheckpointInvalid, match="does not exist"):
+        read_r3(run / "nowhere")
+    run = write_gauhuman(tmp_path / "gauhuman", PersonOptions(nets=True))
+    for place in ("point_cloud/iteration_1200/point_cloud.ply", "mlp_ckpt/iteration_1200"):
+        read = read_gauhuman(run / place)
+        assert (read.iteration, read.nets is not None) == (1200, True)
+
+
+def test_sample_points_have_to_be_as_many_as_gaussians(tmp_path: Path) -> None:
+    folder = write_lhm(tmp_path / "a", PersonOptions(count=9))
+    other = write_lhm(tmp_path / "b", PersonOptions(count=8))
+    points = "pretrained_models/dense_sample_points/1_40000.ply"
+    (folder / points).write_bytes((other / points).read_bytes())
+    with pytest.raises(CheckpointInvalid, match=r"no \.ply of 9 points"):
+        read_lhm(folder)
+    (folder / points).unlink()
+    with pytest.raises(CheckpointInvalid, match="comes with LHM's weights"):
+        read_lhm(folder)
+
+
+def test_flame_goes_to_the_vertices_that_the_list_names(tmp_path: Path) -> None:
+    read = read_lhm(write_lhm(tmp_path / "run"))
+    rng = np.random.default_rng(0)
+    dirs = rng.normal(size=(12, 3, 400)).astype(np.float32)
+    flame = unpickled(tmp_path / "FLAME_NEUTRAL.pkl", {"shapedirs": dirs})
+    ids = tmp_path / "ids.npy"
+    np.save(ids, rng.permutation(150)[:12])
+    face = read_face(flame, ids, read.body)
+    np.testing.assert_array_equal(face.dirs, dirs[:, :, 300:])
+    np.save(ids, np.arange(11))
+    with pytest.raises(CheckpointInvalid, match="wanted 12 vertex numbers"):
+        read_face(flame, ids, read.body)

@@ -1,0 +1,199 @@
+"""Rows that are neighbours in space become neighbours in memory; no picture shows it."""
+
+import numpy as np
+import pytest
+
+from gsgen.runtime.errors import MemoryFull
+from gsgen.runtime.gpu import device as devices
+from gsgen.runtime.gpu import spatial_order, splat_residency
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.morton_order import along_curve
+from gsgen.runtime.gpu.spatial_order import Arrangement
+from gsgen.runtime.gpu.splat_residency import Residency
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+from support.rendering.failing_devices import memory_of
+from support.rendering.splat_scenes import camera, cloud, turned
+
+ALL = ("color", "depth", "normal")
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few rows are enough."""
+    monkeypatch.setattr(splat_residency, "ARRANGED_FROM", 1)
+
+
+def same(one: object, two: object) -> bool:
+    fields = ("rgba", "depth", "median_depth", "ids", "normal", "visible", "pairs")
+    return all(np.array_equal(getattr(one, f), getattr(two, f)) for f in fields)
+
+
+def test_the_curve_goes_through_the_smallest_cubes_first() -> None:
+    """Bit by bit, from the plain definition."""
+    bits = 18  # what 200 indices leave of a word, a third of it for each axis
+    cells = np.random.default_rng(0).integers(0, 1 << bits, (200, 3))
+    cells[0], cells[1] = 0, (1 << bits) - 1  # the bounding box is all there is
+    codes = [
+        sum(
+            ((int(cell[axis]) >> bit) & 1) << (3 * bit + axis)
+            for bit in range(bits)
+            for axis in range(3)
+        )
+        for cell in cells
+    ]
+    np.testing.assert_array_equal(along_curve(cells * 0.25 - 7), np.argsort(codes))
+
+
+def test_the_curve_knows_points_that_are_none() -> None:
+    points = np.array([[1, 1, 1], [np.nan, 0, 0], [0, 0, 0], [np.inf, 0, 0]], np.float32)
+    assert along_curve(points).tolist() == [1, 2, 3, 0]
+    assert along_curve(points[1:2]).tolist() == [0]
+    assert along_curve(np.ones((3, 3), np.float32)).tolist() == [0, 1, 2]
+    assert along_curve(np.zeros((0, 3), np.float32)).tolist() == []
+
+
+def test_no_picture_shows_how_rows_are_arranged(device: Device, small: None) -> None:
+    """Two sets of several pages, one of them twice, one with rows that are not live."""
+    first, second = cloud(300, 1, degree=2), cloud(200, 2)
+    second.update(count=150)
+    first.rows[40:60, :3] = first.rows[20:40, :3]  # ties, which the earlier row wins
+    scene = Scene(
+        [
+            first,
+            SplatSet(second, turned(0.2, (0, 1, 0))),
+            SplatSet(first, turned(0.5, (0, 0, 1))),
+        ]
+    )
+    one = Renderer(device, rasteriser="tiles", page_rows=64)
+    before = one.render(scene, camera(), outputs=ALL)
+    assert all(page.rows_of is None for _, page in one.placed(Scene([cloud(5)])))
+    after = one.render(scene, camera(), outputs=ALL)
+    assert all(page.rows_of is not None for _, page in one.placed(scene))
+    assert same(before, after)
+    assert (before.ids >= 0).any()
+
+
+def anew(data: SplatData) -> Scene:
+    """The same values, which no renderer has seen."""
+    return Scene([SplatData(data.rows, data.appearance, data.space, count=data.count)])
+
+
+@pytest.fixture(params=[True, False], ids=["mapped", "copied"])
+def maps(device: Device, monkeypatch: pytest.MonkeyPatch, request: object) -> bool:
+    """Whether the device maps its memory, as software drivers do and cards do not."""
+    if request.param and not device.maps:
+        pytest.skip("a card, whose memory is its own")
+    monkeypatch.setattr(device, "maps", request.param)
+    monkeypatch.setattr(devices, "MAPPED_FROM", 1)
+    return bool(request.param)
+
+
+def test_what_changes_keeps_an_order_where_it_costs_nothing(
+    device: Device, renderer: Renderer, small: None, maps: bool
+) -> None:
+    data, other = cloud(100, 3), cloud(100, 4)
+    one, scene = Renderer(device, rasteriser="tiles"), Scene([data])
+
+    def arranged() -> bool:
+        frame = one.render(scene, camera(), outputs=ALL)
+        assert same(frame, renderer.render(anew(data), camera(), outputs=ALL))
+        return one._residency.pages(data)[0].rows_of is not None
+
+    assert [arranged(), arranged(), arranged()] == [False, True, True]
+    plan = one._plan
+    data.update(appearance=other.appearance)
+    assert [arranged(), arranged()] == [maps, maps]
+    data.update(rows=other.rows)
+    assert [arranged(), arranged()] == [maps, maps]
+    assert (one._plan is plan) is maps  # no buffer was made
+    data.update(
+        data.rows, data.appearance, count=80
+    )  # these rows are no longer those before
+    assert [arranged(), arranged()] == [False, False]
+    data.update(data.rows, data.appearance)
+    assert [arranged(), arranged()] == [False, False]
+
+
+def test_an_order_is_found_anew_when_neighbours_have_parted(
+    device: Device, small: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not device.maps:
+        pytest.skip("rows that change have their own order on a card")
+    monkeypatch.setattr(spatial_order, "_SERVES", 3)
+    data = cloud(200, 8)
+    began, held = data.rows, Residency(device)
+
+    def order() -> np.ndarray:
+        held.begin(data)
+        return held.pages(data)[0].rows_of
+
+    assert order() is None
+    data.update(rows=1.5 * began)
+    first = order()
+    np.testing.assert_array_equal(first, along_curve(data.rows[:, :3]))
+    for _ in range(5):  # nobody moves far
+        data.update(rows=data.rows + np.float32(0.01))
+        assert order() is first
+    mixed = began[np.random.default_rng(0).permutation(200)]
+    data.update(rows=50 * mixed)
+    np.testing.assert_array_equal(order(), along_curve(data.rows[:, :3]))
+    data.update(rows=began)  # the new one serves for a while, whatever comes
+    np.testing.assert_array_equal(order(), along_curve(50 * mixed[:, :3]))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("far", [np.inf, -np.inf, np.nan])
+def test_nothing_is_said_of_neighbours_that_are_nowhere(far: float) -> None:
+    data = cloud(200, 9)
+    data.rows[::2, :2] = far
+    order = Arrangement.found(data)
+    assert 0 < order.apart < 10
+    data.rows[:, 0] = far
+    assert Arrangement.found(data).apart == 0
+
+
+@pytest.mark.parametrize("change", ["rows", "appearance", "count"])
+def test_values_may_change_once_rows_are_arranged(
+    device: Device, renderer: Renderer, small: None, maps: bool, change: str
+) -> None:
+    data, other = cloud(100, 5), cloud(100, 6)
+    data.update(count=60)
+    one, scene = Renderer(device, rasteriser="tiles"), Scene([data])
+    for _ in range(2):
+        one.render(scene, camera())
+    kept = {"count": 60} if change != "count" else {"count": 80}
+    data.update(**kept, **({} if change == "count" else {change: getattr(other, change)}))
+    assert same(
+        one.render(scene, camera(), outputs=ALL),
+        renderer.render(anew(data), camera(), outputs=ALL),
+    )
+
+
+def test_a_frame_without_memory_forgets_no_count(
+    device: Device, renderer: Renderer, small: None, maps: bool
+) -> None:
+    data, other = cloud(200, 10), cloud(200, 11)
+    one, scene = Renderer(device, rasteriser="tiles", compact=True), Scene([data])
+    for _ in range(2):
+        one.render(scene, camera())
+    data.update(rows=other.rows, count=100)  # rows are unpacked, for which there is no room
+    with memory_of(100), pytest.raises(MemoryFull):
+        one.render(scene, camera())
+    shapes = ("depth", "normal")
+    assert same(
+        one.render(scene, camera(), outputs=shapes),
+        renderer.render(anew(data), camera(), outputs=shapes),
+    )
+
+
+def test_a_plane_seen_straight_on_is_not_arranged(device: Device, small: None) -> None:
+    """All its depths are one, and the earlier row is in front."""
+    data = cloud(400, 7, opacity=(0.5, 0.9))
+    data.rows[:, 2] = 4.0
+    one, scene = Renderer(device, rasteriser="tiles"), Scene([data])
+    before = one.render(scene, camera(), outputs=ALL)
+    for _ in range(2):
+        assert same(one.render(scene, camera(), outputs=ALL), before)
+    assert one.placed(scene)[0][1].rows_of is None

@@ -1,0 +1,98 @@
+"""Only what changed goes to the GPU: rows, appearance, or rows that were not live before."""
+
+import numpy as np
+import pytest
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.splat_residency import Residency
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.scene.splat_data import SplatData
+from support.rendering.splat_scenes import camera, cloud
+
+ROW, COLOR = 40, 16  # bytes; RGB in float32 is filled up to a word
+
+
+@pytest.fixture
+def written(device: Device, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int, int]]:
+    """Whatever is written to a buffer: its label, from which byte on, how many bytes."""
+    seen: list[tuple[str, int, int]] = []
+    mapped, write = Device.mapped, Device.write
+
+    def filled(self: Device, buffer: object, offset: int, size: int) -> object:
+        seen.append((buffer.label, offset, size))
+        return mapped(self, buffer, offset, size)
+
+    def written(self: Device, buffer: object, data: np.ndarray, offset: int = 0) -> None:
+        seen.append((buffer.label, offset, data.nbytes))
+        write(self, buffer, data, offset)
+
+    monkeypatch.setattr(
+        Device, "mapped", filled
+    )  # of large buffers, if the device maps them
+    monkeypatch.setattr(Device, "write", written)
+    return seen
+
+
+def test_what_did_not_change_is_not_written(device: Device, written: list) -> None:
+    data, other = cloud(100, 1), cloud(100, 2)
+    held = Residency(device)
+
+    def uploaded() -> list:
+        written.clear()
+        held.pages(data)
+        return list(written)
+
+    everything = [("rows", 0, 100 * ROW), ("appearance", 0, 100 * COLOR)]
+    assert uploaded() == everything
+    assert uploaded() == []
+    data.update(rows=other.rows)
+    assert uploaded() == everything[:1]
+    data.update(appearance=other.appearance)
+    assert uploaded() == everything[1:]
+    data.update(data.rows, data.appearance)
+    assert uploaded() == everything
+    data.update(count=30)
+    assert uploaded() == []
+    data.update(rows=other.rows, count=30)
+    assert uploaded() == [("rows", 0, 30 * ROW)]
+    data.update(count=40)
+    assert uploaded() == [("rows", 30 * ROW, 10 * ROW)]
+    data.update(count=100)
+    assert uploaded() == [("rows", 40 * ROW, 60 * ROW)]
+    data.update(count=0)
+    assert uploaded() == []
+
+
+def test_rows_that_become_live_are_written_page_by_page(
+    device: Device, written: list
+) -> None:
+    data = cloud(300, 3, degree=1)
+    data.update(count=70)
+    held = Residency(device, page_rows=64)
+    held.pages(data)
+    assert [one for one in written if one[0] == "rows"] == [
+        ("rows", 0, 64 * ROW),
+        ("rows", 0, 6 * ROW),
+    ]
+    written.clear()
+    data.update(count=200)
+    held.pages(data)
+    assert [one for one in written if one[0] == "rows"] == [
+        ("rows", 6 * ROW, 58 * ROW),
+        ("rows", 0, 64 * ROW),
+        ("rows", 0, 8 * ROW),
+    ]
+
+
+def test_a_count_that_grows_shows_the_same_as_at_once(
+    device: Device, renderer: Renderer
+) -> None:
+    small = Renderer(device, rasteriser="tiles", page_rows=64)
+    data = cloud(300, 6, degree=3)
+    for count in (0, 70, 65, 300):
+        data.update(count=count)
+        shown = small.render(Scene([data]), camera())
+        fresh = SplatData(data.rows, data.appearance, "sh", count=count)
+        assert np.array_equal(shown.rgba, renderer.render(Scene([fresh]), camera()).rgba)
+        assert (shown.visible > 0) == (count > 0)

@@ -1,0 +1,56 @@
+"""Rows come into buffers as they are wanted, whether the device maps its memory or not."""
+
+import numpy as np
+import pytest
+
+from gsgen.runtime.errors import DeviceLost
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.upload import Target, upload
+
+ROOM = 80_000  # rows: more than are made at a time, and enough to be mapped
+
+
+@pytest.mark.parametrize("maps", [True, False])
+@pytest.mark.parametrize("ordered", [True, False])
+@pytest.mark.parametrize("made", [True, False])
+def test_rows_are_where_they_belong(
+    device: Device, monkeypatch: pytest.MonkeyPatch, maps: bool, ordered: bool, made: bool
+) -> None:
+    if maps and not device.maps:
+        pytest.skip("a card, whose memory is its own")
+    monkeypatch.setattr(device, "maps", maps)
+    rng = np.random.default_rng(0)
+    array = rng.normal(size=(15_000, 4)).astype(np.float16 if made else np.float32)
+    buffer = device.filled("rows", 16 * ROOM)
+    before = np.full((ROOM, 4), 7, np.float32)
+    upload(device, Target(buffer, 0, 16), before)
+    order = rng.permutation(15_000)[:12_345].astype(np.uint32) if ordered else None
+    assert device.can_map(buffer) is maps
+    target = Target(
+        buffer, 1234, 16, (lambda rows: rows.astype(np.float32)) if made else None
+    )
+    upload(device, target, array, order)
+    some = array if order is None else array[order]
+    before[1234 : 1234 + len(some)] = some
+    read = device.read(buffer, np.float32, 4 * ROOM).reshape(-1, 4)
+    np.testing.assert_array_equal(read, before)
+
+
+def test_a_device_that_is_gone_is_told() -> None:
+    device = Device.open()
+    buffer = device.filled("rows", 16 * ROOM)
+    device.raw.destroy()
+    with pytest.raises(DeviceLost, match="was lost"), device.minding():
+        upload(device, Target(buffer, 0, 16), np.ones((1, 4), np.float32))
+
+
+def test_what_goes_wrong_on_the_way_leaves_the_buffer_to_the_device(device: Device) -> None:
+    buffer = device.filled("rows", 16 * ROOM)
+
+    def fail(rows: np.ndarray) -> np.ndarray:
+        raise ValueError(rows.shape)
+
+    with pytest.raises(ValueError, match="1, 4"):
+        upload(device, Target(buffer, 0, 16, fail), np.ones((1, 4), np.float32))
+    upload(device, Target(buffer, 0, 16), np.ones((1, 4), np.float32))
+    assert device.read(buffer, np.float32, 4).tolist() == [1, 1, 1, 1]

@@ -1,0 +1,225 @@
+"""Each kernel does what its NumPy twin does."""
+
+import numpy as np
+import pytest
+
+from gsgen.contract.spec.spherical_harmonics import basis
+from gsgen.runtime.kernels.project import project
+from gsgen.runtime.kernels.project.normals import normals_reference
+from gsgen.runtime.kernels.project.project import Projected, project_reference
+from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.kernels.shared.shader import ABSENT, TILE, source
+from gsgen.runtime.kernels.tiles.bin_tiles import touched_reference
+from gsgen.runtime.kernels.tiles.blend_tiles import blend_reference
+from gsgen.runtime.kernels.tiles.tile_ranges import ranges_reference
+from gsgen.runtime.renderer.frame_plan import Plan
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from support.rendering.splat_scenes import SCENES, camera, cloud
+
+NOTHING_BEHIND = np.zeros(3)
+
+
+def run(renderer: Renderer, scene: Scene, camera: Camera, *stages: str) -> Plan:
+    """Run some stages of a frame, and return the plan whose buffers have what they made."""
+    placed = renderer.placed(scene)
+    plan = renderer.plan(placed, camera, frozenset(["color"]))
+    plan.submit(placed, camera, NOTHING_BEHIND, only=stages or None)
+    plan.collect()
+    return plan
+
+
+def words(renderer: Renderer, plan: Plan, name: str, count: int) -> np.ndarray:
+    return renderer.device.read(plan.buffers[name], np.uint32, count)
+
+
+def floats(renderer: Renderer, plan: Plan, name: str, count: int) -> np.ndarray:
+    return words(renderer, plan, name, 4 * count).view(np.float32).reshape(count, 4)
+
+
+def reference(one: SplatSet, camera: Camera) -> Projected:
+    frame = project.frame_uniform(camera, NOTHING_BEHIND)
+    n = len(one.data)
+    page = project.page_uniform(one, camera, 0, n, one.data.count)
+    return project_reference(one.data, frame, page)
+
+
+ONE_SET = [
+    "many",
+    "principal_point_outside",
+    "needles",
+    "huge",
+    "around_the_camera",
+    "not_finite",
+    "covariances_that_are_none",
+    "degree_3",
+    "fewer_live_than_rows",
+    "antialiased",
+    "seen_from_elsewhere",
+    "far_from_the_origin",
+    "flat_cameras",
+    "panorama",
+    "panorama_poles",
+    "panorama_part",
+]
+
+
+@pytest.mark.parametrize("name", ONE_SET)
+def test_project(renderer: Renderer, name: str) -> None:
+    scene, seen_by = SCENES[name]()
+    scene = Scene(scene.sets[:1])
+    n = len(scene)
+    plan = run(renderer, scene, seen_by, "project")
+    keys = words(renderer, plan, "keys of Gaussians a", n)
+    shapes, weights, colors = (
+        floats(renderer, plan, part, n) for part in ("shapes", "weights", "colors")
+    )
+    wanted = reference(scene.sets[0], seen_by)
+    drawn = keys != ABSENT
+    assert drawn.any()
+    assert not (drawn & ~wanted.drawn).any()
+    # What the kernel leaves out beyond that is beside the image.
+    origin = project.frame_uniform(seen_by, NOTHING_BEHIND)["origin"]
+    for i in np.flatnonzero(wanted.drawn & ~drawn):
+        around = (wanted.mean[i] + origin, wanted.conic[i], wanted.strength[i] - 1e-4)
+        size = (seen_by.width, seen_by.height)
+        assert not touched_reference(*around, size, seen_by.period).any()
+    np.testing.assert_allclose(keys[drawn].view(np.float32), wanted.depth[drawn], rtol=1e-5)
+    np.testing.assert_array_equal(weights[drawn, 2], keys[drawn].view(np.float32))
+    size = np.abs(wanted.mean[drawn]).max() + 1
+    np.testing.assert_allclose(shapes[drawn, :2], wanted.mean[drawn], atol=2e-6 * size)
+    conic = np.column_stack([shapes[drawn, 2:], weights[drawn, 0]])
+    largest = np.abs(wanted.conic[drawn]).max(axis=1, keepdims=True)
+    assert (np.abs(conic - wanted.conic[drawn]) <= 1e-4 * largest).all()
+    np.testing.assert_allclose(weights[drawn, 1], wanted.strength[drawn], atol=1e-5)
+    np.testing.assert_allclose(colors[drawn, :3], wanted.color[drawn], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "many",
+        "needles",
+        "huge",
+        "principal_point_outside",
+        "panorama_seam",
+        "panorama_huge",
+    ],
+)
+def test_bins_hold_every_tile_that_a_splat_reaches(renderer: Renderer, name: str) -> None:
+    scene, small = SCENES[name]()
+    seen_by = small.scaled(150, 90)
+    run(renderer, scene, seen_by)  # the plan may have to be made
+    plan = run(renderer, scene, seen_by, "project", "sort", "bin")
+    n = len(scene)
+    counts = words(renderer, plan, "counts", 4)
+    pairs, visible = int(counts[Counts.PAIRS]), int(counts[Counts.VISIBLE])
+    assert pairs == counts[Counts.WANTED_PAIRS] > 0
+    tiles = words(renderer, plan, "keys of pairs a", pairs)
+    members = words(renderer, plan, "values of pairs a", pairs)
+    touched = floats(renderer, plan, "colors", n)[:, 3]
+    keys = words(renderer, plan, "keys of Gaussians a", visible)
+    # As many were listed as were counted, nearest splat first.
+    np.testing.assert_array_equal(
+        np.bincount(members, minlength=n)[np.unique(members)], touched[np.unique(members)]
+    )
+    order = members[np.append(True, np.diff(members.astype(np.int64)) != 0)]
+    assert len(order) == visible
+    assert (np.diff(keys.view(np.float32)) >= 0).all()
+    shapes, weights = (floats(renderer, plan, part, n) for part in ("shapes", "weights"))
+    origin = project.frame_uniform(seen_by, NOTHING_BEHIND)["origin"]
+    across = -(-seen_by.width // TILE)
+    needed = 0
+    for i in order:
+        conic = np.float64([shapes[i, 2], shapes[i, 3], weights[i, 0]])
+        mean = shapes[i, :2].astype(np.float64) + origin
+        strength = float(weights[i, 1])
+        must = touched_reference(mean, conic, strength, (150, 90), seen_by.period)
+        listed = np.zeros(must.size, bool)
+        listed[tiles[members == i]] = True
+        assert not (must.ravel() & ~listed).any()
+        assert len(must[0]) == across
+        needed += int(must.sum())
+    assert pairs <= 1.1 * needed + 5  # little is listed for nothing
+
+
+def test_ranges(renderer: Renderer) -> None:
+    scene, seen_by = SCENES["many"]()
+    run(renderer, scene, seen_by)
+    plan = run(renderer, scene, seen_by, "project", "sort", "bin", "group")
+    pairs = int(words(renderer, plan, "counts", 3)[Counts.PAIRS])
+    count = 4 * 3
+    ranges = words(renderer, plan, "ranges", 2 * count).reshape(count, 2)
+    # Four bits of tiles are sorted in one pass: the result is on the other side.
+    tiles = words(renderer, plan, "keys of pairs b", pairs)
+    assert (np.diff(tiles.astype(np.int64)) >= 0).all()
+    np.testing.assert_array_equal(ranges, ranges_reference(tiles, count))
+
+
+@pytest.mark.parametrize("name", ["many", "huge", "same_depths"])
+def test_blend(renderer: Renderer, name: str) -> None:
+    scene, seen_by = SCENES[name]()
+    image = renderer.render(scene, seen_by).rgba
+    all_of_them = reference(scene.sets[0], seen_by)
+    order = np.argsort(all_of_them.depth.astype(np.float32), kind="stable")
+    order = order[all_of_them.drawn[order]]
+    fields = Projected.__slots__
+    splats = Projected(*(getattr(all_of_them, field)[order] for field in fields))
+    origin = project.frame_uniform(seen_by, NOTHING_BEHIND)["origin"]
+    wanted = blend_reference(splats, origin, (seen_by.width, seen_by.height))
+    error = np.abs(image - wanted)
+    assert np.quantile(error, 0.999) <= 1e-5  # the rest is at thresholds
+    assert error.max() <= 5e-3
+
+
+def test_normals(renderer: Renderer) -> None:
+    scene, seen_by = SCENES["seen_from_elsewhere"]()
+    data, n = scene.sets[0].data, len(scene)
+    renderer.render(scene, seen_by, outputs=("normal",))
+    placed = renderer.placed(scene)
+    plan = renderer.plan(placed, seen_by, frozenset(["normal"]))
+    plan.submit(placed, seen_by, NOTHING_BEHIND, only=["project"])
+    plan.collect()
+    found = floats(renderer, plan, "normals", n)[:, :3]
+    drawn = words(renderer, plan, "keys of Gaussians a", n) != ABSENT
+    turn = seen_by.view[:3, :3]
+    upper = data.rows[:, 4:].astype(np.float64)
+    sigma = turn @ upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3) @ turn.T
+    at = data.rows[:, :3] @ turn.T + seen_by.view[:3, 3]
+    values = np.linalg.eigvalsh(sigma)
+    clear = drawn & (values[:, 1] > 1.3 * values[:, 0])
+    wanted = normals_reference(sigma, at)
+    cosine = np.abs(
+        (found * wanted).sum(axis=1)
+    )  # edge-on, the side is a matter of rounding
+    assert clear.sum() > 100
+    assert cosine[clear].min() > 0.9999
+    np.testing.assert_allclose(np.linalg.norm(found[drawn], axis=1), 1, atol=1e-5)
+
+
+def test_a_shader_is_its_file_with_snippets_and_constants() -> None:
+    text = source("blend_tiles", COLUMNS=1, QUADS=2, CELLS=2, PICK=False, POLYNOMIAL=False)
+    assert "//!" not in text
+    assert "struct Frame" in text
+    assert "const PICK: bool = false;" in text
+    assert "const MAX_ALPHA: f32 = 0.99f;" in text
+    assert "through_0" in text
+    assert "through_1" in text
+    assert "through_2" not in text
+
+
+def test_harmonics_are_the_contracts(renderer: Renderer) -> None:
+    """Each of the sixteen functions by itself, in many directions."""
+    data = cloud(16 * 12, 3, degree=3, depth=(3, 6), size=0.01)
+    data.appearance[:] = 0
+    which = np.arange(len(data)) % 16
+    data.appearance[np.arange(len(data)), 3 * which + 1] = 0.25
+    plan = run(renderer, Scene([data]), camera(), "project")
+    drawn = words(renderer, plan, "keys of Gaussians a", len(data)) != ABSENT
+    colors = floats(renderer, plan, "colors", len(data))
+    toward = data.rows[:, :3] / np.linalg.norm(data.rows[:, :3], axis=1, keepdims=True)
+    wanted = 0.5 + 0.25 * basis(toward)[np.arange(len(data)), which]
+    assert (np.bincount(which[drawn]) >= 8).all()
+    np.testing.assert_allclose(colors[drawn, 1], wanted[drawn], atol=1e-6)
+    np.testing.assert_allclose(colors[drawn, 0], 0.5, atol=1e-6)

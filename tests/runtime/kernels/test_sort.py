@@ -1,0 +1,143 @@
+"""The radix sort is NumPy's stable sort."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.shared import counts as counting
+from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.kernels.shared.kernel import run
+from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.sort.scan import Scan, scan_reference
+from gsgen.runtime.kernels.sort.sort import Cut, cut_for, sort_reference
+from support.rendering.sorting import GPU, KEYS, Bench, keys_of
+
+ROOM = 1 << 16
+MANY = 300_000
+
+
+@pytest.fixture(scope="module", params=["this device", "many invocations"])
+def cut(request: pytest.FixtureRequest, device: Device) -> Cut:
+    return cut_for(device) if request.param == "this device" else GPU
+
+
+@pytest.fixture(scope="module")
+def compacting(device: Device, cut: Cut) -> Bench:
+    return Bench(device, cut, 32, ROOM, compact=True)
+
+
+@pytest.mark.parametrize("kind", KEYS)
+@pytest.mark.parametrize("n", [0, 1, 7, 4096, 4097, 65_536])
+def test_sorted_is_numpys(compacting: Bench, n: int, kind: str) -> None:
+    # Keys behind the n are absent: the first pass looks at all there is room for.
+    keys = np.full(ROOM, ABSENT, np.uint32)
+    keys[:n] = keys_of(n, kind)
+    keys_out, places = compacting(keys)
+    wanted = sort_reference(keys, 32)
+    np.testing.assert_array_equal(places, wanted)
+    np.testing.assert_array_equal(keys_out, keys[wanted])
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.sampled_from([0, 1, 2, 255, 256, 1 << 31, ABSENT - 1, ABSENT])))
+def test_any_keys(compacting_here: Bench, keys: list[int]) -> None:
+    held = np.full(ROOM, ABSENT, np.uint32)
+    held[: len(keys)] = keys
+    np.testing.assert_array_equal(compacting_here(held)[1], sort_reference(held, 32))
+
+
+@pytest.fixture(scope="module")
+def compacting_here(device: Device) -> Bench:
+    return Bench(device, cut_for(device), 32, ROOM, compact=True)
+
+
+@pytest.mark.parametrize("bits", [1, 5, 12, 13, 17])
+@pytest.mark.parametrize("n", [0, 1, 5000])
+def test_low_bits_with_values(device: Device, cut: Cut, bits: int, n: int) -> None:
+    keys = keys_of(n, "random", seed=bits) & np.uint32((1 << bits) - 1)
+    keys_out, places = Bench(device, cut, bits, 6000, compact=False)(keys)
+    wanted = np.argsort(keys, kind="stable")
+    np.testing.assert_array_equal(places, wanted)
+    np.testing.assert_array_equal(keys_out, keys[wanted])
+
+
+@pytest.mark.parametrize("kind", KEYS)
+def test_many_keys(many: Bench, kind: str) -> None:
+    """As many as let the scan of a GPU go by blocks; `make fuzz-sort` has four million."""
+    keys = keys_of(MANY, kind, seed=4)
+    keys_out, places = many(keys)
+    wanted = sort_reference(keys, 32)
+    np.testing.assert_array_equal(places, wanted)
+    np.testing.assert_array_equal(keys_out, keys[wanted])
+
+
+@pytest.fixture(scope="module", params=["this device", "small blocks"])
+def many(request: pytest.FixtureRequest, device: Device) -> Bench:
+    cut = cut_for(device) if request.param == "this device" else Cut(256, 4, 4, 4)
+    return Bench(device, cut, 32, MANY, compact=True)
+
+
+@pytest.fixture(scope="module", params=["in one workgroup", "by blocks"])
+def scan(request: pytest.FixtureRequest, device: Device) -> Scan:
+    other = Device(device.raw)
+    other.software = request.param == "in one workgroup"
+    return Scan(other, 4096, 64, 256)
+
+
+@pytest.mark.parametrize("n", [0, 1, 255, 256, 257, 6144, 10_000, 300_001])
+@pytest.mark.parametrize("most", [5, 1 << 31])
+def test_scan(device: Device, scan: Scan, n: int, most: int) -> None:
+    numbers = np.random.default_rng(n).integers(0, most, n, np.uint32) // np.uint32(2)
+    counts, room = device.storage("counts", counting.BYTES), n + 5000
+    buffer = device.storage("numbers", 4 * room)
+    made = counting.initial(n, 77)
+    behind = np.full(room - n, 7, np.uint32)  # is neither added nor touched
+    device.write(counts, made)
+    device.write(buffer, np.append(numbers, behind))
+    steps = scan.steps(counts, buffer, source=Counts.GAUSSIANS, block=1, total=Counts.PAIRS)
+    encoder = device.raw.create_command_encoder()
+    run(encoder, steps, "scan")
+    device.raw.queue.submit([encoder.finish()])
+    left = device.read(buffer, np.uint32, room)
+    np.testing.assert_array_equal(left[:n], scan_reference(numbers))
+    np.testing.assert_array_equal(left[n:], behind)
+    after = device.read(counts, np.uint32, counting.BYTES // 4)
+    total = min(int(numbers.sum(dtype=np.uint64)), 0x7FFFFFFF)
+    assert after[Counts.WANTED_PAIRS] == total
+    assert after[Counts.PAIRS] == min(total, 77)
+    assert after[Counts.SORT_PAIRS_GROUPS] == -(-min(total, 77) // 4096)
+    assert after[Counts.SORT_PAIRS_GROUPS + 1 :][:2].tolist() == [1, 1]
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.integers(0, 9000),
+    st.integers(0, 4),
+    st.sampled_from([1, 3, 1000, 0x7FFFFFFF]),
+    st.integers(0, 1 << 32),
+)
+def test_any_scan(by_blocks: Scan, n: int, rows: int, most: int, seed: int) -> None:
+    """Of rows × ⌈n / 3⌉ numbers, whatever they are."""
+    device = by_blocks._device
+    length = rows * -(-n // 3)
+    rng = np.random.default_rng(seed)
+    numbers = rng.integers(0, most, length, np.uint32, endpoint=True)
+    counts = device.storage("counts", counting.BYTES)
+    buffer = device.storage("numbers", 4 * 4 * 3000)
+    device.write(counts, counting.initial(n, 0))
+    device.write(buffer, numbers)
+    steps = by_blocks.steps(counts, buffer, source=Counts.GAUSSIANS, block=3, rows=rows)
+    encoder = device.raw.create_command_encoder()
+    run(encoder, steps, "scan")
+    device.raw.queue.submit([encoder.finish()])
+    made = device.read(buffer, np.uint32, length)
+    np.testing.assert_array_equal(made, scan_reference(numbers))
+
+
+@pytest.fixture(scope="module")
+def by_blocks(device: Device) -> Scan:
+    other = Device(device.raw)
+    other.software = False
+    return Scan(other, 4096, 64, 256)

@@ -1,0 +1,71 @@
+"""GIFs: what can be seen through, and what colours are left."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from gsgen.runtime.media.gif import save_gif
+
+
+def read(path: Path) -> list[np.ndarray]:
+    with Image.open(path) as film:
+        return [np.array(one.convert("RGBA")) for one in ImageSequence.Iterator(film)]
+
+
+def pictures(count: int, colors: int = 200) -> list[np.ndarray]:
+    """Noise of so many colours, half of it covered by less than all."""
+    rng = np.random.default_rng(0)
+    palette = rng.integers(0, 256, (colors, 3), dtype=np.uint8)
+    made = []
+    for _ in range(count):
+        alpha = rng.choice(np.array([0, 1, 127, 128, 254, 255], np.uint8), (24, 32, 1))
+        chosen = palette[rng.integers(0, colors, (24, 32))]
+        made.append(np.concatenate([chosen, alpha], axis=-1))
+    return made
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_half_covered_is_opaque_and_less_is_transparent(tmp_path: Path, count: int) -> None:
+    wanted = pictures(count)
+    save_gif(tmp_path / "a.gif", wanted, 10)
+    got = read(tmp_path / "a.gif")
+    assert len(got) == count
+    for made, one in zip(got, wanted, strict=True):
+        there = one[..., 3] >= 128
+        np.testing.assert_array_equal(made[..., 3], np.where(there, 255, 0))
+        np.testing.assert_array_equal(made[there][:, :3], one[there][:, :3])
+
+
+def test_a_frame_does_not_show_through_the_next(tmp_path: Path) -> None:
+    left, right = np.zeros((2, 8, 8, 4), np.uint8)
+    left[:, :4], right[:, 4:] = (255, 0, 0, 255), (0, 0, 255, 255)
+    save_gif(tmp_path / "a.gif", [left, right, left], 10)
+    for made, one in zip(read(tmp_path / "a.gif"), (left, right, left), strict=True):
+        np.testing.assert_array_equal(made[..., 3], one[..., 3])
+
+
+def test_more_colours_than_a_palette_has_are_near(tmp_path: Path) -> None:
+    ramp = np.mgrid[0:64, 0:64].transpose(1, 2, 0).astype(np.uint8) * 4
+    one = np.concatenate([ramp, np.full((64, 64, 1), 99), np.full((64, 64, 1), 255)], -1)
+    one = one.astype(np.uint8)
+    one[:8, :8, 3] = 0
+    save_gif(tmp_path / "a.gif", [one], 10)
+    (made,) = read(tmp_path / "a.gif")
+    there = one[..., 3] > 0
+    np.testing.assert_array_equal(made[..., 3] > 0, there)
+    off = made[there][:, :3].astype(int) - one[there][:, :3]
+    assert np.abs(off).max() <= 16
+
+
+@pytest.mark.parametrize("shape", [(9, 7), (9, 7, 3), (9, 7, 4)])
+def test_nothing_transparent(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    one = np.full(shape, 255, np.uint8)
+    one[2:5, 2:5] = 40
+    if len(shape) == 3:
+        one[..., 3:] = 255
+    save_gif(tmp_path / "a.gif", [one], 10)
+    (made,) = read(tmp_path / "a.gif")
+    assert (made[..., 3] == 255).all()
+    np.testing.assert_array_equal(made[..., 0], one if one.ndim == 2 else one[..., 0])

@@ -1,0 +1,74 @@
+"""MP4 films, read back by another parser of such boxes: libavif, behind Pillow."""
+
+import io
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.media.mp4 import encode
+
+
+def _moving(count: int, size: tuple[int, int] = (64, 48)) -> list[Image.Image]:
+    """Return a bright bar that goes from left to right."""
+    width, height = size
+    frames = np.zeros((count, height, width, 3), np.uint8)
+    for number, frame in enumerate(frames):
+        left = number * (width - 8) // max(count - 1, 1)
+        frame[:, left : left + 8] = (250, 200, 40)
+    return [Image.fromarray(frame) for frame in frames]
+
+
+def _as_sequence(film: bytes) -> Image.Image:
+    """Say that the film is a sequence of images, which has the same tables."""
+    assert film[4:8] == b"ftyp"
+    assert film.count(b"vide") == 1
+    brands = b"avis" + film[12:16] + b"avismsf1iso8mif1"
+    return Image.open(io.BytesIO(film[:8] + brands + film[32:].replace(b"vide", b"pict")))
+
+
+@pytest.mark.parametrize("count", [2, 3, 48, 49, 50, 97])
+def test_every_frame_comes_back_in_its_order(count: int) -> None:
+    frames = _moving(count, (37, 22))
+    read = _as_sequence(encode(iter(frames), 30))
+    assert (read.size, getattr(read, "n_frames", None)) == ((37, 22), count)
+    for number in {0, count // 2, count - 1}:
+        read.seek(number)
+        seen = np.asarray(read.convert("RGB"), np.float64)
+        error = np.abs(seen - np.asarray(frames[number])).mean()
+        assert error < 6, number  # a bar elsewhere: 25 and more
+
+
+def test_a_film_of_one_frame_is_a_film() -> None:
+    film = encode(_moving(1), 25)
+    at = film.index(b"stsz")
+    assert int.from_bytes(film[at + 12 : at + 16], "big") == 1
+    size = int.from_bytes(film[at + 16 : at + 20], "big")
+    assert film[-size - 8 :].startswith((size + 8).to_bytes(4, "big") + b"mdat")
+
+
+@pytest.mark.parametrize("fps", [1, 23.976, 25, 60])
+def test_the_rate_is_the_one_that_was_asked_for(fps: float) -> None:
+    film = encode(_moving(3, (16, 16)), fps)
+    header, times = film.index(b"mdhd") + 4, film.index(b"stts") + 4
+    per_second = int.from_bytes(film[header + 12 : header + 16], "big")
+    each = int.from_bytes(film[times + 12 : times + 16], "big")
+    assert per_second / each == pytest.approx(fps, abs=1e-9)
+
+
+def test_groups_can_be_sought() -> None:
+    film = encode(_moving(100, (16, 16)), 25)
+    at = film.index(b"stss") + 8
+    count = int.from_bytes(film[at : at + 4], "big")
+    firsts = np.frombuffer(film[at + 4 : at + 4 + 4 * count], ">u4").tolist()
+    assert firsts[0] == 1
+    assert all(1 < after - before <= 50 for before, after in pairwise(firsts))
+
+
+def test_frames_of_several_sizes_are_refused() -> None:
+    with pytest.raises(SceneInvalid, match=r"16×16, 32×16"):
+        encode([*_moving(2, (16, 16)), *_moving(1, (32, 16))], 25)
+    with pytest.raises(SceneInvalid, match="differ in size"):
+        encode([*_moving(48, (16, 16)), *_moving(3, (32, 16))], 25)

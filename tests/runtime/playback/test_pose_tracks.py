@@ -1,0 +1,194 @@
+"""Poses from files of many kinds reach the input that takes them, or it is said why not."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.spec.manifest import Input
+from gsgen.runtime.playback.pose_tracks import pose_tracks
+from gsgen.runtime.sources.source import Source, named
+
+POSE = np.random.default_rng(0).uniform(-0.4, 0.4, (5, 24, 3))
+
+
+class Body(Source):
+    """Enough of a source: the inputs of an avatar."""
+
+    def __init__(
+        self, joints: int = 24, turn: tuple[int, ...] = (3, 3), **rest: str
+    ) -> None:
+        self.shapes = {"pose": (joints, 3), "turn": turn, "shift": (3,), "face": (10,)}
+        self.inputs = (
+            Input("pose", "pose", convention=rest.get("convention", "smpl-axis-angle")),
+            Input("turn", "root_rotation"),
+            Input("shift", "root_translation"),
+            Input("face", "expression"),
+        )
+
+    def named(self, word: str) -> list[Input]:
+        return named(self.inputs, word)
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        return self.shapes[name]
+
+    def start(self, *_: object) -> None: ...
+    def finish(self) -> None: ...
+    def abandon(self) -> None: ...
+    def close(self) -> None: ...
+
+
+def read(path: Path, body: Body | None = None) -> dict[str, np.ndarray]:
+    tracks, _ = pose_tracks(str(path), body or Body())
+    return {track.word: track.given for track in tracks}
+
+
+def write(path: Path, **arrays: object) -> Path:
+    np.savez(path, **arrays)
+    return path
+
+
+def nested(path: Path) -> Path:
+    path.write_text(json.dumps(POSE.tolist()))
+    return path
+
+
+def plain(path: Path) -> Path:
+    np.save(path, POSE)
+    return path
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda folder: plain(folder / "a.npy"),
+        lambda folder: nested(folder / "a.json"),
+        lambda folder: write(folder / "a.npz", anything=POSE),
+        lambda folder: write(
+            folder / "a.npz", poses=POSE.reshape(5, 72), betas=np.zeros(10)
+        ),
+    ],
+)
+def test_every_kind_of_file_gives_the_same_poses(
+    tmp_path: Path, make: Callable[[Path], Path]
+) -> None:
+    found = read(make(tmp_path))
+    assert list(found) == ["pose"]
+    np.testing.assert_array_equal(found["pose"], POSE)
+
+
+def test_a_folder_is_read_in_the_order_of_its_numbers(tmp_path: Path) -> None:
+    for number in (10, 9, 2):
+        np.save(tmp_path / f"frame_{number}.npy", np.full((24, 3), number / 100))
+    assert read(tmp_path)["pose"][:, 0, 0].tolist() == [0.02, 0.09, 0.1]
+    (tmp_path / "frame_11.npy").write_bytes(b"\x93NUMPY damaged")
+    with pytest.raises(ConfigInvalid, match=r"frame_11\.npy: cannot be read"):
+        read(tmp_path)
+
+
+def test_one_pose_is_for_all_frames(tmp_path: Path) -> None:
+    np.save(tmp_path / "one.npy", POSE[0])
+    (track,), _ = pose_tracks(str(tmp_path / "one.npy"), Body())
+    assert track.frames((24, 3)) == 1
+    np.testing.assert_array_equal(track.at((24, 3), 7, 9), POSE[0])
+
+
+def test_what_else_a_file_tells_of_the_body(tmp_path: Path) -> None:
+    turns = Rotation.from_rotvec(np.random.default_rng(1).normal(size=(5, 3)))
+    shift = np.random.default_rng(2).normal(size=(5, 3))
+    path = write(tmp_path / "a.npz", poses=POSE, Th=shift, R=turns.as_matrix())
+    found = read(path)
+    np.testing.assert_array_equal(found["shift"], shift)
+    np.testing.assert_array_equal(found["turn"].reshape(5, 3, 3), turns.as_matrix())
+    as_vectors = read(path, Body(turn=(3,)))["turn"]
+    np.testing.assert_allclose(as_vectors, turns.as_rotvec(), atol=1e-12)
+    path = write(tmp_path / "b.npz", poses=POSE, trans=shift, Rh=turns.as_rotvec())
+    np.testing.assert_allclose(
+        read(path)["turn"].reshape(5, 3, 3), turns.as_matrix(), atol=1e-12
+    )
+
+
+def test_frames_a_second(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.npz", poses=POSE, mocap_framerate=np.float64(60))
+    assert pose_tracks(str(path), Body())[1] == 60
+
+
+@pytest.mark.parametrize(
+    ("given", "joints", "shared"),
+    [(52, 24, range(22)), (52, 55, [*range(22), *range(-30, 0)]), (22, 55, range(22)),
+     (55, 52, [*range(22), *range(-30, 0)]), (24, 22, range(22))],
+)  # fmt: skip
+def test_poses_of_one_body_move_another(
+    tmp_path: Path, given: int, joints: int, shared: list[int]
+) -> None:
+    poses = np.random.default_rng(0).normal(size=(3, given, 3))
+    path = write(tmp_path / "a.npz", poses=poses.reshape(3, -1))
+    made = read(path, Body(joints))["pose"]
+    wanted = np.zeros((3, joints, 3))
+    wanted[:, list(shared)] = poses[:, list(shared)]
+    np.testing.assert_array_equal(made, wanted)
+    with pytest.raises(ConfigInvalid, match=rf"{3 * given}\], and the model takes"):
+        read(path, Body(joints, convention="axis-angle"))
+
+
+def test_lhm(tmp_path: Path) -> None:
+    sizes = {"root_pose": 3, "body_pose": 63, "jaw_pose": 3, "leye_pose": 3, "reye_pose": 3,
+             "lhand_pose": 45, "rhand_pose": 45}  # fmt: skip
+    rng = np.random.default_rng(0)
+    frames = [
+        {name: rng.normal(size=n).tolist() for name, n in sizes.items()} for _ in "ab"
+    ]
+    for number, frame in enumerate(frames):
+        frame |= {"trans": [number, 2.5, 3], "expr": rng.normal(size=10).tolist()}
+        (tmp_path / f"{number}.json").write_text(json.dumps(frame))
+    together = tmp_path / "all" / "motion.json"
+    together.parent.mkdir()
+    together.write_text(json.dumps(frames))
+    for path in (tmp_path, together):
+        found = read(path, Body(55))
+        assert found["pose"].shape == (2, 55, 3)
+        flat = np.concatenate([frames[1][name] for name in sizes])
+        np.testing.assert_array_equal(found["pose"][1].ravel(), flat)
+        np.testing.assert_array_equal(found["shift"], [[0, 2.5, 3], [1, 2.5, 3]])
+        np.testing.assert_array_equal(found["face"], [frame["expr"] for frame in frames])
+    frames[0]["body_pose"] = [0.0]
+    together.write_text(json.dumps(frames))
+    with pytest.raises(ConfigInvalid, match="frame 0: body_pose has 1 numbers, wanted 63"):
+        read(together, Body(55))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("{", "cannot be read"),
+        ("[]", r"float64 \[0\], wanted numbers"),
+        ('["a"]', "wanted numbers"),
+        ("[[[1]]]", r"poses of \[1, 1\], and the model takes \[24, 3\]"),
+        ("[[[[1]]]]", r"has shape \[1, 1, 1, 1\], wanted \[joints, 3\]"),
+        ("[[1, 2], [3]]", "cannot be read"),
+        ("[[NaN, 0, 0]]", "1 numbers that are not finite"),
+        ("{}", "has no poses, but nothing"),
+        ('{"shape": [1], "scale": [2]}', "has no poses, but shape, scale"),
+        ('{"pose": [[1, 2, 3]], "trans": [1, 2]}', r"trans: is \[2\], wanted 3 numbers"),
+    ],
+)
+def test_files_that_hold_no_poses_say_so(tmp_path: Path, content: str, said: str) -> None:
+    path = tmp_path / "motion.json"
+    path.write_text(content)
+    with pytest.raises(ConfigInvalid, match=said):
+        read(path)
+
+
+def test_an_empty_folder_says_so(tmp_path: Path) -> None:
+    with pytest.raises(ConfigInvalid, match="holds neither"):
+        read(tmp_path)
+
+
+def test_objects_are_not_unpickled(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.npz", poses=np.asarray([{}], object))
+    with pytest.raises(ConfigInvalid, match="allow_pickle"):
+        read(path)

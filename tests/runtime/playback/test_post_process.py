@@ -1,0 +1,178 @@
+"""What post-process models are given, and what becomes of what they give."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.conformance.fixtures import find
+from gsgen.conformance.fixtures.builders.arrays import f32
+from gsgen.conformance.fixtures.builders.images import darken
+from gsgen.conformance.fixtures.builders.sketch import Sketch
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.spec.manifest import ImageOutput, PostProcessOutputs
+from gsgen.runtime.errors import SceneInvalid
+from gsgen.runtime.playback.player import GeneratorPlayer
+from gsgen.runtime.playback.post_process import PostProcessor
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.frame import Frame
+from gsgen.sdk.binding import InputInvalid
+
+HEIGHT, WIDTH = 21, 30  # no multiple of the example's 8 × 12
+
+
+def frame(
+    seed: int = 0, *, space: str = "srgb", size: tuple[int, int] = (HEIGHT, WIDTH)
+) -> Frame:
+    """Colours beyond 1 and below 0, and pixels that nothing covers."""
+    rng = np.random.default_rng(seed)
+    alpha = np.clip(rng.uniform(-0.3, 1.3, size), 0, 1).astype(np.float32)
+    straight = rng.uniform(-0.2, 1.2, (*size, 3)).astype(np.float32)
+    rgba = np.concatenate([straight * alpha[..., None], alpha[..., None]], axis=-1)
+    return Frame(rgba, alpha, None, None, None, None, 5, 9, space)
+
+
+def straight(shown: Frame) -> np.ndarray:
+    """The colours as they should be given, in float64."""
+    alpha = shown.rgba[..., 3:].astype(np.float64)
+    color = np.clip(shown.rgba[..., :3] / np.where(alpha > 0, alpha, 1), 0, 1)
+    if shown.color_space == "srgb":
+        return color
+    low = color <= 0.0031308
+    return np.where(
+        low, 12.92 * color, 1.055 * np.maximum(color, 1e-9) ** (1 / 2.4) - 0.055
+    )
+
+
+def write(folder: Path, sketch: Sketch, name: str = "model") -> Path:
+    path = folder / f"{name}.onnx"
+    sketch.write(path)
+    return path
+
+
+def declared(sketch: Sketch, *, taken: tuple, given: tuple, space: str = "srgb") -> Sketch:
+    outputs = PostProcessOutputs(ImageOutput("out", range=given, color_space=space))
+    return replace(
+        sketch, manifest=replace(sketch.manifest, image_range=taken, outputs=outputs)
+    )
+
+
+@pytest.mark.parametrize("size", ["8,12", "height,width", "8,width", "40,50"])
+@pytest.mark.parametrize("space", ["srgb", "linear"])
+def test_colours_go_in_straight_and_come_out_covered(
+    tmp_path: Path, size: str, space: str
+) -> None:
+    shown = frame(space=space)
+    with PostProcessor(write(tmp_path, darken(size))) as model:
+        made = model(shown)
+    alpha = shown.rgba[..., 3:]
+    np.testing.assert_allclose(made.rgba[..., :3], 0.5 * straight(shown) * alpha, atol=2e-6)
+    np.testing.assert_array_equal(made.rgba[..., 3:], alpha)
+    assert made.color_space == "srgb"
+    assert made.rgba.dtype == np.float32
+    assert (made.visible, made.pairs) == (5, 9)
+    assert made.alpha is shown.alpha
+
+
+def test_ranges_and_the_colour_space_are_those_of_the_manifest(tmp_path: Path) -> None:
+    sketch = darken("height,width").reworded(
+        "out = Mul (image, amount)", "half = Mul (image, amount) out = Add (half, more)"
+    )
+    sketch = sketch.weighing(amount=f32(40.0), more=f32(60.0))
+    sketch = declared(sketch, taken=(-1, 1), given=(10, 110), space="linear")
+    shown = frame(1)
+    with PostProcessor(write(tmp_path, sketch)) as model:
+        made = model(shown)
+    wanted = (40 * (2 * straight(shown) - 1) + 60 - 10) / 100
+    alpha = shown.rgba[..., 3:]
+    np.testing.assert_allclose(made.rgba[..., :3], wanted * alpha, atol=2e-6)
+    assert made.color_space == "linear"
+
+
+def test_a_model_of_four_channels_decides_on_alpha(tmp_path: Path) -> None:
+    with PostProcessor(find("post_process_half").write(tmp_path)) as model:
+        made = model(shown := frame(2))
+    alpha = 0.5 * shown.rgba[..., 3:]
+    np.testing.assert_allclose(made.rgba[..., 3:], alpha, atol=1e-3)
+    np.testing.assert_allclose(made.rgba[..., :3], 0.5 * straight(shown) * alpha, atol=1e-3)
+
+
+def test_other_inputs_have_their_defaults_and_can_be_given(tmp_path: Path) -> None:
+    shown = frame(3)
+    with PostProcessor(find("one_step_enhancer").write(tmp_path)) as model:
+        plain, weak = model(shown).rgba, model(shown, {"strength": 0.0}).rgba
+        kept = model(shown).rgba
+        assert {one.role for one in model.inputs} == {"timestep", "conditioning", "control"}
+        assert model.shape("words") == (1, 4)
+        with pytest.raises(InputInvalid, match="strength"):
+            model(shown, {"strength": 2.0})
+    alpha = shown.rgba[..., 3:]
+    np.testing.assert_allclose(weak[..., :3], 0.5 * straight(shown) * alpha, atol=2e-6)
+    np.testing.assert_array_equal(weak, kept)
+    assert not np.array_equal(plain, weak)
+
+
+def test_an_open_model_takes_images_of_other_sizes(tmp_path: Path) -> None:
+    with PostProcessor(find("post_process_any_size").write(tmp_path)) as model:
+        for size in ((8, 8), (3, 5), (3, 5), (20, 1)):
+            shown = frame(4, size=size)
+            half = 0.5 * straight(shown) * shown.rgba[..., 3:]
+            np.testing.assert_allclose(model(shown).rgba[..., :3], half, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        (
+            "none = Sub (image, image) out = Div (none, none)",
+            "1890 of 1890 values that are not",
+        ),
+        (
+            "out = ReduceMean <axes = [1], keepdims = 1> (image)",
+            r"gives \[1, 1, 21, 30\] for",
+        ),
+    ],
+)
+def test_results_that_are_no_image_say_so(tmp_path: Path, body: str, said: str) -> None:
+    sketch = darken("height,width").reworded("out = Mul (image, amount)", body)
+    sketch = replace(sketch, opset=13, ir=8, weights={}).reworded(
+        "float[1,3,height,width] out", "float[1,C,height,width] out"
+    )
+    path = write(tmp_path, sketch)
+    with PostProcessor(path) as model, pytest.raises(SceneInvalid, match=said):
+        model(frame())
+
+
+def test_what_is_no_post_process_model_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(
+        SceneInvalid, match=r"wanted a post-process model\n.*among the scenes"
+    ):
+        PostProcessor(find("drift").write(tmp_path))
+    bare = replace(darken(), manifest=None)
+    with pytest.raises(SceneInvalid, match="has no manifest"):
+        PostProcessor(write(tmp_path, bare))
+
+
+def test_a_player_runs_them_in_order(tmp_path: Path) -> None:
+    scene = find("drift").write(tmp_path)
+    brighter = darken("h,w").reworded("Mul (image, amount)", "Max (image, amount)")
+    paths = [write(tmp_path, darken(), "dark"), write(tmp_path, brighter, "floor")]
+    camera = Camera.orbit((0, 0, 0), 4, width=WIDTH, height=HEIGHT)
+    renderer, white = Renderer(rasteriser="tiles"), (1.0, 1.0, 1.0, 1.0)
+
+    def shown(*post: Path) -> np.ndarray:
+        with GeneratorPlayer(
+            scene, post=post, provider="cpu", renderer=renderer, background=white
+        ) as player:
+            return player.render(camera, time=0.5).rgba[..., :3]
+
+    plain = np.clip(shown(), 0, 1)
+    assert plain.min() < 0.9
+    np.testing.assert_allclose(shown(*paths), np.full_like(plain, 0.5), atol=1e-6)
+    np.testing.assert_allclose(shown(*paths[::-1]), 0.5 * np.maximum(plain, 0.5), atol=1e-6)
+    with pytest.raises(ConfigInvalid, match="works on colours, but depth is what is made"):
+        GeneratorPlayer(
+            scene, post=paths, provider="cpu", renderer=renderer, outputs=("depth",)
+        )

@@ -1,0 +1,372 @@
+"""Front to back is exact: depths that a float does not tell apart are in order."""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from gsgen.runtime.gpu import splat_residency
+from gsgen.runtime.gpu.device import MOST_GROUPS, Device
+from gsgen.runtime.kernels.project.project import depth_reference
+from gsgen.runtime.kernels.shared import counts as counting
+from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.kernels.shared.kernel import Step, run
+from gsgen.runtime.kernels.shared.shader import ABSENT
+from gsgen.runtime.kernels.sort.gather_keys import GatherKeys, gather_reference
+from gsgen.runtime.kernels.sort.order_ties import MOST_TIED, OrderTies, order_ties_reference
+from gsgen.runtime.kernels.sort.scan import Scan
+from gsgen.runtime.kernels.sort.sort import Columns, Cut, RadixSort, cut_for
+from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
+from gsgen.runtime.oracle import render as oracle
+from gsgen.runtime.oracle.projection import ellipses
+from gsgen.runtime.renderer.depth_sort import DepthOrder
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.frame import Frame
+from gsgen.runtime.scene.scene import Scene, SplatSet
+from gsgen.runtime.scene.splat_data import SplatData
+from support.rendering.near_ties import DEPTH_LEFT, NEAR_TIES, decoded, plane, seen_through
+from support.rendering.sorting import GPU
+from support.rendering.splat_scenes import SCENES, camera, turned
+from support.rendering.weighted_scenes import celled, summed
+
+DEEP = {"tilted_less", "plane_of_rounded_rows", "several_models", "orthographic", "sphere"}
+"""Scenes in which more depths have one key than are put in order one by one."""
+
+ALL = ("color", "depth", "normal")
+
+
+def exact_depths(one: SplatSet, seen_by: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Return depths, as rational numbers, and distances."""
+    turn, linear = (
+        [[Fraction(x) for x in row] for row in matrix[:3, :3].tolist()]
+        for matrix in (seen_by.view, one.transform)
+    )
+    eye, place = seen_by.eye.tolist(), one.transform[:3, 3].tolist()
+    depths, distances = [], []
+    for row in np.nan_to_num(one.data.rows[:, :3]).tolist():
+        there = [
+            sum(
+                (a * Fraction(x) for a, x in zip(line, row, strict=True)),
+                Fraction(p) - Fraction(e),
+            )
+            for line, p, e in zip(linear, place, eye, strict=True)
+        ]
+        at = [sum(a * x for a, x in zip(line, there, strict=True)) for line in turn]
+        distances.append(math.hypot(*map(float, at)))
+        depths.append(Fraction(distances[-1]) if seen_by.period else Fraction(at[2]))
+    return np.array(depths), np.array(distances)
+
+
+@pytest.mark.parametrize(
+    "name", ["many", "not_finite", "placed", "seen_from_elsewhere", "flat_cameras", "far_from_the_origin",
+             "panorama_seam", "panorama_poles", *NEAR_TIES]
+)  # fmt: skip
+def test_a_depth_is_two_floats(renderer: Renderer, name: str) -> None:
+    scene, seen_by = (SCENES | NEAR_TIES)[name]()
+    assert_two_floats(renderer, scene.sets[0], seen_by)
+
+
+def assert_two_floats(renderer: Renderer, one: SplatSet, seen_by: Camera) -> None:
+    """Assert that keys and what they leave are depths by rational numbers."""
+    n, placed = len(one.data), renderer.placed(Scene([one]))
+    plan = renderer.plan(placed, seen_by, frozenset(["color"]))
+    plan.submit(placed, seen_by, np.zeros(3), only=["project"])
+    plan.collect()
+    keys, lows = (
+        renderer.device.read(plan.buffers[part], np.uint32, n)
+        for part in ("keys of Gaussians a", "lows")
+    )
+    drawn = keys != ABSENT
+    assert drawn.any()
+    np.testing.assert_array_equal(lows == ABSENT, ~drawn)
+    high, low = keys.view(np.float32), decoded(lows)
+    depths, distances = exact_depths(one, seen_by)
+    for i in np.flatnonzero(drawn):
+        made = Fraction(float(high[i])) + Fraction(float(low[i]))
+        assert abs(made - depths[i]) <= DEPTH_LEFT * distances[i]
+    # The first is the nearest float, so the two sort as their sum does.
+    assert (np.abs(low) <= np.spacing(high) / 2)[drawn].all()
+
+
+@pytest.mark.parametrize("size", [1e-22, 1e36])
+@pytest.mark.parametrize("kind", ["pinhole", "panorama"])
+def test_depths_may_be_enormous_or_vanishing(
+    renderer: Renderer, size: float, kind: str
+) -> None:
+    place, data = turned(0.5, (3, 1, 2)), plane(100)
+    data.rows[:, 4:] = 0
+    data.rows[:, :3] = size * data.rows[:, :3]
+    seen_by = seen_through(place, near=size / 10)
+    if kind == "panorama":
+        seen_by = Camera.panorama((0, 0, 0), (1, 0, 1), width=96, near=size / 10)
+    assert_two_floats(renderer, SplatSet(data, place), seen_by)
+
+
+def test_bits_sort_as_depths_do() -> None:
+    rng = np.random.default_rng(0)
+    depth = np.sort(np.concatenate([1 + 1e-9 * rng.normal(size=200), [1.0, 3.0, 1e-30]]))
+    keys, lows = depth_reference(depth)
+    assert (np.lexsort((lows, keys)) == np.arange(len(depth))).all()
+    np.testing.assert_allclose(
+        keys.view(np.float32).astype(np.float64) + decoded(lows), depth, rtol=2.0**-47
+    )
+
+
+def submit(device: Device, steps: list[Step]) -> None:
+    encoder = device.raw.create_command_encoder()
+    run(encoder, steps, "test")
+    device.raw.queue.submit([encoder.finish()])
+
+
+def filled(device: Device, words: np.ndarray) -> object:
+    buffer = device.storage("words", 4 * len(words) + 16, extra="INDIRECT")
+    device.write(buffer, words.astype(np.uint32))
+    return buffer
+
+
+def ordered(
+    device: Device,
+    walk: int,
+    keys: np.ndarray,
+    lows: np.ndarray,
+    order: np.ndarray,
+    *origins: np.ndarray,
+) -> tuple[tuple[bool, bool], np.ndarray]:
+    """Order ties; return whether any was announced as UNSORTED and as TIED, and the order."""
+    counts = counting.initial(len(keys), 0)
+    counts[Counts.VISIBLE] = len(keys)
+    buffers = [filled(device, words) for words in (counts, keys, lows, order, *origins)]
+    ties = OrderTies(device, walk, bool(origins))
+    submit(device, [ties.step(len(keys), *buffers)])
+    told = device.read(buffers[0], np.uint32, 8)
+    flags = bool(told[Counts.UNSORTED]), bool(told[Counts.TIED])
+    return flags, device.read(buffers[3], np.uint32, len(keys))
+
+
+@pytest.mark.parametrize("arranged", [False, True])
+@pytest.mark.parametrize("walk", [1, 4, 64])
+def test_ties_are_put_in_order(device: Device, walk: int, arranged: bool) -> None:
+    rng = np.random.default_rng(walk)
+    lengths = np.concatenate([np.ones(200, int), [MOST_TIED, 2, 3, 40], np.ones(50, int)])
+    rng.shuffle(lengths)
+    keys = np.repeat(np.arange(len(lengths), dtype=np.uint32) * 3, lengths)
+    n = len(keys)
+    lows, order = rng.integers(0, 7, n, np.uint32), rng.permutation(n).astype(np.uint32)
+    origins = (
+        rng.permutation(n).astype(np.uint32) if arranged else np.arange(n, dtype=np.uint32)
+    )
+    flags, made = ordered(device, walk, keys, lows, order, *([origins] if arranged else []))
+    assert flags == (False, False)
+    np.testing.assert_array_equal(made, order_ties_reference(keys, lows, origins, order))
+    assert not np.array_equal(made, order)
+
+
+def test_ties_among_millions_are_put_in_order(device: Device) -> None:
+    """More than one line of workgroups has."""
+    n = (MOST_GROUPS + 2) * WALK_THREADS
+    keys = origins = order = np.arange(n, dtype=np.uint32)
+    keys, order = keys.copy(), order.copy()
+    for place in (5, n // 2, MOST_GROUPS * WALK_THREADS - 1, n - 2):
+        keys[place] = keys[place + 1]
+        order[place : place + 2] = order[place : place + 2][::-1]
+    flags, made = ordered(device, 1, keys, np.full(n, 9, np.uint32), order)
+    assert flags == (False, False)
+    np.testing.assert_array_equal(made, origins)
+
+
+@pytest.mark.parametrize("place", [0, 1, MOST_TIED - 1, MOST_TIED, 2 * MOST_TIED, 299])
+@pytest.mark.parametrize("walk", [4, 64])
+def test_long_ties_out_of_order_are_announced(
+    device: Device, walk: int, place: int
+) -> None:
+    """Wherever in the tie two are the wrong way around; one that is in order is no trouble."""
+    before, n = 37, 301
+    keys = np.append(np.arange(before), np.full(n, 50)).astype(np.uint32)
+    order = origins = np.arange(len(keys), dtype=np.uint32)
+    same, rising = np.full(len(keys), 9, np.uint32), order + 5
+    for lows in (same, rising):
+        flags, made = ordered(device, walk, keys, lows, order, origins)
+        assert flags == (False, False)
+        np.testing.assert_array_equal(made, order)
+    swapped = order.copy()
+    swapped[before + place : before + place + 2] = swapped[
+        before + place : before + place + 2
+    ][::-1]
+    assert ordered(device, walk, keys, swapped, order)[0] == (True, False)
+    assert ordered(device, walk, keys, swapped, order, origins)[0] == (True, False)
+    flags, made = ordered(device, walk, keys, same, order, swapped)
+    assert flags == (False, True)
+    np.testing.assert_array_equal(made, order)  # it is left as it is
+
+
+@pytest.mark.parametrize("deep", [False, True])
+@pytest.mark.parametrize("cut", ["own", "GPU"])
+def test_depths_are_sorted(device: Device, deep: bool, cut: str) -> None:
+    """As NumPy does, what is not drawn left out; equal depths as they came."""
+    chosen: Cut = cut_for(device) if cut == "own" else GPU
+    sort = RadixSort(device, chosen, Scan(device, chosen.block, 64, 256))
+    rng, n = np.random.default_rng(1), 20_000
+    few = 40 if deep else 5000
+    keys = rng.integers(0, few, n, np.uint32) << np.uint32(18)
+    lows = rng.integers(0, 1 << 32, n, np.uint32, endpoint=False)
+    lows[::3] = 1 << 31
+    lows[rng.random(n) < 0.3] = keys[rng.random(n) < 0.3] = ABSENT
+    absent = (keys == ABSENT) | (lows == ABSENT)
+    keys[absent] = lows[absent] = ABSENT
+    counts = filled(device, counting.initial(n, 0))
+    columns = tuple(Columns(*(filled(device, np.zeros(n)) for _ in "kv")) for _ in "ab")
+    device.write(columns[0].keys, keys)
+    spare = filled(device, np.zeros(n)) if deep else None
+    steps, at = DepthOrder(device, chosen, sort).steps(
+        n, counts, columns, filled(device, lows), None, spare
+    )
+    submit(device, steps)
+    told = device.read(counts, np.uint32, 8)
+    kept = np.flatnonzero(~absent)
+    assert told[Counts.VISIBLE] == len(kept)
+    assert not told[[Counts.UNSORTED, Counts.TIED]].any()
+    made = device.read(at, np.uint32, len(kept))
+    np.testing.assert_array_equal(made, kept[np.lexsort((lows[kept], keys[kept]))])
+
+
+def test_keys_are_gathered(device: Device) -> None:
+    rng = np.random.default_rng(2)
+    keys, order = (
+        rng.integers(0, ABSENT, 900, np.uint32),
+        rng.permutation(900)[:700].astype(np.uint32),
+    )
+    counts = counting.initial(900, 0)
+    counts[Counts.VISIBLE], counts[Counts.SORT_VISIBLE_GROUPS] = 700, 6
+    out = filled(device, np.zeros(900))
+    words = [filled(device, one) for one in (counts, keys, order)]
+    submit(device, [GatherKeys(device, 128).step(*words, out)])
+    made = device.read(out, np.uint32, 900)
+    np.testing.assert_array_equal(made[:700], gather_reference(keys, order))
+    assert not made[700:].any()
+
+
+@pytest.fixture(scope="module")
+def quads(device: Device) -> Renderer:
+    return Renderer(device, rasteriser="quads")
+
+
+def confused(scene: Scene, seen_by: Camera) -> bool:
+    """Say whether depths as floats, even rounded but once, have another order."""
+    rows = [(one, one.data.rows.astype(np.float64)) for one in scene.sets]
+    depth = np.concatenate([ellipses(values, one, seen_by).depth for one, values in rows])
+    rounded = np.argsort(depth.astype(np.float32), kind="stable")
+    return not np.array_equal(rounded, np.argsort(depth, kind="stable"))
+
+
+@pytest.mark.parametrize("name", NEAR_TIES)
+def test_near_ties_are_as_in_float64(
+    renderer: Renderer, quads: Renderer, name: str
+) -> None:
+    scene, seen_by = NEAR_TIES[name]()
+    assert confused(scene, seen_by)
+    wanted = oracle.render(scene, seen_by)
+    assert wanted.fragile.mean() < 0.1  # or little was compared
+    seen = renderer.render(scene, seen_by, outputs=ALL)
+    assert np.abs(seen.rgba - wanted.rgba)[~wanted.fragile].max() <= 2e-5
+    firm = ~wanted.fragile_median
+    np.testing.assert_array_equal(seen.ids[firm], wanted.ids[firm])
+    assert renderer._deep == (name in DEEP)
+    by_quads = quads.render(scene, seen_by).rgba
+    open_still = ~wanted.fragile & (wanted.rgba[..., 3] < 0.99)
+    assert open_still.any()
+    assert np.abs(by_quads - wanted.rgba)[open_still].max() <= 2e-5
+
+
+@pytest.mark.parametrize("tilt", [2e-5, 1e-7])
+def test_near_ties_of_cells_are_as_in_float64(renderer: Renderer, tilt: float) -> None:
+    data = celled(200, 3, 1, depth=(4, 4))
+    data.cells[:, 2] = 4
+    scene = Scene([summed(data, transform=turned(tilt, (1, 2, 0)))])
+    depth = ellipses(data.cells.astype(np.float64), scene.sets[0], camera()).depth
+    rounded = np.argsort(depth.astype(np.float32), kind="stable")
+    assert not np.array_equal(rounded, np.argsort(depth, kind="stable"))
+    seen, wanted = renderer.render(scene, camera()), oracle.render(scene, camera())
+    assert wanted.fragile.mean() < 0.1
+    assert np.abs(seen.rgba - wanted.rgba)[~wanted.fragile].max() <= 2e-5
+    assert renderer._deep == (tilt < 1e-6)
+
+
+@pytest.mark.parametrize("name", ["tilted", "tilted_less"])
+def test_rows_that_change_stay_in_order(device: Device, name: str) -> None:
+    """That a sort must be deep is noticed once, and not in every frame."""
+    scene, seen_by = NEAR_TIES[name]()
+    one, data = Renderer(device, rasteriser="tiles"), scene.sets[0].data
+    plans = []
+    for _ in range(3):
+        data.update(rows=data.rows[::-1].copy())
+        wanted = oracle.render(scene, seen_by)
+        seen = one.render(scene, seen_by).rgba
+        assert np.abs(seen - wanted.rgba)[~wanted.fragile].max() <= 2e-5
+        plans.append(one._plan)
+    assert plans[0] is plans[1] is plans[2]
+    assert one._deep == (name in DEEP)
+
+
+def same(one: Frame, two: Frame) -> bool:
+    return np.array_equal(one.rgba, two.rgba) and np.array_equal(one.depth, two.depth)
+
+
+@pytest.mark.parametrize("name", ["tilted", "tilted_less", "sphere"])
+def test_rows_may_come_in_any_order(renderer: Renderer, name: str) -> None:
+    scene, seen_by = NEAR_TIES[name]()
+    one = scene.sets[0]
+    order = np.random.default_rng(3).permutation(len(one.data))
+    other = SplatData(one.data.rows[order], one.data.appearance[order], "rgb")
+    mixed = Scene([SplatSet(other, one.transform)])
+    frames = [renderer.render(each, seen_by, outputs=ALL) for each in (scene, mixed)]
+    assert same(*frames)
+    known = frames[1].ids >= 0
+    np.testing.assert_array_equal(order[frames[1].ids[known]], frames[0].ids[known])
+
+
+@pytest.mark.parametrize("name", ["tilted", "tilted_less"])
+def test_models_apart_are_as_one(renderer: Renderer, name: str) -> None:
+    scene, seen_by = NEAR_TIES[name]()
+    one = scene.sets[0]
+    parts = [
+        SplatSet(
+            SplatData(one.data.rows[part], one.data.appearance[part], "rgb"), one.transform
+        )
+        for part in (slice(0, 110), slice(110, None))
+    ]
+    apart = renderer.render(Scene(parts), seen_by, outputs=ALL)
+    assert same(renderer.render(scene, seen_by, outputs=ALL), apart)
+
+
+@pytest.mark.parametrize("name", ["tilted", "tilted_less"])
+def test_arranged_rows_are_in_order(
+    device: Device, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setattr(splat_residency, "ARRANGED_FROM", 1)
+    scene, seen_by = NEAR_TIES[name]()
+    one = Renderer(device, rasteriser="tiles")
+    before = one.render(scene, seen_by, outputs=ALL)
+    after = one.render(scene, seen_by, outputs=ALL)
+    assert one.placed(scene)[0][1].rows_of is not None
+    assert same(before, after)
+
+
+def test_thousands_at_one_depth_are_no_trouble(renderer: Renderer) -> None:
+    """They stand as they came, and nothing is sorted for them."""
+    data = plane(3000, 4, opacity=(0.02, 0.1))
+    wanted = oracle.render(Scene([data]), camera())
+    seen = renderer.render(Scene([data]), camera())
+    assert not renderer._deep
+    assert np.abs(seen.rgba - wanted.rgba)[~wanted.fragile].max() <= 1e-4
+
+
+def test_other_scenes_are_not_sorted_deeply(renderer: Renderer) -> None:
+    scene, seen_by = NEAR_TIES["tilted_less"]()
+    renderer.render(scene, seen_by)
+    assert renderer._deep
+    renderer.render(scene, seen_by.scaled(30, 20))
+    assert renderer._deep
+    renderer.render(*NEAR_TIES["tilted"]())
+    assert not renderer._deep

@@ -1,0 +1,182 @@
+"""Which rasteriser is chosen, by what, and for how long that is remembered."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.renderer import rasteriser_choice
+from gsgen.runtime.renderer.frame_plan import Kernels
+from gsgen.runtime.renderer.rasteriser_choice import Timings, choose, probe
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene
+from support.rendering.splat_scenes import SCENES
+
+
+class Stopwatch:
+    """Measures nothing, and says what it is told to."""
+
+    def __init__(self, tiles: float, quads: float) -> None:
+        self.timings, self.asked = Timings(tiles, quads), 0
+
+    def __call__(self, device: Device, kernels: Kernels) -> Timings:
+        self.asked += 1
+        return self.timings
+
+
+@pytest.fixture
+def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where measurements are kept: nothing is there, and the process knows of none."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("GSGEN_NO_CACHE", raising=False)
+    forget(monkeypatch)
+    return tmp_path / "gsgen" / "rasterisers.json"
+
+
+def forget(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rasteriser_choice, "_measured", {})
+
+
+@pytest.fixture(scope="module")
+def kernels(device: Device) -> Kernels:
+    return Kernels(device)
+
+
+@pytest.fixture
+def gpu(device: Device) -> Device:
+    """This device, taken for one that is worth measuring."""
+    other = Device(device.raw)
+    other.software, other.blends_floats = False, True
+    return other
+
+
+@pytest.mark.parametrize(
+    ("tiles", "quads", "wanted"),
+    [(2.0, 1.0, "quads"), (1.0, 2.0, "tiles"), (1.0, 0.79, "quads"), (1.0, 0.81, "tiles")],
+)
+def test_quads_must_be_clearly_faster(
+    gpu: Device, kernels: Kernels, kept: Path, tiles: float, quads: float, wanted: str
+) -> None:
+    assert choose(gpu, kernels, Stopwatch(tiles, quads)) == wanted
+
+
+def test_software_and_devices_that_cannot_blend_are_not_measured(
+    gpu: Device, kernels: Kernels, kept: Path
+) -> None:
+    watch = Stopwatch(2.0, 1.0)
+    gpu.blends_floats = False
+    assert choose(gpu, kernels, watch) == "tiles"
+    gpu.blends_floats, gpu.software = True, True
+    assert choose(gpu, kernels, watch) == "tiles"
+    assert watch.asked == 0
+    assert not kept.exists()
+
+
+def test_a_device_is_measured_once(
+    gpu: Device, kernels: Kernels, kept: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watch = Stopwatch(2.0, 1.0)
+    assert [choose(gpu, kernels, watch) for _ in range(2)] == ["quads"] * 2
+    assert watch.asked == 1
+    forget(monkeypatch)  # as another process
+    assert choose(gpu, kernels, watch) == "quads"
+    assert watch.asked == 1
+    held = json.loads(kept.read_text())
+    assert list(held.values()) == [{"tiles": 2.0, "quads": 1.0}]
+    assert gpu.name in next(iter(held))
+    assert [path.name for path in kept.parent.iterdir()] == [kept.name]
+
+
+def test_other_adapters_are_kept_beside_it(
+    gpu: Device, kernels: Kernels, kept: Path
+) -> None:
+    kept.parent.mkdir()
+    kept.write_text('{"another": {"tiles": 1.0, "quads": 3.0}}')
+    assert choose(gpu, kernels, Stopwatch(2.0, 1.0)) == "quads"
+    assert json.loads(kept.read_text())["another"] == {"tiles": 1.0, "quads": 3.0}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[1, 2]",
+        "{",
+        '{"KEY": 3}',
+        '{"KEY": {"tiles": 1.0}}',
+        '{"KEY": {"tiles": "a", "quads": 1.0}}',
+        '{"KEY": {"tiles": NaN, "quads": 1.0}}',
+        '{"KEY": {"tiles": -1.0, "quads": 1.0}}',
+        "x" * (1 << 17),
+    ],
+)
+def test_a_file_that_is_damaged_is_written_anew(
+    gpu: Device, kernels: Kernels, kept: Path, text: str
+) -> None:
+    kept.parent.mkdir()
+    kept.write_text(text.replace("KEY", rasteriser_choice._key(gpu)))
+    watch = Stopwatch(2.0, 1.0)
+    assert choose(gpu, kernels, watch) == "quads"
+    assert watch.asked == 1
+    assert list(json.loads(kept.read_text()).values()) == [{"tiles": 2.0, "quads": 1.0}]
+
+
+def test_where_nothing_can_be_written_it_is_measured_again(
+    gpu: Device, kernels: Kernels, kept: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept.parent.write_text("a file where the folder would be")
+    watch = Stopwatch(2.0, 1.0)
+    assert choose(gpu, kernels, watch) == "quads"
+    kept.parent.unlink()
+    monkeypatch.setenv("GSGEN_NO_CACHE", "1")
+    forget(monkeypatch)
+    assert choose(gpu, kernels, watch) == "quads"
+    assert watch.asked == 2
+    assert not kept.parent.exists()
+
+
+@pytest.mark.parametrize("clock", [True, False], ids=["timestamps", "wall"])
+def test_the_probe_draws_both_ways(device: Device, kernels: Kernels, clock: bool) -> None:
+    if not device.blends_floats:
+        pytest.skip(f"{device.name} cannot blend 32-bit floats")
+    other = Device(device.raw)
+    other.has_clock = clock and device.has_clock
+    timings = probe(other, kernels, gaussians=9000, size=(160, 96))
+    assert min(timings.tiles, timings.quads) > 0
+    assert max(timings.tiles, timings.quads) < 60
+
+
+def test_probed_scenes_are_crowded(device: Device) -> None:
+    width, height = rasteriser_choice._SIZE
+    camera = Camera(np.eye(4), width, width, width / 2, height / 2, width, height)
+    data = rasteriser_choice._crowd(rasteriser_choice._GAUSSIANS, height / width)
+    own = Renderer(device, rasteriser="tiles")  # it keeps the room that it has made
+    frame = own.render(Scene([data]), camera)
+    assert frame.visible > 0.95 * len(data)
+    assert 2 < frame.pairs / frame.visible < 12
+    assert frame.alpha.mean() > 0.8
+
+
+def test_software_drivers_have_tiles(device: Device) -> None:
+    other = Device(device.raw)
+    other.software = True
+    assert Renderer(other).rasteriser == "tiles"
+
+
+def test_quads_are_taken_for_colours_alone(
+    device: Device, renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not device.blends_floats:
+        pytest.skip(f"{device.name} cannot blend 32-bit floats")
+    monkeypatch.setattr("gsgen.runtime.renderer.renderer.choose", lambda *_: "quads")
+    chosen = Renderer(device, rasteriser="auto")
+    assert chosen.rasteriser == "quads"
+    scene, camera = SCENES["many"]()
+    chosen.render(scene, camera)
+    assert "blend" not in chosen._plan.stages
+    both = chosen.render(scene, camera, outputs=("color", "depth"))
+    tiles = renderer.render(scene, camera, outputs=("color", "depth"))
+    np.testing.assert_array_equal(both.rgba, tiles.rgba)

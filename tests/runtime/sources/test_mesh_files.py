@@ -1,0 +1,266 @@
+"""Files of triangles are told from files of Gaussians, and read as they look."""
+
+import io
+import json
+import logging
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
+
+from gsgen.formats import Splats, write_glb, write_ply
+from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
+from gsgen.runtime.sources.mesh_files import is_mesh, read_mesh
+
+SHAPE = trimesh.creation.icosphere(subdivisions=1)
+COLORS = np.random.default_rng(0).integers(0, 255, (42, 4), np.uint8)
+PICTURE = np.random.default_rng(1).integers(0, 255, (4, 6, 3), np.uint8)
+
+
+@pytest.fixture(autouse=True)
+def _quiet() -> None:
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+
+
+def painted(**visual: object) -> trimesh.Trimesh:
+    made = trimesh.Trimesh(SHAPE.vertices, SHAPE.faces, process=False)
+    if "uv" in visual or "material" in visual:
+        made.visual = TextureVisuals(**visual)
+    for name, colors in visual.items():
+        if name.endswith("colors"):
+            setattr(made.visual, name, colors)
+    return made
+
+
+def textured(**material: object) -> trimesh.Trimesh:
+    uv = np.random.default_rng(2).uniform(size=(42, 2))
+    image = Image.fromarray(PICTURE)
+    return painted(uv=uv, material=PBRMaterial(baseColorTexture=image, **material))
+
+
+def written(path: Path, made: trimesh.Trimesh | trimesh.Scene, **options: object) -> Path:
+    content = made.export(file_type=path.suffix[1:], **options)
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+@pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.stl", "a.glb"])
+def test_shapes_come_back(tmp_path: Path, name: str) -> None:
+    path = written(tmp_path / name, painted())
+    assert is_mesh(path)
+    (mesh,) = read_mesh(path)
+    corners = mesh.data.vertices[mesh.data.faces] @ mesh.transform[:3, :3].T
+    turned = [-1, -1, 1] if name == "a.glb" else [1, 1, 1]  # glTF's y is up, ours is down
+    np.testing.assert_allclose(corners * turned, SHAPE.vertices[SHAPE.faces], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.glb"])
+def test_colors_of_vertices(tmp_path: Path, name: str) -> None:
+    (mesh,) = read_mesh(written(tmp_path / name, painted(vertex_colors=COLORS)))
+    np.testing.assert_allclose(mesh.data.colors, COLORS[:, :3] / 255, atol=1e-6)
+    assert mesh.shading == "unlit"
+    assert mesh.data.color_space == ("linear" if name == "a.glb" else "srgb")
+
+
+def test_colors_of_faces(tmp_path: Path) -> None:
+    colors = np.random.default_rng(3).integers(0, 255, (80, 4), np.uint8)
+    (mesh,) = read_mesh(written(tmp_path / "a.ply", painted(face_colors=colors)))
+    np.testing.assert_allclose(
+        mesh.data.colors[mesh.data.faces],
+        np.repeat(colors[:, None, :3], 3, 1) / 255,
+        atol=1e-6,
+    )
+
+
+def test_what_has_no_colour_is_grey_and_lit(tmp_path: Path) -> None:
+    (mesh,) = read_mesh(written(tmp_path / "a.stl", painted()))
+    assert mesh.shading == "headlight"
+    assert len(np.unique(mesh.data.colors)) == 1
+
+
+def test_a_texture_and_its_factor(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.glb", textured(baseColorFactor=[255, 128, 64, 255]))
+    (mesh,) = read_mesh(path)
+    assert np.array_equal(mesh.data.texture[..., :3], PICTURE)
+    assert mesh.data.color_space == "srgb"
+    linear = np.array([255, 128, 64]) / 255
+    srgb = 1.055 * linear ** (1 / 2.4) - 0.055
+    np.testing.assert_allclose(mesh.data.colors, np.tile(srgb, (42, 1)), atol=1e-6)
+
+
+def test_a_factor_alone_is_linear(tmp_path: Path) -> None:
+    plain = painted(material=PBRMaterial(baseColorFactor=[255, 128, 64, 255]))
+    (mesh,) = read_mesh(written(tmp_path / "a.glb", plain))
+    assert mesh.data.color_space == "linear"
+    np.testing.assert_allclose(mesh.data.colors[0], np.array([255, 128, 64]) / 255)
+
+
+def test_materials_beside_an_obj(tmp_path: Path) -> None:
+    textured(baseColorFactor=[255, 128, 64, 255]).export(tmp_path / "a.obj")
+    (mesh,) = read_mesh(tmp_path / "a.obj")
+    assert np.array_equal(mesh.data.texture[..., :3], PICTURE)
+    (tmp_path / "material.mtl").unlink()
+    with pytest.warns(UserWarning, match=r"material\.mtl is not beside it"):
+        (bare,) = read_mesh(tmp_path / "a.obj")
+    assert bare.data.texture is None
+    assert bare.shading == "headlight"
+
+
+def test_names_in_any_encoding(tmp_path: Path) -> None:
+    path = tmp_path / "a.obj"
+    path.write_bytes(b"o caf\xe9\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 4 3\n")
+    (mesh,) = read_mesh(path)
+    assert len(mesh.data) == 2  # a quad is two triangles
+
+
+def test_nodes_stand_where_they_say_and_share_what_they_show(tmp_path: Path) -> None:
+    scene, away = trimesh.Scene(), np.eye(4)
+    away[:3, 3] = 3, 2, 1
+    scene.add_geometry(painted(), geom_name="ball", node_name="here")
+    scene.graph.update(frame_to="there", matrix=away, geometry="ball")
+    scene.add_geometry(textured())
+    found = read_mesh(written(tmp_path / "a.glb", scene))
+    assert len(found) == 3
+    moved = next(one for one in found if one.transform[0, 3] != 0)
+    np.testing.assert_allclose(moved.transform[:3, 3], [-3, -2, 1])
+    assert sum(one.data is moved.data for one in found) == 2
+
+
+def test_splats_and_points_are_no_meshes(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    splats = Splats(
+        *(rng.normal(size=size).astype(np.float32) for size in ((9, 3), (9, 4), (9, 3), 9)),
+        rng.normal(size=(9, 1, 3)).astype(np.float32),
+    )
+    write_ply(tmp_path / "s.ply", splats)
+    write_glb(tmp_path / "s.glb", splats)
+    cloud = trimesh.PointCloud(SHAPE.vertices, COLORS)
+    (tmp_path / "p.ply").write_bytes(cloud.export(file_type="ply"))
+    for name in ("s.ply", "s.glb", "p.ply", "absent.glb", "."):
+        assert not is_mesh(tmp_path / name)
+
+
+def glb(document: dict[str, object]) -> bytes:
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON") + text
+
+
+HOSTILE = {
+    "empty.ply": (b"", "begins with nothing"),
+    "text.glb": (b"hello there", "begins with 68 65 6c 6c, which is no mesh"),
+    "short.glb": (b"glTF\2\0\0\0", "is no readable GLB"),
+    "deep.glb": (glb({"a": 1})[:-8] + b"[" * 8, "is no readable GLB"),
+    "list.glb": (glb([1]), "JSON: is a list, wanted an object"),
+    "many.glb": (
+        glb({"accessors": [{"count": 10**12}]}),
+        r"accessors\[0\]\.count: is 1000000000000, more than the file holds",
+    ),
+    "twice.glb": (
+        glb({"nodes": [{"children": [2]}, {"children": [2]}, {}]}),
+        "nodes: has a node with two parents",
+    ),
+    "ring.glb": (
+        glb({"nodes": [{"children": [1]}, {"children": [0]}]}),
+        r"nodes\[1\]: is its own ancestor",
+    ),
+    "packed.glb": (
+        glb({"extensionsRequired": ["KHR_draco_mesh_compression"]}),
+        "needs KHR_draco_mesh_compression",
+    ),
+    "many.ply": (
+        b"ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\n"
+        b"element face 1\nproperty list uchar int vertex_indices\nend_header\n",
+        "element vertex: is 99999999999, more than the file holds",
+    ),
+    "many.stl": (b"\0" * 80 + b"\xff\xff\xff\xff" + b"\0" * 50, "triangles: is 4294967295"),
+    "nan.obj": (b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "vertices: 1 of 3 rows"),
+    "far.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "far.obj: "),
+    "points.obj": (b"v 0 0 0\nv 1 0 0\n", "has no triangles"),
+    "x.fbx": (
+        b"Kaydara FBX",
+        "begins with 4b 61 79 64, which is no mesh\n.*GLB, glTF, OBJ",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_files_end_in_an_error(tmp_path: Path, name: str) -> None:
+    content, match = HOSTILE[name]
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(SceneUnreadable, match=match):
+        read_mesh(tmp_path / name)
+
+
+def test_mutants_end_in_an_error_or_a_mesh(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    scene = trimesh.Scene([textured(), painted(vertex_colors=COLORS)])
+    read = 0
+    for suffix, made in (
+        ("glb", scene),
+        ("ply", painted()),
+        ("stl", painted()),
+        ("obj", painted()),
+    ):
+        whole = written(tmp_path / f"a.{suffix}", made).read_bytes()
+        for number in range(40):
+            mutant = bytearray(
+                whole[: rng.integers(len(whole))] if number % 4 == 0 else whole
+            )
+            for _ in range(number % 4):
+                mutant[rng.integers(min(len(mutant), 3000))] = rng.integers(256)
+            path = tmp_path / f"m.{suffix}"
+            path.write_bytes(mutant)
+            try:
+                read += bool(read_mesh(path))
+            except SceneUnreadable:
+                continue  # anything else fails this test
+    assert 0 < read < 160
+
+
+def test_a_picture_that_would_fill_the_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(tmp_path / "a.glb", textured())
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10)
+    with pytest.raises(SceneUnreadable, match="of 1 parts with a texture, 1 have one"):
+        read_mesh(path)
+
+
+def test_without_trimesh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = written(tmp_path / "a.ply", painted())
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    assert is_mesh(path)
+    with pytest.raises(SceneInvalid, match=r"trimesh, which is not installed\n.*runtime"):
+        read_mesh(path)
+
+
+def test_trimesh_is_imported_when_a_mesh_is_read() -> None:
+    code = (
+        "import sys, gsgen.runtime.renderer.renderer, gsgen.runtime.sources.source, gsgen.runtime.sources.scene_file;"
+        "assert 'trimesh' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_nothing_is_read_from_other_folders(tmp_path: Path) -> None:
+    secret = io.BytesIO()
+    Image.fromarray(PICTURE).save(secret, "PNG")
+    (tmp_path / "secret.png").write_bytes(secret.getvalue())
+    inner = tmp_path / "inner"
+    inner.mkdir()
+    (inner / "a.mtl").write_text("newmtl m\nKd 1 1 1\nmap_Kd ../secret.png\n")
+    lines = "mtllib a.mtl\nusemtl m\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
+    (inner / "a.obj").write_text(lines + "f 1/1 2/2 3/3\n")
+    try:
+        (mesh,) = read_mesh(inner / "a.obj")
+    except SceneUnreadable:
+        return
+    assert mesh.data.texture is None or mesh.data.texture.shape[:2] != PICTURE.shape[:2]

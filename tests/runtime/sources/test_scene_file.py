@@ -1,0 +1,329 @@
+"""scene.json: what it says is what is drawn, and what it cannot mean is named."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import typer
+from PIL import Image
+
+from gsgen.conformance.fixtures import find
+from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
+from gsgen.runtime.commands.opening import opened, scene_files
+from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.playback.player import Player, Shot
+from gsgen.runtime.playback.scene_camera import scene_view
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Box, Scene, SplatSet
+from gsgen.runtime.sources.placed_source import PlacedSource, local_camera
+from gsgen.runtime.sources.scene_file import is_scene_file, open_scene, read_scene
+from gsgen.runtime.sources.source import open_source
+from support.commands import gsgen
+from support.rendering.splat_scenes import camera, cloud, turned
+
+SMALL = ("--width", "48", "--height", "32")
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Renderer:
+    return Renderer(Device.open(), rasteriser="tiles")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two splat files, a generator and a mesh."""
+    made = tmp_path_factory.mktemp("parts")
+    for name, seed in (("a.npz", 1), ("b.npz", 2)):
+        data = cloud(60, seed, degree=2)
+        np.savez(made / name, gaussians=data.rows, appearance=data.appearance)
+    trimesh.creation.icosphere(subdivisions=1).export(made / "ball.ply")
+    find("drift").write(made)
+    return made
+
+
+def saved(folder: Path, **told: object) -> Path:
+    path = folder / "scene.json"
+    path.write_text(json.dumps(told))
+    return path
+
+
+def test_all_that_a_set_can_be_told(folder: Path) -> None:
+    model = {
+        "path": "a.npz",
+        "translate": [0.1, 0.2, 0.3],
+        "rotate": {"axis": [1, 2, 3], "degrees": 40},
+        "scale": [1, 2, 3],
+        "opacity_scale": 0.5,
+        "sh_degree": 1,
+        "antialias": "mip",
+        "clip": {"low": [-1, -1, 0], "high": [1, 1, 9]},
+    }
+    (source,) = open_scene(saved(folder, models=[model]))
+    made = source.splats(None, None)
+    wanted = turned(np.radians(40), (1, 2, 3), (1, 2, 3))
+    wanted[:3, 3] = 0.1, 0.2, 0.3
+    np.testing.assert_allclose(made.transform, wanted, atol=1e-12)
+    assert (made.opacity_scale, made.degree, made.antialias) == (0.5, 1, "mip")
+    assert made.clip == Box((-1, -1, 0), (1, 1, 9))
+    other = source.splats(2, "classic")  # what options say counts
+    assert (other.degree, other.antialias) == (2, "classic")
+
+
+def test_a_quaternion_a_matrix_and_a_path_alone(folder: Path) -> None:
+    half = np.radians(40) / 2
+    axis = np.array([1, 2, 3]) / np.sqrt(14)
+    models = [
+        {"path": "a.npz", "rotate": [3 * np.cos(half), *(3 * np.sin(half) * axis)]},
+        {"path": "a.npz", "transform": turned(np.radians(40), (1, 2, 3)).tolist()},
+        "a.npz",
+    ]
+    first, second, third = (
+        one.splats(None, None).transform for one in open_scene(saved(folder, models=models))
+    )
+    np.testing.assert_allclose(first, second, atol=1e-12)
+    assert np.array_equal(third, np.eye(4))
+
+
+def test_the_picture_is_that_of_the_scene(folder: Path, renderer: Renderer) -> None:
+    moved = np.eye(4)
+    moved[:3, 3] = 0.2, 0, 0.5
+    path = saved(
+        folder,
+        gsgen_scene="1.0",
+        models=["a.npz", {"path": "b.npz", "transform": moved.tolist()}],
+        meshes=[{"path": "ball.ply", "translate": [0, 0, 4], "shading": "unlit"}],
+    )
+    sources = open_scene(path)
+    player = Player(sources, renderer=renderer)
+    seen = player.render(Shot(camera()))
+    sets = [SplatSet(sources[0].data), SplatSet(sources[1].data, moved)]
+    direct = renderer.render(Scene(sets, meshes=sources[2].meshes), camera())
+    assert np.array_equal(seen.rgba, direct.rgba)
+    assert (seen.alpha == 1).any()  # the ball
+    assert sources[2].meshes[0].shading == "unlit"
+    np.testing.assert_allclose(sources[2].extent()[0], [0, 0, 4], atol=0.1)
+
+
+def test_a_generator_keeps_what_the_file_feeds_it(folder: Path) -> None:
+    model = {"path": "drift.onnx", "inputs": {"time": 0.5}}
+    (placed,) = open_scene(saved(folder, models=[model]))
+    still = open_source(folder / "drift.onnx")
+    still.update(None, {"time": 0.5})
+    assert np.array_equal(placed.data.rows, still.data.rows)
+    assert placed.time is None  # so that no film moves it
+    for one in (placed, still):
+        one.close()
+
+
+def test_a_camera_in_a_space_that_is_placed(renderer: Renderer) -> None:
+    """What a moved model shows a camera is what the model shows a camera that is moved back."""
+    place = turned(0.7, (1, 2, 3), 1.5)
+    place[:3, 3] = 0.3, -0.2, 1.0
+    data, here = cloud(80, 3, degree=2), camera(fx=30.0, fy=31.0)
+    for one in (here, here.flattened(5.0)):
+        there = renderer.render(Scene([SplatSet(data, place)]), one)
+        back = renderer.render(Scene([data]), local_camera(one, place))
+        assert np.abs(there.rgba - back.rgba).max() < 2e-3
+    mirrored = local_camera(here, np.diag([-2.0, 2, 2, 1]))
+    assert isinstance(mirrored, Camera)
+    assert mirrored.near == pytest.approx(here.near / 2)
+
+
+def test_the_view_is_the_files_unless_options_say_else(folder: Path) -> None:
+    told = read_scene(
+        saved(folder, models=["a.npz"], camera="orbit:10,20,3", width=64, fov=30, up="+z")
+    )
+    made = scene_view([told])
+    assert (made.orbit, made.width, made.fov, made.up) == ((10, 20, 3), 64, 30, (0, 0, 1))
+    other = scene_view([told], "orbit:1,2", width=32, fov=70, up="-y")
+    assert (other.orbit, other.width, other.fov) == ((1, 2, None), 32, 70)
+    own = read_scene(saved(folder, models=["a.npz"], camera=json.loads(camera().to_json())))
+    assert scene_view([own]).cameras == (own.camera,)
+    assert scene_view([own], "orbit").cameras == ()
+    flat = read_scene(saved(folder, models=["a.npz"], kind="orthographic"))
+    assert scene_view([flat]).flat
+    assert not scene_view([flat], around=True).flat
+    assert scene_view([]).fov == 50
+    absent = read_scene(saved(folder, models=["a.npz"], camera="absent.json"))
+    with pytest.raises(ConfigInvalid, match=r"scene\.json: camera: .*absent\.json"):
+        scene_view([absent])
+
+
+def test_the_command(folder: Path, tmp_path: Path) -> None:
+    path = saved(
+        folder,
+        models=["a.npz"],
+        meshes=["ball.ply"],
+        camera="look-at:0,0,-4,0,0,0",
+        background="#102030",
+    )
+    out = tmp_path / "out.png"
+    done = gsgen("render", str(path), "-o", str(out), *SMALL, "--json")
+    assert done.code == 0, done.err
+    said = json.loads(done.out)
+    assert (said["gaussians"], said["triangles"]) == (60, 80)
+    with Image.open(out) as image:
+        assert image.getpixel((0, 0)) == (16, 32, 48, 255)
+        assert image.getpixel((24, 16))[:3] != (16, 32, 48)
+
+
+def test_the_command_s_exit_codes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(UnknownName, match="unknown field 'opacty'"):  # 2 by the app
+        scene_files([saved(folder, models=[{"path": "a.npz", "opacty": 1}])])
+    broken = folder / "scene.json"
+    broken.write_text("{")
+    with pytest.raises(typer.Exit) as unreadable:
+        scene_files([broken])
+    gone = saved(folder, models=["gone.ply"])
+    with pytest.raises(typer.Exit) as absent, opened([gone]):
+        pass
+    assert unreadable.value.exit_code == absent.value.exit_code == 4
+    assert "models[0].path: " in capsys.readouterr().err
+
+
+A = {"path": "a.npz"}
+WRONG = {
+    "empty": ({}, "has neither models nor meshes"),
+    "version": (
+        {"gsgen_scene": "2.0", "models": [A]},
+        r"gsgen_scene: is '2.0', wanted 1.0",
+    ),
+    "unknown": ({"models": [A], "mesh": []}, "unknown field 'mesh'\n.*'meshes'"),
+    "nearest": (
+        {"models": [A | {"opacty_scale": 1}]},
+        r"models\[0\]: unknown field 'opacty_scale'\n.*'opacity_scale'",
+    ),
+    "no_path": ({"models": [{}]}, r"models\[0\]\.path: is missing: wanted text"),
+    "no_list": ({"models": A}, r"models: is .* wanted a list"),
+    "no_model": ({"models": [3]}, r"models\[0\]: is 3, wanted an object or a path"),
+    "opacity": (
+        {"models": [A | {"opacity_scale": -1}]},
+        r"opacity_scale: is -1, wanted a finite number from 0",
+    ),
+    "text": ({"models": [A | {"opacity_scale": "1"}]}, "is '1', wanted a number"),
+    "nan": ({"models": [A | {"opacity_scale": float("nan")}]}, "is nan, wanted a finite"),
+    "degree": ({"models": [A | {"sh_degree": 4}]}, "wanted a whole number from 0 to 3"),
+    "word": (
+        {"models": [A | {"antialias": "mipp"}]},
+        r"models\[0\]\.antialias: unknown word 'mipp'\n.*'mip'",
+    ),
+    "both": (
+        {"models": [A | {"transform": np.eye(4).tolist(), "scale": 2}]},
+        "scale: and transform say the same",
+    ),
+    "flat": ({"models": [A | {"scale": 0}]}, r"models\[0\]\.scale: flattens space"),
+    "shape": ({"models": [A | {"transform": [1, 2]}]}, "wanted 4×4 numbers"),
+    "ragged": ({"models": [A | {"transform": [[1], [2, 3]]}]}, "wanted 4×4 numbers"),
+    "huge": ({"models": [A | {"translate": [1, 2, 1e300]}]}, "numbers that are finite"),
+    "rotate": ({"models": [A | {"rotate": [0, 0, 0, 0]}]}, "which is no rotation"),
+    "axis": ({"models": [A | {"rotate": {"axis": [0, 0, 1]}}]}, 'wanted {"axis"'),
+    "turn": (
+        {"models": [A | {"rotate": {"axes": [0, 0, 1], "degrees": 2}}]},
+        r"rotate: unknown field 'axes'\n.*'axis'",
+    ),
+    "clip": (
+        {"models": [A | {"clip": {"low": [1, 1, 1], "high": [0, 0, 0]}}]},
+        "low first",
+    ),
+    "inputs": ({"models": [A | {"inputs": {"time": "now"}}]}, r"inputs\.time: is 'now'"),
+    "shading": (
+        {"meshes": [A | {"shading": "phong"}]},
+        r"meshes\[0\]\.shading: unknown word 'phong'",
+    ),
+    "background": (
+        {"models": [A], "background": "puce"},
+        "background: 'puce' is no colour",
+    ),
+    "numbers": (
+        {"models": [A], "background": [1, 2, 3]},
+        "background: '1,2,3' is no colour",
+    ),
+    "camera": ({"models": [A], "camera": {"fx": 1}}, r"camera: lacks view"),
+    "width": ({"models": [A], "width": 0}, "width: is 0, wanted a whole number from 1"),
+    "fov": ({"models": [A], "fov": 180}, "fov: is 180 degrees, wanted more than 0"),
+    "up": ({"models": [A], "up": "y"}, "up: unknown word 'y'"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_cannot_be_meant_is_named(tmp_path: Path, name: str) -> None:
+    told, match = WRONG[name]
+    with pytest.raises((SceneInvalid, ConfigInvalid), match=match) as caught:
+        read_scene(saved(tmp_path, **told))
+    assert caught.value.where.startswith(str(tmp_path / "scene.json"))
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("{", "is no JSON: Expecting"),
+        ('{"models": [], "models": []}', "'models' is there twice"),
+        ("[" * 100_000, "is no JSON"),
+        ("\udcff", "cannot be read"),
+    ],
+)
+def test_what_is_no_json_says_so(tmp_path: Path, text: str, match: str) -> None:
+    path = tmp_path / "scene.json"
+    path.write_bytes(text.encode("utf-8", "surrogateescape"))
+    assert is_scene_file(path)
+    with pytest.raises(SceneUnreadable, match=match):
+        read_scene(path)
+
+
+def test_what_fails_when_it_is_opened_says_where(folder: Path) -> None:
+    cases: list[tuple[object, type[GsgenError], str]] = [
+        ("gone.ply", SceneUnreadable, r"models\[0\]\.path: \S+gone\.ply: cannot be read"),
+        ("scene.json", SceneInvalid, r"models\[0\]\.path: is a scene file"),
+        (
+            A | {"inputs": {"tme": 1}},
+            UnknownName,
+            r"models\[0\]\.inputs: unknown input 'tme'",
+        ),
+        (
+            {"path": "drift.onnx", "inputs": {"time": 7}},
+            GsgenError,
+            r"models\[0\]: \S+drift\.onnx, frame 0, input time: is 7",
+        ),
+    ]
+    for model, kind, match in cases:
+        with pytest.raises(kind, match=match):
+            open_scene(saved(folder, models=[model]))
+    with pytest.raises(SceneUnreadable, match=r"meshes\[0\]\.path: "):
+        open_scene(saved(folder, meshes=["a.npz"]))
+
+
+def test_other_json_is_no_scene(tmp_path: Path) -> None:
+    for name, text in (("meta.json", '{"means": 1}'), ("a.json", "[1]"), ("b.json", "{")):
+        (tmp_path / name).write_text(text)
+        assert not is_scene_file(tmp_path / name)
+    assert not is_scene_file(tmp_path / "absent.json")
+
+
+@pytest.mark.parametrize(
+    "text", ['{"meshes": ["a.glb"]}', '{"models": [', '{"gsgen_scene": "1.0",}']
+)
+def test_a_scene_of_any_name_is_one(tmp_path: Path, text: str) -> None:
+    """What is wrong with a broken one is told in its own words, not in those of splat files."""
+    path = tmp_path / "room.json"
+    path.write_text(text)
+    assert is_scene_file(path)
+
+
+def test_a_placed_source_closes_what_it_places(folder: Path) -> None:
+    inner = open_source(folder / "drift.onnx")
+    turn = turned(np.pi / 2, (0, 0, 1), 2)
+    turn[:3, 3] = 5, 0, 0
+    made = PlacedSource(inner, turn)
+    (center, reach), (own_center, own_reach) = made.extent(), inner.extent()
+    np.testing.assert_allclose(center, turn[:3, :3] @ own_center + [5, 0, 0])
+    assert reach == pytest.approx(2 * own_reach)
+    np.testing.assert_allclose(made.up, turn[:3, :3] @ inner.up / 2, atol=1e-12)
+    made.update(camera(), {"time": 0.25})
+    assert made.data is inner.data
+    made.abandon()
+    assert made.shape("time") == inner.shape("time")
+    made.close()

@@ -1,0 +1,64 @@
+"""What `gsgen doctor` says of windows and notebooks."""
+
+import pytest
+
+from gsgen.contract.tools.doctor import Check
+from gsgen.runtime import doctor
+
+
+def installed(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
+    def package(name: str, remedy: str, *, purpose: str = "") -> Check:
+        if name in names:
+            return Check(name, "ok", "1.0", "", purpose)
+        return Check(name, "missing", "not installed", remedy, purpose)
+
+    monkeypatch.setattr(doctor, "package", package)
+
+
+def told(monkeypatch: pytest.MonkeyPatch, said: object) -> None:
+    monkeypatch.setattr(doctor, "_told", lambda *_: said)
+
+
+def named(name: str) -> Check:
+    (check,) = (one for one in doctor.checks() if one.name == name)
+    return check
+
+
+def test_without_a_screen_it_names_what_needs_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    check = named("screen")
+    assert check.state == "missing"
+    assert "no window can be opened here" in check.detail
+    assert "gsgen render" in check.remedy
+
+
+def test_a_screen_that_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    told(monkeypatch, None)
+    installed(monkeypatch, "glfw", "rendercanvas")
+    assert named("screen").state == "ok"
+
+
+@pytest.mark.parametrize("there", [(), ("glfw",), ("rendercanvas",)])
+def test_windows_need_two_packages(
+    monkeypatch: pytest.MonkeyPatch, there: tuple[str, ...]
+) -> None:
+    installed(monkeypatch, *there)
+    for name in ("glfw", "rendercanvas"):
+        check = named(name)
+        assert check.state == ("ok" if name in there else "missing")
+        assert check.state == "ok" or check.remedy == "pip install 'gsgen[runtime]'"
+    assert not [one for one in doctor.checks() if one.name == "screen"]
+
+
+@pytest.mark.parametrize("there", ["anywidget", "jupyter_rfb"])
+def test_one_widget_is_enough(monkeypatch: pytest.MonkeyPatch, there: str) -> None:
+    installed(monkeypatch, there)
+    assert named(there).state == "ok"
+
+
+def test_no_widget_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    installed(monkeypatch)
+    check = named("anywidget")
+    assert (check.state, check.remedy) == ("missing", "pip install anywidget")
+    assert "notebooks" in check.purpose

@@ -1,0 +1,177 @@
+"""What a drag does to the camera, told by where points are seen before and after."""
+
+import numpy as np
+import pytest
+
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.viewer.camera_controls import KEYS, Controls
+
+UP = np.array([0.0, -1.0, 0.0])
+CENTER = np.array([0.3, -0.2, 0.5])
+SIZE = (320, 180)
+
+
+def orbit(**words: float) -> Camera:
+    return Camera.orbit(CENTER.tolist(), 4.0, width=320, height=180, **words)
+
+
+def controls(camera: Camera | None = None) -> Controls:
+    return Controls(camera or orbit(azimuth=20, elevation=10), UP, CENTER, 1.0)
+
+
+def seen(camera: Camera, point: np.ndarray) -> np.ndarray:
+    x, y, z = camera.view[:3, :3] @ point + camera.view[:3, 3]
+    return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
+
+
+def toward(camera: Camera, share: float) -> np.ndarray:
+    """Return a point between the middle and the camera, or beyond the middle."""
+    return CENTER + share * (camera.eye - CENTER)
+
+
+def test_it_begins_where_it_was_put() -> None:
+    home = orbit(azimuth=20, elevation=10)
+    made = controls(home).camera(*SIZE)
+    np.testing.assert_allclose(made.view, home.view, atol=1e-12)
+    assert (made.fx, made.cx, made.near) == (home.fx, home.cx, home.near)
+
+
+def test_a_wider_or_taller_window_shows_what_was_shown() -> None:
+    made = controls()
+    for size in ((640, 180), (320, 500), (640, 360)):
+        camera = made.camera(*size)
+        for corner in ((-1, -1), (1, 1)):
+            half = np.array([160, 90]) / orbit().fx * corner
+            x, y = half * camera.fx + [camera.cx, camera.cy]
+            assert -1e-9 <= x <= size[0] + 1e-9
+            assert -1e-9 <= y <= size[1] + 1e-9
+
+
+@pytest.mark.parametrize("drag", [(30, 0), (-30, 0), (0, 20), (0, -20)])
+def test_what_is_near_follows_the_hand(drag: tuple[int, int]) -> None:
+    made = controls()
+    before = made.camera(*SIZE)
+    near, eye = toward(before, 0.4), before.eye
+    made.orbit(*drag)
+    after = made.camera(*SIZE)
+    moved = seen(after, near) - seen(before, near)
+    assert moved @ drag > 0
+    np.testing.assert_allclose(seen(after, CENTER), seen(before, CENTER), atol=1e-9)
+    assert np.linalg.norm(after.eye - CENTER) == pytest.approx(np.linalg.norm(eye - CENTER))
+
+
+@pytest.mark.parametrize("drag", [(30, 0), (-30, 0), (0, 20), (0, -20)])
+def test_looking_around_stays_where_it_is(drag: tuple[int, int]) -> None:
+    made = controls()
+    before = made.camera(*SIZE)
+    made.look(*drag)
+    after = made.camera(*SIZE)
+    np.testing.assert_allclose(after.eye, before.eye, atol=1e-9)
+    assert (seen(after, CENTER) - seen(before, CENTER)) @ drag > 0
+
+
+def test_panning_keeps_what_is_grasped_under_the_hand() -> None:
+    made = controls()
+    before = made.camera(*SIZE)
+    made.pan(17, -9, *SIZE)
+    after = made.camera(*SIZE)
+    np.testing.assert_allclose(
+        seen(after, CENTER) - seen(before, CENTER), [17, -9], atol=1e-9
+    )
+
+
+def test_no_drag_goes_over_the_pole_or_wears_the_rotation_out() -> None:
+    made = controls()
+    for _ in range(300):
+        made.orbit(3.7, 41.0)
+    turn = made.camera(*SIZE).view[:3, :3]
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+    assert -1 < turn[2] @ UP < -0.99  # it looks down: the camera stands above
+    assert turn[1] @ UP < 0  # and what is up is up
+
+
+def test_a_tilted_camera_goes_on_tilted() -> None:
+    upright = orbit(azimuth=20)
+    tilted = orbit(azimuth=20)
+    roll = np.array([[0.8, 0.6, 0, 0], [-0.6, 0.8, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    tilted = Camera(
+        roll @ upright.view, upright.fx, upright.fy, 160, 90, 320, 180, upright.near
+    )
+    made = controls(tilted)
+    made.orbit(5, 0)
+    side = made.camera(*SIZE).view[0, :3] @ UP
+    assert side == pytest.approx(tilted.view[0, :3] @ UP, abs=0.05)
+    assert abs(side) > 0.5
+
+
+def test_the_wheel_comes_nearer_and_never_through() -> None:
+    made = controls()
+    far = np.linalg.norm(made.eye - CENTER)
+    made.wheel(-100)
+    near = np.linalg.norm(made.eye - CENTER)
+    assert near < far
+    made.wheel(100)
+    assert np.linalg.norm(made.eye - CENTER) == pytest.approx(far)
+    for _ in range(100):
+        made.wheel(-1000)
+    camera = made.camera(*SIZE)
+    assert 0 < np.linalg.norm(camera.eye - CENTER) < 1e-3
+    assert camera.near < np.linalg.norm(camera.eye - CENTER)
+
+
+def test_a_flat_camera_is_magnified_in_place_of_coming_nearer() -> None:
+    home = orbit().flattened(4.0)
+    made = controls(home)
+    made.wheel(-100)
+    camera = made.camera(*SIZE)
+    np.testing.assert_allclose(camera.eye, home.eye, atol=1e-9)
+    assert camera.fx > home.fx
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_keys_move_along_their_axes(key: str) -> None:
+    made = controls()
+    before = made.camera(*SIZE)
+    assert made.fly(frozenset({key}), 0.5, fast=False)
+    slow = before.view[:3, :3] @ (made.eye - before.eye)
+    np.testing.assert_allclose(slow, 0.25 * np.array(KEYS[key]), atol=1e-12)
+    assert made.fly(frozenset({key}), 0.5, fast=True)
+    both = before.view[:3, :3] @ (made.eye - before.eye)
+    assert np.linalg.norm(both) > 4 * np.linalg.norm(slow)
+    assert not made.fly(frozenset({"z"}), 0.5, fast=False)
+
+
+def test_focus_turns_to_a_point_and_then_around_it() -> None:
+    made = controls()
+    eye, point = made.eye, CENTER + np.array([0.4, 0.3, -0.2])
+    made.focus(point)
+    np.testing.assert_allclose(made.eye, eye, atol=1e-9)
+    for _ in range(2):
+        np.testing.assert_allclose(seen(made.camera(*SIZE), point), [160, 90], atol=1e-6)
+        made.orbit(40, 25)
+
+
+def test_framing_and_going_back() -> None:
+    made = controls()
+    first = made.camera(*SIZE)
+    made.fly(frozenset("wd"), 3, fast=True)
+    made.orbit(100, 10)
+    turn = made.camera(*SIZE).view[:3, :3]
+    made.frame()
+    camera = made.camera(*SIZE)
+    np.testing.assert_allclose(camera.view[:3, :3], turn)
+    np.testing.assert_allclose(seen(camera, CENTER), [160, 90], atol=1e-9)
+    distance = np.linalg.norm(camera.eye - CENTER)
+    assert 90 / camera.fy == pytest.approx(np.tan(np.arcsin(1 / distance)))
+    made.reset()
+    np.testing.assert_allclose(made.camera(*SIZE).view, first.view, atol=1e-12)
+
+
+def test_a_panorama_is_turned_in_its_place() -> None:
+    home = Camera.panorama(CENTER.tolist(), width=320)
+    made = Controls(home, UP, CENTER, 1.0)
+    made.orbit(25, 10)
+    camera = made.camera(640, 200)
+    np.testing.assert_allclose(camera.eye, home.eye, atol=1e-3)
+    assert (camera.kind, camera.width, camera.height) == ("panorama", 640, 200)
+    assert not np.allclose(camera.view[:3, :3], home.view[:3, :3], atol=1e-3)

@@ -1,0 +1,114 @@
+"""Modules that torch and Python let through, and that cannot be exported: told at once, by name."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.settings import Settings
+from gsgen.sdk import GaussianGenerator, Gaussians, export, inputs
+from gsgen.sdk.errors import GeneratorInvalid
+from gsgen.sdk.plugins.factory import load_factory
+
+
+class Cloud(GaussianGenerator):
+    """Eight Gaussians in a line, as large as ``size``."""
+
+    inputs = (inputs.time(),)
+
+    def __init__(self, size: float = 0.1) -> None:
+        super().__init__()
+        self.size = size
+
+    def forward(self, time: torch.Tensor) -> Gaussians:
+        line = torch.linspace(-1, 1, 8)[:, None] * torch.ones(1, 3)
+        return Gaussians(
+            position=line + time,
+            opacity=torch.full((8,), 0.5),
+            scale=torch.full((8, 3), self.size),
+            rotation=torch.tensor([[1.0, 0, 0, 0]]).repeat(8, 1),
+            rgb=torch.full((8, 3), 0.5),
+            count=torch.tensor([7], dtype=torch.int32),
+        )
+
+
+class NotSetUp(Cloud):
+    def __init__(self) -> None:
+        self.size = 0.1
+
+
+class OneInput(Cloud):
+    inputs = inputs.time()  # type: ignore[assignment]
+
+
+class NamedInput(Cloud):
+    inputs = ("time",)  # type: ignore[assignment]
+
+
+class NamedInputs(Cloud):
+    inputs = "time"  # type: ignore[assignment]
+
+
+@pytest.mark.parametrize(
+    ("made", "where", "what", "mend"),
+    [
+        (NotSetUp, "NotSetUp", "__init__ does not call its parent's", "super().__init__()"),
+        (OneInput, "OneInput.inputs", "is one input, wanted a tuple", "(inputs.time(),)"),
+        (
+            NamedInput,
+            "NamedInput.inputs[0]",
+            "'time' is no input",
+            "gsgen.sdk.authoring.inputs",
+        ),
+        (
+            NamedInputs,
+            "NamedInputs.inputs",
+            "is str, wanted a tuple of inputs",
+            "inputs.time()",
+        ),
+        (lambda: Cloud, "Cloud", "is a class, wanted a module", "Cloud()"),
+        (dict, "dict", "is no torch module", "GaussianGenerator"),
+        (
+            lambda: Cloud(-3.0),
+            "Gaussians.scale",
+            "is negative in 7 of 7 rows, down to -3; wanted standard deviations",
+            "torch.exp",
+        ),
+    ],
+)
+def test_what_cannot_be_exported_is_refused(
+    made: Any, where: str, what: str, mend: str, tmp_path: Path
+) -> None:
+    with pytest.raises(GeneratorInvalid) as refused:
+        export(made(), tmp_path / "model.onnx")
+    assert (refused.value.where, refused.value.what) == (where, what)
+    assert mend in refused.value.mend
+    assert not list(tmp_path.iterdir())
+
+
+def test_offsets_may_make_single_scales_negative(tmp_path: Path) -> None:
+    class Offset(Cloud):
+        def forward(self, time: torch.Tensor) -> Gaussians:
+            made = super().forward(time)
+            assert made.scale is not None
+            return replace(
+                made, scale=made.scale * torch.tensor([1.0] * 5 + [-1.0] * 3)[:, None]
+            )
+
+    static = Settings(level=Level.STATIC)
+    assert export(Offset(), tmp_path / "model.onnx", settings=static).parity.holds
+
+
+def test_a_factory_is_judged_as_well(tmp_path: Path) -> None:
+    (tmp_path / "unready.py").write_text(
+        "from gsgen.sdk import GaussianGenerator\n"
+        "class Mine(GaussianGenerator):\n"
+        "    def __init__(self): self.size = 1\n"
+        "    def forward(self): return None\n"
+    )
+    factory = load_factory("unready:Mine", tmp_path)
+    with pytest.raises(GeneratorInvalid, match="does not call its parent's"):
+        factory.build({})

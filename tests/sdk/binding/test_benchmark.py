@@ -1,0 +1,111 @@
+"""`gsgen bench` and what is behind it: a child for each provider, figures, and who crashed."""
+
+import json
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from gsgen.conformance.fixtures.builders.moving import driven
+from gsgen.contract.spec.manifest import Input
+from gsgen.sdk.binding import benchmark
+from gsgen.sdk.binding.benchmark import time_frames
+from gsgen.sdk.binding.benchmark_worker import _measure
+from support.commands import gsgen
+
+JOB = {"frames": 4, "sizes": {}, "capture": True}
+
+
+@pytest.mark.parametrize("provider", ["cpu", "webgpu"])
+def test_figures_of_a_frame(provider, models):
+    facts = _measure(JOB | {"model": str(models["drift-float32"]), "provider": provider})
+    assert facts["frames"] == 4
+    assert 0 < facts["p50_seconds"] <= facts["p95_seconds"]
+    assert facts["first_frame_seconds"] > facts["create_seconds"] > 0
+    assert 0 <= facts["copy_share"] <= 1
+    assert (facts["bytes_in"], facts["bytes_out"]) == (4, 5 * 10 * 4 + 5 * 3 * 4 + 4)
+    assert facts["gaussians"] == 5
+    assert facts["gaussians_per_second"] == 5 / facts["p50_seconds"]
+    assert facts["captured"] is (provider == "webgpu")
+
+
+def test_what_cannot_be_measured_is_told_apart(models, monkeypatch):
+    failed = time_frames(models["split_into_many"], "webgpu", frames=1)
+    assert (failed.state, failed.facts) == ("failed", {})
+    assert "Too many storage buffers" in failed.why
+    absent = time_frames(models["drift-float32"], "cuda", frames=1)
+    assert absent.state == "unavailable"
+    late = time_frames(models["drift-float32"], "cpu", frames=1, seconds=0.05)
+    assert (late.state, late.why) == ("crashed", "still running after 0.05 s")
+
+
+def test_a_model_that_needs_a_size_says_which_option_gives_it(tmp_path):
+    pose = Input("pose", "pose")
+    opened = driven("float[J,3] pose", pose, "shift = ReduceMean <keepdims = 0> (pose)")
+    opened.write(tmp_path / "open.onnx")
+    failed = time_frames(tmp_path / "open.onnx", "cpu", frames=1)
+    assert failed.state == "failed"
+    assert failed.why.startswith(
+        "tensor pose: axis 0 is symbolic (J), wanted a size; Give one"
+    )
+    assert "`--size J=24`" in failed.why
+
+
+def test_a_child_that_dies_is_reported_and_no_other(models, tmp_path, monkeypatch):
+    """A worker that kills itself stands for a driver that does."""
+    (tmp_path / "deadly.py").write_text(
+        "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(benchmark, "_WORKER", "deadly")
+    dead = time_frames(models["drift-float32"], "webgpu", frames=1)
+    assert (dead.state, dead.why) == ("crashed", f"ended by signal {signal.SIGSEGV.name}")
+    monkeypatch.undo()
+    assert time_frames(models["drift-float32"], "cpu", frames=1).state == "measured"
+
+
+def test_the_command_prints_a_table_and_writes_json(models, tmp_path):
+    out = tmp_path / "figures.json"
+    ran = gsgen("bench", models["round_on_the_cpu"], "--frames", "3", "-o", out)
+    assert ran.code == 0, ran.err
+    results = json.loads(out.read_text())["results"]
+    named = [(Path(one["model"]).stem, one["provider"], one["state"]) for one in results]
+    assert named == [
+        ("round_on_the_cpu", provider, "measured") for provider in ("cpu", "webgpu")
+    ]
+    assert results[1]["nodes_on_cpu"] == ["Round"]
+    for words in (
+        "p50 ms",
+        "first ms",
+        "copies",
+        "nodes on the CPU (Round)",
+        "not captured: ",
+    ):
+        assert words in ran.out
+    for one in results:
+        assert f"{1000 * one['p50_seconds']:.3f}" in ran.out
+
+
+def test_the_command_says_what_was_not_measured(models, tmp_path):
+    asked = gsgen("bench", models["drift-float32"], "--provider", "cuda", "--json")
+    assert asked.code == 1
+    (result,) = json.loads(asked.out)["results"]
+    assert (result["state"], result["provider"]) == ("unavailable", "cuda")
+    assert "onnxruntime-gpu" in result["why"]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["--provider", "gpu"], 2, "'gpu' is not one of"),
+        (["--frames", "0"], 2, "--frames"),
+        (["--size", "J"], 2, "'J' is not SYMBOL=SIZE"),
+        ([os.devnull], 4, "is not a regular file"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(words, code, said, models):
+    ran = gsgen("bench", models["drift-float32"], *words)
+    assert ran.code == code
+    assert said in ran.err
+    assert "Traceback" not in ran.err

@@ -1,0 +1,321 @@
+"""`gsgen export package.module:factory`, as a user types it."""
+
+import json
+import math
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from gsgen.conformance.fixtures import find
+from gsgen.contract._extensions import Command
+from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
+from gsgen.contract.model.model_file import open_model
+from gsgen.contract.validator import validate
+from gsgen.sdk import GeneratorInvalid, ParityFailed
+from gsgen.sdk.commands import export as export_command
+from gsgen.sdk.commands.export import app
+from gsgen.sdk.parity import FieldParity, Parity
+from gsgen.sdk.plugins.export_options import ExportRequest, with_common_options
+from gsgen.sdk.plugins.export_report import Outcome, write_report
+from gsgen.sdk.plugins.factory import load_factory
+from gsgen.sdk.plugins.plugin import Plugin
+from support.commands import gsgen
+
+MODULE = """
+import math
+from pathlib import Path
+from typing import Literal
+
+import torch
+from gsgen.sdk import GaussianGenerator, Gaussians, inputs
+
+
+class Dots(GaussianGenerator):
+    inputs = (inputs.time(),)
+
+    def __init__(self, n: int = 8, color: Literal["red", "blue"] = "red", size=0.05) -> None:
+        super().__init__()
+        self.color = torch.tensor([1.0, 0, 0] if color == "red" else [0, 0, 1.0])
+        self.n, self.size = n, size
+
+    def forward(self, time):
+        line = torch.linspace(0, 1, self.n)[:, None]
+        ones = torch.ones(self.n, 3)
+        return Gaussians(
+            position=line * torch.tensor([1.0, 0.5, 0.2]) + time,
+            opacity=0.8 * ones[:, 0],
+            scale=self.size * ones,
+            rotation=torch.tensor([1.0, 0, 0, 0]) * torch.ones(self.n, 1),
+            rgb=self.color * ones,
+        )
+
+
+class Tall(Dots):
+    def forward(self, time):
+        made = super().forward(time)
+        return Gaussians(
+            made.position, 3 * made.opacity, made.scale, made.rotation, rgb=made.rgb
+        )
+
+
+class Choosy(Dots):
+    def forward(self, time):
+        return super().forward(time if time > 0.5 else -time)
+
+
+def from_file(path: Path, n: int):
+    return Dots(n) if path.is_file() else None
+
+
+def failing(n: int = 3):
+    raise ValueError(f"no such scene: {n}")
+
+
+def anything(**options):
+    return Dots(len(options))
+
+
+finished = Dots(5)
+plain = torch.nn.Linear(2, 2)
+number = 3
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "dots.py").write_text(MODULE)
+    (tmp_path / "pack").mkdir()
+    (tmp_path / "pack" / "scenes.py").write_text("from dots import Dots\n")
+    (tmp_path / "broken.py").write_text("import torch\nx = torch.ones(2) @ torch.ones(3)\n")
+    (tmp_path / "typo.py").write_text("def f(:\n    pass\n")
+    (tmp_path / "lacking.py").write_text("import no_such_package\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    for name in ("dots", "pack", "pack.scenes", "broken", "typo", "lacking"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    return tmp_path
+
+
+def run(*words: str) -> Result:
+    return CliRunner().invoke(app, list(words))
+
+
+def error_of(*words: str) -> GsgenError:
+    ran = run(*words)
+    assert isinstance(ran.exception, GsgenError), ran.output
+    return ran.exception
+
+
+def test_a_factory_is_exported_with_typed_arguments(folder: Path) -> None:
+    """As a user does it: another process, options in front of the target."""
+    ran = gsgen(
+        *("export", "-o", "out/dots.onnx", "dots:Dots", "--arg", "n=12", "--arg"),
+        *("color=blue", "--arg", "size=0.1", "--dtype", "float16", "--capacity", "16"),
+        *("--name", "my dots", "--opset", "19", "--target", "webgpu", "--report", "r.json"),
+        *("--level", "live"),
+        cwd=folder,
+        env={"VK_DRIVER_FILES": "/nonexistent"},
+    )
+    assert ran.code == 0, ran.err
+    assert "out/dots.onnx: 16 rows, float16" in ran.out
+    assert "conforms at level behaviour, live skipped" in ran.out
+    assert "no usable WebGPU adapter" in ran.out
+    assert "agrees with torch at 13 probes: position" in ran.out
+    opened = open_model(folder / "out" / "dots.onnx")
+    assert opened.proto.opset_import[0].version == 19
+    told = json.loads((folder / "r.json").read_text())
+    assert told["schema"] == "gsgen-export/1"
+    assert (told["source"], told["written"], told["error"]) == ("dots:Dots", True, None)
+    assert told["options"]["capacity"] == 16
+    assert told["options"]["opset"] == 19
+    assert isinstance(told["rewrites"], list)
+    assert {field["field"] for field in told["parity"]["fields"]} == {
+        *("position", "covariance", "opacity", "appearance"),
+    }
+    assert told["validation"]["verdict"] == "conforms"
+    assert told["validation"]["target"].startswith("webgpu")
+    assert validate(folder / "out" / "dots.onnx").name == "my dots"
+
+
+def test_what_does_not_conform_is_reported_and_not_written(folder: Path) -> None:
+    ran = run("dots:Tall", "-o", "m.onnx", "--report", "r.json")
+    assert ran.exit_code == 1
+    assert "GV003 error opacity-range" in ran.output
+    assert "gsgen: m.onnx was not written" in ran.output
+    assert not (folder / "m.onnx").exists()
+    told = json.loads((folder / "r.json").read_text())
+    assert told["written"] is False
+    assert told["error"]["kind"] == "ExportRejected"
+    assert told["validation"]["counts"]["error"] == 1
+
+
+def test_what_torch_cannot_export_is_reported_with_its_line(folder: Path) -> None:
+    ran = run("dots:Choosy", "-o", "m.onnx", "--report", "r.json", "--no-rewrite")
+    assert ran.exit_code == 1
+    assert "super().forward(time if time > 0.5 else -time)" in ran.output
+    assert "torch.where" in ran.output
+    told = json.loads((folder / "r.json").read_text())
+    assert told["error"]["kind"] == "ExportFailed"
+    assert "dots.py:" in told["error"]["where"]
+    assert told["options"]["rewrite"] is False
+    assert (told["parity"], told["validation"]) == (None, None)
+    assert not (folder / "m.onnx").exists()
+
+
+def test_how_far_a_model_is_off_stands_in_the_report() -> None:
+    worst = FieldParity("position", math.inf, math.inf, "time=1", 3)
+    error = ParityFailed("off", where="m.onnx", parity=Parity((worst,), 13))
+    outcome = Outcome(False, parity=error.parity, error=error)
+    write_report(Path("r.json"), ExportRequest(Path("m.onnx")), "dots:Dots", outcome)
+    told = json.loads(Path("r.json").read_text())
+    assert told["error"]["kind"] == "ParityFailed"
+    assert told["parity"] == {
+        "probes": 13,
+        "rows_at_a_threshold": 0,
+        "fields": [
+            {
+                "field": "position",
+                "probe": "time=1",
+                "row": 3,
+                "error": None,
+                "share_of_allowed": None,  # JSON has no infinity
+            }
+        ],
+    }
+
+
+@pytest.mark.parametrize(
+    ("target", "arguments"),
+    [
+        ("dots:finished", []),
+        ("pack.scenes:Dots", ["n=5"]),
+        ("dots.py:Dots", ["n=5"]),
+        ("dots:from_file", ["path=dots.py", "n=5"]),
+        ("dots:anything", ["a=1", "b=2", "c=3", "d=4", "e=5"]),
+    ],
+)
+def test_targets_of_every_sort_give_a_generator(target: str, arguments: list[str]) -> None:
+    factory = load_factory(target)
+    made = factory.build(factory.arguments(arguments))
+    assert made.n == 5
+
+
+@pytest.mark.parametrize(
+    ("words", "error", "told"),
+    [
+        (["dot:Dots"], UnknownName, "Did you mean 'dots'?"),
+        (["pack.scene:Dots"], UnknownName, "Did you mean 'pack.scenes'?"),
+        (["dots:Dot"], UnknownName, "Did you mean 'Dots'?"),
+        (["dots:"], ConfigInvalid, "package.module:factory"),
+        (["./dots:Dots"], ConfigInvalid, "Write ./dots.py:Dots"),
+        (["dots"], UnknownName, "dots:NAME"),
+        (["dots.py"], UnknownName, "dots.py:NAME"),
+        (["pack.scenes.Dots"], UnknownName, "Write pack.scenes:Dots"),
+        (["sttic"], UnknownName, "Did you mean 'static'?"),
+        (["scene.ply"], UnknownName, "gsgen export static scene.ply"),
+        (["dots:number"], GeneratorInvalid, "gives int, wanted a GaussianGenerator"),
+        (["dots:plain"], GeneratorInvalid, "gsgen.sdk.wrap"),
+        (["dots:Dots", "--arg", "m=3"], UnknownName, "unknown argument 'm'"),
+        (["dots:Dots", "--arg", "n"], ConfigInvalid, "'n' has no '='"),
+        (["dots:Dots", "--arg", "n=x"], ConfigInvalid, "--arg n: 'x' is not a whole"),
+        (["dots:Dots", "--arg", "color=red,"], ConfigInvalid, "one of red, blue"),
+        (["dots:Dots", "--arg", "size=big"], ConfigInvalid, "'big' is not a number"),
+        (["dots:from_file"], ConfigInvalid, "Add --arg path=… --arg n=…"),
+        (["dots:Dots", "--target", "webgp"], UnknownName, "Did you mean 'webgpu'?"),
+        (["dots:Dots", "--level", "liv"], ConfigInvalid, "live"),
+        (["broken:f"], GsgenError, "broken.py:2 (x = torch.ones(2) @ torch.ones(3))"),
+        (["typo:f"], GsgenError, "typo.py:1: SyntaxError: invalid syntax"),
+        (["lacking:f"], GsgenError, "No module named 'no_such_package'"),
+        (["dots:failing"], GsgenError, "ValueError: no such scene: 3"),
+    ],
+)
+def test_what_is_mistyped_is_named_with_what_may_be_meant(
+    folder: Path, words: list[str], error: type[GsgenError], told: str
+) -> None:
+    if error is GeneratorInvalid:  # no wrong word, but a module that is no generator
+        ran = run(*words, "-o", "m.onnx")
+        assert ran.exit_code == 1
+        assert told in ran.output
+    else:
+        caught = error_of(*words, "-o", "m.onnx")
+        assert isinstance(caught, error)
+        assert told in str(caught)
+    assert not (folder / "m.onnx").exists()
+
+
+def test_help_lists_what_a_factory_takes() -> None:
+    told = " ".join(run("dots:Dots", "--help").output.replace("│", " ").split())
+    assert "--arg n: int = 8" in told
+    assert "color: Literal['red', 'blue'] = 'red'" in told
+    assert "--no-rewrite" in told
+
+
+def test_a_model_is_no_target() -> None:
+    model = find("drift").write(Path())
+    assert "gsgen validate" in str(error_of(str(model), "-o", "m.onnx"))
+
+
+def test_a_plugin_is_built_or_commands_by_itself() -> None:
+    facts = ("it", "It.", "Reads it.", ())
+    for both in ({}, {"command": print, "build": print}):
+        with pytest.raises(TypeError, match="exactly one of command and build"):
+            Plugin(*facts, **both)
+    assert Plugin(*facts, command=print).function is print
+
+
+def test_a_plugin_s_own_options_stand_beside_the_common_ones() -> None:
+    told: dict[str, object] = {}
+
+    def build(file: Path, frames: int = 3) -> object:
+        return (file, frames)
+
+    def run_it(make, request) -> None:
+        told.update(made=make(), request=request)
+
+    import typer
+
+    single = typer.Typer()
+    single.command()(with_common_options(build, run_it))
+    ran = CliRunner().invoke(single, ["a.pt", "-o", "m.onnx", "--frames", "9"])
+    assert ran.exit_code == 0, ran.output
+    assert told["made"] == (Path("a.pt"), 9)
+    assert told["request"].output == Path("m.onnx")  # type: ignore[attr-defined]
+
+    def clashing(dtype: str) -> object:
+        return dtype
+
+    with pytest.raises(TypeError, match="every export has the option 'dtype'"):
+        with_common_options(clashing, run_it)
+
+
+def clashing(dtype: str) -> object:
+    return dtype
+
+
+CLASHING = Plugin("clashing", "It clashes.", "Reads nothing.", (), build=clashing)
+
+
+def test_a_plugin_that_cannot_be_used_spoils_only_itself(
+    monkeypatch: pytest.MonkeyPatch, folder: Path
+) -> None:
+    values = {
+        "absent": "no_such_module:PLUGIN",
+        "clashing": f"{__name__}:CLASHING",
+    }
+    points = {
+        name: Command(name, EntryPoint(name, value, "gsgen.generators"), ())
+        for name, value in values.items()
+    }
+    monkeypatch.setitem(sys.modules, __name__, sys.modules[clashing.__module__])
+    monkeypatch.setattr(export_command, "find_plugins", lambda: points)
+    built = export_command._build()
+    assert "It clashes." in CliRunner().invoke(built, ["--help"]).output
+    ran = CliRunner().invoke(built, ["absent", "file", "-o", "m.onnx"])
+    assert (ran.exit_code, "No module named 'no_such_module'" in ran.output) == (3, True)
+    ran = CliRunner().invoke(built, ["clashing", "file", "-o", "m.onnx"])
+    assert isinstance(ran.exception, GsgenError)
+    assert "every export has the option 'dtype'" in str(ran.exception)

@@ -1,0 +1,171 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+
+from gsgen.conformance.fixtures import find
+from gsgen.contract.errors import GsgenError
+from gsgen.contract.model.model_file import open_model
+from gsgen.contract.spec.manifest_io import loads
+from gsgen.contract.spec.targets import load_target
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
+from gsgen.sdk.exporting.repair import Request, repair
+from support.commands import gsgen, gsgen_here
+
+
+def emitted(path: Path, **inputs: np.ndarray) -> dict[str, np.ndarray]:
+    session = onnxruntime.InferenceSession(path)
+    names = [output.name for output in session.get_outputs()]
+    return dict(zip(names, session.run(names, inputs), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("name", "rule"),
+    [
+        ("count_is_int64", "GO011"),
+        ("rgb3_float16", "GO015"),
+        ("opaque_padding", "GV018"),
+        ("nan_padding", "GV018"),
+    ],
+)
+def test_what_has_one_right_answer_is_repaired_and_listed(
+    tmp_path: Path, name: str, rule: str
+) -> None:
+    source = find(name).write(tmp_path)
+    before = source.read_bytes()
+    done = repair(source, tmp_path / "fixed.onnx")
+    assert [one.rule for one in done.repairs] == [rule]
+    assert done.after.verdict == "conforms"
+    assert validate(tmp_path / "fixed.onnx").findings == ()
+    assert source.read_bytes() == before
+
+
+def test_live_rows_keep_their_bits(tmp_path: Path) -> None:
+    source = find("opaque_padding").write(tmp_path)
+    repair(source, tmp_path / "fixed.onnx")
+    old, new = emitted(source), emitted(tmp_path / "fixed.onnx")
+    (count,) = next(value for value in old.values() if value.ndim == 1)
+    for name, value in old.items():
+        if value.ndim == 2:
+            np.testing.assert_array_equal(new[name][:count], value[:count])
+            assert not new[name][count:].any()
+
+
+def test_padding_a_colour_adds_a_channel_of_ones(tmp_path: Path) -> None:
+    source = find("rgb3_float16").write(tmp_path)
+    repair(source, tmp_path / "fixed.onnx")
+    name = next(n for n, v in emitted(source).items() if v.ndim == 2 and v.shape[1] == 3)
+    old, new = emitted(source)[name], emitted(tmp_path / "fixed.onnx")[name]
+    assert new.dtype == np.float16
+    np.testing.assert_array_equal(new[:, :3], old)
+    assert (new[:, 3] == 1).all()
+
+
+def test_the_order_of_sh_is_changed_on_request_only(tmp_path: Path) -> None:
+    source = find("sh_channel_major").write(tmp_path)
+    with pytest.raises(GsgenError, match="nothing that has one right answer"):
+        repair(source, tmp_path / "fixed.onnx")
+    assert not (tmp_path / "fixed.onnx").exists()
+    done = repair(source, tmp_path / "fixed.onnx", Request(channel_major=True))
+    assert done.after.findings == ()
+    (old,) = (v for v in emitted(source).values() if v.ndim == 2 and v.shape[1] == 48)
+    (new,) = (
+        v
+        for v in emitted(tmp_path / "fixed.onnx").values()
+        if v.ndim == 2 and v.shape[1] == 48
+    )
+    np.testing.assert_array_equal(
+        new.reshape(-1, 16, 3).transpose(0, 2, 1).reshape(-1, 48), old
+    )
+
+
+def test_renaming_makes_a_viewer_find_the_outputs(tmp_path: Path) -> None:
+    source = find("visionary_output_name").write(tmp_path)
+    settings = Settings(target=load_target("visionary"))
+    done = repair(source, tmp_path / "fixed.onnx", Request(rename=True), settings)
+    assert done.after.verdict == "conforms"
+    text = open_model(tmp_path / "fixed.onnx").manifest_text
+    assert text is not None
+    assert loads(text).outputs.gaussians.name == "gaussians"  # type: ignore[union-attr]
+
+
+def test_a_symbol_gets_the_size_that_is_given(tmp_path: Path) -> None:
+    source = find("symbolic_capacity").write(tmp_path)
+    symbols = {
+        dim.dim_param
+        for output in onnx.load(source).graph.output
+        for dim in output.type.tensor_type.shape.dim
+        if dim.dim_param
+    }
+    assert symbols
+    sizes = dict.fromkeys(symbols, emitted(source)["gaussians"].shape[0])
+    done = repair(source, tmp_path / "fixed.onnx", Request(sizes=sizes))
+    assert done.after.findings == ()
+
+
+def test_a_model_without_manifest_needs_one(tmp_path: Path) -> None:
+    source = find("no_manifest").write(tmp_path)
+    with pytest.raises(GsgenError, match="carries no manifest"):
+        repair(source, tmp_path / "fixed.onnx")
+    derived = gsgen("inspect", source, "--emit-manifest")
+    (tmp_path / "manifest.json").write_text(derived.out)
+    ran = gsgen(
+        "fix",
+        source,
+        "-o",
+        tmp_path / "fixed.onnx",
+        "--manifest",
+        tmp_path / "manifest.json",
+    )
+    assert ran.code == 0, ran.out + ran.err
+    assert "GM001: embedded the manifest given" in ran.out
+    assert gsgen("validate", tmp_path / "fixed.onnx", "--strict").code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("--size", "N"), 2, "--size: 'N' is not SYMBOL=SIZE"),
+        (("--pin", "N=-3"), 2, "--pin: 'N=-3' is not SYMBOL=SIZE"),
+        (("--dry-run",), 1, "nothing that has one right answer is broken"),
+        (("--manifest", "none.json"), 2, "none.json: cannot be read"),
+        ((), 1, "nothing that has one right answer is broken"),
+    ],
+)
+def test_what_cannot_be_done_is_said(
+    tmp_path: Path, words: tuple[str, ...], code: int, said: str
+) -> None:
+    source = find("drift").write(tmp_path)
+    ran = gsgen_here("fix", source, "-o", tmp_path / "fixed.onnx", *words)
+    assert ran.code == code
+    assert said in ran.err
+    assert not (tmp_path / "fixed.onnx").exists()
+
+
+def test_a_dry_run_says_as_json_what_would_change(tmp_path: Path) -> None:
+    source = find("symbolic_capacity").write(tmp_path)
+    here = sorted(tmp_path.iterdir())
+    ran = gsgen_here("fix", source, "--dry-run", "--json", "--size", "N=5")
+    assert ran.code == 0, ran.err
+    made = json.loads(ran.out)
+    assert made["path"] is None
+    assert made["repairs"] == [{"what": "dimension N is 5", "rule": "GO004"}]
+    assert [made[when]["verdict"] for when in ("before", "after")] == [
+        "invalid",
+        "conforms",
+    ]
+    assert made["after"]["subject"]["uri"] == str(source)
+    assert sorted(tmp_path.iterdir()) == here
+    fixed = tmp_path / "fixed.onnx"
+    ran = gsgen_here("fix", source, "-o", fixed, "--json", "--pin", "N=5")
+    assert json.loads(ran.out)["path"] == str(fixed)
+    assert validate(fixed).findings == ()
+
+
+def test_fixing_no_model_exits_4(tmp_path: Path) -> None:
+    (tmp_path / "m.onnx").write_bytes(b"no")
+    assert gsgen_here("fix", tmp_path / "m.onnx", "-o", tmp_path / "f.onnx").code == 4

@@ -1,0 +1,161 @@
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gsgen.contract.errors import GsgenError
+from gsgen.contract.probing.probes import Probe
+from gsgen.contract.spec.manifest import GeneratorManifest, GeneratorOutputs
+from gsgen.sdk import ExportFailed, GeneratorInvalid, ParityFailed, export
+from gsgen.sdk.exporting.eager_reference import run_eager
+from gsgen.sdk.exporting.parity_diagnosis import Suspects, explain
+from gsgen.sdk.exporting.trace_hazards import Watch
+from gsgen.sdk.parity import Made
+from support.models import hazards
+from support.models.generators import Drift, Growing, Lit, Skinned
+
+LINES = Path(hazards.__file__).read_text("utf-8").splitlines()
+
+
+def guilty_line(kind: type[Drift]) -> str:
+    start = LINES.index(f"class {kind.__name__}(Drift):")
+    number = next(n for n in range(start, len(LINES)) if "# guilty" in LINES[n])
+    return f"hazards.py:{number + 1} ({LINES[number].strip()})"
+
+
+# What is seen while the module runs, and what comes of its export.
+SEEN = {
+    hazards.Branches: "branch",
+    hazards.BranchesOnItem: "number",
+    hazards.GoesThroughNumpy: "numpy",
+    hazards.IndexesByMask: "shape",
+    hazards.UsesData: "data",
+    hazards.Caches: "state",
+    hazards.Accumulates: "state",
+    hazards.DrawsNumbers: "random",
+    hazards.RebuiltFromFloats: "number",
+}
+REFUSED = {
+    hazards.Branches: (ExportFailed, "torch.where(condition, a, b)"),
+    hazards.GoesThroughNumpy: (ExportFailed, "torch function of the same name"),
+    hazards.IndexesByMask: (ExportFailed, "gsgen.sdk.math.keep_rows"),
+    hazards.Caches: (GeneratorInvalid, "once, in __init__"),
+    hazards.Accumulates: (ParityFailed, "once, in __init__"),
+    hazards.DrawsNumbers: (ParityFailed, "register_buffer"),
+}
+
+
+@pytest.mark.parametrize("kind", SEEN, ids=lambda kind: kind.__name__)
+def test_a_hazard_is_seen_with_its_line_while_the_module_runs(kind: type[Drift]) -> None:
+    module, time = kind().eval(), torch.full((1,), 0.2)
+    with torch.no_grad(), Watch(module, [time]) as watch:
+        module(time)
+    line = guilty_line(kind)
+    seen = [one for one in watch.hazards if one.where.endswith(line)]
+    assert [one.kind for one in seen] == [SEEN[kind]]
+
+
+@pytest.mark.parametrize("kind", [Drift, Lit, Growing, Skinned])
+def test_clean_modules_have_no_hazards(kind: type[Drift]) -> None:
+    module = kind().eval()
+    tensors = [torch.zeros(entry.shape) for entry in module.inputs]
+    with torch.no_grad(), Watch(module, tensors) as watch:
+        module(*tensors)
+    assert watch.hazards == []
+    assert not watch.changes_module
+
+
+def test_watching_leaves_torch_as_it_was() -> None:
+    before = torch.nn.Module.__setattr__
+    module = Drift()
+    with pytest.raises(RuntimeError), Watch(module, []):
+        raise RuntimeError
+    assert torch.nn.Module.__setattr__ is before
+
+
+@pytest.mark.parametrize("kind", [hazards.Caches, hazards.Accumulates])
+def test_what_a_run_changed_can_be_undone(kind: type[Drift]) -> None:
+    module, time = kind().eval(), torch.full((1,), 0.7)
+    with torch.no_grad(), Watch(module, [time]) as watch:
+        first = module(time).position
+        module(time)
+    assert watch.changes_module
+    watch.undo()
+    with torch.no_grad():
+        assert torch.equal(module(time).position, first)
+        watch.undo()
+        assert not torch.equal(module(time * 0.5).position, first)
+
+
+@pytest.mark.parametrize("kind", REFUSED, ids=lambda kind: kind.__name__)
+def test_a_hazard_that_matters_is_an_error_with_its_line_and_a_cure(
+    tmp_path: Path, kind: type[Drift], capfd: pytest.CaptureFixture[str]
+) -> None:
+    error_type, cure = REFUSED[kind]
+    with pytest.raises(error_type) as caught:
+        export(kind(), tmp_path / "m.onnx")
+    assert guilty_line(kind) in str(caught.value)
+    assert cure in caught.value.mend
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr() == ("", "")  # torch prints graphs of what it gives up
+    assert logging.root.manager.disable == logging.NOTSET
+
+
+def test_a_hazard_that_does_not_matter_is_not_told(tmp_path: Path) -> None:
+    made = export(hazards.RebuiltFromFloats(), tmp_path / "m.onnx")
+    assert made.parity.holds
+    assert made.parity.probes == 13
+
+
+# ---- Why a model differs, where no line was seen -----------------------------------------------
+
+MANIFEST = GeneratorManifest(
+    name="m", outputs=GeneratorOutputs(), inputs=tuple(Drift.inputs)
+)
+PROBES = [Probe(f"time={t}", {"time": np.float32([t])}) for t in (0.2, 0.4, 1.0)]
+
+
+def explained(
+    module: Drift, *, frozen: bool = False, rewritten: bool = True
+) -> tuple[str, str]:
+    """Explain a model that always emits its first frame, or one that follows."""
+
+    def run(probes: list[Probe]) -> list[Made]:
+        moments = [0.0 if frozen else float(p.inputs["time"][0]) for p in probes]
+        return [Made(np.full((3, 10), t), np.zeros((3, 48)), 3) for t in moments]
+
+    module = module.eval()
+    references = [run_eager(module, probe) for probe in PROBES]
+    suspects = Suspects(module, PROBES[0], (), rewritten)
+    return explain(suspects, MANIFEST, references, run)
+
+
+def test_an_input_that_lost_its_effect_is_named() -> None:
+    reason, mend = explained(Drift(), frozen=True)
+    assert reason == "; time changes nothing in the model"
+    assert "outside of torch" in mend
+    assert explained(Drift()) == ("", mend)
+
+
+def test_a_result_that_changes_by_itself_is_named() -> None:
+    assert "another result for the same inputs" in explained(hazards.ReadsAClock())[1]
+
+
+def test_a_graph_that_was_not_rewritten_is_named() -> None:
+    assert "export with rewrites" in explained(Drift(), rewritten=False)[1]
+
+
+class Raising(Drift):
+    def forward(self, time: torch.Tensor):
+        return super().forward(time @ self.rest)
+
+
+def test_what_forward_raises_is_told_with_its_line(tmp_path: Path) -> None:
+    with pytest.raises(GeneratorInvalid) as caught:
+        export(Raising(), tmp_path / "m.onnx")
+    assert isinstance(caught.value, GsgenError)
+    assert "test_hazards.py" in caught.value.where
+    assert "time @ self.rest" in caught.value.where
+    assert "forward raised RuntimeError" in caught.value.what

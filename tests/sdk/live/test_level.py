@@ -1,0 +1,330 @@
+"""The live level where something is missing, hangs or dies; and how outputs are compared."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from onnx import parser
+
+from gsgen.contract.model.inspected_model import read_subject
+from gsgen.contract.model.model_file import open_model
+from gsgen.contract.probing.probes import Probe
+from gsgen.contract.process.limits import Limits
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.level_backend import LevelUnavailable
+from gsgen.contract.validation.report import Report
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
+from gsgen.sdk.binding.providers.webgpu import WEBGPU, AdapterMissing
+from gsgen.sdk.doctor import checks
+from gsgen.sdk.live import level as live
+from gsgen.sdk.live import worker
+from gsgen.sdk.live.comparison import disagreements, wrong_replays
+from gsgen.sdk.live.level import Frame, Live, Node, survey
+from support.models.captured import CAPTURED
+from support.models.small_models import (
+    HEAD,
+    good_rows,
+    manifest_of,
+    moving,
+    save,
+    save_moving,
+    weight,
+)
+
+LIVE = Settings(level=Level.LIVE)
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    return save_moving(tmp_path_factory.mktemp("good") / "good.onnx", good_rows(8))
+
+
+def reason_to_skip(report: Report) -> str:
+    (level,) = (one for one in report.levels if one.level is Level.LIVE)
+    assert not level.ran
+    for rule in CAPTURED:
+        outcome = report.outcome(rule)
+        assert (outcome.status, outcome.reason) == ("skipped", level.reason)
+    assert report.verdict == "conforms"
+    return level.reason
+
+
+# ---- What is missing -------------------------------------------------------------------------
+
+
+def test_without_the_package_the_level_is_skipped(good, monkeypatch):
+    monkeypatch.setattr(live, "find_spec", lambda name: None)
+    reason = reason_to_skip(validate(good, LIVE))
+    assert reason == "onnxruntime-ep-webgpu is not installed: pip install 'gsgen[live]'"
+
+
+def test_without_an_adapter_the_level_is_skipped(good, monkeypatch):
+    monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
+    assert reason_to_skip(validate(good, LIVE)) == (
+        "there is no usable WebGPU adapter (Failed to get a WebGPU adapter: No supported adapters)"
+        ": install a Vulkan driver, such as mesa-vulkan-drivers 25"
+    )
+
+
+def test_a_user_may_refuse_software_adapters(good, monkeypatch):
+    monkeypatch.setenv("ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER", "0")
+    assert re.search("lists no device for WebGPU|hardware", adapter_or_reason())
+
+
+def adapter_or_reason() -> str:
+    try:
+        return survey()["adapter"]
+    except LevelUnavailable as error:
+        return error.reason
+
+
+def test_the_doctor_names_the_adapter():
+    (check,) = (one for one in checks() if one.name == "webgpu")
+    assert check.state == "ok", f"{check.detail}; install a driver with `make drivers`"
+    assert check.detail.endswith("float16)")
+
+
+def test_the_doctor_says_what_is_missing(monkeypatch):
+    monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
+    (check,) = (one for one in checks() if one.name == "webgpu")
+    assert check.state == "missing"
+    assert "No supported adapters" in check.detail
+    assert check.remedy.startswith("install a Vulkan driver")
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_an_adapter_without_float16_refuses_only_models_that_need_it(half, tmp_path):
+    (tmp_path / "log").write_text('Using "Old Card" with driver: "old.so"')
+
+    class Session:
+        def run(self, _, inputs):
+            if inputs["x"].dtype == np.float16:
+                raise RuntimeError("requires f16 but the device does not support it")
+            return [2 * inputs["x"]]
+
+    told = []
+
+    def emit(event, **facts):
+        told.append((event, facts))
+
+    def attempt():
+        worker._try_adapter(lambda *_: Session(), tmp_path, emit, half=half)
+
+    if half:
+        with pytest.raises(AdapterMissing, match="adapter Old Card no shader-f16"):
+            attempt()
+    else:
+        attempt()
+    assert told == [("adapter", {"name": "Old Card", "software": False, "half": False})]
+
+
+# ---- What dies, hangs or deceives ------------------------------------------------------------
+
+
+@pytest.fixture
+def behaving(monkeypatch):
+    """Let the child be one that misbehaves in a given way."""
+
+    def behave(how):
+        monkeypatch.setattr(live, "_WORKER", "support.live_worker")
+        monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+        monkeypatch.setenv("HOW_THE_WORKER_BEHAVES", how)
+
+    return behave
+
+
+def test_a_provider_that_dies_before_the_model_is_loaded_skips_the_level(good, behaving):
+    behaving("crash at once")
+    assert reason_to_skip(validate(good, LIVE)) == (
+        "the WebGPU provider does not start (ended by signal SIGSEGV): ask `gsgen doctor`"
+    )
+
+
+def test_a_session_that_fell_back_to_the_cpu_is_a_crash_never_a_pass(good, behaving):
+    behaving("fall back")
+    report = validate(good, LIVE)
+    assert report.verdict == "internal-error"
+    for rule in CAPTURED:
+        assert report.outcome(rule).status == "crashed"
+        assert report.outcome(rule).reason.endswith(
+            "ONNX Runtime fell back to the CPU: wanted this, got that"
+        )
+
+
+def test_a_model_that_kills_the_process_breaks_a_rule(good, behaving):
+    behaving("crash in a replay")
+    report = validate(good, LIVE)
+    (finding,) = report.findings
+    assert (finding.rule, report.verdict) == ("GB017", "invalid")
+    assert finding.message.startswith(
+        "stopped in frame 1 (captured session): ended by signal SIGSEGV; "
+    )
+    for rule in ("GB011", "GB014", "GB015", "GB016"):
+        assert report.outcome(rule).reason == "because GB017 does not hold"
+
+
+def test_a_model_that_takes_too_long_on_the_gpu_breaks_a_rule(tmp_path):
+    proto = moving(good_rows(5))
+    text = """
+    g (float[1] time) => (float[1] y) <int64 turns = {100000}, bool yes = {1}> {
+        y = Loop (turns, yes, time) <body = b (int64 i, bool c, float[1] v) =>
+            (bool d, float[1] w) { d = Identity (c) w = Sin (v) }>
+    }
+    """
+    loop = parser.parse_model(HEAD + text)
+    proto.graph.node.insert(0, loop.graph.node[0])
+    proto.graph.node[1].input[0] = "y"
+    proto.graph.initializer.extend(loop.graph.initializer)
+    path = save(tmp_path / "a.onnx", proto, manifest_of(5))
+    report = validate(path, replace(LIVE, limits=Limits(seconds=5)))
+    assert report.outcome("GV025").status == "pass"
+    (finding,) = (one for one in report.findings if one.rule == "GB017")
+    assert "(plain session): still running after 5 s" in finding.message
+
+
+# ---- How outputs are compared ----------------------------------------------------------------
+
+
+def lived(path, *frames, **changes) -> Live:
+    subject = read_subject(open_model(path), LIVE.target, Limits())
+    made = [Frame(Probe(f"probe {k}", {}), *three) for k, three in enumerate(frames)]
+    facts = {"nodes": (), "accepted": True, "stop": None} | changes
+    return Live(subject=subject, adapter="made up", frames=tuple(made), **facts)
+
+
+def outputs(rows, count=None):
+    n = len(rows)
+    colors = np.full((n, 3), 0.5, np.float32)
+    live_rows = np.array([n if count is None else count], np.int32)
+    return {"gaussians": rows, "color": colors, "num_points": live_rows}
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "by", "field"),
+    [
+        (3, 0, 5e-5, ""),  # half a thousandth of a standard deviation of 0.1
+        (3, 0, 2e-4, "position"),
+        (7, 4, 1e-5, ""),
+        (7, 4, 1e-4, "covariance"),
+        (0, 3, 1e-3, ""),
+        (0, 3, 4e-3, "opacity"),
+        (5, 3, np.nan, "opacity"),
+    ],
+)
+def test_cpu_and_gpu_are_compared_field_by_field(good, row, column, by, field):
+    rows = good_rows(8)
+    changed = rows.copy()
+    changed[row, column] += by
+    same = outputs(rows)
+    found = list(
+        disagreements(lived(good, (same, same, None), (same, outputs(changed), None)))
+    )
+    assert [place for place, _, _ in found] == ([f"field {field}"] if field else [])
+    if field:
+        assert f"row {row}, " in found[0][1]
+        assert found[0][1].endswith("(probe 1)")
+
+
+def test_another_count_is_a_disagreement(good):
+    rows = good_rows(8)
+    found = list(disagreements(lived(good, (outputs(rows), outputs(rows, 7), None))))
+    assert [place for place, _, _ in found] == ["field count"]
+
+
+def test_rows_behind_the_count_are_not_compared(good):
+    rows = good_rows(8)
+    other = rows.copy()
+    other[6:] = 0
+    assert not list(disagreements(lived(good, (outputs(rows, 6), outputs(other, 6), None))))
+
+
+def test_one_unit_in_the_last_place_of_float16_is_no_disagreement(good):
+    rows = good_rows(8).astype(np.float16)
+    rows[:, [4, 7, 9]] = 1e-4
+    other = rows.copy()
+    other[:, :3] = np.nextafter(other[:, :3], np.float16(2))
+    color = np.full((8, 4), 0.5, np.float16)
+    pair = [outputs(one) | {"color": color} for one in (rows, other)]
+    assert not list(disagreements(lived(good, (*pair, None))))
+
+
+def test_what_the_cpu_does_not_know_either_is_no_wrong_replay(good):
+    rows = good_rows(8)
+    rows[2, 0] = np.nan
+    other = rows.copy()
+    other[2, 0] = 3
+    assert not list(
+        wrong_replays(lived(good, (outputs(rows), outputs(rows), outputs(other))))
+    )
+
+
+def frames_of(plain, replayed):
+    return [
+        (
+            {},
+            {"gaussians": np.full((8, 10), a, np.float32)},
+            {"gaussians": np.full((8, 10), b, np.float32)},
+        )
+        for a, b in zip(plain, replayed, strict=True)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("replayed", "how"),
+    [
+        ((1, 2, 3), ""),
+        ((1, 1, 1), "repeats frame 0 in all 2 replays; made by Add (node Add)"),
+        ((1, 2, 2), "1 of 3 frames differ, the first is frame 2; made by Add (node Add)"),
+        ((0, 0, 0), "3 of 3 frames differ, the first is frame 0; made by Add (node Add)"),
+    ],
+)
+def test_replays_are_compared_with_plain_runs(good, replayed, how):
+    found = list(wrong_replays(lived(good, *frames_of((1, 2, 3), replayed))))
+    assert [one.saw for one in found] == ([how] if how else [])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("gaussians = Reshape (time, s)", "made by Reshape (node Reshape)"),
+        ("gaussians = Identity (time)", "made by Identity (node Identity)"),
+        (
+            "mixed = ScatterND (base, at, time) gaussians = Add (mixed, mixed)",
+            "computed from ScatterND (node ScatterND)",
+        ),
+        (
+            "whole = Cast <to = 7> (time) gaussians = Cast <to = 1> (whole)",
+            "computed from int64 Cast (node Cast)",
+        ),
+        ("gaussians = Add (time, time)", "made by Add (node Add)"),
+    ],
+)
+def test_the_operator_to_blame_is_named(text, said, tmp_path):
+    proto = parser.parse_model(
+        f"{HEAD} g (float[8] time) => (float[8] gaussians) {{ {text} }}"
+    )
+    given = {
+        "s": np.array([8], np.int64),
+        "base": np.zeros(8, np.float32),
+        "at": np.arange(8, dtype=np.int64)[:, None],
+    }
+    proto.graph.initializer.extend(
+        weight(k, v) for k, v in given.items() if f"{k}," in text or f" {k})" in text
+    )
+    path = save(tmp_path / "a.onnx", proto)
+    (found,) = wrong_replays(lived(path, *frames_of((1, 2, 3), (1, 1, 1))))
+    assert found.saw == f"repeats frame 0 in all 2 replays; {said}"
+
+
+def test_a_still_output_has_nothing_to_go_stale(good):
+    assert not list(wrong_replays(lived(good, *frames_of((1, 1, 1), (1, 1, 1)))))
+
+
+def test_where_nodes_went_is_known_by_name(good):
+    nodes = (Node(WEBGPU, "Add", "a"), Node("CPUExecutionProvider", "Round", "r"))
+    assert lived(good, nodes=nodes).nodes[1].name == "r"
+    assert lived(good).state == "accepted, 0 replays"
+    assert lived(good, accepted=False).state == "not tried"

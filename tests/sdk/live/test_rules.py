@@ -1,0 +1,164 @@
+"""Models in ONNX Runtime's WebGPU provider, captured and replayed; `make drivers` first."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gsgen.conformance.fixtures import Fixture
+from gsgen.conformance.fixtures.builders.arrays import i64
+from gsgen.conformance.fixtures.builders.images import darken
+from gsgen.conformance.fixtures.builders.moving import drifting, looking
+from gsgen.contract.rules.catalogue import installed_rules
+from gsgen.contract.spec.severity import Level, Severity
+from gsgen.contract.validation.report import Report
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validator import validate
+from gsgen.formats import open_splats, write_ply
+from gsgen.reference_plugins.static.static import from_content, write_scene
+from gsgen.reference_plugins.synthetic import torus_knot
+from gsgen.sdk.live.fixtures import live_fixtures
+from support.models.generators import Drift, Growing, Lit, Skinned
+
+LIVE = Settings(level=Level.LIVE)
+RULES = [rule for rule in installed_rules().rules.values() if rule.level is Level.LIVE]
+DTYPES = ("float32", "float16")
+END = "gaussians = Concat <axis = 1> (moved, opacity, spread)"
+
+
+@pytest.fixture(scope="module")
+def broken(tmp_path_factory) -> dict[str, Report]:
+    """The reports of all examples, by the rule that each breaks."""
+    folder = tmp_path_factory.mktemp("broken")
+    return {one.rule: judged(one.write(folder)) for one in live_fixtures()}
+
+
+def judged(path) -> Report:
+    """Judge a model; that it cannot run live here is a fault of this machine, not a reason."""
+    return ran_live(validate(path, LIVE))
+
+
+def ran_live(report: Report) -> Report:
+    (level,) = (one for one in report.levels if one.level is Level.LIVE)
+    assert level.ran, f"{level.reason}; install a driver with `make drivers`"
+    return report
+
+
+def passes(report: Report) -> None:
+    """Assert that every rule holds: all nodes on the GPU, captured, replayed, and right."""
+    assert report.findings == ()
+    assert {rule.id: report.outcome(rule.id).status for rule in RULES} == {
+        rule.id: "pass" for rule in RULES
+    }
+    assert report.environment["capture"].startswith("accepted, ")
+
+
+def message(report: Report, rule: str) -> str:
+    (found,) = (one for one in report.findings if one.rule == rule)
+    return f"{found.where}: {found.message}"
+
+
+def test_there_is_one_example_for_each_rule():
+    examples = {fixture.rule: fixture.name for fixture in live_fixtures()}
+    assert examples == {rule.id: rule.fixture for rule in RULES}
+
+
+@pytest.mark.parametrize("fixture", live_fixtures(), ids=lambda fixture: fixture.name)
+def test_a_broken_model_breaks_its_rule_and_no_other(fixture: Fixture, broken):
+    report = broken[fixture.rule]
+    warned = {"GB014": {"GG003"}, "GB016": {"GG016"}}.get(fixture.rule, set())
+    expected = {fixture.rule} | warned  # a rule of the graph has seen it coming
+    assert {finding.rule for finding in report.findings} == expected
+    severity = report.outcome(fixture.rule).rule.severity
+    assert report.verdict == ("invalid" if severity is Severity.ERROR else "conforms")
+    assert not any(outcome.status == "crashed" for outcome in report.outcomes)
+
+
+def test_what_is_wrong_is_said_in_words(broken):
+    said = {rule: message(report, rule) for rule, report in broken.items()}
+    assert said["GB011"].startswith("field position: off by ")
+    assert said["GB014"] == (
+        "graph: This session cannot use the graph capture feature as requested by the user as "
+        "the model has control flow nodes which can't be supported by WebGpuExecutionProvider; "
+        "wanted a session that captures"
+    )
+    assert said["GB015"] == (
+        "node Round (Round): runs in CPUExecutionProvider; "
+        "wanted a kernel in the WebGPU provider"
+    )
+    assert said["GB016"] == (
+        "output gaussians: repeats frame 0 in all 6 replays; made by ReduceSum (node ReduceSum); "
+        "wanted what the plain session gives"
+    )
+    assert said["GB017"].startswith("graph: stopped in frame 0 (plain session): ")
+    assert "Too many storage buffers in shader" in said["GB017"]
+
+
+@pytest.mark.parametrize(
+    ("operator", "end", "dtype"),
+    [
+        ("Reshape", "gaussians = Reshape (packed, shape)", "float16"),
+        (
+            "Squeeze",
+            "on = Unsqueeze (packed, first) gaussians = Squeeze (on, first)",
+            "float32",
+        ),
+        ("Max", "gaussians = Max (packed)", "float32"),
+        ("", "gaussians = Mul (packed, unit)", "float16"),
+        ("", "on = Reshape (packed, shape) gaussians = Clip (on)", "float32"),
+    ],
+)
+def test_an_output_that_is_a_copy_is_caught_and_its_operator_named(
+    operator, end, dtype, tmp_path
+):
+    wide = "packed = Concat <axis = 1> (moved, opacity, spread)"
+    half = dtype == "float16"
+    narrow = f"{wide.replace('packed', 'wide')} packed = Cast <to = 10> (wide)"
+    before = "gaussians = Cast <to = 10> (packed)" if half else END
+    sketch = drifting(dtype=dtype)
+    sketch = sketch.reworded(wide, "") if half else sketch
+    sketch = sketch.reworded(before, f"{narrow if half else wide} {end}")
+    weights = {"shape": i64(5, 10), "first": i64(0), "unit": np.ones(1, dtype)}
+    used = {name: array for name, array in weights.items() if name in end}
+    sketch.weighing(**used).write(tmp_path / "a.onnx")
+    report = judged(tmp_path / "a.onnx")
+    assert report.outcome("GB016").status == ("fail" if operator else "pass")
+    if operator:
+        assert f"made by {operator} (node {operator})" in message(report, "GB016")
+
+
+def test_an_output_that_no_manifest_declares_is_compared_too(tmp_path):
+    path = tmp_path / "a.onnx"
+    sketch = drifting().reworded(END, f"{END} clock = Identity (time)")
+    replace(sketch, outputs=f"{sketch.outputs}, float[1] clock").write(path)
+    assert message(judged(path), "GB016").startswith(
+        "output clock: repeats frame 0 in all 6 replays; made by Identity"
+    )
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("draw", [drifting, looking])
+def test_models_that_move_pass(draw, dtype, tmp_path):
+    draw(degree=3, dtype=dtype).write(tmp_path / "a.onnx")
+    passes(judged(tmp_path / "a.onnx"))
+
+
+def test_a_model_of_images_passes(tmp_path):
+    darken().write(tmp_path / "a.onnx")
+    passes(judged(tmp_path / "a.onnx"))
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_a_static_scene_passes(dtype, tmp_path):
+    write_ply(tmp_path / "knot.ply", torus_knot(64))
+    scene = from_content(open_splats(tmp_path / "knot.ply"), dtype=dtype)
+    write_scene(scene, tmp_path / "a.onnx")
+    report = judged(tmp_path / "a.onnx")
+    passes(report)
+    assert report.environment["capture"] == "accepted, 3 replays"
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("made", [Drift, Lit, Growing, Skinned])
+def test_exported_models_pass(made, dtype, exported):
+    passes(ran_live(validate(exported(made, dtype), LIVE)))

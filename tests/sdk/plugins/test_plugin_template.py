@@ -1,0 +1,113 @@
+"""`gsgen new`: a package that passes its own tests as it is, wherever it is installed."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.sdk.plugins.plugin_template import scaffold
+from support.commands import ROOT, gsgen
+
+
+def run(*words: str | Path, cwd: Path, **env: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, *map(str, words)],
+        cwd=cwd,
+        env=os.environ | env,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("new")
+    ran = gsgen("new", "acme-splats", "--into", folder / "plugins")
+    assert ran.code == 0, ran.err
+    listed = {line for line in ran.out.splitlines() if line.startswith("/")}
+    made = folder / "plugins" / "acme-splats"
+    assert listed == {str(path) for path in made.rglob("*") if path.is_file()}
+    return made
+
+
+def test_the_package_installs_exports_and_passes_its_own_tests(
+    package: Path, tmp_path: Path
+) -> None:
+    pip = ("-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation")
+    done = run(*pip, "--no-compile", "--target", tmp_path, package, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    done = run(
+        *("-m", "pytest", "-q", "-W", "error::pytest.PytestWarning"),
+        *("-p", "no:cacheprovider", "-p", "no:randomly"),
+        cwd=package,
+        PYTHONPATH=str(tmp_path),
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert " passed" in done.stdout
+    assert "failed" not in done.stdout
+    listed = gsgen("export", "--help", env={"PYTHONPATH": str(tmp_path)})
+    assert "acme-splats" in listed.out
+
+
+def test_the_package_is_formatted_and_keeps_its_own_rules(package: Path) -> None:
+    for words in (("check", "."), ("format", "--check", ".")):
+        done = run("-m", "ruff", *words, "--no-cache", cwd=package)
+        assert done.returncode == 0, done.stdout
+
+
+def test_no_placeholder_is_left(package: Path) -> None:
+    for path in package.rglob("*"):
+        if path.is_file():
+            text = path.read_text("utf-8")
+            assert "@name@" not in text
+            assert "@package@" not in text
+    assert (package / "src" / "acme_splats" / "generator.py").is_file()
+
+
+def test_every_template_is_used() -> None:
+    from gsgen.sdk.plugins.plugin_template import _FILES
+
+    folder = ROOT / "sdk" / "gsgen" / "sdk" / "templates" / "plugin"
+    assert {path.name for path in folder.iterdir()} == set(_FILES)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("My_Method", "Such as 'my-method'"),
+        ("a--b", "Such as 'a-b'"),
+        ("../evil", "Such as 'evil'"),
+        ("3d", "Such as 'd'"),
+        ("", "Such as 'my-method'"),
+        ("class", "'class' is a keyword"),
+        ("torch", "can be imported already"),
+        ("json", "can be imported already"),
+        ("gsgen", "can be imported already"),
+        ("static", "'static' is a plugin that is installed"),
+    ],
+)
+def test_names_that_cannot_be_used_are_refused(
+    tmp_path: Path, name: str, words: str
+) -> None:
+    with pytest.raises(ConfigInvalid) as caught:
+        scaffold(name, tmp_path)
+    assert words in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    scaffold("mine", tmp_path)  # an empty folder is no loss
+    kept = tmp_path / "mine" / "README.md"
+    kept.write_text("changed")
+    with pytest.raises(ConfigInvalid, match="stands there already"):
+        scaffold("mine", tmp_path)
+    assert kept.read_text() == "changed"
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigInvalid, match="cannot be written"):
+        scaffold("other", tmp_path / "file")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "mine"]

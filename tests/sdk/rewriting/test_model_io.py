@@ -1,0 +1,72 @@
+"""Weights go where they should, and the model that was saved is as it was."""
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnx_ir as ir
+import pytest
+
+from gsgen.sdk.rewriting.model_io import has_external_weights, save_model, weight_bytes
+from support.passes import parsed
+
+
+def model_of(floats: int) -> ir.Model:
+    """x + w, where w also stands in a subgraph as another weight."""
+    model = parsed(
+        f"g (float[{floats}] x, bool c) => (float[{floats}] y) "
+        f"<float[{floats}] w = {{{', '.join(['0.5'] * floats)}}}> "
+        "{ s = Add (x, w) y = If (c) "
+        f"<then_branch = t () => (float[{floats}] a) <float[{floats}] v = "
+        f"{{{', '.join(['2'] * floats)}}}> {{ a = Mul (s, v) }}, "
+        f"else_branch = e () => (float[{floats}] b) {{ b = Identity (s) }}> }}"
+    )
+    return model
+
+
+def weights(model: ir.Model) -> dict[str, np.ndarray]:
+    return {
+        name: value.const_value.numpy()
+        for graph in model.graphs()
+        for name, value in graph.initializers.items()
+    }
+
+
+@pytest.mark.parametrize(("floats", "beside"), [(64, False), (65, True)])
+def test_small_weights_stay_in_the_model(tmp_path: Path, floats: int, beside: bool) -> None:
+    made = model_of(floats)
+    save_model(made, tmp_path / "m.onnx", beside=True)
+    assert (tmp_path / "m.onnx.data").exists() == beside
+    read = ir.load(tmp_path / "m.onnx")
+    assert has_external_weights(read) == beside
+    assert weight_bytes(read) == 2 * 4 * floats
+    for name, value in weights(made).items():
+        np.testing.assert_array_equal(weights(read)[name], value)
+    onnx.checker.check_model(tmp_path / "m.onnx", full_check=True)
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_saving_leaves_a_model_as_it_was(tmp_path: Path, beside: bool) -> None:
+    save_model(model_of(100), tmp_path / "m.onnx", beside=True)
+    read = ir.load(tmp_path / "m.onnx")
+    before = [
+        value.const_value
+        for graph in read.graphs()
+        for value in graph.initializers.values()
+    ]
+    save_model(read, tmp_path / "again.onnx", beside=beside)
+    after = [
+        value.const_value
+        for graph in read.graphs()
+        for value in graph.initializers.values()
+    ]
+    assert all(a is b for a, b in zip(before, after, strict=True))
+    assert has_external_weights(ir.load(tmp_path / "again.onnx")) == beside
+
+
+def test_a_model_that_cannot_be_saved_is_as_it_was_too(tmp_path: Path) -> None:
+    save_model(model_of(100), tmp_path / "m.onnx", beside=True)
+    read = ir.load(tmp_path / "m.onnx")
+    with pytest.raises(OSError, match="No such file"):
+        save_model(read, tmp_path / "no" / "again.onnx")
+    assert has_external_weights(read)

@@ -1,0 +1,409 @@
+"""The pipeline: any ONNX model, compared before and after, and written whole or not at all."""
+
+import json
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import onnx
+import onnx_ir as ir
+import onnxruntime
+import pytest
+from typer.testing import CliRunner
+
+from gsgen.cli.app import build
+from gsgen.conformance.fixtures import find
+from gsgen.contract._extensions import find_commands
+from gsgen.contract.errors import ConfigInvalid, ModelUnreadable, UnknownName
+from gsgen.contract.model.model_file import MANIFEST_KEY
+from gsgen.contract.spec.manifest_io import parse
+from gsgen.contract.spec.targets import known_targets, load_target
+from gsgen.sdk.errors import RewriteFailed
+from gsgen.sdk.passes.framework.base import BITS, Exactness, Goal, NodeRewrite, is_op
+from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.registry import REWRITES
+from gsgen.sdk.rewriting import rewrite as pipeline
+from gsgen.sdk.rewriting.model_io import save_model
+from gsgen.sdk.rewriting.rewrite import census, rewrite_file, rewrite_graph
+from support.models.small_models import good_rows, save_moving
+from support.passes import HEAD, operators, parsed
+
+CORE, WEBGPU = load_target("core"), load_target("webgpu")
+ROUNDED = "g (float[2,3] x) => (float[2,3] y) { r = Round (x) y = Identity (r) }"
+
+
+def written(path: Path, text: str, head: str = HEAD) -> Path:
+    path.write_bytes(onnx.parser.parse_model(head + text).SerializeToString())
+    return path
+
+
+class Scale(NodeRewrite):
+    """Multiply the result of Neg: a pass that is wrong by as much as it is told to be."""
+
+    name: ClassVar[str] = "scale"
+    by = 1.0
+    done = False
+
+    def matches(self, node: ir.Node) -> bool:
+        return is_op(node, "Neg") and not type(self).done
+
+    def replace(self, node: ir.Node) -> None:
+        type(self).done = True
+        write = Before(node)
+        negative = write.op("Neg", node.inputs[0])
+        factor = write.constant(np.asarray(self.by, np.float32))
+        write.replace(write.op("Mul", negative, factor))
+
+
+@pytest.fixture
+def scaling(monkeypatch):
+    """Let the pipeline run :class:`Scale` alone."""
+
+    def choose(by: float, exactness: Exactness) -> None:
+        monkeypatch.setattr(Scale, "by", by)
+        monkeypatch.setattr(Scale, "done", False)
+        monkeypatch.setattr(Scale, "exactness", exactness)
+        monkeypatch.setattr(pipeline, "find_rewrites", lambda *_: [Scale()])
+
+    return choose
+
+
+# ---- What it does ----------------------------------------------------------------------------
+
+
+def test_a_model_without_a_manifest_is_rewritten_and_compared(tmp_path: Path) -> None:
+    source = written(tmp_path / "in.onnx", ROUNDED)
+    done = rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
+    assert {change.rewrite for change in done.changes} >= {"round-by-floor", "drop-idle"}
+    assert [len(one.uncaptured) for one in (done.before, done.after)] == [1, 0]
+    assert done.before.uncaptured == ("r (Round float32): falls to the CPU",)
+    assert (done.probes, done.differences) == (5, ())
+    session = onnxruntime.InferenceSession(tmp_path / "out.onnx")
+    x = np.array([[0.5, 1.5, -2.5], [3.2, 1e9, -0.0]], np.float32)
+    np.testing.assert_array_equal(session.run(None, {"x": x})[0], np.rint(x))
+
+
+def test_a_manifest_stays_and_its_probes_are_run(tmp_path: Path) -> None:
+    source = save_moving(tmp_path / "in.onnx", good_rows(8))
+    done = rewrite_file(source, tmp_path / "out.onnx", CORE)
+    assert done.probes == 9
+    before, after = (
+        {entry.key: entry.value for entry in onnx.load(tmp_path / name).metadata_props}
+        for name in ("in.onnx", "out.onnx")
+    )
+    assert before == after
+
+
+def test_nothing_to_do_gives_a_copy_that_computes_the_same(tmp_path: Path) -> None:
+    source = written(tmp_path / "in.onnx", "g (float[2] x) => (float[2] y) { y = Neg (x) }")
+    done = rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
+    assert done.changes == ()
+    assert onnx.load(tmp_path / "out.onnx").graph.node[0].op_type == "Neg"
+
+
+def test_a_dry_run_compares_and_writes_nothing(tmp_path: Path) -> None:
+    source = written(tmp_path / "in.onnx", ROUNDED)
+    done = rewrite_file(source, None, WEBGPU)
+    assert done.path is None
+    assert done.changes
+    assert [file.name for file in tmp_path.iterdir()] == ["in.onnx"]
+
+
+def test_passes_may_be_chosen_and_skipped(tmp_path: Path) -> None:
+    source = written(tmp_path / "in.onnx", ROUNDED)
+    only = rewrite_file(source, None, WEBGPU, only=["round-by-floor"])
+    assert [change.rewrite for change in only.changes] == ["round-by-floor"]
+    without = rewrite_file(source, None, WEBGPU, skip=["round-by-floor"])
+    assert "round-by-floor" not in {change.rewrite for change in without.changes}
+
+
+def test_functions_and_branches_are_reached(tmp_path: Path) -> None:
+    head = '<ir_version: 8, opset_import: ["" : 18, "own" : 1]> '
+    text = (
+        "g (bool c, float[3] x) => (float[3] y) { y = If (c) <"
+        "then_branch = t () => (float[3] a) { a = own.half (x) }, "
+        "else_branch = e () => (float[3] b) { b = Neg (x) }> } "
+        '<domain: "own", opset_import: ["" : 18]> half (v) => (w) { r = Round (v) w = Abs (r) }'
+    )
+    source = written(tmp_path / "in.onnx", text, head)
+    done = rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
+    made = ir.load(tmp_path / "out.onnx")
+    assert not made.functions
+    assert "Round" not in operators(made)
+    assert "round-by-floor" in {change.rewrite for change in done.changes}
+
+
+def test_weights_beside_the_model_stay_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    model = parsed(
+        "g (float[64,64] x) => (float[64,64] y) { r = Round (x) y = Add (r, w) }"
+    )
+    weight = np.random.default_rng(0).normal(size=(64, 64)).astype(np.float32)
+    (adding,) = (node for node in model.graph if node.op_type == "Add")
+    value = adding.inputs[1]
+    value.const_value = ir.tensor(weight, name="w")
+    value.type, value.shape = ir.TensorType(ir.DataType.FLOAT), ir.Shape([64, 64])
+    model.graph.register_initializer(value)
+    ir.save(model, tmp_path / "a" / "in.onnx", external_data="weights.bin")
+    rewrite_file(tmp_path / "a" / "in.onnx", tmp_path / "b" / "out.onnx", WEBGPU)
+    assert {file.name for file in (tmp_path / "b").iterdir()} == {
+        "out.onnx",
+        "out.onnx.data",
+    }
+    session = onnxruntime.InferenceSession(tmp_path / "b" / "out.onnx")
+    x = np.full((64, 64), 2.5, np.float32)
+    np.testing.assert_array_equal(session.run(None, {"x": x})[0], 2 + weight)
+
+
+def test_weights_that_the_source_reads_are_not_replaced(tmp_path: Path) -> None:
+    model = parsed("g (float[64] x) => (float[64] y) { r = Round (x) y = Add (r, w) }")
+    (adding,) = (node for node in model.graph if node.op_type == "Add")
+    value = adding.inputs[1]
+    value.const_value = ir.tensor(np.arange(64, dtype=np.float32), name="w")
+    value.type, value.shape = ir.TensorType(ir.DataType.FLOAT), ir.Shape([64])
+    model.graph.register_initializer(value)
+    ir.save(model, tmp_path / "a.onnx", external_data="a.onnx.data", size_threshold_bytes=0)
+    renamed = (tmp_path / "a.onnx").rename(tmp_path / "old.onnx")
+    before = (tmp_path / "a.onnx.data").read_bytes()
+    for name in ("a.onnx", "a.onnx.data"):
+        with pytest.raises(ConfigInvalid, match=r"replace a\.onnx\.data, which old\.onnx"):
+            rewrite_file(renamed, tmp_path / name, WEBGPU)
+    assert (tmp_path / "a.onnx.data").read_bytes() == before
+    assert not (tmp_path / "a.onnx").exists()
+
+
+def test_symbolic_sizes_are_given_or_guessed(tmp_path: Path) -> None:
+    text = "g (float[N,2] x) => (float[N,2] y) { r = Round (x) y = Neg (r) }"
+    source = written(tmp_path / "in.onnx", text)
+    assert rewrite_file(source, None, WEBGPU).changes
+    rewrite_file(source, tmp_path / "out.onnx", WEBGPU, sizes={"N": 7})
+    (x,) = onnx.load(tmp_path / "out.onnx").graph.input
+    assert [d.dim_value for d in x.type.tensor_type.shape.dim] == [7, 2]
+
+
+# ---- What stops it ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("by", "exactness", "fails"),
+    [
+        (1.0, BITS, False),
+        (1.0000001, BITS, True),
+        (1.0000001, Exactness(relative=1e-5), False),
+        (1.01, Exactness(relative=1e-5), True),
+        (float("nan"), Exactness(relative=1e-5), True),
+        (float("inf"), Exactness(absolute=1e9), True),
+    ],
+)
+def test_a_pass_that_changes_more_than_it_declares_writes_nothing(
+    by: float, exactness: Exactness, fails: bool, scaling, tmp_path: Path
+) -> None:
+    scaling(by, exactness)
+    source = written(tmp_path / "in.onnx", "g (float[2] x) => (float[2] y) { y = Neg (x) }")
+    (tmp_path / "out.onnx").write_bytes(b"old")
+    if fails:
+        with pytest.raises(
+            RewriteFailed, match=r"output 'y' differs by .* at probe"
+        ) as caught:
+            rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
+        assert caught.value.where == "scale"
+        assert (tmp_path / "out.onnx").read_bytes() == b"old"
+    else:
+        rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
+        assert (tmp_path / "out.onnx").read_bytes() != b"old"
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["in.onnx", "out.onnx"]
+
+
+def test_passes_that_undo_each_other_are_found_out(monkeypatch) -> None:
+    monkeypatch.setattr(Scale, "matches", lambda _, node: is_op(node, "Neg"))
+    monkeypatch.setattr(pipeline, "find_rewrites", lambda *_: [Scale()])
+    model = parsed("g (float[2] x) => (float[2] y) { y = Neg (x) }")
+    with pytest.raises(RewriteFailed, match="does not settle after 20 rounds of scale"):
+        rewrite_graph(model, Goal.of(WEBGPU))
+
+
+def test_a_pass_that_leaves_no_valid_graph_is_found_out(
+    monkeypatch, tmp_path: Path
+) -> None:
+    def spoil(_, node: ir.Node) -> None:
+        node.attributes["no_such"] = ir.AttrInt64("no_such", 1)
+
+    monkeypatch.setattr(Scale, "matches", lambda _, node: "no_such" not in node.attributes)
+    monkeypatch.setattr(Scale, "replace", spoil)
+    monkeypatch.setattr(pipeline, "find_rewrites", lambda *_: [Scale()])
+    source = written(tmp_path / "in.onnx", "g (float[2] x) => (float[2] y) { y = Neg (x) }")
+    with pytest.raises(RewriteFailed, match="not well formed"):
+        rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
+    assert not (tmp_path / "out.onnx").exists()
+
+
+def test_a_model_that_does_not_run_cannot_be_compared(tmp_path: Path) -> None:
+    text = "g (float[3] x, int64[1] s) => (float[N] y) { r = Round (x) y = Reshape (r, s) }"
+    source = written(tmp_path / "in.onnx", text)
+    with pytest.raises(
+        RewriteFailed, match="as it came does not run in ONNX Runtime at probe"
+    ):
+        rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("external_data_outside", "GS001"),
+        ("external_data_missing", "GS001"),
+        ("cyclic_graph", "GG019"),
+        ("shape_conflict", "GG015"),
+        ("unseeded_random", "other outputs for the same inputs"),
+        ("custom_operator", "does not run in ONNX Runtime"),
+    ],
+)
+def test_a_model_that_is_broken_is_refused_for_that(
+    name: str, told: str, tmp_path: Path
+) -> None:
+    source = find(name).write(tmp_path)
+    with pytest.raises(RewriteFailed, match=told):
+        rewrite_file(source, tmp_path / "out.onnx", CORE)
+    assert not (tmp_path / "out.onnx").exists()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("stepped_frames", "output_scattered_in_place", "int64_on_jsep", "modulo_of_time"),
+        *("group_normalised", "lp_normalised_on_jsep", "sine_of_opset_22_on_jsep"),
+        *("vector_product_on_jsep", "largest_of_two_on_jsep", "split_in_eight"),
+    ],
+)
+def test_examples_that_no_release_captures_are_captured_afterwards(
+    name: str, tmp_path: Path
+) -> None:
+    model = ir.load(find(name).write(tmp_path))
+    goal = Goal.of(CORE, parse(model.metadata_props[MANIFEST_KEY]).manifest)
+    rewrite_graph(model, goal)
+    save_model(model, tmp_path / "out.onnx")
+    assert census(tmp_path / "out.onnx", goal).uncaptured == ()
+
+
+def test_an_input_that_is_an_output_keeps_its_name(tmp_path: Path) -> None:
+    """It cannot be mended without another name; rule GG016 tells of it."""
+    source = find("output_is_input").write(tmp_path)
+    done = rewrite_file(source, tmp_path / "out.onnx", CORE)
+    made = onnx.load(tmp_path / "out.onnx")
+    assert done.path is not None
+    assert {v.name for v in made.graph.output} == {
+        v.name for v in onnx.load(source).graph.output
+    }
+
+
+def test_a_manifest_about_other_shapes_gives_way_to_the_graph(tmp_path: Path) -> None:
+    source = find("view_flattened").write(tmp_path)
+    assert rewrite_file(source, None, CORE).probes == 5
+
+
+def test_wrong_words_are_said(tmp_path: Path) -> None:
+    source = written(tmp_path / "in.onnx", ROUNDED)
+    with pytest.raises(UnknownName, match="unknown pass 'round-by-flor'") as caught:
+        rewrite_file(source, None, WEBGPU, only=["round-by-flor"])
+    assert "Did you mean 'round-by-floor'?" in str(caught.value)
+    with pytest.raises(ConfigInvalid, match="20 is above the model's operator set 18"):
+        rewrite_file(source, None, WEBGPU, opset=20)
+    (tmp_path / "no.onnx").write_bytes(b"\x00\x01")
+    with pytest.raises(ModelUnreadable):
+        rewrite_file(tmp_path / "no.onnx", None, WEBGPU)
+
+
+# ---- The registry ----------------------------------------------------------------------------
+
+
+def test_every_pass_says_what_it_is() -> None:
+    names = [one.name for one in REWRITES]
+    assert len(set(names)) == len(names)
+    for one in REWRITES:
+        assert one.summary()
+        assert "::" in (one.__doc__ or ""), f"{one.name} shows no picture"
+        assert one.exactness.describe()
+        assert one.wanted_by
+        for target in known_targets().values():
+            made = one.for_goal(Goal.of(target))
+            assert made is None or made.name == one.name
+
+
+# ---- The command -----------------------------------------------------------------------------
+
+
+def gsgen(*words: str):
+    return CliRunner().invoke(build(list(find_commands().values())), ["rewrite", *words])
+
+
+def test_the_command_reports_what_changed(tmp_path: Path) -> None:
+    source = written(tmp_path / "in.onnx", ROUNDED)
+    ran = gsgen(str(source), "-o", str(tmp_path / "out.onnx"), "--target", "webgpu")
+    assert ran.exit_code == 0, ran.output
+    assert "round-by-floor: 1× r (Round)" in ran.output
+    assert "not captured: 1 nodes → 0" in ran.output
+    assert "outputs were compared at 5 probes: equal bits" in ran.output
+    assert f"wrote {tmp_path / 'out.onnx'}" in ran.output
+
+
+def test_outputs_that_are_no_numbers_prove_nothing(tmp_path: Path) -> None:
+    text = (
+        "g (float[2,3] x) => (float[2,3] y) <float zero = {0}> "
+        "{ q = Mul (x, zero) n = Div (q, zero) r = Round (n) y = Identity (r) }"
+    )
+    words = str(written(tmp_path / "in.onnx", text)), "--dry-run", "--target", "webgpu"
+    ran = gsgen(*words)
+    assert ran.exit_code == 0, ran.output
+    assert "nothing differs; y could not be judged" in ran.stdout
+    assert "equal bits" not in ran.stdout
+    assert (
+        "y: no finite number at any of 5 probes, so the rewrite is not proven" in ran.stderr
+    )
+    assert json.loads(gsgen(*words, "--json").stdout)["unjudged"] == ["y"]
+
+
+def test_the_command_prints_json(tmp_path: Path) -> None:
+    source = written(tmp_path / "in.onnx", ROUNDED)
+    ran = gsgen(str(source), "--dry-run", "--json", "--target", "webgpu")
+    made = json.loads(ran.stdout)
+    assert made["path"] is None
+    assert {
+        "name": "round-by-floor",
+        "exactness": "bit for bit",
+        "nodes": ["r (Round)"],
+    } in made["passes"]
+    assert made["after"]["uncaptured"] == []
+
+
+def test_the_command_lists_its_passes() -> None:
+    ran = gsgen("--list", "--target", "webgpu")
+    assert ran.exit_code == 0
+    assert "- chunk-concat " in ran.output
+    assert "  chunk-split " in ran.output
+    listed = json.loads(gsgen("--list", "--json").stdout)
+    assert [row["name"] for row in listed] == [one.name for one in REWRITES]
+    assert all(row["runs"] for row in listed if row["name"] != "freeze-dimensions")
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        (["in.onnx"], 2, "where should the copy go?"),
+        (["in.onnx", "-o", "out.onnx", "--pass", "chunk"], 2, "Did you mean"),
+        (["in.onnx", "-o", "out.onnx", "--target", "webgp"], 2, "Did you mean 'webgpu'?"),
+        (["in.onnx", "-o", "out.onnx", "--size", "N"], 2, "--size: 'N' is not SYMBOL=SIZE"),
+        (["in.onnx", "-o", "out.onnx", "--freeze", "N"], 2, "--freeze: 'N' is not"),
+        (["in.onnx", "-o", "out.onnx", "--opset", "21"], 2, "above the model's"),
+        (["gone.onnx", "-o", "out.onnx"], 4, "cannot be read"),
+        ([], 2, "no MODEL was given"),
+    ],
+)
+def test_a_mistake_is_explained(
+    words: list[str], code: int, told: str, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path / "in.onnx", ROUNDED)
+    ran = gsgen(*words)
+    text = ran.output + str(ran.exception or "")
+    assert told in text
+    assert ran.exit_code == code or isinstance(ran.exception, ConfigInvalid)
+    assert not (tmp_path / "out.onnx").exists()

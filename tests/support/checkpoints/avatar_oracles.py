@@ -1,0 +1,265 @@
+"""What GauHuman, LHM and R3-Avatar compute, written out plainly in float64, body by body.
+
+Each function follows the formulas of its method, and shares no code with our generators: whole
+bodies are skinned, chains are loops, matrices are inverted, grids are sampled.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.nn.functional as F  # noqa: N812
+from scipy.spatial.transform import Rotation
+
+from gsgen.reference_plugins.bodies.body_models import Body
+from gsgen.reference_plugins.bodies.pose_networks import PoseNets
+from gsgen.reference_plugins.people.gauhuman_checkpoint import GauHumanCheckpoint
+from gsgen.reference_plugins.people.lhm_checkpoint import Face, LHMCheckpoint
+from gsgen.reference_plugins.people.r3_avatar_checkpoint import R3Checkpoint
+from support.checkpoints.plugin_oracles import Wanted
+
+
+@dataclass
+class Told:
+    """What moves one body."""
+
+    pose: np.ndarray
+    turn: np.ndarray
+    shift: np.ndarray
+    shape: np.ndarray
+    expression: np.ndarray | None = None
+    pose_id: int = 0
+
+
+def turns_of(pose: np.ndarray) -> np.ndarray:
+    made: np.ndarray = Rotation.from_rotvec(pose.reshape(-1, 3)).as_matrix()
+    return made
+
+
+def chain(body: Body, turns: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Return 4×4 transforms of the joints, the rest pose taken off."""
+    shaped = body.template + body.shape_dirs[:, :, : len(shape)] @ shape
+    joints = body.regressor @ shaped
+    world: list[np.ndarray] = []
+    for joint, parent in enumerate(body.parents):
+        local = np.eye(4)
+        local[:3, :3] = turns[joint]
+        if parent < 0:
+            local[:3, 3] = joints[joint]
+            world.append(local)
+        else:
+            local[:3, 3] = joints[joint] - joints[parent]
+            world.append(world[parent] @ local)
+    away = []
+    for joint, transform in enumerate(world):
+        back = np.eye(4)
+        back[:3, 3] = -joints[joint]
+        away.append(transform @ back)
+    return np.stack(away)
+
+
+def skinned(transforms: np.ndarray, weights: np.ndarray, points: np.ndarray) -> np.ndarray:
+    blend = np.einsum("nj,jab->nab", weights, transforms)
+    ones = np.concatenate([points, np.ones((len(points), 1))], 1)
+    return np.einsum("nab,nb->na", blend, ones)[:, :3]
+
+
+def spread(body: Body) -> np.ndarray:
+    """Return the big pose."""
+    pose = np.zeros((body.joints, 3))
+    for joint, degrees in ((1, 45.0), (2, -45.0)):
+        pose[joint, 2] = np.radians(degrees)
+    pose[7, 2], pose[8, 2] = np.radians(-30.0), np.radians(30.0)
+    if body.joints == 55 and body.hand_mean is not None:
+        pose[25:] = body.hand_mean.reshape(30, 3)
+    return pose
+
+
+def blendshapes(body: Body, turns: np.ndarray) -> np.ndarray:
+    feature = np.concatenate([(turn - np.eye(3)).ravel() for turn in turns[1:]])
+    return np.einsum("vap,p->va", body.pose_dirs, feature)
+
+
+def refined(nets: PoseNets | None, pose: np.ndarray) -> np.ndarray:
+    """Return the turns of joints, corrected by the network."""
+    turns = turns_of(pose)
+    if nets is None:
+        return turns
+    x = torch.from_numpy(pose[1:].reshape(1, -1))
+    for index, (weight, bias) in enumerate(nets.pose):
+        x = F.linear(x if index == 0 else torch.relu(x), weight.double(), bias.double())
+    more = []
+    for vector in x.reshape(-1, 3).numpy():
+        angle = np.sqrt(1e-5 + (vector**2).sum())
+        axis = vector / angle
+        cross = np.cross(
+            np.eye(3), axis
+        )  # row j is e_j × axis, which is row j of the matrix [axis]×
+        c, s = np.cos(angle), np.sin(angle)
+        outer = np.outer(axis, axis)
+        # Written for a unit axis; this one is not quite: its diagonal is r² + (1 − r²) c.
+        made = outer * (1 - c) + s * cross
+        made[np.diag_indices(3)] = axis**2 + (1 - axis**2) * c
+        more.append(made)
+    return np.concatenate([turns[:1], turns[1:] @ np.stack(more)])
+
+
+def corrected(nets: PoseNets | None, weights: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return skinning weights of points."""
+    if nets is None:
+        return weights
+    x = torch.from_numpy(points.astype(np.float64))
+    parts = [x]
+    for octave in range(10):
+        parts += [torch.sin(x * 2**octave), torch.cos(x * 2**octave)]
+    embedded = torch.cat(parts, 1)
+    h = embedded
+    for index, (weight, bias) in enumerate(nets.weights):
+        if index == 3:
+            h = torch.cat([embedded, h], 1)
+        h = F.linear(h, weight.double(), bias.double())
+        if index < 4:
+            h = torch.relu(h)
+    logits = torch.from_numpy(np.log(weights + 1e-9)) + h
+    return np.asarray(torch.softmax(logits, 1))
+
+
+def nearest(points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(points[:, None] - vertices[None], axis=2).argmin(1)
+
+
+def followed(
+    body: Body,
+    nets: PoseNets | None,
+    told: Told,
+    rest: np.ndarray,
+    moved: np.ndarray,
+    covariance: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Move Gaussians from the big pose: steps 1 to 7 of GauHuman."""
+    big = turns_of(spread(body))
+    none = np.zeros(0)
+    there = chain(body, big, none)
+    vertices = skinned(there, body.weights, body.template + blendshapes(body, big))
+    vid = nearest(moved, vertices)
+    weights = corrected(nets, body.weights[vid], rest)
+    blend = np.einsum("nj,jab->nab", weights, there)
+    back = np.linalg.inv(blend[:, :3, :3])
+    point = np.einsum("nab,nb->na", back, moved - blend[:, :3, 3])
+    turns = refined(nets, told.pose)
+    shaped = body.shape_dirs[:, :, : len(told.shape)] @ told.shape
+    point += (blendshapes(body, turns) - blendshapes(body, big) + shaped)[vid]
+    transforms = chain(body, turns, told.shape)
+    posed = skinned(transforms, weights, point)
+    world = posed @ np.linalg.inv(told.turn) + told.shift
+    now = np.einsum("nj,jab->nab", weights, transforms)[:, :3, :3]
+    whole = told.turn @ now @ back
+    return world, whole @ covariance @ whole.transpose(0, 2, 1)
+
+
+def upper(matrix: np.ndarray) -> np.ndarray:
+    a, b = np.triu_indices(3)
+    return matrix[:, a, b]
+
+
+def covariances(scale: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    turn = Rotation.from_quat(np.roll(quaternion, -1, axis=1)).as_matrix()
+    return np.asarray(turn @ (scale[:, :, None] ** 2 * turn.transpose(0, 2, 1)))
+
+
+def gauhuman(read: GauHumanCheckpoint, told: Told) -> Wanted:
+    """skhu101/GauHuman: `scene/gaussian_model.py` and `gaussian_renderer`."""
+    cloud = read.canonical
+    xyz = cloud.position.double().numpy()
+    scale = np.exp(cloud.log_scale.double().numpy())
+    sigma = covariances(scale, cloud.rotation.double().numpy())
+    position, covariance = followed(read.body, read.nets, told, xyz, xyz, sigma)
+    opacity = torch.sigmoid(cloud.logit_opacity.double()).numpy()[:, 0]
+    color = cloud.sh.flatten(1).double().numpy()
+    return Wanted(np.ones(len(xyz), bool), position, opacity, upper(covariance), color)
+
+
+def lhm(read: LHMCheckpoint, face: Face | None, told: Told) -> Wanted:
+    """aigc3d/LHM: `gs_renderer.py` and `smpl_x_voxel_dense_sampling.py`."""
+    body, betas = read.body, read.betas.double().numpy()
+    vid = nearest(read.samples, body.template)
+    weights = body.weights[vid]
+    point = read.position.double().numpy()
+    if told.expression is not None:
+        dirs = body.shape_dirs[:, :, 300:400].copy()
+        if face is not None:
+            dirs[face.vertices] = face.dirs
+        point = point + dirs[vid] @ told.expression
+    neutral = read.neutral.double().numpy()
+    point = skinned(neutral, weights, point) + body.shape_dirs[vid][:, :, :10] @ betas
+    transforms = chain(body, turns_of(told.pose), betas)
+    position = skinned(transforms, weights, point) + told.shift
+    whole = (
+        np.einsum("nj,jab->nab", weights, transforms)[:, :3, :3]
+        @ np.einsum("nj,jab->nab", weights, neutral)[:, :3, :3]
+    )
+    turn = np.stack([quaternion_of(one) for one in whole])
+    turn[read.stiff[vid]] = (1, 0, 0, 0)
+    turned = Rotation.from_quat(np.roll(turn, -1, axis=1)).as_matrix()
+    scale, own = read.scale.double().numpy(), read.rotation.double().numpy()
+    sigma = turned @ covariances(scale, own) @ turned.transpose(0, 2, 1)
+    opacity = read.opacity.double().numpy()[:, 0]
+    rgb = read.rgb.double().numpy()
+    return Wanted(np.ones(len(point), bool), position, opacity, upper(sigma), rgb)
+
+
+def quaternion_of(m: np.ndarray) -> np.ndarray:
+    """Return pytorch3d's quaternion of a matrix that need not be a rotation, normalised."""
+    squares = np.maximum(
+        0,
+        [
+            1 + m[0, 0] + m[1, 1] + m[2, 2],
+            1 + m[0, 0] - m[1, 1] - m[2, 2],
+            1 - m[0, 0] + m[1, 1] - m[2, 2],
+            1 - m[0, 0] - m[1, 1] + m[2, 2],
+        ],
+    )
+    size = np.sqrt(squares)
+    candidates = [
+        [size[0] ** 2, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
+        [m[2, 1] - m[1, 2], size[1] ** 2, m[1, 0] + m[0, 1], m[0, 2] + m[2, 0]],
+        [m[0, 2] - m[2, 0], m[1, 0] + m[0, 1], size[2] ** 2, m[1, 2] + m[2, 1]],
+        [m[1, 0] - m[0, 1], m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], size[3] ** 2],
+    ]
+    best = int(size.argmax())
+    made = np.array(candidates[best]) / (2 * max(size[best], 0.1))
+    return np.asarray(made / np.linalg.norm(made))
+
+
+def r3(read: R3Checkpoint, told: Told) -> Wanted:
+    """Yifever20002/R3Avatars: `gaussian_renderer` of a pose that training saw."""
+    xyz = read.canonical.position.double()
+    low, high = read.aabb.double()
+    place = (xyz - low) * 2 / (high - low) - 1
+    time = torch.full((len(xyz), 1), told.pose_id / read.origin - 1, dtype=torch.float64)
+    at = torch.cat([place, time], 1)
+    features = []
+    for planes in read.grids:
+        product = torch.ones(1, dtype=torch.float64)
+        pairs = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
+        for plane, pair in zip(planes, pairs, strict=True):
+            grid = at[None, None][..., list(pair)]
+            sampled = F.grid_sample(
+                plane.double()[None], grid, padding_mode="border", align_corners=True
+            )
+            product = product * sampled[0, :, 0].t()
+        features.append(product)
+    h = torch.cat(features, 1)
+    for weight, bias in read.inner:
+        h = torch.relu(F.linear(h, weight.double(), bias.double()))
+    said = {
+        name: F.linear(h, weight.double(), bias.double()).numpy()
+        for name, (weight, bias) in read.heads.items()
+    }
+    rest = xyz.numpy()
+    sigma = covariances(said["scaling"] ** 2, said["rotation"])
+    moved = rest + said["warp"]
+    position, covariance = followed(read.body, read.nets, told, rest, moved, sigma)
+    opacity = 1 / (1 + np.exp(-said["opacity"][:, 0]))
+    color = read.canonical.sh.flatten(1).double().numpy()
+    return Wanted(np.ones(len(rest), bool), position, opacity, upper(covariance), color)

@@ -1,0 +1,42 @@
+"""Small runs of every method: what writes one, and what reads it."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from gsgen.reference_plugins.anchors.anchor_checkpoint import read_anchors
+from gsgen.reference_plugins.anchors.cell_checkpoint import read_cells
+from gsgen.reference_plugins.deformation.deformation_checkpoint import read_deformation
+from gsgen.reference_plugins.deformation.hexplane_checkpoint import read_hexplanes
+from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
+from gsgen.reference_plugins.people.lhm_checkpoint import read_lhm
+from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
+from gsgen.reference_plugins.synthetic import (
+    AnchorOptions,
+    HexPlaneOptions,
+    PersonOptions,
+    write_deformable,
+    write_duplex,
+    write_gauhuman,
+    write_hexplane,
+    write_lhm,
+    write_octree,
+    write_r3,
+    write_scaffold,
+)
+
+FEW = AnchorOptions(anchors=5)
+UNITED = AnchorOptions(anchors=6, united=True)
+PERSON = PersonOptions(count=4, nets=True)
+
+METHODS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], Any]]] = {
+    "scaffold-gs": (lambda f: write_scaffold(f, FEW), read_anchors),
+    "octree-gs": (lambda f: write_octree(f, UNITED), partial(read_anchors, octree=True)),
+    "duplex-gs": (lambda f: write_duplex(f, UNITED), read_cells),
+    "hexplane-4dgs": (lambda f: write_hexplane(f, HexPlaneOptions(count=4)), read_hexplanes),
+    "deformable-3dgs": (lambda f: write_deformable(f, count=4), read_deformation),
+    "gauhuman": (lambda f: write_gauhuman(f, PERSON), read_gauhuman),
+    "lhm": (lambda f: write_lhm(f, PERSON), read_lhm),
+    "r3-avatar": (lambda f: write_r3(f, PERSON), read_r3),
+}  # fmt: skip

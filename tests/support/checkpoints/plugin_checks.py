@@ -1,0 +1,107 @@
+"""Compare a generator, eager or exported, with what its method computes."""
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+
+from gsgen.contract.spec.geometry import look_at
+from gsgen.sdk import GaussianGenerator
+from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
+from support.checkpoints.plugin_oracles import Wanted
+from support.commands import shared
+
+# Shares of the largest wanted value: three times below what goldens are accepted with.
+MARGIN = 3
+ALLOWED = {"position": 2e-5, "opacity": 2e-5, "covariance": 5e-5, "color": 2e-5}
+
+
+def eager(
+    generator: GaussianGenerator, *inputs: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return packed rows and appearance."""
+    tensors = [torch.from_numpy(np.array(value)) for value in inputs]
+    with torch.no_grad():
+        rows = generator(*tensors).position.shape[0]
+        packed = PackedGenerator(generator, Packed(torch.float32, rows))
+        made, color, *_ = packed(*tensors)
+    return made.numpy(), color.numpy()
+
+
+def camera(
+    rng: np.random.Generator, distance: float = 4.0, scale: float = 1.0
+) -> np.ndarray:
+    """Return a view matrix in column order, of a model that is ``scale`` times its size."""
+    eye = rng.normal(size=3)
+    eye *= distance / np.linalg.norm(eye)
+    view = look_at(eye, rng.normal(0, 0.2, 3), np.array([0.0, -1.0, 0.0]))
+    view[:3, :3] *= scale
+    return np.ascontiguousarray(view.T, np.float32)
+
+
+def assert_like(rows: np.ndarray, color: np.ndarray, wanted: Wanted) -> None:
+    """Demand that drawn rows agree, and that others cannot be seen."""
+    kept = wanted.kept
+    sure = np.ones(len(kept), bool) if wanted.doubtful is None else ~wanted.doubtful
+    assert np.isfinite(rows).all()
+    assert np.isfinite(color).all()
+    both = sure[kept]
+    pairs = {
+        "position": (rows[kept, :3], wanted.position),
+        "opacity": (rows[kept, 3], wanted.opacity),
+        "covariance": (rows[kept, 4:], wanted.covariance),
+        "color": (color[kept, : wanted.color.shape[1]], wanted.color),
+    }
+    for name, (seen, target) in pairs.items():
+        error = np.abs(seen[both] - target[both]).max() / np.abs(target).max()
+        assert error <= ALLOWED[name] / MARGIN, (name, error)
+    assert (rows[~kept & sure, 3] == 0).all()
+
+
+def acceptance() -> ModuleType:
+    """Return the tool that compares models with golden outputs, or skip where it is absent."""
+    path = shared("tools/accept_checkpoint.py")
+    spec = importlib.util.spec_from_file_location("accept_checkpoint", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def stored(model: Path) -> int:
+    """Return how many bytes of float weights a model holds; indices stay as they are."""
+    floats = (onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT16)
+    weights = onnx.load(model).graph.initializer
+    return sum(len(one.raw_data) for one in weights if one.data_type in floats)
+
+
+def weights_of(model: Path, names: set[str]) -> list[int]:
+    """Return how many bytes the weights called so have."""
+    weights = onnx.load(model).graph.initializer
+    return [len(tensor.raw_data) for tensor in weights if tensor.name in names]
+
+
+def run(model: Path, feeds: dict[str, Any]) -> list[np.ndarray]:
+    """Run a model on the CPU, with those of ``feeds`` that it takes."""
+    session = onnxruntime.InferenceSession(model)
+    taken = {
+        one.name: np.asarray(feeds[one.name]).reshape(one.shape)
+        for one in session.get_inputs()
+    }
+    return list(session.run(None, taken))
+
+
+def judge(case: str, model: Path) -> list[tuple[bool, dict[str, float]]]:
+    """Compare a model with every golden frame of ``case``: whether it agrees, and how closely."""
+    tool, results = acceptance(), []
+    for index, (feeds, target) in enumerate(tool.targets(case)):
+        rows, color = run(model, feeds)[:2]
+        dtype = "f16" if rows.dtype == np.float16 else "f32"
+        results.append(tool.check(case, index, rows, color, dtype, target))
+    return results

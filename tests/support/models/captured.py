@@ -1,0 +1,19 @@
+"""What the level live says of a model that a GPU runs, captures and replays rightly."""
+
+__all__ = ["CAPTURED", "assert_captured"]
+
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.report import Report
+
+CAPTURED = ("GB011", "GB014", "GB015", "GB016", "GB017")
+
+
+def assert_captured(report: Report) -> None:
+    """Demand that the model was run on an adapter, with no node on the CPU, and no stale replay.
+
+    Without an adapter this fails: a test that is skipped for want of a driver is no test.
+    """
+    (live,) = (one for one in report.levels if one.level is Level.LIVE)
+    assert live.ran, f"{live.reason}; install a driver with `make drivers`"
+    said = {rule: report.outcome(rule).status for rule in CAPTURED}
+    assert said == dict.fromkeys(CAPTURED, "pass")

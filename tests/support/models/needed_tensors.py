@@ -1,0 +1,121 @@
+"""How many bytes of a checkpoint a model cannot do without, family by family, in float32.
+
+Counted from the checkpoint, not from the generator: what a plugin makes of the tensors does not
+count, nor what no frame depends on. Of a body model only the vertices count that Gaussians hang on.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+from torch import Tensor, nn
+
+from gsgen.reference_plugins.anchors.anchor_checkpoint import AnchorCheckpoint, Mlp
+from gsgen.reference_plugins.anchors.cell_checkpoint import CellCheckpoint
+from gsgen.reference_plugins.bodies import rest_pose
+from gsgen.reference_plugins.bodies.body_models import Body
+from gsgen.reference_plugins.bodies.pose_networks import PoseNets
+from gsgen.reference_plugins.deformation.deformation_checkpoint import DeformationCheckpoint
+from gsgen.reference_plugins.deformation.hexplane_checkpoint import HexPlaneCheckpoint
+from gsgen.reference_plugins.loading.canonical import Canonical
+from gsgen.reference_plugins.people.lhm import body_dirs
+from gsgen.reference_plugins.people.lhm_checkpoint import EXPRESSIONS, LHMCheckpoint
+from gsgen.reference_plugins.people.r3_avatar_checkpoint import R3Checkpoint
+
+_TIME_PLANES = (2, 4, 5)
+
+
+def _sum(tensors: Iterable[Tensor | None]) -> int:
+    return 4 * sum(one.numel() for one in tensors if one is not None)
+
+
+def _mlp(net: Mlp | None) -> int:
+    parts = (net.hidden, net.hidden_bias, net.out, net.out_bias) if net else ()
+    return _sum(parts)
+
+
+def of_anchors(read: AnchorCheckpoint, *, turned: bool = False) -> int:
+    """Scaffold-GS and Octree-GS; ``turned``: the published culling needs rotations."""
+    cloud, nets = read.cloud, read.nets
+    kept = [cloud.position, cloud.offset, cloud.feature, cloud.log_scale]
+    kept += [cloud.rotation] if turned else []
+    levels = [cloud.level, cloud.extra_level]
+    heads = (nets.opacity, nets.covariance, nets.color, nets.bank)
+    return _sum([*kept, *levels, nets.embedding]) + sum(_mlp(net) for net in heads)
+
+
+def of_cells(read: CellCheckpoint, *, visibility: bool) -> int:
+    """Duplex-GS, whose cells have three scales and not six."""
+    sizes = 4 * 3 * len(read.anchors.cloud)
+    more = _sum([read.visibility]) if visibility else 0
+    return of_anchors(read.anchors) - sizes + more
+
+
+def _canonical(canonical: Canonical) -> int:
+    return _sum(
+        (
+            *(canonical.position, canonical.rotation, canonical.log_scale),
+            *(canonical.logit_opacity, canonical.sh),
+        )
+    )
+
+
+def of_hexplane(read: HexPlaneCheckpoint) -> int:
+    """4DGaussians: of planes of time only the half that time reaches."""
+    nets, total = read.nets, _canonical(read.canonical)
+    for six in nets.grids:
+        for index, plane in enumerate(six):
+            reached = (
+                plane[:, (plane.shape[1] - 1) // 2 :] if index in _TIME_PLANES else plane
+            )
+            total += _sum([reached])
+    layers = [*nets.feature, *(layer for pair in nets.heads.values() for layer in pair)]
+    layers += nets.static or ()
+    return total + _sum(one for layer in layers for one in layer) + _sum(nets.voxels or ())
+
+
+def of_deformation(read: DeformationCheckpoint) -> int:
+    """Deformable-3D-Gaussians."""
+    net = read.net
+    layers = [*net.layers, *net.warp, *(net.time or ()), net.rotation, net.scaling]
+    return _canonical(read.canonical) + _sum(one for layer in layers for one in layer)
+
+
+def _nets(nets: PoseNets | None) -> int:
+    layers = (*nets.pose, *nets.weights) if nets else ()
+    return _sum(one for layer in layers for one in layer)
+
+
+def _vertices(body: Body, used: int, *, shape: bool) -> int:
+    joints, shapes = body.joints, body.shape_dirs.shape[2] if shape else 0
+    each = 9 * (joints - 1) * 3 + 3 * shapes + joints
+    return 4 * (used * each + joints * 3 * (shapes + 1))
+
+
+def of_gauhuman(canonical: Canonical, body: Body, nets: PoseNets | None) -> int:
+    """GauHuman, its shape an input."""
+    posed = rest_pose.posed_vertices(body, rest_pose.big_pose(body), np.zeros(0))
+    used = np.unique(rest_pose.nearest(canonical.position.double().numpy(), posed))
+    return _canonical(canonical) + _vertices(body, len(used), shape=True) + _nets(nets)
+
+
+def of_lhm(read: LHMCheckpoint) -> int:
+    """LHM: shape and place of the vertices, and the expressions of those that any moves."""
+    used = np.unique(rest_pose.nearest(read.samples, read.body.template))
+    moved = np.abs(body_dirs(read, None)[used]).max(axis=(1, 2)) > 0
+    each = _sum((read.position, read.rgb, read.opacity, read.scale, read.rotation))
+    vertices = len(used) * (read.body.joints + 3) + int(moved.sum()) * 3 * EXPRESSIONS
+    return each + 4 * (vertices + 3 * read.body.joints) + _sum([read.neutral])
+
+
+def of_r3(read: R3Checkpoint, used: int) -> int:
+    """R3-Avatar with ``used`` vertices; scale, turn and opacity are the decoder's."""
+    layers = [*read.inner, *read.heads.values()]
+    total = _sum((read.canonical.position, read.canonical.sh))
+    total += _sum(plane for six in read.grids for plane in six)
+    total += _sum(one for layer in layers for one in layer)
+    return total + _vertices(read.body, used, shape=True) + _nets(read.nets)
+
+
+def of_module(module: nn.Module) -> int:
+    """Return the bytes of a network of images, which is exported as it was trained."""
+    return _sum((*module.parameters(), *module.buffers()))

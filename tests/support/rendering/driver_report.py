@@ -1,0 +1,121 @@
+"""What a renderer gets right on the driver of this process, as JSON; see ``drivers.py``."""
+
+import json
+import sys
+import time
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.sort.scan import Scan, scan_reference
+from gsgen.runtime.kernels.sort.sort import Cut, cut_for, sort_reference
+from gsgen.runtime.oracle import render as oracle
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.scene import Scene
+from support.checkpoints.golden_case import golden_case
+from support.rendering.mesh_scenes import MESH_SCENES
+from support.rendering.near_ties import NEAR_TIES
+from support.rendering.sorting import KEYS, Bench, keys_of, scanned
+
+
+def ways(device: Device) -> dict[str, Renderer]:
+    """Return each way to draw."""
+    alike = Device(device.raw)
+    alike.software, alike.subgroups = False, False
+    return {
+        "tiles": Renderer(device, rasteriser="tiles"),
+        "tiles, cut as for a GPU": Renderer(alike, rasteriser="tiles"),
+        "quads": Renderer(device, rasteriser="quads"),
+    }
+
+
+def pictures(ways: dict[str, Renderer], golden: Path) -> dict[str, float]:
+    """Return the largest error of the golden picture, by each way to draw it."""
+    data, camera, image = golden_case(golden)
+    errors = {}
+    for name, renderer in ways.items():
+        seen = renderer.render(Scene([data]), camera).rgba
+        assert seen is not None
+        errors[name] = float(np.abs(seen - image).max())
+    return errors
+
+
+def disordered(ways: dict[str, Renderer]) -> list[str]:
+    """Draw near ties by tiles; return in which the oracle finds another order."""
+    wrong = []
+    for name in ("tilted", "plane_of_rounded_rows"):
+        scene, camera = NEAR_TIES[name]()
+        wanted = oracle.render(scene, camera)
+        for way in [way for way in ways if "tiles" in way]:
+            error = np.abs(ways[way].render(scene, camera).rgba - wanted.rgba)
+            if not error[~wanted.fragile].max() <= 2e-5:
+                wrong.append(f"{name} by {way}")
+    return wrong
+
+
+def unmet(renderer: Renderer) -> list[str]:
+    """Draw scenes with meshes; return those in which a pixel is not the oracle's."""
+    wrong = []
+    for name in ("several", "near_plane", "panorama_poles"):
+        scene, camera = MESH_SCENES[name]()
+        seen, wanted = renderer.render(scene, camera).rgba, oracle.render(scene, camera)
+        assert seen is not None
+        if not np.abs(seen - wanted.rgba)[~wanted.fragile].max() <= 1e-4:
+            wrong.append(name)
+    return wrong
+
+
+def unsorted(device: Device, sizes: list[int]) -> list[str]:
+    """Sort all keys of all sizes, in two cuts; return where NumPy finds another order."""
+    wrong = []
+    for n, cut in product(sizes, (cut_for(device), Cut(256, 4, 4, 4))):
+        sort = Bench(device, cut, 32, max(n, 1), compact=True)
+        for kind in KEYS:
+            keys = keys_of(n, kind) if n else np.full(1, 0xFFFFFFFF, np.uint32)
+            taken = [time.process_time(), time.perf_counter()]
+            keys_out, places = sort(keys)
+            taken = [time.process_time() - taken[0], time.perf_counter() - taken[1]]
+            wanted = sort_reference(keys, 32)
+            if not (
+                np.array_equal(places, wanted) and np.array_equal(keys_out, keys[wanted])
+            ):
+                wrong.append(f"{n} keys, {kind}, blocks of {cut.block}")
+            sys.stderr.write(
+                f"  {n:>9,} keys, {kind:9}, blocks of {cut.block:>5,}: "
+                f"{taken[0]:6.2f} CPU-s, {taken[1]:6.2f} s\n"
+            )
+    return wrong
+
+
+def unscanned(device: Device) -> list[str]:
+    """Scan 300,001 numbers in one workgroup and by blocks; return where NumPy has other sums."""
+    wrong = []
+    numbers = np.random.default_rng(0).integers(0, 1 << 16, 300_001, np.uint32)
+    for software in (True, False):
+        alike = Device(device.raw)
+        alike.software = software
+        made = scanned(Scan(alike, 4096, 64, 256), device, numbers)
+        if not np.array_equal(made, scan_reference(numbers)):
+            wrong.append("in one workgroup" if software else "by blocks")
+    return wrong
+
+
+def main() -> None:
+    """Print what there is to know; the golden's path and sizes of sorts are in the command line."""
+    device = Device.open()
+    sys.stderr.write(f"{device.name}\n")
+    golden, *sizes = sys.argv[1:]
+    report: dict[str, object] = {"driver": device.name, "software": device.software}
+    if golden != "-":
+        report["pictures"] = pictures(drawn := ways(device), Path(golden))
+        report["disordered"] = disordered(drawn)
+        report["unmet"] = unmet(drawn["tiles"])
+    report["unscanned"] = unscanned(device)
+    report["unsorted"] = unsorted(device, [int(size) for size in sizes])
+    sys.stdout.write(json.dumps(report) + "\n")
+
+
+if __name__ == "__main__":
+    main()

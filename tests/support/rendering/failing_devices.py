@@ -1,0 +1,48 @@
+"""Devices that fail as devices do: with little memory, or gone in the middle of a film."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+from unittest.mock import patch
+from weakref import WeakSet
+
+from gsgen.runtime.gpu.device import Device
+
+
+@contextmanager
+def memory_of(size: int) -> Iterator[None]:
+    """Let no device have more than ``size`` bytes of buffers, besides those that it has.
+
+    No software driver runs out of memory before the machine does; this one says so as wgpu does.
+    """
+    import wgpu
+    from wgpu.backends.wgpu_native import GPUDevice
+
+    create, made = GPUDevice.create_buffer, WeakSet[Any]()
+
+    def limited(self: Any, *, size: int, **words: Any) -> Any:
+        if sum(buffer.size for buffer in made) + size > most:
+            raise wgpu.GPUOutOfMemoryError("Not enough memory left.")
+        made.add(buffer := create(self, size=size, **words))
+        return buffer
+
+    most = size
+    with patch.object(GPUDevice, "create_buffer", limited):
+        yield
+
+
+@contextmanager
+def lost_at(frame: int) -> Iterator[None]:
+    """Take devices away before they draw their n-th frame, from 0."""
+    submit, drawn = Device.submit, 0
+
+    def counted(self: Device, encoder: Any) -> None:
+        nonlocal drawn
+        if encoder.label == "frame":
+            if drawn == frame:
+                self.raw.destroy()
+            drawn += 1
+        submit(self, encoder)
+
+    with patch.object(Device, "submit", counted):
+        yield

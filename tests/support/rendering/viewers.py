@@ -1,0 +1,82 @@
+"""Viewers on offscreen canvases: what a hand does goes in, and pixels come out."""
+
+from typing import Any
+
+import numpy as np
+from rendercanvas.offscreen import OffscreenRenderCanvas
+
+from gsgen.runtime.playback.camera_options import viewpoint
+from gsgen.runtime.viewer.live_playback import Stage
+from gsgen.runtime.viewer.surface_renderer import Painter
+from gsgen.runtime.viewer.viewer import Viewer
+from gsgen.runtime.viewer.window import attach
+
+SIZE = (160, 120)
+
+
+class Hand:
+    """A viewer, and who uses it.
+
+    Attributes:
+        viewer: It.
+        now: Seconds; time passes as tests say.
+        said: What was printed.
+    """
+
+    def __init__(self, stage: Stage, painter: Painter, **options: Any) -> None:
+        self.now, self.said = 0.0, list[str]()
+        view = options.pop("view", None) or viewpoint("look-at:0,0,-4,0,0,0", *SIZE)
+        self.viewer = Viewer(
+            stage,
+            view,
+            painter=painter,
+            clock=lambda: self.now,
+            say=self.said.append,
+            **options,
+        )
+        self.canvas = OffscreenRenderCanvas(size=SIZE)
+        self.failure = attach(self.viewer, self.canvas)
+
+    def key(self, name: str, *modifiers: str) -> None:
+        self.press(name, *modifiers)
+        self.send("key_up", key=name, modifiers=modifiers)
+
+    def press(self, name: str, *modifiers: str) -> None:
+        self.send("key_down", key=name, modifiers=modifiers)
+
+    def drag(
+        self,
+        start: tuple[float, float],
+        end: tuple[float, float],
+        button: int = 1,
+        *held: str,
+    ) -> None:
+        for kind, place in (("down", start), ("move", end), ("up", end)):
+            self.send(
+                f"pointer_{kind}", x=place[0], y=place[1], button=button, modifiers=held
+            )
+
+    def send(self, kind: str, **words: Any) -> None:
+        self.canvas.submit_event({"event_type": kind, **words})
+        self.canvas._events.flush()  # the offscreen canvas has no loop that would
+
+    def look(self, seconds: float = 0.0) -> np.ndarray:
+        """Return the picture after so many seconds."""
+        self.now += seconds
+        made = np.asarray(self.canvas.draw())
+        if (error := self.failure()) is not None:
+            raise error
+        return made.astype(int)
+
+    def settled(self, seconds: float = 0.0) -> np.ndarray:
+        """Return the picture once what was begun is there."""
+        self.look(seconds)
+        self.viewer.stage.take(wait=True)
+        return self.look()
+
+    def bare(self) -> np.ndarray:
+        """Return the picture without numbers over it."""
+        self.key("i")
+        made = self.settled()
+        self.key("i")
+        return made
