@@ -213,7 +213,7 @@ def show_broken(
     doubt = "" if found["certainty"] == "confirmed" else " (possible)"
     console.print(f"  [red]{found['rule']} {found['severity']}{doubt}[/] {found['slug']}")
     console.print(f"  {found['where']['subject']}: {found['message']}")
-    console.print(f"  mend: {found['mend']}\n")
+    console.print(f"  hint: {found['mend']}\n")
 
 
 def expect(done: "subprocess.CompletedProcess[str]", code: int) -> None:

@@ -49,7 +49,7 @@ class Family:
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class DemoModel:
     """What became of a family: a line of the table.
 
     Attributes:
@@ -223,7 +223,7 @@ def required(log: Path, *words: str) -> None:
         raise RuntimeError(f"gsgen {shlex.join(words)} ended with {code}\n{out}{trouble}")
 
 
-def make(name: str, folder: Path) -> Made:
+def make(name: str, folder: Path) -> DemoModel:
     """Export, judge, time and draw a family; ``commands.txt`` keeps what was typed and said."""
     family, log, model = FAMILIES[name], folder / "commands.txt", folder / f"{name}.onnx"
     run, report = folder / "run", folder / "report.json"
@@ -238,7 +238,7 @@ def make(name: str, folder: Path) -> Made:
     required(log, "export", name, *words, "-o", str(model), *judged)
     told = json.loads(report.read_text("utf-8"))["validation"]
     strip, trouble = draw(family, model, folder, log)
-    return Made(
+    return DemoModel(
         name=name,
         gaussians=told["subject"].get("capacity"),
         size=model.stat().st_size,
@@ -344,7 +344,7 @@ def processed(model: Path, picture: np.ndarray) -> np.ndarray:
 
 
 # %%
-def make_all(folder: Path, names: list[str]) -> list[Made]:
+def make_all(folder: Path, names: list[str]) -> list[DemoModel]:
     """Make families, two at a time."""
     apart = get_context("spawn")
     with ProcessPoolExecutor(2, mp_context=apart, initializer=share_cores) as pool:
@@ -356,7 +356,7 @@ def share_cores() -> None:
     os.environ["OMP_NUM_THREADS"] = "1"
 
 
-def show(made: list[Made], folder: Path, console: Console) -> None:
+def show(made: list[DemoModel], folder: Path, console: Console) -> None:
     """Print a table of what was made, and where it is."""
     console.print(table(made))
     for trouble in {one.trouble for one in made if one.trouble}:
@@ -366,7 +366,7 @@ def show(made: list[Made], folder: Path, console: Console) -> None:
     )
 
 
-def table(rows: list[Made]) -> str:
+def table(rows: list[DemoModel]) -> str:
     """Return the table of what was made: a frame is one on the CPU."""
     lines = [f"{'family':<17}{'Gaussians':>10}{'file':>11}{'a frame':>10}  verdict"]
     for one in rows:

@@ -102,7 +102,7 @@ def limits() -> str:
     rows = []
     for name in names:
         asked_by = [rule for rule in ours().rules.values() if rule.limit == name]
-        text = _LIMITS.get(name) or (asked_by[0].what if asked_by else "–")
+        text = _LIMITS.get(name) or (asked_by[0].statement if asked_by else "–")
         values = [f"{one.limits[name]:,}" if name in one.limits else "–" for one in found]
         links = ", ".join(_link(rule.id) for rule in asked_by)
         rows.append((f"`{name}`", *values, f"{text} {links}".strip()))

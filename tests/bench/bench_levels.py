@@ -17,7 +17,7 @@ import onnx
 import pytest
 
 from gsgen.conformance.fixtures import find
-from gsgen.conformance.fixtures.builders.sketch import Sketch
+from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Execution, execute
 from gsgen.contract.process.limits import Limits
@@ -37,7 +37,7 @@ def say(text: str) -> None:
     sys.stdout.write(f"\n  {text}")
 
 
-def long_chain(nodes: int) -> Sketch:
+def long_chain(nodes: int) -> ModelSpec:
     """A generator whose centres go through a chain of ``nodes`` nodes more."""
     base = find("swing").draw()
     first, rest = "moved = Add (center, shift)", []
@@ -51,7 +51,7 @@ def long_chain(nodes: int) -> Sketch:
     return base.reworded(first, text).weighing(**numbers)
 
 
-def weighing(sketch: Sketch, megabytes: int) -> Sketch:
+def weighing(sketch: ModelSpec, megabytes: int) -> ModelSpec:
     """Let the model look a part of its colours up in a table of that size."""
     if not megabytes:
         return sketch
@@ -65,7 +65,7 @@ def weighing(sketch: Sketch, megabytes: int) -> Sketch:
     return looked_up.weighing(table=table, places=places, small=np.float32([0.1]))
 
 
-def network(rows: int, width: int) -> Sketch:
+def network(rows: int, width: int) -> ModelSpec:
     """A generator whose centres are moved by a small network, as anchor-based methods have one."""
     base = find("swing").draw()
     rng = np.random.default_rng(0)

@@ -25,7 +25,7 @@ from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk import GaussianGenerator, export
 from gsgen.sdk.exporting.embed_manifest import finish
-from gsgen.sdk.passes.framework.base import Goal
+from gsgen.sdk.passes.framework.base import RewriteTarget
 from gsgen.sdk.rewriting.model_io import save_model
 from gsgen.sdk.rewriting.rewrite import census
 from support.models.reference_models import Avatar, HexPlane, ScaffoldDecoder
@@ -168,7 +168,7 @@ def bench_rewritten_graph_on_the_cpu(name: str, tmp_path: Path) -> None:
 def bench_assignment(make: Callable[[], GaussianGenerator], tmp_path: Path) -> None:
     """Print which nodes no GPU takes, before the rewrites and after them."""
     static = Settings(level=Level.STATIC)
-    goal = Goal.of(load_target("core"))
+    goal = RewriteTarget.of(load_target("core"))
     for rewrite in (False, True):
         path = tmp_path / f"{rewrite}.onnx"
         export(make(), path, rewrite=rewrite, settings=static)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from conformance.conftest import run_pytest, write
-from gsgen.conformance.expected import ExpectedFailure, read_expected, strangers
+from gsgen.conformance.expected import ExpectedFailure, read_expected, unmatched_entries
 from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.rules.catalogue import installed_rules
 from support.commands import gsgen
@@ -28,10 +28,10 @@ def test_a_file_names_rules_by_id_or_name(tmp_path: Path) -> None:
         "until 2.0",
     )
     assert (second.rule, second.model) == ("GV001", "")
-    assert first.speaks_of("GV003", Path("a/opacity_is_logits.onnx"))
-    assert not first.speaks_of("GV003", Path("a/drift.onnx"))
-    assert not first.speaks_of("GV001", Path("opacity.onnx"))
-    assert second.speaks_of("GV001", Path("any.onnx"))
+    assert first.matches("GV003", Path("a/opacity_is_logits.onnx"))
+    assert not first.matches("GV003", Path("a/drift.onnx"))
+    assert not first.matches("GV001", Path("opacity.onnx"))
+    assert second.matches("GV001", Path("any.onnx"))
 
 
 def test_an_empty_file_expects_nothing(tmp_path: Path) -> None:
@@ -68,7 +68,10 @@ def test_strangers_match_nothing_that_is_tested() -> None:
         ExpectedFailure("GV003", "?", "x"),
     )
     tested = {Path("out/drift.onnx"): ["GV001", "GV003"]}
-    assert strangers([known, other_rule, other_model], tested) == [other_rule, other_model]
+    assert unmatched_entries([known, other_rule, other_model], tested) == [
+        other_rule,
+        other_model,
+    ]
 
 
 def test_in_pytest_an_entry_that_holds_or_matches_nothing_is_no_pass(folder: Path) -> None:

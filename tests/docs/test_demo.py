@@ -55,7 +55,7 @@ def test_without_a_driver_it_says_so(
         demo.FAMILIES["gauhuman"], tmp_path / "m.onnx", tmp_path, tmp_path / "log"
     )
     assert (strip, trouble) == (None, why)
-    row = demo.Made("gauhuman", 10, 2048, "conforms", "behaviour", 1.0, None, why)
+    row = demo.ModelOutput("gauhuman", 10, 2048, "conforms", "behaviour", 1.0, None, why)
     assert "conforms (behaviour); picture: not drawn" in demo.table([row])
 
 

@@ -13,7 +13,7 @@ from gsgen.formats.shared import errors
         ({"path": "a.ply"}, "a.ply: 3 rows"),
         ({"where": "property x", "expected": "4"}, "property x: 3 rows\nwanted 4"),
         (
-            {"path": "a.ply", "where": "row 1", "expected": "4", "mend": "try again"},
+            {"path": "a.ply", "where": "row 1", "expected": "4", "hint": "try again"},
             "a.ply: row 1: 3 rows\nwanted 4\ntry again",
         ),
     ],
@@ -23,7 +23,7 @@ def test_the_text_holds_only_what_is_known(fields, text):
 
 
 def test_an_error_survives_being_sent_to_another_process():
-    error = FileTruncated("3 rows", where="row 1", expected="4", mend="m", path="a.ply")
+    error = FileTruncated("3 rows", where="row 1", expected="4", hint="m", path="a.ply")
     copy = pickle.loads(pickle.dumps(error))
     assert type(copy) is FileTruncated
     assert str(copy) == str(error)

@@ -74,7 +74,7 @@ def judge(case: Case, path: Path, registry: Registry | None = None) -> Verdict:
 def _failures(entry: Entry, ended: list[int | None]) -> Iterator[str]:
     if isinstance(entry, Report):
         yield from _faults(entry, ended)
-    elif not entry.error.what:
+    elif not entry.error.message:
         yield "an error without words"
     try:
         json.loads(to_json([entry]), parse_constant=_refuse)

@@ -129,7 +129,7 @@ def test_an_error_that_escapes_is_seen(good, tmp_path, monkeypatch):
 
 
 def test_a_child_that_dies_unseen_is_seen(good, tmp_path, monkeypatch):
-    monkeypatch.setattr(judging.worker, "main", lambda _: os.kill(os.getpid(), 9))
+    monkeypatch.setattr(judging.sandbox_worker, "main", lambda _: os.kill(os.getpid(), 9))
     path = write(good, tmp_path)
     told = judging.judge(good, path)
     assert (told.word, told.failures) == ("invalid", ())  # GV025 says so

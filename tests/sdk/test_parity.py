@@ -13,7 +13,7 @@ from gsgen.sdk.exporting import verification
 from gsgen.sdk.exporting.eager_reference import Reference, run_eager
 from gsgen.sdk.exporting.parity_diagnosis import Suspects
 from gsgen.sdk.exporting.verification import _nudged, check_parity
-from gsgen.sdk.parity import Made, Parity, compare, fibonacci_directions, same
+from gsgen.sdk.parity import ModelOutput, Parity, compare, fibonacci_directions, same
 from support.models.generators import Drift
 
 
@@ -24,7 +24,7 @@ def reference() -> Reference:
     root = rng.normal(size=(n, 3, 3)) * 0.1
     full = root @ root.transpose(0, 2, 1)
     upper = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-    made = layout.Gaussians(
+    made = layout.DecodedGaussians(
         position=rng.normal(size=(n, 3)) * 5,
         opacity=rng.uniform(0, 1, n),
         covariance=upper,
@@ -34,10 +34,10 @@ def reference() -> Reference:
 
 
 def against(
-    reference: Reference, other: layout.Gaussians, dtype: type = np.float32
+    reference: Reference, other: layout.DecodedGaussians, dtype: type = np.float32
 ) -> Parity:
     rows, color = layout.encode(other, dtype)
-    return compare([reference], [Made(rows, color, reference.count)], Tolerances())
+    return compare([reference], [ModelOutput(rows, color, reference.count)], Tolerances())
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float16])
@@ -86,7 +86,7 @@ def test_position_is_measured_in_standard_deviations(reference: Reference) -> No
 
 def test_another_count_is_a_failure(reference: Reference) -> None:
     rows, color = layout.encode(reference.gaussians)
-    assert not compare([reference], [Made(rows, color, 299)], Tolerances()).holds
+    assert not compare([reference], [ModelOutput(rows, color, 299)], Tolerances()).holds
 
 
 def test_directions_are_unit_and_spread() -> None:
@@ -99,7 +99,7 @@ def test_directions_are_unit_and_spread() -> None:
 
 def test_two_runs_are_the_same_to_the_bit_or_within_a_tolerance() -> None:
     def reference(position: np.ndarray, count: int = 3) -> Reference:
-        made = layout.Gaussians(
+        made = layout.DecodedGaussians(
             position,
             np.ones(len(position)),
             np.ones((len(position), 6)),
@@ -127,7 +127,9 @@ def culled(n: int, gone: list[int]) -> Reference:
     opacity = np.full(n, 0.8)
     opacity[gone] = 0
     upper = np.tile([0.01, 0, 0, 0.01, 0, 0.01], (n, 1))
-    made = layout.Gaussians(rng.normal(size=(n, 3)), opacity, upper, rgb=rng.random((n, 3)))
+    made = layout.DecodedGaussians(
+        rng.normal(size=(n, 3)), opacity, upper, rgb=rng.random((n, 3))
+    )
     return Reference(Probe("p", {"time": np.float32([0.5])}), made, n)
 
 
@@ -139,7 +141,7 @@ def test_a_few_rows_may_be_as_torch_has_them_a_hair_away(
     n: int, gone: list[int], holds: bool
 ) -> None:
     known, model = culled(n, []), culled(n, gone)
-    outputs = [Made(*layout.encode(model.gaussians), n)]
+    outputs = [ModelOutput(*layout.encode(model.gaussians), n)]
     assert not compare([known], outputs, Tolerances()).holds
     near = {0: [culled(n, []), culled(n, gone[:1]), culled(n, gone[1:] or gone)]}
     parity = compare([known], outputs, Tolerances(), neighbours=near)
@@ -150,7 +152,7 @@ def test_a_few_rows_may_be_as_torch_has_them_a_hair_away(
 
 def test_a_row_that_torch_never_has_is_no_jump() -> None:
     known, model = culled(100, []), culled(100, [7])
-    outputs = [Made(*layout.encode(model.gaussians), 100)]
+    outputs = [ModelOutput(*layout.encode(model.gaussians), 100)]
     near = {0: [culled(100, []), culled(100, [8])]}
     parity = compare([known], outputs, Tolerances(), neighbours=near)
     assert not parity.holds
@@ -190,7 +192,7 @@ def test_a_model_that_jumps_a_little_sooner_than_torch_agrees_with_it(monkeypatc
     references = [
         run_eager(module, Probe(f"time={t}", {"time": np.float32([t])})) for t in (0.2, 0.9)
     ]
-    outputs = [Made(*layout.encode(one.gaussians), one.count) for one in references]
+    outputs = [ModelOutput(*layout.encode(one.gaussians), one.count) for one in references]
     outputs[0].rows[7, 3] = 0 if outputs[0].rows[7, 3] else module.opacity[7].item()
     manifest = GeneratorManifest(name="m", outputs=GeneratorOutputs(), inputs=Drift.inputs)
     suspects = Suspects(module, references[0].probe, (), True)
@@ -198,7 +200,7 @@ def test_a_model_that_jumps_a_little_sooner_than_torch_agrees_with_it(monkeypatc
     parity = check_parity(Path("m.onnx"), manifest, references, suspects, lambda _: None)
     assert parity.jumped == 1
     outputs[0].rows[8, 3] += 0.1
-    monkeypatch.setattr(verification, "explain", lambda *_: ("", "mend"))
+    monkeypatch.setattr(verification, "explain", lambda *_: ("", "hint"))
     with pytest.raises(ParityFailed, match="opacity of Gaussian 8 is off"):
         check_parity(Path("m.onnx"), manifest, references, suspects, lambda _: None)
 
@@ -212,7 +214,9 @@ def with_cells(seen: np.ndarray) -> Reference:
     n = 300
     upper = np.tile([0.04, 0, 0, 0.04, 0, 0.04], (n, 1))
     opacity = np.full(n, 0.8)
-    rows = layout.Gaussians(rng.normal(size=(n, 3)), opacity, upper, rgb=rng.random((n, 3)))
+    rows = layout.DecodedGaussians(
+        rng.normal(size=(n, 3)), opacity, upper, rgb=rng.random((n, 3))
+    )
     cells = layout.Cells(rng.normal(size=(100, 3)), seen, upper[::3])
     return Reference(Probe("p", {}), rows, n, cells)
 
@@ -233,7 +237,7 @@ def test_an_error_in_one_cell_is_found_and_placed(
     known = with_cells(np.full(100, 0.5))
     assert known.cells is not None
     cells = packed_cells(known.cells, dtype)
-    made = Made(*layout.encode(known.gaussians), known.count, cells)
+    made = ModelOutput(*layout.encode(known.gaussians), known.count, cells)
     assert compare([known], [made], Tolerances()).holds
     cells[42, column] += 0.02
     parity = compare([known], [made], Tolerances())
@@ -247,7 +251,7 @@ def test_where_an_unseen_cell_lies_does_not_matter() -> None:
     known = with_cells(np.where(np.arange(100) == 7, 0.0, 0.5))
     assert known.cells is not None
     cells = packed_cells(known.cells)
-    made = Made(*layout.encode(known.gaussians), known.count, cells)
+    made = ModelOutput(*layout.encode(known.gaussians), known.count, cells)
     cells[7, :3] += 1.0
     assert compare([known], [made], Tolerances()).holds
     cells[8, :3] += 1.0
@@ -256,7 +260,7 @@ def test_where_an_unseen_cell_lies_does_not_matter() -> None:
 
 def test_cells_that_are_missing_are_a_failure() -> None:
     known = with_cells(np.full(100, 0.5))
-    made = Made(*layout.encode(known.gaussians), known.count)
+    made = ModelOutput(*layout.encode(known.gaussians), known.count)
     assert not compare([known], [made], Tolerances()).holds
     assert same(known, with_cells(np.full(100, 0.5)))
     assert not same(known, with_cells(np.full(100, 0.6)))
@@ -269,7 +273,7 @@ def test_cells_without_a_live_row_are_not_compared() -> None:
     assert known.cells is not None
     cells = packed_cells(known.cells)
     cells[11:, 3] = 0
-    made = Made(*layout.encode(known.gaussians), 31, cells)
+    made = ModelOutput(*layout.encode(known.gaussians), 31, cells)
     assert compare([known], [made], Tolerances()).holds
     cells[10, 3] = 0
     assert not compare([known], [made], Tolerances()).holds

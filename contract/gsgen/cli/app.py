@@ -69,8 +69,8 @@ def _fail_unwritten(error: OSError) -> Never:
         with suppress(OSError):
             sys.stdout.close()  # or it would be tried again at the very end
     what = f"output, or a temporary file, cannot be written: {error.strerror}"
-    mend = "Make room where it goes; the environment variable TMPDIR names another folder."
-    _fail(GsgenError(what, where=str(error.filename or ""), mend=mend))
+    hint = "Make room where it goes; the environment variable TMPDIR names another folder."
+    _fail(GsgenError(what, where=str(error.filename or ""), hint=hint))
 
 
 def _crash() -> Never:

@@ -54,7 +54,7 @@ def settle(
 ) -> Case:
     """Say what came of ``rule``, by the report of the model and what was expected of it."""
     path = PurePath(report.path)
-    foreseen = next((one for one in expected if one.speaks_of(rule.id, path)), None)
+    foreseen = next((one for one in expected if one.matches(rule.id, path)), None)
     outcome = report.outcome(rule.id)
     found = tuple(one for one in report.findings if one.rule == rule.id)
     if outcome.status == "crashed":

@@ -8,7 +8,7 @@ They are written in a TOML file, one table each::
     reason = "logits until release 2"
 """
 
-__all__ = ["ExpectedFailure", "read_expected", "strangers"]
+__all__ = ["ExpectedFailure", "read_expected", "unmatched_entries"]
 
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -44,7 +44,7 @@ class ExpectedFailure:
         models = f" of {self.model}" if self.model else ""
         return f"{self.source}: {self.rule}{models} ({self.reason})"
 
-    def speaks_of(self, rule: str, path: PurePath) -> bool:
+    def matches(self, rule: str, path: PurePath) -> bool:
         """Say whether it is meant for this rule of the model at ``path``."""
         names = (path.as_posix(), path.name)
         named = not self.model or any(fnmatchcase(name, self.model) for name in names)
@@ -97,7 +97,7 @@ def _refuse_strange_keys(
             raise UnknownName.among("key", key, known, where)
 
 
-def strangers(
+def unmatched_entries(
     entries: Iterable[ExpectedFailure], tested: Mapping[Path, Iterable[str]]
 ) -> list[ExpectedFailure]:
     """Return the entries that speak of nothing that is tested.
@@ -107,4 +107,4 @@ def strangers(
         tested: Model → ids of the rules that its suites hold.
     """
     pairs = [(rule, path) for path, rules in tested.items() for rule in rules]
-    return [one for one in entries if not any(one.speaks_of(*pair) for pair in pairs)]
+    return [one for one in entries if not any(one.matches(*pair) for pair in pairs)]

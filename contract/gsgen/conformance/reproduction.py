@@ -81,7 +81,7 @@ def reproduce(
         return Reproduction(rule, found, (), _look(path, rule, settings, found, dump))
     if rule.scope not in ONE_PROBE:
         what = f"{rule.id} does not look at single probes but at {_SEEN[rule.scope]}"
-        raise ConfigInvalid(what, where="--probe", mend="Leave --probe out.")
+        raise ConfigInvalid(what, where="--probe", hint="Leave --probe out.")
     _judge(path, rule, replace(settings, level=Level.STATIC))
     subject, plan = plan_for(path, settings)
     probes = find_probes(plan.probes, probe)
@@ -113,8 +113,8 @@ def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
     else:
         reason = "" if outcome.status in ("pass", "fail") else outcome.reason
     if reason:
-        mend = f"`gsgen validate {shlex.quote(str(path))}` says more."
-        raise NotJudged(reason, where=f"{rule.id} was not judged", mend=mend)
+        hint = f"`gsgen validate {shlex.quote(str(path))}` says more."
+        raise NotJudged(reason, where=f"{rule.id} was not judged", hint=hint)
     return report
 
 

@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.model.inspected_model import Subject, read_subject
+from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
 from gsgen.contract.model.model_file import open_model
-from gsgen.contract.probing.outputs import Emission, chunks, read_emission
+from gsgen.contract.probing.outputs import ModelOutputs, chunks, read_outputs
 from gsgen.contract.probing.probe_plan import Plan, fetched_outputs, make_plan
 from gsgen.contract.probing.probes import Probe
-from gsgen.contract.probing.run_comparison import Trial
+from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.probing.sandbox import Execution, execute
-from gsgen.contract.process.atomic_files import draft_of
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.finding import Finding
-from gsgen.contract.validation.outcomes import Board
+from gsgen.contract.validation.outcomes import ResultCollector
 from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
 
@@ -41,7 +41,7 @@ class Replay:
         settings: How it is judged.
     """
 
-    subject: Subject
+    subject: InspectedModel
     probes: tuple[Probe, ...]
     execution: Execution
     settings: Settings
@@ -53,15 +53,15 @@ class Replay:
                 return self.execution.samples[run.sample].outputs
         return {}
 
-    def emission(self, probe: int) -> Emission:
+    def emission(self, probe: int) -> ModelOutputs:
         """Return the outputs for a probe as value rules see them."""
         one = self.probes[probe]
-        return read_emission(self.subject, one.label, one.zeros, self.outputs(probe))
+        return read_outputs(self.subject, one.label, one.zeros, self.outputs(probe))
 
     def findings(self, rule: Rule, probe: int) -> tuple[Finding, ...]:
         """Return what ``rule`` finds when it sees a probe alone."""
         alone = Registry.of([replace(rule, needs=())])
-        board = Board(alone, self.settings, self.subject.kind)
+        board = ResultCollector(alone, self.settings, self.subject.kind)
         for seen, start in self._seen(rule, probe):
             board.judge(rule, seen, self.probes[probe].label, start)
         board.settle(alone.rules.values())
@@ -70,7 +70,7 @@ class Replay:
     def _seen(self, rule: Rule, probe: int) -> Iterator[tuple[object, int]]:
         if rule.scope == "execution":
             plan = Plan(self.probes, len(self.probes))
-            yield Trial(self.subject, self.execution, plan), 0
+            yield ProbeRuns(self.subject, self.execution, plan), 0
         elif self.outputs(probe):
             emission = self.emission(probe)
             if rule.scope == "emission":
@@ -79,13 +79,13 @@ class Replay:
                 yield from ((chunk, chunk.start) for chunk in chunks(emission))
 
 
-def plan_for(path: Path, settings: Settings) -> tuple[Subject, Plan]:
+def plan_for(path: Path, settings: Settings) -> tuple[InspectedModel, Plan]:
     """Return the model and the runs that ``settings`` ask for; its manifest must be readable.
 
     Raises:
         ModelUnreadable: The file is not an ONNX model at all.
     """
-    subject = read_subject(
+    subject = inspect_model(
         open_model(path), settings.target, settings.limits, settings.tolerances
     )
     level = min(max(settings.level, Level.VALUES), Level.BEHAVIOUR)
@@ -94,7 +94,7 @@ def plan_for(path: Path, settings: Settings) -> tuple[Subject, Plan]:
 
 @contextmanager
 def replay(
-    subject: Subject, probes: Sequence[Probe], settings: Settings
+    subject: InspectedModel, probes: Sequence[Probe], settings: Settings
 ) -> Iterator[Replay]:
     """Run ``probes`` once more; what came out lives as long as the block."""
     path, names = subject.file.path, fetched_outputs(subject)
@@ -132,5 +132,5 @@ def save(path: Path, runs: Sequence[tuple[Probe, Arrays]]) -> None:
         arrays[f"{head}probe"] = np.asarray(probe.label)
         arrays |= {f"{head}input.{name}": array for name, array in probe.inputs.items()}
         arrays |= {f"{head}output.{name}": array for name, array in outputs.items()}
-    with draft_of(path) as draft, draft.open("wb") as file:
+    with atomic_write(path) as draft, draft.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]  # none is called `allow_pickle`

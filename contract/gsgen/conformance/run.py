@@ -10,7 +10,7 @@ from gsgen.conformance.cases import Case, CaseStatus, settle
 from gsgen.conformance.evidence import Dumps, Evidence, gather
 from gsgen.conformance.expected import ExpectedFailure
 from gsgen.conformance.suite import Declared, plan_suites
-from gsgen.contract.model.inspected_model import read_subject
+from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.validation.engine import Progress
@@ -66,7 +66,7 @@ def suites_of(path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
     Raises:
         ModelUnreadable: The file is not an ONNX model at all.
     """
-    subject = read_subject(
+    subject = inspect_model(
         open_model(path), settings.target, settings.limits, settings.tolerances
     )
     rules = installed_rules().rules.values()

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.roles import GENERATOR, POST_PROCESS, TRAJECTORY
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.spec.targets import Target
@@ -33,7 +33,7 @@ class Declared:
     replays: bool = False
 
     @classmethod
-    def by(cls, subject: Subject) -> "Declared":
+    def by(cls, subject: InspectedModel) -> "Declared":
         """Read what the manifest of ``subject`` says, or what was guessed in its place."""
         manifest = subject.manifest
         if manifest is None:

@@ -10,12 +10,12 @@ from gsgen.contract._lazy import attributes
 if TYPE_CHECKING:
     from gsgen.contract.errors import GsgenError
     from gsgen.contract.model.model_file import open_model, write_manifest
-    from gsgen.contract.spec.layout import Gaussians, decode, encode
+    from gsgen.contract.spec.layout import DecodedGaussians, decode, encode
     from gsgen.contract.spec.manifest import GeneratorManifest, Manifest
     from gsgen.contract.spec.severity import Level, Severity
     from gsgen.contract.spec.targets import Target, load_target
     from gsgen.contract.validation.baseline import Baseline, read_baseline
-    from gsgen.contract.validation.finding import Breach, Finding
+    from gsgen.contract.validation.finding import Finding, Violation
     from gsgen.contract.validation.report import Report
     from gsgen.contract.validation.settings import Settings
     from gsgen.contract.validation.waivers import Waiver
@@ -23,9 +23,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Baseline",
-    "Breach",
+    "DecodedGaussians",
     "Finding",
-    "Gaussians",
     "GeneratorManifest",
     "GsgenError",
     "Level",
@@ -34,6 +33,7 @@ __all__ = [
     "Settings",
     "Severity",
     "Target",
+    "Violation",
     "Waiver",
     "decode",
     "encode",
@@ -46,9 +46,9 @@ __all__ = [
 
 _HOME = {
     "Baseline": "validation.baseline",
-    "Breach": "validation.finding",
+    "Violation": "validation.finding",
     "Finding": "validation.finding",
-    "Gaussians": "spec.layout",
+    "DecodedGaussians": "spec.layout",
     "GeneratorManifest": "spec.manifest",
     "GsgenError": "errors",
     "Level": "spec.severity",

@@ -20,23 +20,23 @@ class GsgenError(Exception):
     """The base of all errors that are the input's fault, never ours.
 
     Attributes:
-        what: What was wrong, with the offending value.
+        message: What was wrong, with the offending value.
         where: The file, tensor, row or option it was found in.
-        mend: The next thing to do or type; empty if there is nothing to say.
+        hint: The next thing to do or type; empty if there is nothing to say.
         exit_code: What a command ends with that the error stops.
     """
 
     exit_code: ClassVar[int] = 2
 
-    def __init__(self, what: str, *, where: str = "", mend: str = "") -> None:
-        self.what = what
+    def __init__(self, message: str, *, where: str = "", hint: str = "") -> None:
+        self.message = message
         self.where = where
-        self.mend = mend
-        super().__init__(what)
+        self.hint = hint
+        super().__init__(message)
 
     def __str__(self) -> str:
-        head = f"{self.where}: {self.what}" if self.where else self.what
-        return f"{head}\n  {self.mend}" if self.mend else head
+        head = f"{self.where}: {self.message}" if self.where else self.message
+        return f"{head}\n  {self.hint}" if self.hint else head
 
 
 class InputUnreadable(GsgenError):
@@ -77,5 +77,5 @@ class UnknownName(ConfigInvalid):
         all = (
             f"Known: {', '.join(names) or 'none'}." if short else f"{len(names)} are known."
         )
-        mend = f"Did you mean {close[0]!r}?" if close else all
-        return cls(f"unknown {noun} {name!r}", where=where, mend=mend)
+        hint = f"Did you mean {close[0]!r}?" if close else all
+        return cls(f"unknown {noun} {name!r}", where=where, hint=hint)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from gsgen.runtime.camera_files import CameraFile, open_cameras
     from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
     from gsgen.runtime.gpu.device import Device
-    from gsgen.runtime.playback.player import GeneratorPlayer, Player, Shot
+    from gsgen.runtime.playback.player import FrameRequest, GeneratorPlayer, Player
     from gsgen.runtime.renderer.renderer import Renderer
     from gsgen.runtime.scene.camera import Camera
     from gsgen.runtime.scene.frame import NOTHING, Frame
@@ -36,6 +36,7 @@ __all__ = [
     "Device",
     "DeviceUnavailable",
     "Frame",
+    "FrameRequest",
     "GeneratorPlayer",
     "Mesh",
     "MeshData",
@@ -43,7 +44,6 @@ __all__ = [
     "Renderer",
     "Scene",
     "SceneInvalid",
-    "Shot",
     "SplatData",
     "SplatSet",
     "open_cameras",
@@ -68,7 +68,7 @@ _HOME = {
     "Renderer": "renderer.renderer",
     "Scene": "scene.scene",
     "SceneInvalid": "errors",
-    "Shot": "playback.player",
+    "FrameRequest": "playback.player",
     "SplatData": "scene.splat_data",
     "SplatSet": "scene.scene",
     "open_cameras": "camera_files",

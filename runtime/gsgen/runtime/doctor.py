@@ -30,7 +30,7 @@ try:
     require_display()
     print(json.dumps(None))
 except DisplayUnavailable as error:
-    print(json.dumps(error.what))
+    print(json.dumps(error.message))
 """
 
 

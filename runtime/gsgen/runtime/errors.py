@@ -46,4 +46,4 @@ def placed(error: GsgenError, model: str, frame: int) -> GsgenError:
     """Return an error that says in which model and frame it happened, too."""
     place = f"{model}, frame {frame}"
     where = place if error.where in ("", model) else f"{place}, {error.where}"
-    return type(error)(error.what, where=where, mend=error.mend)
+    return type(error)(error.message, where=where, hint=error.hint)

@@ -111,7 +111,7 @@ def _points(
         raise NotSupported(
             "holds coloured points, which have no size, no rotation and no opacity",
             expected=f"splats, to write {codec.title}",
-            mend="write a PLY file; `gsgen export static` makes a generator of them",
+            hint="write a PLY file; `gsgen export static` makes a generator of them",
             path=str(source),
         )
     make_folder(target)

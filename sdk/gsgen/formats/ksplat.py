@@ -212,7 +212,7 @@ def _middles(data: Data, section: _Section) -> Float32[np.ndarray, "n 3"]:
             f"a bucket of {int(lengths.max())} splats",
             where=f"bucket lengths, byte {section.start}",
             expected=f"{section.bucket_size} or fewer",
-            mend=AGAIN,
+            hint=AGAIN,
         )
     kind = np.dtype([("middle", "<f4", 3), ("rest", "u1", section.storage - 12)])
     middles = take(data, kind, (section.bucket_count,), section.buckets, "buckets")
@@ -227,7 +227,7 @@ def _middles(data: Data, section: _Section) -> Float32[np.ndarray, "n 3"]:
             f"{section.count} splats, {int(ends[-1]) if len(ends) else 0} in buckets",
             where=f"bucket lengths, byte {section.start}",
             expected="all of them",
-            mend=AGAIN,
+            hint=AGAIN,
         )
     bucket = np.searchsorted(ends, np.arange(section.count), side="right")
     return np.asarray(middles["middle"][bucket])

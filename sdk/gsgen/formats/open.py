@@ -39,7 +39,7 @@ def open_splats(
             first.hex(" "),
             where="first bytes",
             expected="a file of splats: PLY, SPZ, GLB, SOG, KSPLAT, SPLAT or NPZ",
-            mend="if it is of another format, convert it to one of these first",
+            hint="if it is of another format, convert it to one of these first",
             path=str(path),
         )
     if drop_invalid and codec.name == "ply":

@@ -47,7 +47,7 @@ def decode_splat(data: Data) -> Splats:
             f"{len(data)} bytes are {count} records of 32 and {rest} bytes more",
             where=f"byte {count * RECORD.itemsize}",
             expected="a multiple of 32 bytes, as of a SPLAT file",
-            mend=AGAIN,
+            hint=AGAIN,
         )
     records = take(data, RECORD, (count,), 0, "records")
     rgba = records["rgba"] / np.float32(255)

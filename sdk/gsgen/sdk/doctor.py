@@ -27,7 +27,7 @@ def _adapter() -> Check:
     try:
         found = survey()
     except LevelUnavailable as error:
-        return Check("webgpu", "missing", error.what, error.mend, _LIVE)
+        return Check("webgpu", "missing", error.message, error.hint, _LIVE)
     except RuntimeError as error:
         return Check("webgpu", "broken", str(error), "pip install -U onnxruntime", _LIVE)
     return Check("webgpu", "ok", found["adapter"], purpose=_LIVE)

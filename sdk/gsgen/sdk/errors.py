@@ -34,13 +34,13 @@ class ParityFailed(GsgenError):
 
     def __init__(
         self,
-        what: str,
+        message: str,
         *,
         where: str = "",
-        mend: str = "",
+        hint: str = "",
         parity: "Parity | None" = None,
     ) -> None:
-        super().__init__(what, where=where, mend=mend)
+        super().__init__(message, where=where, hint=hint)
         self.parity = parity
 
 
@@ -52,9 +52,9 @@ class ExportRejected(GsgenError):
     """
 
     def __init__(
-        self, what: str, report: "Report", *, where: str = "", mend: str = ""
+        self, message: str, report: "Report", *, where: str = "", hint: str = ""
     ) -> None:
-        super().__init__(what, where=where, mend=mend)
+        super().__init__(message, where=where, hint=hint)
         self.report = report
 
 

@@ -8,7 +8,7 @@ as Gaussians are, visibility as opacity; where a cell lies matters only if somet
 
 __all__ = [
     "FieldParity",
-    "Made",
+    "ModelOutput",
     "Parity",
     "Reference",
     "compare",
@@ -54,7 +54,7 @@ class Reference:
     """
 
     probe: Probe
-    gaussians: layout.Gaussians
+    gaussians: layout.DecodedGaussians
     count: int
     cells: layout.Cells | None = None
 
@@ -67,7 +67,7 @@ class Reference:
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class ModelOutput:
     """What a model emitted for one probe.
 
     Attributes:
@@ -135,7 +135,7 @@ class Parity:
 
 def compare(
     references: Sequence[Reference],
-    outputs: Sequence[Made],
+    outputs: Sequence[ModelOutput],
     tolerances: Tolerances,
     *,
     roundings: int = 1,
@@ -200,7 +200,7 @@ def _all_finite(reference: Reference) -> bool:
 
 def _compare_probe(
     reference: Reference,
-    made: Made,
+    made: ModelOutput,
     tolerances: Tolerances,
     roundings: int,
     near: Sequence[Reference],
@@ -251,7 +251,7 @@ _Measure = Callable[[Reference], dict[str, tuple[np.ndarray, np.ndarray]]]
 def _ratios(
     fields: "_Fields",
     part: slice,
-    made: Made,
+    made: ModelOutput,
     tolerances: Tolerances,
     roundings: int,
     reference: Reference,
@@ -268,13 +268,13 @@ def _ratios(
 Measured = tuple[str, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
 
 
-_Fields = Callable[[Reference, slice, Made, Tolerances, int], Iterator[Measured]]
+_Fields = Callable[[Reference, slice, ModelOutput, Tolerances, int], Iterator[Measured]]
 
 
 def _fields(
     reference: Reference,
     part: slice,
-    made: Made,
+    made: ModelOutput,
     tolerances: Tolerances,
     roundings: int,
 ) -> Iterator[Measured]:
@@ -294,7 +294,7 @@ def _fields(
 def _cell_fields(
     reference: Reference,
     part: slice,
-    made: Made,
+    made: ModelOutput,
     tolerances: Tolerances,
     roundings: int,
 ) -> Iterator[Measured]:
@@ -345,7 +345,7 @@ def _placed(
 
 
 def _appearance(
-    wanted: layout.Gaussians,
+    wanted: layout.DecodedGaussians,
     part: slice,
     seen: np.ndarray,
     rounding: float,

@@ -14,7 +14,7 @@ from gsgen.runtime.commands.bench_render import bench_render
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.playback.camera_options import viewpoint
 from gsgen.runtime.playback.frame_cost import measure
-from gsgen.runtime.playback.frame_sequence import Film
+from gsgen.runtime.playback.frame_sequence import FrameSequence
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.mesh import Mesh, MeshData
 from gsgen.runtime.sources.source import open_source
@@ -51,7 +51,7 @@ def test_figures_are_those_of_the_film(
     elif not renderer.device.has_clock:
         pytest.skip("this device has no timestamps")
     sources = [open_source(path) for path in scenes]
-    film = Film(sources, viewpoint(None, 48, 32), frames=4, renderer=renderer)
+    film = FrameSequence(sources, viewpoint(None, 48, 32), frames=4, renderer=renderer)
     said: list[str] = []
     cost = measure(film, said.append)
     drawn = [film.draw(number) for number in range(4)]
@@ -89,7 +89,7 @@ def test_what_the_rasteriser_draws_is_a_stage(
     )
     source.meshes = (Mesh(triangle),)
     quads = Renderer(renderer.device, rasteriser="quads")
-    film = Film([source], viewpoint(None, 48, 32), frames=2, renderer=quads)
+    film = FrameSequence([source], viewpoint(None, 48, 32), frames=2, renderer=quads)
     cost = measure(film)
     assert list(cost.stages) == ["meshes", "project", "sort", "quads"]
     assert min(cost.stages["meshes"], cost.stages["quads"]) > 0

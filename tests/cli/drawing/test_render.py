@@ -18,7 +18,7 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.media.pictures import array_of, picture_of
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.playback.camera_options import viewpoint
-from gsgen.runtime.playback.frame_sequence import Film
+from gsgen.runtime.playback.frame_sequence import FrameSequence
 from gsgen.runtime.playback.input_tracks import Track
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.scene import Scene
@@ -62,11 +62,11 @@ def places(file: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, st
     return made | {"FILE": str(file), "OPEN": str(folder / "open.onnx")}
 
 
-def film(renderer: Renderer, path: Path, **options: object) -> tuple[Film, Source]:
+def film(renderer: Renderer, path: Path, **options: object) -> tuple[FrameSequence, Source]:
     source = open_source(path)
     words = options.pop("camera", None)
     view = viewpoint(words, width=48, height=32)
-    return Film([source], view, renderer=renderer, **options), source
+    return FrameSequence([source], view, renderer=renderer, **options), source
 
 
 def test_a_picture(file: Path, tmp_path: Path) -> None:
@@ -221,7 +221,9 @@ def test_a_film_has_every_frame(renderer: Renderer, file: Path, tmp_path: Path) 
 @pytest.mark.parametrize("mode", ["depth", "median-depth", "normal", "alpha"])
 def test_modes(renderer: Renderer, file: Path, mode: str) -> None:
     source = open_source(file)
-    made = Film([source], viewpoint(None, width=48, height=32), mode, renderer=renderer)
+    made = FrameSequence(
+        [source], viewpoint(None, width=48, height=32), mode, renderer=renderer
+    )
     frame = made.draw(0)
     floats, picture = array_of(frame, mode), picture_of(frame, mode)
     assert floats.shape[:2] == picture.shape[:2] == (32, 48)
@@ -237,12 +239,12 @@ def test_modes(renderer: Renderer, file: Path, mode: str) -> None:
 
 def test_several_scenes_are_one(renderer: Renderer, file: Path, moving: Path) -> None:
     both = [open_source(file), open_source(moving)]
-    made = Film(both, viewpoint(None, width=48, height=32), renderer=renderer)
+    made = FrameSequence(both, viewpoint(None, width=48, height=32), renderer=renderer)
     drawn = made.draw(0)
     assert drawn.visible > 200
     both[1].color_space = "linear"
     with pytest.raises(ConfigInvalid, match="cannot be blended"):
-        Film(both, viewpoint(None), renderer=renderer)
+        FrameSequence(both, viewpoint(None), renderer=renderer)
     both[1].close()
 
 
@@ -341,7 +343,9 @@ def test_an_orbit_goes_around_a_moving_model_where_it_stands(
     place[:3, 3] = 5, 0, -2
     plain, source = film(renderer, moving, frames=3)
     placed = PlacedSource(open_source(moving), place)
-    Film([placed], viewpoint(None, width=48, height=32), frames=3, renderer=renderer)
+    FrameSequence(
+        [placed], viewpoint(None, width=48, height=32), frames=3, renderer=renderer
+    )
     (center, reach), (wanted, as_far) = placed.extent(), source.extent()
     np.testing.assert_allclose(center, wanted + place[:3, 3])
     assert reach == as_far

@@ -12,7 +12,7 @@ from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import GsgenError
 from gsgen.runtime.commands.view import view
 from gsgen.runtime.viewer import surface_renderer, window
-from gsgen.runtime.viewer.surface_renderer import Painter
+from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
 from gsgen.runtime.viewer.viewer import HELP, Viewer
 from support.commands import gsgen
 
@@ -59,7 +59,9 @@ def test_options_reach_the_viewer(
 ) -> None:
     painted: dict[str, object] = {}
     monkeypatch.setattr(
-        surface_renderer, "Painter", lambda **words: painted.update(words) or Painter()
+        surface_renderer,
+        "SurfaceRenderer",
+        lambda **words: painted.update(words) or SurfaceRenderer(),
     )
     done = ran(
         str(drift), "--width", "300", "--height", "200", "--mode", "depth",

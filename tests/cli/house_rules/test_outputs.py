@@ -12,7 +12,7 @@ import pytest
 
 from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.contract.process.atomic_files import draft_of
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.formats import FileUnwritable, write_ply
 from support.commands import gsgen_here
 from support.splat_files import scene
@@ -139,7 +139,7 @@ def test_a_device_stays_what_it_is(tmp_path: Path) -> None:
     """As root, a file that is moved to /dev/null would be there in its place."""
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    with pytest.raises(ConfigInvalid, match="is a device or a pipe"), draft_of(pipe):
+    with pytest.raises(ConfigInvalid, match="is a device or a pipe"), atomic_write(pipe):
         pass
     with pytest.raises(FileUnwritable, match="is a device or a pipe"):
         write_ply(pipe, scene(3, 0))
@@ -182,5 +182,5 @@ def test_a_report_to_a_device_leaves_it_there() -> None:
 def test_what_is_wrong_with_a_file_that_is_read_is_not_told_of_the_output(
     tmp_path: Path,
 ) -> None:
-    with pytest.raises(FileNotFoundError), draft_of(tmp_path / "out"):
+    with pytest.raises(FileNotFoundError), atomic_write(tmp_path / "out"):
         (tmp_path / "gone").read_bytes()

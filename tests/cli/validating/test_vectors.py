@@ -12,7 +12,7 @@ import pytest
 from onnx.backend.test import runner as onnx_runner
 
 from gsgen.conformance.fixtures import find
-from gsgen.conformance.fixtures.builders.sketch import Sketch
+from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.model.model_file import MANIFEST_KEY, open_model
 from gsgen.contract.probing.test_vectors import MOST_SEEDS
@@ -27,7 +27,7 @@ from support.commands import gsgen, gsgen_here
 
 def written(folder: Path, name: str, **said: object) -> Path:
     """Write a fixture; ``said`` is what it declares besides."""
-    sketch: Sketch = find(name).draw()
+    sketch: ModelSpec = find(name).draw()
     path = folder / f"{name}.onnx"
     (sketch.declaring(**said) if said else sketch).write(path)
     return path
@@ -96,7 +96,7 @@ def test_onnx_s_own_runner_reads_and_reproduces_them(
     made = record_vectors(written(tmp_path, name), tmp_path / "out", count=1)
     assert len(made.vectors) == 1
     monkeypatch.setattr(onnx_runner, "load_model_tests", lambda **_: [])  # of operators
-    runner, folder = onnx_runner.Runner(_Backend()), str(tmp_path / "out")
+    runner, folder = onnx_runner.LevelBackend(_Backend()), str(tmp_path / "out")
     case = SimpleNamespace(name="test_it", model_name="it", model_dir=folder, url=None)
     case.rtol = case.atol = 0
     runner._add_model_test(case, "Real")

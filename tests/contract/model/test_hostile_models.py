@@ -128,7 +128,7 @@ def test_a_function_that_calls_itself_is_a_fault():
 
 
 @pytest.mark.parametrize(
-    ("dims", "shape", "saw"),
+    ("dims", "shape", "actual"),
     [
         ([1, 3, "H", "W", 1 << 31], None, "inputs of a frame: 201326592 MiB in float64"),
         ([1, 3, "H", "W"], [1, 3, 1 << 20, 1 << 20], "inputs of a frame: 25165824 MiB"),
@@ -136,7 +136,7 @@ def test_a_function_that_calls_itself_is_a_fault():
         (None, [1] * 65, "input image: 65 axes in the manifest; wanted 64 axes at most"),
     ],
 )
-def test_an_input_that_no_probe_can_hold_is_a_finding(tmp_path, dims, shape, saw):
+def test_an_input_that_no_probe_can_hold_is_a_finding(tmp_path, dims, shape, actual):
     proto = find("post_process_any_size").draw().build()
     kind = proto.graph.input[0].type.tensor_type
     kind.ClearField("shape")
@@ -149,5 +149,5 @@ def test_an_input_that_no_probe_can_hold_is_a_finding(tmp_path, dims, shape, saw
         document["inputs"][0]["shape"] = shape
     entry.value = json.dumps(document)
     report = validate(save(tmp_path / "a.onnx", proto), Settings(level=Level.VALUES))
-    assert any(f"{one.where}: {one.message}".startswith(saw) for one in report.findings)
+    assert any(f"{one.where}: {one.message}".startswith(actual) for one in report.findings)
     assert report.verdict == "invalid"

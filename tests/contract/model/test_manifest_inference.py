@@ -1,7 +1,7 @@
 import pytest
 
 from gsgen.contract.model.graph import Graph, Tensor, read_graph, static_dims
-from gsgen.contract.model.manifest_inference import derive
+from gsgen.contract.model.manifest_inference import infer_manifest
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.spec.manifest import (
     AppearanceOutput,
@@ -28,7 +28,7 @@ def graph_with(outputs=(), inputs=()):
 
 def test_names_and_shapes_give_a_manifest_that_can_be_written(tmp_path):
     graph = read_graph(open_model(save(tmp_path / "a.onnx", FULL)))
-    candidate = derive(graph, "avatar")
+    candidate = infer_manifest(graph, "avatar")
     manifest = candidate.manifest
     assert manifest.name == "avatar"
     assert manifest.inputs == (
@@ -57,7 +57,7 @@ def test_names_and_shapes_give_a_manifest_that_can_be_written(tmp_path):
 
 
 def test_nothing_recognised_is_said_in_so_many_words():
-    candidate = derive(graph_with(inputs=[Tensor("noise", "float32", (3,))]), "a")
+    candidate = infer_manifest(graph_with(inputs=[Tensor("noise", "float32", (3,))]), "a")
     assert candidate.manifest.inputs == ()
     assert candidate.guesses[:4] == (
         "input 'noise' has no recognisable role: add it by hand",
@@ -70,12 +70,14 @@ def test_nothing_recognised_is_said_in_so_many_words():
 
 @pytest.mark.parametrize("name", ["overview", "view2", "my_time", "timeline", "posed"])
 def test_parts_of_a_name_are_no_sign_of_a_role(name):
-    candidate = derive(graph_with(inputs=[Tensor(name, "float32", (4, 4))]), "a")
+    candidate = infer_manifest(graph_with(inputs=[Tensor(name, "float32", (4, 4))]), "a")
     assert candidate.manifest.inputs == ()
 
 
 def test_upper_and_lower_case_are_the_same():
-    candidate = derive(graph_with(inputs=[Tensor("ViewMatrix", "float32", (4, 4))]), "a")
+    candidate = infer_manifest(
+        graph_with(inputs=[Tensor("ViewMatrix", "float32", (4, 4))]), "a"
+    )
     assert [i.role for i in candidate.manifest.inputs] == ["view"]
 
 
@@ -98,7 +100,7 @@ def rows(name, *dims):
 def test_gaussians_are_the_output_of_that_name_or_the_only_one_that_ends_in_ten(
     outputs, found
 ):
-    assert derive(graph_with(outputs), "a").manifest.outputs.gaussians == found
+    assert infer_manifest(graph_with(outputs), "a").manifest.outputs.gaussians == found
 
 
 @pytest.mark.parametrize(
@@ -113,7 +115,7 @@ def test_gaussians_are_the_output_of_that_name_or_the_only_one_that_ends_in_ten(
 )
 def test_the_appearance_is_told_by_its_channels(dims, found):
     outputs = [Tensor("color", "float32", dims)]
-    assert derive(graph_with(outputs), "a").manifest.outputs.appearance == found
+    assert infer_manifest(graph_with(outputs), "a").manifest.outputs.appearance == found
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from gsgen.contract.reporters.junit import to_junit
 from gsgen.contract.reporters.markdown import code, to_markdown
 from gsgen.contract.reporters.sarif import to_sarif
 from gsgen.contract.reporters.text import render_all
-from gsgen.contract.validation.finding import Where
+from gsgen.contract.validation.finding import Location
 from support.reports.sarif import SCHEMA
 
 JSON_SCHEMA = Draft202012Validator(schema())
@@ -60,7 +60,7 @@ def test_every_format_survives(reports, name, path):
 
 def named(report, name, path):
     findings = tuple(
-        replace(finding, where=Where(name), message=name, waiver=name and finding.waiver)
+        replace(finding, where=Location(name), message=name, waiver=name and finding.waiver)
         for finding in report.findings
     )
     return replace(report, path=path, name=name, findings=findings)

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from gsgen.contract.model.inspected_model import read_subject
+from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
-from gsgen.contract.probing.outputs import CHUNK, chunks, read_emission
+from gsgen.contract.probing.outputs import CHUNK, chunks, read_outputs
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.targets import load_target
 from support.models.small_models import good_rows, manifest_of, moving, save
@@ -13,7 +13,7 @@ from support.models.small_models import good_rows, manifest_of, moving, save
 def subject(tmp_path_factory):
     path = tmp_path_factory.mktemp("emission") / "a.onnx"
     opened = open_model(save(path, moving(good_rows(4)), manifest_of(4)))
-    return read_subject(opened, load_target("core"), Limits())
+    return inspect_model(opened, load_target("core"), Limits())
 
 
 def emission(subject, rows=4, **outputs):
@@ -22,7 +22,7 @@ def emission(subject, rows=4, **outputs):
         "color": np.zeros((rows, 3), np.float32),
         "num_points": np.array([rows], np.int32),
     }
-    return read_emission(subject, "test", False, usual | outputs)
+    return read_outputs(subject, "test", False, usual | outputs)
 
 
 def test_outputs_are_sorted_by_what_the_manifest_says(subject):

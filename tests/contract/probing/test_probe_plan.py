@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsgen.contract.model.inspected_model import read_subject
+from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.probe_plan import make_plan
 from gsgen.contract.process.limits import Limits
@@ -22,7 +22,7 @@ from support.models.small_models import good_rows, manifest_of, model, moving, s
 def subject_of(tmp_path):
     def read(proto, manifest):
         opened = open_model(save(tmp_path / "a.onnx", proto, manifest))
-        return read_subject(opened, load_target("core"), Limits())
+        return inspect_model(opened, load_target("core"), Limits())
 
     return read
 

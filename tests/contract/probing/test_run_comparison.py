@@ -3,7 +3,7 @@ import pytest
 
 from gsgen.contract.probing.probe_plan import Plan
 from gsgen.contract.probing.probes import Probe
-from gsgen.contract.probing.run_comparison import Comparison, Trial, read_behaviour
+from gsgen.contract.probing.run_comparison import Comparison, ProbeRuns, read_behaviour
 from gsgen.contract.probing.sandbox import Execution, Run, Sample
 
 
@@ -14,7 +14,7 @@ def compared(*outputs, samples=None, variants=None, revisited=None):
     runs = tuple(Run(index, sample, 0.1) for index, sample in enumerate(numbers))
     kept = tuple(Sample(index, output) for index, output in enumerate(outputs))
     plan = Plan(probes, 1, (0, 1), revisited, variants or {})
-    return read_behaviour(Trial(None, Execution(runs, kept, None, 0.0, ""), plan))
+    return read_behaviour(ProbeRuns(None, Execution(runs, kept, None, 0.0, ""), plan))
 
 
 def array(*values, dtype=np.float32):
@@ -80,9 +80,9 @@ def test_an_extra_run_that_no_time_was_left_for_is_noted_by_whoever_asks_for_it(
     trials = {"edges": (2, 3), "outside": (4,)}
     plan = Plan(probes, 1, (0, 1), trials=trials)
     execution = Execution(runs, (Sample(0, array(1)),), None, 0.0, "")
-    behaviour = read_behaviour(Trial(None, execution, plan))
+    behaviour = read_behaviour(ProbeRuns(None, execution, plan))
     first, second = behaviour.for_a_rule(), behaviour.for_a_rule()
     assert [visit.probe.label for visit in first.visits("edges")] == ["probe 2"]
-    assert first.left_out == ["probe 3"]
+    assert first.unfinished_probes == ["probe 3"]
     assert [visit.error for visit in second.visits("outside")] == ["bad"]  # it did run
-    assert second.left_out == behaviour.left_out == []
+    assert second.unfinished_probes == behaviour.unfinished_probes == []

@@ -122,16 +122,16 @@ def fault_of(path, outputs, probes, limits=Limits()):  # noqa: B008 - it is froz
 
 @pytest.mark.usefixtures("children")
 @pytest.mark.parametrize(
-    ("text", "saw"),
+    ("text", "actual"),
     [
         ("m (float[1] x) => (seq(float[1]) y) { y = SequenceConstruct (x) }", "a list"),
         ("m (float[1] x) => (string[1] y) { y = Cast <to = 8> (x) }", "strings"),
     ],
 )
-def test_an_output_that_is_no_numeric_tensor_is_a_fault_with_its_name(folder, text, saw):
+def test_an_output_that_is_no_numeric_tensor_is_a_fault_with_its_name(folder, text, actual):
     path = save(folder / "a.onnx", model(text))
     fault, execution = fault_of(path, ["y"], [probe(x=np.ones(1, np.float32))])
-    assert fault == Fault("run", f"output 'y' is {saw}, wanted a numeric tensor", 0)
+    assert fault == Fault("run", f"output 'y' is {actual}, wanted a numeric tensor", 0)
     assert execution.runs == ()
 
 
@@ -326,7 +326,7 @@ def test_a_limit_above_what_the_system_knows_is_no_limit(folder):
 
 
 @pytest.mark.parametrize(
-    ("seconds", "memory", "saw"),
+    ("seconds", "memory", "actual"),
     [
         (0, 1, "0 s and 1 bytes"),
         (-1, 1, "-1 s and 1 bytes"),
@@ -334,10 +334,10 @@ def test_a_limit_above_what_the_system_knows_is_no_limit(folder):
         (1, 0, "1 s and 0 bytes"),
     ],
 )
-def test_limits_are_above_zero(seconds, memory, saw):
+def test_limits_are_above_zero(seconds, memory, actual):
     with pytest.raises(ConfigInvalid) as caught:
         Limits(seconds, memory)
-    assert str(caught.value) == f"limits: {saw}, wanted more than 0 of each"
+    assert str(caught.value) == f"limits: {actual}, wanted more than 0 of each"
 
 
 def test_weights_are_allowed_on_top_of_the_limit():

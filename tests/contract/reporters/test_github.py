@@ -4,7 +4,7 @@ import pytest
 
 from gsgen.contract.errors import ModelUnreadable
 from gsgen.contract.reporters.github import to_github
-from gsgen.contract.validation.finding import Where
+from gsgen.contract.validation.finding import Location
 from gsgen.contract.validation.report import Unreadable
 from support.reports.goldens import assert_is_golden
 from support.reports.judged import MODELS
@@ -33,7 +33,7 @@ def test_an_annotation_names_its_file_and_says_how_to_mend(reports):
     command, properties, message = read(to_github([reports["broken"]]).splitlines()[0])
     assert command == "error"
     assert properties == {"file": "broken.onnx", "title": f"{first.rule} {first.slug}"}
-    assert message == f"{first.where}: {first.message}\nmend: {first.mend}"
+    assert message == f"{first.where}: {first.message}\nmend: {first.hint}"
 
 
 def test_severities_become_commands_and_a_guess_is_no_error(reports):
@@ -58,7 +58,7 @@ def test_trouble_is_annotated(reports):
     outcome, *rest = reports["good"].outcomes
     crashed = replace(outcome, status="crashed", reason="Traceback:\n  ValueError: x")
     report = replace(reports["good"], outcomes=(crashed, *rest))
-    error = ModelUnreadable("is empty", where="a.onnx", mend="Write it again.")
+    error = ModelUnreadable("is empty", where="a.onnx", hint="Write it again.")
     lines = to_github([report, Unreadable("a.onnx", error)]).splitlines()
     assert read(lines[0])[1]["title"] == f"{outcome.rule.id} crashed"
     assert read(lines[2])[2] == "a.onnx: is empty\n  Write it again."
@@ -71,7 +71,7 @@ def test_trouble_is_annotated(reports):
 def test_no_name_makes_another_command(reports, name):
     first, *_ = reports["broken"].findings
     report = replace(
-        reports["broken"], path=name, findings=(replace(first, where=Where(name)),)
+        reports["broken"], path=name, findings=(replace(first, where=Location(name)),)
     )
     first_line, last_line = to_github([report]).splitlines()
     assert read(first_line)[0] == "error"

@@ -41,12 +41,12 @@ def test_one_report_is_an_object_and_several_are_a_list(reports):
 
 
 def test_a_model_that_could_not_be_read_stands_with_its_error():
-    error = ModelUnreadable("is empty", where="a.onnx", mend="Write it again.")
+    error = ModelUnreadable("is empty", where="a.onnx", hint="Write it again.")
     assert json.loads(to_json([Unreadable("a.onnx", error)])) == {
         "schema": SCHEMA,
         "subject": {"uri": "a.onnx"},
         "verdict": "unreadable",
-        "error": {"what": "is empty", "where": "a.onnx", "mend": "Write it again."},
+        "error": {"message": "is empty", "where": "a.onnx", "hint": "Write it again."},
     }
 
 

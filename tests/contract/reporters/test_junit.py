@@ -49,8 +49,8 @@ def test_a_stricter_bar_fails_more(reports):
 
 def test_what_was_not_judged_is_skipped_with_its_reason(reports):
     cases = cases_of(reports["foreign"])
-    want = "not-applicable: because GI005 does not hold"
-    assert cases["GV001"].find("skipped").get("message") == want
+    expected = "not-applicable: because GI005 does not hold"
+    assert cases["GV001"].find("skipped").get("message") == expected
 
 
 def test_a_crashed_rule_is_an_error(reports):

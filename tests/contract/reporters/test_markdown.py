@@ -5,7 +5,7 @@ import pytest
 
 from gsgen.contract.errors import ModelUnreadable
 from gsgen.contract.reporters.markdown import code, to_markdown
-from gsgen.contract.validation.finding import Where
+from gsgen.contract.validation.finding import Location
 from gsgen.contract.validation.report import Unreadable
 from support.reports.goldens import assert_is_golden
 from support.reports.judged import MODELS
@@ -64,7 +64,7 @@ def test_nothing_ends_a_code_span(text, span):
 
 def test_what_a_tensor_is_called_formats_nothing(reports):
     first, *_ = reports["broken"].findings
-    evil = replace(first, where=Where("output `</code>**@a** [x](http://b)\n# c"))
+    evil = replace(first, where=Location("output `</code>**@a** [x](http://b)\n# c"))
     page = to_markdown([replace(reports["broken"], findings=(evil,))])
     outside = re.sub(r"(`+)(?!`).+?(?<!`)\1(?!`)", "", page)
     assert "@a" not in outside

@@ -93,7 +93,7 @@ def test_every_family_of_ours_has_a_name():
 )
 def test_every_rule_has_a_page(rule):
     text = page(rule, installed_rules())
-    assert text.startswith(f"# {rule.id} {rule.slug}\n\n{rule.what}\n\n- severity: ")
+    assert text.startswith(f"# {rule.id} {rule.slug}\n\n{rule.statement}\n\n- severity: ")
     assert "None" not in text.split("## Why")[0]
 
 
@@ -104,9 +104,9 @@ def test_a_rule_as_data_is_plain():
         "slug": "made-up-gv902",
         "severity": "warning",
         "level": "static",
-        "what": "Something holds.",
+        "statement": "Something holds.",
         "why": "Because.",
-        "mend": "Make it so.",
+        "hint": "Make it so.",
         "fixture": "none",
         "needs": ["GV901"],
         "kinds": list(KINDS),

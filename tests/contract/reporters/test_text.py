@@ -6,7 +6,7 @@ import pytest
 from gsgen.contract.errors import ModelUnreadable
 from gsgen.contract.reporters.text import Line, render, render_all
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Where
+from gsgen.contract.validation.finding import Location
 from gsgen.contract.validation.report import Unreadable
 from support.reports.goldens import assert_is_golden
 from support.reports.judged import MODELS
@@ -83,7 +83,9 @@ def test_sizes_are_shown_in_mebibytes_from_one_on(reports):
 
 def test_what_a_model_is_called_cannot_steer_the_terminal(reports):
     (finding, *_) = reports["broken"].findings
-    evil = replace(finding, where=Where("output \x1b[2J\x9b1m\ud800é"), message="a\nb\x07")
+    evil = replace(
+        finding, where=Location("output \x1b[2J\x9b1m\ud800é"), message="a\nb\x07"
+    )
     lines = render(replace(reports["broken"], findings=(evil,)))
     assert Line(r"    output \x1b[2J\x9b1m\ud800é: a b\x07") in lines
     assert all(line.text.isprintable() for line in lines)
@@ -123,19 +125,19 @@ def test_what_is_known_is_shown_only_where_all_is(reports):
 def test_places_that_are_not_listed_are_spoken_of(reports):
     first, *_ = reports["broken"].findings
     report = replace(reports["broken"], findings=(replace(first, truncated=True),))
-    want = "    with what was found at further places, which are not listed\n"
-    assert want in text_of(report)
+    expected = "    with what was found at further places, which are not listed\n"
+    assert expected in text_of(report)
 
 
 @pytest.mark.parametrize(("places", "shown"), [(1, 1), (5, 5), (6, 4), (40, 4)])
 def test_findings_of_a_kind_share_their_head_and_cure(reports, places, shown):
     first, *_ = reports["broken"].findings
-    found = tuple(replace(first, where=Where(f"tensor t{i}")) for i in range(places))
-    other = replace(first, mend="Something else.")
+    found = tuple(replace(first, where=Location(f"tensor t{i}")) for i in range(places))
+    other = replace(first, hint="Something else.")
     report = replace(reports["broken"], findings=(*found, other))
     text = text_of(report)
     assert text.count(f"  {first.rule} error {first.slug}\n") == 2
-    assert text.count(f"    mend: {first.mend[:40]}") == 1
+    assert text.count(f"    hint: {first.hint[:40]}") == 1
     assert text.count("    tensor t") == shown
     more = f"    and at {places - shown} more places, which `gsgen validate -v` lists\n"
     assert (more in text) == (shown < places)

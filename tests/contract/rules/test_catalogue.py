@@ -7,7 +7,7 @@ import pytest
 from gsgen.contract.rules import catalogue as installed
 from gsgen.contract.rules.catalogue import catalogue, installed_rules
 from gsgen.contract.spec.roles import KINDS
-from gsgen.contract.validation.outcomes import Board
+from gsgen.contract.validation.outcomes import ResultCollector
 from gsgen.contract.validation.rule import Registry
 from gsgen.contract.validation.settings import Settings
 from support.reports.rules import made_up
@@ -33,7 +33,7 @@ def test_every_rule_applies_to_a_kind_and_its_first_sentence_is_one():
     for rule in catalogue():
         assert rule.kinds
         assert set(rule.kinds) <= set(KINDS)
-        assert rule.what.endswith("."), rule.id
+        assert rule.statement.endswith("."), rule.id
 
 
 @pytest.fixture
@@ -90,7 +90,7 @@ def test_a_plugin_that_does_not_load_is_a_rule_that_crashes(plugin, name, id):
     (rule,) = foreign()
     assert rule.id == id
     assert rule.kinds == KINDS
-    board = Board(installed_rules(), Settings(), "")
+    board = ResultCollector(installed_rules(), Settings(), "")
     assert board.is_ready(rule)
     assert not board.judge(rule, None)
     reason = board.outcomes[rule.id].reason.splitlines()[-1]

@@ -7,8 +7,8 @@ from typing import cast
 import numpy as np
 import pytest
 
-from gsgen.contract.model.inspected_model import Subject
-from gsgen.contract.probing.outputs import Emission
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.rules.values import cells as rules
 from gsgen.contract.spec.manifest import CellsOutput, GaussiansOutput
 from gsgen.contract.validation.rule import Rule
@@ -25,7 +25,7 @@ SEEDS = pytest.mark.parametrize("seed", range(6))
 Row = list[float]
 
 
-def emission(seed: int, dtype: type) -> Emission:
+def emission(seed: int, dtype: type) -> ModelOutputs:
     """Cells and rows of which some are odd, hidden, indefinite, far away or behind the count."""
     rng = np.random.default_rng(seed)
     axes = rng.normal(size=(FEW, 3, 3)) * rng.uniform(0.05, 0.5, (FEW, 1, 3))
@@ -45,11 +45,11 @@ def emission(seed: int, dtype: type) -> Emission:
     count = int(rng.integers(0, FEW * EACH + 1))
     with np.errstate(over="ignore"):
         packed, cells = rows.astype(dtype), made.astype(dtype)
-    subject = cast(Subject, NAMES)
-    return Emission("p", False, {}, packed, None, count, None, subject, cells)
+    subject = cast(InspectedModel, NAMES)
+    return ModelOutputs("p", False, {}, packed, None, count, None, subject, cells)
 
 
-def broken(rule: Rule, given: Emission) -> set[int]:
+def broken(rule: Rule, given: ModelOutputs) -> set[int]:
     with np.errstate(all="ignore"):  # as the engine does
         (breach,) = rule.check(given)
     assert breach.bad is not None

@@ -7,8 +7,8 @@ from typing import cast
 import numpy as np
 import pytest
 
-from gsgen.contract.model.inspected_model import Subject
-from gsgen.contract.probing.outputs import Emission, Rows
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.rules.values import extent
 from gsgen.contract.spec.manifest import Bounds, GaussiansOutput
 
@@ -28,7 +28,9 @@ def random_rows(dtype: type, seed: int) -> Rows:
     rows[:, [4, 7, 9]] = 10.0 ** rng.uniform(-7, 2, (200, 3))
     rows[rng.integers(0, 200, 3)] = np.nan
     packed = rows.astype(dtype)
-    emission = Emission("p", False, {}, packed, None, 150, None, cast(Subject, SUBJECT))
+    emission = ModelOutputs(
+        "p", False, {}, packed, None, 150, None, cast(InspectedModel, SUBJECT)
+    )
     return Rows(emission, 0, packed, None)
 
 

@@ -7,12 +7,12 @@ import pytest
 
 from gsgen.conformance.fixtures import find
 from gsgen.contract.rules.catalogue import catalogue
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validator import validate
 
 
-def silent(_: object) -> Iterator[Breach]:
+def silent(_: object) -> Iterator[Violation]:
     """Find nothing, whatever there is."""
     yield from ()
 

@@ -15,7 +15,7 @@ import pytest
 
 from gsgen.conformance.fixtures.builders.arrays import i64
 from gsgen.conformance.fixtures.builders.clouds import still
-from gsgen.conformance.fixtures.builders.sketch import Sketch
+from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.spec.manifest import GaussiansOutput
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.report import Report
@@ -34,57 +34,57 @@ class Case:
         found: Rule → its name, who says so, and the facts that its place or message must contain.
     """
 
-    draw: Callable[[], Sketch]
+    draw: Callable[[], ModelSpec]
     found: Mapping[str, tuple[str, str, tuple[str, ...]]]
 
 
-def good() -> Sketch:
+def good() -> ModelSpec:
     """What the eight are made from: float16, SH of degree 3, a whole workgroup of rows."""
     return still(ROWS, degree=3, dtype="float16")
 
 
-def hostile_values() -> Sketch:
+def hostile_values() -> ModelSpec:
     negative = -good().weights["rows"][4, 4:]
     one_nan = good().altered("rows", np.s_[2, 0], np.nan)
     return one_nan.altered("rows", np.s_[3, 3], 5).altered("rows", np.s_[4, 4:], negative)
 
 
-def other_name() -> Sketch:
+def other_name() -> ModelSpec:
     splats = GaussiansOutput("splats", ROWS, "float16")
     return good().reworded("gaussians", "splats").declaring_outputs(gaussians=splats)
 
 
-def name_that_the_manifest_has_not() -> Sketch:
+def name_that_the_manifest_has_not() -> ModelSpec:
     return good().reworded("gaussians", "splats")
 
 
-def sh_of_12() -> Sketch:
+def sh_of_12() -> ModelSpec:
     return still(ROWS, degree=1, dtype="float16")
 
 
-def half_rgb_of_3() -> Sketch:
+def half_rgb_of_3() -> ModelSpec:
     four = still(ROWS, degree=None, dtype="float16")
     three = four.weights["colors"][:, :3]
     return four.reworded("[256,4]", "[256,3]").weighing(colors=three)
 
 
-def mixed_precision() -> Sketch:
+def mixed_precision() -> ModelSpec:
     wide = good().weights["colors"].astype(np.float32)
     return good().reworded("float16[256,48]", "float[256,48]").weighing(colors=wide)
 
 
-def no_count() -> Sketch:
+def no_count() -> ModelSpec:
     without = good().reworded(", int32[1] num_points", "")
     return without.reworded("num_points = Identity (live)", "").declaring_outputs(
         count=None
     )
 
 
-def count_of_int64() -> Sketch:
+def count_of_int64() -> ModelSpec:
     return good().reworded("int32[1]", "int64[1]").weighing(live=i64(ROWS))
 
 
-def symbolic_rows() -> Sketch:
+def symbolic_rows() -> ModelSpec:
     """As many rows as are kept: the number is only known once the model has run."""
     kept = "Compress <axis = 0> ({}, wanted)"
     cut = good().reworded("Identity (rows)", kept.format("rows"))
@@ -198,7 +198,7 @@ def case(request: pytest.FixtureRequest) -> Case:
     return request.param
 
 
-def judged(sketch: Sketch, folder: Path) -> Report:
+def judged(sketch: ModelSpec, folder: Path) -> Report:
     path = folder / "model.onnx"
     sketch.write(path)
     return validate(path, Settings(target=load_target("visionary")))

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsgen.conformance.fixtures.builders.clouds import still
-from gsgen.contract.model.inspected_model import Subject
-from gsgen.contract.probing.outputs import Emission, Rows
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.rules.values import appearance, covariance
 from gsgen.contract.rules.values import rows as values
 from gsgen.contract.spec.manifest import AppearanceOutput, GaussiansOutput
@@ -31,8 +31,8 @@ Row = list[float]
 
 
 def rows_of(packed: np.ndarray, color: np.ndarray | None = None, count: int = 1) -> Rows:
-    subject = cast(Subject, NAMES)
-    emission = Emission("a probe", False, {}, packed, color, count, RGB, subject)
+    subject = cast(InspectedModel, NAMES)
+    emission = ModelOutputs("a probe", False, {}, packed, color, count, RGB, subject)
     return Rows(emission, 0, packed, color)
 
 
@@ -247,7 +247,9 @@ def test_a_proper_covariance_survives_rounding(
 
 def test_rows_beyond_the_first_chunk_are_counted_from_the_start():
     packed = packed_with(np.ones((4, 6), np.float32))
-    emission = Emission("a probe", False, {}, packed, None, 3, RGB, cast(Subject, NAMES))
+    emission = ModelOutputs(
+        "a probe", False, {}, packed, None, 3, RGB, cast(InspectedModel, NAMES)
+    )
     assert Rows(emission, 2, packed[2:], None).counted.tolist() == [True, False]
     assert Rows(emission, 4, packed[:0], None).live_rows == 0
 

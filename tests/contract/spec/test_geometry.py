@@ -42,8 +42,8 @@ def test_a_rotation_turns_vectors_as_its_quaternion_does():
         unit = quaternion / np.linalg.norm(quaternion)
         back = unit * [1, -1, -1, -1]
         for vector in np.eye(3):
-            want = product(product(unit, np.array([0, *vector])), back)[1:]
-            np.testing.assert_allclose(made @ vector, want, atol=1e-14)
+            expected = product(product(unit, np.array([0, *vector])), back)[1:]
+            np.testing.assert_allclose(made @ vector, expected, atol=1e-14)
 
 
 def test_a_quaternion_has_its_real_part_first():
@@ -64,8 +64,8 @@ def test_a_covariance_is_r_s_s_transposed_r_transposed():
     for row, scale, quaternion in zip(made, scales, QUATERNIONS, strict=True):
         r, s = rotation_matrix(quaternion[None])[0], np.diag(scale)
         full = r @ s @ s.T @ r.T
-        want = [full[0, 0], full[0, 1], full[0, 2], full[1, 1], full[1, 2], full[2, 2]]
-        np.testing.assert_allclose(row, want, atol=1e-12)
+        expected = [full[0, 0], full[0, 1], full[0, 2], full[1, 1], full[1, 2], full[2, 2]]
+        np.testing.assert_allclose(row, expected, atol=1e-12)
 
 
 def test_an_upper_triangle_is_spread_to_both_sides():
@@ -76,13 +76,13 @@ def test_an_upper_triangle_is_spread_to_both_sides():
 
 def test_the_smallest_eigenvalue_is_that_of_lapack():
     full = random_symmetric(500)
-    want = np.linalg.eigvalsh(full)[:, 0]
-    np.testing.assert_allclose(smallest_eigenvalue(upper(full)), want, atol=1e-7)
+    expected = np.linalg.eigvalsh(full)[:, 0]
+    np.testing.assert_allclose(smallest_eigenvalue(upper(full)), expected, atol=1e-7)
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-6, 1.0, 1e6, 1e30])
 @pytest.mark.parametrize(
-    ("matrix", "want"),
+    ("matrix", "expected"),
     [
         (np.zeros((3, 3)), 0),
         (np.eye(3), 1),
@@ -95,9 +95,9 @@ def test_the_smallest_eigenvalue_is_that_of_lapack():
         (np.ones((3, 3)), 0),
     ],
 )
-def test_the_smallest_eigenvalue_of_degenerate_matrices_is_right(matrix, want, scale):
+def test_the_smallest_eigenvalue_of_degenerate_matrices_is_right(matrix, expected, scale):
     made = smallest_eigenvalue(upper(scale * matrix[None]))[0]
-    assert made == pytest.approx(scale * want, abs=1e-7 * scale * np.abs(matrix).sum())
+    assert made == pytest.approx(scale * expected, abs=1e-7 * scale * np.abs(matrix).sum())
 
 
 def test_the_smallest_eigenvalue_of_nan_is_nan():

@@ -131,10 +131,10 @@ def test_the_reader_accepts_exactly_what_the_schema_accepts(document):
     assert parsed.complaints
     for complaint in parsed.complaints:
         assert complaint.cause in ("syntax", "schema", "version")
-        assert complaint.saw
-        assert complaint.want
-        assert len(complaint.saw) <= 60
-        f"{complaint.where} {complaint.saw} {complaint.want}".encode()
+        assert complaint.actual
+        assert complaint.expected
+        assert len(complaint.actual) <= 60
+        f"{complaint.where} {complaint.actual} {complaint.expected}".encode()
     if all(complaint.cause == "schema" for complaint in parsed.complaints):
         schema = schemas().get(schema_name(str(document.get("kind"))))
         assert schema is None or not Draft202012Validator(schema).is_valid(document)

@@ -8,7 +8,7 @@ from gsgen.contract.errors import LayoutMismatch
 from gsgen.contract.spec.layout import (
     FIELDS,
     ROW,
-    Gaussians,
+    DecodedGaussians,
     appearance_channels,
     decode,
     encode,
@@ -29,7 +29,7 @@ def gaussians(draw, **limits):
     if channels != "rgb":
         color = {"sh": draw(floats((n, channels, 3), **limits))}
     position, covariance = draw(floats((n, 3), **limits)), draw(floats((n, 6), **limits))
-    return Gaussians(position, draw(floats(n, **limits)), covariance, **color)
+    return DecodedGaussians(position, draw(floats(n, **limits)), covariance, **color)
 
 
 def arrays_of(made):
@@ -70,7 +70,7 @@ def test_float16_survives_a_round_trip_within_half_a_unit_in_the_last_place(made
 
 
 def test_a_row_holds_position_opacity_and_the_upper_triangle_in_order():
-    made = Gaussians(
+    made = DecodedGaussians(
         position=np.array([[1.0, 2, 3]]),
         opacity=np.array([4.0]),
         covariance=np.array([[5.0, 6, 7, 8, 9, 10]]),
@@ -83,7 +83,7 @@ def test_a_row_holds_position_opacity_and_the_upper_triangle_in_order():
 
 def test_sh_is_coefficient_major_with_rgb_innermost():
     sh = np.arange(12.0).reshape(1, 4, 3)  # coefficient k, channel c holds 3k + c
-    made = Gaussians(np.zeros((1, 3)), np.zeros(1), np.zeros((1, 6)), sh=sh)
+    made = DecodedGaussians(np.zeros((1, 3)), np.zeros(1), np.zeros((1, 6)), sh=sh)
     assert encode(made)[1].tolist() == [list(range(12))]
     assert made.degree == 1
     assert len(made) == 1
@@ -92,7 +92,7 @@ def test_sh_is_coefficient_major_with_rgb_innermost():
 @pytest.mark.parametrize(("dtype", "row"), [("f4", [1, 2, 3]), ("f2", [1, 2, 3, 1])])
 def test_rgb_is_padded_with_one_where_it_does_not_fill_words(dtype, row):
     rgb = np.array([[1.0, 2, 3]])
-    made = Gaussians(np.zeros((1, 3)), np.zeros(1), np.zeros((1, 6)), rgb=rgb)
+    made = DecodedGaussians(np.zeros((1, 3)), np.zeros(1), np.zeros((1, 6)), rgb=rgb)
     rows, appearance = encode(made, np.dtype(dtype).type)
     assert appearance.tolist() == [row]
     again = decode(rows, appearance, "rgb")
@@ -141,7 +141,7 @@ def parts(n=2, **changes):
 )
 def test_gaussians_of_another_shape_are_refused(changes, text):
     with pytest.raises(LayoutMismatch) as caught:
-        Gaussians(**parts(**changes))
+        DecodedGaussians(**parts(**changes))
     assert str(caught.value) == text
 
 

@@ -70,7 +70,7 @@ def test_an_input_without_axes_keeps_its_shape():
 
 
 @pytest.mark.parametrize(
-    ("changes", "want"),
+    ("changes", "expected"),
     [
         (
             {"bounds": {"min": [0, 0], "max": [1, 1, 1]}},
@@ -118,12 +118,12 @@ def test_an_input_without_axes_keeps_its_shape():
         ({"outputs": None}, "outputs"),
     ],
 )
-def test_a_complaint_says_where_what_and_what_else(changes, want):
+def test_a_complaint_says_where_what_and_what_else(changes, expected):
     found = complaint(text(**changes))
-    if isinstance(want, str):
-        assert (found.cause, found.where) == ("schema", want)
+    if isinstance(expected, str):
+        assert (found.cause, found.where) == ("schema", expected)
     else:
-        assert found == want
+        assert found == expected
 
 
 def test_complaints_come_in_order_of_their_place():
@@ -136,7 +136,7 @@ def test_complaints_come_in_order_of_their_place():
 
 
 @pytest.mark.parametrize(
-    ("document", "want"),
+    ("document", "expected"),
     [
         ("", "a JSON document (Expecting value"),
         ("{", "a JSON document (Expecting property name"),
@@ -150,11 +150,11 @@ def test_complaints_come_in_order_of_their_place():
         ("[" * 100_000, "fewer brackets inside each other"),
     ],
 )
-def test_what_is_no_json_document_is_one_complaint_about_the_whole(document, want):
+def test_what_is_no_json_document_is_one_complaint_about_the_whole(document, expected):
     found = complaint(document)
     assert (found.cause, found.where) == ("syntax", "")
-    assert found.saw
-    assert found.want.startswith(want)
+    assert found.actual
+    assert found.expected.startswith(expected)
 
 
 @pytest.mark.parametrize("depth", range(900, 1000, 3))
@@ -164,12 +164,12 @@ def test_no_depth_of_brackets_stops_the_reader(depth):
 
 def test_a_text_of_many_megabytes_is_not_parsed():
     found = complaint(" " * (1 + (4 << 20)))
-    assert (found.saw, found.want) == ("4194305 characters", "at most 4194304")
+    assert (found.actual, found.expected) == ("4194305 characters", "at most 4194304")
 
 
 @pytest.mark.parametrize("document", ["[]", "3", '"text"', "null"])
 def test_a_document_that_is_no_object_is_refused(document):
-    assert complaint(document).want == "a JSON object"
+    assert complaint(document).expected == "a JSON object"
 
 
 @pytest.mark.parametrize(
@@ -178,18 +178,18 @@ def test_a_document_that_is_no_object_is_refused(document):
 def test_a_version_that_is_none_is_refused(version):
     found = complaint(text(contract=version))
     assert (found.cause, found.where) == ("version", "contract")
-    assert found.want == 'a version such as "1.0"'
+    assert found.expected == 'a version such as "1.0"'
 
 
 def test_a_manifest_without_a_version_is_refused():
-    assert complaint('{"kind": "post-process"}').saw == "nothing"
+    assert complaint('{"kind": "post-process"}').actual == "nothing"
 
 
 @pytest.mark.parametrize("version", ["2.0", "0.9", "17.3"])
 def test_another_major_version_is_refused(version):
     parsed = parse(text(contract=version))
-    want = Complaint("version", "contract", version, "major version 1 to 1")
-    assert parsed.complaints == (want,)
+    expected = Complaint("version", "contract", version, "major version 1 to 1")
+    assert parsed.complaints == (expected,)
     assert parsed.version == tuple(int(part) for part in version.split("."))
 
 
@@ -310,8 +310,8 @@ def test_cells_and_weights_that_mean_nothing_are_refused(changes, where):
 def test_the_first_version_has_no_cells():
     parsed = parse(text(**SUMMED))
     assert [one.where for one in parsed.complaints] == ["", "outputs"]
-    assert parsed.complaints[0].saw == "'weighted_sum'"
-    assert parsed.complaints[1].saw == "'cells'"
+    assert parsed.complaints[0].actual == "'weighted_sum'"
+    assert parsed.complaints[1].actual == "'cells'"
 
 
 def test_a_weighted_sum_of_the_first_version_is_read_as_sorted():

@@ -41,7 +41,7 @@ def test_every_role_is_known_by_its_own_name_and_belongs_to_a_kind():
 
 
 @pytest.mark.parametrize(
-    ("name", "dims", "want"),
+    ("name", "dims", "expected"),
     [
         ("view", (4, 4), (4, 4)),
         ("view", (16,), None),
@@ -57,8 +57,8 @@ def test_every_role_is_known_by_its_own_name_and_belongs_to_a_kind():
         ("conditioning", (1, 768), (1, "D")),
     ],
 )
-def test_a_shape_matches_a_role_by_numbers_and_named_sizes(name, dims, want):
-    assert matching_shape(role(name), dims) == want
+def test_a_shape_matches_a_role_by_numbers_and_named_sizes(name, dims, expected):
+    assert matching_shape(role(name), dims) == expected
 
 
 def test_an_unknown_role_names_the_nearest():

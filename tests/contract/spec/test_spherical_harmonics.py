@@ -55,8 +55,8 @@ def test_the_basis_is_that_of_the_textbooks_with_the_condon_shortley_phase():
     orders = [
         (degree, order) for degree in range(4) for order in range(-degree, degree + 1)
     ]
-    want = np.stack([harmonic(*which, points) for which in orders], axis=1)
-    np.testing.assert_allclose(basis(points), want, atol=1e-12)
+    expected = np.stack([harmonic(*which, points) for which in orders], axis=1)
+    np.testing.assert_allclose(basis(points), expected, atol=1e-12)
 
 
 def test_degree_one_is_minus_y_plus_z_minus_x():
@@ -93,8 +93,10 @@ def test_colour_is_clamped_below_at_zero_and_not_above():
 def test_colour_is_the_sum_of_basis_functions_plus_one_half():
     rng = np.random.default_rng(1)
     sh, points = rng.normal(size=(3, 16, 3)), directions(4)
-    want = [[[0.5 + basis(d) @ one[:, c] for c in range(3)] for d in points] for one in sh]
-    np.testing.assert_allclose(evaluate(sh, points), np.maximum(want, 0))
+    expected = [
+        [[0.5 + basis(d) @ one[:, c] for c in range(3)] for d in points] for one in sh
+    ]
+    np.testing.assert_allclose(evaluate(sh, points), np.maximum(expected, 0))
 
 
 @pytest.mark.parametrize(("count", "degree"), [(1, 0), (4, 1), (9, 2), (16, 3)])

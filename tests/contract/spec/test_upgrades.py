@@ -24,7 +24,7 @@ STEPS = {(1, 0): lift, (1, 1): lift_further}
 
 
 @pytest.mark.parametrize(
-    ("version", "want"),
+    ("version", "expected"),
     [
         ((1, 0), {"contract": "1.3", "mood": "good!"}),
         ((1, 1), {"contract": "1.3", "mood": "bad!"}),
@@ -32,9 +32,9 @@ STEPS = {(1, 0): lift, (1, 1): lift_further}
         ((1, 3), {"contract": "1.3", "mood": "bad"}),
     ],
 )
-def test_a_document_is_lifted_as_far_as_the_steps_reach(version, want):
+def test_a_document_is_lifted_as_far_as_the_steps_reach(version, expected):
     document = {"contract": f"1.{version[1]}", "mood": "bad"}
-    assert upgrade(document, version, STEPS) == want
+    assert upgrade(document, version, STEPS) == expected
 
 
 def test_the_document_given_is_left_as_it_is():
@@ -75,8 +75,8 @@ def test_the_first_version_is_lifted_and_nothing_else_of_it_changes():
 
 def test_a_weighted_sum_without_cells_is_blended_as_its_readers_had_to():
     document = FIRST | {"blend": "wsr"}
-    want = document | {"contract": "1.1", "blend": "alpha"}
-    assert upgrade_1_0_to_1_1(document) == want
+    expected = document | {"contract": "1.1", "blend": "alpha"}
+    assert upgrade_1_0_to_1_1(document) == expected
 
 
 @settings(max_examples=50)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from gsgen.conformance.fixtures.builders.clouds import cloud
-from gsgen.contract.model.inspected_model import Subject
-from gsgen.contract.probing.outputs import Emission
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.spec.layout import encode
 from gsgen.contract.spec.manifest import AppearanceOutput
 from gsgen.contract.spec.spherical_harmonics import evaluate
@@ -17,12 +17,12 @@ from gsgen.contract.validation.report import Tolerance
 
 FIELDS = ("position", "covariance", "opacity", "appearance")
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
-NAMES = cast(Subject, SimpleNamespace())
+NAMES = cast(InspectedModel, SimpleNamespace())
 
 
-def emission(rows: np.ndarray, color: np.ndarray, degree: int | None) -> Emission:
+def emission(rows: np.ndarray, color: np.ndarray, degree: int | None) -> ModelOutputs:
     declared = AppearanceOutput("c", "rgb" if degree is None else "sh", degree)
-    return Emission("p", False, {}, rows, color, len(rows), declared, NAMES)
+    return ModelOutputs("p", False, {}, rows, color, len(rows), declared, NAMES)
 
 
 def tolerances(value: float) -> list[Tolerance]:
@@ -129,12 +129,12 @@ def test_other_sizes_are_not_compared() -> None:
 # ---- Cells -------------------------------------------------------------------------------------
 
 
-def in_cells(cells: np.ndarray, count: int = 3) -> Emission:
+def in_cells(cells: np.ndarray, count: int = 3) -> ModelOutputs:
     """Twelve rows, three to a cell; those of the last cell are transparent."""
     rows, color = encode(cloud(4 * count, None))
     rows[-count:, 3] = 0
     declared = AppearanceOutput("c", "rgb", None)
-    return Emission("p", False, {}, rows, color, len(rows), declared, NAMES, cells)
+    return ModelOutputs("p", False, {}, rows, color, len(rows), declared, NAMES, cells)
 
 
 def four_cells() -> np.ndarray:
@@ -176,7 +176,7 @@ def test_cells_of_another_number_cannot_be_compared() -> None:
     assert comparable(in_cells(four_cells()), in_cells(four_cells())) == (True, True, True)
     for cells in (four_cells()[:2], None):
         other = in_cells(four_cells())
-        changed = Emission(
+        changed = ModelOutputs(
             *("p", False, {}, other.gaussians, other.appearance, 12, None, NAMES, cells)
         )
         assert comparable(other, changed) == (True, True, False)

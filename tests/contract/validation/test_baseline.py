@@ -7,12 +7,12 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.reporters.json_report import to_dict, to_json
 from gsgen.contract.reporters.text import render
 from gsgen.contract.validation.baseline import Baseline, read_baseline
-from gsgen.contract.validation.finding import Where
+from gsgen.contract.validation.finding import Location
 from gsgen.contract.validation.report import Gone
 
 
 def gone(name):
-    return Gone("GV003", "opacity-range", name, Where("output g"), "")
+    return Gone("GV003", "opacity-range", name, Location("output g"), "")
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def test_what_the_baseline_lists_does_not_fail_again(reports, saved):
 def test_what_is_new_fails(reports, saved):
     baseline = read_baseline(saved(reports["broken"]))
     first, *rest = reports["broken"].findings
-    moved = replace(first, where=Where("output other"))
+    moved = replace(first, where=Location("output other"))
     report = baseline.applied(replace(reports["broken"], findings=(moved, *rest)))
     assert report.verdict == "invalid"
     assert [one.known for one in report.findings if not one.waived] == [False, True, True]

@@ -15,8 +15,8 @@ RULES = [made_up("GV901"), made_up("GV902", needs=("GV901",))]
 def test_a_file_is_digested_chunk_by_chunk(tmp_path, size):
     path = tmp_path / "a.onnx"
     path.write_bytes(b"x" * size)
-    want = hashlib.sha256(path.read_bytes()).hexdigest()
-    assert digest(path, Level.STATIC, size) == want
+    expected = hashlib.sha256(path.read_bytes()).hexdigest()
+    assert digest(path, Level.STATIC, size) == expected
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ def test_large_files_are_left_alone_where_nothing_runs(
     "change",
     [
         {"severity": Severity.INFO},
-        {"what": "Another."},
+        {"statement": "Another."},
         {"needs": ()},
         {"limit": "rows"},
         {"evidence": "Seen."},

@@ -17,7 +17,7 @@ from gsgen.contract.rules.catalogue import installed_rules
 from gsgen.contract.spec.manifest import Bounds
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation import engine
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.report import exit_code
 from gsgen.contract.validation.rule import Registry
 from gsgen.contract.validation.settings import Settings
@@ -195,7 +195,7 @@ def test_settings_decide_what_counts(broken, options, verdict):
 
 def test_what_is_only_possible_never_fails(good):
     def perhaps(_):
-        yield Breach.at("output g", "odd", "even", certainty="possible")
+        yield Violation.at("output g", "odd", "even", certainty="possible")
 
     rule = made_up("acme/AC001", perhaps)
     strictest = Settings(level=Level.STATIC, fail_on=Severity.INFO)
@@ -360,7 +360,7 @@ def test_a_rule_whose_probes_did_not_run_is_skipped_and_not_passed(
 def test_a_rule_that_fails_by_the_probes_that_did_run_fails(good, no_time_for_extras):
     def find(behaviour):
         assert behaviour.visits("edges") == []
-        yield Breach.at("output g", "nine", "ten")
+        yield Violation.at("output g", "nine", "ten")
 
     rule = made_up("acme/AC001", find, over="runs")
     assert validate(good, registry=with_rules(rule)).outcome("acme/AC001").status == "fail"

@@ -4,7 +4,7 @@ import pytest
 
 from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.contract.spec.severity import Level, Severity
-from gsgen.contract.validation.finding import Example, Finding, Where
+from gsgen.contract.validation.finding import Example, Finding, Location
 
 
 def test_severities_and_levels_are_ordered_and_read_in_any_case():
@@ -42,8 +42,8 @@ def test_an_example_says_its_row_and_probe(example, text):
 
 
 def test_a_place_says_its_field():
-    assert str(Where("output g")) == "output g"
-    assert str(Where("output g", "opacity")) == "output g, opacity"
+    assert str(Location("output g")) == "output g"
+    assert str(Location("output g", "opacity")) == "output g, opacity"
 
 
 @pytest.mark.parametrize(
@@ -51,8 +51,8 @@ def test_a_place_says_its_field():
     [
         ({}, "9 rows"),
         ({"where": "output g"}, "output g: 9 rows"),
-        ({"mend": "Try again."}, "9 rows\n  Try again."),
-        ({"where": "output g", "mend": "Try again."}, "output g: 9 rows\n  Try again."),
+        ({"hint": "Try again."}, "9 rows\n  Try again."),
+        ({"where": "output g", "hint": "Try again."}, "output g: 9 rows\n  Try again."),
     ],
 )
 def test_an_error_says_where_what_and_what_next(fields, text):
@@ -60,7 +60,7 @@ def test_an_error_says_where_what_and_what_next(fields, text):
 
 
 FOUND = Finding(
-    *("GV003", "opacity-range", Severity.ERROR, Where("output g", "opacity")),
+    *("GV003", "opacity-range", Severity.ERROR, Location("output g", "opacity")),
     *("2 of 4 rows", "Mend it.", 2, 4, (Example("1.5", 3, "time=0"),)),
 )
 
@@ -70,7 +70,7 @@ FOUND = Finding(
     [
         {"count": 3, "total": 9, "message": "3 of 9 rows"},
         {"examples": (Example("nan", 1, "time=1"), Example("2", 2))},
-        {"severity": Severity.INFO, "waived": True, "known": True, "mend": "Do."},
+        {"severity": Severity.INFO, "waived": True, "known": True, "hint": "Do."},
     ],
 )
 def test_a_fingerprint_does_not_change_with_numbers_and_settings(change):
@@ -81,8 +81,8 @@ def test_a_fingerprint_does_not_change_with_numbers_and_settings(change):
     "change",
     [
         {"rule": "GV004"},
-        {"where": Where("output g")},
-        {"where": Where("output h", "opacity")},
+        {"where": Location("output g")},
+        {"where": Location("output h", "opacity")},
         {"examples": (Example("no rows"),)},
         {"certainty": "possible"},
     ],
@@ -92,7 +92,7 @@ def test_another_fault_has_another_fingerprint(change):
 
 
 def test_places_that_read_alike_have_their_own_fingerprints():
-    joined = replace(FOUND, where=Where("output g, opacity"))
+    joined = replace(FOUND, where=Location("output g, opacity"))
     assert str(joined.where) == str(FOUND.where)
     assert joined.fingerprint != FOUND.fingerprint
 

@@ -1,20 +1,20 @@
 import numpy as np
 import pytest
 
-from gsgen.contract.validation.finding import Breach, Example, Where
-from gsgen.contract.validation.finding_counter import Tally
+from gsgen.contract.validation.finding import Example, Location, Violation
+from gsgen.contract.validation.finding_counter import FindingCounter
 
-WHERE = Where("output g", "opacity")
+WHERE = Location("output g", "opacity")
 
 
 def rows(bad, values=None, **options):
     bad = np.asarray(bad, bool)
     values = np.arange(len(bad), dtype=np.float64) if values is None else np.asarray(values)
-    return Breach.rows(WHERE, bad, values, "less", judged=len(bad), **options)
+    return Violation.rows(WHERE, bad, values, "less", judged=len(bad), **options)
 
 
 def tally(*breaches, probe="", starts=None):
-    made = Tally(WHERE, "less", breaches[0].saw if breaches else "")
+    made = FindingCounter(WHERE, "less", breaches[0].actual if breaches else "")
     for breach, start in zip(breaches, starts or [0] * len(breaches), strict=True):
         made.add(breach, probe, start)
     return made
@@ -42,14 +42,14 @@ def test_only_the_first_five_are_shown_but_all_are_counted():
 
 
 def test_the_worst_row_is_the_largest_badness_among_the_bad_ones():
-    first = rows([1, 0, 1], badness=np.array([1.0, 9.0, 2.0]))
-    second = rows([0, 1, 0], badness=np.array([9.0, 1.5, 9.0]))
+    first = rows([1, 0, 1], magnitude=np.array([1.0, 9.0, 2.0]))
+    second = rows([0, 1, 0], magnitude=np.array([9.0, 1.5, 9.0]))
     assert tally(first, second, starts=[0, 3]).worst == Example("2", 2)
     assert tally(second, first, starts=[0, 3]).worst == Example("2", 5)
 
 
 def test_what_is_not_a_number_is_the_worst():
-    made = tally(rows([1, 1, 0], badness=np.array([1.0, np.nan, np.nan])))
+    made = tally(rows([1, 1, 0], magnitude=np.array([1.0, np.nan, np.nan])))
     assert made.worst == Example("1", 1)
 
 
@@ -59,12 +59,12 @@ def test_there_is_no_worst_where_the_rule_cannot_say():
 
 @pytest.mark.parametrize(("bad", "fails"), [(89, False), (90, False), (91, True)])
 def test_a_share_fails_only_above_it(bad, fails):
-    made = tally(rows([1] * bad + [0] * (100 - bad), above_share=0.9))
+    made = tally(rows([1] * bad + [0] * (100 - bad), min_fraction=0.9))
     assert made.fails is fails
 
 
 def test_the_share_is_that_of_all_chunks_together():
-    chunks = [rows([1] * 10, above_share=0.9), rows([0] * 10, above_share=0.9)]
+    chunks = [rows([1] * 10, min_fraction=0.9), rows([0] * 10, min_fraction=0.9)]
     assert not tally(*chunks, starts=[0, 10]).fails
 
 
@@ -82,14 +82,14 @@ def test_a_row_is_shown_in_six_digits_and_ten_values_at_most(values, shown):
 
 
 def test_a_message_about_rows_says_how_many_the_first_and_the_worst():
-    made = tally(rows([0, 1, 1, 0], badness=np.array([0.0, 1, 2, 0])), probe="time=1")
+    made = tally(rows([0, 1, 1, 0], magnitude=np.array([0.0, 1, 2, 0])), probe="time=1")
     assert made.message() == (
         "2 of 4 rows (50 %), first row 1 (time=1): 1, worst row 2 (time=1): 2; wanted less"
     )
 
 
 def test_the_worst_is_not_repeated_where_it_is_the_first():
-    made = tally(rows([1, 1], badness=np.array([2.0, 1.0])))
+    made = tally(rows([1, 1], magnitude=np.array([2.0, 1.0])))
     assert made.message() == "2 of 2 rows (100 %), first row 0: 0; wanted less"
 
 
@@ -102,8 +102,8 @@ def test_the_worst_is_not_repeated_where_it_is_the_first():
     ],
 )
 def test_a_message_about_things_says_what_was_seen(times, probe, message):
-    breach = Breach.at("output g", "9 rows", "10 rows")
-    made = Tally(breach.where, breach.want, breach.saw)
+    breach = Violation.at("output g", "9 rows", "10 rows")
+    made = FindingCounter(breach.where, breach.expected, breach.actual)
     for _ in range(times):
         made.add(breach, probe)
     assert made.message() == message
@@ -113,7 +113,7 @@ def test_a_message_about_things_says_what_was_seen(times, probe, message):
 def test_a_million_bad_rows_take_no_more_room_than_five():
     bad = np.ones(1_000_000, bool)
     values = np.full((1_000_000, 10), np.nan, np.float32)
-    made = tally(rows(bad, values, badness=np.arange(1e6)))
+    made = tally(rows(bad, values, magnitude=np.arange(1e6)))
     assert made.count == 1_000_000
     assert len(made.examples) == 5
     assert made.worst == Example("(" + ", ".join(["nan"] * 10) + ")", 999_999)

@@ -6,8 +6,12 @@ import pytest
 
 from gsgen.contract.rules.catalogue import catalogue
 from gsgen.contract.spec.severity import Level
-from gsgen.contract.validation.finding import Breach
-from gsgen.contract.validation.level_backend import LevelUnavailable, Prepared, Runner
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.level_backend import (
+    LevelBackend,
+    LevelContext,
+    LevelUnavailable,
+)
 from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.rule import Registry
 from gsgen.contract.validation.settings import Settings
@@ -24,11 +28,11 @@ def good(tmp_path_factory):
 
 
 def told(context):
-    yield Breach.at("output g", str(context), "something else")
+    yield Violation.at("output g", str(context), "something else")
 
 
 def judged(path, prepare, *rules, level=Level.LIVE) -> Report:
-    runner = Runner(Level.LIVE, "doing it live", contextmanager(prepare))
+    runner = LevelBackend(Level.LIVE, "doing it live", contextmanager(prepare))
     registry = Registry.of([*catalogue(), *rules], [runner])
     return validate(path, Settings(level=level), registry=registry)
 
@@ -42,7 +46,7 @@ def test_rules_of_the_level_are_judged_with_what_was_prepared(good):
 
     def prepare(trial):
         seen.append(len(trial.execution.runs))
-        yield Prepared(CONTEXT, items=3, environment={"device": "made up"}, seconds=100)
+        yield LevelContext(CONTEXT, items=3, environment={"device": "made up"}, seconds=100)
         seen.append("closed")
 
     needing = made_up("acme/AC001", over="live", needs=("acme/AC002",))
@@ -58,7 +62,7 @@ def test_rules_of_the_level_are_judged_with_what_was_prepared(good):
 
 def test_a_rule_that_cannot_be_judged_here_is_skipped_with_its_reason(good):
     def prepare(trial):
-        yield Prepared(CONTEXT, unjudged={"acme/AC001": "no such unit"})
+        yield LevelContext(CONTEXT, unjudged={"acme/AC001": "no such unit"})
 
     rules = [made_up(f"acme/AC00{k}", told, over="live", needs=()) for k in (1, 2)]
     report = judged(good, prepare, *rules)
@@ -69,7 +73,7 @@ def test_a_rule_that_cannot_be_judged_here_is_skipped_with_its_reason(good):
 
 def test_a_level_that_cannot_run_is_skipped_with_its_reason(good):
     def prepare(trial):
-        raise LevelUnavailable("no such device", mend="buy one")
+        raise LevelUnavailable("no such device", hint="buy one")
         yield
 
     rules = [made_up(f"acme/AC00{k}", told, over="live", needs=()) for k in (1, 2)]
@@ -123,6 +127,8 @@ def test_a_model_that_does_not_run_is_not_run_live(tmp_path):
 
 
 def test_a_level_has_one_runner():
-    runner = Runner(Level.LIVE, "doing it live", contextmanager(lambda trial: iter(())))
+    runner = LevelBackend(
+        Level.LIVE, "doing it live", contextmanager(lambda trial: iter(()))
+    )
     with pytest.raises(ValueError, match="level live has two runners"):
         Registry.of([], [runner, runner])

@@ -5,8 +5,8 @@ import pytest
 
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.targets import Target
-from gsgen.contract.validation.finding import Breach, Where
-from gsgen.contract.validation.outcomes import Board
+from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.outcomes import ResultCollector
 from gsgen.contract.validation.report import Outcome
 from gsgen.contract.validation.rule import Registry
 from gsgen.contract.validation.settings import Settings
@@ -16,7 +16,7 @@ TARGET = Target("acme", "2", "A test.", (13, 20), 10, frozenset(), {"rows": 5})
 
 
 def board(*rules, kind="gaussian-generator", **settings):
-    return Board(Registry.of(rules), Settings(**settings), kind)
+    return ResultCollector(Registry.of(rules), Settings(**settings), kind)
 
 
 def judge(made, *rules):
@@ -41,9 +41,9 @@ def test_a_rule_that_finds_something_fails_with_a_finding():
     (finding,) = made.findings()
     assert (finding.rule, finding.slug) == ("GV901", "made-up-gv901")
     assert finding.severity == Severity.WARNING
-    assert finding.where == Where("output g")
+    assert finding.where == Location("output g")
     assert finding.message == "nine; wanted ten"
-    assert finding.mend == "Make it so."
+    assert finding.hint == "Make it so."
     assert (finding.count, finding.total, finding.certainty) == (1, 1, "confirmed")
     assert (finding.source, finding.waived) == ("contract", False)
 
@@ -138,9 +138,9 @@ def test_a_rule_is_judged_once():
 
 def test_breaches_at_one_place_are_one_finding():
     def many(_):
-        yield Breach.at("output a", "x", "y")
-        yield Breach.at("output b", "x", "y")
-        yield Breach.at("output a", "x", "y")
+        yield Violation.at("output a", "x", "y")
+        yield Violation.at("output b", "x", "y")
+        yield Violation.at("output a", "x", "y")
 
     rule = made_up("GV901", many)
     found = judge(board(rule), rule).findings()
@@ -154,7 +154,7 @@ def test_more_than_twenty_places_are_counted_with_the_first():
     def many(_):
         for _ in range(2):
             for index in range(25):
-                yield Breach.at(f"output {index}", "x", "y")
+                yield Violation.at(f"output {index}", "x", "y")
 
     rule = made_up("GV901", many)
     found = judge(board(rule), rule).findings()
@@ -202,7 +202,7 @@ def test_a_severity_that_a_target_sets_comes_from_it():
 def test_rows_of_several_probes_add_up():
     def odd(chunk):
         bad = chunk % 2 == 1
-        yield Breach.rows(Where("output g"), bad, chunk, "even", judged=len(bad))
+        yield Violation.rows(Location("output g"), bad, chunk, "even", judged=len(bad))
 
     rule = made_up("GV901", odd, over="rows")
     made = board(rule)
@@ -224,7 +224,7 @@ def test_rows_of_several_probes_add_up():
 def test_arithmetic_on_a_models_numbers_does_not_warn():
     def overflow(_):
         huge = np.array([np.finfo(np.float32).max, np.inf], np.float32)
-        yield Breach.at("output g", str(huge * huge - huge), "something smaller")
+        yield Violation.at("output g", str(huge * huge - huge), "something smaller")
 
     rule = made_up("GV901", overflow)
     with warnings.catch_warnings():

@@ -4,7 +4,7 @@ import pytest
 
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import load_target
-from gsgen.contract.validation.finding import Finding, Where
+from gsgen.contract.validation.finding import Finding, Location
 from gsgen.contract.validation.report import Cause, Outcome, Report, exit_code
 from support.reports.rules import made_up
 
@@ -12,7 +12,7 @@ RULE = made_up("GV901")
 
 
 def finding(severity=Severity.ERROR, **changes):
-    made = Finding("GV901", "s", severity, Where("output g"), "nine", "mend", 1, 1)
+    made = Finding("GV901", "s", severity, Location("output g"), "nine", "hint", 1, 1)
     return replace(made, **changes)
 
 

@@ -29,14 +29,14 @@ def test_a_rule_takes_its_text_from_its_docstring():
             Because nothing else
             would do.
 
-        Mend:
+        Hint:
             Make it
             so.
         """
 
-    assert always_so.what == "It is so, whatever happens."
+    assert always_so.statement == "It is so, whatever happens."
     assert always_so.why == "Because nothing else would do."
-    assert always_so.mend == "Make it so."
+    assert always_so.hint == "Make it so."
     assert (always_so.id, always_so.slug, always_so.family) == ("GV999", "always-so", "GV")
     assert (always_so.severity, always_so.fixture) == (Severity.WARNING, "broken")
     assert always_so.kinds == ("gaussian-generator",)
@@ -47,7 +47,7 @@ def test_a_rule_takes_its_text_from_its_docstring():
 def test_a_rule_may_say_where_it_was_seen_to_break_something():
     doc = "It is so.\n\nWhy:\n  x\n\nMend:\n  y\n\nEvidence:\n  Seen\n  in a viewer.\n"
     made = declared(doc=doc)
-    assert (made.mend, made.evidence) == ("y", "Seen in a viewer.")
+    assert (made.hint, made.evidence) == ("y", "Seen in a viewer.")
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_a_rule_is_found_by_id_or_name_in_any_case(name, id):
 
 
 @pytest.mark.parametrize(
-    ("name", "mend"),
+    ("name", "hint"),
     [
         ("GV910", "Did you mean 'GV901'?"),
         ("opacity-rang", "Did you mean 'opacity-range'?"),
@@ -162,17 +162,17 @@ def test_a_rule_is_found_by_id_or_name_in_any_case(name, id):
         ),
     ],
 )
-def test_an_unknown_rule_names_the_nearest_of_its_sort(name, mend):
+def test_an_unknown_rule_names_the_nearest_of_its_sort(name, hint):
     with pytest.raises(UnknownName) as caught:
         REGISTRY.find(name, "--ignore")
-    assert str(caught.value) == f"--ignore: unknown rule {name!r}\n  {mend}"
+    assert str(caught.value) == f"--ignore: unknown rule {name!r}\n  {hint}"
 
 
 ALL = Registry.of(made_up(f"GV{number:03}") for number in (1, 2, 3, 12, 21, 30, 31))
 
 
 @pytest.mark.parametrize(
-    ("typed", "mend"),
+    ("typed", "hint"),
     [
         *(
             (typed, "Did you mean 'GV003'?")
@@ -186,7 +186,7 @@ ALL = Registry.of(made_up(f"GV{number:03}") for number in (1, 2, 3, 12, 21, 30, 
         ("GV777", "Ids of GV are GV001 to GV031; `gsgen rules` lists them."),
     ],
 )
-def test_only_ids_that_exist_are_suggested(typed, mend):
+def test_only_ids_that_exist_are_suggested(typed, hint):
     with pytest.raises(UnknownName) as caught:
         ALL.find(typed)
-    assert caught.value.mend == mend
+    assert caught.value.hint == hint

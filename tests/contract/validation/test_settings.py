@@ -175,8 +175,8 @@ def test_a_time_that_is_no_number_is_refused(read):
 def test_a_file_that_is_not_there_is_an_error(tmp_path):
     with pytest.raises(ConfigInvalid) as caught:
         read_config(tmp_path / "absent.toml", REGISTRY)
-    want = f"{tmp_path / 'absent.toml'}: cannot be read: No such file or directory"
-    assert str(caught.value) == want
+    expected = f"{tmp_path / 'absent.toml'}: cannot be read: No such file or directory"
+    assert str(caught.value) == expected
 
 
 def test_a_file_that_is_no_text_is_an_error(tmp_path):
@@ -191,7 +191,7 @@ def test_the_schema_of_the_file_lists_every_rule_by_id_and_name():
     listed = schema["properties"]["severity"]["properties"]
     names = {name for rule in REGISTRY.rules.values() for name in (rule.id, rule.slug)}
     assert set(listed) == names
-    assert listed["GV003"]["description"] == OPACITY.what
+    assert listed["GV003"]["description"] == OPACITY.statement
     section = schema["properties"]["validate"]["properties"]
     assert set(section["ignore"]["items"]["examples"]) == names
     assert all("description" in entry for entry in section.values())

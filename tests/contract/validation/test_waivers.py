@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from gsgen.contract.spec.severity import Level, Severity
-from gsgen.contract.validation.finding import Finding, Where
+from gsgen.contract.validation.finding import Finding, Location
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validation.waivers import Waiver, waive
 from gsgen.contract.validator import validate
@@ -12,7 +12,7 @@ from support.models.small_models import good_rows, save_moving
 
 TODAY = date(2026, 6, 1)
 FINDING = Finding(
-    "GV003", "s", Severity.ERROR, Where("output g", "opacity"), "nine", "mend", 1, 1
+    "GV003", "s", Severity.ERROR, Location("output g", "opacity"), "nine", "hint", 1, 1
 )
 
 
@@ -89,7 +89,7 @@ def test_a_waived_finding_does_not_fail(judge):
 def test_a_waiver_that_waives_nothing_is_a_finding(judge):
     report = judge(Waiver("GV003", "Known.", where="output gaussian"))
     assert rules_of(report) == [("GV003", False), ("GW001", False)]
-    assert report.findings[1].where == Where("waiver of GV003 at output gaussian")
+    assert report.findings[1].where == Location("waiver of GV003 at output gaussian")
     assert report.findings[1].message.startswith("nothing to waive; wanted ")
 
 

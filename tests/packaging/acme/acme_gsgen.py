@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.targets import Target, load_target
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 from gsgen.sdk.plugins.plugin import Plugin
 
@@ -34,18 +34,18 @@ def target() -> Target:
     fixture="five_in_a_cloud",
     limit="acme_rows",
 )
-def small_enough(subject: Subject) -> Iterator[Breach]:
+def small_enough(subject: InspectedModel) -> Iterator[Violation]:
     """A model has at most three rows.
 
     Why:
         Acme's viewer draws three.
 
-    Mend:
+    Hint:
         Prune.
     """
     gaussians = subject.declared_gaussians
     if gaussians and gaussians.capacity > subject.target.limits["acme_rows"]:
-        yield Breach.at("capacity", str(gaussians.capacity), "3 at most")
+        yield Violation.at("capacity", str(gaussians.capacity), "3 at most")
 
 
 def row(
@@ -61,7 +61,7 @@ def write_row(path: Path, count: int) -> None:
     """Write a generator of ``count`` grey Gaussians along x; torch is not needed for that."""
     import numpy as np
 
-    from gsgen.contract.spec.layout import Gaussians, encode
+    from gsgen.contract.spec.layout import DecodedGaussians, encode
     from gsgen.contract.spec.manifest import (
         AppearanceOutput,
         Bounds,
@@ -77,7 +77,7 @@ def write_row(path: Path, count: int) -> None:
     along[:, 0] = np.linspace(-1, 1, count)
     round_ones = np.tile([0.01, 0, 0, 0.01, 0, 0.01], (count, 1))
     gray = np.full((count, 3), 0.5)
-    packed = encode(Gaussians(along, np.full(count, 0.5), round_ones, rgb=gray))
+    packed = encode(DecodedGaussians(along, np.full(count, 0.5), round_ones, rgb=gray))
     manifest = GeneratorManifest(
         name="row",
         outputs=GeneratorOutputs(

@@ -210,9 +210,9 @@ def test_decoding_fewer_anchors_gives_the_same_rows_in_front(
             where = {tuple(p): i for i, p in enumerate(everything.position[::k].tolist())}
             order = [where[tuple(p)] for p in some.position[:count:k].tolist()]
             assert order == sorted(order)
-            left_out = set(range(len(hidden))) - set(order)
-            assert all(hidden[i] or i > order[-1] for i in left_out)
-            assert len(order) == most or all(hidden[i] for i in left_out)
+            unfinished_probes = set(range(len(hidden))) - set(order)
+            assert all(hidden[i] or i > order[-1] for i in unfinished_probes)
+            assert len(order) == most or all(hidden[i] for i in unfinished_probes)
             rows = (torch.tensor(order)[:, None] * k + torch.arange(k)).reshape(-1)
             for name in ("opacity", "covariance", "rgb"):
                 a, b = getattr(some, name)[:count], getattr(everything, name)[rows]

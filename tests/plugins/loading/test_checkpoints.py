@@ -66,7 +66,7 @@ def test_the_last_iteration_is_taken_and_coarse_ones_are_not(tmp_path: Path) -> 
     assert find_iteration(tmp_path, 7000)[1].name == "iteration_7000"
     with pytest.raises(NotInCheckpoint) as caught:
         find_iteration(tmp_path, 8)
-    assert caught.value.mend == "There are: 7000, 30000."
+    assert caught.value.hint == "There are: 7000, 30000."
 
 
 def test_folders_a_little_off_name_the_right_one(tmp_path: Path) -> None:
@@ -81,10 +81,10 @@ def test_folders_a_little_off_name_the_right_one(tmp_path: Path) -> None:
         / "scene"
         / "other": "Give the folder that training wrote: the one with cfg_args in it.",
     }
-    for folder, mend in wrong.items():
+    for folder, hint in wrong.items():
         with pytest.raises(CheckpointInvalid) as caught:
             find_iteration(folder)
-        assert (caught.value.mend, caught.value.exit_code) == (mend, 4)
+        assert (caught.value.hint, caught.value.exit_code) == (hint, 4)
 
 
 @pytest.mark.parametrize("write", [write_octree, write_hexplane, write_deformable])
@@ -137,7 +137,7 @@ def test_a_file_of_another_iteration_is_pointed_at(tmp_path: Path) -> None:
     (run / "deform/iteration_40000").rename(run / "deform/iteration_30000")
     with pytest.raises(CheckpointInvalid, match="is missing: the deformation") as caught:
         read_deformation(run)
-    assert caught.value.mend == "There is one of iteration 30000."
+    assert caught.value.hint == "There is one of iteration 30000."
 
 
 def test_an_iteration_by_itself_will_do(tmp_path: Path) -> None:
@@ -163,7 +163,7 @@ def test_a_folder_above_those_of_networks_names_the_outermost(tmp_path: Path) ->
         (tmp_path / name / "config.json").write_text("{}")
     with pytest.raises(CheckpointInvalid) as caught:
         read_model_config(tmp_path)
-    assert caught.value.mend == f"Did you mean {tmp_path / 'run'}?"
+    assert caught.value.hint == f"Did you mean {tmp_path / 'run'}?"
 
 
 # ===== tensors

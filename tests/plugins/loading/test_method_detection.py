@@ -33,7 +33,7 @@ def test_the_right_plugin_is_named(plugin: str, runs: dict[str, Path]) -> None:
             continue
         with pytest.raises(CheckpointInvalid, match="is a checkpoint of") as caught:
             read(run)
-        assert caught.value.mend == f"Export it with `gsgen export {name}`."
+        assert caught.value.hint == f"Export it with `gsgen export {name}`."
 
 
 def test_a_resume_file_of_gauhuman_is_not_taken_for_one_of_r3(

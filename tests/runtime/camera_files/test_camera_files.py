@@ -15,7 +15,7 @@ from gsgen.runtime.camera_files import CameraFile, open_cameras, split_pick
 from gsgen.runtime.camera_files.colmap_models import MODELS
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.playback.camera_options import viewpoint
-from gsgen.runtime.playback.frame_sequence import Film
+from gsgen.runtime.playback.frame_sequence import FrameSequence
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.sources.source import StillSource
@@ -450,7 +450,9 @@ def test_films_have_frames_of_one_size(renderer: Renderer, tmp_path: Path) -> No
     assert viewpoint(str(path), width=40, height=30).sizes == {(40, 30)}
     assert len(viewpoint(str(path), width=40, around=True).sizes) == 0
     assert viewpoint(None).sizes == set()
-    film = Film([StillSource(points(tmp_path))], viewpoint(str(path)), renderer=renderer)
+    film = FrameSequence(
+        [StillSource(points(tmp_path))], viewpoint(str(path)), renderer=renderer
+    )
     for name in ("a.npy", "a.gif"):
         with pytest.raises(
             ConfigInvalid, match=r"frames of one size, .*×.*\n.*--width and --height"

@@ -8,7 +8,7 @@ import pytest
 
 from gsgen.conformance.fixtures import find
 from gsgen.conformance.fixtures.builders.clouds import still
-from gsgen.conformance.fixtures.builders.sketch import Sketch
+from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.spec.manifest import GeneratorManifest, WeightedSum
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.report import Report
@@ -102,7 +102,7 @@ def drawn_reference(renderer: Renderer) -> bytes:
     return png_of(frame.srgb8[..., :3])
 
 
-def compared(sketch: Sketch, folder: Path, **changes: object) -> showing.Compared:
+def compared(sketch: ModelSpec, folder: Path, **changes: object) -> showing.Compared:
     """Return what becomes of the picture of a sketch, without judging the model."""
     path = folder / "model.onnx"
     sketch.write(path)
@@ -201,7 +201,7 @@ def test_without_an_adapter_the_level_is_skipped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def none(**_: object) -> Renderer:
-        raise DeviceUnavailable("no graphics adapter", mend="Install one.")
+        raise DeviceUnavailable("no graphics adapter", hint="Install one.")
 
     monkeypatch.setattr(showing, "Renderer", none)
     report = validate(find("still_sh0").write(tmp_path), RENDER)

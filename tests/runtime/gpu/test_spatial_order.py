@@ -8,7 +8,7 @@ from gsgen.runtime.gpu import device as devices
 from gsgen.runtime.gpu import spatial_order, splat_residency
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.morton_order import along_curve
-from gsgen.runtime.gpu.spatial_order import Arrangement
+from gsgen.runtime.gpu.spatial_order import SpatialOrder
 from gsgen.runtime.gpu.splat_residency import Residency
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.scene import Scene, SplatSet
@@ -148,10 +148,10 @@ def test_an_order_is_found_anew_when_neighbours_have_parted(
 def test_nothing_is_said_of_neighbours_that_are_nowhere(far: float) -> None:
     data = cloud(200, 9)
     data.rows[::2, :2] = far
-    order = Arrangement.found(data)
+    order = SpatialOrder.found(data)
     assert 0 < order.apart < 10
     data.rows[:, 0] = far
-    assert Arrangement.found(data).apart == 0
+    assert SpatialOrder.found(data).apart == 0
 
 
 @pytest.mark.parametrize("change", ["rows", "appearance", "count"])

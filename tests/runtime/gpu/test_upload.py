@@ -40,7 +40,7 @@ def test_a_device_that_is_gone_is_told() -> None:
     device = Device.open()
     buffer = device.filled("rows", 16 * ROOM)
     device.raw.destroy()
-    with pytest.raises(DeviceLost, match="was lost"), device.minding():
+    with pytest.raises(DeviceLost, match="was lost"), device.translate_errors():
         upload(device, Target(buffer, 0, 16), np.ones((1, 4), np.float32))
 
 

@@ -11,7 +11,7 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import run
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.scan import Scan, scan_reference
-from gsgen.runtime.kernels.sort.sort import Cut, cut_for, sort_reference
+from gsgen.runtime.kernels.sort.sort import SortConfig, cut_for, sort_reference
 from support.rendering.sorting import GPU, KEYS, Bench, keys_of
 
 ROOM = 1 << 16
@@ -19,12 +19,12 @@ MANY = 300_000
 
 
 @pytest.fixture(scope="module", params=["this device", "many invocations"])
-def cut(request: pytest.FixtureRequest, device: Device) -> Cut:
+def cut(request: pytest.FixtureRequest, device: Device) -> SortConfig:
     return cut_for(device) if request.param == "this device" else GPU
 
 
 @pytest.fixture(scope="module")
-def compacting(device: Device, cut: Cut) -> Bench:
+def compacting(device: Device, cut: SortConfig) -> Bench:
     return Bench(device, cut, 32, ROOM, compact=True)
 
 
@@ -55,7 +55,7 @@ def compacting_here(device: Device) -> Bench:
 
 @pytest.mark.parametrize("bits", [1, 5, 12, 13, 17])
 @pytest.mark.parametrize("n", [0, 1, 5000])
-def test_low_bits_with_values(device: Device, cut: Cut, bits: int, n: int) -> None:
+def test_low_bits_with_values(device: Device, cut: SortConfig, bits: int, n: int) -> None:
     keys = keys_of(n, "random", seed=bits) & np.uint32((1 << bits) - 1)
     keys_out, places = Bench(device, cut, bits, 6000, compact=False)(keys)
     wanted = np.argsort(keys, kind="stable")
@@ -75,7 +75,7 @@ def test_many_keys(many: Bench, kind: str) -> None:
 
 @pytest.fixture(scope="module", params=["this device", "small blocks"])
 def many(request: pytest.FixtureRequest, device: Device) -> Bench:
-    cut = cut_for(device) if request.param == "this device" else Cut(256, 4, 4, 4)
+    cut = cut_for(device) if request.param == "this device" else SortConfig(256, 4, 4, 4)
     return Bench(device, cut, 32, MANY, compact=True)
 
 

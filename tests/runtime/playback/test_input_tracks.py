@@ -9,11 +9,11 @@ import pytest
 from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.spec.manifest import Input
 from gsgen.runtime.playback.input_tracks import Track, input_track
-from gsgen.runtime.playback.timeline import Score
+from gsgen.runtime.playback.timeline import Timeline
 from gsgen.runtime.sources.source import named
 
 
-class Taker:
+class AnimatedInputs:
     """Enough of a model: inputs and their shapes."""
 
     def __init__(self, **shapes: tuple[int, ...]) -> None:
@@ -36,7 +36,7 @@ class Taker:
         return self.shapes[name]
 
 
-def fed(score: Score, name: str, frames: int) -> list[object]:
+def fed(score: Timeline, name: str, frames: int) -> list[object]:
     made = [score.values(number, frames)[0].get(name) for number in range(frames)]
     return [one.tolist() if isinstance(one, np.ndarray) else one for one in made]
 
@@ -99,53 +99,62 @@ def test_values_that_do_not_fill_the_input_are_refused() -> None:
 
 
 def test_what_nobody_feeds_goes_on_by_itself() -> None:
-    both = Score([Taker(time=(1,), loop=(1,), frame=(1,))], [])
+    both = Timeline([AnimatedInputs(time=(1,), loop=(1,), frame=(1,))], [])
     assert both.moving
     assert both.frames == 1
     assert fed(both, "time", 5) == [0.0, 0.5, 1.0, 1.5, 2.0]
     assert fed(both, "loop", 4) == [0.0, 0.5, 1.0, 1.5]
     assert fed(both, "frame", 4) == [None] * 4  # times go first
     assert fed(both, "time", 1) == [None]  # one frame is at the default
-    assert fed(Score([Taker(frame=(1,))], []), "frame", 5) == [2, 3, 4, 2, 3]
-    assert not Score([Taker(still=(1,), amount=(1,))], []).moving
+    assert fed(Timeline([AnimatedInputs(frame=(1,))], []), "frame", 5) == [2, 3, 4, 2, 3]
+    assert not Timeline([AnimatedInputs(still=(1,), amount=(1,))], []).moving
 
 
 def test_a_time_for_all_frames_stops_what_goes_on() -> None:
-    score = Score([Taker(time=(1,)), Taker(amount=(1,))], [], time=0.75)
+    score = Timeline(
+        [AnimatedInputs(time=(1,)), AnimatedInputs(amount=(1,))], [], time=0.75
+    )
     assert not score.moving
     assert fed(score, "time", 3) == [0.75] * 3
     assert score.values(1, 3)[1] == {}
     with pytest.raises(ConfigInvalid, match="--time: no scene has a time"):
-        Score([Taker(amount=(1,))], [], time=0.5)
+        Timeline([AnimatedInputs(amount=(1,))], [], time=0.5)
 
 
 def test_tracks_go_before_what_goes_on_and_before_the_time() -> None:
     track = Track("time", np.asarray([0.1, 0.2]), "x")
-    assert fed(Score([Taker(time=(1,))], [track], time=1.0), "time", 2) == [[0.1], [0.2]]
-    assert fed(Score([Taker(time=(1,))], [track]), "time", 3) == [[0.1], [0.2], [0.1]]
+    assert fed(Timeline([AnimatedInputs(time=(1,))], [track], time=1.0), "time", 2) == [
+        [0.1],
+        [0.2],
+    ]
+    assert fed(Timeline([AnimatedInputs(time=(1,))], [track]), "time", 3) == [
+        [0.1],
+        [0.2],
+        [0.1],
+    ]
 
 
 def test_a_role_reaches_every_input_that_has_it_and_a_name_its_own() -> None:
-    takers = [Taker(time=(1,), loop=(1,)), Taker(time=(1,), amount=(1,))]
-    score = Score(takers, [Track("time", np.asarray(0.5), "x")])
+    takers = [AnimatedInputs(time=(1,), loop=(1,)), AnimatedInputs(time=(1,), amount=(1,))]
+    score = Timeline(takers, [Track("time", np.asarray(0.5), "x")])
     first, second = score.values(0, 1)
     assert list(first) == ["time"]  # a tensor of that name comes before the role
     assert list(second) == ["time"]
-    score = Score(takers, [Track("control", np.asarray(3), "x")])
+    score = Timeline(takers, [Track("control", np.asarray(3), "x")])
     assert [list(one) for one in score.values(0, 1)] == [[], ["amount"]]
     with pytest.raises(UnknownName, match="unknown input 'amont'") as raised:
-        Score(takers, [Track("amont", np.asarray(3), "--input amont")])
+        Timeline(takers, [Track("amont", np.asarray(3), "--input amont")])
     assert "Did you mean 'amount'?" in str(raised.value)
 
 
 def test_the_longest_track_says_how_many_frames_there_are() -> None:
     tracks = [Track("amount", np.zeros(3), "a"), Track("pose", np.zeros((7, 2, 3)), "b")]
-    assert Score([Taker(amount=(1,), pose=(2, 3))], tracks).frames == 7
+    assert Timeline([AnimatedInputs(amount=(1,), pose=(2, 3))], tracks).frames == 7
 
 
 def test_sweeps_of_what_counts_things_are_whole() -> None:
-    score = Score([Taker(frame=(1,))], [input_track("frame=0..3")])
+    score = Timeline([AnimatedInputs(frame=(1,))], [input_track("frame=0..3")])
     assert fed(score, "frame", 4) == [[0], [1], [2], [3]]
     assert score.moving
-    half = Score([Taker(frame=(1,))], [input_track("frame=0.5")])
+    half = Timeline([AnimatedInputs(frame=(1,))], [input_track("frame=0.5")])
     assert fed(half, "frame", 1) == [[0.5]]  # which the model then refuses

@@ -12,7 +12,7 @@ from gsgen.conformance.fixtures.builders.moving import drifting
 from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.playback.player import GeneratorPlayer, Player, Shot
+from gsgen.runtime.playback.player import FrameRequest, GeneratorPlayer, Player
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
@@ -255,15 +255,15 @@ def test_several_sources_play_together(models: Path, renderer: Renderer) -> None
     sources = [GeneratorSource(path) for path in paths]
     player = Player(sources, renderer=renderer)
     pose = np.full((4, 3), 0.2)
-    shots = [Shot(CAMERA, ({"time": t}, {"pose": t * pose})) for t in TIMES]
+    shots = [FrameRequest(CAMERA, ({"time": t}, {"pose": t * pose})) for t in TIMES]
     alone = [player.render(shot).rgba for shot in shots]
     played = [frame.rgba for frame in player.play(shots)]
     assert all(np.array_equal(*pair) for pair in zip(alone, played, strict=True))
     assert not np.array_equal(alone[0], alone[1])
     with pytest.raises(GsgenError, match=r"avatar\.onnx, frame 8, input pose: has shape"):
-        player.render(Shot(CAMERA, ({}, {"pose": np.zeros((3, 3))})))
+        player.render(FrameRequest(CAMERA, ({}, {"pose": np.zeros((3, 3))})))
     with pytest.raises(GsgenError, match=r"drift\.onnx, frame 42, input time: is 7"):
-        player.render(Shot(CAMERA, ({"time": 7},), number=42))
+        player.render(FrameRequest(CAMERA, ({"time": 7},), number=42))
     for source in sources:
         source.close()
 

@@ -9,7 +9,7 @@ import pytest
 from gsgen.conformance.fixtures import find
 from gsgen.conformance.fixtures.builders.arrays import f32
 from gsgen.conformance.fixtures.builders.images import darken
-from gsgen.conformance.fixtures.builders.sketch import Sketch
+from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.spec.manifest import ImageOutput, PostProcessOutputs
 from gsgen.runtime.errors import SceneInvalid
@@ -46,13 +46,15 @@ def straight(shown: Frame) -> np.ndarray:
     )
 
 
-def write(folder: Path, sketch: Sketch, name: str = "model") -> Path:
+def write(folder: Path, sketch: ModelSpec, name: str = "model") -> Path:
     path = folder / f"{name}.onnx"
     sketch.write(path)
     return path
 
 
-def declared(sketch: Sketch, *, taken: tuple, given: tuple, space: str = "srgb") -> Sketch:
+def declared(
+    sketch: ModelSpec, *, taken: tuple, given: tuple, space: str = "srgb"
+) -> ModelSpec:
     outputs = PostProcessOutputs(ImageOutput("out", range=given, color_space=space))
     return replace(
         sketch, manifest=replace(sketch.manifest, image_range=taken, outputs=outputs)

@@ -16,7 +16,7 @@ from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.gather_keys import GatherKeys, gather_reference
 from gsgen.runtime.kernels.sort.order_ties import MOST_TIED, OrderTies, order_ties_reference
 from gsgen.runtime.kernels.sort.scan import Scan
-from gsgen.runtime.kernels.sort.sort import Columns, Cut, RadixSort, cut_for
+from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, SortConfig, cut_for
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.oracle.projection import ellipses
@@ -205,7 +205,7 @@ def test_long_ties_out_of_order_are_announced(
 @pytest.mark.parametrize("cut", ["own", "GPU"])
 def test_depths_are_sorted(device: Device, deep: bool, cut: str) -> None:
     """As NumPy does, what is not drawn left out; equal depths as they came."""
-    chosen: Cut = cut_for(device) if cut == "own" else GPU
+    chosen: SortConfig = cut_for(device) if cut == "own" else GPU
     sort = RadixSort(device, chosen, Scan(device, chosen.block, 64, 256))
     rng, n = np.random.default_rng(1), 20_000
     few = 40 if deep else 5000

@@ -159,7 +159,7 @@ def test_a_device_that_is_lost_while_everything_moves(
 def test_what_is_wrong_with_a_device_that_is_there_stays_as_it_is(device: Device) -> None:
     import wgpu
 
-    with pytest.raises(wgpu.GPUValidationError), device.minding():
+    with pytest.raises(wgpu.GPUValidationError), device.translate_errors():
         device.raw.create_buffer(size=1 << 62, usage="STORAGE")
 
 

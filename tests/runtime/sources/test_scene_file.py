@@ -14,7 +14,7 @@ from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
 from gsgen.runtime.commands.opening import opened, scene_files
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.playback.player import Player, Shot
+from gsgen.runtime.playback.player import FrameRequest, Player
 from gsgen.runtime.playback.scene_camera import scene_view
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
@@ -99,7 +99,7 @@ def test_the_picture_is_that_of_the_scene(folder: Path, renderer: Renderer) -> N
     )
     sources = open_scene(path)
     player = Player(sources, renderer=renderer)
-    seen = player.render(Shot(camera()))
+    seen = player.render(FrameRequest(camera()))
     sets = [SplatSet(sources[0].data), SplatSet(sources[1].data, moved)]
     direct = renderer.render(Scene(sets, meshes=sources[2].meshes), camera())
     assert np.array_equal(seen.rgba, direct.rgba)

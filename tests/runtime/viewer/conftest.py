@@ -8,15 +8,15 @@ from gsgen.conformance.fixtures import find
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.scene_source import sources_of
-from gsgen.runtime.viewer.live_playback import Stage
-from gsgen.runtime.viewer.surface_renderer import Painter
+from gsgen.runtime.viewer.live_playback import LivePlayback
+from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
 from support.rendering.viewers import Hand
 
 
 @pytest.fixture(scope="session")
-def painter() -> Painter:
+def painter() -> SurfaceRenderer:
     device = Device.open()
-    return Painter(lambda: device)
+    return SurfaceRenderer(lambda: device)
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +29,8 @@ def cloud() -> SplatData:
 
 
 @pytest.fixture
-def still(cloud: SplatData, painter: Painter) -> Hand:
-    return Hand(Stage(sources_of(cloud)), painter)
+def still(cloud: SplatData, painter: SurfaceRenderer) -> Hand:
+    return Hand(LivePlayback(sources_of(cloud)), painter)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def drift(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def moving(drift: Path, painter: Painter) -> Iterator[Hand]:
-    hand = Hand(Stage(sources_of(drift), frames=11, fps=10), painter)
+def moving(drift: Path, painter: SurfaceRenderer) -> Iterator[Hand]:
+    hand = Hand(LivePlayback(sources_of(drift), frames=11, fps=10), painter)
     yield hand
     hand.viewer.stage.close()

@@ -25,8 +25,8 @@ from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.scene_source import SceneSource, sources_of
 from gsgen.runtime.sources.source import GeneratorSource
-from gsgen.runtime.viewer.live_playback import Stage
-from gsgen.runtime.viewer.surface_renderer import Painter
+from gsgen.runtime.viewer.live_playback import LivePlayback
+from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
 from gsgen.runtime.viewer.window import take_drops
 from support.models.endless import endless
 from support.rendering.failing_devices import memory_of
@@ -34,7 +34,7 @@ from support.rendering.viewers import SIZE, Hand
 
 
 def expected(
-    hand: Hand, painter: Painter, mode: str = "color", **options: object
+    hand: Hand, painter: SurfaceRenderer, mode: str = "color", **options: object
 ) -> np.ndarray:
     """Return what `gsgen render` would draw."""
     viewer = hand.viewer
@@ -53,7 +53,7 @@ def expected(
 
 @pytest.mark.parametrize(("key", "mode"), list(zip("12345", MODES, strict=True)))
 def test_each_mode_is_that_of_render(
-    still: Hand, painter: Painter, key: str, mode: str
+    still: Hand, painter: SurfaceRenderer, key: str, mode: str
 ) -> None:
     still.key(key)
     made = still.bare()[..., :3]
@@ -62,9 +62,11 @@ def test_each_mode_is_that_of_render(
     assert len(np.unique(wanted)) > 20  # there is something to be compared
 
 
-def test_linear_colours_are_shown_as_srgb(cloud: SplatData, painter: Painter) -> None:
-    hand = Hand(Stage(sources_of(Scene([cloud], "linear"))), painter)
-    plain = Hand(Stage(sources_of(cloud)), painter).bare()
+def test_linear_colours_are_shown_as_srgb(
+    cloud: SplatData, painter: SurfaceRenderer
+) -> None:
+    hand = Hand(LivePlayback(sources_of(Scene([cloud], "linear"))), painter)
+    plain = Hand(LivePlayback(sources_of(cloud)), painter).bare()
     made = hand.bare()
     assert np.abs(made[..., :3] - expected(hand, painter)).max() <= 1
     assert made[..., :3].mean() > plain[..., :3].mean() + 1
@@ -116,10 +118,11 @@ def test_keys_fly_while_they_are_held(still: Hand) -> None:
     assert fast[2] - near[2] == pytest.approx(4 * (near[2] - eye[2]))
 
 
-def test_double_click_looks_at_what_is_there(painter: Painter) -> None:
+def test_double_click_looks_at_what_is_there(painter: SurfaceRenderer) -> None:
     row = np.array([[0.6, 0.3, 0.5, 0.95, 0.01, 0, 0, 0.01, 0, 0.01]], np.float32)
     hand = Hand(
-        Stage(sources_of(SplatData(row, np.ones((1, 3), np.float32), "rgb"))), painter
+        LivePlayback(sources_of(SplatData(row, np.ones((1, 3), np.float32), "rgb"))),
+        painter,
     )
     bright = hand.bare()[..., :3].sum(axis=-1)
     y, x = np.unravel_index(bright.argmax(), bright.shape)
@@ -186,7 +189,7 @@ def test_it_plays_as_fast_as_it_says(moving: Hand) -> None:
 
 
 def test_a_frame_of_the_slider_is_that_of_a_film(
-    moving: Hand, drift: Path, painter: Painter
+    moving: Hand, drift: Path, painter: SurfaceRenderer
 ) -> None:
     first = moving.settled()
     slider = moving.viewer.slider
@@ -262,9 +265,9 @@ def test_what_fails_is_told_and_the_window_stays(
 
 
 def test_p_saves_the_picture_and_a_camera_that_render_takes(
-    cloud: SplatData, painter: Painter, tmp_path: Path
+    cloud: SplatData, painter: SurfaceRenderer, tmp_path: Path
 ) -> None:
-    hand = Hand(Stage(sources_of(cloud)), painter, folder=tmp_path / "new")
+    hand = Hand(LivePlayback(sources_of(cloud)), painter, folder=tmp_path / "new")
     hand.drag((80, 60), (110, 70))
     wanted = hand.bare()
     hand.key("p")
@@ -284,7 +287,7 @@ def test_p_saves_the_picture_and_a_camera_that_render_takes(
     assert str(file) in hand.said[1]
 
 
-def test_another_size_is_another_picture(still: Hand, painter: Painter) -> None:
+def test_another_size_is_another_picture(still: Hand, painter: SurfaceRenderer) -> None:
     still.look()
     still.canvas.set_logical_size(90, 70)
     still.key("i")
@@ -304,7 +307,7 @@ def test_a_lost_device_is_opened_again(cloud: SplatData) -> None:
         opened.append(Device.open())
         return opened[-1]
 
-    hand = Hand(Stage(sources_of(cloud)), Painter(open_device))
+    hand = Hand(LivePlayback(sources_of(cloud)), SurfaceRenderer(open_device))
     before = hand.bare()
     opened[0].raw.destroy()
     hand.look()
@@ -325,7 +328,7 @@ def test_a_device_that_does_not_come_back_ends_it(cloud: SplatData) -> None:
         opened.append(Device.open())
         return opened[-1]
 
-    hand = Hand(Stage(sources_of(cloud)), Painter(open_device))
+    hand = Hand(LivePlayback(sources_of(cloud)), SurfaceRenderer(open_device))
     hand.look()
     opened[0].raw.destroy()
     hand.viewer.mode = "alpha"
@@ -334,7 +337,7 @@ def test_a_device_that_does_not_come_back_ends_it(cloud: SplatData) -> None:
 
 
 def test_a_window_closes_while_a_model_computes_for_ever(tmp_path: Path) -> None:
-    stage = Stage(sources_of(endless(tmp_path, after=0.5)), time=0.0)
+    stage = LivePlayback(sources_of(endless(tmp_path, after=0.5)), time=0.0)
     (source,) = stage.sources
     source.start(None, {"time": 1.0})
     time.sleep(0.2)
@@ -354,12 +357,14 @@ def test_too_much_for_the_memory_is_told(still: Hand) -> None:
 
 
 def test_dropped_files_take_its_place(
-    moving: Hand, cloud: SplatData, painter: Painter, tmp_path: Path
+    moving: Hand, cloud: SplatData, painter: SurfaceRenderer, tmp_path: Path
 ) -> None:
     path = tmp_path / "other.npz"
     np.savez(path, gaussians=cloud.rows, appearance=cloud.appearance)
     hand = Hand(
-        Stage(sources_of(cloud)), painter, reopen=lambda paths: Stage(sources_of(paths))
+        LivePlayback(sources_of(cloud)),
+        painter,
+        reopen=lambda paths: LivePlayback(sources_of(paths)),
     )
     hand.settled()
     hand.viewer.drop([tmp_path / "nothing.ply"])
@@ -372,7 +377,7 @@ def test_dropped_files_take_its_place(
 
 
 def test_coarse_pictures_follow_a_hand_that_is_faster(
-    still: Hand, painter: Painter
+    still: Hand, painter: SurfaceRenderer
 ) -> None:
     fine = still.bare()
     painter.seconds = 0.5
@@ -407,11 +412,11 @@ def test_view_shows_a_scene_on_any_canvas(cloud: SplatData) -> None:
 
 @pytest.mark.parametrize("kind", ["orthographic", "panorama"])
 def test_other_cameras_are_looked_through_too(
-    cloud: SplatData, painter: Painter, kind: str
+    cloud: SplatData, painter: SurfaceRenderer, kind: str
 ) -> None:
     words = {"flat": True} if kind == "orthographic" else {"around": True}
     view = viewpoint("look-at:0,0,-4,0,0,0", *SIZE, **words)
-    hand = Hand(Stage(sources_of(cloud)), painter, view=view)
+    hand = Hand(LivePlayback(sources_of(cloud)), painter, view=view)
     assert np.abs(hand.bare()[..., :3] - expected(hand, painter)).max() <= 1
     rows = cloud.rows
     ahead = rows[np.abs(rows[:, :2]).sum(axis=1).argmin(), :3]
@@ -438,10 +443,10 @@ def test_other_cameras_are_looked_through_too(
 
 
 def test_post_process_models_work_on_what_is_shown(
-    cloud: SplatData, painter: Painter, tmp_path: Path
+    cloud: SplatData, painter: SurfaceRenderer, tmp_path: Path
 ) -> None:
     post = PostProcessor(find("post_process").write(tmp_path), "cpu")
-    stage = Stage(sources_of(cloud), post=[post])
+    stage = LivePlayback(sources_of(cloud), post=[post])
     hand = Hand(stage, painter)
     made = hand.bare()[..., :3]
     camera = hand.viewer.controls.camera(*SIZE)
@@ -454,13 +459,13 @@ def test_post_process_models_work_on_what_is_shown(
 
 
 def test_meshes_and_placed_models_are_seen_and_told(
-    cloud: SplatData, painter: Painter
+    cloud: SplatData, painter: SurfaceRenderer
 ) -> None:
     corners = np.array([[-1, -1, 0], [1, -1, 0], [0, 1, 0]], np.float32)
     mesh = MeshData(corners, np.array([[0, 1, 2]], np.int32))
     turn = np.diag([2.0, 2, 2, 1])
     scene = Scene([SplatSet(cloud, turn, degree=0)], meshes=[mesh])
-    hand = Hand(Stage(sources_of(scene)), painter)
+    hand = Hand(LivePlayback(sources_of(scene)), painter)
     assert np.abs(hand.bare()[..., :3] - expected(hand, painter)).max() <= 1
     center, reach = SceneSource(SplatSet(cloud)).extent()
     far = hand.viewer.stage.sources[0].extent()
@@ -469,7 +474,10 @@ def test_meshes_and_placed_models_are_seen_and_told(
 
 
 def test_files_that_are_dropped_on_a_window_are_opened(
-    cloud: SplatData, painter: Painter, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    cloud: SplatData,
+    painter: SurfaceRenderer,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     """glfw gives what is dropped to who asked for it; there is no screen here to drop on."""
     glfw = pytest.importorskip("glfw")
@@ -477,11 +485,11 @@ def test_files_that_are_dropped_on_a_window_are_opened(
     monkeypatch.setattr(glfw, "set_drop_callback", lambda *words: asked.append(words))
     opened: list[Sequence[Path]] = []
 
-    def reopen(paths: Sequence[Path]) -> Stage:
+    def reopen(paths: Sequence[Path]) -> LivePlayback:
         opened.append(paths)
-        return Stage(sources_of(cloud))
+        return LivePlayback(sources_of(cloud))
 
-    hand = Hand(Stage(sources_of(cloud)), painter, reopen=reopen)
+    hand = Hand(LivePlayback(sources_of(cloud)), painter, reopen=reopen)
     take_drops(hand.viewer, SimpleNamespace(_window="window", request_draw=lambda: None))
     ((window, dropped),) = asked
     assert window == "window"

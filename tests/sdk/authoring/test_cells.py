@@ -9,7 +9,7 @@ import torch
 
 from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import LayoutMismatch
-from gsgen.contract.model.inspected_model import read_subject
+from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.limits import Limits
@@ -80,7 +80,7 @@ def test_cells_go_into_half_precision_with_their_rows(
     assert {"cell position", "cell visibility"} <= {
         one.field for one in halved.parity.fields
     }
-    subject = read_subject(
+    subject = inspect_model(
         open_model(tmp_path / "half.onnx"), load_target("core"), Limits()
     )
     assert subject.declared_cells == CellsOutput("cells", EACH, "float16")
@@ -217,7 +217,7 @@ def test_rows_that_never_change_are_written_without_cells(
 def test_cells_of_both_devices_are_compared(
     made: Exported, cell: int, column: int, by: float, field: str
 ) -> None:
-    subject = read_subject(open_model(made.path), load_target("core"), Limits())
+    subject = inspect_model(open_model(made.path), load_target("core"), Limits())
     with FrameSession(made.path, provider="cpu") as session:
         frame = session.run({"time": 1.0})
         cpu = {name: np.array(frame[name]) for name in frame}

@@ -53,7 +53,7 @@ class NamedInputs(Cloud):
 
 
 @pytest.mark.parametrize(
-    ("made", "where", "what", "mend"),
+    ("made", "where", "what", "hint"),
     [
         (NotSetUp, "NotSetUp", "__init__ does not call its parent's", "super().__init__()"),
         (OneInput, "OneInput.inputs", "is one input, wanted a tuple", "(inputs.time(),)"),
@@ -80,12 +80,12 @@ class NamedInputs(Cloud):
     ],
 )
 def test_what_cannot_be_exported_is_refused(
-    made: Any, where: str, what: str, mend: str, tmp_path: Path
+    made: Any, where: str, what: str, hint: str, tmp_path: Path
 ) -> None:
     with pytest.raises(GeneratorInvalid) as refused:
         export(made(), tmp_path / "model.onnx")
-    assert (refused.value.where, refused.value.what) == (where, what)
-    assert mend in refused.value.mend
+    assert (refused.value.where, refused.value.message) == (where, what)
+    assert hint in refused.value.hint
     assert not list(tmp_path.iterdir())
 
 

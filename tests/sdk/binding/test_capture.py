@@ -85,7 +85,7 @@ def test_a_refusal_at_the_first_captured_run_is_a_cause_too(models, monkeypatch)
 def test_a_model_that_does_not_run_there_is_an_error(models):
     with pytest.raises(RunFailed, match="Too many storage buffers in shader") as raised:
         FrameSession(models["split_into_many"], provider="webgpu")
-    assert raised.value.mend.startswith("`gsgen validate --level live`")
+    assert raised.value.hint.startswith("`gsgen validate --level live`")
 
 
 def test_an_output_that_no_manifest_declares_is_compared_too(tmp_path):

@@ -157,7 +157,7 @@ def test_a_model_without_a_manifest_is_run_by_the_names_of_its_tensors(tmp_path)
             frame.gaussians()
         with pytest.raises(UnknownName, match="unknown output 'gaussian'") as raised:
             frame["gaussian"]
-        assert raised.value.mend == "Did you mean 'gaussians'?"
+        assert raised.value.hint == "Did you mean 'gaussians'?"
 
 
 def test_a_model_without_inputs_is_still(tmp_path, models):
@@ -250,10 +250,10 @@ def test_an_output_whose_size_depends_on_values_says_so(provider, tmp_path):
         with pytest.raises(RunFailed) as raised:
             session.run({"t": 3})
         assert raised.value.where == "output y"
-        assert raised.value.what.startswith(
+        assert raised.value.message.startswith(
             "has shape [3,2], and had [0,2] when the session"
         )
-        assert "num_points" in raised.value.mend
+        assert "num_points" in raised.value.hint
         assert session.run({"t": 0})["y"].shape == (0, 2)
 
 

@@ -19,7 +19,7 @@ from gsgen.contract.spec.manifest import Input
 from gsgen.runtime.scene.camera import Camera
 from gsgen.sdk.binding import FrameSession, InputInvalid, RunFailed, SizeUnknown
 from gsgen.sdk.binding.camera_inputs import camera_values, pinhole_projection
-from gsgen.sdk.binding.input_binding import Port, default_tensor
+from gsgen.sdk.binding.input_binding import InputBinding, default_tensor
 from support.models.small_models import HEAD, good_rows, moving, save
 
 WAYS = (
@@ -97,7 +97,7 @@ def test_a_camera_needs_a_manifest_and_two_matrices(session, tmp_path):
     with FrameSession(path, provider="cpu") as bare:
         with pytest.raises(InputInvalid, match="no manifest says which inputs") as raised:
             bare.run(camera=(np.eye(4), np.eye(4)))
-        assert "gsgen inspect --emit-manifest" in raised.value.mend
+        assert "gsgen inspect --emit-manifest" in raised.value.hint
 
 
 def test_a_camera_tells_its_centre_and_viewport():
@@ -160,7 +160,7 @@ def test_a_default_that_does_not_fill_its_input_is_refused():
 def test_matrices_are_transposed_for_column_order_alone(numbers, order):
     matrix = np.array(numbers).reshape(4, 4)
     entry = Input("m", "view")
-    tensor = Port("m", np.dtype("float32"), (4, 4), entry, order).tensor(matrix)
+    tensor = InputBinding("m", np.dtype("float32"), (4, 4), entry, order).tensor(matrix)
     wanted = matrix.astype(np.float32)
     np.testing.assert_array_equal(tensor, wanted.T if order == "column" else wanted)
 

@@ -18,7 +18,7 @@ from gsgen.sdk.binding import (
 from gsgen.sdk.binding.providers import selection, webgpu
 from gsgen.sdk.binding.providers.selection import (
     Choice,
-    Opening,
+    SessionOptions,
     choose,
     installed,
     open_session,
@@ -72,7 +72,7 @@ def test_an_onnx_runtime_without_plug_ins_is_named(monkeypatch):
     monkeypatch.delattr(onnxruntime, "register_execution_provider_library")
     with pytest.raises(AdapterMissing, match="takes no plug-in providers") as raised:
         find_adapter()
-    assert raised.value.mend == "pip install -U onnxruntime"
+    assert raised.value.hint == "pip install -U onnxruntime"
 
 
 def test_no_device_is_an_absence(monkeypatch):
@@ -93,7 +93,7 @@ def test_the_provider_is_registered_once(models):
 def test_a_provider_that_does_not_exist_is_refused(models):
     with pytest.raises(UnknownName) as raised:
         FrameSession(models["drift-float32"], provider="wgpu")
-    assert raised.value.mend == "Did you mean 'webgpu'?"
+    assert raised.value.hint == "Did you mean 'webgpu'?"
 
 
 def test_a_provider_that_fails_gives_way_to_the_cpu_if_nobody_asked_for_it(
@@ -124,7 +124,9 @@ def test_a_session_without_its_provider_is_no_session(models, monkeypatch):
     with pytest.raises(
         ProviderUnavailable, match=r"wanted WebGpu.*, got CPUExecutionProvider"
     ):
-        open_session(models["drift-float32"], Opening(choose("webgpu"), capture=True))
+        open_session(
+            models["drift-float32"], SessionOptions(choose("webgpu"), capture=True)
+        )
 
 
 def test_an_adapter_that_cannot_be_had_is_an_absence(models, monkeypatch):
@@ -134,7 +136,7 @@ def test_an_adapter_that_cannot_be_had_is_an_absence(models, monkeypatch):
     monkeypatch.setattr(onnxruntime, "InferenceSession", refuse)
     with pytest.raises(ProviderUnavailable, match="No supported adapters") as raised:
         FrameSession(models["drift-float32"], provider="webgpu")
-    assert raised.value.mend.startswith("install a Vulkan driver")
+    assert raised.value.hint.startswith("install a Vulkan driver")
 
 
 # ---- CUDA, which no test machine has ---------------------------------------------------------
@@ -145,7 +147,7 @@ def test_cuda_that_is_absent_is_refused(models):
         ProviderUnavailable, match="no CUDAExecutionProvider here"
     ) as raised:
         FrameSession(models["drift-float32"], provider="cuda")
-    assert "onnxruntime-gpu" in raised.value.mend
+    assert "onnxruntime-gpu" in raised.value.hint
 
 
 @pytest.fixture
@@ -164,7 +166,7 @@ def test_cuda_is_told_to_record_a_graph(capture, models, monkeypatch, with_cuda)
         return SimpleNamespace(get_providers=lambda: with_cuda)
 
     monkeypatch.setattr(onnxruntime, "InferenceSession", remember)
-    open_session(models["drift-float32"], Opening(choose(), capture))
+    open_session(models["drift-float32"], SessionOptions(choose(), capture))
     options = {"device_id": "0", "enable_cuda_graph": "1" if capture else "0"}
     assert told == {
         "model": str(models["drift-float32"]),
@@ -197,7 +199,7 @@ def stand_in(monkeypatch, with_cuda):
 
     def as_the_cpu(path, opening):
         opened.append(opening.capture)
-        return open_plainly(path, Opening(Choice("cpu", "")))
+        return open_plainly(path, SessionOptions(Choice("cpu", "")))
 
     opened: list[bool] = []
     monkeypatch.setattr(onnxruntime.OrtValue, "ortvalue_from_shape_and_type", on_the_host)

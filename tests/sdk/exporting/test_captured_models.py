@@ -23,9 +23,9 @@ from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.sdk.exporting.embed_manifest import finish
-from gsgen.sdk.passes.framework.base import Goal
+from gsgen.sdk.passes.framework.base import RewriteTarget
 from gsgen.sdk.rewriting.model_io import save_model
-from gsgen.sdk.rewriting.rewrite import Census, census, rewrite_graph
+from gsgen.sdk.rewriting.rewrite import GraphStats, census, rewrite_graph
 from support.models.captured import assert_captured
 from support.models.reference_models import (
     Avatar,
@@ -80,8 +80,8 @@ class Case:
     """A model as torch exports it, and what the rewrites make of it."""
 
     path: Path
-    before: Census
-    after: Census
+    before: GraphStats
+    after: GraphStats
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def rewritten(tmp_path_factory) -> dict[str, Case]:
     for name in (*GENERATORS, "denoiser"):
         first, path = plain(name, folder), folder / f"{name}_rewritten.onnx"
         manifest = parse(open_model(first).manifest_text).manifest
-        goal = Goal.of(load_target("core"), manifest)
+        goal = RewriteTarget.of(load_target("core"), manifest)
         model = ir.load(first)
         rewrite_graph(model, goal)
         save_model(model, path)

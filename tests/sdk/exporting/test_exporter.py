@@ -24,7 +24,7 @@ from gsgen.sdk import (
     export,
     inputs,
 )
-from gsgen.sdk.passes.framework.base import Goal
+from gsgen.sdk.passes.framework.base import RewriteTarget
 from gsgen.sdk.rewriting.rewrite import census
 from support.models.generators import Drift, Growing, Lit, Skinned
 
@@ -76,7 +76,7 @@ def test_an_export_is_captured_by_every_release_that_is_known(
 ) -> None:
     """Growing computes in int64 and with masks; Skinned joins nine columns."""
     path = exported(make)
-    goal = Goal.of(load_target("core"))
+    goal = RewriteTarget.of(load_target("core"))
     assert "onnxruntime-web 1.22.0 (JSEP)" in {table.runtime for table in goal.tables}
     assert census(path, goal).uncaptured == ()
     joins = [node for node in onnx.load(path).graph.node if node.op_type == "Concat"]
@@ -100,7 +100,7 @@ class Wide(Drift):
 def test_an_opset_that_torch_silently_does_not_reach_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ExportFailed, match="operator set 16; it has 18") as caught:
         export(Wide(), tmp_path / "m.onnx", opset=16)
-    assert caught.value.mend == "Export at operator set 18."
+    assert caught.value.hint == "Export at operator set 18."
 
 
 def test_the_file_says_nothing_of_the_author_s_machine(exported: Exported) -> None:
@@ -141,7 +141,7 @@ def test_a_constant_baked_by_tracing_is_an_error_and_nothing_is_written(
 ) -> None:
     with pytest.raises((ParityFailed, ExportFailed)) as caught:
         export(Baked(), tmp_path / "m.onnx")
-    assert caught.value.mend
+    assert caught.value.hint
     assert list(tmp_path.iterdir()) == []
 
 
@@ -177,9 +177,9 @@ class Branching(Drift):
 def test_a_branch_on_data_is_refused_with_the_line_of_user_code(tmp_path: Path) -> None:
     with pytest.raises(ExportFailed) as caught:
         export(Branching(), tmp_path / "m.onnx")
-    assert "test_export.py" in caught.value.where
+    assert "test_exporter.py" in caught.value.where
     assert "time.item()" in caught.value.where
-    assert "torch.where" in caught.value.mend
+    assert "torch.where" in caught.value.hint
 
 
 class Logits(Drift):

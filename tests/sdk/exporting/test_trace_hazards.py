@@ -12,7 +12,7 @@ from gsgen.sdk import ExportFailed, GeneratorInvalid, ParityFailed, export
 from gsgen.sdk.exporting.eager_reference import run_eager
 from gsgen.sdk.exporting.parity_diagnosis import Suspects, explain
 from gsgen.sdk.exporting.trace_hazards import Watch
-from gsgen.sdk.parity import Made
+from gsgen.sdk.parity import ModelOutput
 from support.models import hazards
 from support.models.generators import Drift, Growing, Lit, Skinned
 
@@ -97,7 +97,7 @@ def test_a_hazard_that_matters_is_an_error_with_its_line_and_a_cure(
     with pytest.raises(error_type) as caught:
         export(kind(), tmp_path / "m.onnx")
     assert guilty_line(kind) in str(caught.value)
-    assert cure in caught.value.mend
+    assert cure in caught.value.hint
     assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr() == ("", "")  # torch prints graphs of what it gives up
     assert logging.root.manager.disable == logging.NOTSET
@@ -122,9 +122,9 @@ def explained(
 ) -> tuple[str, str]:
     """Explain a model that always emits its first frame, or one that follows."""
 
-    def run(probes: list[Probe]) -> list[Made]:
+    def run(probes: list[Probe]) -> list[ModelOutput]:
         moments = [0.0 if frozen else float(p.inputs["time"][0]) for p in probes]
-        return [Made(np.full((3, 10), t), np.zeros((3, 48)), 3) for t in moments]
+        return [ModelOutput(np.full((3, 10), t), np.zeros((3, 48)), 3) for t in moments]
 
     module = module.eval()
     references = [run_eager(module, probe) for probe in PROBES]
@@ -133,10 +133,10 @@ def explained(
 
 
 def test_an_input_that_lost_its_effect_is_named() -> None:
-    reason, mend = explained(Drift(), frozen=True)
+    reason, hint = explained(Drift(), frozen=True)
     assert reason == "; time changes nothing in the model"
-    assert "outside of torch" in mend
-    assert explained(Drift()) == ("", mend)
+    assert "outside of torch" in hint
+    assert explained(Drift()) == ("", hint)
 
 
 def test_a_result_that_changes_by_itself_is_named() -> None:
@@ -156,6 +156,6 @@ def test_what_forward_raises_is_told_with_its_line(tmp_path: Path) -> None:
     with pytest.raises(GeneratorInvalid) as caught:
         export(Raising(), tmp_path / "m.onnx")
     assert isinstance(caught.value, GsgenError)
-    assert "test_hazards.py" in caught.value.where
+    assert "test_trace_hazards.py" in caught.value.where
     assert "time @ self.rest" in caught.value.where
-    assert "forward raised RuntimeError" in caught.value.what
+    assert "forward raised RuntimeError" in caught.value.message

@@ -18,7 +18,7 @@ from gsgen.sdk.commands.float16 import float16
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.float16.convert_model import write_float16
 from gsgen.sdk.float16.instrumented_model import HalfModel
-from gsgen.sdk.float16.sensitivity_search import largest_harmless
+from gsgen.sdk.float16.sensitivity_search import max_quantizable
 from gsgen.sdk.float16.to_float16 import Boundary, ToFloat16, key_of
 from gsgen.sdk.float16.weight_tables import half_table
 from support.commands import gsgen
@@ -326,14 +326,14 @@ def test_the_search_gives_up_only_what_fits(costs: list[float], budget: int) -> 
     def measure(units: object) -> tuple[float, str]:
         return sum(costs[unit] for unit in units), "position"
 
-    found = largest_harmless(range(len(costs)), measure, budget=budget)
-    given_up = sum(costs[unit] for unit in found.given_up)
-    assert given_up <= 1
+    found = max_quantizable(range(len(costs)), measure, budget=budget)
+    quantized = sum(costs[unit] for unit in found.quantized)
+    assert quantized <= 1
     kept = [unit for group in found.kept for unit in group.units]
-    assert sorted([*kept, *found.given_up]) == list(range(len(costs)))
+    assert sorted([*kept, *found.quantized]) == list(range(len(costs)))
     if budget >= 300:
         spare = [costs[unit] for unit in kept]
-        assert all(given_up + cost > 1 for cost in spare)
+        assert all(quantized + cost > 1 for cost in spare)
 
 
 # -- The command

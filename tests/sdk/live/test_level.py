@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from onnx import parser
 
-from gsgen.contract.model.inspected_model import read_subject
+from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.limits import Limits
@@ -189,7 +189,7 @@ def test_a_model_that_takes_too_long_on_the_gpu_breaks_a_rule(tmp_path):
 
 
 def lived(path, *frames, **changes) -> Live:
-    subject = read_subject(open_model(path), LIVE.target, Limits())
+    subject = inspect_model(open_model(path), LIVE.target, Limits())
     made = [Frame(Probe(f"probe {k}", {}), *three) for k, three in enumerate(frames)]
     facts = {"nodes": (), "accepted": True, "stop": None} | changes
     return Live(subject=subject, adapter="made up", frames=tuple(made), **facts)
@@ -283,7 +283,7 @@ def frames_of(plain, replayed):
 )
 def test_replays_are_compared_with_plain_runs(good, replayed, how):
     found = list(wrong_replays(lived(good, *frames_of((1, 2, 3), replayed))))
-    assert [one.saw for one in found] == ([how] if how else [])
+    assert [one.actual for one in found] == ([how] if how else [])
 
 
 @pytest.mark.parametrize(
@@ -316,7 +316,7 @@ def test_the_operator_to_blame_is_named(text, said, tmp_path):
     )
     path = save(tmp_path / "a.onnx", proto)
     (found,) = wrong_replays(lived(path, *frames_of((1, 2, 3), (1, 1, 1))))
-    assert found.saw == f"repeats frame 0 in all 2 replays; {said}"
+    assert found.actual == f"repeats frame 0 in all 2 replays; {said}"
 
 
 def test_a_still_output_has_nothing_to_go_stale(good):

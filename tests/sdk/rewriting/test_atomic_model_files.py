@@ -10,13 +10,13 @@ from gsgen.contract.validator import validate
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.exporting.repair import Request, repair
 from gsgen.sdk.float16.convert_model import write_float16
-from gsgen.sdk.rewriting.atomic_model_files import draft_of
+from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 
 
 def test_a_folder_is_no_place_for_a_file(tmp_path: Path) -> None:
     with (
         pytest.raises(GsgenError, match="is a folder, wanted a file to write") as caught,
-        draft_of(tmp_path),
+        atomic_write(tmp_path),
     ):
         pytest.fail("no work is done for it")
     assert f"such as {tmp_path / 'model.onnx'}" in str(caught.value)
@@ -25,7 +25,7 @@ def test_a_folder_is_no_place_for_a_file(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_made_meanwhile_is_said(tmp_path: Path) -> None:
     path = tmp_path / "m.onnx"
-    place = draft_of(path)
+    place = atomic_write(path)
     place.__enter__().touch()
     path.mkdir()
     with pytest.raises(GsgenError, match="cannot be written"):

@@ -19,8 +19,14 @@ from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.spec.manifest_io import parse
 from gsgen.contract.spec.targets import known_targets, load_target
 from gsgen.sdk.errors import RewriteFailed
-from gsgen.sdk.passes.framework.base import BITS, Exactness, Goal, NodeRewrite, is_op
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.base import (
+    BITS,
+    ErrorBudget,
+    NodeRewrite,
+    RewriteTarget,
+    is_op,
+)
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.registry import REWRITES
 from gsgen.sdk.rewriting import rewrite as pipeline
 from gsgen.sdk.rewriting.model_io import save_model
@@ -49,7 +55,7 @@ class Scale(NodeRewrite):
 
     def replace(self, node: ir.Node) -> None:
         type(self).done = True
-        write = Before(node)
+        write = InsertionPoint(node)
         negative = write.op("Neg", node.inputs[0])
         factor = write.constant(np.asarray(self.by, np.float32))
         write.replace(write.op("Mul", negative, factor))
@@ -59,7 +65,7 @@ class Scale(NodeRewrite):
 def scaling(monkeypatch):
     """Let the pipeline run :class:`Scale` alone."""
 
-    def choose(by: float, exactness: Exactness) -> None:
+    def choose(by: float, exactness: ErrorBudget) -> None:
         monkeypatch.setattr(Scale, "by", by)
         monkeypatch.setattr(Scale, "done", False)
         monkeypatch.setattr(Scale, "exactness", exactness)
@@ -189,14 +195,14 @@ def test_symbolic_sizes_are_given_or_guessed(tmp_path: Path) -> None:
     [
         (1.0, BITS, False),
         (1.0000001, BITS, True),
-        (1.0000001, Exactness(relative=1e-5), False),
-        (1.01, Exactness(relative=1e-5), True),
-        (float("nan"), Exactness(relative=1e-5), True),
-        (float("inf"), Exactness(absolute=1e9), True),
+        (1.0000001, ErrorBudget(relative=1e-5), False),
+        (1.01, ErrorBudget(relative=1e-5), True),
+        (float("nan"), ErrorBudget(relative=1e-5), True),
+        (float("inf"), ErrorBudget(absolute=1e9), True),
     ],
 )
 def test_a_pass_that_changes_more_than_it_declares_writes_nothing(
-    by: float, exactness: Exactness, fails: bool, scaling, tmp_path: Path
+    by: float, exactness: ErrorBudget, fails: bool, scaling, tmp_path: Path
 ) -> None:
     scaling(by, exactness)
     source = written(tmp_path / "in.onnx", "g (float[2] x) => (float[2] y) { y = Neg (x) }")
@@ -219,7 +225,7 @@ def test_passes_that_undo_each_other_are_found_out(monkeypatch) -> None:
     monkeypatch.setattr(pipeline, "find_rewrites", lambda *_: [Scale()])
     model = parsed("g (float[2] x) => (float[2] y) { y = Neg (x) }")
     with pytest.raises(RewriteFailed, match="does not settle after 20 rounds of scale"):
-        rewrite_graph(model, Goal.of(WEBGPU))
+        rewrite_graph(model, RewriteTarget.of(WEBGPU))
 
 
 def test_a_pass_that_leaves_no_valid_graph_is_found_out(
@@ -278,7 +284,7 @@ def test_examples_that_no_release_captures_are_captured_afterwards(
     name: str, tmp_path: Path
 ) -> None:
     model = ir.load(find(name).write(tmp_path))
-    goal = Goal.of(CORE, parse(model.metadata_props[MANIFEST_KEY]).manifest)
+    goal = RewriteTarget.of(CORE, parse(model.metadata_props[MANIFEST_KEY]).manifest)
     rewrite_graph(model, goal)
     save_model(model, tmp_path / "out.onnx")
     assert census(tmp_path / "out.onnx", goal).uncaptured == ()
@@ -324,7 +330,7 @@ def test_every_pass_says_what_it_is() -> None:
         assert one.exactness.describe()
         assert one.wanted_by
         for target in known_targets().values():
-            made = one.for_goal(Goal.of(target))
+            made = one.for_goal(RewriteTarget.of(target))
             assert made is None or made.name == one.name
 
 

@@ -10,9 +10,9 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import run
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.scan import Scan
-from gsgen.runtime.kernels.sort.sort import Columns, Cut, RadixSort
+from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, SortConfig
 
-GPU = Cut(256, 16, 4, 4)
+GPU = SortConfig(256, 16, 4, 4)
 """How work is cut where there are many invocations."""
 
 
@@ -58,7 +58,7 @@ class Bench:
     """
 
     def __init__(
-        self, device: Device, cut: Cut, bits: int, room: int, compact: bool
+        self, device: Device, cut: SortConfig, bits: int, room: int, compact: bool
     ) -> None:
         self.device, self.room, self.compact = device, room, compact
         like = Device(device.raw)

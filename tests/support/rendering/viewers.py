@@ -6,8 +6,8 @@ import numpy as np
 from rendercanvas.offscreen import OffscreenRenderCanvas
 
 from gsgen.runtime.playback.camera_options import viewpoint
-from gsgen.runtime.viewer.live_playback import Stage
-from gsgen.runtime.viewer.surface_renderer import Painter
+from gsgen.runtime.viewer.live_playback import LivePlayback
+from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
 from gsgen.runtime.viewer.viewer import Viewer
 from gsgen.runtime.viewer.window import attach
 
@@ -23,7 +23,9 @@ class Hand:
         said: What was printed.
     """
 
-    def __init__(self, stage: Stage, painter: Painter, **options: Any) -> None:
+    def __init__(
+        self, stage: LivePlayback, painter: SurfaceRenderer, **options: Any
+    ) -> None:
         self.now, self.said = 0.0, list[str]()
         view = options.pop("view", None) or viewpoint("look-at:0,0,-4,0,0,0", *SIZE)
         self.viewer = Viewer(

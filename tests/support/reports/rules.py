@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from gsgen.contract.spec.severity import Level, Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import Rule, Scope, rule
 
-Found = Callable[[Any], Iterable[Breach]]
+Found = Callable[[Any], Iterable[Violation]]
 
 
 def made_up(
@@ -24,13 +24,13 @@ def made_up(
 ) -> Rule:
     """A rule that finds what ``find`` returns; nothing, if not said otherwise."""
 
-    def check(subject: Any) -> Iterator[Breach]:
+    def check(subject: Any) -> Iterator[Violation]:
         """Something holds.
 
         Why:
             Because.
 
-        Mend:
+        Hint:
             Make it so.
         """
         yield from find(subject)
@@ -42,12 +42,12 @@ def made_up(
     )
 
 
-def breaking(_: object) -> Iterator[Breach]:
+def breaking(_: object) -> Iterator[Violation]:
     """Find one breach."""
-    yield Breach.at("output g", "nine", "ten")
+    yield Violation.at("output g", "nine", "ten")
 
 
-def crashing(_: object) -> Iterator[Breach]:
+def crashing(_: object) -> Iterator[Violation]:
     """Fail as a rule must not."""
     raise ZeroDivisionError("no luck")
     yield

@@ -116,7 +116,7 @@ def _refuse_strangers(
     entries: "list[Entry]", settings: "Settings", expected: "Sequence[ExpectedFailure]"
 ) -> None:
     """Refuse expected failures that speak of nothing; the results are out by then."""
-    from gsgen.conformance.expected import strangers
+    from gsgen.conformance.expected import unmatched_entries
     from gsgen.conformance.run import ModelRun, suites_of
 
     tested = {
@@ -128,6 +128,6 @@ def _refuse_strangers(
         for entry in entries
         if isinstance(entry, ModelRun)
     }
-    for entry in strangers(expected, tested):
+    for entry in unmatched_entries(expected, tested):
         what = "matches no rule of any tested model"
-        raise ConfigInvalid(what, where=str(entry), mend="Remove or correct the entry.")
+        raise ConfigInvalid(what, where=str(entry), hint="Remove or correct the entry.")

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gsgen.conformance.expected import ExpectedFailure
-from gsgen.conformance.pytest.session import Bench, act, prepare, properties
+from gsgen.conformance.pytest.session import ConformanceSession, act, prepare, properties
 from gsgen.conformance.pytest.testing import refuse_strangers
 from gsgen.conformance.run import ModelRun
 from gsgen.conformance.suite import SUITES, Suite
@@ -57,12 +57,12 @@ class GeneratorConformance:
         self, target: str | None, level: str | None, pytestconfig: pytest.Config
     ) -> Settings:
         """Everything that steers the judgement."""
-        return Bench.of(pytestconfig).make_settings(target=target, level=level)
+        return ConformanceSession.of(pytestconfig).make_settings(target=target, level=level)
 
     @pytest.fixture
     def expected_failures(self, pytestconfig: pytest.Config) -> Iterable[ExpectedFailure]:
         """Rules that the model is known to break, strict both ways."""
-        return Bench.of(pytestconfig).expected
+        return ConformanceSession.of(pytestconfig).expected
 
     @pytest.fixture
     def conformance(
@@ -73,7 +73,7 @@ class GeneratorConformance:
         pytestconfig: pytest.Config,
     ) -> ModelRun:
         """The model, judged."""
-        bench, path = Bench.of(pytestconfig), Path(model)
+        bench, path = ConformanceSession.of(pytestconfig), Path(model)
         expected = tuple(expected_failures)
         try:
             if expected != bench.expected:  # those of the options may speak of other models

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from gsgen.conformance.expected import ExpectedFailure, strangers
-from gsgen.conformance.pytest.session import Bench, act, prepare, properties
+from gsgen.conformance.expected import ExpectedFailure, unmatched_entries
+from gsgen.conformance.pytest.session import ConformanceSession, act, prepare, properties
 from gsgen.conformance.run import ModelRun
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.validation.rule import Rule
@@ -20,7 +20,7 @@ class ModelFile(pytest.File):
 
     def collect(self) -> "Iterator[SuiteNode]":
         """Yield the chosen suites that apply to the model."""
-        bench = Bench.of(self.config)
+        bench = ConformanceSession.of(self.config)
         try:
             planned = bench.plan(self.path, bench.settings)
         except GsgenError as error:
@@ -31,7 +31,7 @@ class ModelFile(pytest.File):
 
     def run_model(self) -> ModelRun:
         """Judge the model, unless that was done already."""
-        bench = Bench.of(self.config)
+        bench = ConformanceSession.of(self.config)
         return bench.run(self.path, bench.settings, bench.expected)
 
 
@@ -99,7 +99,9 @@ class StaleEntry(pytest.Item):
 
 def stale_entries(session: pytest.Session) -> Iterator[StaleEntry]:
     """Yield an error for each entry of ``--gsgen-xfails`` that matches no collected model."""
-    bench = Bench.of(session.config)
+    bench = ConformanceSession.of(session.config)
     if bench.tested:
-        for number, entry in enumerate(strangers(bench.expected, bench.tested), start=1):
+        for number, entry in enumerate(
+            unmatched_entries(bench.expected, bench.tested), start=1
+        ):
             yield StaleEntry.from_parent(session, name=f"xfail-{number}", entry=entry)

@@ -64,9 +64,9 @@ def pytest_configure(config: pytest.Config) -> None:
     models = [str(Path(name)) for name in config.getoption("--gsgen")]
     if not models:
         return
-    from gsgen.conformance.pytest.session import Bench
+    from gsgen.conformance.pytest.session import ConformanceSession
 
-    Bench.of(config)  # a wrong option ends the run here
+    ConformanceSession.of(config)  # a wrong option ends the run here
     if config.args_source is pytest.Config.ArgsSource.INVOCATION_DIR:
         config.args = []
     config.args += [model for model in models if model not in config.args]
@@ -91,10 +91,13 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Give a test that asks for rules a `check` for each."""
     marker = metafunc.definition.get_closest_marker(_MARK)
     if marker is not None:
-        from gsgen.conformance.pytest.session import Bench
+        from gsgen.conformance.pytest.session import ConformanceSession
         from gsgen.conformance.pytest.testing import checks_for
 
-        bench, folder = Bench.of(metafunc.config), metafunc.definition.path.parent
+        bench, folder = (
+            ConformanceSession.of(metafunc.config),
+            metafunc.definition.path.parent,
+        )
         checks = checks_for(marker.args[0], bench, folder)
         metafunc.parametrize("check", checks, ids=[check.name for check in checks])
 

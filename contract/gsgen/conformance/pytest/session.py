@@ -1,6 +1,6 @@
 """What the tests of one pytest session share: options, and every model judged once."""
 
-__all__ = ["Bench", "RuleWarning", "act", "prepare", "properties"]
+__all__ = ["ConformanceSession", "RuleWarning", "act", "prepare", "properties"]
 
 import json
 import warnings
@@ -31,7 +31,7 @@ class RuleWarning(UserWarning):
     """A rule is broken, but not badly enough to fail (see ``--gsgen-fail-on``)."""
 
 
-class Bench:
+class ConformanceSession:
     """Options of a session and the models that it has judged so far.
 
     Attributes:
@@ -44,7 +44,7 @@ class Bench:
         self._runs: dict[object, ModelRun | Exception] = {}
 
     @classmethod
-    def of(cls, config: pytest.Config) -> "Bench":
+    def of(cls, config: pytest.Config) -> "ConformanceSession":
         """Return the bench of a session.
 
         Raises:
@@ -136,7 +136,7 @@ class Bench:
             return error
 
 
-_BENCH = pytest.StashKey[Bench]()
+_BENCH = pytest.StashKey[ConformanceSession]()
 
 
 def prepare(run: ModelRun, case: Case) -> None:

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from gsgen.conformance.cases import Case
-from gsgen.conformance.expected import ExpectedFailure, read_expected, strangers
-from gsgen.conformance.pytest.session import Bench, RuleWarning, act, prepare
+from gsgen.conformance.expected import ExpectedFailure, read_expected, unmatched_entries
+from gsgen.conformance.pytest.session import ConformanceSession, RuleWarning, act, prepare
 from gsgen.conformance.run import ModelRun
 from gsgen.conformance.suite import find_suite
 from gsgen.contract.errors import GsgenError
@@ -116,7 +116,7 @@ class Check:
         act(self.run, self.case)
 
 
-def checks_for(wanted: Request, bench: Bench, folder: Path) -> list[Check]:
+def checks_for(wanted: Request, bench: ConformanceSession, folder: Path) -> list[Check]:
     """Return a check for each rule of each model that a test asks for.
 
     Args:
@@ -130,7 +130,7 @@ def checks_for(wanted: Request, bench: Bench, folder: Path) -> list[Check]:
         raise pytest.UsageError(f"gsgen: {error}") from error
 
 
-def _checks(wanted: Request, bench: Bench, folder: Path) -> list[Check]:
+def _checks(wanted: Request, bench: ConformanceSession, folder: Path) -> list[Check]:
     settings = wanted.settings or bench.make_settings(
         target=wanted.target, level=wanted.level
     )
@@ -155,7 +155,9 @@ def _checks(wanted: Request, bench: Bench, folder: Path) -> list[Check]:
 
 
 def _expected(
-    given: PathLike | tuple[ExpectedFailure, ...] | None, bench: Bench, folder: Path
+    given: PathLike | tuple[ExpectedFailure, ...] | None,
+    bench: ConformanceSession,
+    folder: Path,
 ) -> tuple[ExpectedFailure, ...]:
     if given is None:
         return bench.expected
@@ -172,7 +174,7 @@ def refuse_strangers(
         path: [rule.id for rules in planned.values() for rule in rules]
         for path, planned in plans.items()
     }
-    for entry in strangers(expected, tested):
+    for entry in unmatched_entries(expected, tested):
         raise pytest.UsageError(
             f"gsgen: matches no rule of any tested model: remove or correct the entry\n  {entry}"
         )

@@ -41,7 +41,7 @@ def doctor(
             text = f"  {check.state:<8}{check.name:<22}{check.detail}{purpose}"
             show([Line(text, _STYLE[check.state])])
             if check.remedy:
-                show([Line(f"          mend: {check.remedy}")])
+                show([Line(f"          hint: {check.remedy}")])
     raise typer.Exit(int(broken))
 
 

@@ -11,7 +11,7 @@ import typer
 from gsgen.contract.errors import ModelUnreadable
 
 if TYPE_CHECKING:
-    from gsgen.contract.model.inspected_model import Subject
+    from gsgen.contract.model.inspected_model import InspectedModel
 
 _UNREADABLE = 4
 
@@ -64,20 +64,20 @@ def _schema(kind: str) -> dict[str, object]:
     return schemas()[schema_name(kind)]
 
 
-def _read(model: Path) -> "Subject":
-    from gsgen.contract.model.inspected_model import read_subject
+def _read(model: Path) -> "InspectedModel":
+    from gsgen.contract.model.inspected_model import inspect_model
     from gsgen.contract.model.model_file import open_model
     from gsgen.contract.process.limits import Limits
     from gsgen.contract.spec.targets import load_target
 
     try:
-        return read_subject(open_model(model), load_target("core"), Limits())
+        return inspect_model(open_model(model), load_target("core"), Limits())
     except ModelUnreadable as error:
         typer.echo(f"gsgen: {error}", err=True)
         raise typer.Exit(_UNREADABLE) from error
 
 
-def _emit(subject: "Subject") -> None:
+def _emit(subject: "InspectedModel") -> None:
     from gsgen.contract.spec.manifest_io import dumps
 
     if subject.parsed is not None and subject.parsed.manifest is None:
@@ -97,7 +97,7 @@ def _emit(subject: "Subject") -> None:
             typer.echo(f"  - {guess}", err=True)
 
 
-def _facts(subject: "Subject") -> dict[str, Any]:
+def _facts(subject: "InspectedModel") -> dict[str, Any]:
     file, graph = subject.file, subject.graph
     text = file.manifest_text
     opsets = {entry.domain or "ai.onnx": entry.version for entry in file.proto.opset_import}
@@ -119,7 +119,7 @@ def _tensor(name: str, dtype: str | None, dims: object) -> dict[str, object]:
     return {"name": name, "dtype": dtype, "shape": dims}
 
 
-def _show(subject: "Subject") -> None:
+def _show(subject: "InspectedModel") -> None:
     facts, graph = _facts(subject), subject.graph
     opsets = ", ".join(f"{domain} {number}" for domain, number in facts["opsets"].items())
     typer.echo(

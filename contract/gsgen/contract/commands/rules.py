@@ -51,7 +51,7 @@ def rules(
         return
     for one in chosen:
         head = f"{one.id}  {one.severity.word:<7}  {one.level.word:<9}  {one.slug}"
-        typer.echo(f"{head}\n    {one.what}")
+        typer.echo(f"{head}\n    {one.statement}")
 
 
 def _chosen(registry: "Registry", words: list[str]) -> "list[Rule]":
@@ -73,5 +73,6 @@ def _chosen(registry: "Registry", words: list[str]) -> "list[Rule]":
 def _speaks_of(word: str, rule: "Rule") -> bool:
     seen = word.casefold()
     return (
-        rule.id.casefold().startswith(seen) or seen in f"{rule.slug} {rule.what}".casefold()
+        rule.id.casefold().startswith(seen)
+        or seen in f"{rule.slug} {rule.statement}".casefold()
     )

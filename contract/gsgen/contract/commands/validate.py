@@ -45,7 +45,7 @@ class Format(StrEnum):
 
 # Format → the module in gsgen.contract.reporters, and its function.
 _REPORTERS = {
-    Format.JSON: ("machine", "to_json"),
+    Format.JSON: ("json_report", "to_json"),
     Format.SARIF: ("sarif", "to_sarif"),
     Format.JUNIT: ("junit", "to_junit"),
     Format.MARKDOWN: ("markdown", "to_markdown"),

@@ -1,6 +1,6 @@
 """What static rules look at: a model's graph beside the manifest that explains it."""
 
-__all__ = ["Subject", "read_subject"]
+__all__ = ["InspectedModel", "inspect_model"]
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from gsgen.contract.model.graph import Graph, Tensor, read_graph
-from gsgen.contract.model.manifest_inference import Candidate, derive
+from gsgen.contract.model.manifest_inference import Candidate, infer_manifest
 from gsgen.contract.model.model_file import ModelFile
 from gsgen.contract.model.provider_placement import Placement, placements
 from gsgen.contract.process.limits import Limits
@@ -27,7 +27,7 @@ from gsgen.contract.spec.targets import Target
 
 
 @dataclass(frozen=True)
-class Subject:
+class InspectedModel:
     """One model under judgement.
 
     Attributes:
@@ -150,15 +150,15 @@ def _output_fields(manifest: Manifest) -> tuple[str, ...]:
     return tuple(type(manifest.outputs).__dataclass_fields__)
 
 
-def read_subject(
+def inspect_model(
     file: ModelFile,
     target: Target,
     limits: Limits,
     tolerances: Mapping[str, float] | None = None,
-) -> Subject:
+) -> InspectedModel:
     """Read everything that static rules need; a missing manifest is guessed and marked so."""
     graph = read_graph(file)
     text = file.manifest_text
     parsed = parse(text) if text is not None else None
-    candidate = derive(graph, file.path.stem) if parsed is None else None
-    return Subject(file, graph, parsed, candidate, target, limits, tolerances or {})
+    candidate = infer_manifest(graph, file.path.stem) if parsed is None else None
+    return InspectedModel(file, graph, parsed, candidate, target, limits, tolerances or {})

@@ -4,7 +4,7 @@ Only whole names are recognised, never parts of them, and every guess is listed,
 author confirms or mends it before it is embedded.
 """
 
-__all__ = ["Candidate", "derive"]
+__all__ = ["Candidate", "infer_manifest"]
 
 from dataclasses import dataclass
 from typing import Literal
@@ -80,7 +80,7 @@ class Candidate:
     guesses: tuple[str, ...]
 
 
-def derive(graph: Graph, name: str) -> Candidate:
+def infer_manifest(graph: Graph, name: str) -> Candidate:
     """Guess the manifest of ``graph`` from whole tensor names and shapes."""
     guesses: list[str] = []
     inputs = tuple(_input(tensor, guesses) for tensor in graph.inputs if _role_of(tensor))

@@ -37,7 +37,7 @@ from gsgen.contract.errors import ModelUnreadable
 from gsgen.contract.model.protobuf_scan import (
     BYTES,
     STUB,
-    Skeleton,
+    StrippedModel,
     WireFault,
     scan,
     skeleton,
@@ -185,8 +185,8 @@ def _size(path: Path) -> int:
         raise ModelUnreadable(f"cannot be read: {error.strerror}", where=where) from error
     if stat.S_ISDIR(entry.st_mode):
         held = sorted(path.glob("*.onnx"))
-        mend = f"It holds {len(held)}: name {held[0]}, or {path}/*.onnx." if held else ""
-        raise ModelUnreadable("is a folder, wanted an ONNX file", where=where, mend=mend)
+        hint = f"It holds {len(held)}: name {held[0]}, or {path}/*.onnx." if held else ""
+        raise ModelUnreadable("is a folder, wanted an ONNX file", where=where, hint=hint)
     if not stat.S_ISREG(entry.st_mode):
         raise ModelUnreadable("is not a regular file, wanted an ONNX file", where=where)
     if entry.st_size == 0:
@@ -194,7 +194,7 @@ def _size(path: Path) -> int:
     return entry.st_size
 
 
-def _skeleton(path: Path, view: mmap.mmap) -> Skeleton:
+def _skeleton(path: Path, view: mmap.mmap) -> StrippedModel:
     with memoryview(view) as data:
         try:
             return skeleton(data)
@@ -233,10 +233,10 @@ def _not_onnx(path: Path, what: str, head: bytes) -> ModelUnreadable:
         return ModelUnreadable(what, where=str(path))
     if _is_text(head):
         return ModelUnreadable("is not an ONNX model but text", where=str(path))
-    mend = (
+    hint = (
         "Write the file again; a partial download or an interrupted export looks like this."
     )
-    return ModelUnreadable(what, where=str(path), mend=mend)
+    return ModelUnreadable(what, where=str(path), hint=hint)
 
 
 def _is_text(head: bytes) -> bool:

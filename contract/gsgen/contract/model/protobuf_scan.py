@@ -5,7 +5,7 @@ the payload of large tensors, and leaves a model that protobuf parses in millise
 Source: "Encoding", protobuf.dev, and ``onnx.proto`` of ONNX 1.18 for the field numbers.
 """
 
-__all__ = ["STUB", "Field", "Skeleton", "WireFault", "scan", "skeleton", "varint"]
+__all__ = ["STUB", "Field", "StrippedModel", "WireFault", "scan", "skeleton", "varint"]
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -67,7 +67,7 @@ class Field:
 
 
 @dataclass(slots=True)
-class Skeleton:
+class StrippedModel:
     """A model without the payload of its large tensors.
 
     Attributes:
@@ -124,7 +124,7 @@ def scan(data: Buffer, start: int, end: int) -> Iterator[Field]:
         at = stop
 
 
-def skeleton(data: Buffer) -> Skeleton:
+def skeleton(data: Buffer) -> StrippedModel:
     """Return the model in ``data`` without the payload of its large tensors.
 
     Raises:
@@ -141,7 +141,7 @@ class _Builder:
 
     def __init__(self, data: Buffer) -> None:
         self.data = data
-        self.result = Skeleton()
+        self.result = StrippedModel()
         self.fields = 0
         self.kept = 0
 

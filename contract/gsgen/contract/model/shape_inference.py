@@ -17,7 +17,7 @@ from google.protobuf.message import DecodeError
 from onnx import FunctionProto, GraphProto, ModelProto, ValueInfoProto
 
 from gsgen.contract.model.model_file import subgraphs
-from gsgen.contract.process.parent_watchdog import end_with_parent
+from gsgen.contract.process.parent_watchdog import exit_with_parent
 
 # What ONNX's library raises besides its own error.
 _ERRORS = (
@@ -150,5 +150,5 @@ def first_line(error: Exception) -> str:
 
 
 if __name__ == "__main__":
-    end_with_parent()
+    exit_with_parent()
     sys.exit(_be_the_child())

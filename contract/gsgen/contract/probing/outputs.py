@@ -1,6 +1,6 @@
 """What value rules look at: the outputs of one probe, whole or in chunks of rows."""
 
-__all__ = ["CHUNK", "Emission", "Rows", "chunks", "read_emission"]
+__all__ = ["CHUNK", "ModelOutputs", "Rows", "chunks", "read_outputs"]
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, UInt
 
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.field_order import FieldOrder, suspect_order
 from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.manifest import AppearanceOutput
@@ -25,7 +25,7 @@ _WORD: dict[int, type[np.unsignedinteger]] = {2: np.uint16, 4: np.uint32}
 
 
 @dataclass(frozen=True)
-class Emission:
+class ModelOutputs:
     """The outputs of one probe.
 
     Attributes:
@@ -47,7 +47,7 @@ class Emission:
     appearance: Float[np.ndarray, "n c"] | None
     count: int
     declared: AppearanceOutput | None
-    subject: Subject
+    subject: InspectedModel
     cells: Float[np.ndarray, "c 10"] | None = None
 
     @property
@@ -96,9 +96,9 @@ class Emission:
         return suspect_order(self.gaussians[: self.count : step].astype(np.float64))
 
 
-def read_emission(
-    subject: Subject, probe: str, zeros: bool, outputs: dict[str, np.ndarray]
-) -> Emission:
+def read_outputs(
+    subject: InspectedModel, probe: str, zeros: bool, outputs: dict[str, np.ndarray]
+) -> ModelOutputs:
     """Sort the outputs of a run by what the manifest says they are."""
 
     def take(name: str | None) -> np.ndarray | None:
@@ -118,7 +118,9 @@ def read_emission(
     if cells is not None and len(cells) * per_cell != capacity:
         cells = None  # another rule says so
     declared = subject.declared_appearance
-    return Emission(probe, zeros, outputs, rows, color, clipped, declared, subject, cells)
+    return ModelOutputs(
+        probe, zeros, outputs, rows, color, clipped, declared, subject, cells
+    )
 
 
 def _float_rows(array: np.ndarray | None, columns: int | None) -> np.ndarray | None:
@@ -138,7 +140,7 @@ class Rows:
         color: The appearance rows, as stored, or None where they cannot be read.
     """
 
-    emission: Emission
+    emission: ModelOutputs
     start: int
     packed: Float[np.ndarray, "n 10"]
     color: Float[np.ndarray, "n c"] | None
@@ -232,7 +234,7 @@ def _magnitude_bits(array: np.ndarray) -> UInt[np.ndarray, "..."]:
     )
 
 
-def chunks(emission: Emission) -> Iterator[Rows]:
+def chunks(emission: ModelOutputs) -> Iterator[Rows]:
     """Yield the rows of an emission, :data:`CHUNK` at a time."""
     packed = emission.gaussians
     for start in range(0, 0 if packed is None else len(packed), CHUNK):

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from gsgen.contract.model.graph import Tensor, static_dims
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.behaviour_probes import trial_probes
 from gsgen.contract.probing.probes import Probe, default_probes, dependency_probes
 from gsgen.contract.probing.test_vectors import vector_probes
@@ -51,7 +51,7 @@ class Plan:
     seed: int = 0
 
 
-def make_plan(subject: Subject, level: Level, seed: int = 0) -> Plan:
+def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
     """Lay out the runs that ``level`` needs."""
     manifest = subject.manifest
     assert manifest is not None
@@ -83,7 +83,7 @@ def make_plan(subject: Subject, level: Level, seed: int = 0) -> Plan:
     return Plan(tuple(probes), len(first), repeated, revisited, variants, trials, seed)
 
 
-def fetched_outputs(subject: Subject) -> list[str]:
+def fetched_outputs(subject: InspectedModel) -> list[str]:
     """Return the outputs to fetch: the declared ones, or all; numpy cannot hold every dtype."""
     graph = subject.graph
     declared = [graph.output(name) for name in subject.output_names]
@@ -101,20 +101,20 @@ def _probed_shape(entry: Input, tensor: Tensor) -> tuple[int, ...]:
     )
 
 
-def probed_shapes(subject: Subject) -> dict[str, tuple[int, ...]]:
+def probed_shapes(subject: InspectedModel) -> dict[str, tuple[int, ...]]:
     """Return the shapes that inputs are fed in, sizes that the graph leaves open included."""
     tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
     entries = subject.manifest.inputs if subject.manifest else ()
     return {i.name: _probed_shape(i, tensors[i.name]) for i in entries if i.name in tensors}
 
 
-def probed_bytes(subject: Subject) -> int:
+def probed_bytes(subject: InspectedModel) -> int:
     """Return the size of the inputs of one probe."""
     shapes = probed_shapes(subject).values()
     return sum(_WIDEST * math.prod(max(0, dim) for dim in shape) for shape in shapes)
 
 
-def _affordable(subject: Subject) -> int:
+def _affordable(subject: InspectedModel) -> int:
     """Return how many probes' inputs and outputs fit the budget."""
     total = probed_bytes(subject)
     for tensor in (subject.gaussians, subject.appearance, subject.cells):

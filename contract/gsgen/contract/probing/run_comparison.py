@@ -1,13 +1,20 @@
 """What behaviour rules look at: several runs of one session, compared output by output."""
 
-__all__ = ["Behaviour", "Comparison", "Trial", "Visit", "difference", "read_behaviour"]
+__all__ = [
+    "Behaviour",
+    "Comparison",
+    "ProbeRun",
+    "ProbeRuns",
+    "difference",
+    "read_behaviour",
+]
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.probe_plan import Plan
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Execution, Sample
@@ -15,10 +22,10 @@ from gsgen.contract.probing.sandbox_worker import thinned
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class ProbeRuns:
     """A model's runs, as the plan laid them out."""
 
-    subject: Subject
+    subject: InspectedModel
     execution: Execution
     plan: Plan
 
@@ -39,7 +46,7 @@ class Comparison:
 
 
 @dataclass(frozen=True, slots=True)
-class Visit:
+class ProbeRun:
     """One run that a rule asked for.
 
     Attributes:
@@ -83,19 +90,19 @@ class Behaviour:
         revisited: The same inputs with others in between; None without inputs.
         varied: Role → runs that differ in that role's inputs alone.
         trial: The runs themselves.
-        left_out: Labels of the extra probes that were asked for, and for which no time was left.
+        unfinished_probes: Labels of the extra probes that were asked for, and for which no time was left.
     """
 
-    subject: Subject
+    subject: InspectedModel
     repeated: Comparison
     revisited: Comparison | None
     varied: dict[str, tuple[Comparison, ...]]
-    trial: Trial
-    left_out: list[str] = field(default_factory=list)
+    trial: ProbeRuns
+    unfinished_probes: list[str] = field(default_factory=list)
 
     def for_a_rule(self) -> "Behaviour":
         """Return the same runs, with an empty list of what was left out."""
-        return replace(self, left_out=[])
+        return replace(self, unfinished_probes=[])
 
     @property
     def emitted(self) -> list[tuple[Probe, dict[str, np.ndarray]]]:
@@ -108,12 +115,12 @@ class Behaviour:
         return self._of((base, *others)) if others else []
 
     @property
-    def values(self) -> list[Visit]:
+    def values(self) -> list[ProbeRun]:
         """The runs that value rules look at, in order."""
         return [self._visit(index) for index in range(self.trial.plan.values)]
 
     @property
-    def base(self) -> Visit:
+    def base(self) -> ProbeRun:
         """The run that most others are compared with."""
         repeated = self.trial.plan.repeated
         assert repeated is not None
@@ -124,28 +131,30 @@ class Behaviour:
         """How long each run of the value probes took."""
         return [run.seconds for run in self.trial.execution.runs[: self.trial.plan.values]]
 
-    def visits(self, trial: str) -> list[Visit]:
+    def visits(self, trial: str) -> list[ProbeRun]:
         """Return the extra runs of one name that took place, and note those that did not."""
         asked = self.trial.plan.trials.get(trial, ())
         missed = (index for index in asked if not self._ran(index))
-        self.left_out.extend(self.trial.plan.probes[index].label for index in missed)
+        self.unfinished_probes.extend(
+            self.trial.plan.probes[index].label for index in missed
+        )
         return [self._visit(index) for index in asked if self._ran(index)]
 
     def _ran(self, index: int) -> bool:
         run = self.trial.execution.runs[index]
         return run.sample >= 0 or bool(run.error)
 
-    def _visit(self, index: int) -> Visit:
+    def _visit(self, index: int) -> ProbeRun:
         run, probe = self.trial.execution.runs[index], self.trial.plan.probes[index]
         sample = self.trial.execution.samples[run.sample] if run.sample >= 0 else None
-        return Visit(probe, sample, run.error)
+        return ProbeRun(probe, sample, run.error)
 
     def _of(self, indices: Iterable[int]) -> list[tuple[Probe, dict[str, np.ndarray]]]:
         visits = (self._visit(index) for index in indices)
         return [(v.probe, v.sample.outputs) for v in visits if v.sample is not None]
 
 
-def read_behaviour(trial: Trial) -> Behaviour:
+def read_behaviour(trial: ProbeRuns) -> Behaviour:
     """Compare the runs that the plan made for it."""
     plan = trial.plan
     assert plan.repeated is not None
@@ -158,7 +167,7 @@ def read_behaviour(trial: Trial) -> Behaviour:
     return Behaviour(trial.subject, repeated, revisited, varied, trial)
 
 
-def _compare(trial: Trial, first: int, second: int) -> Comparison:
+def _compare(trial: ProbeRuns, first: int, second: int) -> Comparison:
     runs, samples = trial.execution.runs, trial.execution.samples
     labels = trial.plan.probes[first].label, trial.plan.probes[second].label
     a, b = runs[first].sample, runs[second].sample

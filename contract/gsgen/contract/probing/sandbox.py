@@ -28,14 +28,14 @@ from gsgen.contract.process.limits import Limits
 
 _WORKER = "gsgen.contract.probing.sandbox_worker"
 
-Stage = Literal["load", "run", "time", "memory", "crash"]
+FaultStage = Literal["load", "run", "time", "memory", "crash"]
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
     """Why the model did not run to the end."""
 
-    stage: Stage
+    stage: FaultStage
     message: str
     probe: int | None = None
 
@@ -125,8 +125,8 @@ def execute(
             _write_job(folder, model, outputs, probes, limits, **options)
         except OSError as error:
             what = f"inputs cannot be written: {error.strerror or error}"
-            mend = "Make room there, or set TMPDIR to a folder that has some."
-            raise ConfigInvalid(what, where=str(folder.parent), mend=mend) from error
+            hint = "Make room there, or set TMPDIR to a folder that has some."
+            raise ConfigInvalid(what, where=str(folder.parent), hint=hint) from error
         started = time.monotonic()
         ended = _run_child(folder, limits.seconds, worker)
         yield _collect(folder, ended, time.monotonic() - started, limits)

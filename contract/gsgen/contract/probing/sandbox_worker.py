@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from gsgen.contract.process.limits import limit_memory
-from gsgen.contract.process.parent_watchdog import end_with_parent
+from gsgen.contract.process.parent_watchdog import exit_with_parent
 
 _OUT_OF_MEMORY = (
     "bad_alloc",
@@ -153,10 +153,10 @@ def digest_of(outputs: dict[str, np.ndarray]) -> str:
     digest = hashlib.sha256()
     for name, value in outputs.items():
         if not isinstance(value, np.ndarray) or value.dtype.hasobject:
-            saw = (
+            actual = (
                 "strings" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
             )
-            raise TypeError(f"output {name!r} is {saw}, wanted a numeric tensor")
+            raise TypeError(f"output {name!r} is {actual}, wanted a numeric tensor")
         digest.update(f"{name} {value.dtype} {value.shape}\n".encode())
         digest.update(np.ascontiguousarray(value).data)
     return digest.hexdigest()
@@ -186,5 +186,5 @@ def one_line(error: Exception) -> str:
 
 
 if __name__ == "__main__":
-    end_with_parent()
+    exit_with_parent()
     sys.exit(main(Path(sys.argv[1])))

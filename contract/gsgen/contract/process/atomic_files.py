@@ -1,7 +1,7 @@
 """Put files in their place only when they are whole."""
 
 __all__ = [
-    "draft_of",
+    "atomic_write",
     "is_device",
     "refuse_device",
     "refuse_folder",
@@ -20,7 +20,7 @@ _MODEL = ".onnx"
 
 
 @contextmanager
-def draft_of(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a path to write to; what stands there when the block ends well is moved to ``path``.
 
     Files written beside the draft (external weights), in folders of their own, too, move along,
@@ -65,9 +65,9 @@ def refuse_folder(path: Path) -> None:
     """
     if path.is_dir():
         name = path.name if path.suffix else "model.onnx"
-        mend = f"Name a file in it, such as {path / name}."
+        hint = f"Name a file in it, such as {path / name}."
         raise ConfigInvalid(
-            "is a folder, wanted a file to write", where=str(path), mend=mend
+            "is a folder, wanted a file to write", where=str(path), hint=hint
         )
 
 
@@ -91,11 +91,11 @@ def refuse_device(path: Path) -> None:
     """
     if is_device(path):
         what = "is a device or a pipe, wanted a file to write"
-        raise ConfigInvalid(what, where=str(path), mend="Name a file.")
+        raise ConfigInvalid(what, where=str(path), hint="Name a file.")
 
 
 def refuse_itself(
-    path: Path, sources: Iterable[Path], mend: str = "Name another file."
+    path: Path, sources: Iterable[Path], hint: str = "Name another file."
 ) -> None:
     """Refuse to write over what is read, by whatever name, before any work is done.
 
@@ -104,7 +104,7 @@ def refuse_itself(
     """
     if path.exists() and any(one.exists() and path.samefile(one) for one in sources):
         what = "is the file that is read, and would be lost"
-        raise ConfigInvalid(what, where=str(path), mend=mend)
+        raise ConfigInvalid(what, where=str(path), hint=hint)
 
 
 def refuse_model(path: Path, models: Iterable[Path] = ()) -> None:
@@ -122,9 +122,9 @@ def refuse_model(path: Path, models: Iterable[Path] = ()) -> None:
     """
     refuse_itself(path, models)
     if path.suffix.lower() == _MODEL:
-        mend = f"Name another file, such as {path.with_suffix('.txt')}."
+        hint = f"Name another file, such as {path.with_suffix('.txt')}."
         what = f"ends in {_MODEL}, and what is written there is no model"
-        raise ConfigInvalid(what, where=str(path), mend=mend)
+        raise ConfigInvalid(what, where=str(path), hint=hint)
 
 
 def _unwritten(path: Path, error: OSError) -> ConfigInvalid:

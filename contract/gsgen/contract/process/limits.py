@@ -25,8 +25,8 @@ class Limits:
 
     def __post_init__(self) -> None:
         if not (self.seconds > 0 and self.memory > 0):  # so that NaN is refused, too
-            saw = f"{self.seconds:g} s and {self.memory} bytes"
-            raise ConfigInvalid(f"{saw}, wanted more than 0 of each", where="limits")
+            actual = f"{self.seconds:g} s and {self.memory} bytes"
+            raise ConfigInvalid(f"{actual}, wanted more than 0 of each", where="limits")
 
     def for_model(self, size: int) -> "Limits":
         """Allow, on top, what loading ``size`` bytes of weights takes.

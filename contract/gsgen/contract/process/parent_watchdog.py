@@ -3,7 +3,7 @@
 The parent kills a child that takes too long; a parent that was killed itself cannot.
 """
 
-__all__ = ["end_with_parent"]
+__all__ = ["exit_with_parent"]
 
 import os
 import threading
@@ -12,7 +12,7 @@ import time
 _EVERY_SECONDS = 0.5
 
 
-def end_with_parent() -> None:
+def exit_with_parent() -> None:
     """From now on, end this process at once when the process that started it is gone."""
     parent = os.getppid()
 

@@ -124,8 +124,8 @@ class FindingEntry:
     where: WhereEntry
     message: Annotated[str, Hint("What was seen and what was wanted.")]
     stats: Stats
-    why: Annotated[str, Hint("What breaks because of it.")]
-    mend: Annotated[str, Hint("What to do about it.")]
+    why: Annotated[str, Hint("What invalid because of it.")]
+    hint: Annotated[str, Hint("What to do about it.")]
     source: Annotated[str, Hint("`contract`, or the target that raised it.")]
     waived: Annotated[
         bool, Hint("It does not count: its rule is ignored, or it is waived.")
@@ -137,9 +137,9 @@ class FindingEntry:
         str | None, Hint("The rule's page, from the root of the documentation.")
     ] = None
     waiver: Annotated[str | None, Hint("The reason that its waiver gives.")] = None
-    evidence: Annotated[str | None, Hint("Where the rule was seen to break something.")] = (
-        None
-    )
+    evidence: Annotated[
+        str | None, Hint("Location the rule was seen to break something.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +194,7 @@ class Document:
     target: Annotated[str, Hint("What it was judged for, name@version.")]
     level: Annotated[str, Hint("How far the validation was asked to go.")]
     fail_on: Annotated[SeverityName, Hint("The lowest severity that fails.")]
-    settings: Annotated[str, Hint("Where the settings came from.")]
+    settings: Annotated[str, Hint("Location the settings came from.")]
     verdict: Literal["conforms", "invalid", "internal-error"]
     counts: Counts
     levels: tuple[LevelEntry, ...]
@@ -202,7 +202,9 @@ class Document:
     causes: tuple[CauseEntry, ...]
     rules: Annotated[tuple[RuleEntry, ...], Hint("Every installed rule.")]
     tolerances: tuple[ToleranceEntry, ...]
-    probes: Annotated[tuple[str, ...], Hint("Labels of the inputs that value rules saw.")]
+    probes: Annotated[
+        tuple[str, ...], Hint("Labels of the inputs that value rules actual.")
+    ]
     environment: Annotated[dict[str, str], Hint("Versions of what ran.")]
     truncated: Annotated[bool, Hint("Some finding counts more places than its own.")]
     seconds: float
@@ -217,9 +219,9 @@ class Document:
 class Fault:
     """Why a file could not be judged."""
 
-    what: str
+    message: str
     where: str
-    mend: str
+    hint: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ def _annotation(path: str, finding: Finding) -> str:
     command = _COMMANDS[finding.severity]
     if finding.certainty == "possible" and command == "error":
         command = "warning"  # a guess from the numbers fails nobody
-    text = f"{finding.where}: {finding.message}\nmend: {finding.mend}"
+    text = f"{finding.where}: {finding.message}\nmend: {finding.hint}"
     return _command(command, path, f"{finding.rule} {finding.slug}", text)
 
 

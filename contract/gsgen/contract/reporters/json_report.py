@@ -87,7 +87,7 @@ def document_of(report: Report) -> Document:
 
 def _unreadable(entry: Unreadable) -> UnreadableDocument:
     error = entry.error
-    fault = Fault(error.what, error.where, error.mend)
+    fault = Fault(error.message, error.where, error.hint)
     subject = SubjectEntry(uri=entry.path)
     return UnreadableDocument("gsgen-report/1", subject, "unreadable", fault)
 
@@ -130,7 +130,7 @@ def _finding(finding: Finding, rule: Rule) -> FindingEntry:
             _example(finding.worst) if finding.worst else None,
         ),
         why=rule.why,
-        mend=finding.mend,
+        hint=finding.hint,
         source=finding.source,
         waived=finding.waived,
         known=finding.known,

@@ -41,7 +41,7 @@ def _count(parent: Element) -> None:
 
 def _unreadable(suite: Element, entry: Unreadable) -> None:
     case = SubElement(suite, "testcase", classname=printable(entry.path), name="readable")
-    error = SubElement(case, "error", message=printable(entry.error.what))
+    error = SubElement(case, "error", message=printable(entry.error.message))
     error.set("type", type(entry.error).__name__)
     error.text = printable(str(entry.error), keep="\n")
 
@@ -85,4 +85,4 @@ def _words(finding: Finding) -> str:
     notes += ["known"] if finding.known else []
     said = f" ({'; '.join(notes)})" if notes else ""
     text = f"{finding.severity.word}{said}: {finding.where}: {finding.message}"
-    return printable(f"{text}\nmend: {finding.mend}", keep="\n")
+    return printable(f"{text}\nmend: {finding.hint}", keep="\n")

@@ -73,7 +73,7 @@ def _finding(finding: Finding) -> str:
     doubt = " (possible)" if finding.certainty == "possible" else ""
     head = f"**{finding.rule} {finding.slug}** {finding.severity.word}{doubt}"
     place = f"{code(str(finding.where))}: {code(finding.message)}"
-    return f"- {head} at {place}\n  - mend: {finding.mend}"
+    return f"- {head} at {place}\n  - mend: {finding.hint}"
 
 
 def _details(report: Report) -> list[str]:

@@ -40,8 +40,8 @@ def page(rule: Rule, registry: Registry) -> str:
     ]
     listed = "\n".join(f"- {name}: {value}" for name, value in facts if value)
     text = (
-        f"# {rule.id} {rule.slug}\n\n{rule.what}\n\n{listed}\n\n"
-        f"## Why\n\n{rule.why}\n\n## How to mend it\n\n{rule.mend}\n"
+        f"# {rule.id} {rule.slug}\n\n{rule.statement}\n\n{listed}\n\n"
+        f"## Why\n\n{rule.why}\n\n## How to mend it\n\n{rule.hint}\n"
     )
     return f"{text}\n## Evidence\n\n{rule.evidence}\n" if rule.evidence else text
 
@@ -61,7 +61,9 @@ def index(registry: Registry) -> str:
             lines += ["", f"## {FAMILIES.get(family, family)} ({family})", ""]
             lines += ["| rule | severity | level | what must hold |", "|---|---|---|---|"]
         name = f"[{rule.id} {rule.slug}]({rule.id.replace('/', '-')}.md)"
-        lines.append(f"| {name} | {rule.severity.word} | {rule.level.word} | {rule.what} |")
+        lines.append(
+            f"| {name} | {rule.severity.word} | {rule.level.word} | {rule.statement} |"
+        )
     return "\n".join(lines) + "\n"
 
 
@@ -72,9 +74,9 @@ def to_dict(rule: Rule) -> dict[str, Any]:
         "slug": rule.slug,
         "severity": rule.severity.word,
         "level": rule.level.word,
-        "what": rule.what,
+        "statement": rule.statement,
         "why": rule.why,
-        "mend": rule.mend,
+        "hint": rule.hint,
         "fixture": rule.fixture,
         "needs": list(rule.needs),
         "kinds": list(rule.kinds),

@@ -62,9 +62,9 @@ def _rule(rule: Rule) -> Json:
     return {
         "id": rule.id,
         "name": "".join(word.capitalize() for word in rule.slug.split("-")),
-        "shortDescription": {"text": rule.what},
+        "shortDescription": {"text": rule.statement},
         "fullDescription": {"text": rule.why},
-        "help": {"text": f"{rule.why}\n\nHow to mend it: {rule.mend}"},
+        "help": {"text": f"{rule.why}\n\nHow to mend it: {rule.hint}"},
         "defaultConfiguration": {"level": _LEVELS[rule.severity]},
         "properties": {
             "slug": rule.slug,
@@ -148,7 +148,7 @@ def _result(report: Report, finding: Finding, rule: int, number: int) -> Json:
             "certainty": finding.certainty,
             "count": finding.count,
             "total": finding.total,
-            "mend": finding.mend,
+            "hint": finding.hint,
             "source": finding.source,
         },
     }

@@ -98,7 +98,7 @@ def finding_lines(findings: Iterable[Finding], *, every: bool = False) -> list[L
         every: Show all places; otherwise the first few of a kind, and how many there are.
     """
     lines: list[Line] = []
-    for (head, mend), group in groupby(findings, lambda one: (_head_of(one), one.mend)):
+    for (head, hint), group in groupby(findings, lambda one: (_head_of(one), one.hint)):
         found = list(group)
         lines.append(Line(head, _STYLE[found[0].severity]))
         shown = found if every or len(found) <= _MOST_PLACES else found[: _MOST_PLACES - 1]
@@ -106,7 +106,7 @@ def finding_lines(findings: Iterable[Finding], *, every: bool = False) -> list[L
             lines += _place(one)
         if left := len(found) - len(shown):
             lines += _wrapped(f"and at {left} more places, which `gsgen validate -v` lists")
-        lines += _wrapped(f"mend: {mend}")
+        lines += _wrapped(f"mend: {hint}")
     return [Line(printable(line.text), line.style) for line in lines]
 
 

@@ -30,8 +30,8 @@ from gsgen.contract.rules.values import (
 )
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
-from gsgen.contract.validation.level_backend import Runner
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.level_backend import LevelBackend
 from gsgen.contract.validation.rule import Registry, Rule, rule, rules_in, runners_in
 
 FAMILIES = (
@@ -82,7 +82,7 @@ def installed_rules() -> Registry:
     that does not load becomes a crashed rule in every report.
     """
     rules = catalogue()
-    runners: list[Runner] = []
+    runners: list[LevelBackend] = []
     points = registered("gsgen.rules")
     for number, point in enumerate(points):
         try:
@@ -108,13 +108,13 @@ def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
         fixture="",
         kinds=KINDS,
     )
-    def plugin_loads(_: object) -> Iterator[Breach]:
+    def plugin_loads(_: object) -> Iterator[Violation]:
         """The rules of an installed plugin can be loaded.
 
         Why:
             Rules that do not load would be left out, and the report would look better than it is.
 
-        Mend:
+        Hint:
             Mend or uninstall the package that registers them.
         """
         raise ImportError(f"rules {point.name} = {point.value} do not load: {error!r}")
@@ -122,9 +122,9 @@ def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
     return plugin_loads
 
 
-def _load(point: EntryPoint) -> tuple[list[Rule], list[Runner]]:
+def _load(point: EntryPoint) -> tuple[list[Rule], list[LevelBackend]]:
     loaded = point.load()
     if isinstance(loaded, ModuleType):
         return rules_in(loaded), runners_in(loaded)
-    runners = [one for one in loaded if isinstance(one, Runner)]
-    return [one for one in loaded if not isinstance(one, Runner)], runners
+    runners = [one for one in loaded if isinstance(one, LevelBackend)]
+    return [one for one in loaded if not isinstance(one, LevelBackend)], runners

@@ -4,13 +4,13 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from gsgen.contract.model.graph import tensor_bytes
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.model_file import ExternalRef
 from gsgen.contract.probing.probe_plan import probed_bytes, probed_shapes
-from gsgen.contract.probing.run_comparison import Trial
+from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import RUNNABLE
 from gsgen.contract.validation.rule import rule
 
@@ -30,14 +30,14 @@ _PROBES = 4
     fixture="external_data_outside",
     kinds=KINDS,
 )
-def external_data_inside(subject: Subject) -> Iterator[Breach]:
+def external_data_inside(subject: InspectedModel) -> Iterator[Violation]:
     """External weights lie in files beside or below the model, and are complete.
 
     Why:
         A path that leads out of the folder makes whoever loads the model read files of its
         author's choosing; a missing or short file fails only when the model is loaded.
 
-    Mend:
+    Hint:
         Store weights inside the model or in a file beside it, and ship both.
     """
     root = subject.file.path.resolve().parent
@@ -47,8 +47,8 @@ def external_data_inside(subject: Subject) -> Iterator[Breach]:
         fault = _fault(ref, root, tensor_bytes(weight) if weight else 0)
         if fault is not None:
             faults.setdefault(ref.location, fault)
-    for location, (saw, want) in faults.items():
-        yield Breach.at(f"external data {location!r}", saw, want)
+    for location, (actual, expected) in faults.items():
+        yield Violation.at(f"external data {location!r}", actual, expected)
 
 
 def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None:
@@ -90,13 +90,13 @@ def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None
     fixture="huge_dimension",
     kinds=KINDS,
 )
-def sizes_sane(subject: Subject) -> Iterator[Breach]:
+def sizes_sane(subject: InspectedModel) -> Iterator[Violation]:
     """Declared sizes fit the memory that running the model may take.
 
     Why:
         A few bytes of a file can ask for terabytes of memory, or for more axes than an array has.
 
-    Mend:
+    Hint:
         Correct the dimension; if the model is meant to be that large, raise `--memory`.
     """
     limit = subject.limits.memory
@@ -111,26 +111,26 @@ def sizes_sane(subject: Subject) -> Iterator[Breach]:
             size = tensor_bytes(tensor)
             axes = len(tensor.dims or ())
             if negative:
-                yield Breach.at(
+                yield Violation.at(
                     f"{place} {tensor.name}", f"shape {tensor}", "sizes of 0 or more"
                 )
             elif axes > _MOST_AXES:
                 wanted = f"{_MOST_AXES} axes at most"
-                yield Breach.at(f"{place} {tensor.name}", f"{axes} axes", wanted)
+                yield Violation.at(f"{place} {tensor.name}", f"{axes} axes", wanted)
             elif size > limit or size > 8 * _MOST_ELEMENTS:
-                saw = f"{size / _MIB:.0f} MiB, {tensor}"
-                yield Breach.at(
-                    f"{place} {tensor.name}", saw, f"{limit // _MIB} MiB at most"
+                actual = f"{size / _MIB:.0f} MiB, {tensor}"
+                yield Violation.at(
+                    f"{place} {tensor.name}", actual, f"{limit // _MIB} MiB at most"
                 )
     for name, shape in probed_shapes(subject).items():
         fed = graph.input(name)
         if len(shape) > _MOST_AXES and fed is not None and fed.dims is None:
-            saw = f"{len(shape)} axes in the manifest"
-            yield Breach.at(f"input {name}", saw, f"{_MOST_AXES} axes at most")
+            actual = f"{len(shape)} axes in the manifest"
+            yield Violation.at(f"input {name}", actual, f"{_MOST_AXES} axes at most")
     probed, most = probed_bytes(subject), limit // _PROBES
     if probed > most:  # sizes that the graph leaves open included
-        saw = f"{probed / _MIB:.0f} MiB in float64, all together"
-        yield Breach.at("inputs of a frame", saw, f"{most // _MIB} MiB at most")
+        actual = f"{probed / _MIB:.0f} MiB in float64, all together"
+        yield Violation.at("inputs of a frame", actual, f"{most // _MIB} MiB at most")
 
 
 @rule(
@@ -142,18 +142,18 @@ def sizes_sane(subject: Subject) -> Iterator[Breach]:
     kinds=KINDS,
     needs=RUNNABLE,
 )
-def within_limits(trial: Trial) -> Iterator[Breach]:
+def within_limits(trial: ProbeRuns) -> Iterator[Violation]:
     """The model runs within the limits on time and memory.
 
     Why:
         A model that takes minutes or gigabytes on the CPU blocks the viewer that loads it.
 
-    Mend:
+    Hint:
         Look for loops without end and for tensors that grow; raise `--timeout` or `--memory` if
         the model is meant to be that heavy.
     """
     fault = trial.execution.fault
     if fault is not None and fault.stage in ("time", "memory"):
         limit = trial.subject.granted
-        want = f"at most {limit.seconds:g} s and {limit.memory // _MIB} MiB"
-        yield Breach.at("ONNX Runtime", fault.message, want)
+        expected = f"at most {limit.seconds:g} s and {limit.memory // _MIB} MiB"
+        yield Violation.at("ONNX Runtime", fault.message, expected)

@@ -12,7 +12,7 @@ __all__ = [
     "VISIBILITY",
     "WORD_BYTES",
     "Cells",
-    "Gaussians",
+    "DecodedGaussians",
     "appearance_channels",
     "decode",
     "decode_cells",
@@ -53,7 +53,7 @@ APPEARANCE_CHANNELS: dict[str, tuple[int, ...]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Gaussians:
+class DecodedGaussians:
     """N Gaussians, unpacked, in the model's local space.
 
     Exactly one of ``sh`` and ``rgb`` is given.
@@ -131,7 +131,7 @@ def appearance_channels(
 
 
 def encode(
-    gaussians: Gaussians, dtype: type[np.float32] | type[np.float16] = np.float32
+    gaussians: DecodedGaussians, dtype: type[np.float32] | type[np.float16] = np.float32
 ) -> tuple[Float[np.ndarray, "n 10"], Float[np.ndarray, "n c"]]:
     """Pack Gaussians into rows: ``(gaussians [N, 10], appearance [N, C])`` of ``dtype``.
 
@@ -152,7 +152,7 @@ def decode(
     rows: Float[np.ndarray, "n 10"],
     appearance: Float[np.ndarray, "n c"],
     space: Literal["sh", "rgb"],
-) -> Gaussians:
+) -> DecodedGaussians:
     """Unpack rows into float32 Gaussians; the inverse of :func:`encode`.
 
     Raises:
@@ -175,7 +175,7 @@ def decode(
     wide = rows.astype(np.float32)
     color = appearance.astype(np.float32)
     n = len(rows)
-    return Gaussians(
+    return DecodedGaussians(
         position=wide[:, POSITION],
         opacity=wide[:, OPACITY],
         covariance=wide[:, COVARIANCE],

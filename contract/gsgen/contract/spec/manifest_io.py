@@ -26,14 +26,14 @@ class Complaint:
     Attributes:
         cause: ``syntax``, ``schema`` or ``version``.
         where: A path such as ``outputs.gaussians.dtype``; empty for the whole document.
-        saw: The offending value, shortened.
-        want: What the schema asks for.
+        actual: The offending value, shortened.
+        expected: What the schema asks for.
     """
 
     cause: str
     where: str
-    saw: str
-    want: str
+    actual: str
+    expected: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,12 +109,12 @@ def _parse_document(text: str) -> Parsed:
         return _failed("schema", "", _short(document), "a JSON object")
     version = _version(document.get("contract"))
     if version is None:
-        saw = _short(document.get("contract", "nothing"))
-        return _failed("version", "contract", saw, 'a version such as "1.0"')
+        actual = _short(document.get("contract", "nothing"))
+        return _failed("version", "contract", actual, 'a version such as "1.0"')
     if version[0] > CURRENT[0] or version[0] < 1:
-        want = f"major version 1 to {CURRENT[0]}"
+        expected = f"major version 1 to {CURRENT[0]}"
         return Parsed(
-            None, (Complaint("version", "contract", _dotted(version), want),), version
+            None, (Complaint("version", "contract", _dotted(version), expected),), version
         )
     return _parse_body(document, version)
 
@@ -143,7 +143,8 @@ def loads(text: str) -> Manifest:
     parsed = parse(text)
     if parsed.manifest is None:
         lines = [
-            f"{c.where or 'document'}: {c.saw}, wanted {c.want}" for c in parsed.complaints
+            f"{c.where or 'document'}: {c.actual}, wanted {c.expected}"
+            for c in parsed.complaints
         ]
         raise ManifestInvalid("; ".join(lines), where="manifest")
     return parsed.manifest
@@ -162,8 +163,8 @@ def dumps(manifest: Manifest, *, indent: int | None = 2) -> str:
     return text
 
 
-def _failed(cause: str, where: str, saw: str, want: str) -> Parsed:
-    return Parsed(None, (Complaint(cause, where, saw, want),))
+def _failed(cause: str, where: str, actual: str, expected: str) -> Parsed:
+    return Parsed(None, (Complaint(cause, where, actual, expected),))
 
 
 def _number(text: str) -> float:
@@ -215,7 +216,7 @@ def _is_unknown(name: str, error: Any) -> bool:
 def _complaint(error: Any) -> Complaint:
     """Translate a jsonschema error: what was seen, then what the schema wanted."""
     where = ".".join(str(part) for part in error.absolute_path)
-    want = error.schema.get("description") if isinstance(error.schema, dict) else None
+    expected = error.schema.get("description") if isinstance(error.schema, dict) else None
     if error.validator == "required":
         missing = error.message.split("'")[1]
         return Complaint(
@@ -223,14 +224,19 @@ def _complaint(error: Any) -> Complaint:
         )
     if error.validator == "additionalProperties":
         known = ", ".join(error.schema.get("properties", {}))
-        strangers = ", ".join(
+        unmatched_entries = ", ".join(
             repr(name) for name in error.instance if _is_unknown(name, error)
         )
-        return Complaint("schema", where, _short(strangers), f"only the fields {known}")
+        return Complaint(
+            "schema", where, _short(unmatched_entries), f"only the fields {known}"
+        )
     if error.validator == "enum":
         options = ", ".join(str(option) for option in error.validator_value)
         return Complaint("schema", where, _short(error.instance), f"one of {options}")
     detail = f"{error.validator} {error.validator_value}"
     return Complaint(
-        "schema", where, _short(error.instance), f"{want} ({detail})" if want else detail
+        "schema",
+        where,
+        _short(error.instance),
+        f"{expected} ({detail})" if expected else detail,
     )

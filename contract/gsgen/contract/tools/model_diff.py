@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gsgen.contract.model.inspected_model import Subject, read_subject
+from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.probe_plan import make_plan
 from gsgen.contract.probing.sandbox import Execution, execute
@@ -71,7 +71,7 @@ def compare_models(
         ModelUnreadable: One of the files is no model.
     """
     limits, target = limits or Limits(), load_target("core")
-    a, b = (read_subject(open_model(path), target, limits) for path in (first, second))
+    a, b = (inspect_model(open_model(path), target, limits) for path in (first, second))
     facts = [*_contract(a, b), *_graph(a, b)]
     reason = _incomparable(a, b)
     if reason:
@@ -80,11 +80,11 @@ def compare_models(
     return facts, outputs, reason
 
 
-def _contract(a: Subject, b: Subject) -> Iterator[Difference]:
+def _contract(a: InspectedModel, b: InspectedModel) -> Iterator[Difference]:
     yield from _changes("contract", _declared(a), _declared(b))
 
 
-def _declared(subject: Subject) -> dict[str, str]:
+def _declared(subject: InspectedModel) -> dict[str, str]:
     if subject.parsed is None or subject.manifest is None:
         return {"manifest": _NOTHING if subject.parsed is None else "(invalid)"}
     dumps(subject.manifest)  # a manifest that cannot be written is no base for comparison
@@ -103,11 +103,11 @@ def _flat(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
         yield prefix, str(value)
 
 
-def _graph(a: Subject, b: Subject) -> Iterator[Difference]:
+def _graph(a: InspectedModel, b: InspectedModel) -> Iterator[Difference]:
     yield from _changes("graph", _structure(a), _structure(b))
 
 
-def _structure(subject: Subject) -> dict[str, str]:
+def _structure(subject: InspectedModel) -> dict[str, str]:
     graph, proto = subject.graph, subject.file.proto
     facts = {f"opset {e.domain or 'ai.onnx'}": str(e.version) for e in proto.opset_import}
     facts |= {f"input {tensor.name}": str(tensor) for tensor in graph.inputs}
@@ -127,7 +127,7 @@ def _changes(kind: str, a: dict[str, str], b: dict[str, str]) -> Iterator[Differ
             yield Difference(kind, name, first, second)
 
 
-def _incomparable(a: Subject, b: Subject) -> str:
+def _incomparable(a: InspectedModel, b: InspectedModel) -> str:
     """Say why outputs cannot be compared; empty if they can."""
     for subject in (a, b):
         if subject.generator is None or not subject.output_names:
@@ -137,7 +137,7 @@ def _incomparable(a: Subject, b: Subject) -> str:
     return ""
 
 
-def _outputs(a: Subject, b: Subject) -> tuple[list[OutputDifference], str]:
+def _outputs(a: InspectedModel, b: InspectedModel) -> tuple[list[OutputDifference], str]:
     plan = make_plan(a, Level.VALUES)
     with ExitStack() as stack:
         runs: list[Execution] = []
@@ -153,7 +153,7 @@ def _outputs(a: Subject, b: Subject) -> tuple[list[OutputDifference], str]:
 
 
 def _apart(
-    a: Subject, b: Subject, runs: list[Execution], labels: list[str]
+    a: InspectedModel, b: InspectedModel, runs: list[Execution], labels: list[str]
 ) -> Iterator[OutputDifference]:
     for role in ("gaussians", "appearance", "count", "cells"):
         first, second = getattr(a, f"declared_{role}"), getattr(b, f"declared_{role}")
@@ -174,7 +174,7 @@ def _apart(
         yield worst
 
 
-def _is_rgb(subject: Subject) -> bool:
+def _is_rgb(subject: InspectedModel) -> bool:
     declared = subject.declared_appearance
     return declared is not None and declared.space == "rgb"
 

@@ -21,11 +21,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid, GsgenError
-from gsgen.contract.model.inspected_model import Subject, read_subject
+from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
 from gsgen.contract.model.model_file import ModelFile, open_model, write_manifest_text
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Execution, execute
-from gsgen.contract.process.atomic_files import draft_of
+from gsgen.contract.process.atomic_files import atomic_write
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
@@ -50,8 +50,8 @@ def refuse_standing(standing: Sequence[Path], folder: Path, other: str) -> None:
     """
     if standing:
         what = f"holds {standing[0].name} already"
-        mend = f"Name another {other}, or replace them with --force."
-        raise ConfigInvalid(what, where=str(folder), mend=mend)
+        hint = f"Name another {other}, or replace them with --force."
+        raise ConfigInvalid(what, where=str(folder), hint=hint)
 
 
 def spread(things: Sequence[_Thing], count: int) -> list[_Thing]:
@@ -60,7 +60,7 @@ def spread(things: Sequence[_Thing], count: int) -> list[_Thing]:
     return [things[index] for index in picked]
 
 
-def recordable(source: Path, settings: Settings) -> Subject:
+def recordable(source: Path, settings: Settings) -> InspectedModel:
     """Return what is known of a model that can promise something.
 
     Raises:
@@ -68,30 +68,30 @@ def recordable(source: Path, settings: Settings) -> Subject:
         RecordingRefused: It has no manifest, or breaks a static rule.
     """
     file = open_model(source)
-    subject = read_subject(file, settings.target, settings.limits)
+    subject = inspect_model(file, settings.target, settings.limits)
     where, typed = str(source), shlex.quote(str(source))
     if subject.parsed is None:
-        mend = (
+        hint = (
             f"`gsgen inspect {typed} --emit-manifest` derives one; correct it, and embed it "
             f"with `gsgen fix {typed} --manifest FILE -o OUT.onnx`."
         )
         raise RecordingRefused(
-            "has no manifest that could hold them", where=where, mend=mend
+            "has no manifest that could hold them", where=where, hint=hint
         )
     report = validate(source, replace(settings, level=Level.STATIC))
     broken = [one for one in report.findings if one.severity >= Severity.ERROR]
     if broken:
         what = f"breaks {broken[0].rule} at {broken[0].where}: {broken[0].message}"
-        mend = (
+        hint = (
             f"What a broken model gives is no promise; `gsgen validate {typed}` says more."
         )
-        raise RecordingRefused(what, where=where, mend=mend)
+        raise RecordingRefused(what, where=where, hint=hint)
     return subject
 
 
 @contextmanager
 def executed(
-    subject: Subject, outputs: Sequence[str], probes: Sequence[Probe]
+    subject: InspectedModel, outputs: Sequence[str], probes: Sequence[Probe]
 ) -> Iterator[Execution]:
     """Run a model at probes; results live as long as the block.
 
@@ -125,7 +125,7 @@ def recorded_copy(
     """
     document = json.loads(file.manifest_text or "{}") | dict(changed)
     try:
-        with draft_of(model) as draft:
+        with atomic_write(model) as draft:
             for location in dict.fromkeys(ref.location for ref in file.external):
                 weights = file.path.parent / location
                 if (model.parent / location).resolve() != weights.resolve():

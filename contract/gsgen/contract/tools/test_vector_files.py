@@ -19,7 +19,7 @@ import numpy as np
 from onnx import numpy_helper
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.probe_plan import fetched_outputs, make_plan
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import Execution
@@ -127,7 +127,7 @@ def _remove(path: Path) -> None:
         shutil.rmtree(path)
 
 
-def _subject(source: Path, settings: Settings) -> Subject:
+def _subject(source: Path, settings: Settings) -> InspectedModel:
     subject = recordable(source, settings)
     # Without a manifest, all outputs that numpy can hold are fetched.
     fetched = fetched_outputs(replace(subject, parsed=None, candidate=None))
@@ -144,7 +144,7 @@ def _chosen(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
     if count > len(probes):
         have = "1 probe" if len(probes) == 1 else f"{len(probes)} probes"
         what = f"{count} vectors, and the model has {have}"
-        raise ConfigInvalid(what, where="--count", mend=f"--count {len(probes)} takes all.")
+        raise ConfigInvalid(what, where="--count", hint=f"--count {len(probes)} takes all.")
     if count < 1:
         raise ConfigInvalid(f"{count} vectors, wanted 1 or more", where="--count")
     return spread(probes, count)
@@ -177,14 +177,14 @@ def _outputs(
     for probe, first, second in zip(probes, runs[::2], runs[1::2], strict=True):
         if first.sample != second.sample:
             what = f"gives other outputs when it is run again, at {probe.label!r}"
-            mend = "Remove random operators, and state that is kept between runs."
-            raise RecordingRefused(what, where=str(source), mend=mend)
+            hint = "Remove random operators, and state that is kept between runs."
+            raise RecordingRefused(what, where=str(source), hint=hint)
         yield probe, execution.samples[first.sample].outputs
 
 
 def _write(
     folder: Path,
-    subject: Subject,
+    subject: InspectedModel,
     probe: Probe,
     outputs: dict[str, np.ndarray],
     seed: int,

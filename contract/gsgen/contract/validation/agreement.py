@@ -1,6 +1,6 @@
 """How far two executions of a generator are apart, field by field, in the units of tolerances."""
 
-__all__ = ["Apart", "apart", "comparable"]
+__all__ = ["FieldError", "apart", "comparable"]
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from gsgen.contract.probing.outputs import Emission
+from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.spec.layout import (
     APPEARANCE_CHANNELS,
     COVARIANCE,
@@ -30,7 +30,7 @@ _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 
 @dataclass(frozen=True, slots=True)
-class Apart:
+class FieldError:
     """A field in which two executions differ by more than is allowed.
 
     Attributes:
@@ -47,8 +47,8 @@ class Apart:
 
 
 def apart(
-    first: Emission, second: Emission, tolerances: Sequence[Tolerance]
-) -> Iterator[Apart]:
+    first: ModelOutputs, second: ModelOutputs, tolerances: Sequence[Tolerance]
+) -> Iterator[FieldError]:
     """Yield the fields that differ by more than their tolerance and what storage rounds.
 
     Rows and cells that neither draws are compared by opacity and visibility alone. Nothing comes of
@@ -65,7 +65,7 @@ def apart(
 
 def _beyond(
     measured: "dict[str, Measured]", tolerances: Sequence[Tolerance], *, of_cells: bool
-) -> Iterator[Apart]:
+) -> Iterator[FieldError]:
     for tolerance in tolerances:
         if tolerance.field not in measured:
             continue
@@ -76,10 +76,10 @@ def _beyond(
         excess = np.where(np.isfinite(error), error - explained, np.inf)
         if excess.max() > tolerance.value:
             row = int(np.argmax(excess))
-            yield Apart(tolerance, row, float(error[row]), of_cells)
+            yield FieldError(tolerance, row, float(error[row]), of_cells)
 
 
-def comparable(first: Emission, second: Emission) -> tuple[bool, bool, bool]:
+def comparable(first: ModelOutputs, second: ModelOutputs) -> tuple[bool, bool, bool]:
     """Say whether packed rows, colours and cells can each be compared field by field."""
     rows, others = first.gaussians, second.gaussians
     if rows is None or others is None or rows.shape != others.shape:
@@ -96,7 +96,7 @@ def comparable(first: Emission, second: Emission) -> tuple[bool, bool, bool]:
 Measured = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
 
 
-def _measured(first: Emission, second: Emission) -> Iterator[tuple[str, Measured]]:
+def _measured(first: ModelOutputs, second: ModelOutputs) -> Iterator[tuple[str, Measured]]:
     """Yield each field's error and what rounding explains of it, row by row."""
     assert first.gaussians is not None
     assert second.gaussians is not None
@@ -111,7 +111,9 @@ def _measured(first: Emission, second: Emission) -> Iterator[tuple[str, Measured
         yield "appearance", _where(shown, error, _ROUNDING[color.dtype.name] * largest)
 
 
-def _cells_measured(first: Emission, second: Emission) -> Iterator[tuple[str, Measured]]:
+def _cells_measured(
+    first: ModelOutputs, second: ModelOutputs
+) -> Iterator[tuple[str, Measured]]:
     """Yield the same of cells; one is drawn if it is seen and has a row that is."""
     assert first.cells is not None
     assert second.cells is not None

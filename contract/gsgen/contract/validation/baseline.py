@@ -10,7 +10,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.contract.validation.finding import Where
+from gsgen.contract.validation.finding import Location
 from gsgen.contract.validation.report import Gone, Report
 
 # Fingerprint → what was found.
@@ -79,7 +79,7 @@ def read_baseline(path: Path) -> Baseline:
     except OSError as error:
         raise ConfigInvalid(f"cannot be read: {error.strerror}", where=where) from error
     except (ValueError, RecursionError) as error:
-        raise ConfigInvalid(f"is not JSON: {error}", where=where, mend=_MEND) from error
+        raise ConfigInvalid(f"is not JSON: {error}", where=where, hint=_MEND) from error
     _check_shape(document, where)
     known: dict[str, dict[str, Gone]] = {}
     for one in document.get("reports", [document]):
@@ -89,7 +89,7 @@ def read_baseline(path: Path) -> Baseline:
 
 
 def _read(entry: Mapping[str, Any]) -> Gone:
-    where = Where(entry["where"]["subject"], entry["where"].get("field", ""))
+    where = Location(entry["where"]["subject"], entry["where"].get("field", ""))
     names = (entry["rule"], entry["slug"], entry["fingerprint"])
     return Gone(*names, where, entry["message"])
 
@@ -100,12 +100,12 @@ def _check_shape(document: Any, where: str) -> None:
 
     name = document.get("schema") if isinstance(document, dict) else None
     if name != "gsgen-report/1":
-        saw = f"schema {name!r}" if isinstance(name, str) else "no schema"
-        what = f"is not a report: {saw}; wanted 'gsgen-report/1'"
-        raise ConfigInvalid(what, where=where, mend=_MEND)
+        actual = f"schema {name!r}" if isinstance(name, str) else "no schema"
+        what = f"is not a report: {actual}; wanted 'gsgen-report/1'"
+        raise ConfigInvalid(what, where=where, hint=_MEND)
     text = resources.files("gsgen.contract").joinpath("schemas", _SCHEMA).read_text("utf-8")
     error = best_match(Draft202012Validator(json.loads(text)).iter_errors(document))
     if error is not None:
         place = ".".join(str(part) for part in error.absolute_path)
         at = f"{where}, {place}" if place else where
-        raise ConfigInvalid(f"is not a report: {error.message[:200]}", where=at, mend=_MEND)
+        raise ConfigInvalid(f"is not a report: {error.message[:200]}", where=at, hint=_MEND)

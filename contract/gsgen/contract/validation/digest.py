@@ -31,7 +31,7 @@ def rules_digest(rules: Iterable[Rule]) -> str:
     said = [
         (
             *(one.id, one.slug, one.severity.word, one.level.word, one.scope),
-            *(one.what, one.why, one.mend, one.evidence),
+            *(one.statement, one.why, one.hint, one.evidence),
             *(one.needs, one.kinds, one.target, one.limit),
         )
         for one in rules

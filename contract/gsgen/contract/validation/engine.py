@@ -10,18 +10,18 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-from gsgen.contract.model.inspected_model import read_subject
+from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
-from gsgen.contract.probing.outputs import chunks, read_emission
+from gsgen.contract.probing.outputs import chunks, read_outputs
 from gsgen.contract.probing.probe_plan import Plan, fetched_outputs, make_plan
-from gsgen.contract.probing.run_comparison import Behaviour, Trial, read_behaviour
+from gsgen.contract.probing.run_comparison import Behaviour, ProbeRuns, read_behaviour
 from gsgen.contract.probing.sandbox import Execution, execute
 from gsgen.contract.probing.sandbox_worker import SHARE_FOR_EXTRAS
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.digest import digest
 from gsgen.contract.validation.finding import Finding
-from gsgen.contract.validation.level_backend import LevelUnavailable, Runner
-from gsgen.contract.validation.outcomes import Board
+from gsgen.contract.validation.level_backend import LevelBackend, LevelUnavailable
+from gsgen.contract.validation.outcomes import ResultCollector
 from gsgen.contract.validation.report import LevelOutcome, Report
 from gsgen.contract.validation.rule import Registry, Rule, Scope
 from gsgen.contract.validation.settings import Settings
@@ -81,10 +81,10 @@ class _Validation:
         self.progress(f"reading {path.name}")
         self.registry = registry
         file = open_model(path)
-        self.subject = read_subject(
+        self.subject = inspect_model(
             file, settings.target, settings.limits, settings.tolerances
         )
-        self.board = Board(self.registry, settings, self.subject.kind)
+        self.board = ResultCollector(self.registry, settings, self.subject.kind)
         self.levels = [LevelOutcome(Level.STATIC, ran=True)]
         self.probes: tuple[str, ...] = ()
         self.environment = {"onnx": _version("onnx")}
@@ -147,7 +147,7 @@ class _Validation:
         with execute(path, names, plan.probes, self.subject.granted) as execution:
             self.runtime_seconds = execution.seconds
             self.environment["onnxruntime"] = execution.version
-            trial = Trial(self.subject, execution, plan)
+            trial = ProbeRuns(self.subject, execution, plan)
             for rule in gates:
                 if self.board.is_ready(rule):
                     self.board.judge(rule, trial)
@@ -190,7 +190,7 @@ class _Validation:
             seen.add(run.sample)
             probe = plan.probes[run.probe]
             outputs = execution.samples[run.sample].outputs
-            emission = read_emission(self.subject, probe.label, probe.zeros, outputs)
+            emission = read_outputs(self.subject, probe.label, probe.zeros, outputs)
             whole = [
                 rule for rule in whole if self.board.judge(rule, emission, probe.label)
             ]
@@ -206,15 +206,15 @@ class _Validation:
             self.board.skip(by_rows, "no probe gave packed rows")
         self.board.settle(by_rows, items=rows)
 
-    def _judge_behaviour(self, trial: Trial) -> None:
+    def _judge_behaviour(self, trial: ProbeRuns) -> None:
         self.progress("comparing runs")
         behaviour: Behaviour = read_behaviour(trial)
         for rule in _needs_first(self._of_scope("runs", upto=Level.BEHAVIOUR)):
             if self.board.is_ready(rule):
                 seen = behaviour.for_a_rule()
                 self.board.judge(rule, seen)
-                if seen.left_out and not self.board.fails(rule):
-                    self.board.skip([rule], self._out_of_time(seen.left_out))
+                if seen.unfinished_probes and not self.board.fails(rule):
+                    self.board.skip([rule], self._out_of_time(seen.unfinished_probes))
                 self.board.settle([rule], items=len(trial.execution.runs))
 
     def _out_of_time(self, probes: list[str]) -> str:
@@ -224,17 +224,19 @@ class _Validation:
         )
         return f"{words} did not run, {probes[0]!r} first: {share} (see --timeout)"
 
-    def _judge_further(self, trial: Trial) -> None:
+    def _judge_further(self, trial: ProbeRuns) -> None:
         """Judge the levels that other packages run, as far as they can run here."""
         for level, scope in _FURTHER.items():
             runner = self.registry.runners.get(level)
             if runner is not None and level <= self.settings.level:
-                self.progress(runner.what)
+                self.progress(runner.activity)
                 self._judge_with(
                     runner, trial, _needs_first(self._of_scope(scope, upto=level))
                 )
 
-    def _judge_with(self, runner: Runner, trial: Trial, rules: list[Rule]) -> None:
+    def _judge_with(
+        self, runner: LevelBackend, trial: ProbeRuns, rules: list[Rule]
+    ) -> None:
         with ExitStack() as stack:
             try:
                 prepared = stack.enter_context(runner.prepare(trial))

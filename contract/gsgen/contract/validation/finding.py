@@ -1,6 +1,6 @@
 """What a rule found: severities, levels, breaches (one place) and findings (one rule, counted)."""
 
-__all__ = ["Breach", "Certainty", "Example", "Finding", "Where"]
+__all__ = ["Certainty", "Example", "Finding", "Location", "Violation"]
 
 import hashlib
 import json
@@ -16,7 +16,7 @@ Certainty = Literal["confirmed", "possible"]
 
 
 @dataclass(frozen=True, slots=True)
-class Where:
+class Location:
     """The place of a breach.
 
     Attributes:
@@ -32,60 +32,60 @@ class Where:
 
 
 @dataclass(frozen=True, slots=True)
-class Breach:
+class Violation:
     """One place where a rule does not hold, as the rule saw it.
 
     Attributes:
         where: The place.
-        saw: What was there, with the value; empty for breaches of rows.
-        want: What the rule wants instead.
+        actual: What was there, with the value; empty for breaches of rows.
+        expected: What the rule wants instead.
         bad: For rows of a chunk, which of them break the rule.
         judged: How many rows of the chunk the rule looked at.
         values: What to show of each row, [n] or [n, k].
-        badness: How bad each row is; the largest is reported as the worst.
-        above_share: The rule fails only if more than this share of all judged rows is bad.
+        magnitude: How bad each row is; the largest is reported as the worst.
+        min_fraction: The rule fails only if more than this share of all judged rows is bad.
         certainty: Whether it is proven or a guess from the numbers.
     """
 
-    where: Where
-    want: str
-    saw: str = ""
+    where: Location
+    expected: str
+    actual: str = ""
     bad: Bool[np.ndarray, " n"] | None = None
     judged: int = 1
     values: Float[np.ndarray, "..."] | None = None
-    badness: Float[np.ndarray, " n"] | None = None
-    above_share: float = 0.0
+    magnitude: Float[np.ndarray, " n"] | None = None
+    min_fraction: float = 0.0
     certainty: Certainty = "confirmed"
 
     @classmethod
     def at(
-        cls, subject: str, saw: str, want: str, *, certainty: Certainty = "confirmed"
-    ) -> "Breach":
+        cls, subject: str, actual: str, expected: str, *, certainty: Certainty = "confirmed"
+    ) -> "Violation":
         """Report one thing that is not as it should be."""
-        return cls(Where(subject), want, saw, certainty=certainty)
+        return cls(Location(subject), expected, actual, certainty=certainty)
 
     @classmethod
     def rows(
         cls,
-        where: Where,
+        where: Location,
         bad: Bool[np.ndarray, " n"],
         values: Float[np.ndarray, "..."],
-        want: str,
+        expected: str,
         *,
         judged: int,
-        badness: Float[np.ndarray, " n"] | None = None,
-        above_share: float = 0.0,
+        magnitude: Float[np.ndarray, " n"] | None = None,
+        min_fraction: float = 0.0,
         certainty: Certainty = "confirmed",
-    ) -> "Breach":
+    ) -> "Violation":
         """Report rows of a chunk; the engine counts them and picks the ones to show."""
         return cls(
             where,
-            want,
+            expected,
             bad=bad,
             judged=judged,
             values=values,
-            badness=badness,
-            above_share=above_share,
+            magnitude=magnitude,
+            min_fraction=min_fraction,
             certainty=certainty,
         )
 
@@ -115,7 +115,7 @@ class Finding:
         severity: After configuration and target.
         where: The place.
         message: What was seen and what was wanted, in one line.
-        mend: What to do about it.
+        hint: What to do about it.
         count: How many rows or things break the rule; never capped.
         total: How many were looked at.
         examples: The first few.
@@ -131,9 +131,9 @@ class Finding:
     rule: str
     slug: str
     severity: Severity
-    where: Where
+    where: Location
     message: str
-    mend: str
+    hint: str
     count: int
     total: int
     examples: tuple[Example, ...] = field(default=())

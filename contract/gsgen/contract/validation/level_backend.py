@@ -5,7 +5,7 @@ runner for a further level: it has a model's CPU runs, runs the model its own wa
 check of that level's scope what it found. Where it cannot, it says why.
 """
 
-__all__ = ["LevelUnavailable", "Prepared", "Runner"]
+__all__ = ["LevelBackend", "LevelContext", "LevelUnavailable"]
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gsgen.contract.errors import GsgenError
-from gsgen.contract.probing.run_comparison import Trial
+from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.severity import Level
 
 
@@ -23,11 +23,11 @@ class LevelUnavailable(GsgenError):
     @property
     def reason(self) -> str:
         """What is missing and how to get it, in one line."""
-        return f"{self.what}: {self.mend}" if self.mend else self.what
+        return f"{self.message}: {self.hint}" if self.hint else self.message
 
 
 @dataclass(frozen=True, slots=True)
-class Prepared:
+class LevelContext:
     """What a runner got ready.
 
     Attributes:
@@ -46,17 +46,17 @@ class Prepared:
 
 
 @dataclass(frozen=True, slots=True)
-class Runner:
+class LevelBackend:
     """What prepares one level; registered beside the level's rules.
 
     Attributes:
         level: The level whose rules it serves; their scope has the level's name.
-        what: What it does, in a few words, for progress displays.
+        activity: What it does, in a few words, for progress displays.
         prepare: Called once a model, with its runs on the CPU. What it gives lives as long as the
             block. It raises LevelUnavailable where the level cannot run here; whatever else it
             raises makes the level's rules crashed ones.
     """
 
     level: Level
-    what: str
-    prepare: Callable[[Trial], AbstractContextManager[Prepared]]
+    activity: str
+    prepare: Callable[[ProbeRuns], AbstractContextManager[LevelContext]]

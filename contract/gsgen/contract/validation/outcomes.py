@@ -1,6 +1,6 @@
 """The score board: which rules have been judged, with which outcome, and what they found."""
 
-__all__ = ["Board"]
+__all__ = ["ResultCollector"]
 
 import time
 import traceback
@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach, Finding
-from gsgen.contract.validation.finding_counter import Tally
+from gsgen.contract.validation.finding import Finding, Violation
+from gsgen.contract.validation.finding_counter import FindingCounter
 from gsgen.contract.validation.report import Outcome, Status
 from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
@@ -20,7 +20,7 @@ _MAX_PLACES = 20
 
 
 @dataclass(slots=True)
-class Board:
+class ResultCollector:
     """Outcomes and tallies of one validation.
 
     Attributes:
@@ -34,7 +34,7 @@ class Board:
     settings: Settings
     kind: str
     outcomes: dict[str, Outcome] = field(default_factory=dict)
-    _tallies: dict[str, dict[str, Tally]] = field(default_factory=dict)
+    _tallies: dict[str, dict[str, FindingCounter]] = field(default_factory=dict)
     _spent: dict[str, float] = field(default_factory=dict)
 
     def ready(self, rules: Iterable[Rule]) -> list[Rule]:
@@ -100,15 +100,15 @@ class Board:
             self._spent[rule.id] = self._spent.get(rule.id, 0.0) + spent
         return True
 
-    def _add(self, rule: Rule, breach: Breach, probe: str, start: int) -> None:
+    def _add(self, rule: Rule, breach: Violation, probe: str, start: int) -> None:
         places = self._tallies.setdefault(rule.id, {})
         key = str(breach.where)
         if key not in places and len(places) >= _MAX_PLACES:
             key = next(iter(places))
             places[key].truncated = True
         elif key not in places:
-            places[key] = Tally(
-                breach.where, breach.want, breach.saw, certainty=breach.certainty
+            places[key] = FindingCounter(
+                breach.where, breach.expected, breach.actual, certainty=breach.certainty
             )
         places[key].add(breach, probe, start)
 
@@ -146,7 +146,7 @@ class Board:
         ]
         return tuple(sorted(found, key=lambda one: -one.severity))
 
-    def _finding(self, rule: Rule, tally: Tally) -> Finding:
+    def _finding(self, rule: Rule, tally: FindingCounter) -> Finding:
         severity: Severity = self.settings.severity_of(rule)
         source = "contract"
         if rule.target or rule.limit or rule.id in self.settings.target.severities:
@@ -157,7 +157,7 @@ class Board:
             severity=severity,
             where=tally.where,
             message=tally.message(),
-            mend=rule.mend,
+            hint=rule.hint,
             count=tally.count,
             total=tally.total,
             examples=tuple(tally.examples),

@@ -21,7 +21,7 @@ from typing import Literal
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import Target
-from gsgen.contract.validation.finding import Finding, Where
+from gsgen.contract.validation.finding import Finding, Location
 from gsgen.contract.validation.rule import Rule
 
 Status = Literal["pass", "fail", "skipped", "not-applicable", "crashed"]
@@ -98,7 +98,7 @@ class Gone:
     rule: str
     slug: str
     fingerprint: str
-    where: Where
+    where: Location
     message: str
 
 

@@ -16,8 +16,8 @@ from typing import Any, Literal
 from gsgen.contract.errors import UnknownName
 from gsgen.contract.spec.roles import GENERATOR
 from gsgen.contract.spec.severity import Level, Severity
-from gsgen.contract.validation.finding import Breach
-from gsgen.contract.validation.level_backend import Runner
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.level_backend import LevelBackend
 
 # What a check is called with: the model before it runs, the fact that it ran, the outputs of
 # one probe, a chunk of their rows, or all runs compared; what the runner of a further level
@@ -25,7 +25,7 @@ from gsgen.contract.validation.level_backend import Runner
 Scope = Literal[
     "model", "execution", "emission", "rows", "runs", "live", "render", "report"
 ]
-Check = Callable[[Any], Iterator[Breach]]
+Check = Callable[[Any], Iterator[Violation]]
 
 _ID = re.compile(r"^(?:[a-z][a-z0-9-]*/)?[A-Z]{2}[0-9]{3}$")
 _SLUG = re.compile(r"^[a-z0-9]+(?:-[a-z0-9]+)*$")
@@ -54,9 +54,9 @@ class Rule:
         severity: Unless a target or the user says otherwise.
         level: The first level of validation that can check it.
         scope: What the check looks at.
-        what: The sentence that must hold.
+        statement: The sentence that must hold.
         why: What breaks where it does not.
-        mend: How to make it hold.
+        hint: How to make it hold.
         fixture: The example model that breaks this rule and no other.
         check: Yields one breach for each place where the sentence does not hold.
         needs: Rules that must hold before this one can be judged.
@@ -71,9 +71,9 @@ class Rule:
     severity: Severity
     level: Level
     scope: Scope
-    what: str
+    statement: str
     why: str
-    mend: str
+    hint: str
     fixture: str
     check: Check
     needs: tuple[str, ...] = ()
@@ -104,7 +104,7 @@ def rule(
     """Declare the decorated check as a rule; its docstring is the text of the rule's page.
 
     The docstring's first paragraph is the sentence that must hold. The sections ``Why:`` and
-    ``Mend:`` say what breaks otherwise and what to do; ``Evidence:`` may follow, and say where
+    ``Hint:`` say what breaks otherwise and what to do; ``Evidence:`` may follow, and say where
     that was seen.
 
     Raises:
@@ -116,16 +116,16 @@ def rule(
             raise ValueError(
                 f"{id} {slug}: wanted an id like GV003 and a slug like opacity-range"
             )
-        what, why, mend, evidence = _sections(id, inspect.getdoc(check) or "")
+        statement, why, hint, evidence = _sections(id, inspect.getdoc(check) or "")
         return Rule(
             id=id,
             slug=slug,
             severity=severity,
             level=level or _LEVELS[over],
             scope=over,
-            what=what,
+            statement=statement,
             why=why,
-            mend=mend,
+            hint=hint,
             fixture=fixture,
             check=check,
             needs=needs,
@@ -139,13 +139,15 @@ def rule(
 
 
 def _sections(id: str, doc: str) -> tuple[str, str, str, str]:
-    what, found, rest = doc.partition("\nWhy:")
-    why, found_mend, rest = rest.partition("\nMend:")
-    mend, _, evidence = rest.partition("\nEvidence:")
-    texts = tuple(" ".join(inspect.cleandoc(part).split()) for part in (what, why, mend))
-    if not (found and found_mend and all(texts)):
+    statement, found, rest = doc.partition("\nWhy:")
+    why, found_hint, rest = rest.partition("\nHint:")
+    hint, _, evidence = rest.partition("\nEvidence:")
+    texts = tuple(
+        " ".join(inspect.cleandoc(part).split()) for part in (statement, why, hint)
+    )
+    if not (found and found_hint and all(texts)):
         raise ValueError(
-            f"{id}: the docstring needs a sentence, a `Why:` and a `Mend:` section"
+            f"{id}: the docstring needs a sentence, a `Why:` and a `Hint:` section"
         )
     return texts[0], texts[1], texts[2], " ".join(evidence.split())
 
@@ -155,9 +157,9 @@ def rules_in(module: ModuleType) -> list[Rule]:
     return [value for value in vars(module).values() if isinstance(value, Rule)]
 
 
-def runners_in(module: ModuleType) -> list[Runner]:
+def runners_in(module: ModuleType) -> list[LevelBackend]:
     """Return the runners that ``module`` has, in order of declaration."""
-    return [value for value in vars(module).values() if isinstance(value, Runner)]
+    return [value for value in vars(module).values() if isinstance(value, LevelBackend)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,10 +172,10 @@ class Registry:
     """
 
     rules: dict[str, Rule]
-    runners: dict[Level, Runner] = field(default_factory=dict)
+    runners: dict[Level, LevelBackend] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, rules: Iterable[Rule], runners: Iterable[Runner] = ()) -> "Registry":
+    def of(cls, rules: Iterable[Rule], runners: Iterable[LevelBackend] = ()) -> "Registry":
         """Collect rules, each id once, and runners, one a level.
 
         Raises:
@@ -189,7 +191,7 @@ class Registry:
             for need in one.needs:
                 if need not in by_id:
                     raise ValueError(f"rule {one.id} needs {need}, which does not exist")
-        by_level: dict[Level, Runner] = {}
+        by_level: dict[Level, LevelBackend] = {}
         for runner in runners:
             if runner.level in by_level:
                 raise ValueError(f"level {runner.level.word} has two runners")
@@ -209,8 +211,8 @@ class Registry:
         if typed is None:
             slugs = [one.slug for one in self.rules.values()]
             raise UnknownName.among("rule", name, slugs, where)
-        mend = _nearest(typed[1], int(typed[2]), list(self.rules))
-        raise UnknownName(f"unknown rule {name!r}", where=where, mend=mend)
+        hint = _nearest(typed[1], int(typed[2]), list(self.rules))
+        raise UnknownName(f"unknown rule {name!r}", where=where, hint=hint)
 
 
 def _nearest(stem: str, number: int, ids: list[str]) -> str:

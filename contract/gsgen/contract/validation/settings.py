@@ -68,7 +68,7 @@ class Settings:
     def for_model(self, path: Path) -> "Settings":
         """Return the settings with only those waivers that speak of the model at ``path``."""
         return replace(
-            self, waivers=tuple(one for one in self.waivers if one.speaks_of(path))
+            self, waivers=tuple(one for one in self.waivers if one.matches(path))
         )
 
 
@@ -202,7 +202,7 @@ def config_schema(registry: Registry) -> dict[str, object]:
         },
     }
     rules = {
-        name: {"enum": severities, "description": rule.what}
+        name: {"enum": severities, "description": rule.statement}
         for rule in registry.rules.values()
         for name in (rule.id, rule.slug)
     }
@@ -250,7 +250,7 @@ def _check_shape(data: dict[str, Any], schema: dict[str, object], where: str) ->
             known = error.schema["properties"]
             stranger = next(key for key in error.instance if key not in known)
             if stranger in known.get("validate", {}).get("properties", {}):
-                mend = "Put it under [validate]."
-                raise UnknownName(f"unknown key {stranger!r}", where=at, mend=mend)
+                hint = "Put it under [validate]."
+                raise UnknownName(f"unknown key {stranger!r}", where=at, hint=hint)
             raise UnknownName.among("key", stranger, known, at)
         raise ConfigInvalid(error.message, where=at)

@@ -75,8 +75,8 @@ def _severities(
     for entry in entries:
         name, sign, word = entry.partition("=")
         if not sign:
-            mend = f"Write it as {name}=error."
-            raise ConfigInvalid(f"{entry!r} has no '='", where=where, mend=mend)
+            hint = f"Write it as {name}=error."
+            raise ConfigInvalid(f"{entry!r} has no '='", where=where, hint=hint)
         made[registry.find(name, where).id] = Severity.parse(word, where)
     return made
 

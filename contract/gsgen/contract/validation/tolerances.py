@@ -6,13 +6,13 @@ import json
 from dataclasses import fields
 from typing import Any, Literal, get_type_hints
 
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.manifest import Tolerances
 from gsgen.contract.spec.schema_text import Hint
 from gsgen.contract.validation.report import Tolerance
 
 
-def effective_tolerances(subject: Subject) -> tuple[Tolerance, ...]:
+def effective_tolerances(subject: InspectedModel) -> tuple[Tolerance, ...]:
     """Return how closely executions of the model must agree; nothing for other kinds of model.
 
     What the user's configuration says wins over the manifest, and that over the contract's own.
@@ -33,12 +33,12 @@ def effective_tolerances(subject: Subject) -> tuple[Tolerance, ...]:
     )
 
 
-def as_tolerances(subject: Subject) -> Tolerances:
+def as_tolerances(subject: InspectedModel) -> Tolerances:
     """Return the same as the manifest's dataclass, for whoever compares executions."""
     return Tolerances(**{one.field: one.value for one in effective_tolerances(subject)})
 
 
-def _said(subject: Subject) -> dict[str, Literal["manifest"]]:
+def _said(subject: InspectedModel) -> dict[str, Literal["manifest"]]:
     """Return the fields that the manifest's text names: its dataclass has the defaults filled in."""
     if subject.parsed is None:
         return {}

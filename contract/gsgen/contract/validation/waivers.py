@@ -41,7 +41,7 @@ class Waiver:
         """Say whether it has not ended before ``day``."""
         return self.until is None or day <= self.until
 
-    def speaks_of(self, path: PurePath) -> bool:
+    def matches(self, path: PurePath) -> bool:
         """Say whether it is meant for the model at ``path``."""
         names = (path.as_posix(), path.name)
         return not self.model or any(fnmatchcase(name, self.model) for name in names)

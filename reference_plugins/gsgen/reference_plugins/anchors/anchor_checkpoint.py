@@ -198,8 +198,8 @@ def _read_cloud(path: Path, octree: bool) -> AnchorCloud:
         groups |= {name: (name,) for name in _LEVELS} if octree else {}
         if not offsets or len(offsets) % 3 or not features:
             what = f"{len(offsets)} properties f_offset and {len(features)} f_anchor_feat"
-            mend = "Wanted 3 K and F of them: is this a checkpoint of another method?"
-            raise CheckpointInvalid(what, where=str(path), mend=mend)
+            hint = "Wanted 3 K and F of them: is this a checkpoint of another method?"
+            raise CheckpointInvalid(what, where=str(path), hint=hint)
         tables = read_ply_columns(path, groups)
     except FormatError as error:
         raise CheckpointInvalid(
@@ -292,8 +292,8 @@ def _embedding(path: Path, state: Mapping[str, Any], cfg: CfgArgs) -> Tensor:
 
 def _head(name: str, states: States, place: Path, cfg: CfgArgs, sizes: _Sizes) -> Mlp:
     if name not in states:
-        mend = f"Networks are {', '.join(_CHANNELS)} (.pt each), or all in {_UNITED[0]}."
-        raise CheckpointInvalid("is missing", where=str(place / f"{name}.pt"), mend=mend)
+        hint = f"Networks are {', '.join(_CHANNELS)} (.pt each), or all in {_UNITED[0]}."
+        raise CheckpointInvalid("is missing", where=str(place / f"{name}.pt"), hint=hint)
     path, state = states[name]
     known = sizes.width + _DIRECTION + sizes.level
     known += sizes.appearance if name == "color_mlp" else 0
@@ -374,9 +374,9 @@ def require_appearance(
         return None
     if embedding is None:
         what = "the checkpoint has no appearance embedding"
-        raise NotInCheckpoint(what, where=option, mend="Leave the option out.")
+        raise NotInCheckpoint(what, where=option, hint="Leave the option out.")
     if appearance >= len(embedding):
         what = f"{appearance} is not one of the {len(embedding)} training cameras"
-        mend = f"Give 0 to {len(embedding) - 1}."
-        raise NotInCheckpoint(what, where=option, mend=mend)
+        hint = f"Give 0 to {len(embedding) - 1}."
+        raise NotInCheckpoint(what, where=option, hint=hint)
     return appearance

@@ -113,8 +113,8 @@ class AnchorGenerator(GaussianGenerator):
         self.most = selection.anchors
         if self.most is not None and self.cull is None and not self.hides:
             what = f"{self.most} anchors at most, but nothing says which are not needed"
-            mend = "Give --cull frustum, too."
-            raise GsgenError(what, where="--max-anchors", mend=mend)
+            hint = "Give --cull frustum, too."
+            raise GsgenError(what, where="--max-anchors", hint=hint)
         if self.most is not None and self.most >= len(cloud):
             self.most = None
         self.register_buffer("anchor", cloud.position)

@@ -92,8 +92,8 @@ class DuplexGS(AnchorGenerator):
         """
         if blend == "wsr" and opacity == "weighted":
             what = "a renderer that sums by weights weighs opacities itself"
-            mend = "Leave --opacity out, or blend by alpha."
-            raise GsgenError(what, where="--opacity weighted", mend=mend)
+            hint = "Leave --opacity out, or blend by alpha."
+            raise GsgenError(what, where="--opacity weighted", hint=hint)
         cloud, nets = read.anchors.cloud, read.anchors.nets
         super().__init__(cloud, nets, appearance=appearance, selection=selection)
         self.gate = LevelGate(cloud, levels, half_cell=False)

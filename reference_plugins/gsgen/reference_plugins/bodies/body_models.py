@@ -96,7 +96,7 @@ def required_body(given: Path | None, places: Mapping[str, Path], joints: int) -
     raise CheckpointInvalid(
         what,
         where=where,
-        mend=f"Register at {home}, accept the licence, download the model and give it: "
+        hint=f"Register at {home}, accept the licence, download the model and give it: "
         f"--body {name.replace('-', '')}_NEUTRAL{suffix}. Wanted {', '.join(_NEEDED)} of "
         f"{joints} joints; it may not be passed on, so it cannot be fetched for you.",
     )
@@ -112,8 +112,8 @@ def read_body(path: Path, joints: int) -> Body:
     read = _arrays(path)
     missing = [name for name in _NEEDED if name not in read]
     if missing:
-        mend = f"Wanted {', '.join(_NEEDED)}, as the file from {KINDS[joints][1]} has them."
-        raise CheckpointInvalid(f"lacks {', '.join(missing)}", where=str(path), mend=mend)
+        hint = f"Wanted {', '.join(_NEEDED)}, as the file from {KINDS[joints][1]} has them."
+        raise CheckpointInvalid(f"lacks {', '.join(missing)}", where=str(path), hint=hint)
     arrays = {name: _numbers(path, name, read[name]) for name in _NEEDED}
     _check_shapes(path, arrays, joints)
     hands = [_numbers(path, name, read[name]).ravel() for name in _HANDS if name in read]
@@ -177,9 +177,9 @@ def _check_shapes(path: Path, arrays: Mapping[str, np.ndarray], joints: int) -> 
     for name, shape in wanted.items():
         if arrays[name].shape != shape:
             seen = list(arrays[name].shape)
-            mend = f"Give the {KINDS[joints][0]} model, from {KINDS[joints][1]}."
+            hint = f"Give the {KINDS[joints][0]} model, from {KINDS[joints][1]}."
             what = f"{name} is {seen}, wanted {list(shape)}"
-            raise CheckpointInvalid(what, where=str(path), mend=mend)
+            raise CheckpointInvalid(what, where=str(path), hint=hint)
 
 
 def _parents(path: Path, table: Float[np.ndarray, " j"]) -> tuple[int, ...]:
@@ -187,6 +187,6 @@ def _parents(path: Path, table: Float[np.ndarray, " j"]) -> tuple[int, ...]:
     for joint, parent in enumerate(parents):
         if not (parent == -1 if joint == 0 else 0 <= parent < joint):
             what = f"kintree_table gives joint {joint} the parent {parent}"
-            mend = "Wanted the root first, and every parent before its children."
-            raise CheckpointInvalid(what, where=str(path), mend=mend)
+            hint = "Wanted the root first, and every parent before its children."
+            raise CheckpointInvalid(what, where=str(path), hint=hint)
     return tuple(parents)

@@ -52,8 +52,8 @@ class Played(GaussianGenerator):
             raise CheckpointInvalid(what, where=str(motion.path))
         if motion.turn is not None and actors.rotation is None:
             what = "turns the body as a whole (R or Rh), which this avatar's pose does not know"
-            mend = "Wanted a motion whose first joint turns the body, such as AMASS or LHM has."
-            raise CheckpointInvalid(what, where=str(motion.path), mend=mend)
+            hint = "Wanted a motion whose first joint turns the body, such as AMASS or LHM has."
+            raise CheckpointInvalid(what, where=str(motion.path), hint=hint)
         self.avatar, self.actors, self.frames = avatar, actors, len(motion)
         self.inputs = (time or inputs.time(frames=len(motion), fps=motion.fps),)
         self.spacing = spacing

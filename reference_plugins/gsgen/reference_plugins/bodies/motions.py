@@ -88,7 +88,7 @@ def read_motion(path: Path, joints: int) -> Motion:
     if path.is_dir():
         return _read_folder(path, joints)
     if not path.is_file():
-        raise CheckpointInvalid("is missing", where=str(path), mend=_kinds())
+        raise CheckpointInvalid("is missing", where=str(path), hint=_kinds())
     if path.suffix == ".json":
         read = _json(path)
         return _from_json(path, read if isinstance(read, list) else [read], joints)
@@ -123,7 +123,7 @@ def _read_folder(path: Path, joints: int) -> Motion:
                 what = f"frames are of different sizes: {error}"
                 raise CheckpointInvalid(what, where=str(path)) from error
             return _from_arrays(path, joined, joints)
-    raise CheckpointInvalid("holds no .npz, .npy or .json", where=str(path), mend=_kinds())
+    raise CheckpointInvalid("holds no .npz, .npy or .json", where=str(path), hint=_kinds())
 
 
 def _number(path: Path) -> tuple[int, str]:
@@ -147,7 +147,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
 def _from_arrays(path: Path, read: Mapping[str, np.ndarray], joints: int) -> Motion:
     if "poses" not in read or not read["poses"].size:
         found = ", ".join(read) or "nothing that is known"
-        raise CheckpointInvalid(f"has no poses ({found})", where=str(path), mend=_kinds())
+        raise CheckpointInvalid(f"has no poses ({found})", where=str(path), hint=_kinds())
     poses = read["poses"]
     frames = len(poses) if poses.ndim > 1 else 1
     pose = _posed(path, poses.reshape(frames, -1), joints)

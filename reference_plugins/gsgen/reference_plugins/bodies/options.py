@@ -127,7 +127,7 @@ def played(
 
     if motion is None and (fps is not None or loop):
         what = "only a motion has a speed and an end"
-        raise ConfigInvalid(what, where="--fps, --loop", mend="Give --motion FILE, too.")
+        raise ConfigInvalid(what, where="--fps, --loop", hint="Give --motion FILE, too.")
     if motion is not None:
         note(motion.describe())
         time = inputs.time(frames=len(motion), fps=fps or motion.fps, loop=loop or None)
@@ -149,9 +149,9 @@ def numbers_of(text: str | None, most: int, option: str) -> list[float] | None:
     try:
         made = [float(word) for word in text.split(",")]
     except ValueError as error:
-        mend = f"Write it as {option} 0.4,-1.2."
+        hint = f"Write it as {option} 0.4,-1.2."
         raise ConfigInvalid(
-            f"{text!r} is no list of numbers", where=option, mend=mend
+            f"{text!r} is no list of numbers", where=option, hint=hint
         ) from error
     if len(made) > most or not all(abs(one) < 1e6 for one in made):
         what = f"gives {len(made)} numbers, wanted up to {most}, all finite"

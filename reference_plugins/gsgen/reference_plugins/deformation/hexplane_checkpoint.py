@@ -65,8 +65,8 @@ class Flags:
             CheckpointInvalid: It chose something that never worked there, or no deformation.
         """
         if cfg.flag("no_grid"):
-            mend = "The published code fails with it, too."
-            raise CheckpointInvalid("no_grid is True", where=str(cfg.path), mend=mend)
+            hint = "The published code fails with it, too."
+            raise CheckpointInvalid("no_grid is True", where=str(cfg.path), hint=hint)
         if cfg.integer("grid_pe", 0) > 1:
             what = f"grid_pe is {cfg.values['grid_pe']}, wanted 0 or 1"
             raise CheckpointInvalid(what, where=str(cfg.path))
@@ -80,8 +80,8 @@ class Flags:
         active = tuple(head for head in HEADS if not off[head])
         if not active:
             what = "no_dx, no_ds, no_dr, no_do and no_dshs are all True: nothing moves"
-            mend = "Export the PLY with `gsgen export static`."
-            raise CheckpointInvalid(what, where=str(cfg.path), mend=mend)
+            hint = "Export the PLY with `gsgen export static`."
+            raise CheckpointInvalid(what, where=str(cfg.path), hint=hint)
         mask = "static_mlp" if cfg.flag("static_mlp") else ""
         mask = mask or ("empty_voxel" if cfg.flag("empty_voxel") else "")
         return cls(active, cfg.flag("apply_rotation"), mask)
@@ -218,8 +218,8 @@ def _counts(path: Path, net: Mapping[str, Any]) -> tuple[int, int]:
     layers = {int(match[1]) for name in net if (match := _OUT.fullmatch(name))}
     if scales != set(range(len(scales))) or not scales or not layers:
         what = f"{len(scales)} resolutions of planes, {len(layers)} layers behind them"
-        mend = "Wanted deformation_net.grid.grids.S.P and deformation_net.feature_out.L."
-        raise CheckpointInvalid(what, where=str(path), mend=mend)
+        hint = "Wanted deformation_net.grid.grids.S.P and deformation_net.feature_out.L."
+        raise CheckpointInvalid(what, where=str(path), hint=hint)
     return len(scales), len(layers)
 
 
@@ -277,9 +277,7 @@ def _require_sizes(path: Path, grids: tuple[tuple[Tensor, ...], ...]) -> None:
     for scale, planes in enumerate(grids):
         size = _sizes(planes)
         for index, (first, second) in enumerate(pairs):
-            seen, want = tuple(planes[index].shape[1:]), (size[second], size[first])
-            if seen != want or min(seen) < 2:
-                what = (
-                    f"{_NET}grid.grids.{scale}.{index} is {seen}, wanted {want}, 2 or more"
-                )
+            seen, expected = tuple(planes[index].shape[1:]), (size[second], size[first])
+            if seen != expected or min(seen) < 2:
+                what = f"{_NET}grid.grids.{scale}.{index} is {seen}, wanted {expected}, 2 or more"
                 raise CheckpointInvalid(what, where=str(path))

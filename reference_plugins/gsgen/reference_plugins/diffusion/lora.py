@@ -127,7 +127,7 @@ def read_lora(path: Path) -> Adapter:
         raise CheckpointInvalid(
             f"{len(others)} tensors are no part of a LoRA: {listed(others)}",
             where=str(path),
-            mend=" ".join(f"{kind} is not supported." for kind in sorted(kinds)),
+            hint=" ".join(f"{kind} is not supported." for kind in sorted(kinds)),
         )
     settings, where = _settings(path, read_metadata(path) if safe else {})
     pattern = _checked_settings(settings, where)
@@ -168,7 +168,7 @@ def paired(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Pair], dict[
         pair = pairs.setdefault(layer, Pair())
         if getattr(pair, part) is not None:
             what = f"{name} is the second of its kind for {layer}"
-            raise CheckpointInvalid(what, where=str(path), mend="Give one adapter a file.")
+            raise CheckpointInvalid(what, where=str(path), hint="Give one adapter a file.")
         if part == "alpha" and value.numel() != 1:
             what = f"{name} is {list(value.shape)}, wanted one number"
             raise CheckpointInvalid(what, where=str(path))

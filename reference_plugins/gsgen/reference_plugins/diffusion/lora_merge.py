@@ -39,7 +39,7 @@ def merge(adapter: Adapter, scale: float, homes: Mapping[str, nn.Module]) -> str
         raise CheckpointInvalid(
             f"{what}: {listed(troubles, '; ')}",
             where=str(adapter.path),
-            mend="It may be made for another network.",
+            hint="It may be made for another network.",
         )
     shares = set()
     for name, pair in adapter.pairs.items():

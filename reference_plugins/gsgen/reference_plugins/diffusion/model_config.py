@@ -119,7 +119,7 @@ def read_model_config(folder: Path, name: str = "config.json") -> ModelConfig:
         near = likely_folders(
             folder, lambda one: (one / name).is_file() or (one / "unet" / name).is_file()
         )
-        raise CheckpointInvalid("is missing: the options", where=str(path), mend=near)
+        raise CheckpointInvalid("is missing: the options", where=str(path), hint=near)
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise ValueError(f"has {path.stat().st_size:,} bytes")

@@ -170,8 +170,8 @@ def _require(
     options = read.unet.options
     if read.autoencoder is None and options.context is not None and options.inputs == 4:
         what = "a conditional U-Net of 4 channels works on latents, and there is no autoencoder"
-        mend = "Give the folder that holds unet/ and vae/, or --vae DIR."
-        raise ConfigInvalid(what, where=str(read.folder), mend=mend)
+        hint = "Give the folder that holds unet/ and vae/, or --vae DIR."
+        raise ConfigInvalid(what, where=str(read.folder), hint=hint)
     outer = options if read.autoencoder is None else read.autoencoder.options
     if not {outer.inputs, outer.outputs} <= set(_CHANNELS):
         what = f"takes {outer.inputs} channels and gives {outer.outputs}, wanted 3 or 4 of each"
@@ -180,9 +180,9 @@ def _require(
         what = f"{step.timestep:g} is no timestep of 0 to {_last(read)}"
         raise ConfigInvalid(what, where="--timestep")
     if read.noise is None and not step.raw:
-        mend = "Give --result network for what the network predicts, or add the folder scheduler/."
+        hint = "Give --result network for what the network predicts, or add the folder scheduler/."
         what = "nothing says how noise was added, so the image cannot be computed"
-        raise ConfigInvalid(what, where=str(read.folder), mend=mend)
+        raise ConfigInvalid(what, where=str(read.folder), hint=hint)
     if options.context is None and context is not None:
         raise ConfigInvalid("the network takes no conditioning", where="--embeddings")
     if options.context is not None and not _fits(context, options.context):
@@ -190,8 +190,8 @@ def _require(
             "nothing was given" if context is None else f"given was {list(context.shape)}"
         )
         what = f"the network takes conditioning [1, L, {options.context}]; {seen}"
-        mend = "Give --embeddings FILE.npz: what the text encoder makes of the prompt."
-        raise ConfigInvalid(what, where="--embeddings", mend=mend)
+        hint = "Give --embeddings FILE.npz: what the text encoder makes of the prompt."
+        raise ConfigInvalid(what, where="--embeddings", hint=hint)
     if (options.vector is None) != (vector is None):
         what = "takes no" if options.vector is None else "wants a"
         raise ConfigInvalid(

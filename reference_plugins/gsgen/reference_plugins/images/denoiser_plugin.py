@@ -142,15 +142,15 @@ def _scaled(word: str) -> tuple[Path, float]:
     except ValueError:
         scale = math.nan
     if not math.isfinite(scale):
-        mend = "Write it as FILE or FILE:0.8."
-        raise ConfigInvalid(f"{text!r} is no scale", where="--lora", mend=mend)
+        hint = "Write it as FILE or FILE:0.8."
+        raise ConfigInvalid(f"{text!r} is no scale", where="--lora", hint=hint)
     return Path(name), scale
 
 
 def _trained(read: "DiffusionCheckpoint") -> tuple[int, int]:
     if read.size is None:
-        mend = "Give --size HEIGHTxWIDTH, or --size any."
-        raise ConfigInvalid("the checkpoint tells no size", where="--size", mend=mend)
+        hint = "Give --size HEIGHTxWIDTH, or --size any."
+        raise ConfigInvalid("the checkpoint tells no size", where="--size", hint=hint)
     note(f"size: {read.size[0]} × {read.size[1]}, that of training")
     return read.size
 
@@ -188,9 +188,9 @@ def _vector(
     time_ids = prompt.time_ids if ids is None else _numbers(ids)
     if time_ids is None:
         if size is None:
-            mend = "Give --time-ids HEIGHT,WIDTH,0,0,HEIGHT,WIDTH."
+            hint = "Give --time-ids HEIGHT,WIDTH,0,0,HEIGHT,WIDTH."
             what = "images of any size tell none"
-            raise ConfigInvalid(what, where="--time-ids", mend=mend)
+            raise ConfigInvalid(what, where="--time-ids", hint=hint)
         time_ids = (*map(float, size), 0.0, 0.0, *map(float, size))
         note(f"time_ids: {','.join(f'{one:g}' for one in time_ids)}, the size of images")
     try:
@@ -208,9 +208,9 @@ def _numbers(text: str) -> tuple[float, ...]:
     except ValueError:
         made = ()
     if not made or not all(map(math.isfinite, made)):
-        mend = "Write them as 1024,1024,0,0,1024,1024."
+        hint = "Write them as 1024,1024,0,0,1024,1024."
         raise ConfigInvalid(
-            f"{text!r} is no list of numbers", where="--time-ids", mend=mend
+            f"{text!r} is no list of numbers", where="--time-ids", hint=hint
         )
     return made
 

@@ -141,7 +141,7 @@ def read_diffusion(
         autoencoder = coder.network
     elif change.vae:
         what = "adds to an autoencoder, and there is none"
-        raise CheckpointInvalid(what, where=str(difix), mend="Give --vae DIR.")
+        raise CheckpointInvalid(what, where=str(difix), hint="Give --vae DIR.")
     schedule = folder / "scheduler" / _SCHEDULE
     noise = (
         _noise(read_model_config(schedule.parent, _SCHEDULE))

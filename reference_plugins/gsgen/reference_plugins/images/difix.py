@@ -45,14 +45,14 @@ def read_difix(path: Path) -> Difix:
     Raises:
         CheckpointInvalid: It cannot be read, or holds something else.
     """
-    mend = "Give the model.pkl of Difix; a LoRA alone is --lora FILE."
+    hint = "Give the model.pkl of Difix; a LoRA alone is --lora FILE."
     if is_safetensors(required_file(path, "what Difix trained")):
-        raise CheckpointInvalid("is a safetensors file", where=str(path), mend=mend)
+        raise CheckpointInvalid("is a safetensors file", where=str(path), hint=hint)
     state = load_state(path, "what Difix trained")
     if not all(isinstance(state.get(part), dict) for part in _PARTS):
         seen = ", ".join(map(str, list(state)[:4])) or "nothing"
         what = f"holds {seen}; wanted {' and '.join(_PARTS)}"
-        raise CheckpointInvalid(what, where=str(path), mend=mend)
+        raise CheckpointInvalid(what, where=str(path), hint=hint)
     unet, vae = (state[part] for part in _PARTS)
     return Difix(unet, vae)
 

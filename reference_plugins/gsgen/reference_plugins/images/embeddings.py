@@ -86,11 +86,11 @@ def _sorted(found: Mapping[str, np.ndarray], path: Path) -> Embeddings:
     time_ids = [name for name in _TIME_IDS if name in found]
     if unknown or len(time_ids) > 1 or any(len(names) != 1 for names in taken):
         what = f"has the arrays {', '.join(found) or 'none'}"
-        mend = (
+        hint = (
             "This network wants prompt_embeds [1, L, D] and pooled_prompt_embeds [1, P], and "
             "takes time_ids [1, 6]: names as in pipelines of diffusers."
         )
-        raise ConfigInvalid(what, where=str(path), mend=mend)
+        raise ConfigInvalid(what, where=str(path), hint=hint)
     (context,), (pooled,) = taken
     if found[pooled].ndim != 2 or len(found[pooled]) != 1:
         what = f"{pooled} is {list(found[pooled].shape)}, wanted [1, P]"

@@ -20,6 +20,6 @@ def read_size(size: str) -> tuple[int, int] | None:
         return None
     match = _SIZE.fullmatch(word)
     if match is None or not (int(match[1]) and int(match[2])):
-        mend = "Write it as 576x1024, height first, or any."
-        raise ConfigInvalid(f"{size!r} is no size", where="--size", mend=mend)
+        hint = "Write it as 576x1024, height first, or any."
+        raise ConfigInvalid(f"{size!r} is no size", where="--size", hint=hint)
     return int(match[1]), int(match[2])

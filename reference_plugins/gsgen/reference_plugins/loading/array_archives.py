@@ -20,14 +20,14 @@ _DAMAGED = (
 
 
 def read_npz(
-    path: Path, names: Iterable[str] | None = None, mend: str = ""
+    path: Path, names: Iterable[str] | None = None, hint: str = ""
 ) -> dict[str, Any]:
     """Return those of ``names`` that the archive has, which may hold anything besides.
 
     Args:
         path: The file.
         names: Of arrays; all of the archive where absent.
-        mend: What is wanted, for the error.
+        hint: What is wanted, for the error.
 
     Raises:
         CheckpointInvalid: It is no archive, damaged, or holds an object under one of the names.
@@ -42,5 +42,5 @@ def read_npz(
     except _DAMAGED as error:
         reason = str(error) or type(error).__name__
         raise CheckpointInvalid(
-            f"cannot be read: {reason}", where=str(path), mend=mend
+            f"cannot be read: {reason}", where=str(path), hint=hint
         ) from error

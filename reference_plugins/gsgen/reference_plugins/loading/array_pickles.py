@@ -54,8 +54,8 @@ def _pass_header(file: BinaryIO) -> None:
 
 
 def _unreadable(path: Path, reason: str) -> CheckpointInvalid:
-    mend = "Wanted a pickle of arrays; code in files is not run."
-    return CheckpointInvalid(f"cannot be read: {reason[:200]}", where=str(path), mend=mend)
+    hint = "Wanted a pickle of arrays; code in files is not run."
+    return CheckpointInvalid(f"cannot be read: {reason[:200]}", where=str(path), hint=hint)
 
 
 class _Inert:

@@ -112,17 +112,17 @@ def read_cfg_args(folder: Path, *, required: bool = False) -> CfgArgs:
     path = folder / _NAME
     if not path.is_file():
         if required:
-            mend = f"Copy {_NAME} from the folder that training wrote: its flags change the result."
-            raise CheckpointInvalid("is missing", where=str(path), mend=mend)
+            hint = f"Copy {_NAME} from the folder that training wrote: its flags change the result."
+            raise CheckpointInvalid("is missing", where=str(path), hint=hint)
         return CfgArgs(path, {}, present=False)
     return CfgArgs(path, _parsed(path))
 
 
 def _parsed(path: Path) -> dict[str, Any]:
-    mend = "Wanted one line: Namespace(name=literal, …), as the training code writes it."
+    hint = "Wanted one line: Namespace(name=literal, …), as the training code writes it."
     if path.stat().st_size > _MOST_BYTES:
         raise CheckpointInvalid(
-            f"is larger than {_MOST_BYTES} bytes", where=str(path), mend=mend
+            f"is larger than {_MOST_BYTES} bytes", where=str(path), hint=hint
         )
     try:
         text = path.read_text("utf-8").strip()
@@ -130,7 +130,7 @@ def _parsed(path: Path) -> dict[str, Any]:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         reason = getattr(error, "msg", str(error))
         raise CheckpointInvalid(
-            f"cannot be parsed: {reason}", where=str(path), mend=mend
+            f"cannot be parsed: {reason}", where=str(path), hint=hint
         ) from error
     if not (
         isinstance(tree, ast.Call)
@@ -139,7 +139,7 @@ def _parsed(path: Path) -> dict[str, Any]:
         and not tree.args
         and all(one.arg or _is_unspellable(one.value) for one in tree.keywords)
     ):
-        raise CheckpointInvalid("is no Namespace(…)", where=str(path), mend=mend)
+        raise CheckpointInvalid("is no Namespace(…)", where=str(path), hint=hint)
     return {name: _value(node, text) for name, node in _options(tree, text)}
 
 

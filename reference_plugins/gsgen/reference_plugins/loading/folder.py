@@ -39,9 +39,9 @@ def within_run(given: Path, iteration: int | None = None) -> tuple[Path, int | N
     if match and whole.parent.name in _PARENTS:
         number = int(match[1])
         if iteration not in (None, number):
-            mend = "Leave out --iteration, or give the folder of the run."
+            hint = "Leave out --iteration, or give the folder of the run."
             what = f"is iteration {number}, not {iteration}"
-            raise NotInCheckpoint(what, where=str(given), mend=mend)
+            raise NotInCheckpoint(what, where=str(given), hint=hint)
         return whole.parent.parent, number
     if whole.name in _PARENTS and not (place / _CLOUD).exists():
         return whole.parent, iteration
@@ -64,19 +64,19 @@ def find_iteration(folder: Path, iteration: int | None = None) -> tuple[int, Pat
     parent = folder / _CLOUD
     if not folder.is_dir():
         what = "is no folder" if folder.exists() else "does not exist"
-        mend = "Give the folder that training wrote: the one with cfg_args in it."
-        raise CheckpointInvalid(what, where=str(folder), mend=mend)
+        hint = "Give the folder that training wrote: the one with cfg_args in it."
+        raise CheckpointInvalid(what, where=str(folder), hint=hint)
     if (folder / f"{_CLOUD}.ply").is_file() and not parent.is_dir():
         match = _ITERATION.fullmatch(folder.absolute().name)
         number = int(match[1]) if match else 0
         if iteration not in (None, number):
             what = f"holds an iteration by itself, {number}, not {iteration}"
-            raise NotInCheckpoint(what, where=str(folder), mend="Leave out --iteration.")
+            raise NotInCheckpoint(what, where=str(folder), hint="Leave out --iteration.")
         return number, folder
     if not parent.is_dir():
-        mend = "Give the folder that training wrote: the one with cfg_args in it."
-        mend = likely_folders(folder, lambda one: (one / parent.name).is_dir()) or mend
-        raise CheckpointInvalid("has no folder point_cloud", where=str(folder), mend=mend)
+        hint = "Give the folder that training wrote: the one with cfg_args in it."
+        hint = likely_folders(folder, lambda one: (one / parent.name).is_dir()) or hint
+        raise CheckpointInvalid("has no folder point_cloud", where=str(folder), hint=hint)
     found = _iterations(parent)
     if not found:
         raise CheckpointInvalid("holds no folder iteration_N", where=str(parent))
@@ -84,7 +84,7 @@ def find_iteration(folder: Path, iteration: int | None = None) -> tuple[int, Pat
     if wanted not in found:
         known = ", ".join(map(str, sorted(found)))
         raise NotInCheckpoint(
-            f"has no iteration {wanted}", where=str(parent), mend=f"There are: {known}."
+            f"has no iteration {wanted}", where=str(parent), hint=f"There are: {known}."
         )
     return wanted, found[wanted]
 
@@ -131,8 +131,8 @@ def required_file(path: Path, what: str) -> Path:
         CheckpointInvalid: It is not; ``what`` says what it should hold.
     """
     if not path.is_file():
-        mend = _elsewhere(path)
-        raise CheckpointInvalid(f"is missing: {what}", where=str(path), mend=mend)
+        hint = _elsewhere(path)
+        raise CheckpointInvalid(f"is missing: {what}", where=str(path), hint=hint)
     return path
 
 

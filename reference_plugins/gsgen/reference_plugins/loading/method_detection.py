@@ -36,9 +36,9 @@ def refuse_other_method(plugin: str, run: Path, place: Path) -> None:
     """
     seen = _method_of(run, place)
     if seen not in (None, plugin):
-        mend = f"Export it with `gsgen export {seen}`."
+        hint = f"Export it with `gsgen export {seen}`."
         what = f"is a checkpoint of {_NAMES[seen or plugin]}"
-        raise CheckpointInvalid(what, where=str(run), mend=mend)
+        raise CheckpointInvalid(what, where=str(run), hint=hint)
 
 
 def _method_of(run: Path, place: Path) -> str | None:

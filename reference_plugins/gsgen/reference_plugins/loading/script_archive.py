@@ -66,8 +66,8 @@ def read_script_state(path: Path) -> dict[str, Tensor]:
 
 def _damaged(path: Path, error: Exception) -> CheckpointInvalid:
     reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
-    mend = "Wanted a network saved by torch.jit.save, as the training code writes it."
-    return CheckpointInvalid(f"cannot be read: {reason}", where=str(path), mend=mend)
+    hint = "Wanted a network saved by torch.jit.save, as the training code writes it."
+    return CheckpointInvalid(f"cannot be read: {reason}", where=str(path), hint=hint)
 
 
 @final

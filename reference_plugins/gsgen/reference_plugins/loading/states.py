@@ -36,8 +36,8 @@ def load_state(path: Path, what: str) -> dict[str, Any]:
         CheckpointInvalid: The file is missing, damaged, or holds more than tensors.
     """
     required_file(path, what)
-    mend = "Wanted a file of tensors, as torch.save writes it; code in files is not run."
-    state = load_tensors(path, mend)
+    hint = "Wanted a file of tensors, as torch.save writes it; code in files is not run."
+    state = load_tensors(path, hint)
     if not isinstance(state, dict):
         raise CheckpointInvalid(
             f"holds a {type(state).__name__}, wanted a state dict", where=str(path)
@@ -109,7 +109,7 @@ def checked(
         raise CheckpointInvalid(
             "; ".join(found[:_SHOWN]),
             where=str(path),
-            mend="Its options in cfg_args may be those of another run.",
+            hint="Its options in cfg_args may be those of another run.",
         )
     return {name: state[name].detach().to(torch.float32) for name in wanted}
 
@@ -125,7 +125,7 @@ def _trouble(name: str, value: Any, shape: Shape) -> str:
     if not isinstance(value, Tensor):
         return f"{name} is a {type(value).__name__}, wanted a tensor"
     fits = value.ndim == len(shape) and all(
-        want in (None, seen) for want, seen in zip(shape, value.shape, strict=True)
+        expected in (None, seen) for expected, seen in zip(shape, value.shape, strict=True)
     )
     if not fits:
         words = ", ".join("any" if size is None else str(size) for size in shape)

@@ -50,12 +50,12 @@ class Inert:
         self.given = state if isinstance(state, dict) else {}
 
 
-def load_tensors(path: Path, mend: str, known: Sequence[tuple[type, str]] = ()) -> Any:
+def load_tensors(path: Path, hint: str, known: Sequence[tuple[type, str]] = ()) -> Any:
     """Return what ``path`` holds, its tensors on the CPU whatever machine they were on.
 
     Args:
         path: The file.
-        mend: What is wanted, for the error of a file that holds something else.
+        hint: What is wanted, for the error of a file that holds something else.
         known: Classes to put in the place of those that the file names.
 
     Raises:
@@ -69,4 +69,4 @@ def load_tensors(path: Path, mend: str, known: Sequence[tuple[type, str]] = ()) 
             return torch.load(path, map_location="cpu", weights_only=True)
     except _DAMAGED as error:
         what = f"cannot be read: {reason_of(error)}"
-        raise CheckpointInvalid(what, where=str(path), mend=mend) from error
+        raise CheckpointInvalid(what, where=str(path), hint=hint) from error

@@ -98,9 +98,9 @@ def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:
     """
     kind = cfg.word("smpl_type", _kind_of(body))
     if kind not in JOINTS:
-        mend = "Only the published readers know it; the model that they feed has no such branch."
+        hint = "Only the published readers know it; the model that they feed has no such branch."
         what = f"smpl_type is {kind!r}, wanted {' or '.join(map(repr, JOINTS))}"
-        raise CheckpointInvalid(what, where=str(cfg.path), mend=mend)
+        raise CheckpointInvalid(what, where=str(cfg.path), hint=hint)
     gender = cfg.word("actor_gender", "neutral", _GENDERS).upper()
     file = f"SMPL_{gender}.pkl" if kind == "smpl" else f"models/smplx/SMPLX_{gender}.npz"
     joints = JOINTS[kind]
@@ -125,7 +125,7 @@ def _read_nets(path: Path, joints: int) -> PoseNets:
     parts = [state.get(name) for name in ("pose_decoder", "lweight_offset_decoder")]
     pose, weights = parts
     if not isinstance(pose, dict) or not isinstance(weights, dict):
-        mend = "Wanted the state dicts pose_decoder and lweight_offset_decoder."
+        hint = "Wanted the state dicts pose_decoder and lweight_offset_decoder."
         what = f"holds {', '.join(map(str, state))}"
-        raise CheckpointInvalid(what, where=str(path), mend=mend)
+        raise CheckpointInvalid(what, where=str(path), hint=hint)
     return read_pose_nets(path, pose, weights, joints)

@@ -114,8 +114,8 @@ def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
     model = read_body(required_body(body, places, JOINTS), JOINTS)
     if model.shape_dirs.shape[2] < FIRST_EXPRESSION + EXPRESSIONS:
         what = f"has {model.shape_dirs.shape[2]} shape coefficients, wanted 400"
-        mend = "Give the file of 300 shapes and 100 expressions (SMPLX_NEUTRAL.npz, v1.1)."
-        raise CheckpointInvalid(what, where=str(model.path), mend=mend)
+        hint = "Give the file of 300 shapes and 100 expressions (SMPLX_NEUTRAL.npz, v1.1)."
+        raise CheckpointInvalid(what, where=str(model.path), hint=hint)
     count = len(tensors["offset_xyz"])
     return LHMCheckpoint(
         path,
@@ -180,22 +180,22 @@ def _avatar_file(folder: Path) -> Path:
     found = sorted(folder.glob("*.pth"))
     if len(found) != 1:
         names = ", ".join(path.name for path in found) or "none"
-        mend = "Give the file itself, or a folder with one .pth in it."
+        hint = "Give the file itself, or a folder with one .pth in it."
         near = "" if found else likely_folders(folder, lambda one: any(one.glob("*.pth")))
         what = f"holds {len(found)} files .pth ({names})"
-        raise CheckpointInvalid(what, where=str(folder), mend=near or mend)
+        raise CheckpointInvalid(what, where=str(folder), hint=near or hint)
     return found[0]
 
 
 def _tensors(path: Path) -> dict[str, Tensor]:
-    mend = f"Wanted the list {', '.join(_FIELDS)}, as Visionary's fork of LHM saves it."
-    read = load_tensors(path, mend)
+    hint = f"Wanted the list {', '.join(_FIELDS)}, as Visionary's fork of LHM saves it."
+    read = load_tensors(path, hint)
     if not isinstance(read, list | tuple) or len(read) != len(_FIELDS):
         seen = f"a {type(read).__name__}"
         if isinstance(read, list | tuple):
             seen = f"{len(read)} things"
         what = f"holds {seen}, wanted {len(_FIELDS)}"
-        raise CheckpointInvalid(what, where=str(path), mend=mend)
+        raise CheckpointInvalid(what, where=str(path), hint=hint)
     named = dict(zip(_FIELDS, read, strict=True))
     first = named["offset_xyz"]
     # Training squeezes what it saves: one Gaussian alone has no rows.
@@ -214,25 +214,25 @@ def _tensors(path: Path) -> dict[str, Tensor]:
     for name, shape in wanted.items():
         value = named[name]
         if not isinstance(value, Tensor) or not count:
-            raise CheckpointInvalid(f"{name} is no tensor", where=str(path), mend=mend)
+            raise CheckpointInvalid(f"{name} is no tensor", where=str(path), hint=hint)
         if value.numel() != np.prod(shape) or not torch.isfinite(value).all():
             what = f"{name} is {list(value.shape)}, wanted {list(shape)}, all finite"
-            raise CheckpointInvalid(what, where=str(path), mend=mend)
+            raise CheckpointInvalid(what, where=str(path), hint=hint)
         made[name] = value.detach().to(torch.float32).reshape(shape)
     return made
 
 
 def _samples(folder: Path, count: int) -> Float[np.ndarray, "n 3"]:
-    mend = "It comes with LHM's weights: copy pretrained_models/dense_sample_points beside them."
+    hint = "It comes with LHM's weights: copy pretrained_models/dense_sample_points beside them."
     names = sorted(folder.glob("*.ply")) if folder.is_dir() else []
     if not names:
-        raise CheckpointInvalid("holds no .ply", where=str(folder), mend=mend)
+        raise CheckpointInvalid("holds no .ply", where=str(folder), hint=hint)
     for path in names:
         points = _points(path)
         if len(points) == count:
             return points
     what = f"holds no .ply of {count} points ({', '.join(path.name for path in names)})"
-    raise CheckpointInvalid(what, where=str(folder), mend=mend)
+    raise CheckpointInvalid(what, where=str(folder), hint=hint)
 
 
 def _points(path: Path) -> Float[np.ndarray, "n 3"]:

@@ -61,7 +61,7 @@ def build(
 
     if (flame is None) != (flame_ids is None):
         what = "--flame and --flame-ids go together"
-        raise ConfigInvalid(what, where="--flame", mend="Give both, or neither.")
+        raise ConfigInvalid(what, where="--flame", hint="Give both, or neither.")
     read = read_lhm(checkpoint, body)
     note(read.describe())
     face = read_face(flame, flame_ids, read.body) if flame and flame_ids else None

@@ -161,20 +161,20 @@ def _find(folder: Path, iteration: int | None) -> Path:
     folder, iteration = within_run(folder, iteration)
     if not folder.is_dir():
         what = "is no folder" if folder.exists() else "does not exist"
-        mend = "Give the folder that training wrote, or its chkpntN.pth."
-        raise CheckpointInvalid(what, where=str(folder), mend=mend)
+        hint = "Give the folder that training wrote, or its chkpntN.pth."
+        raise CheckpointInvalid(what, where=str(folder), hint=hint)
     matches = ((_FILE.fullmatch(child.name), child) for child in folder.iterdir())
     found = {int(match[1]): child for match, child in matches if match}
     if not found:
         refuse_other_method("r3-avatar", folder, _last(folder))
-        mend = "Give the folder that training wrote: the planes are in no other file."
-        mend = likely_folders(folder, lambda one: any(one.glob("chkpnt*.pth"))) or mend
-        raise CheckpointInvalid("holds no chkpntN.pth", where=str(folder), mend=mend)
+        hint = "Give the folder that training wrote: the planes are in no other file."
+        hint = likely_folders(folder, lambda one: any(one.glob("chkpnt*.pth"))) or hint
+        raise CheckpointInvalid("holds no chkpntN.pth", where=str(folder), hint=hint)
     wanted = max(found) if iteration is None else iteration
     if wanted not in found:
         known = ", ".join(map(str, sorted(found)))
         what = f"has no iteration {wanted}"
-        raise NotInCheckpoint(what, where=str(folder), mend=f"There are: {known}.")
+        raise NotInCheckpoint(what, where=str(folder), hint=f"There are: {known}.")
     return found[wanted]
 
 
@@ -202,17 +202,17 @@ def guessed_dataset(cfg: CfgArgs) -> str:
             return (found if len(found) == 1 else fitting)[0]
     known = ", ".join(DATASETS)
     what = f"source_path is {source!r}, which does not say the kind of data"
-    mend = f"Say which reader training used: --dataset, one of {known}."
-    raise CheckpointInvalid(what, where=str(cfg.path), mend=mend)
+    hint = f"Say which reader training used: --dataset, one of {known}."
+    raise CheckpointInvalid(what, where=str(cfg.path), hint=hint)
 
 
 def _fields(path: Path) -> Any:
-    mend = "Wanted what R3-Avatar's training saves; code in files is not run."
-    read = load_tensors(path, mend, [(_Shell, name) for name in _CLASSES])
+    hint = "Wanted what R3-Avatar's training saves; code in files is not run."
+    read = load_tensors(path, hint, [(_Shell, name) for name in _CLASSES])
     fields = read[0] if isinstance(read, tuple) and len(read) == 2 else None
     if not isinstance(fields, tuple) or len(fields) != _FIELDS:
         what = f"is no pair of {_FIELDS} fields and an iteration"
-        raise CheckpointInvalid(what, where=str(path), mend=mend)
+        raise CheckpointInvalid(what, where=str(path), hint=hint)
     return fields
 
 

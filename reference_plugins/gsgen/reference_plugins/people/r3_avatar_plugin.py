@@ -116,8 +116,8 @@ def ids_of(text: str) -> list[int]:
     for word in text.split(","):
         first, dash, last = word.strip().partition("-")
         if not (first.isdecimal() and (last.isdecimal() if dash else True)):
-            mend = "Write it as 0-99 or 0,17,50."
-            raise ConfigInvalid(f"{word!r} is no pose", where="--pose-ids", mend=mend)
+            hint = "Write it as 0-99 or 0,17,50."
+            raise ConfigInvalid(f"{word!r} is no pose", where="--pose-ids", hint=hint)
         listed = range(int(first), int(last or first) + 1)
         if not listed or listed.stop > _MOST_POSES:
             what = f"{word!r} is no range of poses below {_MOST_POSES:,}"

@@ -47,7 +47,7 @@ from gsgen.contract.spec.spherical_harmonics import (
 from gsgen.formats import PackedRows, PointCloud, Splats
 from gsgen.sdk.exporting.constant_generator import write_constant
 from gsgen.sdk.exporting.sh_degrees import taken_degree
-from gsgen.sdk.rewriting.atomic_model_files import draft_of
+from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 
 INITIAL_OPACITY = 0.1
 
@@ -124,7 +124,7 @@ def _from_splats(splats: Splats, dtype: Dtype, sh_degree: int | None) -> StaticS
         over="ignore"
     ):  # exp(-(-inf)) is inf, and 1 / (1 + inf) is the 0 it means
         opacity = 1 / (1 + np.exp(-splats.logit_opacity.astype(np.float64)))
-    gaussians = layout.Gaussians(
+    gaussians = layout.DecodedGaussians(
         position=splats.position,
         opacity=opacity,
         covariance=covariance_upper(
@@ -160,7 +160,7 @@ def _from_points(
         sh_degree, notes = _taken(sh_degree, dtype)
     covariance = np.zeros((n, 6))
     covariance[:, [0, 3, 5]] = (scale**2)[:, None]
-    gaussians = layout.Gaussians(
+    gaussians = layout.DecodedGaussians(
         position=points.position,
         opacity=np.full(n, opacity),
         covariance=covariance,
@@ -210,7 +210,7 @@ def neighbour_scale(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]
     except ImportError as error:
         raise GsgenError(
             "sizes of bare points need scipy, which is not installed",
-            mend="pip install 'gsgen[sdk]'",
+            hint="pip install 'gsgen[sdk]'",
         ) from error
     wide = np.asarray(points, np.float64)
     k = min(_NEIGHBOURS, len(wide) - 1)
@@ -250,9 +250,9 @@ def write_scene(
     count = len(scene.rows)
     total = count if capacity is None else capacity
     if total < count:
-        mend = f"Give {count} or more, or leave it out."
+        hint = f"Give {count} or more, or leave it out."
         raise GsgenError(
-            f"{total} is less than the {count} rows", where="--capacity", mend=mend
+            f"{total} is less than the {count} rows", where="--capacity", hint=hint
         )
     names = {"sh": "color_sh", "rgb": "color_rgb"}
     dtype: Dtype = "float16" if scene.rows.dtype == np.float16 else "float32"
@@ -271,7 +271,7 @@ def write_scene(
         tolerances=Tolerances(),
     )
     rows, color = _padded(scene.rows, total), _padded(scene.appearance, total)
-    with draft_of(path) as draft:
+    with atomic_write(path) as draft:
         write_constant(rows, color, manifest, draft, count=count, opset=opset)
         if accept is not None:
             accept(draft)

@@ -49,7 +49,7 @@ def static(
     sh_degree: Annotated[
         int | None,
         typer.Option(
-            help="Cut SH to this degree or fill up to it; points become SH.",
+            help="SortConfig SH to this degree or fill up to it; points become SH.",
             show_default="as in the file",
             min=0,
             max=3,

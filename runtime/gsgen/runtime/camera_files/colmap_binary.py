@@ -74,7 +74,7 @@ class _Reader:
             raise ConfigInvalid(
                 f"says that it has {count} records, but has {len(self._data)} bytes",
                 where=str(self._path),
-                mend="It is damaged, or none of COLMAP's.",
+                hint="It is damaged, or none of COLMAP's.",
             )
         return int(count)
 
@@ -90,7 +90,7 @@ class _Reader:
             raise ConfigInvalid(
                 f"ends at byte {len(self._data)}, {size} more were wanted from byte {self._at}",
                 where=str(self._path),
-                mend="It is damaged, or none of COLMAP's.",
+                hint="It is damaged, or none of COLMAP's.",
             )
         self._at += size
 

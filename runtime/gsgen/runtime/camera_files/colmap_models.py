@@ -37,7 +37,7 @@ def parameters(
         raise ConfigInvalid(
             f"has the camera model {model}, which no pinhole can stand for",
             where=where,
-            mend="COLMAP's image_undistorter makes pinholes of it.",
+            hint="COLMAP's image_undistorter makes pinholes of it.",
         )
     names = MODELS[model].split()
     if len(values) != len(names):

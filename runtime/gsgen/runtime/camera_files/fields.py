@@ -74,7 +74,7 @@ def made_camera(where: str, **values: Any) -> Camera:
         return Camera(**values)
     except SceneInvalid as error:
         raise SceneInvalid(
-            error.what, where=f"{where}, {error.where}", mend=error.mend
+            error.message, where=f"{where}, {error.where}", hint=error.hint
         ) from error
 
 

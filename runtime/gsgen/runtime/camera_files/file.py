@@ -64,7 +64,7 @@ class CameraFile:
                 raise ConfigInvalid(
                     f"{len(found)} cameras are called {which!r}: {_listed(found)}",
                     where=self.path,
-                    mend="Give a number from 0, or the whole name.",
+                    hint="Give a number from 0, or the whole name.",
                 )
             if found:
                 return tuple(found)
@@ -99,9 +99,9 @@ class CameraFile:
             "camera", which, (_last(one.name) for one in self.cameras), self.path
         )
         return ConfigInvalid(
-            error.what,
+            error.message,
             where=self.path,
-            mend=f"{error.mend} It has {_listed(self.cameras)}; a number from 0 will do, too.",
+            hint=f"{error.hint} It has {_listed(self.cameras)}; a number from 0 will do, too.",
         )
 
 

@@ -40,7 +40,7 @@ def open_cameras(path: str | os.PathLike[str]) -> CameraFile:
     try:
         if not place.is_file():
             missing = "is no file" if place.exists() else "does not exist"
-            raise ConfigInvalid(missing, where=str(place), mend=_KNOWN)
+            raise ConfigInvalid(missing, where=str(place), hint=_KNOWN)
         if place.stat().st_size > _LARGEST and place.suffix == ".json":
             raise ConfigInvalid(
                 f"has {place.stat().st_size:,} bytes, more than {_LARGEST:,}",
@@ -59,7 +59,7 @@ def open_cameras(path: str | os.PathLike[str]) -> CameraFile:
     raise ConfigInvalid(
         f"begins with {start[:16]!r}, which no file of cameras does",
         where=str(place),
-        mend=_KNOWN,
+        hint=_KNOWN,
     )
 
 
@@ -89,7 +89,7 @@ def _in_folder(folder: Path) -> CameraFile:
     raise ConfigInvalid(
         "is a folder without cameras",
         where=str(folder),
-        mend=f"Wanted {', '.join(_IN_FOLDER)}, or cameras and images of COLMAP as .bin or .txt, "
+        hint=f"Wanted {', '.join(_IN_FOLDER)}, or cameras and images of COLMAP as .bin or .txt, "
         f"there or in {', '.join(FOLDERS[1:])}.",
     )
 
@@ -108,7 +108,7 @@ def _from_json(content: bytes, place: Path) -> CameraFile:
     if is_own(made):
         return read_own(made, str(place))
     if made in ([], {}):
-        raise ConfigInvalid("holds no camera", where=str(place), mend=_KNOWN)
+        raise ConfigInvalid("holds no camera", where=str(place), hint=_KNOWN)
     first = made[0] if isinstance(made, list) else made
     keys = (
         ", ".join(map(str, list(first)[:8]))
@@ -116,5 +116,5 @@ def _from_json(content: bytes, place: Path) -> CameraFile:
         else repr(first)[:60]
     )
     raise ConfigInvalid(
-        f"is JSON, but of no cameras: it has {keys}", where=str(place), mend=_KNOWN
+        f"is JSON, but of no cameras: it has {keys}", where=str(place), hint=_KNOWN
     )

@@ -38,4 +38,4 @@ def _camera(made: object, number: int, path: str) -> NamedCamera:
         return NamedCamera(name, Camera.from_dict(made))
     except SceneInvalid as error:
         where = f"{path}, camera {number}, {error.where}"
-        raise SceneInvalid(error.what, where=where, mend=error.mend) from error
+        raise SceneInvalid(error.message, where=where, hint=error.hint) from error

@@ -79,7 +79,7 @@ def _camera(made: Mapping[str, Any], at: int, where: str) -> NamedCamera:
             f"has the camera model {model if not made.get('is_fisheye') else 'fisheye'}, "
             "which no pinhole can stand for",
             where=where,
-            mend=f"Known: {', '.join(_STRAIGHT)}, {_PANORAMA}. Undistort the pictures first.",
+            hint=f"Known: {', '.join(_STRAIGHT)}, {_PANORAMA}. Undistort the pictures first.",
         )
     fx, fy = _focal(made, "x", width, where), _focal(made, "y", height, where)
     scale = math.pi if model == _PANORAMA else 1.0  # there a radian has fl / π pixels
@@ -139,5 +139,5 @@ def _picture_size(made: Mapping[str, Any], path: str, where: str) -> tuple[int, 
     raise ConfigInvalid(
         f"lacks w and h, and there is no picture {name!r} to take them from",
         where=where,
-        mend='Add "w" and "h" to the file: the size of its pictures, in pixels.',
+        hint='Add "w" and "h" to the file: the size of its pictures, in pixels.',
     )

@@ -11,9 +11,9 @@ import numpy as np
 from gsgen.conformance.fixtures import Fixture
 from gsgen.conformance.fixtures.builders.arrays import f32
 from gsgen.conformance.fixtures.builders.clouds import still
-from gsgen.conformance.fixtures.builders.fixture import breaks, fixtures_in
+from gsgen.conformance.fixtures.builders.fixture import fixtures_in, invalid
 from gsgen.conformance.fixtures.builders.moving import drifting
-from gsgen.conformance.fixtures.builders.sketch import Sketch
+from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.spec.layout import COVARIANCE
 from gsgen.contract.spec.manifest import ReferenceImage
 from gsgen.contract.spec.severity import Level
@@ -24,8 +24,8 @@ def render_fixtures() -> list[Fixture]:
     return fixtures_in(sys.modules[__name__])
 
 
-@breaks("GB018", level=Level.RENDER)
-def too_fine_to_be_seen() -> Sketch:
+@invalid("GB018", level=Level.RENDER)
+def too_fine_to_be_seen() -> ModelSpec:
     """Gaussians a thousandth of a pixel wide, of whose opacity antialiasing leaves nothing."""
     fine = still()
     rows = np.array(fine.weights["rows"])
@@ -33,8 +33,8 @@ def too_fine_to_be_seen() -> Sketch:
     return fine.weighing(rows=rows).declaring(antialias="mip")
 
 
-@breaks("GB019", level=Level.RENDER)
-def grows_out_of_nothing() -> Sketch:
+@invalid("GB019", level=Level.RENDER)
+def grows_out_of_nothing() -> ModelSpec:
     """At time zero Gaussians are too fine to be seen; they grow with time."""
     growing = drifting().reworded(
         "gaussians = Concat <axis = 1> (moved, opacity, spread)",
@@ -44,8 +44,8 @@ def grows_out_of_nothing() -> Sketch:
     return growing.weighing(least=f32(1e-9)).declaring(antialias="mip")
 
 
-@breaks("GB020", level=Level.RENDER)
-def opaque_behind_opaque() -> Sketch:
+@invalid("GB020", level=Level.RENDER)
+def opaque_behind_opaque() -> ModelSpec:
     """A black sheet that fills the view, and a white one behind it: a hundredth of it shows, or not."""
     sheets = still(2)
     rows, colors = (np.array(sheets.weights[name]) for name in ("rows", "colors"))
@@ -56,8 +56,8 @@ def opaque_behind_opaque() -> Sketch:
     return sheets.weighing(rows=rows, colors=colors)
 
 
-@breaks("GB021", level=Level.RENDER)
-def looks_otherwise() -> Sketch:
+@invalid("GB021", level=Level.RENDER)
+def looks_otherwise() -> ModelSpec:
     """The picture beside the model is all red; the model is not."""
     from gsgen.runtime.media.pictures import png_of
 
@@ -66,7 +66,7 @@ def looks_otherwise() -> Sketch:
     return with_reference(still(), png_of(red))
 
 
-def with_reference(sketch: Sketch, png: bytes, **changes: object) -> Sketch:
+def with_reference(sketch: ModelSpec, png: bytes, **changes: object) -> ModelSpec:
     """Return a copy that declares a picture of 64×36 pixels, seen from four units away."""
     straight = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 4.0))
     one = ReferenceImage(

@@ -2,8 +2,8 @@
 
 __all__ = [
     "Compared",
-    "Showing",
-    "Shown",
+    "RenderEvidence",
+    "RenderedProbe",
     "decibels",
     "prepare_render",
     "probe_camera",
@@ -20,9 +20,9 @@ from typing import Final
 import numpy as np
 
 from gsgen.contract.probing.probes import Probe, as_tensor
-from gsgen.contract.probing.run_comparison import Trial
+from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.manifest import GeneratorManifest
-from gsgen.contract.validation.level_backend import LevelUnavailable, Prepared
+from gsgen.contract.validation.level_backend import LevelContext, LevelUnavailable
 from gsgen.runtime.checks.reference_image import (
     BEHIND,
     MOST_REFERENCES,
@@ -50,7 +50,7 @@ _DISTANCE: Final = 2.2  # half diagonals of the bounds, as the probes' own camer
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class RenderedProbe:
     """One frame that was drawn.
 
     Attributes:
@@ -86,7 +86,7 @@ class Compared:
 
 
 @dataclass(frozen=True, slots=True)
-class Showing:
+class RenderEvidence:
     """The frames of a model, drawn.
 
     Attributes:
@@ -95,20 +95,20 @@ class Showing:
         references: The pictures that the manifest declares.
     """
 
-    frames: tuple[Shown, ...]
+    frames: tuple[RenderedProbe, ...]
     device: str
     references: tuple[Compared, ...] = ()
 
 
 @contextmanager
-def prepare_render(trial: Trial) -> Iterator[Prepared]:
+def prepare_render(trial: ProbeRuns) -> Iterator[LevelContext]:
     """Draw what the model of ``trial`` gave for some of its probes.
 
     Raises:
         LevelUnavailable: A package, an adapter or its memory is missing here.
     """
     if find_spec("wgpu") is None:
-        raise LevelUnavailable("wgpu is not installed", mend="pip install 'gsgen[runtime]'")
+        raise LevelUnavailable("wgpu is not installed", hint="pip install 'gsgen[runtime]'")
     began = time.monotonic()
     try:
         renderer = Renderer(rasteriser="tiles")
@@ -116,10 +116,10 @@ def prepare_render(trial: Trial) -> Iterator[Prepared]:
         frames = tuple(_drawn(trial, renderer, quads))
         references = tuple(_compared(trial, renderer))
     except (DeviceUnavailable, CapacityExceeded) as error:
-        what = f"{error.where}: {error.what}" if error.where else error.what
-        raise LevelUnavailable(what, mend=error.mend) from error
-    yield Prepared(
-        context=Showing(frames, renderer.device.name, references),
+        what = f"{error.where}: {error.message}" if error.where else error.message
+        raise LevelUnavailable(what, hint=error.hint) from error
+    yield LevelContext(
+        context=RenderEvidence(frames, renderer.device.name, references),
         items=len(frames),
         environment={"renderer": renderer.device.name},
         seconds=time.monotonic() - began,
@@ -132,7 +132,7 @@ def _quads(device: Device) -> Renderer | None:
     return Renderer(device, rasteriser="quads") if device.blends_floats else None
 
 
-def _unjudged(trial: Trial, device: Device) -> dict[str, str]:
+def _unjudged(trial: ProbeRuns, device: Device) -> dict[str, str]:
     """Return which rules cannot be judged, and why."""
     manifest = trial.subject.generator
     reasons = {}
@@ -147,7 +147,9 @@ def _unjudged(trial: Trial, device: Device) -> dict[str, str]:
     return reasons
 
 
-def _drawn(trial: Trial, renderer: Renderer, quads: Renderer | None) -> Iterator[Shown]:
+def _drawn(
+    trial: ProbeRuns, renderer: Renderer, quads: Renderer | None
+) -> Iterator[RenderedProbe]:
     manifest = trial.subject.generator
     assert manifest is not None  # the rules are of generators alone
     for number in _chosen(trial):
@@ -158,10 +160,10 @@ def _drawn(trial: Trial, renderer: Renderer, quads: Renderer | None) -> Iterator
         if quads is not None and scene.sets[0].weighted is None:
             other = decibels(frame, quads.render(scene, camera))
         live, covered = scene.sets[0].data.count, float(frame.alpha.max())
-        yield Shown(probe.label, live, frame.visible, covered, other)
+        yield RenderedProbe(probe.label, live, frame.visible, covered, other)
 
 
-def _scene(trial: Trial, number: int) -> Scene:
+def _scene(trial: ProbeRuns, number: int) -> Scene:
     """Return what the model gave for a probe."""
     manifest = trial.subject.generator
     assert manifest is not None
@@ -196,7 +198,7 @@ def scene_of(manifest: GeneratorManifest, tensors: Mapping[str, np.ndarray]) -> 
     return Scene([one], outputs.appearance.color_space)
 
 
-def _compared(trial: Trial, renderer: Renderer) -> Iterator[Compared]:
+def _compared(trial: ProbeRuns, renderer: Renderer) -> Iterator[Compared]:
     """Compare the pictures that the manifest declares with what is drawn."""
     manifest = trial.subject.generator
     if manifest is None or find_spec("PIL") is None:
@@ -236,7 +238,7 @@ def decibels(a: Frame, b: Frame) -> float:
     return float(-10 * np.log10(max(error, _LEAST_ERROR)))
 
 
-def _chosen(trial: Trial) -> list[int]:
+def _chosen(trial: ProbeRuns) -> list[int]:
     """Choose runs that are spread over the probes; all inputs zero is no camera."""
     every = [
         number for number in range(trial.plan.values) if not trial.plan.probes[number].zeros

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final, final
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.probe_plan import fetched_outputs, make_plan
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec.json_schema import to_json
@@ -171,7 +171,7 @@ class _Views:
 
 
 def _drawn(
-    subject: Subject,
+    subject: InspectedModel,
     probes: Sequence[Probe],
     views: _Views,
     renderer: Renderer,
@@ -190,7 +190,7 @@ def _drawn(
 
 
 def _write(
-    subject: Subject, shots: Sequence[_Shot], model: Path, folder: str, psnr: float
+    subject: InspectedModel, shots: Sequence[_Shot], model: Path, folder: str, psnr: float
 ) -> tuple[ReferenceImage, ...]:
     """Write the copy and its pictures; return what its manifest says of them."""
     assert subject.parsed is not None
@@ -229,7 +229,7 @@ def _chosen(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
         count = min(_COUNT, most)
     if not 1 <= count <= most:
         what = f"{count} pictures, wanted from 1 to {most}"
-        raise ConfigInvalid(what, where="--count", mend=f"--count {most} takes most.")
+        raise ConfigInvalid(what, where="--count", hint=f"--count {most} takes most.")
     return spread(every, count)
 
 

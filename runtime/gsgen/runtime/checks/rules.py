@@ -7,24 +7,24 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
-from gsgen.contract.probing.run_comparison import Trial
+from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.layout import CULL_OPACITY
 from gsgen.contract.spec.severity import Level, Severity
-from gsgen.contract.validation.finding import Breach
-from gsgen.contract.validation.level_backend import Prepared, Runner
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.level_backend import LevelBackend, LevelContext
 from gsgen.contract.validation.rule import rule
 
 if TYPE_CHECKING:
-    from gsgen.runtime.checks.level import Showing
+    from gsgen.runtime.checks.level import RenderEvidence
 
 
-def _prepare(trial: Trial) -> AbstractContextManager[Prepared]:
+def _prepare(trial: ProbeRuns) -> AbstractContextManager[LevelContext]:
     from gsgen.runtime.checks.level import prepare_render
 
     return prepare_render(trial)
 
 
-RUNNER = Runner(Level.RENDER, "drawing frames", _prepare)
+RUNNER = LevelBackend(Level.RENDER, "drawing frames", _prepare)
 
 _LEAST_AGREEMENT = 60
 _NEEDS = ("GV025", "GO001", "GO002", "GO005", "GO008")
@@ -38,7 +38,7 @@ _NEEDS = ("GV025", "GO001", "GO002", "GO005", "GO008")
     fixture="too_fine_to_be_seen",
     needs=_NEEDS,
 )
-def picture_not_empty(showing: "Showing") -> Iterator[Breach]:
+def picture_not_empty(showing: "RenderEvidence") -> Iterator[Violation]:
     """A camera that looks at the model sees it in at least one of the frames that are drawn.
 
     Why:
@@ -46,15 +46,17 @@ def picture_not_empty(showing: "Showing") -> Iterator[Breach]:
         wrong unit, behind the camera that they are culled for, or so fine that antialiasing
         leaves nothing of them.
 
-    Mend:
+    Hint:
         Draw the model with `gsgen render`, and compare the scale of positions and covariances with
         "bounds". With antialias "mip", Gaussians must be about a pixel wide to be seen.
     """
     frames = [frame for frame in showing.frames if frame.live]
     if frames and not any(_is_seen(frame.covered) for frame in frames):
         most = max(frame.covered for frame in frames)
-        saw = f"no pixel is covered by more than {most:.2g} in any of {len(frames)} frames"
-        yield Breach.at("picture", saw, f"at least {CULL_OPACITY:.2g} somewhere")
+        actual = (
+            f"no pixel is covered by more than {most:.2g} in any of {len(frames)} frames"
+        )
+        yield Violation.at("picture", actual, f"at least {CULL_OPACITY:.2g} somewhere")
 
 
 @rule(
@@ -65,21 +67,21 @@ def picture_not_empty(showing: "Showing") -> Iterator[Breach]:
     fixture="grows_out_of_nothing",
     needs=(*_NEEDS, "GB018"),
 )
-def every_frame_shows(showing: "Showing") -> Iterator[Breach]:
+def every_frame_shows(showing: "RenderEvidence") -> Iterator[Violation]:
     """Every frame that is drawn, and that has live rows, shows something.
 
     Why:
         A model that is empty for some cameras or times flickers, and most often culls by a matrix
         that it reads in the wrong order.
 
-    Mend:
+    Hint:
         Draw the frame that is named with `gsgen render`. If nothing is to be seen there, give a
         count of zero; else check what depends on the camera and the time.
     """
     for frame in showing.frames:
         if frame.live and not _is_seen(frame.covered):
-            saw = f"{frame.visible} of {frame.live} rows are drawn at {frame.probe!r}, none visibly"
-            yield Breach.at("picture", saw, "a pixel that something covers")
+            actual = f"{frame.visible} of {frame.live} rows are drawn at {frame.probe!r}, none visibly"
+            yield Violation.at("picture", actual, "a pixel that something covers")
 
 
 @rule(
@@ -90,7 +92,7 @@ def every_frame_shows(showing: "Showing") -> Iterator[Breach]:
     fixture="opaque_behind_opaque",
     needs=(*_NEEDS, "GB018"),
 )
-def rasterisers_agree(showing: "Showing") -> Iterator[Breach]:
+def rasterisers_agree(showing: "RenderEvidence") -> Iterator[Violation]:
     """Compute tiles and the hardware's quads draw the same picture, to 60 dB.
 
     Why:
@@ -98,14 +100,14 @@ def rasterisers_agree(showing: "Showing") -> Iterator[Breach]:
         quads draw it. Up to a hundredth of the light is between them. A model of sheets that are
         as good as opaque, one behind the other, looks different from viewer to viewer.
 
-    Mend:
+    Hint:
         Leave out what is hidden behind opaque Gaussians that are much wider than a pixel, or give
         both the same colour.
     """
     for frame in showing.frames:
         if frame.agreement is not None and frame.agreement < _LEAST_AGREEMENT:
-            saw = f"{frame.agreement:.1f} dB between tiles and quads at {frame.probe!r}"
-            yield Breach.at("picture", saw, f"at least {_LEAST_AGREEMENT} dB")
+            actual = f"{frame.agreement:.1f} dB between tiles and quads at {frame.probe!r}"
+            yield Violation.at("picture", actual, f"at least {_LEAST_AGREEMENT} dB")
 
 
 @rule(
@@ -116,24 +118,26 @@ def rasterisers_agree(showing: "Showing") -> Iterator[Breach]:
     fixture="looks_otherwise",
     needs=(*_NEEDS, "GM002", "GM003", "GM005"),
 )
-def reference_images_match(showing: "Showing") -> Iterator[Breach]:
+def reference_images_match(showing: "RenderEvidence") -> Iterator[Violation]:
     """Every picture that the manifest declares is beside the model, and the model draws it.
 
     Why:
         Tensors that agree to a tolerance say little to whoever wants to know that a model looks
         as it did at its author's. A picture, its camera and a least number of decibels do.
 
-    Mend:
+    Hint:
         Give the file along with the model. If the model is right, draw its pictures anew:
         `gsgen references MODEL -o MODEL --force`. Models without pictures are fine.
     """
     for number, one in enumerate(showing.references):
         place = f"manifest reference_images.{number}"
         if one.given is None:
-            yield Breach.at(place, f"{one.path!r}: {one.problem}", "a PNG to compare with")
+            yield Violation.at(
+                place, f"{one.path!r}: {one.problem}", "a PNG to compare with"
+            )
         elif one.given < one.wanted:
-            saw = f"{one.path!r}: {one.given:.1f} dB"
-            yield Breach.at(place, saw, f"at least {one.wanted:g} dB")
+            actual = f"{one.path!r}: {one.given:.1f} dB"
+            yield Violation.at(place, actual, f"at least {one.wanted:g} dB")
 
 
 def _is_seen(covered: float) -> bool:

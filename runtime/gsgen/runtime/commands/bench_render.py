@@ -59,7 +59,7 @@ def bench_render(
     from gsgen.contract.process.atomic_files import refuse_model
     from gsgen.runtime.commands.opening import opened, scene_files
     from gsgen.runtime.playback.frame_cost import measure
-    from gsgen.runtime.playback.frame_sequence import Film
+    from gsgen.runtime.playback.frame_sequence import FrameSequence
     from gsgen.runtime.playback.scene_camera import scene_view
     from gsgen.runtime.renderer.renderer import Renderer
     from gsgen.sdk.commands.sizes import sizes_of
@@ -70,7 +70,7 @@ def bench_render(
     sizes = sizes_of(size, "--size")
     with opened(scenes, provider=provider, sizes=sizes) as (sources, _):
         renderer = Renderer(rasteriser=rasteriser, compact=compact)
-        film = Film(sources, view, frames=frames, turn=_CIRCLE, renderer=renderer)
+        film = FrameSequence(sources, view, frames=frames, turn=_CIRCLE, renderer=renderer)
         cost = measure(film, progress)
     clear()
     document = _document(scenes, cost) | {"rasteriser": renderer.rasteriser}

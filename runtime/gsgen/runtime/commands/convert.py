@@ -78,8 +78,8 @@ def convert(
 
     codec = _codec(format, target)
     if not force:
-        mend = "Name another file, or replace it with --force."
-        refuse_itself(target, [source], mend)
+        hint = "Name another file, or replace it with --force."
+        refuse_itself(target, [source], hint)
     write = _writer(codec, spz_version, encoding)
     reading = True
 
@@ -129,7 +129,7 @@ def _codec(name: str | None, target: Path) -> "Codec":
         raise ConfigInvalid(
             seen,
             where=str(target),
-            mend=f"Let it end in {', '.join(suffixes)}, or give --format.",
+            hint=f"Let it end in {', '.join(suffixes)}, or give --format.",
         )
     return codec
 
@@ -148,7 +148,7 @@ def _writer(
             raise ConfigInvalid(
                 f"is for {format}, and {codec.name} is written",
                 where=option,
-                mend="Leave it out.",
+                hint="Leave it out.",
             )
     assert codec.write is not None
     options = {key: value for _, words in given.values() for key, value in words.items()}

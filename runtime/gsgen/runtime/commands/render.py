@@ -28,7 +28,7 @@ from gsgen.runtime.commands.options import (
 
 if TYPE_CHECKING:
     from gsgen.runtime.media.pictures import Mode
-    from gsgen.runtime.playback.frame_sequence import Film
+    from gsgen.runtime.playback.frame_sequence import FrameSequence
     from gsgen.runtime.playback.input_tracks import Track
     from gsgen.runtime.sources.scene_file import SceneFile
     from gsgen.runtime.sources.source import Source
@@ -162,7 +162,7 @@ def render(
     """
     from gsgen.contract.commands.progress import clear, progress
     from gsgen.runtime.commands.opening import opened, scene_files
-    from gsgen.runtime.playback.frame_sequence import Film
+    from gsgen.runtime.playback.frame_sequence import FrameSequence
     from gsgen.runtime.playback.scene_camera import scene_view
     from gsgen.runtime.renderer.renderer import Renderer
     from gsgen.sdk.commands.sizes import sizes_of
@@ -177,7 +177,7 @@ def render(
         tracks, speed = fed(pose, inputs, sources)
         if wsr == "published":
             _require_sums(sources)
-        film = Film(
+        film = FrameSequence(
             sources,
             view,
             mode.shown,
@@ -229,7 +229,7 @@ def _require_sums(sources: "list[Source]") -> None:
         raise ConfigInvalid(
             f"{other.name} is not blended by weighted sums, and nothing else can be drawn so",
             where="--wsr published",
-            mend="Leave it out, or draw all of it as the contract says: `--wsr contract`.",
+            hint="Leave it out, or draw all of it as the contract says: `--wsr contract`.",
         )
 
 
@@ -265,7 +265,7 @@ def _of_transparency(
     return []
 
 
-def _report(film: "Film", output: Path, seconds: float, as_json: bool) -> None:
+def _report(film: "FrameSequence", output: Path, seconds: float, as_json: bool) -> None:
     said = film.summary() | {"output": str(output), "seconds": round(seconds, 3)}
     if as_json:
         typer.echo(json.dumps(said, indent=2))

@@ -24,7 +24,7 @@ from gsgen.runtime.commands.options import (
 from gsgen.runtime.commands.render import ModeName, fed
 
 if TYPE_CHECKING:
-    from gsgen.runtime.viewer.live_playback import Stage
+    from gsgen.runtime.viewer.live_playback import LivePlayback
 
 
 def view(
@@ -32,7 +32,7 @@ def view(
     camera: Annotated[
         str | None,
         typer.Option(
-            help="Where it begins: as for render. [default: from where everything is seen]"
+            help="Location it begins: as for render. [default: from where everything is seen]"
         ),
     ] = None,
     width: Annotated[
@@ -115,8 +115,8 @@ def view(
     from gsgen.runtime.errors import DisplayUnavailable
     from gsgen.runtime.playback.scene_camera import scene_view, told
     from gsgen.runtime.scene.colors import color_of
-    from gsgen.runtime.viewer.live_playback import Stage
-    from gsgen.runtime.viewer.surface_renderer import Painter
+    from gsgen.runtime.viewer.live_playback import LivePlayback
+    from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
     from gsgen.runtime.viewer.viewer import Viewer
     from gsgen.runtime.viewer.window import open_window, require_display
     from gsgen.sdk.commands.sizes import sizes_of
@@ -125,8 +125,8 @@ def view(
         require_display()
     except DisplayUnavailable as error:
         words = shlex.join(["gsgen", "render", *map(str, scenes), "-o", "view.png"])
-        mend = error.mend or f"Without a screen: {words}"
-        raise DisplayUnavailable(error.what, mend=mend) from error
+        hint = error.hint or f"Without a screen: {words}"
+        raise DisplayUnavailable(error.message, hint=hint) from error
     files = list(scene_files(scenes).values())
     seen = scene_view(files, camera, width, height, fov, up, orthographic, panorama)
     for note in seen.notes:
@@ -139,7 +139,7 @@ def view(
         models,
     ):
         tracks, speed = fed(pose, inputs, sources)
-        stage = Stage(
+        stage = LivePlayback(
             sources,
             post=models,
             tracks=tracks,
@@ -153,7 +153,7 @@ def view(
         viewer = Viewer(
             stage,
             seen,
-            painter=Painter(rasteriser=rasteriser, compact=compact),
+            painter=SurfaceRenderer(rasteriser=rasteriser, compact=compact),
             mode=mode.shown,
             background=behind,
             folder=pictures,
@@ -171,13 +171,13 @@ def _title(scenes: Sequence[Path]) -> str:
     return ", ".join(path.name for path in scenes) + " - gsgen"
 
 
-def _reopener(play: bool) -> "Callable[[Sequence[Path]], Stage]":
+def _reopener(play: bool) -> "Callable[[Sequence[Path]], LivePlayback]":
     """Return what opens files that are dropped on the window."""
     from gsgen.runtime.sources.scene_source import sources_of
-    from gsgen.runtime.viewer.live_playback import Stage
+    from gsgen.runtime.viewer.live_playback import LivePlayback
 
-    def reopen(paths: Sequence[Path]) -> Stage:
-        stage = Stage(sources_of(list(paths)))
+    def reopen(paths: Sequence[Path]) -> LivePlayback:
+        stage = LivePlayback(sources_of(list(paths)))
         stage.playing = play and stage.frames > 1
         return stage
 

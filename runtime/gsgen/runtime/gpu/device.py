@@ -79,14 +79,14 @@ class Device:
             import wgpu
         except ImportError as error:
             raise DeviceUnavailable(
-                "wgpu is not installed", mend="pip install 'gsgen[runtime]'"
+                "wgpu is not installed", hint="pip install 'gsgen[runtime]'"
             ) from error
         try:
             adapter = wgpu.gpu.request_adapter_sync(power_preference="high-performance")
         except (RuntimeError, OSError, ValueError) as error:
-            raise DeviceUnavailable(f"no graphics adapter: {error}", mend=_MEND) from error
+            raise DeviceUnavailable(f"no graphics adapter: {error}", hint=_MEND) from error
         if adapter is None:
-            raise DeviceUnavailable("no graphics adapter", mend=_MEND)
+            raise DeviceUnavailable("no graphics adapter", hint=_MEND)
         limits = {
             name: adapter.limits[name]
             for name in ("max-storage-buffer-binding-size", "max-buffer-size")
@@ -105,7 +105,7 @@ class Device:
             )
         except (RuntimeError, wgpu.GPUError) as error:
             raise DeviceUnavailable(
-                f"{adapter.info['device']} refuses: {error}", mend=_MEND
+                f"{adapter.info['device']} refuses: {error}", hint=_MEND
             ) from error
 
     def storage(self, label: str, size: int, *, extra: str = "") -> Any:
@@ -124,7 +124,7 @@ class Device:
             raise CapacityExceeded(
                 f"would take {size:,} bytes; {self.name} binds {self.largest_binding:,} at most",
                 where=label,
-                mend="Draw fewer Gaussians or a smaller image.",
+                hint="Draw fewer Gaussians or a smaller image.",
             )
         usage = "STORAGE|COPY_DST|COPY_SRC" + (f"|{extra}" if extra else "")
         return self._buffer(label, max(16, -(-size // 16) * 16), usage)
@@ -166,7 +166,7 @@ class Device:
                 f"would take {size:,} bytes; {self.name} has buffers of {self.largest_buffer:,} "
                 "at most",
                 where=label,
-                mend="Draw a smaller image, or ask for fewer outputs.",
+                hint="Draw a smaller image, or ask for fewer outputs.",
             )
         try:
             made = self.raw.create_buffer(label=label, size=size, usage=usage)
@@ -176,7 +176,7 @@ class Device:
                 f"needs {size:,} bytes, and the memory of {self.name} is full: buffers hold "
                 f"{held:,} bytes already",
                 where=label,
-                mend=_LESS,
+                hint=_LESS,
             ) from error
         self._buffers.add(made)
         return made
@@ -199,7 +199,7 @@ class Device:
             raise CapacityExceeded(
                 f"is {width}×{height}; {self.name} has textures of {most}×{most} at most",
                 where=label,
-                mend="Make it smaller.",
+                hint="Make it smaller.",
             )
         return self.raw.create_texture(
             label=label, size=(width, height, 1), format=format, usage=usage
@@ -220,7 +220,7 @@ class Device:
         return False
 
     @contextmanager
-    def minding(self) -> Iterator[None]:
+    def translate_errors(self) -> Iterator[None]:
         """Say in our words what the device refuses in the block.
 
         Raises:
@@ -232,7 +232,7 @@ class Device:
         try:
             yield
         except wgpu.GPUOutOfMemoryError as error:
-            raise MemoryFull(f"the memory of {self.name} is full", mend=_LESS) from error
+            raise MemoryFull(f"the memory of {self.name} is full", hint=_LESS) from error
         except GsgenError:
             raise
         except Exception as error:  # wgpu-py stumbles over a lost device in several ways
@@ -260,7 +260,7 @@ class Device:
 
     def _gone(self) -> DeviceLost:
         what = f"the graphics device was lost: {self.name}"
-        return DeviceLost(what, mend=_AGAIN)
+        return DeviceLost(what, hint=_AGAIN)
 
     @contextmanager
     def mapped(

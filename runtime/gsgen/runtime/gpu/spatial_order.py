@@ -1,6 +1,6 @@
 """Arrangements: an order in which rows that are near in space are near in memory."""
 
-__all__ = ["ARRANGED_FROM", "Arrangement"]
+__all__ = ["ARRANGED_FROM", "SpatialOrder"]
 
 from dataclasses import dataclass
 from typing import Final, Self, final
@@ -22,7 +22,7 @@ _SAMPLE: Final = 1024  # pairs of neighbours that stand for all
 
 @final
 @dataclass(slots=True, eq=False)
-class Arrangement:
+class SpatialOrder:
     """The order that rows were found to have at some moment; it outlives the moment.
 
     Pictures are the same in any order, so that an old one costs time at worst.

@@ -14,7 +14,7 @@ from jaxtyping import Float, Float32, UInt32
 from gsgen.contract.spec import layout
 from gsgen.runtime.gpu.compact_rows import PACKED_BYTES, pack_rows
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.gpu.spatial_order import ARRANGED_FROM, Arrangement
+from gsgen.runtime.gpu.spatial_order import ARRANGED_FROM, SpatialOrder
 from gsgen.runtime.gpu.upload import Target, upload
 from gsgen.runtime.scene.splat_data import SplatData
 
@@ -152,7 +152,7 @@ class _Held:
     appearance: _Filled
     cells: _Filled
     state: _State | None = None
-    order: Arrangement | None = None
+    order: SpatialOrder | None = None
     left: bool = False
 
 
@@ -212,7 +212,7 @@ class Residency:
         elif held.left or len(data) < ARRANGED_FROM or data.cells is not None:
             return
         elif held.order is None or (moved and not held.order.lasts(data)):
-            self._arrange(held, Arrangement.found(data))
+            self._arrange(held, SpatialOrder.found(data))
 
     def leave(self, data: SplatData) -> None:
         """Have the rows in their own order, now and from now on."""
@@ -234,7 +234,7 @@ class Residency:
                 for page in held.pages
             ]
 
-    def _arrange(self, held: _Held, order: Arrangement | None) -> None:
+    def _arrange(self, held: _Held, order: SpatialOrder | None) -> None:
         """Have the rows in another order; they are to be written again."""
         held.order = order
         held.rows, held.appearance = _Filled(), _Filled()

@@ -54,7 +54,7 @@ def encode(pictures: Iterable["Image"], fps: float) -> bytes:
     if size + sum(map(len, samples)) >= _LARGEST:
         raise SceneInvalid(
             f"{len(samples):,} frames are more than 4 GiB, which no .mp4 here can be",
-            mend="Draw the film in parts, or smaller.",
+            hint="Draw the film in parts, or smaller.",
         )
     contents = _contents(groups[0], samples, firsts.tolist(), fps, size)
     return b"".join([head, contents, _box(b"mdat", *samples)])
@@ -97,7 +97,7 @@ def _sequence(pictures: Sequence["Image"]) -> _Group:
     if not features.check("avif"):
         raise SceneInvalid(
             "this pillow was built without its AV1 encoder, which .mp4 files need",
-            mend="Install a wheel of pillow 11.3 or newer, or ask for a .gif.",
+            hint="Install a wheel of pillow 11.3 or newer, or ask for a .gif.",
         )
     if len(shapes := {picture.size for picture in pictures}) > 1:
         raise _uneven(shapes)
@@ -127,7 +127,7 @@ def _uneven(sizes: Collection[tuple[int, int]]) -> SceneInvalid:
     seen = ", ".join(f"{width}×{height}" for width, height in sorted(sizes))
     return SceneInvalid(
         f"frames differ in size ({seen}), those of a film cannot",
-        mend="Give --width and --height.",
+        hint="Give --width and --height.",
     )
 
 

@@ -30,7 +30,7 @@ from gsgen.runtime.media.gif import save_gif
 from gsgen.runtime.media.gpano import gpano
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame, Output
-from gsgen.sdk.rewriting.atomic_model_files import draft_of
+from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 
 Mode = Literal["color", "depth", "median-depth", "normal", "alpha"]
 
@@ -123,7 +123,7 @@ def save_picture(
     """
     image = _image()
     said = _said_of(camera, picture) if path.suffix.lower() in (".jpg", ".jpeg") else {}
-    with draft_of(path) as draft:
+    with atomic_write(path) as draft:
         try:
             image.fromarray(_fitting(path, picture)).save(draft, **said)
         except ValueError as error:
@@ -153,7 +153,7 @@ def _said_of(
 
 def save_array(path: Path, made: Float32[np.ndarray, "h w *c"]) -> None:
     """Write a NumPy file, whole or not at all."""
-    with draft_of(path) as draft:
+    with atomic_write(path) as draft:
         np.save(draft, made)
 
 
@@ -169,11 +169,11 @@ def save_film(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: flo
     if path.suffix.lower() == ".mp4":
         colors = (image.fromarray(_fitting(path, one)).convert("RGB") for one in pictures)
         film = mp4.encode(colors, fps)
-        with draft_of(path) as draft:
+        with atomic_write(path) as draft:
             draft.write_bytes(film)
         return
     made = list(pictures)
-    with draft_of(path) as draft:
+    with atomic_write(path) as draft:
         save_gif(draft, made, fps)
 
 
@@ -191,6 +191,6 @@ def _image() -> ModuleType:
     except ImportError as error:
         raise SceneInvalid(
             "image files need pillow, which is not installed",
-            mend="pip install 'gsgen[runtime]'",
+            hint="pip install 'gsgen[runtime]'",
         ) from error
     return Image

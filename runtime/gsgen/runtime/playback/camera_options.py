@@ -184,7 +184,7 @@ def viewpoint(
         raise ConfigInvalid(
             f"{text!r} is no camera and no file that can be read",
             where="--camera",
-            mend=_FORMS,
+            hint=_FORMS,
         )
     file = open_cameras(path)
     cameras = tuple(one.camera for one in file.pick(which))
@@ -204,12 +204,12 @@ def _numbers(text: str, part: str, counts: tuple[int, ...]) -> tuple[float, ...]
     try:
         numbers = tuple(float(one) for one in part.split(","))
     except ValueError as error:
-        raise ConfigInvalid(f"{text!r}: {error}", where="--camera", mend=_FORMS) from error
+        raise ConfigInvalid(f"{text!r}: {error}", where="--camera", hint=_FORMS) from error
     if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
         wanted = " or ".join(map(str, counts))
         raise ConfigInvalid(
             f"{text!r} has {len(numbers)} numbers, wanted {wanted} finite ones",
             where="--camera",
-            mend=_FORMS,
+            hint=_FORMS,
         )
     return numbers

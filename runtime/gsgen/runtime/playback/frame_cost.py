@@ -11,7 +11,7 @@ import numpy as np
 
 from gsgen.runtime.gpu.gpu_timer import StageClock
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
-from gsgen.runtime.playback.frame_sequence import Film
+from gsgen.runtime.playback.frame_sequence import FrameSequence
 from gsgen.runtime.renderer.frame_plan import Placed, Plan
 from gsgen.runtime.scene.camera import Camera
 
@@ -86,7 +86,9 @@ class FrameCost:
     capacity: int
 
 
-def measure(film: Film, watch: Callable[[str], None] = lambda _: None) -> FrameCost:
+def measure(
+    film: FrameSequence, watch: Callable[[str], None] = lambda _: None
+) -> FrameCost:
     """Play a film without writing it, and say what its frames cost.
 
     Args:
@@ -100,7 +102,7 @@ def measure(film: Film, watch: Callable[[str], None] = lambda _: None) -> FrameC
     watch(f"drawing {film.frames} frames")
     played = _play(film)
     watch("measuring stages")
-    with device.minding():
+    with device.translate_errors():
         staged = _stage(film)
     return FrameCost(
         device=device.name,
@@ -134,7 +136,7 @@ class _Played:
     pairs: list[int]
 
 
-def _play(film: Film) -> _Played:
+def _play(film: FrameSequence) -> _Played:
     made = _Played([], [], {one.name: [] for one in film.sources}, [], [], [])
     began, busy = time.perf_counter(), time.process_time()
     for frame in film.player.play(map(film.shot, range(film.frames))):
@@ -162,7 +164,7 @@ class _Staged:
     plan_bytes: int
 
 
-def _stage(film: Film) -> _Staged:
+def _stage(film: FrameSequence) -> _Staged:
     """Draw some frames of the film stage by stage."""
     renderer = film.player.renderer
     clock = StageClock(renderer.device) if renderer.device.has_clock else None
@@ -194,7 +196,7 @@ class _Part:
     camera: Camera
 
     @classmethod
-    def of(cls, film: Film, number: int) -> "_Part":
+    def of(cls, film: FrameSequence, number: int) -> "_Part":
         renderer, camera = film.player.renderer, film.shot(number).camera
         scene = film.player.scene
         placed, meshes = renderer.placed(scene), renderer.placed_meshes(scene)

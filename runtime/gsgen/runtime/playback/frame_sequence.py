@@ -1,6 +1,6 @@
 """Films: one frame after the other, from sources that may move, to files."""
 
-__all__ = ["Film"]
+__all__ = ["FrameSequence"]
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -13,9 +13,9 @@ from gsgen.runtime.media import pictures
 from gsgen.runtime.media.pictures import MODES, Mode
 from gsgen.runtime.playback.camera_options import Viewpoint
 from gsgen.runtime.playback.input_tracks import Track
-from gsgen.runtime.playback.player import Player, Shot
+from gsgen.runtime.playback.player import FrameRequest, Player
 from gsgen.runtime.playback.post_process import PostProcessor
-from gsgen.runtime.playback.timeline import Score, Taker
+from gsgen.runtime.playback.timeline import AnimatedInputs, Timeline
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.frame import Frame
 from gsgen.runtime.sources.source import Source
@@ -25,7 +25,7 @@ _CIRCLE: Final = 360.0
 
 
 @final
-class Film:
+class FrameSequence:
     """Frames of sources that are drawn together; each is computed while another is drawn.
 
     Args:
@@ -72,8 +72,8 @@ class Film:
         if turn is not None and not np.isfinite(turn):
             raise ConfigInvalid(f"is {turn}, wanted degrees", where="--turn")
         self.sources, self._view, self._mode = list(sources), view, mode
-        takers: list[Taker] = [*sources, *post]
-        self._score = Score(takers, tracks, time)
+        takers: list[AnimatedInputs] = [*sources, *post]
+        self._score = Timeline(takers, tracks, time)
         self.frames = frames or max(len(view.cameras), self._score.frames)
         moving = self._score.moving
         turning = self.frames > 1 and view.orbit is not None and not moving
@@ -99,11 +99,11 @@ class Film:
         self._last = self.player.render(self.shot(number))
         return self._last
 
-    def shot(self, number: int) -> Shot:
+    def shot(self, number: int) -> FrameRequest:
         """Return what frame ``number`` shows."""
         turn = self._turn * number / self.frames
         camera = self._view.camera(self.sources[0], number, turn)
-        return Shot(camera, self._score.values(number, self.frames), number)
+        return FrameRequest(camera, self._score.values(number, self.frames), number)
 
     def write(
         self, path: Path, fps: float | None, watch: Callable[[int], None] = lambda _: None
@@ -179,7 +179,7 @@ def _uneven(path: Path, sizes: set[tuple[int, int]]) -> ConfigInvalid:
     return ConfigInvalid(
         f"has frames of one size, but the cameras have {listed}",
         where=str(path),
-        mend="Give --width and --height, or a folder.",
+        hint="Give --width and --height, or a folder.",
     )
 
 
@@ -189,10 +189,10 @@ def _unfitting(path: Path, frames: int) -> ConfigInvalid:
         return ConfigInvalid(
             f"is one picture, but there are {frames} frames",
             where=str(path),
-            mend="Give a folder, an .mp4, a .gif or an .npy.",
+            hint="Give a folder, an .mp4, a .gif or an .npy.",
         )
     return ConfigInvalid(
         f"has a suffix that means nothing here: {path.suffix}",
         where=str(path),
-        mend=f"Known: {known}, or a folder.",
+        hint=f"Known: {known}, or a folder.",
     )

@@ -131,8 +131,8 @@ def _require(image: np.ndarray, tile: tuple[int, int], overlap: int) -> None:
         raise ConfigInvalid(what, where="image")
     if min(tile) < 1 or not 0 <= overlap <= (min(tile) - 1) // 2:
         what = f"an overlap of {overlap} does not fit tiles of {tile[0]} × {tile[1]}"
-        mend = f"Give 0 to {max(0, (min(tile) - 1) // 2)}."
-        raise ConfigInvalid(what, where="overlap", mend=mend)
+        hint = f"Give 0 to {max(0, (min(tile) - 1) // 2)}."
+        raise ConfigInvalid(what, where="overlap", hint=hint)
 
 
 def post_process(

@@ -84,7 +84,7 @@ def input_track(text: str) -> Track:
     where = f"--input {word}"
     if not (word and sign and value):
         raise ConfigInvalid(
-            f"{text!r} has no name or no value", where="--input", mend=_FORMS
+            f"{text!r} has no name or no value", where="--input", hint=_FORMS
         )
     if Path(value).suffix.lower() in _SUFFIXES:
         return Track(word, read_array(Path(value)), f"{where}={value}")
@@ -98,7 +98,7 @@ def _numbers(text: str, part: str) -> Shaped[np.ndarray, " n"]:
     try:
         made = [float(one) for one in part.split(",")]
     except ValueError as error:
-        raise ConfigInvalid(f"{text!r}: {error}", where="--input", mend=_FORMS) from error
+        raise ConfigInvalid(f"{text!r}: {error}", where="--input", hint=_FORMS) from error
     return whole_if_so(np.asarray(made))
 
 

@@ -1,6 +1,6 @@
 """Players: generators and the renderer joined, so that one computes while the other draws."""
 
-__all__ = ["GeneratorPlayer", "Player", "Shot", "composed"]
+__all__ = ["FrameRequest", "GeneratorPlayer", "Player", "composed"]
 
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -28,7 +28,7 @@ _NOTHING = (0.0, 0.0, 0.0, 0.0)
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class FrameRequest:
     """What a frame shows.
 
     Attributes:
@@ -88,7 +88,7 @@ class Player:
         self._background, self._outputs = background, outputs
         self._begun = 0
 
-    def render(self, shot: Shot) -> Frame:
+    def render(self, shot: FrameRequest) -> Frame:
         """Compute and draw one frame.
 
         Raises:
@@ -98,7 +98,7 @@ class Player:
         self._finish()
         return self._draw(shot, number)
 
-    def play(self, shots: Iterable[Shot]) -> Iterator[Frame]:
+    def play(self, shots: Iterable[FrameRequest]) -> Iterator[Frame]:
         """Yield a frame for each shot.
 
         A shot is taken from ``shots``, and its inference begun, before the frame of the one before
@@ -107,7 +107,7 @@ class Player:
         Raises:
             GsgenError: As :meth:`render`, when it is that frame's turn.
         """
-        before: tuple[Shot, int] | None = None
+        before: tuple[FrameRequest, int] | None = None
         try:
             for shot in shots:
                 self._finish()
@@ -126,7 +126,7 @@ class Player:
             for source in self._sources:  # where nobody wants the rest
                 source.abandon()
 
-    def _start(self, shot: Shot) -> int:
+    def _start(self, shot: FrameRequest) -> int:
         """Begin to compute a frame, and return its number."""
         number = self._begun if shot.number is None else shot.number
         self._begun += 1
@@ -138,7 +138,7 @@ class Player:
         for source in self._sources:
             source.finish()
 
-    def _draw(self, shot: Shot, number: int) -> Frame:
+    def _draw(self, shot: FrameRequest, number: int) -> Frame:
         frame = self.renderer.render(
             self.scene, shot.camera, background=self._background, outputs=self._outputs
         )
@@ -274,7 +274,7 @@ class GeneratorPlayer:
             InputInvalid: A value does not fit; the message names the model, input and frame.
             RunFailed: ONNX Runtime failed.
         """
-        return self._player.render(Shot(camera, (_merged(time, pose, values),)))
+        return self._player.render(FrameRequest(camera, (_merged(time, pose, values),)))
 
     def play(
         self,
@@ -302,7 +302,7 @@ class GeneratorPlayer:
             cameras = repeat(cameras) if any(tracks) else [cameras]
         each = [repeat(None) if one is None else one for one in tracks]
         return self._player.play(
-            Shot(camera, (_merged(*parts),))
+            FrameRequest(camera, (_merged(*parts),))
             for camera, *parts in zip(cameras, *each, strict=False)
         )
 

@@ -121,7 +121,7 @@ def _fitted(
         raise ConfigInvalid(
             f"holds poses of {list(pose.shape[1:])}, and the model takes {list(shape)}",
             where=where,
-            mend=_KINDS,
+            hint=_KINDS,
         )
     made = np.zeros((frames, joints, 3))
     given = flat.reshape(frames, found, 3)
@@ -138,7 +138,7 @@ def _read(path: Path) -> _Read:
         files = sorted(path.glob(f"*{suffix}"), key=_number)
         if files:
             return _joined(path, [_read_file(file) for file in files])
-    raise ConfigInvalid("holds neither .npy, .npz nor .json", where=str(path), mend=_KINDS)
+    raise ConfigInvalid("holds neither .npy, .npz nor .json", where=str(path), hint=_KINDS)
 
 
 def _number(path: Path) -> tuple[int, str]:
@@ -169,10 +169,10 @@ def _read_file(path: Path) -> _Read:
             return _of_arrays({name: made[name] for name in made.files}, str(path))
     except OSError as error:
         what = f"cannot be read: {error.strerror or error}"
-        raise ConfigInvalid(what, where=str(path), mend=_KINDS) from error
+        raise ConfigInvalid(what, where=str(path), hint=_KINDS) from error
     except (ValueError, EOFError, RecursionError, zipfile.BadZipFile) as error:
         raise ConfigInvalid(
-            f"cannot be read: {error}", where=str(path), mend=_KINDS
+            f"cannot be read: {error}", where=str(path), hint=_KINDS
         ) from error
 
 
@@ -181,7 +181,7 @@ def _framed(made: np.ndarray, where: str) -> Float[np.ndarray, "t ..."]:
     checked = numbers_of(made, where).astype(np.float64)
     if checked.ndim not in (1, 2, 3):
         what = f"has shape {list(made.shape)}, wanted [joints, 3] or [frames, joints, 3]"
-        raise ConfigInvalid(what, where=where, mend=_KINDS)
+        raise ConfigInvalid(what, where=where, hint=_KINDS)
     alone = checked.ndim == 1 or (checked.ndim == 2 and checked.shape[1] in (3, 4))
     return checked[None] if alone else checked
 
@@ -221,7 +221,7 @@ def _of_arrays(read: Mapping[str, np.ndarray], where: str) -> _Read:
         names = list(read)
     if not names:
         what = f"has no poses, but {', '.join(read) or 'nothing'}"
-        raise ConfigInvalid(what, where=where, mend=_KINDS)
+        raise ConfigInvalid(what, where=where, hint=_KINDS)
     pose = _framed(read[names[0]], where)
     others = {}
     for name, role, size in (

@@ -185,10 +185,10 @@ def _post_process(name: str, sources: Sources) -> PostProcessManifest:
     if isinstance(manifest, PostProcessManifest):
         return manifest
     seen = f"is a {manifest.kind}" if manifest else "has no manifest"
-    mend = "`gsgen inspect --emit-manifest` derives a manifest from names and shapes."
+    hint = "`gsgen inspect --emit-manifest` derives a manifest from names and shapes."
     if manifest and manifest.kind == "gaussian-generator":
-        mend = "It makes Gaussians: name it among the scenes."
-    raise SceneInvalid(f"{seen}, wanted a post-process model", where=name, mend=mend)
+        hint = "It makes Gaussians: name it among the scenes."
+    raise SceneInvalid(f"{seen}, wanted a post-process model", where=name, hint=hint)
 
 
 def _specs(sources: Sources) -> Iterator[Spec]:

@@ -63,5 +63,5 @@ def scene_view(
         if camera is not None or text is None or error.where != "--camera":
             raise
         where = f"{next(one.path for one in files if one.camera is not None)}: camera"
-        raise type(error)(error.what, where=where, mend=error.mend) from error
+        raise type(error)(error.message, where=where, hint=error.hint) from error
     return replace(made, orbit=None, cameras=(shot,)) if isinstance(shot, Camera) else made

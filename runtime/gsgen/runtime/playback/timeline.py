@@ -1,6 +1,6 @@
 """The score of a film: what each model is fed in each frame."""
 
-__all__ = ["Score", "Taker"]
+__all__ = ["AnimatedInputs", "Timeline"]
 
 from collections.abc import Sequence
 from typing import Protocol, final
@@ -15,7 +15,7 @@ from gsgen.runtime.playback.input_tracks import Track
 from gsgen.runtime.sources.source import Values
 
 
-class Taker(Protocol):
+class AnimatedInputs(Protocol):
     """What can be fed: a source, or a post-process model."""
 
     @property
@@ -30,7 +30,7 @@ class Taker(Protocol):
 
 
 @final
-class Score:
+class Timeline:
     """Values for each model and each frame.
 
     What no track names moves by itself where there are several frames: a time goes through its
@@ -47,7 +47,10 @@ class Score:
     """
 
     def __init__(
-        self, takers: Sequence[Taker], tracks: Sequence[Track], time: float | None = None
+        self,
+        takers: Sequence[AnimatedInputs],
+        tracks: Sequence[Track],
+        time: float | None = None,
     ) -> None:
         self._takers, self._tracks, self._time = list(takers), list(tracks), time
         if time is not None and not any(_of_role(taker, "time") for taker in takers):
@@ -92,7 +95,7 @@ class Score:
         """
         return [self._values(taker, number, frames) for taker in self._takers]
 
-    def _values(self, taker: Taker, number: int, frames: int) -> Values:
+    def _values(self, taker: AnimatedInputs, number: int, frames: int) -> Values:
         made: dict[str, object] = {}
         if frames > 1:
             for one, ends in self._playing(taker):
@@ -106,7 +109,7 @@ class Score:
                 made[one.name] = _counting(value) if counting else value
         return made
 
-    def _playing(self, taker: Taker) -> list[tuple[Input, tuple[float, float]]]:
+    def _playing(self, taker: AnimatedInputs) -> list[tuple[Input, tuple[float, float]]]:
         """Return what goes on by itself, from where to where: times, else frame numbers."""
         told = {one.name for track in self._tracks for one in taker.named(track.word)}
         if self._time is not None:
@@ -118,7 +121,7 @@ class Score:
         return [(one, one.range) for one in times or numbers if one.range is not None]
 
 
-def _of_role(taker: Taker, role: str) -> list[Input]:
+def _of_role(taker: AnimatedInputs, role: str) -> list[Input]:
     return [one for one in taker.inputs if one.role == role]
 
 

@@ -10,7 +10,7 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import Step
 from gsgen.runtime.kernels.sort.gather_keys import GatherKeys
 from gsgen.runtime.kernels.sort.order_ties import OrderTies
-from gsgen.runtime.kernels.sort.sort import KEY_BITS, Columns, Cut, RadixSort
+from gsgen.runtime.kernels.sort.sort import KEY_BITS, Columns, RadixSort, SortConfig
 
 
 @final
@@ -28,7 +28,7 @@ class DepthOrder:
         sort: The sort.
     """
 
-    def __init__(self, device: Device, cut: Cut, sort: RadixSort) -> None:
+    def __init__(self, device: Device, cut: SortConfig, sort: RadixSort) -> None:
         self._sort = sort
         self._ties = cache(lambda arranged: OrderTies(device, cut.walk, arranged))
         self._gather = cache(lambda: GatherKeys(device, cut.block))

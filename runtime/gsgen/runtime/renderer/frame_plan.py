@@ -411,7 +411,7 @@ class Plan:
             raise CapacityExceeded(
                 f"has {visible:,} splats in the image; {self._device.name} takes {most:,} at once",
                 where="scene",
-                mend="Draw fewer Gaussians, or a part of what the camera sees.",
+                hint="Draw fewer Gaussians, or a part of what the camera sees.",
             )
 
 

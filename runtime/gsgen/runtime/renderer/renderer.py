@@ -93,7 +93,7 @@ class Renderer:
     ) -> None:
         self._published, self._compact = published, compact
         self.device = device or Device.open()
-        with self.device.minding():
+        with self.device.translate_errors():
             self._kernels = Kernels(self.device)
         self._residency = Residency(self.device, page_rows, compact=compact)
         self._mesh_residency = MeshResidency(self.device)
@@ -101,10 +101,10 @@ class Renderer:
         if rasteriser == "quads" and not self.device.blends_floats:
             raise DeviceUnavailable(
                 f"{self.device.name} cannot blend 32-bit floats",
-                mend="Use the rasteriser 'tiles'.",
+                hint="Use the rasteriser 'tiles'.",
             )
         self._chosen = rasteriser == "auto"
-        with self.device.minding():
+        with self.device.translate_errors():
             self.rasteriser: Rasteriser = (
                 choose(self.device, self._kernels) if rasteriser == "auto" else rasteriser
             )
@@ -185,7 +185,7 @@ class Renderer:
     def _minding(self, scene: Scene, camera: Camera) -> Iterator[None]:
         """Add to an error of the device what the scene takes."""
         try:
-            with self.device.minding():
+            with self.device.translate_errors():
                 yield
         except MemoryFull as error:
             # Whoever draws something smaller needs it, and the rows that would stay with it.
@@ -287,7 +287,7 @@ class Renderer:
                 f"the image needs {wanted:,} pairs of a splat and a tile; "
                 f"{self.device.name} has room for {most:,}",
                 where="scene",
-                mend="Draw a smaller image, or step back from the largest Gaussians.",
+                hint="Draw a smaller image, or step back from the largest Gaussians.",
             )
         self._pairs = min(int(wanted * _ROOM), most)
 
@@ -299,12 +299,12 @@ def _too_large(
     sets = list(dict.fromkeys(one.data for one in scene.sets))
     now, less = (sum(bytes_of(one, compact=how) for one in sets) for how in (compact, True))
     count = sum(map(len, sets))
-    what = f"{error.what}; {count:,} Gaussians take {now:,} bytes of it"
-    mend = "Draw fewer of them, or without harmonics: `gsgen convert --sh-degree 0`."
+    what = f"{error.message}; {count:,} Gaussians take {now:,} bytes of it"
+    hint = "Draw fewer of them, or without harmonics: `gsgen convert --sh-degree 0`."
     if less < now:
-        mend = f"With `--compact` (`compact=True`) they take {less:,}. {mend}"
-    mend = f"{mend} A smaller image than {camera.width}×{camera.height} takes less, too."
-    return MemoryFull(what, where=error.where, mend=mend)
+        hint = f"With `--compact` (`compact=True`) they take {less:,}. {hint}"
+    hint = f"{hint} A smaller image than {camera.width}×{camera.height} takes less, too."
+    return MemoryFull(what, where=error.where, hint=hint)
 
 
 def _require_alone(scene: Scene) -> None:
@@ -314,7 +314,7 @@ def _require_alone(scene: Scene) -> None:
         raise SceneInvalid(
             "is True, which is defined for scenes of nothing but weighted sets",
             where="published",
-            mend="Take another Renderer for sets that are sorted, and for meshes.",
+            hint="Take another Renderer for sets that are sorted, and for meshes.",
         )
 
 

@@ -23,7 +23,7 @@ from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import Step
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.kernels.sort.scan import Scan
-from gsgen.runtime.kernels.sort.sort import Columns, Cut, RadixSort
+from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, SortConfig
 from gsgen.runtime.kernels.tiles.bin_tiles import BinTiles
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers
 from gsgen.runtime.kernels.tiles.blend_wsr import BlendWsr
@@ -52,7 +52,7 @@ class WeightedKernels:
     def __init__(
         self,
         device: Device,
-        cut: Cut,
+        cut: SortConfig,
         scan: Scan,
         sort: RadixSort,
         order: DepthOrder,

@@ -91,7 +91,7 @@ class Camera:
             raise SceneInvalid(
                 f"is no rotation with a translation: {view.tolist()}",
                 where="camera.view",
-                mend="It maps world to camera and acts on column vectors; its last row is 0 0 0 1.",
+                hint="It maps world to camera and acts on column vectors; its last row is 0 0 0 1.",
             )
 
     @classmethod
@@ -277,7 +277,7 @@ class Camera:
             parts = [f"lacks {', '.join(missing)}"] if missing else []
             parts += [f"has unknown {', '.join(map(str, unknown))}"] if unknown else []
             raise SceneInvalid(
-                "; ".join(parts), where="camera", mend=f"Fields: {', '.join(known)}."
+                "; ".join(parts), where="camera", hint=f"Fields: {', '.join(known)}."
             )
         values: dict[str, Any] = dict(made)
         try:
@@ -378,7 +378,7 @@ def _require_sphere(camera: Camera) -> None:
             f"is {camera.fx} pixels a radian, {camera.period:.6g} a turn, but the image is "
             f"{camera.width} wide",
             where="camera.fx",
-            mend="A full panorama has fx = width / 2π, a part of one has more.",
+            hint="A full panorama has fx = width / 2π, a part of one has more.",
         )
     top, bottom = -camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy
     if max(-top, bottom) > math.pi / 2 * (1 + _ROUNDING):
@@ -386,7 +386,7 @@ def _require_sphere(camera: Camera) -> None:
             f"and fy show latitudes from {math.degrees(-bottom):.6g} to "
             f"{math.degrees(-top):.6g} degrees, wanted −90 to 90 at most",
             where="camera.cy",
-            mend="A full panorama has cy = height / 2 and fy = height / π.",
+            hint="A full panorama has cy = height / 2 and fy = height / π.",
         )
 
 

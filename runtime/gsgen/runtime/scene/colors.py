@@ -37,6 +37,6 @@ def color_of(text: str, where: str) -> tuple[float, float, float, float]:
         raise ConfigInvalid(
             f"{text!r} is no colour",
             where=where,
-            mend="Give black, white, transparent, #rrggbb or R,G,B[,A] from 0 to 1.",
+            hint="Give black, white, transparent, #rrggbb or R,G,B[,A] from 0 to 1.",
         ) from error
     return red, green, blue, alpha

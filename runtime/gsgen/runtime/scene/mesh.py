@@ -149,7 +149,7 @@ def _floats(
             f"{wrong.sum():,} of {len(made):,} rows are not finite or beyond {_LARGEST:g}; "
             f"row {row} is {made[row].tolist()}",
             where=where,
-            mend="Leave out these vertices and the faces that use them.",
+            hint="Leave out these vertices and the faces that use them.",
         )
     return np.ascontiguousarray(made, np.float32)
 

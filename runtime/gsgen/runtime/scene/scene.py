@@ -93,7 +93,7 @@ def _require_weights(weighted: WeightedSum, data: SplatData) -> None:
         raise SceneInvalid(
             "are summed cell by cell, and have no cells",
             where="weighted",
-            mend="Give SplatData its cells, or leave `weighted` out: they are sorted then.",
+            hint="Give SplatData its cells, or leave `weighted` out: they are sorted then.",
         )
     sizes = [weighted.opacity_divisor]
     sizes += [] if weighted.depth_range is None else [weighted.depth_range]

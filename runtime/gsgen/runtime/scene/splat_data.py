@@ -59,7 +59,7 @@ class SplatData:
         with np.errstate(over="ignore"):  # the sigmoid of -inf is the 0 that it means
             opacity = 1 / (1 + np.exp(-splats.logit_opacity.astype(np.float64)))
         scale = np.exp(splats.log_scale.astype(np.float64))
-        made = layout.Gaussians(
+        made = layout.DecodedGaussians(
             position=splats.position,
             opacity=opacity,
             covariance=covariance_upper(scale, splats.rotation),
@@ -160,7 +160,7 @@ def _spacing(points: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
     except ImportError as error:
         raise SceneInvalid(
             "sizes of bare points need scipy, which is not installed",
-            mend="pip install 'gsgen[runtime]'",
+            hint="pip install 'gsgen[runtime]'",
         ) from error
     wide = points.astype(np.float64)
     k = min(3, len(wide) - 1)

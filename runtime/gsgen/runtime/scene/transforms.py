@@ -41,5 +41,5 @@ def require_affine(matrix: Float[np.ndarray, "4 4"], where: str = "transform") -
         raise SceneInvalid(
             f"flattens space: it scales by {', '.join(f'{size:.3g}' for size in sizes)}",
             where=where,
-            mend="Scale by something other than zero along every axis.",
+            hint="Scale by something other than zero along every axis.",
         )

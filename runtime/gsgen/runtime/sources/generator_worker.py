@@ -1,6 +1,6 @@
 """A generator's frames, computed in a thread of their own while the frame before is drawn."""
 
-__all__ = ["Inference", "Made"]
+__all__ = ["FrameDelta", "Inference"]
 
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -24,7 +24,7 @@ _COMPARED = 1 << 16  # elements at a time: a difference is mostly found in the f
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Made:
+class FrameDelta:
     """What a frame has that the one before had not.
 
     Attributes:
@@ -103,7 +103,7 @@ class Inference:
 
     def start(
         self, camera: "Camera | None", values: Mapping[str, object]
-    ) -> "Future[Made]":
+    ) -> "Future[FrameDelta]":
         """Begin to compute a frame, once those that were begun before are done.
 
         Args:
@@ -135,12 +135,12 @@ class Inference:
         self._kept = tuple(_Kept() for _ in self._names)
         self._count = -1
 
-    def _compute(self, camera: "Camera | None", values: Mapping[str, object]) -> Made:
+    def _compute(self, camera: "Camera | None", values: Mapping[str, object]) -> FrameDelta:
         began = perf_counter()
         try:
             changed = self.session.update(values, camera=camera)
             if self._count >= 0 and changed <= self._inert:
-                return Made(None, None, None, self._count)
+                return FrameDelta(None, None, None, self._count)
             frame = self.session.run()
             self._count = frame.count
             live = (self._count, self._count, None)  # cells have no count of their own
@@ -152,18 +152,18 @@ class Inference:
             self._forget()
             raise
         cell = cells[0] if cells else None
-        return Made(rows, appearance, cell, self._count, perf_counter() - began)
+        return FrameDelta(rows, appearance, cell, self._count, perf_counter() - began)
 
 
 def _generator(path: Path, session: "FrameSession") -> GeneratorManifest:
     manifest = session.manifest
     if not isinstance(manifest, GeneratorManifest):
         seen = f"is a {manifest.kind}" if manifest else "has no manifest"
-        mend = "`gsgen inspect --emit-manifest` derives a manifest from names and shapes."
+        hint = "`gsgen inspect --emit-manifest` derives a manifest from names and shapes."
         if manifest and manifest.kind == "post-process":
-            mend = "It works on images: `--post` runs it on what the scenes give."
+            hint = "It works on images: `--post` runs it on what the scenes give."
         raise SceneInvalid(
-            f"{seen}, wanted a gaussian-generator", where=str(path), mend=mend
+            f"{seen}, wanted a gaussian-generator", where=str(path), hint=hint
         )
     if manifest.outputs.gaussians is None or manifest.outputs.appearance is None:
         raise SceneInvalid("declares no gaussians or no appearance", where=str(path))

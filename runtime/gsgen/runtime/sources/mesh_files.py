@@ -84,13 +84,13 @@ def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
     except SceneUnreadable:
         raise
     except GsgenError as error:
-        what = f"{error.where}: {error.what}" if error.where else error.what
-        raise SceneUnreadable(what, where=str(file), mend=error.mend) from error
+        what = f"{error.where}: {error.message}" if error.where else error.message
+        raise SceneUnreadable(what, where=str(file), hint=error.hint) from error
     except Exception as error:  # whatever a reader of a hostile file stumbles over
         raise SceneUnreadable(
             f"is no readable {kind.upper()}: {type(error).__name__}: {_short(error)}",
             where=str(file),
-            mend="Copy or export the file again.",
+            hint="Copy or export the file again.",
         ) from error
     if not any(len(mesh.data) for mesh in made):
         raise SceneUnreadable("has no triangles", where=str(file))
@@ -116,7 +116,7 @@ def _trimesh() -> ModuleType:
     except ImportError as error:
         raise SceneInvalid(
             "meshes need trimesh, which is not installed",
-            mend="pip install 'gsgen[runtime]'",
+            hint="pip install 'gsgen[runtime]'",
         ) from error
     return trimesh
 
@@ -134,7 +134,7 @@ def _kind(path: Path) -> str:
         raise SceneUnreadable(
             f"begins with {head.hex(' ') or 'nothing'}, which is no mesh",
             where=str(path),
-            mend="Known: GLB, glTF, OBJ, PLY and STL.",
+            hint="Known: GLB, glTF, OBJ, PLY and STL.",
         )
     return kind
 
@@ -173,8 +173,8 @@ def _meshes(scene: Any, path: Path, gltf: bool, bare: bool) -> Iterator[Mesh]:
         try:
             yield Mesh(data, place, "unlit" if colored else "headlight")
         except SceneInvalid as error:
-            what = f"node {node!r}: {error.where} {error.what}"
-            raise SceneUnreadable(what, where=str(path), mend=error.mend) from error
+            what = f"node {node!r}: {error.where} {error.message}"
+            raise SceneUnreadable(what, where=str(path), hint=error.hint) from error
 
 
 @final
@@ -330,7 +330,7 @@ def _require_honest_gltf(path: Path, size: int) -> None:
             raise SceneInvalid(
                 f"needs {name}, which is not read here",
                 where="extensionsRequired",
-                mend="Export it without compression.",
+                hint="Export it without compression.",
             )
     room = size + sum(_beside(path, one) for one in document.get("buffers", []))
     for index, accessor in enumerate(document.get("accessors", [])):
@@ -358,7 +358,7 @@ def _require_textures(document: dict[str, Any], scene: Any) -> None:
         raise SceneInvalid(
             f"of {wanted} parts with a texture, {wanted - found} have one that cannot be read",
             where="textures",
-            mend="Pictures are PNG, JPEG or WebP, and in the file or in its folder.",
+            hint="Pictures are PNG, JPEG or WebP, and in the file or in its folder.",
         )
 
 

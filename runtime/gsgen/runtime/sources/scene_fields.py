@@ -15,13 +15,13 @@ _MOST = 1e12
 Word = TypeVar("Word", bound=str)
 
 
-def refuse(what: str, where: str, mend: str = "") -> NoReturn:
+def refuse(what: str, where: str, hint: str = "") -> NoReturn:
     """Raise SceneInvalid.
 
     Raises:
         SceneInvalid: Always.
     """
-    raise SceneInvalid(what, where=where, mend=mend)
+    raise SceneInvalid(what, where=where, hint=hint)
 
 
 def fields_of(made: Mapping[str, Any], where: str) -> "Fields":

@@ -26,7 +26,7 @@ from gsgen.runtime.sources.scene_fields import Fields, fields_of, refuse
 from gsgen.runtime.sources.source import Source, open_source
 
 VERSION: Final = "1.0"
-Made = TypeVar("Made")
+Read = TypeVar("Read")
 
 _MARK: Final = "gsgen_scene"
 _MARKS: Final = frozenset({_MARK, "models", "meshes"})
@@ -155,7 +155,7 @@ def open_scene(
 ) -> list[Source]:
     """Open what a scene file names: a source for each model, then one for each mesh.
 
-    Give them to a ``Player`` or a ``Film``; close them in the end.
+    Give them to a ``Player`` or a ``FrameSequence``; close them in the end.
 
     Args:
         scene: The file, or what it says.
@@ -193,7 +193,7 @@ def _opened(model: Model, provider: str, sizes: Mapping[str, int] | None) -> Sou
             if model.where in error.where
             else f"{model.where}{joint}{error.where}"
         )
-        raise type(error)(error.what, where=where, mend=error.mend) from error
+        raise type(error)(error.message, where=where, hint=error.hint) from error
 
 
 def _stood(part: MeshPart) -> Source:
@@ -207,13 +207,13 @@ def _stood(part: MeshPart) -> Source:
     )
 
 
-def _named(make: Callable[[], Made], where: str) -> Made:
+def _named(make: Callable[[], Read], where: str) -> Read:
     """Return what ``make`` makes; an error names the place in the scene file, too."""
     try:
         return make()
     except GsgenError as error:
         place = f"{where}: {error.where}" if error.where else where
-        raise type(error)(error.what, where=place, mend=error.mend) from error
+        raise type(error)(error.message, where=place, hint=error.hint) from error
 
 
 def _document(path: Path) -> Mapping[str, Any]:
@@ -348,7 +348,7 @@ def _camera(told: Fields, folder: Path) -> str | Camera | None:
             return Camera.from_dict(given)
         except SceneInvalid as error:
             where = error.where.replace("camera", told.place("camera"), 1)
-            raise SceneInvalid(error.what, where=where, mend=error.mend) from error
+            raise SceneInvalid(error.message, where=where, hint=error.hint) from error
     if given is None:
         return None
     text = str(given)

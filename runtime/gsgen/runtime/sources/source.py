@@ -28,7 +28,7 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.mesh import Mesh
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.sources.generator_worker import Inference, Made
+from gsgen.runtime.sources.generator_worker import FrameDelta, Inference
 
 Center = Float[np.ndarray, "3"]
 
@@ -244,7 +244,7 @@ class GeneratorSource(Source):
         appearance = manifest.outputs.appearance
         assert appearance is not None  # an inference has both outputs
         self._space, self.color_space = appearance.space, appearance.color_space
-        self._begun: tuple[int, Future[Made]] | None = None
+        self._begun: tuple[int, Future[FrameDelta]] | None = None
         try:
             self.update(None, {})
         except BaseException:
@@ -285,7 +285,7 @@ class GeneratorSource(Source):
             if future.exception() is None:
                 self._take(future.result())
 
-    def _take(self, made: Made) -> None:
+    def _take(self, made: FrameDelta) -> None:
         self.seconds = made.seconds
         if hasattr(self, "data"):
             self.data.update(made.rows, made.appearance, made.count, cells=made.cells)

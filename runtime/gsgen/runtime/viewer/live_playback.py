@@ -1,6 +1,6 @@
 """A stage: sources that move while somebody looks at them."""
 
-__all__ = ["Stage"]
+__all__ = ["LivePlayback"]
 
 from collections.abc import Sequence
 from typing import Final, Literal, final
@@ -10,9 +10,9 @@ from jaxtyping import Float
 
 from gsgen.contract.errors import GsgenError
 from gsgen.runtime.playback.input_tracks import Track
-from gsgen.runtime.playback.player import Player, Shot, composed
+from gsgen.runtime.playback.player import FrameRequest, Player, composed
 from gsgen.runtime.playback.post_process import PostProcessor
-from gsgen.runtime.playback.timeline import Score, Taker
+from gsgen.runtime.playback.timeline import AnimatedInputs, Timeline
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame, Output
@@ -24,7 +24,7 @@ _FRAMES: Final = 100  # that a time which has no frames of its own is cut into
 
 
 @final
-class Stage:
+class LivePlayback:
     """What is shown: sources, the frame of the film that they are at, and how they are drawn.
 
     Frames are those of ``gsgen render --frames``. A frame is begun, and taken when it is done:
@@ -51,7 +51,7 @@ class Stage:
         version: Grows when the Gaussians have changed.
 
     Raises:
-        ConfigInvalid: As :class:`gsgen.runtime.playback.frame_sequence.Film`.
+        ConfigInvalid: As :class:`gsgen.runtime.playback.frame_sequence.FrameSequence`.
         UnknownName: No model has the input of a track.
     """
 
@@ -68,8 +68,8 @@ class Stage:
         antialias: Literal["classic", "mip"] | None = None,
     ) -> None:
         self.sources, self.post = list(sources), list(post)
-        takers: list[Taker] = [*self.sources, *self.post]
-        self._score = Score(takers, tracks, time)
+        takers: list[AnimatedInputs] = [*self.sources, *self.post]
+        self._score = Timeline(takers, tracks, time)
         self.frames = 1
         if self._score.moving:
             self.frames = frames or (
@@ -183,7 +183,7 @@ class Stage:
         """
         self.abandon()
         wanted, before = self._wanted(camera), self._state()
-        frame = player.render(Shot(camera, self._values(self.number), self.number))
+        frame = player.render(FrameRequest(camera, self._values(self.number), self.number))
         self._shown = wanted
         self.version += before != self._state()
         return frame

@@ -41,7 +41,7 @@ _SHOWING: Final = np.dtype(
         ("filling", np.uint32, 3),
     ]
 )
-"""``Showing`` of ``present.wgsl``; a column of a matrix has room for four."""
+"""``RenderEvidence`` of ``present.wgsl``; a column of a matrix has room for four."""
 
 _OVER: Final = {
     "src_factor": "one",

@@ -1,6 +1,6 @@
 """The painter of a viewer: what draws on a surface, on a device that may be lost."""
 
-__all__ = ["Painter", "Wish"]
+__all__ = ["SurfaceRenderer", "ViewRequest"]
 
 import time
 from collections.abc import Callable, Sequence
@@ -16,13 +16,13 @@ from gsgen.runtime.renderer.rasteriser_choice import Asked
 from gsgen.runtime.renderer.renderer import Drawn, Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame
-from gsgen.runtime.viewer.live_playback import Stage
+from gsgen.runtime.viewer.live_playback import LivePlayback
 from gsgen.runtime.viewer.present import Panel, Present, View
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Wish:
+class ViewRequest:
     """What is to be seen of a stage.
 
     Attributes:
@@ -35,7 +35,7 @@ class Wish:
     mode: Mode
     background: tuple[float, ...]
 
-    def key(self, stage: Stage) -> object:
+    def key(self, stage: LivePlayback) -> object:
         """Return what tells one picture from another."""
         camera = self.camera
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
@@ -46,7 +46,7 @@ class Wish:
 
 
 @final
-class Painter:
+class SurfaceRenderer:
     """Draws stages on the surface of a window.
 
     Args:
@@ -86,7 +86,7 @@ class Painter:
         self._shown: tuple[object, View] | None = None
         self.drawn: Drawn | None = None
 
-    def view(self, stage: Stage, wish: Wish) -> View:
+    def view(self, stage: LivePlayback, wish: ViewRequest) -> View:
         """Return a picture of a stage, drawn anew where anything is not as it was.
 
         Args:
@@ -119,7 +119,7 @@ class Painter:
         """
         device = self.renderer.device
         device.require()  # wgpu-native ends the process where a surface asks a lost device
-        with device.minding():
+        with device.translate_errors():
             self._show(device, context, view, panels)
 
     def _show(
@@ -135,7 +135,7 @@ class Painter:
             self._present, self._configured = Present(device, chosen), context
         self._present(context.get_current_texture(), view, panels)
 
-    def _drawn(self, stage: Stage, wish: Wish) -> View:
+    def _drawn(self, stage: LivePlayback, wish: ViewRequest) -> View:
         camera, output = wish.camera, MODES[wish.mode]
         self._shown = None  # its buffers may go now
         depths = stage.depths(camera)
@@ -153,14 +153,14 @@ class Painter:
         assert frame.rgba is not None  # colours were asked for
         device, size = self.renderer.device, frame.rgba.nbytes
         if self._uploads is None or self._uploads[:2] != (device, size):
-            with device.minding():
+            with device.translate_errors():
                 self._uploads = device, size, device.storage("shown image", size)
         image = self._uploads[2]
-        with device.minding():
+        with device.translate_errors():
             device.write(image, np.ascontiguousarray(frame.rgba, np.float32))
         return Drawn(image, frame.rgba.shape[1], frame.visible, frame.pairs)
 
-    def frame(self, stage: Stage, wish: Wish) -> Frame:
+    def frame(self, stage: LivePlayback, wish: ViewRequest) -> Frame:
         """Return the picture as arrays; post-process models work on its colours.
 
         Raises:
@@ -179,8 +179,10 @@ class Painter:
             self._uploads = None
             self._begin()
         except DeviceUnavailable as error:
-            what = f"the graphics device was lost, and cannot be opened again: {error.what}"
-            raise DeviceUnavailable(what, mend=error.mend) from error
+            what = (
+                f"the graphics device was lost, and cannot be opened again: {error.message}"
+            )
+            raise DeviceUnavailable(what, hint=error.hint) from error
 
 
 def _resized(camera: Camera, frame: Frame) -> Camera:

@@ -21,11 +21,11 @@ from gsgen.runtime.media.pictures import MODES, Mode
 from gsgen.runtime.playback.camera_options import Viewpoint
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.viewer.camera_controls import KEYS, Controls
-from gsgen.runtime.viewer.live_playback import Stage
+from gsgen.runtime.viewer.live_playback import LivePlayback
 from gsgen.runtime.viewer.panels import Slider, paragraph
 from gsgen.runtime.viewer.present import Panel, View
-from gsgen.runtime.viewer.surface_renderer import Painter, Wish
-from gsgen.sdk.rewriting.atomic_model_files import draft_of
+from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer, ViewRequest
+from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 
 HELP: Final = (
     ("left drag", "turn around what is looked at"),
@@ -90,19 +90,19 @@ class Viewer:
 
     def __init__(
         self,
-        stage: Stage,
+        stage: LivePlayback,
         view: Viewpoint,
         *,
-        painter: Painter | None = None,
+        painter: SurfaceRenderer | None = None,
         mode: Mode = "color",
         background: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
         folder: Path = Path(),
         say: Callable[[str], None] = lambda _: None,
-        reopen: Callable[[Sequence[Path]], Stage] | None = None,
+        reopen: Callable[[Sequence[Path]], LivePlayback] | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.stage, self.mode, self._view = stage, mode, view
-        self._painter = painter or Painter()
+        self._painter = painter or SurfaceRenderer()
         self._backgrounds = [tuple(map(float, background)), *_BACKGROUNDS]
         self._folder, self._say, self._reopen, self._clock = folder, say, reopen, clock
         self.message, self.closed = "", False
@@ -143,7 +143,7 @@ class Viewer:
         except DeviceLost as error:
             raise DeviceUnavailable(
                 "the graphics device was lost, and lost again",
-                mend="Show fewer Gaussians or a smaller window; see `gsgen doctor`.",
+                hint="Show fewer Gaussians or a smaller window; see `gsgen doctor`.",
             ) from error
 
     def _recover(self) -> None:
@@ -164,7 +164,7 @@ class Viewer:
         self._guarded(self.stage.take)  # what is a file, or quick, is here at once
         view: View | None = None
         try:
-            wish = Wish(camera, self.mode, self._background)
+            wish = ViewRequest(camera, self.mode, self._background)
             view = self._painter.view(self.stage, wish)
         except DeviceLost:
             raise
@@ -400,7 +400,7 @@ class Viewer:
 
     def _look_at_pointer(self) -> None:
         camera = self.camera()
-        depth = self._painter.frame(self.stage, Wish(camera, "depth", (0, 0, 0, 0)))
+        depth = self._painter.frame(self.stage, ViewRequest(camera, "depth", (0, 0, 0, 0)))
         assert depth.depth is not None
         assert depth.median_depth is not None
         x, y = map(int, self._on_surface())
@@ -420,12 +420,14 @@ class Viewer:
         """Save what is seen, at its finest, and the camera beside it."""
         camera = self.camera()
         self.stage.settle(camera)
-        frame = self._painter.frame(self.stage, Wish(camera, self.mode, self._background))
+        frame = self._painter.frame(
+            self.stage, ViewRequest(camera, self.mode, self._background)
+        )
         depths = self.stage.depths(camera)
         path = _unused(self._folder)
         pictures.save_picture(path, pictures.picture_of(frame, self.mode, depths))
         file = path.with_suffix(".json")
-        with draft_of(file) as draft:
+        with atomic_write(file) as draft:
             draft.write_text(camera.to_json() + "\n", "utf-8")
         self._say(camera.to_json())
         self.message = f"Saved {path} and its camera: --camera {file}"

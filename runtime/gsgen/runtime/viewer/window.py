@@ -75,7 +75,7 @@ def require_display() -> None:
     except ImportError as error:
         raise DisplayUnavailable(
             f"a window needs {error.name}, which is not installed",
-            mend="pip install 'gsgen[runtime]'",
+            hint="pip install 'gsgen[runtime]'",
         ) from error
     told: list[str] = []
     reporter: Any = glfw  # its stubs say of errors that they are str; they are bytes
@@ -158,10 +158,10 @@ def view(
     """
     from gsgen.runtime.playback.camera_options import viewpoint
     from gsgen.runtime.sources.scene_source import sources_of
-    from gsgen.runtime.viewer.live_playback import Stage
+    from gsgen.runtime.viewer.live_playback import LivePlayback
 
     shown = canvas if canvas is not None else _canvas(size)
-    stage = Stage(sources_of(scene))
+    stage = LivePlayback(sources_of(scene))
     viewer = Viewer(stage, viewpoint(camera, *size), say=lambda text: _print(text))
     attach(viewer, shown)
     return shown
@@ -173,7 +173,7 @@ def _canvas(size: tuple[int, int]) -> Any:
     except (ImportError, RuntimeError) as error:
         raise DisplayUnavailable(
             f"there is no canvas: {error}",
-            mend="In a notebook: pip install anywidget. Elsewhere: pip install 'gsgen[runtime]'.",
+            hint="In a notebook: pip install anywidget. Elsewhere: pip install 'gsgen[runtime]'.",
         ) from error
     return RenderCanvas(size=size, title="gsgen", max_fps=_FASTEST)
 

@@ -97,7 +97,7 @@ def view_range(glb: Container, view: Json, where: str) -> tuple[int, int]:
             f"buffer {buffer}, which is not in the file",
             where=where,
             expected="the binary chunk",
-            mend="pack all buffers into the GLB file",
+            hint="pack all buffers into the GLB file",
         )
     at = whole(view.get("byteOffset", 0), f"{where}, byteOffset")
     size = whole(view.get("byteLength"), f"{where}, byteLength")

@@ -91,7 +91,7 @@ def _document(content: bytes) -> Json:
         document = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise HeaderMalformed(
-            f"no JSON ({error})", where="chunk JSON", expected="JSON", mend=AGAIN
+            f"no JSON ({error})", where="chunk JSON", expected="JSON", hint=AGAIN
         ) from error
     if not isinstance(document, dict):
         raise _malformed(document, "chunk JSON", "an object")

@@ -61,7 +61,7 @@ def _require_room(data: mmap.mmap, header: Header, vertex: Element) -> None:
             raise FileTruncated(
                 f"{element.count} rows take {least} bytes or more, {left} are left",
                 where=f"element {shown(element.name)}",
-                mend="copy or download the file again",
+                hint="copy or download the file again",
             )
 
 
@@ -76,7 +76,7 @@ def _ended(element: Element, seen: int) -> FileTruncated:
     return FileTruncated(
         f"the file ends after {seen} of {element.count} rows",
         where=f"element {shown(element.name)}",
-        mend="copy or download the file again",
+        hint="copy or download the file again",
     )
 
 

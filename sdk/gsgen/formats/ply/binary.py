@@ -61,7 +61,7 @@ def _end(data: mmap.mmap, header: Header, element: Element, start: int) -> int:
                 raise FileTruncated(
                     f"the file ends after {row} of {element.count} rows",
                     where=f"element {shown(element.name)}",
-                    mend="copy or download the file again",
+                    hint="copy or download the file again",
                 )
     return start
 
@@ -86,5 +86,5 @@ def _require_room(data: mmap.mmap, element: Element, start: int) -> None:
             f"{element.count} rows of {element.row_bytes} bytes take {needed} bytes, "
             f"{left} are left from byte {start} on",
             where=f"element {shown(element.name)}",
-            mend="copy or download the file again",
+            hint="copy or download the file again",
         )

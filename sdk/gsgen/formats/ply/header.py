@@ -169,7 +169,7 @@ def _endless(seen: int, size: int) -> FileTruncated | HeaderMalformed:
         f"{what}, which are all there are",
         where="header",
         expected=expected,
-        mend="copy or download the file again",
+        hint="copy or download the file again",
     )
 
 

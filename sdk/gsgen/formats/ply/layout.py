@@ -72,7 +72,7 @@ def find_vertex(header: Header) -> Element:
             "a compressed PLY",
             where="element 'vertex', property packed_position",
             expected="a plain 3DGS PLY",
-            mend="unpack it: `gsgen convert packed.ply plain.ply`",
+            hint="unpack it: `gsgen convert packed.ply plain.ply`",
         )
     lists = [item.name for item in vertex.properties if item.count_type]
     if lists:
@@ -112,14 +112,14 @@ def _require_all(names: Collection[str], needed: list[str]) -> None:
     missing = [name for name in needed if name not in names]
     if not missing:
         return
-    mend = ""
+    hint = ""
     if missing == ["scale_2"]:
-        mend = "two scales look like a 2DGS file: flat splats, which are not read here"
+        hint = "two scales look like a 2DGS file: flat splats, which are not read here"
     raise PropertyMissing(
         f"{listed(missing, limit=100)} missing, found {listed(list(names))}",
         where="element 'vertex'",
         expected="all properties of a 3DGS PLY, as some are there",
-        mend=mend,
+        hint=hint,
     )
 
 

@@ -68,7 +68,7 @@ def read_ply(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointClo
         try:
             return read(data, header, vertex, path if drop_invalid else None)
         except ValueInvalid as error:
-            error.mend = error.mend or ("" if drop_invalid else _MEND)
+            error.hint = error.hint or ("" if drop_invalid else _MEND)
             raise
 
 

@@ -65,5 +65,5 @@ def require_room(data: Data, start: int, needed: int, where: str) -> None:
             f"{needed} bytes needed from byte {start} on, {max(left, 0)} are there",
             where=where,
             expected=f"a file of {start + needed} bytes or more, it has {len(data)}",
-            mend=AGAIN,
+            hint=AGAIN,
         )

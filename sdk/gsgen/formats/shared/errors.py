@@ -26,32 +26,32 @@ class FormatError(Exception):
 
     Attributes:
         path: The file, as the caller gave it; None for data that is in memory only.
-        what: What was seen.
+        message: What was seen.
         where: The property, row, element, array or byte offset; may be empty.
         expected: What was wanted; may be empty.
-        mend: What to do next; may be empty.
+        hint: What to do next; may be empty.
     """
 
     def __init__(
         self,
-        what: str,
+        message: str,
         *,
         where: str = "",
         expected: str = "",
-        mend: str = "",
+        hint: str = "",
         path: str | None = None,
     ) -> None:
-        super().__init__(what)
-        self.what = what
+        super().__init__(message)
+        self.message = message
         self.where = where
         self.expected = expected
-        self.mend = mend
+        self.hint = hint
         self.path = path
 
     def __str__(self) -> str:
-        seen = ": ".join(part for part in (self.path, self.where, self.what) if part)
+        seen = ": ".join(part for part in (self.path, self.where, self.message) if part)
         wanted = f"wanted {self.expected}" if self.expected else ""
-        return "\n".join(line for line in (seen, wanted, self.mend) if line)
+        return "\n".join(line for line in (seen, wanted, self.hint) if line)
 
 
 @final

@@ -110,5 +110,5 @@ def _require_regular(path: FilePath) -> None:
         raise FileUnreadable("is a device, pipe or socket", expected="a regular file")
     if status.st_size == 0:
         raise FileUnreadable(
-            "is empty", mend="make it again: whatever wrote it may have failed"
+            "is empty", hint="make it again: whatever wrote it may have failed"
         )

@@ -48,7 +48,7 @@ def _damaged(where: str, error: Exception) -> ArchiveDamaged:
     return ArchiveDamaged(
         f"cannot be unpacked ({type(error).__name__}: {short})",
         where=where,
-        mend="copy, download or save the file again",
+        hint="copy, download or save the file again",
     )
 
 
@@ -68,7 +68,7 @@ def read_arrays(
         raise SizeExceeded(
             f"arrays {parts} bytes",
             expected=f"{max_bytes} bytes or fewer together",
-            mend="if the file can be trusted, read it with a larger max_bytes",
+            hint="if the file can be trusted, read it with a larger max_bytes",
         )
     return [_read_array(archive, key) for key in keys]
 
@@ -85,7 +85,7 @@ def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
             "Python objects",
             where=f"array {key}",
             expected="numbers",
-            mend="save it again as an array of one numeric type",
+            hint="save it again as an array of one numeric type",
         )
     size = math.prod(shape) * dtype.itemsize
     if head.tell() + size != entry.file_size:
@@ -93,7 +93,7 @@ def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
             f"{entry.file_size} bytes, but {dtype} {list(shape)} takes "
             f"{head.tell() + size}, header included",
             where=f"array {key}",
-            mend="copy, download or save the file again",
+            hint="copy, download or save the file again",
         )
     return size
 

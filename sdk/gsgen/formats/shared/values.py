@@ -15,7 +15,7 @@ def require_rows(count: int, where: str) -> None:
             "0 rows",
             where=where,
             expected="at least one",
-            mend="whatever made this may have dropped every point",
+            hint="whatever made this may have dropped every point",
         )
 
 
@@ -53,9 +53,9 @@ def meaning_something(
 
 def require_colors(table: Float32[np.ndarray, "n 3"], labels: Sequence[str]) -> None:
     """Raise ValueInvalid unless all lies in [0, 1]; ``labels`` names the columns."""
-    mend = "colours from 0 to 255 have to be stored as bytes (uchar, uint8)"
+    hint = "colours from 0 to 255 have to be stored as bytes (uchar, uint8)"
     for column, label in zip(table.T, labels, strict=True):
-        _require((column >= 0) & (column <= 1), column, label, "0 <= value <= 1", mend)
+        _require((column >= 0) & (column <= 1), column, label, "0 <= value <= 1", hint)
 
 
 def _require(
@@ -63,7 +63,7 @@ def _require(
     column: Float32[np.ndarray, " n"],
     label: str,
     expected: str,
-    mend: str = "",
+    hint: str = "",
 ) -> None:
     if kept.all():
         return
@@ -73,5 +73,5 @@ def _require(
         f"{bad} of {len(kept)} rows, row {first} is {column[first]:g}",
         where=label,
         expected=expected,
-        mend=mend,
+        hint=hint,
     )

@@ -39,7 +39,7 @@ def decode_image(
         raise NotSupported(
             "WebP, for which Pillow is not installed",
             where=where,
-            mend="pip install 'gsgen[formats]'",
+            hint="pip install 'gsgen[formats]'",
         ) from error
     try:
         with warnings.catch_warnings():
@@ -55,7 +55,7 @@ def decode_image(
             f"an image cannot be unpacked ({type(error).__name__}: {error})",
             where=where,
             expected="lossless WebP",
-            mend=AGAIN,
+            hint=AGAIN,
         ) from error
     return np.asarray(pixels.reshape(-1, 4)[:needed])
 

@@ -47,7 +47,7 @@ class Meta:
                 "a streamed SOG of several levels of detail",
                 where=META,
                 expected="one SOG",
-                mend="read one of the files that it names",
+                hint="read one of the files that it names",
             )
         if "means" not in data:
             raise NotRecognised(

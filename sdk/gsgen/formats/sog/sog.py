@@ -99,7 +99,7 @@ def _beside(path: FilePath) -> Fetch:
 def _limited(content: bytes, limit: int, name: str) -> bytes:
     if len(content) > limit:
         raise SizeExceeded(
-            f"more than {limit} bytes", where=f"file {shown(name)}", mend=AGAIN
+            f"more than {limit} bytes", where=f"file {shown(name)}", hint=AGAIN
         )
     return content
 
@@ -111,7 +111,7 @@ def _decode(fetch: Fetch, name: str, max_bytes: int) -> Splats:
         raise SizeExceeded(
             f"{count} splats of some {_BYTES_EACH} bytes",
             expected=f"{max_bytes} bytes or fewer",
-            mend="if the file can be trusted, read it with a larger max_bytes",
+            hint="if the file can be trusted, read it with a larger max_bytes",
         )
 
     def fetched(file: str, pixels: int) -> bytes:
@@ -124,7 +124,7 @@ def _decode(fetch: Fetch, name: str, max_bytes: int) -> Splats:
             f"{count} splats, whose positions are {packed} bytes",
             where=f"{META}, count",
             expected=f"{packed * _MOST_PER_BYTE} or fewer, however packed",
-            mend=AGAIN,
+            hint=AGAIN,
         )
     low, high = (decode_image(image, count, "means") for image in means)
 

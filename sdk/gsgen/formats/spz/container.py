@@ -103,13 +103,13 @@ def _inflated(data: Data) -> Iterator[bytes]:
                 yield made
     except zlib.error as error:
         raise ArchiveDamaged(
-            f"cannot be unpacked ({error})", where="gzip stream", mend=AGAIN
+            f"cannot be unpacked ({error})", where="gzip stream", hint=AGAIN
         ) from error
     if not unpacker.eof:
         raise FileTruncated(
             f"the gzip stream does not end within {len(data)} bytes",
             where="gzip stream",
-            mend=AGAIN,
+            hint=AGAIN,
         )
 
 
@@ -136,7 +136,7 @@ def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
             f"more than the {end} bytes of {count} splats of degree {degree}",
             where="unpacked data",
             expected=f"{end} bytes",
-            mend=AGAIN,
+            hint=AGAIN,
         )
     signs = _extensions(bytes(extra)) if flags & _EXTENDED else RDF_RUB
     streams, at = {}, _HEADER.size
@@ -223,7 +223,7 @@ def require_count(count: int, size: int) -> None:
             f"{count} splats in a file of {size} bytes",
             where="byte 8",
             expected=f"{size * _MOST_PER_NINE_BYTES // 9} or fewer, however packed",
-            mend=AGAIN,
+            hint=AGAIN,
         )
 
 
@@ -232,7 +232,7 @@ def _require_memory(needed: int, max_bytes: int) -> None:
         raise SizeExceeded(
             f"unpacks to {needed} bytes",
             expected=f"{max_bytes} bytes or fewer",
-            mend="if the file can be trusted, read it with a larger max_bytes",
+            hint="if the file can be trusted, read it with a larger max_bytes",
         )
 
 
@@ -261,7 +261,7 @@ def _declared_signs(payload: bytes) -> Signs:
             f"coordinate system {code}",
             where="extension SPZ_ADOBE_coordinate_system",
             expected="1 to 8, whose axes are not swapped",
-            mend="save it again in RUB, which every reader understands",
+            hint="save it again in RUB, which every reader understands",
         )
     right, up, forward = code - 1 & 1, code - 1 & 2, code - 1 & 4
     return (1 if right else -1, -1 if up else 1, 1 if forward else -1)

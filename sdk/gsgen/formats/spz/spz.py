@@ -136,7 +136,7 @@ def _fractional_bits(splats: Splats, version: int) -> int:
             f"a coordinate of {reach:g}",
             where="position",
             expected=f"{limit:g} or less, to be an SPZ file of version {version}",
-            mend="scale the scene down, or write another format",
+            hint="scale the scene down, or write another format",
         )
     spare = int(math.log2(streams.COORDINATE_LIMIT / max(reach, 1)))
     return min(FRACTIONAL_BITS, spare)

@@ -15,7 +15,7 @@ def _package() -> Any:
     except ImportError as error:
         raise NotSupported(
             "zstd, for which the package zstandard is not installed",
-            mend="pip install 'gsgen[formats]'",
+            hint="pip install 'gsgen[formats]'",
         ) from error
     return zstandard
 
@@ -39,12 +39,12 @@ def unpack(data: bytes, size: int, where: str) -> bytearray:
                 made += piece
     except zstandard.ZstdError as error:
         raise ArchiveDamaged(
-            f"cannot be unpacked ({error})", where=where, mend=AGAIN
+            f"cannot be unpacked ({error})", where=where, hint=AGAIN
         ) from error
     if len(made) != size:
         seen = f"more than {size}" if len(made) > size else f"{len(made)}"
         raise ArchiveDamaged(
-            f"unpacks to {seen} bytes", where=where, expected=f"{size}", mend=AGAIN
+            f"unpacks to {seen} bytes", where=where, expected=f"{size}", hint=AGAIN
         )
     return made
 

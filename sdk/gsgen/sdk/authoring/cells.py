@@ -55,7 +55,7 @@ class Cells:
 
 
 def expect_shape(
-    where: str, value: Tensor | None, *shapes: tuple[int, ...], mend: str = ""
+    where: str, value: Tensor | None, *shapes: tuple[int, ...], hint: str = ""
 ) -> None:
     """Refuse a tensor of none of the ``shapes``; an absent one is fine.
 
@@ -66,7 +66,7 @@ def expect_shape(
         return
     wanted = " or ".join(str(list(shape)) for shape in shapes)
     what = f"shape is {list(value.shape)}, wanted {wanted}"
-    raise GeneratorInvalid(what, where=where, mend=mend)
+    raise GeneratorInvalid(what, where=where, hint=hint)
 
 
 def expect_spread(

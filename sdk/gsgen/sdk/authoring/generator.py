@@ -79,12 +79,12 @@ class Gaussians:
         value: Tensor | None = getattr(self, name)
         if value is None:
             return
-        mend = ""
+        hint = ""
         if name == "sh" and value.ndim == 3 and value.shape[1] == 3:
-            mend = "It looks channel-major [N, 3, K]: transpose(1, 2) makes it coefficient-major."
+            hint = "It looks channel-major [N, 3, K]: transpose(1, 2) makes it coefficient-major."
         if name == "sh" and value.ndim == 2:
-            mend = "Reshape to [N, K, 3]; f_rest of a 3DGS PLY is channel-major: [N, 3, K-1] first."
-        expect_shape(f"Gaussians.{name}", value, *shapes, mend=mend)
+            hint = "Reshape to [N, K, 3]; f_rest of a 3DGS PLY is channel-major: [N, 3, K-1] first."
+        expect_shape(f"Gaussians.{name}", value, *shapes, hint=hint)
 
     def take(
         self, rows: Int[Tensor, " m"], count: Int[Tensor, "1"] | None = None
@@ -99,9 +99,9 @@ class Gaussians:
             GeneratorInvalid: They lie in cells, which single rows cannot leave.
         """
         if self.cells is not None:
-            mend = "Choose cells, and make Gaussians of those alone."
+            hint = "Choose cells, and make Gaussians of those alone."
             what = "rows cannot be taken out of their cells"
-            raise GeneratorInvalid(what, where="Gaussians.take", mend=mend)
+            raise GeneratorInvalid(what, where="Gaussians.take", hint=hint)
         fields = ("position", "opacity", "scale", "rotation", "covariance", "sh", "rgb")
         taken = {
             name: value.index_select(0, rows)

@@ -1,6 +1,6 @@
 """What a module has to be and to declare before it is run: mistakes that Python lets through."""
 
-__all__ = ["require_declared"]
+__all__ = ["validate_module"]
 
 from typing import Any
 
@@ -14,7 +14,7 @@ _MADE = (
 )
 
 
-def require_declared(module: Any) -> None:
+def validate_module(module: Any) -> None:
     """Refuse what is no module, one that was not set up, and inputs that are none.
 
     Args:
@@ -26,25 +26,25 @@ def require_declared(module: Any) -> None:
     """
     if isinstance(module, type):
         name = module.__name__
-        raise GeneratorInvalid("is a class, wanted a module", where=name, mend=f"{name}()")
+        raise GeneratorInvalid("is a class, wanted a module", where=name, hint=f"{name}()")
     name = type(module).__name__
     if not isinstance(module, nn.Module):
-        mend = "Return an instance of a subclass of gsgen.sdk.GaussianGenerator."
-        raise GeneratorInvalid("is no torch module", where=name, mend=mend)
+        hint = "Return an instance of a subclass of gsgen.sdk.GaussianGenerator."
+        raise GeneratorInvalid("is no torch module", where=name, hint=hint)
     if "_modules" not in vars(module):
-        mend = "Begin it with super().__init__()."
-        raise GeneratorInvalid("__init__ does not call its parent's", where=name, mend=mend)
+        hint = "Begin it with super().__init__()."
+        raise GeneratorInvalid("__init__ does not call its parent's", where=name, hint=hint)
     _require_inputs(getattr(module, "inputs", ()), f"{name}.inputs")
 
 
 def _require_inputs(declared: Any, where: str) -> None:
     if isinstance(declared, Input):
-        mend = "A tuple of one has a comma: inputs = (inputs.time(),)"
-        raise GeneratorInvalid("is one input, wanted a tuple", where=where, mend=mend)
+        hint = "A tuple of one has a comma: inputs = (inputs.time(),)"
+        raise GeneratorInvalid("is one input, wanted a tuple", where=where, hint=hint)
     if isinstance(declared, str) or not isinstance(declared, tuple | list):
         what = f"is {type(declared).__name__}, wanted a tuple of inputs"
-        raise GeneratorInvalid(what, where=where, mend=_MADE)
+        raise GeneratorInvalid(what, where=where, hint=_MADE)
     for place, entry in enumerate(declared):
         if not isinstance(entry, Input):
             what = f"{entry!r} is no input"
-            raise GeneratorInvalid(what, where=f"{where}[{place}]", mend=_MADE)
+            raise GeneratorInvalid(what, where=f"{where}[{place}]", hint=_MADE)

@@ -51,7 +51,7 @@ def refuse_parts(capacity: int, per_cell: int) -> None:
         raise GeneratorInvalid(
             f"{capacity} rows are no whole number of cells of {per_cell}",
             where="capacity",
-            mend=f"Export with a capacity that {per_cell} divides.",
+            hint=f"Export with a capacity that {per_cell} divides.",
         )
 
 
@@ -93,7 +93,7 @@ class PackedGenerator(nn.Module):
             raise GeneratorInvalid(
                 f"{n} Gaussians do not fit the capacity {self.packed.capacity}",
                 where="capacity",
-                mend=f"Export with a capacity of {n} or more.",
+                hint=f"Export with a capacity of {n} or more.",
             )
         opacity = made.opacity.reshape(n, 1)
         if made.count is not None:

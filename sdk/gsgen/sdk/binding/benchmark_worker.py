@@ -12,7 +12,7 @@ import numpy as np
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.probing.sandbox_worker import Emit, serve
-from gsgen.contract.process.parent_watchdog import end_with_parent
+from gsgen.contract.process.parent_watchdog import exit_with_parent
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.binding.providers.errors import ProviderUnavailable
 from gsgen.sdk.binding.session import FrameSession
@@ -39,8 +39,8 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
 
 def _line(error: GsgenError) -> str:
     inside = error.where.startswith(("tensor ", "input ", "output "))
-    what = f"{error.where}: {error.what}" if inside else error.what
-    return f"{what}; {error.mend}" if error.mend else what
+    what = f"{error.where}: {error.message}" if inside else error.message
+    return f"{what}; {error.hint}" if error.hint else what
 
 
 def _measure(job: dict[str, Any]) -> dict[str, Any]:
@@ -116,5 +116,5 @@ def _count(session: FrameSession) -> int | None:
 
 
 if __name__ == "__main__":
-    end_with_parent()
+    exit_with_parent()
     sys.exit(main(Path(sys.argv[1])))

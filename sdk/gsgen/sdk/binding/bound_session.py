@@ -78,8 +78,8 @@ class Spec:
         if key in sizes:
             return sizes[key]
         what = f"axis {axis} is symbolic ({dim or 'nameless'}), wanted a size"
-        mend = f"Give one: `--size {key}=24`, or in Python sizes={{{key!r}: 24}}."
-        raise SizeUnknown(what, where=f"tensor {self.name}", mend=mend)
+        hint = f"Give one: `--size {key}=24`, or in Python sizes={{{key!r}: 24}}."
+        raise SizeUnknown(what, where=f"tensor {self.name}", hint=hint)
 
 
 def specs(arguments: Any) -> tuple[Spec, ...]:
@@ -239,8 +239,8 @@ def failed(error: Exception) -> GsgenError:
     other = _OTHER_SIZE.search(str(error))
     if other is not None:
         return _resized(*other.groups())
-    mend = "`gsgen validate --level live` says which rule the model breaks."
-    return RunFailed(words(error), where="ONNX Runtime", mend=mend)
+    hint = "`gsgen validate --level live` says which rule the model breaks."
+    return RunFailed(words(error), where="ONNX Runtime", hint=hint)
 
 
 def _resized(output: str, bound: str, computed: str) -> RunFailed:
@@ -248,6 +248,6 @@ def _resized(output: str, bound: str, computed: str) -> RunFailed:
         f"has shape [{computed}], and had [{bound}] when the session was opened: its size depends "
         "on the values of inputs, but frames stay in buffers of one size",
         where=f"output {output}",
-        mend="Export it with a capacity: rows of one number, of which num_points says how many "
+        hint="Export it with a capacity: rows of one number, of which num_points says how many "
         "are live. `gsgen explain GO004` says why.",
     )

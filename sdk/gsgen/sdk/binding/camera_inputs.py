@@ -104,8 +104,10 @@ def _matrices(camera: Camera) -> tuple[Matrix, Matrix]:
         view, projection = camera
     except (TypeError, ValueError) as error:
         what = f"is a {type(camera).__name__}"
-        want = "wanted .view and .projection, .view and intrinsics, or the pair of matrices"
-        raise InputInvalid(f"{what}, {want}", where="camera") from error
+        expected = (
+            "wanted .view and .projection, .view and intrinsics, or the pair of matrices"
+        )
+        raise InputInvalid(f"{what}, {expected}", where="camera") from error
     return view, projection
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gsgen.contract.errors import LayoutMismatch, UnknownName
-from gsgen.contract.spec.layout import Gaussians, decode
+from gsgen.contract.spec.layout import DecodedGaussians, decode
 from gsgen.contract.spec.manifest import GeneratorManifest, GeneratorOutputs
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class Frame:
             raise _undeclared("cells")
         return self[outputs.cells.name][: -(-self.count // outputs.cells.per_cell)]
 
-    def gaussians(self) -> Gaussians:
+    def gaussians(self) -> DecodedGaussians:
         """Return the live rows, unpacked into float32 arrays of their own.
 
         Raises:
@@ -120,7 +120,7 @@ class Frame:
 
 def _undeclared(output: str) -> LayoutMismatch:
     what = f"no manifest says which output holds the {output}"
-    mend = (
+    hint = (
         "Embed one (`gsgen inspect --emit-manifest`), or read outputs by name: frame[NAME]."
     )
-    return LayoutMismatch(what, where="frame", mend=mend)
+    return LayoutMismatch(what, where="frame", hint=hint)

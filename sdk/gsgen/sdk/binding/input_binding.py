@@ -1,6 +1,6 @@
 """One input of a model: what may be fed to it, and how a value becomes its tensor."""
 
-__all__ = ["Port", "default_tensor"]
+__all__ = ["InputBinding", "default_tensor"]
 
 import math
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ _MATRICES = ("view", "projection")
 
 
 @dataclass(frozen=True, slots=True)
-class Port:
+class InputBinding:
     """An input tensor, and what the manifest says of it.
 
     Attributes:
@@ -62,12 +62,12 @@ class Port:
             if not (
                 made.min() >= low and made.max() <= high
             ):  # so that NaN is refused, too
-                saw = (
+                actual = (
                     f"{made.min():g}"
                     if made.size == 1
                     else f"{made.min():g} … {made.max():g}"
                 )
-                raise self._invalid(f"is {saw}, wanted {limits[0]:g} … {limits[1]:g}")
+                raise self._invalid(f"is {actual}, wanted {limits[0]:g} … {limits[1]:g}")
         return made.T if self.transposed else made
 
     def fitting(self, value: object) -> np.ndarray:
@@ -83,8 +83,8 @@ class Port:
             raise self._invalid(f"is no array ({error})") from error
         if array.shape != self.shape:
             if array.ndim or self.shape.count(1) != len(self.shape):
-                saw = f"has shape {list(array.shape)}"
-                raise self._invalid(f"{saw}, wanted {list(self.shape)}")
+                actual = f"has shape {list(array.shape)}"
+                raise self._invalid(f"{actual}, wanted {list(self.shape)}")
             array = array.reshape(self.shape)
         if array.dtype == self.dtype:
             return array
@@ -105,8 +105,8 @@ class Port:
         if self.dtype.kind in "iu" and array.size:
             limits = np.iinfo(self.dtype)
             if not (array.min() >= limits.min and array.max() <= limits.max):
-                saw = f"{array.min()} … {array.max()}"
-                raise self._invalid(f"is {saw}, which {self.dtype} cannot hold")
+                actual = f"{array.min()} … {array.max()}"
+                raise self._invalid(f"is {actual}, which {self.dtype} cannot hold")
         return np.asarray(array.astype(self.dtype))
 
     def _invalid(self, what: str) -> InputInvalid:

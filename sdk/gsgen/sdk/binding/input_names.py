@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from gsgen.contract.errors import UnknownName
-from gsgen.sdk.binding.input_binding import Port
+from gsgen.sdk.binding.input_binding import InputBinding
 from gsgen.sdk.binding.providers.errors import InputInvalid
 
 
@@ -25,7 +25,7 @@ class Names:
     where: str
 
     @classmethod
-    def of(cls, ports: Iterable[Port], where: str) -> "Names":
+    def of(cls, ports: Iterable[InputBinding], where: str) -> "Names":
         """Return the names and roles of a model's inputs."""
         entries = list(ports)
         roles = {port.role for port in entries if port.role}

@@ -16,7 +16,7 @@ from gsgen.contract.probing.probes import default_probes
 from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest
 from gsgen.contract.spec.manifest_io import loads
 from gsgen.sdk.binding.bound_session import Spec
-from gsgen.sdk.binding.input_binding import Port
+from gsgen.sdk.binding.input_binding import InputBinding
 from gsgen.sdk.binding.replay_check import maker
 
 # Of this many probes, two are used that differ even where time loops.
@@ -48,7 +48,7 @@ class Sources:
         """Say where an output comes from."""
         return maker(self.graph, output)
 
-    def port(self, spec: Spec, sizes: Mapping[str, int]) -> Port:
+    def port(self, spec: Spec, sizes: Mapping[str, int]) -> InputBinding:
         """Return an input with what the manifest says of it.
 
         Raises:
@@ -59,7 +59,9 @@ class Sources:
         )
         order = space.matrix_order if space else "column"
         shape = spec.shape(sizes)
-        return Port(spec.name, spec.dtype, shape, self._declared.get(spec.name), order)
+        return InputBinding(
+            spec.name, spec.dtype, shape, self._declared.get(spec.name), order
+        )
 
     def sizes(self, given: Mapping[str, int]) -> dict[str, int]:
         """Return the size of each open dimension that is known: as given, else as declared.
@@ -80,7 +82,7 @@ class Sources:
         declared = {name: size for name, size in opened.items() if size is not None}
         return declared | dict(given)
 
-    def probes(self, ports: Iterable[Port]) -> list[Tensors]:
+    def probes(self, ports: Iterable[InputBinding]) -> list[Tensors]:
         """Return two sets of inputs that differ: the manifest's probes, else random numbers."""
         entries = list(ports)
         if self.manifest is not None and set(self._declared) == {p.name for p in entries}:
@@ -110,7 +112,7 @@ class Sources:
                     yield dim.dim_param or f"{value.name}[{axis}]", size
 
 
-def _random(port: Port, rng: np.random.Generator, top: int) -> np.ndarray:
+def _random(port: InputBinding, rng: np.random.Generator, top: int) -> np.ndarray:
     return np.asarray(rng.uniform(0, top, port.shape).round(3)).astype(port.dtype)
 
 

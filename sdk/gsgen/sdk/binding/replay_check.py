@@ -40,11 +40,11 @@ class WrongReplay:
 
     Attributes:
         place: The output.
-        saw: How its replays differ, and which operator made it.
+        actual: How its replays differ, and which operator made it.
     """
 
     place: str
-    saw: str
+    actual: str
 
 
 def wrong_outputs(

@@ -21,7 +21,7 @@ from gsgen.sdk.binding.bound_session import failed
 from gsgen.sdk.binding.buffers import Buffer
 from gsgen.sdk.binding.camera_inputs import Camera, camera_values
 from gsgen.sdk.binding.frame import Frame
-from gsgen.sdk.binding.input_binding import Port
+from gsgen.sdk.binding.input_binding import InputBinding
 from gsgen.sdk.binding.input_names import Names
 from gsgen.sdk.binding.model_facts import read_sources
 from gsgen.sdk.binding.providers.cancellation import Stop
@@ -33,7 +33,7 @@ from gsgen.sdk.binding.providers.errors import (
     SessionClosed,
 )
 from gsgen.sdk.binding.providers.node_placement import CPU, Node
-from gsgen.sdk.binding.providers.selection import Choice, Opening, Provider, choose
+from gsgen.sdk.binding.providers.selection import Choice, Provider, SessionOptions, choose
 from gsgen.sdk.binding.warm_up import Ready, get_ready
 
 # All sessions on WebGPU share one device, which is not made for several threads.
@@ -100,7 +100,7 @@ class FrameSession:
         self._sources = sources = read_sources(self.path, manifest)
         known, choice = sources.sizes(sizes or {}), choose(provider)
         capture = capture and choice.provider != "cpu"
-        opening = Opening(choice, capture, known, threads, stop)
+        opening = SessionOptions(choice, capture, known, threads, stop)
         with _lock_of(choice):
             ready = get_ready(sources, opening)
         self._ready: Ready | None = ready
@@ -139,7 +139,7 @@ class FrameSession:
         return self._ready is None
 
     @property
-    def inputs(self) -> Mapping[str, Port]:
+    def inputs(self) -> Mapping[str, InputBinding]:
         """Input name → its dtype, shape and role."""
         return MappingProxyType(self._open_one().ports)
 
@@ -241,8 +241,8 @@ class FrameSession:
     def _of_camera(self, camera: Camera) -> dict[str, object]:
         if self.manifest is None:
             what = "no manifest says which inputs are the camera's"
-            mend = "Embed one (`gsgen inspect --emit-manifest`), or pass manifest=."
-            raise InputInvalid(what, where=str(self.path), mend=mend)
+            hint = "Embed one (`gsgen inspect --emit-manifest`), or pass manifest=."
+            raise InputInvalid(what, where=str(self.path), hint=hint)
         values = camera_values(camera)
         ports = self._open_one().ports.values()
         return {port.name: values[port.role] for port in ports if port.role in values}
@@ -277,8 +277,8 @@ class FrameSession:
             self._open_one()
             if number != self._number:
                 what = f"frame {number} was overwritten by frame {self._number}"
-                mend = "Read a frame before the next run, or run(…, copy=True)."
-                raise FrameGone(what, where=str(self.path), mend=mend)
+                hint = "Read a frame before the next run, or run(…, copy=True)."
+                raise FrameGone(what, where=str(self.path), hint=hint)
             yield
 
     def _output(self, name: str) -> Buffer:
@@ -315,7 +315,7 @@ class FrameSession:
     def _open_one(self) -> Ready:
         if self._ready is None:
             what = "the session was closed"
-            raise SessionClosed(what, where=str(self.path), mend="Open a new FrameSession.")
+            raise SessionClosed(what, where=str(self.path), hint="Open a new FrameSession.")
         return self._ready
 
 

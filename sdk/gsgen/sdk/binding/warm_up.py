@@ -12,10 +12,15 @@ from dataclasses import dataclass, replace
 
 from gsgen.contract.errors import GsgenError
 from gsgen.sdk.binding.bound_session import Bound, failed, specs
-from gsgen.sdk.binding.input_binding import Port
+from gsgen.sdk.binding.input_binding import InputBinding
 from gsgen.sdk.binding.model_facts import Sources, Tensors
 from gsgen.sdk.binding.providers.node_placement import CPU, Node, placement, words
-from gsgen.sdk.binding.providers.selection import MEMORY, Choice, Opening, open_session
+from gsgen.sdk.binding.providers.selection import (
+    MEMORY,
+    Choice,
+    SessionOptions,
+    open_session,
+)
 from gsgen.sdk.binding.replay_check import Outputs, wrong_outputs
 
 _CONTROL_FLOW = frozenset({"If", "Loop", "Scan"})
@@ -36,13 +41,13 @@ class Ready:
 
     choice: Choice
     bound: Bound
-    ports: Mapping[str, Port]
+    ports: Mapping[str, InputBinding]
     nodes: tuple[Node, ...]
     captured: bool
     cause: str = ""
 
 
-def get_ready(sources: Sources, opening: Opening) -> Ready:
+def get_ready(sources: Sources, opening: SessionOptions) -> Ready:
     """Open a session that gives right frames: captured if that can be, else plainly.
 
     Where nobody asked for the provider, the CPU stands in for one that fails.
@@ -58,11 +63,11 @@ def get_ready(sources: Sources, opening: Opening) -> Ready:
     except GsgenError as error:
         if choice.asked or choice.provider == "cpu":
             raise
-        cpu = Choice("cpu", f"{choice.provider} failed: {error.what}")
+        cpu = Choice("cpu", f"{choice.provider} failed: {error.message}")
         return _plain(sources, replace(opening, choice=cpu, capture=False), "")
 
 
-def _best(sources: Sources, opening: Opening) -> Ready:
+def _best(sources: Sources, opening: SessionOptions) -> Ready:
     if not opening.capture:
         return _plain(sources, opening, "")
     try:
@@ -79,7 +84,7 @@ def _best(sources: Sources, opening: Opening) -> Ready:
     return _plain(sources, replace(opening, capture=False), cause)
 
 
-def _plain(sources: Sources, opening: Opening, cause: str) -> Ready:
+def _plain(sources: Sources, opening: SessionOptions, cause: str) -> Ready:
     try:
         ready = _open(sources, opening)
         ready.bound.run()
@@ -88,7 +93,7 @@ def _plain(sources: Sources, opening: Opening, cause: str) -> Ready:
     return replace(ready, captured=False, cause=cause)
 
 
-def _open(sources: Sources, opening: Opening) -> Ready:
+def _open(sources: Sources, opening: SessionOptions) -> Ready:
     session = open_session(sources.path, opening)
     inputs = [sources.port(one, opening.sizes) for one in specs(session.get_inputs())]
     ports = {port.name: port for port in inputs}
@@ -98,7 +103,7 @@ def _open(sources: Sources, opening: Opening) -> Ready:
     return Ready(opening.choice, bound, ports, placement(session), captured=True)
 
 
-def _defaults(ports: Mapping[str, Port]) -> Tensors:
+def _defaults(ports: Mapping[str, InputBinding]) -> Tensors:
     return {name: port.default() for name, port in ports.items()}
 
 
@@ -115,7 +120,7 @@ def _fault(sources: Sources, ready: Ready) -> str:
     except Exception as error:  # refused at the first run, not at creation
         return words(error)
     wrong = wrong_outputs(plain, replayed, sources.blame)
-    return "; ".join(f"{one.place} {one.saw}" for one in wrong)
+    return "; ".join(f"{one.place} {one.actual}" for one in wrong)
 
 
 def _frames(bound: Bound, probes: list[Tensors], *, captured: bool) -> list[Outputs]:

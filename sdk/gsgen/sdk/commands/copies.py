@@ -16,6 +16,6 @@ def copy_of(output: Path | None, dry_run: bool) -> Path | None:
     if dry_run:
         return None
     if output is None:
-        mend = "Give -o OUT.onnx, or --dry-run to see what would change."
-        raise ConfigInvalid("where should the copy go?", where="--output", mend=mend)
+        hint = "Give -o OUT.onnx, or --dry-run to see what would change."
+        raise ConfigInvalid("where should the copy go?", where="--output", hint=hint)
     return output

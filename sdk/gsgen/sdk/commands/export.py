@@ -51,16 +51,16 @@ def _unknown(word: str, plugins: list[str]) -> UnknownName:
     error = UnknownName.among("target", word, plugins, "TARGET")
     path = Path(word)
     if path.suffix.lower() in _SCENES:
-        mend = f"Say which method the file belongs to: gsgen export static {word} -o …"
+        hint = f"Say which method the file belongs to: gsgen export static {word} -o …"
     elif path.suffix == ".onnx":
-        mend = f"It is exported already: gsgen validate {word}"
+        hint = f"It is exported already: gsgen validate {word}"
     elif path.suffix == ".py" or path.with_suffix(".py").is_file():
-        mend = f"Say what in it makes the generator: {word}:NAME"
-    elif "." in word and "Did you mean" not in error.mend:
-        mend = f"Write {word.rpartition('.')[0]}:{word.rpartition('.')[2]}"
+        hint = f"Say what in it makes the generator: {word}:NAME"
+    elif "." in word and "Did you mean" not in error.hint:
+        hint = f"Write {word.rpartition('.')[0]}:{word.rpartition('.')[2]}"
     else:
-        mend = f"{error.mend} A target of your own is written package.module:factory."
-    return UnknownName(error.what, where=error.where, mend=mend)
+        hint = f"{error.hint} A target of your own is written package.module:factory."
+    return UnknownName(error.message, where=error.where, hint=hint)
 
 
 def _command_for(target: str, *, wants_help: bool) -> Any:

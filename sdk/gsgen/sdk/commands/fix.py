@@ -106,7 +106,7 @@ def _manifest(path: Path) -> "GeneratorManifest":
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigInvalid(f"cannot be read: {error}", where=str(path)) from error
     except GsgenError as error:
-        raise ConfigInvalid(error.what, where=str(path)) from error
+        raise ConfigInvalid(error.message, where=str(path)) from error
     if not isinstance(made, GeneratorManifest):
         raise ConfigInvalid(
             f"is a {made.kind}, wanted a gaussian-generator", where=str(path)

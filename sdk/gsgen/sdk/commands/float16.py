@@ -15,7 +15,8 @@ from gsgen.contract.errors import ConfigInvalid, GsgenError, ModelUnreadable
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from gsgen.sdk.float16.convert_model import Halved
+    from gsgen.sdk.float16.convert_model import Float16Result
+
 
 _UNREADABLE = 4
 _SHOWN = 6
@@ -76,7 +77,7 @@ def float16(
         typer.echo(line)
 
 
-def _report(done: "Halved") -> "Iterator[str]":
+def _report(done: "Float16Result") -> "Iterator[str]":
     total = done.halved + len(done.kept)
     yield f"{done.halved} of {total} nodes compute in float16, with {done.casts} Casts between"
     reasons: dict[str, list[str]] = {}
@@ -97,7 +98,7 @@ def _report(done: "Halved") -> "Iterator[str]":
         yield f"wrote {done.path}"
 
 
-def _document(done: "Halved") -> dict[str, object]:
+def _document(done: "Float16Result") -> dict[str, object]:
     return {
         "path": str(done.path) if done.path else None,
         "halved": done.halved,

@@ -118,10 +118,10 @@ def _split(names: list[str] | None) -> list[str]:
 
 def _list(target: str, as_json: bool) -> None:
     from gsgen.contract.spec.targets import load_target
-    from gsgen.sdk.passes.framework.base import Goal
+    from gsgen.sdk.passes.framework.base import RewriteTarget
     from gsgen.sdk.passes.registry import REWRITES
 
-    goal = Goal.of(load_target(target))
+    goal = RewriteTarget.of(load_target(target))
     rows = [
         {
             "name": one.name,

@@ -44,7 +44,7 @@ def write_constant(
         rows: Packed Gaussians, float32 or float16.
         appearance: SH or RGB, float32 or float16.
         manifest: Names the outputs; embedded.
-        path: Where the model goes; write to :func:`gsgen.sdk.rewriting.atomic_model_files.draft_of` another.
+        path: Where the model goes; write to :func:`gsgen.sdk.rewriting.atomic_model_files.atomic_write` another.
         count: How many of the first rows are live; all where absent.
         opset: ONNX operator set.
 

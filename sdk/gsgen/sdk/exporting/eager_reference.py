@@ -85,12 +85,12 @@ def _refuse_negative(scale: np.ndarray) -> None:
             f"is negative in {wrong:,} of {len(scale):,} rows, down to {scale.min():g}; "
             "wanted standard deviations",
             where="Gaussians.scale",
-            mend="Take torch.exp of logarithms, which 3DGS stores; or abs, if signs mean nothing.",
+            hint="Take torch.exp of logarithms, which 3DGS stores; or abs, if signs mean nothing.",
         )
 
 
-def _unpacked(made: Gaussians) -> layout.Gaussians:
-    return layout.Gaussians(
+def _unpacked(made: Gaussians) -> layout.DecodedGaussians:
+    return layout.DecodedGaussians(
         position=_wide(made.position),
         opacity=_wide(made.opacity).reshape(-1),
         covariance=_covariance(made),
@@ -133,7 +133,7 @@ def measure_bounds(references: list[Reference]) -> Bounds:
         raise GeneratorInvalid(
             "no probe gives a single finite, visible Gaussian",
             where="forward",
-            mend="Check that opacity is activated and that positions are finite.",
+            hint="Check that opacity is activated and that positions are finite.",
         )
     return bounds
 

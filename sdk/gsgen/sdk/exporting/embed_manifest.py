@@ -9,7 +9,7 @@ from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.spec.manifest import Manifest
 from gsgen.contract.spec.manifest_io import dumps
 from gsgen.contract.spec.targets import Target
-from gsgen.sdk.passes.framework.base import Goal, opset_of
+from gsgen.sdk.passes.framework.base import RewriteTarget, opset_of
 from gsgen.sdk.rewriting.rewrite import Change, rewrite_graph
 
 
@@ -28,7 +28,7 @@ def finish(
         model
     )  # the exporter may call a tensor `view` although an input is called so
     # The operator set is the one that was asked for when the graph was made.
-    goal = Goal.of(target, manifest, opset_of(model))
+    goal = RewriteTarget.of(target, manifest, opset_of(model))
     changes = rewrite_graph(model, goal) if rewrite else []
     model.metadata_props.clear()  # the exporter's notes name files of the author's machine
     for node in model.graph.all_nodes():

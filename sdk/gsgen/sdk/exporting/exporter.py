@@ -32,7 +32,7 @@ from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.authoring.generator import GaussianGenerator
-from gsgen.sdk.authoring.module_checks import require_declared
+from gsgen.sdk.authoring.module_checks import validate_module
 from gsgen.sdk.authoring.packed_module import (
     APPEARANCE_RGB,
     APPEARANCE_SH,
@@ -56,9 +56,9 @@ from gsgen.sdk.exporting.sh_padding import filled_harmonics
 from gsgen.sdk.exporting.trace_hazards import Watch
 from gsgen.sdk.exporting.tracing import trace
 from gsgen.sdk.exporting.verification import check_contract, check_memory, check_parity
-from gsgen.sdk.float16.convert_model import Halved, half_manifest, to_float16
+from gsgen.sdk.float16.convert_model import Float16Result, half_manifest, to_float16
 from gsgen.sdk.parity import Parity
-from gsgen.sdk.rewriting.atomic_model_files import draft_of, refuse_folder
+from gsgen.sdk.rewriting.atomic_model_files import atomic_write, refuse_folder
 from gsgen.sdk.rewriting.model_io import save_model
 from gsgen.sdk.rewriting.rewrite import Change, prepare
 
@@ -104,7 +104,7 @@ class Exported:
     parity: Parity
     report: Report
     changes: tuple[Change, ...] = ()
-    halved: Halved | None = None
+    halved: Float16Result | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -152,7 +152,7 @@ def export(
     """
     path = Path(path)
     refuse_folder(path)
-    require_declared(generator)
+    validate_module(generator)
     generator = generator.eval().cpu()
     wanted = _Wanted(name or path.stem, dtype, capacity, opset, target, rewrite)
     with filled_harmonics(generator, half=dtype == "float16", target=target) as notes:
@@ -209,7 +209,7 @@ def _export(
             progress=progress,
         )
         manifest = half_manifest(manifest)
-    with draft_of(path) as draft:
+    with atomic_write(path) as draft:
         save_model(model, draft)
         suspects = Suspects(generator, example, hazards, wanted.rewrite)
         slack = (_HALF_SLACK, _HALF_ROUNDINGS) if halves else (None, 1)
@@ -252,7 +252,7 @@ def _describe(
         raise GeneratorInvalid(
             f"capacity {rows} is less than the {len(made)} Gaussians",
             where="capacity",
-            mend=f"Give {len(made)} or more.",
+            hint=f"Give {len(made)} or more.",
         )
     bounds = measure_bounds(first)
     draft = _manifest(generator, name, dtype, made.degree, rows, bounds)
@@ -275,11 +275,11 @@ def _check_inputs(generator: GaussianGenerator) -> None:
     where = f"{type(generator).__name__}.inputs"
     for entry in generator.inputs:
         if names.count(entry.name) > 1:
-            mend = "Give each input a name of its own."
-            raise GeneratorInvalid(f"{entry.name!r} stands twice", where=where, mend=mend)
+            hint = "Give each input a name of its own."
+            raise GeneratorInvalid(f"{entry.name!r} stands twice", where=where, hint=hint)
         if entry.shape is None:
-            mend = "Make inputs with the functions of gsgen.sdk.authoring.inputs."
-            raise GeneratorInvalid(f"{entry.name!r} has no shape", where=where, mend=mend)
+            hint = "Make inputs with the functions of gsgen.sdk.authoring.inputs."
+            raise GeneratorInvalid(f"{entry.name!r} has no shape", where=where, hint=hint)
 
 
 def _check_cells(generator: GaussianGenerator, made: Reference) -> None:
@@ -288,11 +288,11 @@ def _check_cells(generator: GaussianGenerator, made: Reference) -> None:
     where = type(generator).__name__
     if made.cells is None:
         what = "weighted_sum is set, but forward returns no cells to sum by"
-        mend = "Return Gaussians(…, cells=Cells(…)), or leave weighted_sum out."
+        hint = "Return Gaussians(…, cells=Cells(…)), or leave weighted_sum out."
     else:
         what = "forward returns cells, but nothing says how to weigh what is in them"
-        mend = "Set weighted_sum = WeightedSum(background=…)."
-    raise GeneratorInvalid(what, where=where, mend=mend)
+        hint = "Set weighted_sum = WeightedSum(background=…)."
+    raise GeneratorInvalid(what, where=where, hint=hint)
 
 
 def _manifest(

@@ -12,9 +12,9 @@ from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.authoring.generator import GaussianGenerator
 from gsgen.sdk.exporting.eager_reference import run_eager
 from gsgen.sdk.exporting.trace_hazards import Hazard
-from gsgen.sdk.parity import Made, Reference, same
+from gsgen.sdk.parity import ModelOutput, Reference, same
 
-Run = Callable[[list[Probe]], list[Made]]
+Run = Callable[[list[Probe]], list[ModelOutput]]
 _MOST = 3
 
 _RANDOM = (
@@ -95,7 +95,7 @@ def _lost_inputs(
     ]
 
 
-def _equal(a: Made, b: Made) -> bool:
+def _equal(a: ModelOutput, b: ModelOutput) -> bool:
     pairs = [(a.rows, b.rows), (a.color, b.color)]
     if a.cells is not None and b.cells is not None:
         pairs.append((a.cells, b.cells))

@@ -31,7 +31,7 @@ from gsgen.contract.spec.roles import POST_PROCESS, ROLES
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.settings import Settings
-from gsgen.sdk.authoring.module_checks import require_declared
+from gsgen.sdk.authoring.module_checks import validate_module
 from gsgen.sdk.authoring.post_process import PostProcess
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
 from gsgen.sdk.exporting.embed_manifest import finish
@@ -40,7 +40,7 @@ from gsgen.sdk.exporting.tracing import Named, trace_module
 from gsgen.sdk.exporting.verification import check_contract, run_exported
 from gsgen.sdk.float16.convert_image_model import HalvedImage, halve_image
 from gsgen.sdk.parity import FieldParity, Parity
-from gsgen.sdk.rewriting.atomic_model_files import draft_of
+from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 from gsgen.sdk.rewriting.model_io import save_model
 from gsgen.sdk.rewriting.rewrite import Change
 
@@ -117,7 +117,7 @@ def export_post_process(
         ExportRejected: The model breaks a rule; the error carries the report.
     """
     path = Path(path)
-    require_declared(model)
+    validate_module(model)
     model = model.eval().cpu()
     _check_inputs(model)
     manifest = _manifest(model, name or path.stem, dtype)
@@ -146,7 +146,7 @@ def export_post_process(
             if np.isfinite(image).all()
         ]
         halved = halve_image(graph, name, sound[:_HALF_PROBES], allowed, progress)
-    with draft_of(path) as draft:
+    with atomic_write(path) as draft:
         save_model(graph, draft)
         progress(f"comparing with eager torch at {len(probes)} probes")
         parity = _check_parity(draft, manifest, probes, wanted, allowed)
@@ -186,25 +186,25 @@ def _check_inputs(model: PostProcess) -> None:
     names = [entry.name for entry in model.inputs]
     images = [entry.name for entry in model.inputs if entry.role == "image"]
     if len(images) != 1:
-        mend = "Give one gsgen.sdk.authoring.inputs.image()."
-        raise GeneratorInvalid(f"{len(images)} images, wanted one", where=where, mend=mend)
+        hint = "Give one gsgen.sdk.authoring.inputs.image()."
+        raise GeneratorInvalid(f"{len(images)} images, wanted one", where=where, hint=hint)
     image = _image(model.inputs)
     if image.range is not None and image.range != model.image_range:
         what = f"{image.name!r} has the range {image.range}, but image_range is {model.image_range}"
-        mend = "Give inputs.image() the same range."
-        raise GeneratorInvalid(what, where=where, mend=mend)
+        hint = "Give inputs.image() the same range."
+        raise GeneratorInvalid(what, where=where, hint=hint)
     for entry in model.inputs:
         if names.count(entry.name) > 1 or entry.name == OUTPUT:
             what = f"{entry.name!r} stands twice, or is the name of the result"
             raise GeneratorInvalid(
-                what, where=where, mend="Give each input a name of its own."
+                what, where=where, hint="Give each input a name of its own."
             )
         if POST_PROCESS not in ROLES[entry.role].kinds:
             what = f"{entry.name!r} has the role {entry.role}, which a post-process model has not"
             raise GeneratorInvalid(what, where=where)
         if entry.shape is None and entry.role != "image":
-            mend = "Make inputs with the functions of gsgen.sdk.authoring.inputs."
-            raise GeneratorInvalid(f"{entry.name!r} has no shape", where=where, mend=mend)
+            hint = "Make inputs with the functions of gsgen.sdk.authoring.inputs."
+            raise GeneratorInvalid(f"{entry.name!r} has no shape", where=where, hint=hint)
 
 
 def _manifest(model: PostProcess, name: str, dtype: Any) -> PostProcessManifest:
@@ -287,10 +287,10 @@ def _compared(
     span: float,
     allowed: float,
 ) -> Iterator[FieldParity]:
-    for seen, want, probe in zip(made, wanted, probes, strict=True):
-        if probe.zeros and not np.isfinite(want).all():
+    for seen, expected, probe in zip(made, wanted, probes, strict=True):
+        if probe.zeros and not np.isfinite(expected).all():
             continue  # a fault of the module itself, which rule GI009 reports
-        error = np.abs(seen.astype(np.float64) - want) / span
+        error = np.abs(seen.astype(np.float64) - expected) / span
         error[np.isnan(error)] = np.inf
         at, largest = int(np.argmax(error)), float(error.max())
         yield FieldParity("image", largest, largest / allowed, probe.label, at)

@@ -13,7 +13,7 @@ from onnx_ir import passes
 from onnx_ir.passes.common import NameFixPass
 
 from gsgen.contract.errors import GsgenError, UnknownName
-from gsgen.contract.model.inspected_model import Subject, read_subject
+from gsgen.contract.model.inspected_model import InspectedModel, inspect_model
 from gsgen.contract.model.model_file import MANIFEST_KEY, open_model
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.spec.manifest_io import dumps
@@ -34,7 +34,7 @@ from gsgen.sdk.passes import (
     ReorderHarmonics,
     SilencePadding,
 )
-from gsgen.sdk.rewriting.atomic_model_files import draft_of
+from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 from gsgen.sdk.rewriting.model_io import (
     has_external_weights,
     refuse_overwriting,
@@ -105,7 +105,7 @@ def repair(
     """
     request, settings = request or Request(), settings or Settings()
     before = validate(source, settings)
-    subject = read_subject(open_model(source), settings.target, settings.limits)
+    subject = inspect_model(open_model(source), settings.target, settings.limits)
     if target is not None:
         refuse_overwriting(subject.file, target)
     broken = {finding.rule for finding in before.findings}
@@ -135,7 +135,7 @@ def repair(
 def _draft(target: Path | None, source: Path) -> Iterator[Path]:
     """Yield where the copy is written to be judged; without ``target`` it goes no further."""
     if target is not None:
-        with draft_of(target) as draft:
+        with atomic_write(target) as draft:
             yield draft
         return
     with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
@@ -158,24 +158,24 @@ def _nothing(_: ir.Model) -> None:
     return
 
 
-def _own_manifest(subject: Subject) -> GeneratorManifest:
+def _own_manifest(subject: InspectedModel) -> GeneratorManifest:
     if subject.parsed is None:
         raise GsgenError(
             "carries no manifest, so its outputs' meaning would be guessed",
             where=str(subject.file.path),
-            mend="Derive one with `gsgen inspect MODEL --emit-manifest`, check it, and give it "
+            hint="Derive one with `gsgen inspect MODEL --emit-manifest`, check it, and give it "
             "with --manifest FILE.",
         )
     if not isinstance(subject.manifest, GeneratorManifest):
-        mend = "See `gsgen validate --level static`."
+        hint = "See `gsgen validate --level static`."
         raise GsgenError(
-            "is no Gaussian Generator", where=str(subject.file.path), mend=mend
+            "is no Gaussian Generator", where=str(subject.file.path), hint=hint
         )
     return subject.manifest
 
 
 def _steps(
-    subject: Subject, manifest: GeneratorManifest, broken: set[str], request: Request
+    subject: InspectedModel, manifest: GeneratorManifest, broken: set[str], request: Request
 ) -> tuple[Steps, GeneratorManifest]:
     """Return the changes to make, in order, and the manifest that fits the result."""
     steps: Steps = []

@@ -94,12 +94,12 @@ class Hazard:
         return _CURES[self.kind][0]
 
     @property
-    def mend(self) -> str:
+    def hint(self) -> str:
         """What to write instead."""
         return _CURES[self.kind][1]
 
     def __str__(self) -> str:
-        return f"{self.where}: {self.what}. {self.mend}"
+        return f"{self.where}: {self.what}. {self.hint}"
 
 
 class Watch(TorchFunctionMode):

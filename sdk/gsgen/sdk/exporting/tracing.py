@@ -113,7 +113,7 @@ def trace_module(
     made = program.model.opset_imports.get("", opset)
     if made != opset:  # torch leaves it at that, with a note in its log
         what = f"torch cannot convert the graph to operator set {opset}; it has {made}"
-        raise ExportFailed(what, where="opset", mend=f"Export at operator set {made}.")
+        raise ExportFailed(what, where="opset", hint=f"Export at operator set {made}.")
     return program.model
 
 
@@ -143,10 +143,10 @@ def _explained(name: str, error: BaseException, hazards: Sequence[Hazard]) -> Ex
     line = line_of(root)
     likely = [one for one in hazards if line and line in one.where] or list(hazards)
     if not likely:
-        return ExportFailed(what, where=line or name, mend=_MEND)
+        return ExportFailed(what, where=line or name, hint=_MEND)
     first = likely[0]
     return ExportFailed(
         f"{first.what}, and torch cannot export it ({what})",
         where=line or first.where,
-        mend="\n  ".join([first.mend, *(str(one) for one in likely[1:_MOST])]),
+        hint="\n  ".join([first.hint, *(str(one) for one in likely[1:_MOST])]),
     )

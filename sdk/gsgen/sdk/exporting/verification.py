@@ -24,7 +24,7 @@ from gsgen.sdk.errors import ExportRejected, GeneratorInvalid, ParityFailed
 from gsgen.sdk.exporting.eager_reference import run_eager
 from gsgen.sdk.exporting.parity_diagnosis import Suspects, explain
 from gsgen.sdk.exporting.trace_hazards import Watch
-from gsgen.sdk.parity import Made, Parity, Reference, compare, same
+from gsgen.sdk.parity import ModelOutput, Parity, Reference, compare, same
 
 # How far inputs are moved to find rows that jump: some times what kernels round.
 _NUDGE = 1e-5
@@ -68,18 +68,18 @@ def check_parity(
     if parity.holds:
         return parity
 
-    def run(probes: list[Probe]) -> list[Made]:
+    def run(probes: list[Probe]) -> list[ModelOutput]:
         return _run(path, manifest, probes)
 
     worst = max(parity.fields, key=lambda field: field.excess)
     whose = "cell" if worst.field.startswith("cell") else "Gaussian"
-    reason, mend = explain(suspects, manifest, references, run)
+    reason, hint = explain(suspects, manifest, references, run)
     raise ParityFailed(
         f"{worst.field} of {whose} {worst.row} is off by {worst.error:.3g} at probe "
         f"{worst.probe!r}, {worst.excess:.3g} times what is allowed{reason} "
         f"({parity.describe()})",
         where=path.name,
-        mend=mend,
+        hint=hint,
         parity=parity,
     )
 
@@ -87,7 +87,7 @@ def check_parity(
 def _neighbours(
     generator: GaussianGenerator,
     references: list[Reference],
-    outputs: list[Made],
+    outputs: list[ModelOutput],
     tolerances: Tolerances,
 ) -> dict[int, list[Reference]]:
     """Run torch a hair beside each probe at which the model differs."""
@@ -117,10 +117,12 @@ def _nudged(probe: Probe) -> Iterator[Probe]:
             yield replace(probe, inputs=moved)
 
 
-def _run(path: Path, manifest: GeneratorManifest, probes: list[Probe]) -> list[Made]:
+def _run(path: Path, manifest: GeneratorManifest, probes: list[Probe]) -> list[ModelOutput]:
     rows, color, count, *cells = names = output_names(manifest)
     return [
-        Made(one[rows], one[color], int(np.ravel(one[count])[0]), *(one[n] for n in cells))
+        ModelOutput(
+            one[rows], one[color], int(np.ravel(one[count])[0]), *(one[n] for n in cells)
+        )
         for one in run_exported(path, names, probes)
     ]
 
@@ -167,7 +169,7 @@ def check_memory(
         f"forward remembers earlier frames: begun at probe {known.probe.label!r}, it gives "
         "another result than when it comes there from others",
         where="; ".join(one.where for one in changes[:3]),
-        mend=changes[0].mend if changes else "",
+        hint=changes[0].hint if changes else "",
     )
 
 
@@ -193,6 +195,6 @@ def check_contract(
         listed = "; ".join(
             f"{f.rule} {f.where}: {f.message}" for f in broken or report.findings
         )
-        mend = (broken or report.findings)[0].mend if report.findings else ""
-        raise ExportRejected(listed, report, where=path.name, mend=mend)
+        hint = (broken or report.findings)[0].hint if report.findings else ""
+        raise ExportRejected(listed, report, where=path.name, hint=hint)
     return report

@@ -16,7 +16,7 @@ import onnx_ir as ir
 
 from gsgen.contract.probing.probes import Probe
 from gsgen.sdk.float16.instrumented_model import HalfModel
-from gsgen.sdk.float16.sensitivity_search import largest_harmless
+from gsgen.sdk.float16.sensitivity_search import max_quantizable
 from gsgen.sdk.float16.to_float16 import FLOAT, HALF, ToFloat16, halves, key_of
 from gsgen.sdk.passes.framework.base import is_op, opset_of
 from gsgen.sdk.passes.framework.graph_builder import free_name
@@ -75,20 +75,20 @@ def halve_image(
     opset, once = opset_of(model), set(constant_nodes(model.graph))
     nodes = [n for n in model.graph if n not in once and halves(n, opset)]
     progress(f"measuring which of {len(measure.weights)} weights may be float16")
-    tables = largest_harmless(
+    tables = max_quantizable(
         range(len(measure.weights)),
         measure.of_weights,
         budget=_BUDGET,
         allowed=_SHARE_OF_WEIGHTS * allowed,
     )
-    measure.stored = tables.given_up
+    measure.stored = tables.quantized
     measure.rebase()
     progress(f"measuring which of {len(nodes)} nodes may round to float16")
     free = [k for k, node in enumerate(nodes) if not is_op(node, *_SUMS)]
-    found = largest_harmless(free, measure.of_nodes, budget=_BUDGET, allowed=_ROUNDING)
-    computed = {key_of(nodes[k]) for k in found.given_up}
+    found = max_quantizable(free, measure.of_nodes, budget=_BUDGET, allowed=_ROUNDING)
+    computed = {key_of(nodes[k]) for k in found.quantized}
     keep = {key_of(node) for node in nodes} - computed
-    stored = {measure.weights[k] for k in tables.given_up}
+    stored = {measure.weights[k] for k in tables.quantized}
     _halve_input(model.graph, image)
     ToFloat16(keep, outputs=True, stored=stored)(model)
     tidy(model)

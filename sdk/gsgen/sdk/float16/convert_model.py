@@ -6,7 +6,7 @@ Gaussian, covariances relative to their trace, opacity absolutely, appearance fr
 Tables are stored in 16 bits a number, whatever computes with them, unless even that would show.
 """
 
-__all__ = ["Halved", "half_manifest", "to_float16", "write_float16"]
+__all__ = ["Float16Result", "half_manifest", "to_float16", "write_float16"]
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import onnx_ir as ir
 
-from gsgen.contract.model.inspected_model import read_subject
+from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import MANIFEST_KEY, open_model
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.limits import Limits
@@ -22,14 +22,20 @@ from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
 from gsgen.contract.spec.manifest_io import dumps
 from gsgen.contract.spec.targets import load_target
 from gsgen.sdk.errors import RewriteFailed
-from gsgen.sdk.float16.error_measure import HalfMeasure
-from gsgen.sdk.float16.precision_policy import Kept, choose_tables, explain, guards, islands
-from gsgen.sdk.float16.sensitivity_search import largest_harmless
+from gsgen.sdk.float16.error_measure import ErrorProbe
+from gsgen.sdk.float16.precision_policy import (
+    Kept,
+    choose_tables,
+    epsilon_guards,
+    explain,
+    merge_islands,
+)
+from gsgen.sdk.float16.sensitivity_search import max_quantizable
 from gsgen.sdk.float16.to_float16 import Boundary, ToFloat16, halves, key_of
 from gsgen.sdk.parity import Parity
 from gsgen.sdk.passes.framework.base import opset_of
 from gsgen.sdk.passes.repairs import PadColor
-from gsgen.sdk.rewriting.atomic_model_files import draft_of
+from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 from gsgen.sdk.rewriting.constant_subgraph import constant_nodes
 from gsgen.sdk.rewriting.model_io import (
     has_external_weights,
@@ -51,7 +57,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Halved:
+class Float16Result:
     """A finished conversion.
 
     Attributes:
@@ -90,7 +96,7 @@ def write_float16(
     budget: int = _BUDGET,
     limits: Limits | None = None,
     progress: Progress = lambda _: None,
-) -> Halved:
+) -> Float16Result:
     """Write ``source`` in float16 to ``path``.
 
     Args:
@@ -109,7 +115,7 @@ def write_float16(
             would not fill words, or no choice keeps the tolerances.
     """
     limits = limits or Limits()
-    subject = read_subject(open_model(source), load_target("core"), limits)
+    subject = inspect_model(open_model(source), load_target("core"), limits)
     if path is not None:
         refuse_overwriting(subject.file, path)
     manifest = subject.parsed.manifest if subject.parsed is not None else None
@@ -117,7 +123,7 @@ def write_float16(
         raise RewriteFailed(
             "has no manifest of a Gaussian Generator, so errors have no units",
             where=str(source),
-            mend="Derive one with `gsgen inspect MODEL --emit-manifest` and embed it with "
+            hint="Derive one with `gsgen inspect MODEL --emit-manifest` and embed it with "
             "`gsgen fix`.",
         )
     model = ir.load(source)
@@ -135,7 +141,7 @@ def write_float16(
         progress=progress,
     )
     if path is not None:
-        with draft_of(path) as draft:
+        with atomic_write(path) as draft:
             save_model(converted, draft, beside=beside)
     return replace(made, path=path)
 
@@ -152,7 +158,7 @@ def to_float16(
     budget: int = _BUDGET,
     limits: Limits | None = None,
     progress: Progress = lambda _: None,
-) -> tuple[ir.Model, Halved]:
+) -> tuple[ir.Model, Float16Result]:
     """Return ``model`` converted, and how; see :func:`write_float16`.
 
     Without ``arithmetic``, weights are stored in 16 bits and outputs are float16, and every node
@@ -166,7 +172,7 @@ def to_float16(
     if outputs:
         _refuse_half_words(model, manifest)
     progress("running the model in float32")
-    measure = HalfMeasure(model, manifest, probes, allowed, outputs, roundings)
+    measure = ErrorProbe(model, manifest, probes, allowed, outputs, roundings)
     before, frame = weight_bytes(model), measure.frame_bytes
     opset = opset_of(model)
     once = set(constant_nodes(model.graph))
@@ -178,26 +184,26 @@ def to_float16(
         raise RewriteFailed(
             f"float16 outputs alone are too coarse: {measure.rounded.describe()}",
             where="outputs",
-            mend="Keep them float32 (`gsgen float16 --keep-outputs`), or move the scene closer to "
+            hint="Keep them float32 (`gsgen float16 --keep-outputs`), or move the scene closer to "
             "its origin.",
         )
-    guarded = guards(nodes, opset)
+    guarded = epsilon_guards(nodes, opset)
     spent, result = 0, None
     for share in _SHARES:
         # Tables come first: they are what is stored, loaded and sent.
         progress(f"measuring which of {len(measure.weights)} weights may be float16")
         portion = share * (_SHARE_OF_WEIGHTS if arithmetic else _SHARE_WITHOUT_NODES)
         tables = choose_tables(measure, budget, portion)
-        stored = {measure.weights[k] for k in tables.given_up}
+        stored = {measure.weights[k] for k in tables.quantized}
         progress(f"measuring which of {len(nodes)} nodes may round to float16")
-        measure.stored = tables.given_up
+        measure.stored = tables.quantized
         free = [k for k, n in enumerate(nodes) if arithmetic and n not in guarded]
-        found = largest_harmless(free, measure, budget=budget, allowed=share)
+        found = max_quantizable(free, measure, budget=budget, allowed=share)
         spent += tables.measured + found.measured
         kept = explain(nodes, guarded, found.kept)
         if not arithmetic:
             kept = [Kept(key_of(node), "weights alone are halved") for node in nodes]
-        kept += islands(boundary, nodes, kept)
+        kept += merge_islands(boundary, nodes, kept)
         casts = boundary.casts({one.node for one in kept})
         trial = model.clone()
         plain = {measure.weights[k] for k in measure.model.plain}
@@ -216,10 +222,10 @@ def to_float16(
         raise RewriteFailed(
             f"its float16 kernels differ by more than rounding: {parity.describe()}",
             where="model",
-            mend="Raise the tolerances in the manifest, or leave the model in float32.",
+            hint="Raise the tolerances in the manifest, or leave the model in float32.",
         )
     trial, kept, weights, casts, parity = result
-    return trial, Halved(
+    return trial, Float16Result(
         None,
         len(nodes) - len(kept),
         tuple(kept),
@@ -247,7 +253,7 @@ def _refuse_half_words(model: ir.Model, manifest: GeneratorManifest) -> None:
             f"has {channels} channels of SH, whose float16 rows do not fill words of 4 bytes "
             "(rule GO015)",
             where=f"output {color.name}",
-            mend="Keep outputs float32 (`gsgen float16 --keep-outputs`), or export anew with "
+            hint="Keep outputs float32 (`gsgen float16 --keep-outputs`), or export anew with "
             "`--dtype float16`, which fills SH up.",
         )
 

@@ -1,6 +1,6 @@
 """How much it shows, in the contract's units, that numbers of a model are float16."""
 
-__all__ = ["HalfMeasure"]
+__all__ = ["ErrorProbe"]
 
 import tempfile
 from collections.abc import Collection, Mapping, Sequence
@@ -16,7 +16,7 @@ from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.float16.instrumented_model import HalfModel
-from gsgen.sdk.parity import FieldParity, Made, Parity, Reference, compare
+from gsgen.sdk.parity import FieldParity, ModelOutput, Parity, Reference, compare
 from gsgen.sdk.rewriting.model_io import has_external_weights, save_model
 
 _LEAST_ROOM = 1e-3
@@ -24,7 +24,7 @@ _LEAST_ROOM = 1e-3
 _UNSEEN = 12
 
 
-class HalfMeasure:
+class ErrorProbe:
     """Measures the error of rounding some nodes of a model, in the contract's units.
 
     Args:
@@ -93,16 +93,16 @@ class HalfMeasure:
         rows = layout.decode(made.rows, made.color, self.space)
         return Reference(probe, rows, made.count, cells)
 
-    def _read(self, made: Mapping[str, np.ndarray]) -> Made:
+    def _read(self, made: Mapping[str, np.ndarray]) -> ModelOutput:
         rows, color, count, *cells = (made[name] for name in self.names)
-        return Made(rows, color, int(np.ravel(count)[0]), *cells)
+        return ModelOutput(rows, color, int(np.ravel(count)[0]), *cells)
 
-    def _stored_as(self, one: Made) -> Made:
+    def _stored_as(self, one: ModelOutput) -> ModelOutput:
         """Return the same as the outputs will hold it."""
         with np.errstate(over="ignore"):
             cells = None if one.cells is None else one.cells.astype(self.storage)
             rows, color = one.rows.astype(self.storage), one.color.astype(self.storage)
-            return Made(rows, color, one.count, cells)
+            return ModelOutput(rows, color, one.count, cells)
 
     def parity(self, chosen: Collection[int]) -> Parity:
         """Compare the outputs with the ``chosen`` units rounded, and stored as they will be."""
@@ -114,7 +114,9 @@ class HalfMeasure:
         made = [self._stored_as(self._read(one)) for one in runs]
         return self._compared(self._references, made)
 
-    def _compared(self, references: Sequence[Reference], made: Sequence[Made]) -> Parity:
+    def _compared(
+        self, references: Sequence[Reference], made: Sequence[ModelOutput]
+    ) -> Parity:
         return compare(references, made, self.tolerances, roundings=self.roundings)
 
     def __call__(self, chosen: Collection[int]) -> tuple[float, str]:

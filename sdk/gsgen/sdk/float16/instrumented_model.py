@@ -16,7 +16,7 @@ from gsgen.sdk.float16.to_float16 import FLOAT, HALF, halves, key_of, places_of
 from gsgen.sdk.float16.weight_tables import HalfTable, half_table
 from gsgen.sdk.passes.framework.base import is_op, opset_of
 from gsgen.sdk.passes.framework.graph_builder import new_node, weight
-from gsgen.sdk.rewriting.constant_subgraph import split_constants
+from gsgen.sdk.rewriting.constant_subgraph import partition_constants
 from gsgen.sdk.rewriting.model_io import save_model
 
 FLAGS = "computed_in_float16"
@@ -61,7 +61,7 @@ class HalfModel:
     """
 
     def __init__(self, model: ir.Model) -> None:
-        part = split_constants(model)
+        part = partition_constants(model)
         copy = part.rest
         opset = opset_of(copy)
         nodes = [node for node in copy.graph if halves(node, opset)]

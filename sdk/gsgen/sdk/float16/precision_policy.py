@@ -1,6 +1,6 @@
 """What of a model stays float32: tables and nodes whose rounding shows, guards, and islands."""
 
-__all__ = ["Kept", "choose_tables", "explain", "guards", "islands"]
+__all__ = ["Kept", "choose_tables", "epsilon_guards", "explain", "merge_islands"]
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.float16.error_measure import HalfMeasure
+from gsgen.sdk.float16.error_measure import ErrorProbe
 from gsgen.sdk.float16.instrumented_model import GUARD_ELEMENTS, LARGEST
-from gsgen.sdk.float16.sensitivity_search import Search, Sensitivity, largest_harmless
+from gsgen.sdk.float16.sensitivity_search import Search, Sensitivity, max_quantizable
 from gsgen.sdk.float16.to_float16 import FLOAT, Boundary, key_of, places_of
 from gsgen.sdk.float16.weight_tables import LEAST_ELEMENTS
 from gsgen.sdk.passes.framework.base import is_op
@@ -39,43 +39,43 @@ class Kept:
     excess: float = 0.0
 
 
-def choose_tables(measure: HalfMeasure, budget: int, allowed: float) -> Search:
+def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
     """Find tables to store in 16 bits: large ones first, since small ones hardly matter.
 
     A table whose even steps would show is tried as float16, which rounds small numbers less.
     """
     measure.model.store_plainly(())
     large = [k for k, size in enumerate(measure.sizes) if size >= LEAST_ELEMENTS]
-    first = largest_harmless(large, measure.of_weights, budget=budget, allowed=allowed)
+    first = max_quantizable(large, measure.of_weights, budget=budget, allowed=allowed)
     again = [k for one in first.kept for k in one.units if measure.model.is_in_steps(k)]
     measure.model.store_plainly(again)
-    plain = largest_harmless(
+    plain = max_quantizable(
         again,
-        lambda more: measure.of_weights([*first.given_up, *more]),
+        lambda more: measure.of_weights([*first.quantized, *more]),
         budget=budget - first.measured,
         allowed=allowed,
     )
-    stored = first.given_up | plain.given_up
+    stored = first.quantized | plain.quantized
     kept = (
         replace(one, units=tuple(k for k in one.units if k not in stored))
         for one in first.kept
     )
     measured = first.measured + plain.measured
     small = [k for k, size in enumerate(measure.sizes) if size < LEAST_ELEMENTS]
-    second = largest_harmless(
+    second = max_quantizable(
         small,
         lambda more: measure.of_weights([*stored, *more]),
         budget=budget - measured,
         allowed=allowed,
     )
     return Search(
-        stored | second.given_up,
+        stored | second.quantized,
         (*(one for one in kept if one.units), *second.kept),
         measured + second.measured,
     )
 
 
-def guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
+def epsilon_guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
     """Return nodes that are kept from float16 whatever the probes show.
 
     An epsilon that becomes zero guards nothing, and what it guards may only be zero in a frame that
@@ -121,7 +121,7 @@ def explain(
     return kept
 
 
-def islands(
+def merge_islands(
     boundary: Boundary, nodes: Sequence[ir.Node], kept: Sequence[Kept]
 ) -> list[Kept]:
     """Return nodes among the kept ones that need fewer Casts if they are kept, too."""

@@ -1,6 +1,6 @@
 """Which of many parts can be given up together: search by measuring, within a budget."""
 
-__all__ = ["Search", "Sensitivity", "largest_harmless"]
+__all__ = ["Search", "Sensitivity", "max_quantizable"]
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
@@ -29,12 +29,12 @@ class Search:
     """What was found.
 
     Attributes:
-        given_up: Numbers of the units that can all be given up at once.
+        quantized: Numbers of the units that can all be given up at once.
         kept: The others, each group with what it would have cost alone.
         measured: How many choices were measured.
     """
 
-    given_up: frozenset[int]
+    quantized: frozenset[int]
     kept: tuple[Sensitivity, ...]
     measured: int
 
@@ -42,7 +42,7 @@ class Search:
 Measure = Callable[[Collection[int]], tuple[float, str]]
 
 
-def largest_harmless(
+def max_quantizable(
     units: Sequence[int], measure: Measure, *, budget: int = 200, allowed: float = 1.0
 ) -> Search:
     """Find many units that can be given up together with an excess of at most ``allowed``.

@@ -10,7 +10,13 @@ import onnx
 import onnx_ir as ir
 
 from gsgen.sdk.float16.weight_tables import HalfTable, half_table
-from gsgen.sdk.passes.framework.base import MAIN_DOMAIN, Exactness, Goal, is_op, opset_of
+from gsgen.sdk.passes.framework.base import (
+    MAIN_DOMAIN,
+    ErrorBudget,
+    RewriteTarget,
+    is_op,
+    opset_of,
+)
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import free_name, new_node, weight
 from gsgen.sdk.rewriting.constant_subgraph import constant_nodes
@@ -39,7 +45,7 @@ class ToFloat16(CautiousRewrite):
     """
 
     name: ClassVar[str] = "to-float16"
-    exactness: ClassVar[Exactness] = Exactness(relative=1e-2)
+    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-2)
     wanted_by: ClassVar[str] = "whoever asks for it: `gsgen float16`"
 
     def __init__(
@@ -55,7 +61,7 @@ class ToFloat16(CautiousRewrite):
         self.stored, self.plain = frozenset(stored), frozenset(plain)
 
     @classmethod
-    def for_goal(cls, goal: Goal) -> None:
+    def for_goal(cls, goal: RewriteTarget) -> None:
         """Return nothing: no target asks for it, and which nodes to keep is to be measured."""
         return
 

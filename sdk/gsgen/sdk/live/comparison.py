@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gsgen.contract.errors import LayoutMismatch
-from gsgen.contract.probing.outputs import Emission, read_emission
+from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.spec import layout
 from gsgen.contract.validation.tolerances import as_tolerances
 from gsgen.sdk.binding.replay_check import (
@@ -19,7 +19,7 @@ from gsgen.sdk.binding.replay_check import (
     wrong_outputs,
 )
 from gsgen.sdk.live.level import Frame, Live, Outputs
-from gsgen.sdk.parity import Made, Parity, Reference, compare
+from gsgen.sdk.parity import ModelOutput, Parity, Reference, compare
 
 # Rows beyond this many are compared at even distances.
 _MOST_ROWS = 1 << 14
@@ -43,10 +43,10 @@ def disagreements(live: Live) -> Iterator[tuple[str, str, str]]:
         for field in packed.fields:
             if not field.excess <= 1:
                 times = f"{field.excess:.3g} times what is allowed"
-                saw = (
+                actual = (
                     f"off by {field.error:.3g} at row {field.row}, {times} ({field.probe})"
                 )
-                yield f"field {field.field}", saw, "what the CPU gives"
+                yield f"field {field.field}", actual, "what the CPU gives"
     judged = _declared_names(live) if packed is not None else set()
     for name in frames[0].cpu if frames else ():
         if name not in judged:
@@ -75,7 +75,7 @@ def _packed(live: Live, frames: list[Frame]) -> Parity | None:
             return None
         alive = int(np.count_nonzero(rows < cpu.count))
         count = alive if gpu.count == cpu.count else gpu.count
-        made = Made(gpu.gaussians[rows], gpu.appearance[rows], count)
+        made = ModelOutput(gpu.gaussians[rows], gpu.appearance[rows], count)
         known = Reference(frame.probe, wanted, alive)
         if cells is not None and cpu.cells is not None and gpu.cells is not None:
             known = replace(known, cells=layout.decode_cells(cpu.cells[cells]))
@@ -85,12 +85,12 @@ def _packed(live: Live, frames: list[Frame]) -> Parity | None:
     return compare(references, outputs, as_tolerances(live.subject), roundings=2)
 
 
-def _emission(live: Live, frame: Frame, outputs: Outputs | None) -> Emission:
+def _emission(live: Live, frame: Frame, outputs: Outputs | None) -> ModelOutputs:
     probe = frame.probe
-    return read_emission(live.subject, probe.label, probe.zeros, dict(outputs or {}))
+    return read_outputs(live.subject, probe.label, probe.zeros, dict(outputs or {}))
 
 
-def _some_rows(emission: Emission) -> tuple[np.ndarray, np.ndarray | None]:
+def _some_rows(emission: ModelOutputs) -> tuple[np.ndarray, np.ndarray | None]:
     """Return which rows to compare, and which cells; of cells, all rows, in order."""
     if emission.cells is None or emission.gaussians is None:
         return _spread(emission.count, _MOST_ROWS), None
@@ -121,6 +121,6 @@ def _loose(name: str, frames: list[Frame]) -> Iterator[tuple[str, str, str]]:
     for frame in frames:
         cpu, gpu = np.asarray(frame.cpu[name]), np.asarray((frame.plain or {})[name])
         if not agree(cpu, gpu, _TOLERANCE):
-            saw = f"off by {largest_difference(cpu, gpu):.3g} ({frame.probe.label})"
-            yield f"output {name}", saw, "what the CPU gives"
+            actual = f"off by {largest_difference(cpu, gpu):.3g} ({frame.probe.label})"
+            yield f"output {name}", actual, "what the CPU gives"
             return

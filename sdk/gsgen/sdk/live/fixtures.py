@@ -11,9 +11,9 @@ import numpy as np
 
 from gsgen.conformance.fixtures import Fixture
 from gsgen.conformance.fixtures.builders.arrays import f32, i64
-from gsgen.conformance.fixtures.builders.fixture import breaks, fixtures_in
+from gsgen.conformance.fixtures.builders.fixture import fixtures_in, invalid
 from gsgen.conformance.fixtures.builders.moving import drifting
-from gsgen.conformance.fixtures.builders.sketch import Sketch
+from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.spec.severity import Level
 
 _SHIFT = "shift = Mul (speed, time)"
@@ -27,8 +27,8 @@ def live_fixtures() -> list[Fixture]:
     return fixtures_in(sys.modules[__name__])
 
 
-@breaks("GB011", level=Level.LIVE)
-def integers_of_64_bits() -> Sketch:
+@invalid("GB011", level=Level.LIVE)
+def integers_of_64_bits() -> ModelSpec:
     """A number above 2³² comes and goes; the GPU keeps its lower half."""
     counted = drifting().reworded(
         _SHIFT,
@@ -39,8 +39,8 @@ def integers_of_64_bits() -> Sketch:
     return counted.weighing(thousand=f32(1000), size=f32(1 << 32), big=big)
 
 
-@breaks("GB014", level=Level.LIVE)
-def branches_by_if() -> Sketch:
+@invalid("GB014", level=Level.LIVE)
+def branches_by_if() -> ModelSpec:
     """An If whose branches differ; a rule of the graph warns of it, too."""
     branched = drifting().reworded(
         _SHIFT,
@@ -51,8 +51,8 @@ def branches_by_if() -> Sketch:
     return branched.weighing(half=f32(0.5))
 
 
-@breaks("GB015", level=Level.LIVE)
-def round_on_the_cpu() -> Sketch:
+@invalid("GB015", level=Level.LIVE)
+def round_on_the_cpu() -> ModelSpec:
     """Time is rounded to tenths by an operator that no GPU kernel exists for."""
     stepped = drifting().reworded(
         _SHIFT,
@@ -62,8 +62,8 @@ def round_on_the_cpu() -> Sketch:
     return stepped.weighing(ten=f32(10))
 
 
-@breaks("GB016", level=Level.LIVE)
-def output_from_idle_sum() -> Sketch:
+@invalid("GB016", level=Level.LIVE)
+def output_from_idle_sum() -> ModelSpec:
     """Rows are made by a ReduceSum over no axis, a mere copy; a rule of the graph warns of it, too."""
     return drifting().reworded(
         _END,
@@ -72,8 +72,8 @@ def output_from_idle_sum() -> Sketch:
     )
 
 
-@breaks("GB017", level=Level.LIVE)
-def split_into_many() -> Sketch:
+@invalid("GB017", level=Level.LIVE)
+def split_into_many() -> ModelSpec:
     """A Split has more results than a kernel may bind; that shows only when it is launched."""
     parts = ", ".join(f"part_{index}" for index in range(_PARTS))
     wide = drifting().reworded(

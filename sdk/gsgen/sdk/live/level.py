@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.probes import Probe
-from gsgen.contract.probing.run_comparison import Trial
+from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.probing.sandbox import Execution, execute
 from gsgen.contract.process.limits import Limits
-from gsgen.contract.validation.level_backend import LevelUnavailable, Prepared
+from gsgen.contract.validation.level_backend import LevelContext, LevelUnavailable
 from gsgen.sdk.binding.providers.node_placement import Node
 from gsgen.sdk.binding.providers.webgpu import PACKAGE
 
@@ -78,7 +78,7 @@ class Live:
         frames: The first is the one that was captured.
     """
 
-    subject: Subject
+    subject: InspectedModel
     adapter: str
     nodes: tuple[Node, ...] | None
     accepted: bool
@@ -102,7 +102,7 @@ class Live:
 
 
 @contextmanager
-def prepare_live(trial: Trial) -> Iterator[Prepared]:
+def prepare_live(trial: ProbeRuns) -> Iterator[LevelContext]:
     """Run the model of ``trial`` live; the arrays live as long as the block.
 
     Raises:
@@ -117,7 +117,7 @@ def prepare_live(trial: Trial) -> Iterator[Prepared]:
     with execute(path, [], probes, limits, _WORKER, half=half) as execution:
         _refuse(execution)
         live = _read(trial, execution, runs)
-        yield Prepared(
+        yield LevelContext(
             context=live,
             items=len(live.frames),
             environment=_environment(execution.events) | {"capture": live.state},
@@ -140,10 +140,10 @@ def survey(seconds: float = 60) -> dict[str, str]:
 def _need_package() -> None:
     if find_spec(PACKAGE) is None:
         what = "onnxruntime-ep-webgpu is not installed"
-        raise LevelUnavailable(what, mend="pip install 'gsgen[live]'")
+        raise LevelUnavailable(what, hint="pip install 'gsgen[live]'")
 
 
-def _chosen_runs(trial: Trial) -> list[int]:
+def _chosen_runs(trial: ProbeRuns) -> list[int]:
     """Choose runs whose inputs differ, and at the end the first again."""
     plan = trial.plan
     runs = [run for run in range(plan.values) if not plan.probes[run].zeros]
@@ -161,11 +161,11 @@ def _refuse(execution: Execution) -> None:
         if event["event"] == "fell-back":
             raise RuntimeError(f"ONNX Runtime fell back to the CPU: {event['message']}")
         if event["event"] == "unavailable":
-            raise LevelUnavailable(event["what"], mend=event["mend"])
+            raise LevelUnavailable(event["message"], hint=event["hint"])
     ready = any(event["event"] == "adapter" for event in execution.events)
     if not ready and execution.fault is not None:
         what = f"the WebGPU provider does not start ({execution.fault.message})"
-        raise LevelUnavailable(what, mend="ask `gsgen doctor`")
+        raise LevelUnavailable(what, hint="ask `gsgen doctor`")
 
 
 def _environment(events: tuple[Event, ...]) -> dict[str, str]:
@@ -187,7 +187,7 @@ def _adapter(events: tuple[Event, ...]) -> str:
     return str(device)
 
 
-def _read(trial: Trial, execution: Execution, runs: list[int]) -> Live:
+def _read(trial: ProbeRuns, execution: Execution, runs: list[int]) -> Live:
     events = execution.events
     samples = {sample.index: sample.outputs for sample in execution.samples}
     given = {

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Level, Severity
-from gsgen.contract.validation.finding import Breach
-from gsgen.contract.validation.level_backend import Runner
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.level_backend import LevelBackend
 from gsgen.contract.validation.rule import rule
 from gsgen.sdk.binding.providers.webgpu import WEBGPU
 from gsgen.sdk.live.level import Live, prepare_live
 
-RUNNER = Runner(Level.LIVE, "replaying frames in WebGPU", prepare_live)
+RUNNER = LevelBackend(Level.LIVE, "replaying frames in WebGPU", prepare_live)
 
 _MOST_FRAMES = "every frame of several, with inputs that change"
 
@@ -27,21 +27,21 @@ _MOST_FRAMES = "every frame of several, with inputs that change"
     needs=("GB017", "GV001"),
     kinds=KINDS,
 )
-def ep_agreement(live: Live) -> Iterator[Breach]:
+def ep_agreement(live: Live) -> Iterator[Violation]:
     """The WebGPU provider gives what the CPU gives, within the tolerances that hold for the model.
 
     Why:
         The model is checked on the CPU and shown by a GPU, whose kernels round otherwise, cut
         integers of 64 bits to 32, and may be wrong.
 
-    Mend:
+    Hint:
         Replace the operator that differs; keep integers small, and arguments of Sin and Cos within
         a few turns. Widen the manifest's "tolerances" only if the difference cannot be seen.
     """
     from gsgen.sdk.live.comparison import disagreements
 
-    for place, saw, want in disagreements(live):
-        yield Breach.at(place, saw, want)
+    for place, actual, expected in disagreements(live):
+        yield Violation.at(place, actual, expected)
 
 
 @rule(
@@ -53,18 +53,18 @@ def ep_agreement(live: Live) -> Iterator[Breach]:
     needs=("GB017", "GB015"),
     kinds=KINDS,
 )
-def capture_accepted(live: Live) -> Iterator[Breach]:
+def capture_accepted(live: Live) -> Iterator[Violation]:
     """ONNX Runtime agrees to capture the graph.
 
     Why:
         Without capture, every kernel is launched anew in every frame, which takes longer than the
         kernels of a small model.
 
-    Mend:
+    Hint:
         Remove If, Loop and Scan, and whatever else ONNX Runtime's words name.
     """
     if not live.accepted:
-        yield Breach.at("graph", live.refusal or live.state, "a session that captures")
+        yield Violation.at("graph", live.refusal or live.state, "a session that captures")
 
 
 @rule(
@@ -76,14 +76,14 @@ def capture_accepted(live: Live) -> Iterator[Breach]:
     needs=("GB017",),
     kinds=KINDS,
 )
-def all_nodes_on_gpu(live: Live) -> Iterator[Breach]:
+def all_nodes_on_gpu(live: Live) -> Iterator[Violation]:
     """The WebGPU provider takes every node; none is left to the CPU.
 
     Why:
         One node on the CPU costs a round trip through memory in every frame, and ONNX Runtime then
         refuses to capture the graph.
 
-    Mend:
+    Hint:
         Write the operation with operators that have WebGPU kernels at this operator set: Round as
         Floor and Where, Sign as Where, integers of 64 bits as 32, and export at operator set 18.
     """
@@ -92,8 +92,8 @@ def all_nodes_on_gpu(live: Live) -> Iterator[Breach]:
         first, *others = [node for node in left if node.operator == operator]
         more = f", and {len(others)} more like it" if others else ""
         place = f"node {first.name or operator} ({operator})"
-        saw = f"runs in {first.provider}{more}"
-        yield Breach.at(place, saw, "a kernel in the WebGPU provider")
+        actual = f"runs in {first.provider}{more}"
+        yield Violation.at(place, actual, "a kernel in the WebGPU provider")
 
 
 @rule(
@@ -105,7 +105,7 @@ def all_nodes_on_gpu(live: Live) -> Iterator[Breach]:
     needs=("GB014",),
     kinds=KINDS,
 )
-def replay_not_stale(live: Live) -> Iterator[Breach]:
+def replay_not_stale(live: Live) -> Iterator[Violation]:
     """Replayed frames are what a session without capture computes for the same inputs.
 
     Why:
@@ -113,14 +113,14 @@ def replay_not_stale(live: Live) -> Iterator[Breach]:
         repeats the first frame for ever; integers of 64 bits are cut to 32; updates in place by
         Scatter meet what the frame before left. Nothing reports any of that.
 
-    Mend:
+    Hint:
         End the output on an operator that computes, such as Mul by one; replace Scatter by Concat,
         Where or Gather; keep integers below 2147483648. `gsgen export` ends outputs so.
     """
     from gsgen.sdk.live.comparison import wrong_replays
 
     for replay in wrong_replays(live):
-        yield Breach.at(replay.place, replay.saw, "what the plain session gives")
+        yield Violation.at(replay.place, replay.actual, "what the plain session gives")
 
 
 @rule(
@@ -132,18 +132,18 @@ def replay_not_stale(live: Live) -> Iterator[Breach]:
     needs=("GV025",),
     kinds=KINDS,
 )
-def runs_on_webgpu(live: Live) -> Iterator[Breach]:
+def runs_on_webgpu(live: Live) -> Iterator[Violation]:
     """ONNX Runtime's WebGPU provider runs the model to the end.
 
     Why:
         Limits of a GPU show only when a kernel is launched: a Split into more outputs than a stage
         has storage buffers, or a tensor larger than a buffer. Viewers then show nothing.
 
-    Mend:
+    Hint:
         Split wide operators and large tensors into several; rule pages GG007 and GL001 say how far.
     """
     stop = live.stop
     if stop is not None and not live.refusal:
         when = "while the session was made" if stop.frame < 0 else f"in frame {stop.frame}"
-        saw = f"stopped {when} ({stop.phase} session): {stop.message}"
-        yield Breach.at("graph", saw, _MOST_FRAMES)
+        actual = f"stopped {when} ({stop.phase} session): {stop.message}"
+        yield Violation.at("graph", actual, _MOST_FRAMES)

@@ -19,11 +19,16 @@ import numpy as np
 
 from gsgen.contract.probing.sandbox_worker import Emit, keep_outputs, read_inputs, serve
 from gsgen.contract.process.limits import limit_memory
-from gsgen.contract.process.parent_watchdog import end_with_parent
+from gsgen.contract.process.parent_watchdog import exit_with_parent
 from gsgen.sdk.binding.bound_session import Bound
 from gsgen.sdk.binding.providers.errors import FellBack, ProviderUnavailable
 from gsgen.sdk.binding.providers.node_placement import placement, words
-from gsgen.sdk.binding.providers.selection import MEMORY, Choice, Opening, open_session
+from gsgen.sdk.binding.providers.selection import (
+    MEMORY,
+    Choice,
+    SessionOptions,
+    open_session,
+)
 from gsgen.sdk.binding.providers.webgpu import DRIVER, AdapterMissing, find_adapter
 
 # What drivers and shader compilers may take beside the model.
@@ -54,9 +59,9 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
         if job["probes"]:
             _Frames(folder, job, emit, opener).run()
     except AdapterMissing as error:
-        emit("unavailable", what=error.what, mend=error.mend)
+        emit("unavailable", message=error.message, hint=error.hint)
     except FellBack as error:
-        emit("fell-back", message=error.what)
+        emit("fell-back", message=error.message)
     emit("done")
     return 0
 
@@ -79,7 +84,7 @@ def _find_provider(emit: Emit) -> Opener:
     choice = Choice("webgpu", "asked for", adapter, asked=True)
 
     def open_one(model: Path | bytes, capture: bool) -> Any:
-        return open_session(model, Opening(choice, capture))
+        return open_session(model, SessionOptions(choice, capture))
 
     return open_one
 
@@ -91,7 +96,7 @@ def _try_adapter(opener: Opener, folder: Path, emit: Emit, *, half: bool) -> Non
     except FellBack:
         raise
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
-        said = error.what if isinstance(error, ProviderUnavailable) else words(error)
+        said = error.message if isinstance(error, ProviderUnavailable) else words(error)
         raise AdapterMissing(
             f"there is no usable WebGPU adapter ({said})", DRIVER
         ) from error
@@ -185,5 +190,5 @@ class _Frames:
 
 
 if __name__ == "__main__":
-    end_with_parent()
+    exit_with_parent()
     sys.exit(main(Path(sys.argv[1])))

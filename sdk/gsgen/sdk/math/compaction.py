@@ -60,5 +60,5 @@ def _sizes(values: Tensor, capacity: int, where: str) -> tuple[int, int]:
         raise GeneratorInvalid(f"capacity is {capacity}, wanted 1 or more", where=where)
     if n > _MOST_ROWS:
         what = f"{n} rows, wanted {_MOST_ROWS} at most"
-        raise GeneratorInvalid(what, where=where, mend="Choose in several parts.")
+        raise GeneratorInvalid(what, where=where, hint="Choose in several parts.")
     return n, min(capacity, n)

@@ -9,7 +9,7 @@ __all__ = ["REWRITES", "find_rewrites"]
 from collections.abc import Sequence
 
 from gsgen.contract.errors import UnknownName
-from gsgen.sdk.passes.framework.base import Goal, Rewrite
+from gsgen.sdk.passes.framework.base import Rewrite, RewriteTarget
 from gsgen.sdk.passes.lowering.arithmetic_masks import ArithmeticMasks
 from gsgen.sdk.passes.lowering.gather_scatters import GatherScatters
 from gsgen.sdk.passes.lowering.gather_slices import GatherSlices
@@ -35,14 +35,14 @@ from gsgen.sdk.passes.portability.restore_guards import RestoreGuards
 from gsgen.sdk.passes.portability.split_large_weights import SplitLargeWeights
 from gsgen.sdk.passes.rows.mask_rows import MaskRows
 from gsgen.sdk.passes.rows.work_in_columns import WorkInColumns
-from gsgen.sdk.passes.simplify.deduplicate_weights import ShareWeights
-from gsgen.sdk.passes.simplify.explicit_defaults import SpellOutDefaults
+from gsgen.sdk.passes.simplify.deduplicate_weights import DeduplicateWeights
+from gsgen.sdk.passes.simplify.explicit_defaults import MakeDefaultsExplicit
 from gsgen.sdk.passes.simplify.fold_shapes import FoldShapes
 from gsgen.sdk.passes.simplify.freeze_dimensions import FreezeDimensions
 from gsgen.sdk.passes.simplify.merge_casts import MergeCasts
 from gsgen.sdk.passes.simplify.merge_reshapes import MergeReshapes
 from gsgen.sdk.passes.simplify.merge_transposes import MergeTransposes
-from gsgen.sdk.passes.simplify.remove_no_ops import DropIdleOperators
+from gsgen.sdk.passes.simplify.remove_no_ops import RemoveNoOps
 
 REWRITES: tuple[type[Rewrite], ...] = (
     # -- First what makes shapes and constants known: others look at them.
@@ -58,7 +58,7 @@ REWRITES: tuple[type[Rewrite], ...] = (
     LowerOpset,
     # -- Operators without a kernel, by ones that have one. Integers first: what they become may
     #    lack a kernel in its turn.
-    SpellOutDefaults,
+    MakeDefaultsExplicit,
     ClipBeforeCast,
     NarrowIntegers,
     ArithmeticMasks,
@@ -77,10 +77,10 @@ REWRITES: tuple[type[Rewrite], ...] = (
     SampleByProduct,
     PickParts,
     MergeTransposes,
-    DropIdleOperators,
+    RemoveNoOps,
     MergeCasts,
     MergeReshapes,
-    ShareWeights,
+    DeduplicateWeights,
     # -- Widths and sizes that a target can bind, once nothing joins things any more.
     SplitLargeWeights,
     ChunkConcat,
@@ -91,7 +91,7 @@ REWRITES: tuple[type[Rewrite], ...] = (
 
 
 def find_rewrites(
-    goal: Goal, only: Sequence[str] = (), skip: Sequence[str] = ()
+    goal: RewriteTarget, only: Sequence[str] = (), skip: Sequence[str] = ()
 ) -> list[Rewrite]:
     """Return the passes that ``goal`` wants, in order.
 

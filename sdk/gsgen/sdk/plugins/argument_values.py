@@ -34,8 +34,8 @@ def convert(text: str, annotation: Any, where: str) -> Any:
         raise ConfigInvalid(wanted, where=where) from error
     except TypeError as error:
         what = f"{name_of(annotation)} cannot be written on a command line"
-        mend = "Give the parameter a default, or write a factory that takes words."
-        raise ConfigInvalid(what, where=where, mend=mend) from error
+        hint = "Give the parameter a default, or write a factory that takes words."
+        raise ConfigInvalid(what, where=where, hint=hint) from error
 
 
 def _converted(text: str, annotation: Any) -> Any:

@@ -31,7 +31,7 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
     """
     if find_spec("torch") is None:
         what = "`gsgen export` needs torch, which is not installed"
-        raise GsgenError(what, mend="pip install 'gsgen[sdk]'")
+        raise GsgenError(what, hint="pip install 'gsgen[sdk]'")
     from gsgen.sdk.errors import (
         ExportFailed,
         ExportRejected,
@@ -79,7 +79,7 @@ def _export(
     if isinstance(made, PostProcess):
         if request.capacity is not None:
             what = "a post-process model has an image, and no rows"
-            raise ConfigInvalid(what, where="--capacity", mend="Leave the option out.")
+            raise ConfigInvalid(what, where="--capacity", hint="Leave the option out.")
         return export_post_process(
             made,
             request.output,

@@ -72,9 +72,9 @@ def write_report(path: Path, request: ExportRequest, source: str, outcome: Outco
 def _error(error: GsgenError) -> dict[str, Any]:
     return {
         "kind": type(error).__name__,
-        "what": error.what,
+        "message": error.message,
         "where": error.where,
-        "mend": error.mend,
+        "hint": error.hint,
     }
 
 

@@ -52,14 +52,14 @@ class Factory:
         for entry in entries:
             key, sign, text = entry.partition("=")
             if not sign:
-                mend = "Write it as --arg side=24."
-                raise ConfigInvalid(f"{entry!r} has no '='", where="--arg", mend=mend)
+                hint = "Write it as --arg side=24."
+                raise ConfigInvalid(f"{entry!r} has no '='", where="--arg", hint=hint)
             made[key] = convert(text, self._type_of(key), f"--arg {key}")
         missing = [one for one in self._needed() if one not in made]
         if missing:
-            mend = " ".join(f"--arg {name}=…" for name in missing)
+            hint = " ".join(f"--arg {name}=…" for name in missing)
             what = f"{self.target} needs {', '.join(missing)}"
-            raise ConfigInvalid(what, where="--arg", mend=f"Add {mend}")
+            raise ConfigInvalid(what, where="--arg", hint=f"Add {hint}")
         return made
 
     def build(self, arguments: dict[str, Any]) -> Any:
@@ -137,11 +137,11 @@ def load_factory(target: str, folder: Path | None = None) -> Factory:
     place = folder or Path.cwd()
     module_name, _, path = target.partition(":")
     if not module_name or not path:
-        mend = "Write it as package.module:factory, such as wave_sheet:Wave."
-        raise ConfigInvalid(f"{target!r} is no target", where="TARGET", mend=mend)
+        hint = "Write it as package.module:factory, such as wave_sheet:Wave."
+        raise ConfigInvalid(f"{target!r} is no target", where="TARGET", hint=hint)
     if not module_name.endswith(".py") and (module_name[0] == "." or "/" in module_name):
-        mend = f"Write {module_name}.py:{path}, or package.module:{path} with dots."
-        raise ConfigInvalid(f"{module_name!r} is no module", where="TARGET", mend=mend)
+        hint = f"Write {module_name}.py:{path}, or package.module:{path} with dots."
+        raise ConfigInvalid(f"{module_name!r} is no module", where="TARGET", hint=hint)
     if module_name.endswith(".py"):
         file = (place / module_name).resolve()
         place, module_name = file.parent, file.stem
@@ -180,12 +180,12 @@ def _no_module(name: str, absent: str, place: Path) -> UnknownName:
     found += [path.name for path in parent.glob("*/") if path.name.isidentifier()]
     known = [f"{prefix}.{one}" if prefix else one for one in found]
     close = get_close_matches(absent, known, n=1, cutoff=0.5)
-    mend = (
+    hint = (
         f"Did you mean {close[0]!r}?"
         if close
         else f"Looked in {place} and in what is installed."
     )
-    return UnknownName(f"unknown module {absent!r}", where=f"TARGET {name}", mend=mend)
+    return UnknownName(f"unknown module {absent!r}", where=f"TARGET {name}", hint=hint)
 
 
 def _candidates(holder: Any) -> list[str]:
@@ -207,18 +207,18 @@ def _checked(made: Any, target: str) -> Any:
     import torch
 
     from gsgen.sdk.authoring.generator import GaussianGenerator
-    from gsgen.sdk.authoring.module_checks import require_declared
+    from gsgen.sdk.authoring.module_checks import validate_module
     from gsgen.sdk.authoring.post_process import PostProcess
     from gsgen.sdk.errors import GeneratorInvalid
 
     if isinstance(made, GaussianGenerator | PostProcess):
-        require_declared(made)
+        validate_module(made)
         return made
-    mend = "Return an instance of a subclass of gsgen.sdk.GaussianGenerator."
+    hint = "Return an instance of a subclass of gsgen.sdk.GaussianGenerator."
     if isinstance(made, torch.nn.Module):
-        mend = "Wrap it: gsgen.sdk.wrap(module, inputs=…, outputs=…)."
+        hint = "Wrap it: gsgen.sdk.wrap(module, inputs=…, outputs=…)."
     what = f"gives {name_of(type(made))}, wanted a GaussianGenerator"
-    raise GeneratorInvalid(what, where=target, mend=mend)
+    raise GeneratorInvalid(what, where=target, hint=hint)
 
 
 def _raised(error: Exception, where: str) -> GsgenError:

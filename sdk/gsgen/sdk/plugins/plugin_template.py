@@ -61,8 +61,8 @@ def scaffold(name: str, into: Path) -> Scaffold:
     _check_name(name)
     folder, package = into / name, name.replace("-", "_")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        mend = "Choose another name, or another folder with --into."
-        raise ConfigInvalid("stands there already", where=str(folder), mend=mend)
+        hint = "Choose another name, or another folder with --into."
+        raise ConfigInvalid("stands there already", where=str(folder), hint=hint)
     words = {
         "name": name,
         "package": package,
@@ -86,9 +86,9 @@ def _check_name(name: str) -> None:
     if not _NAME.fullmatch(name):
         plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
         like = re.sub("[^a-z0-9]+", "-", plain.lower()).strip("-0123456789")
-        mend = f"Such as {like!r}." if _NAME.fullmatch(like) else "Such as 'my-method'."
+        hint = f"Such as {like!r}." if _NAME.fullmatch(like) else "Such as 'my-method'."
         what = f"{name!r} is not of lower-case letters, digits and single hyphens"
-        raise ConfigInvalid(what, where="NAME", mend=mend)
+        raise ConfigInvalid(what, where="NAME", hint=hint)
     package = name.replace("-", "_")
     taken = ""
     if keyword.iskeyword(package) or keyword.issoftkeyword(package):
@@ -98,8 +98,8 @@ def _check_name(name: str) -> None:
     elif name in find_plugins():
         taken = "a plugin that is installed"
     if taken:
-        mend = f"Such as 'my-{name}'."
-        raise ConfigInvalid(f"{name!r} is {taken}", where="NAME", mend=mend)
+        hint = f"Such as 'my-{name}'."
+        raise ConfigInvalid(f"{name!r} is {taken}", where="NAME", hint=hint)
 
 
 def _template(source: str, words: dict[str, str]) -> str:

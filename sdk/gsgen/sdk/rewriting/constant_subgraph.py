@@ -1,6 +1,6 @@
 """The part of a graph that no input reaches: runtimes compute it once, when a model is loaded."""
 
-__all__ = ["ConstantPart", "constant_nodes", "split_constants"]
+__all__ = ["ConstantPart", "constant_nodes", "partition_constants"]
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ class ConstantPart:
     between: tuple[str, ...]
 
 
-def split_constants(model: ir.Model) -> ConstantPart:
+def partition_constants(model: ir.Model) -> ConstantPart:
     """Cut copies of ``model`` apart; it is left as it is."""
     rest = model.clone()
     nodes = constant_nodes(rest.graph)

@@ -54,7 +54,7 @@ def refuse_overwriting(source: ModelFile, path: Path) -> None:
     lost = [one.name for one in made if one in read]
     if lost:
         what = f"would replace {lost[0]}, which {source.path.name} reads"
-        raise ConfigInvalid(what, where=str(path), mend="Choose another name or folder.")
+        raise ConfigInvalid(what, where=str(path), hint="Choose another name or folder.")
 
 
 def save_model(model: ir.Model, path: Path, *, beside: bool = False) -> None:

@@ -10,14 +10,14 @@ import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.model.graph import Tensor
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.probing.probes import Probe, default_probes
 from gsgen.contract.probing.sandbox import Execution, execute
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.manifest import Input
 from gsgen.sdk.errors import RewriteFailed
-from gsgen.sdk.passes.framework.base import Exactness
+from gsgen.sdk.passes.framework.base import ErrorBudget
 
 # How many probes a model without a manifest is run at, and what a size that nobody knows counts as.
 _COUNT = 5
@@ -57,7 +57,7 @@ class Comparison:
     unjudged: tuple[str, ...]
 
 
-def probes_of(subject: Subject, sizes: Mapping[str, int]) -> tuple[Probe, ...]:
+def probes_of(subject: InspectedModel, sizes: Mapping[str, int]) -> tuple[Probe, ...]:
     """Return the inputs to run a model with; those of its manifest where it has one.
 
     Raises:
@@ -108,7 +108,7 @@ def _dtype(tensor: Tensor) -> str:
         raise RewriteFailed(
             f"is {tensor.dtype}, which numpy cannot feed",
             where=f"input {tensor.name}",
-            mend="Only inputs of numbers and booleans can be compared.",
+            hint="Only inputs of numbers and booleans can be compared.",
         ) from error
 
 
@@ -137,7 +137,7 @@ def compare_files(
     outputs: Sequence[str],
     probes: Sequence[Probe],
     limits: Limits,
-    allowed: Exactness,
+    allowed: ErrorBudget,
     blamed: str,
 ) -> Comparison:
     """Run both files, and return how far their outputs differ.
@@ -177,7 +177,7 @@ def compare_files(
             f"output {one.output!r} differs by {one.largest:.3g} at probe {one.probe!r}, "
             f"wanted at most {one.allowed:.3g} ({allowed.describe()})",
             where=blamed,
-            mend="Nothing was written. Leave the pass out with --skip, and please report it.",
+            hint="Nothing was written. Leave the pass out with --skip, and please report it.",
         )
     unjudged = tuple(name for name in outputs if name not in judged)
     return Comparison(tuple(worst.values()), unjudged)
@@ -202,7 +202,7 @@ def _must_run(run: Execution, probes: Sequence[Probe], where: str, which: str) -
     raise RewriteFailed(
         f"the model {which} does not run in ONNX Runtime{probe}: {fault.message}",
         where=where,
-        mend="Outputs cannot be compared, so nothing was written.",
+        hint="Outputs cannot be compared, so nothing was written.",
     )
 
 
@@ -217,7 +217,7 @@ def _must_repeat(
         raise RewriteFailed(
             "the model gives other outputs for the same inputs, so nothing can be compared",
             where=model.name,
-            mend="Draw random numbers before the export (rule GG010).",
+            hint="Draw random numbers before the export (rule GG010).",
         )
 
 
@@ -231,7 +231,7 @@ def _differences(
     before: Mapping[str, np.ndarray],
     after: Mapping[str, np.ndarray],
     probe: Probe,
-    allowed: Exactness,
+    allowed: ErrorBudget,
 ) -> Iterator[Difference]:
     for name, old in before.items():
         new = _unpadded(old, after[name]) if allowed.pads else after[name]
@@ -256,7 +256,7 @@ def _unpadded(old: np.ndarray, new: np.ndarray) -> np.ndarray:
 
 
 def _error(
-    old: np.ndarray, new: np.ndarray, allowed: Exactness
+    old: np.ndarray, new: np.ndarray, allowed: ErrorBudget
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Return the absolute error of every number, and what is allowed for it.
 
@@ -266,7 +266,9 @@ def _error(
     a, b = old.astype(np.float64), new.astype(np.float64)
     finite = np.isfinite(a)
     same = (
-        (old == new) | (np.isnan(a) & np.isnan(b)) | (~finite if allowed.mends else False)
+        (old == new)
+        | (np.isnan(a) & np.isnan(b))
+        | (~finite if allowed.repairs_nonfinite else False)
     )
     with np.errstate(invalid="ignore"):
         apart = np.abs(a - b)

@@ -6,8 +6,8 @@ declare, nothing is written.
 """
 
 __all__ = [
-    "Census",
     "Change",
+    "GraphStats",
     "Rewritten",
     "census",
     "prepare",
@@ -35,7 +35,7 @@ from onnx_ir.passes.common import (
 
 from gsgen.contract.errors import ConfigInvalid, ModelUnreadable
 from gsgen.contract.model.graph import read_graph
-from gsgen.contract.model.inspected_model import read_subject
+from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.model.provider_placement import Placement, placements
 from gsgen.contract.process.limits import Limits
@@ -49,14 +49,14 @@ from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.passes.framework.base import (
     BITS,
     MAIN_DOMAIN,
-    Exactness,
-    Goal,
+    ErrorBudget,
     Rewrite,
+    RewriteTarget,
     opset_of,
 )
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite, Refusal
 from gsgen.sdk.passes.registry import find_rewrites
-from gsgen.sdk.rewriting.atomic_model_files import draft_of
+from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 from gsgen.sdk.rewriting.model_io import (
     has_external_weights,
     refuse_overwriting,
@@ -85,12 +85,12 @@ class Change:
     """
 
     rewrite: str
-    exactness: Exactness
+    exactness: ErrorBudget
     nodes: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Census:
+class GraphStats:
     """A graph in numbers.
 
     Attributes:
@@ -124,8 +124,8 @@ class Rewritten:
 
     path: Path | None
     changes: tuple[Change, ...]
-    before: Census
-    after: Census
+    before: GraphStats
+    after: GraphStats
     probes: int
     differences: tuple[Difference, ...]
     refusals: tuple[Refusal, ...] = ()
@@ -133,7 +133,7 @@ class Rewritten:
 
 
 def rewrite_graph(
-    model: ir.Model, goal: Goal, only: Sequence[str] = (), skip: Sequence[str] = ()
+    model: ir.Model, goal: RewriteTarget, only: Sequence[str] = (), skip: Sequence[str] = ()
 ) -> list[Change]:
     """Run the passes that ``goal`` wants on ``model``, in place, until nothing changes.
 
@@ -186,14 +186,14 @@ def rewrite_file(
     """
     limits, sizes = limits or Limits(), sizes or {}
     progress("reading the model")
-    subject = read_subject(open_model(source), target, limits)
+    subject = inspect_model(open_model(source), target, limits)
     settings = Settings(level=Level.STATIC, target=target)
     judged = validate(source, settings)
     _refuse_broken(judged)
     if path is not None:
         refuse_overwriting(subject.file, path)
     manifest = subject.parsed.manifest if subject.parsed is not None else None
-    goal = Goal.of(target, manifest, opset, sizes)
+    goal = RewriteTarget.of(target, manifest, opset, sizes)
     chosen = find_rewrites(goal, only, skip)
     model = _load(source)
     _refuse_higher(model, opset)
@@ -229,7 +229,7 @@ def rewrite_file(
             refuse_worse(judged, validate(known, settings), "rewritten")
         before, after = census(source, goal), census(known, goal)
     if path is not None:
-        with draft_of(path) as draft:
+        with atomic_write(path) as draft:
             save_model(model, draft, beside=beside)
     return Rewritten(
         path,
@@ -251,7 +251,7 @@ def _refuse_broken(report: Report) -> None:
             raise RewriteFailed(
                 f"{finding.rule}: {finding.where}: {finding.message}",
                 where=report.path,
-                mend=finding.mend,
+                hint=finding.hint,
             )
 
 
@@ -261,7 +261,7 @@ def _refuse_higher(model: ir.Model, opset: int | None) -> None:
         raise ConfigInvalid(
             f"{opset} is above the model's operator set {now}",
             where="--opset",
-            mend="Rewrites only lower it; export the model again with a higher one.",
+            hint="Rewrites only lower it; export the model again with a higher one.",
         )
 
 
@@ -320,7 +320,7 @@ def _settle(model: ir.Model, chosen: Sequence[Rewrite]) -> list[Change]:
     raise RewriteFailed(
         f"does not settle after {_MOST_ROUNDS} rounds of {undoing}",
         where="rewrite",
-        mend="Leave one of them out with --skip, and please report it.",
+        hint="Leave one of them out with --skip, and please report it.",
     )
 
 
@@ -353,17 +353,17 @@ def _check_form(file: Path, changes: Sequence[Change]) -> None:
         raise RewriteFailed(
             f"the result is not well formed: {str(error).strip().splitlines()[0]}",
             where=_names(changes),
-            mend="Leave a pass out with --skip, and please report it.",
+            hint="Leave a pass out with --skip, and please report it.",
         ) from error
 
 
-def census(file: Path, goal: Goal) -> Census:
+def census(file: Path, goal: RewriteTarget) -> GraphStats:
     """Count the nodes of a file, and predict by tables which of them are not captured."""
     opened = open_model(file)
     graph = read_graph(opened)
     placed = placements(graph, opened.proto, goal.tables)
     opsets = {entry.domain: entry.version for entry in opened.proto.opset_import}
-    return Census(
+    return GraphStats(
         len(graph.nodes),
         next((opsets[domain] for domain in MAIN_DOMAIN if domain in opsets), 0),
         tuple(_told(one) for one in placed if one.cause not in ("", "unknown")),

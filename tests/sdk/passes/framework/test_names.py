@@ -7,7 +7,7 @@ from onnx_ir.passes.common import NameFixPass
 
 from gsgen.contract.errors import GsgenError
 from gsgen.sdk.float16.to_float16 import ToFloat16
-from gsgen.sdk.passes.framework.graph_builder import Before, append_output, new_node
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint, append_output, new_node
 from gsgen.sdk.passes.repairs import RenameOutputs
 from support.passes import parsed, run
 
@@ -28,7 +28,7 @@ def test_a_value_that_makes_way_for_another_gets_a_new_name() -> None:
     model = parsed(
         "g (float[2] x) => (float[2] y) { y_replaced = Neg (x) y = Abs (y_replaced) }"
     )
-    write = Before(model.graph[1])
+    write = InsertionPoint(model.graph[1])
     write.replace(write.op("Relu", model.graph[0].outputs[0]))
     require_new(model)
     np.testing.assert_array_equal(run(model, x=X)[0], np.maximum(-X, 0))

@@ -7,7 +7,7 @@ import pytest
 
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.targets import load_target
-from gsgen.sdk.passes.framework.base import Goal
+from gsgen.sdk.passes.framework.base import RewriteTarget
 from gsgen.sdk.passes.lowering.arithmetic_masks import ArithmeticMasks
 from gsgen.sdk.passes.portability.clip_before_cast import ClipBeforeCast
 from gsgen.sdk.passes.portability.narrow_integers import NarrowIntegers
@@ -16,7 +16,7 @@ from support.models.small_models import manifest_of
 from support.passes import operators, parsed, run
 
 TIME = replace(manifest_of(1), inputs=(Input("x", "time", range=(-3.0, 90.0)),))
-OLD = Goal.of(load_target("visionary"), TIME)
+OLD = RewriteTarget.of(load_target("visionary"), TIME)
 X = np.array([-3, -0.5, 0, 1.7, 55.2, 90], np.float32)
 CODES = {"int32": 6, "int64": 7, "float": 1, "bool": 9}
 
@@ -46,7 +46,7 @@ WHOLE = {
 
 @pytest.mark.parametrize("goal", [None, OLD])
 @pytest.mark.parametrize("name", WHOLE)
-def test_integers_that_fit_are_narrowed(name: str, goal: Goal | None) -> None:
+def test_integers_that_fit_are_narrowed(name: str, goal: RewriteTarget | None) -> None:
     body, made = WHOLE[name]
     text = (
         f"g (float[6] x) => ({made}[N] y) <int64 three = {{3}}, int64 none = {{0}}, "
@@ -55,7 +55,9 @@ def test_integers_that_fit_are_narrowed(name: str, goal: Goal | None) -> None:
     )
     model = parsed(text)
     (before,) = run(model, x=X)
-    rewrite = NarrowIntegers(goal or Goal(load_target("core"), OLD.tables, manifest=TIME))
+    rewrite = NarrowIntegers(
+        goal or RewriteTarget(load_target("core"), OLD.tables, manifest=TIME)
+    )
     assert rewrite(model).modified
     MergeCasts()(model)
     left = {name for name in wide_values(model) if name not in ("axis", "r", "y")}
@@ -88,14 +90,14 @@ def test_integers_that_may_not_fit_stay_and_the_pass_says_why(body: str, why: st
 
 def test_without_a_manifest_nobody_knows_what_an_input_holds() -> None:
     text = "g (float[6] x) => (int64[6] y) { i = Cast <to = 7> (x) y = Neg (i) }"
-    rewrite = NarrowIntegers(Goal.of(load_target("visionary")))
+    rewrite = NarrowIntegers(RewriteTarget.of(load_target("visionary")))
     assert not rewrite(parsed(text)).modified
     assert rewrite.refusals
 
 
 def test_releases_that_capture_int64_leave_it() -> None:
     text = "g (float[6] x) => (int64[6] y) <int64 three = {3}> { i = Cast <to = 7> (x) y = Add (i, three) }"
-    new = NarrowIntegers(Goal.of(load_target("webgpu"), TIME))
+    new = NarrowIntegers(RewriteTarget.of(load_target("webgpu"), TIME))
     assert not new(parsed(text)).modified
 
 
@@ -236,7 +238,7 @@ def test_a_choice_between_masks_is_made_of_numbers_and_by_a_mask() -> None:
 
 
 @pytest.mark.parametrize("goal", [None, OLD])
-def test_a_choice_between_numbers_keeps_its_mask(goal: Goal | None) -> None:
+def test_a_choice_between_numbers_keeps_its_mask(goal: RewriteTarget | None) -> None:
     text = "g (bool[2] b, int64[2] x) => (int64[2] y) <int64 one = {1}> { y = Where (b, x, one) }"
     assert not ArithmeticMasks(goal)(parsed(text)).modified
 
@@ -259,6 +261,6 @@ def test_numbers_are_kept_between_two_operators_of_a_chain() -> None:
 
 def test_masks_that_a_release_captures_stay() -> None:
     text = "g (float[6] x) => (bool[6,1] y) <int64[1] axis = {1}> { b = Greater (x, x) y = Unsqueeze (b, axis) }"
-    new = ArithmeticMasks.for_goal(Goal.of(load_target("webgpu")))
+    new = ArithmeticMasks.for_goal(RewriteTarget.of(load_target("webgpu")))
     assert not new(parsed(text)).modified
     assert ArithmeticMasks(OLD)(parsed(text)).modified

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsgen.contract.spec.targets import load_target
-from gsgen.sdk.passes.framework.base import Goal
+from gsgen.sdk.passes.framework.base import RewriteTarget
 from gsgen.sdk.passes.lowering.select_extremes import SelectExtremes
 from gsgen.sdk.passes.lowering.write_out_activations import WriteOutActivations
 from gsgen.sdk.passes.lowering.write_out_modulo import WriteOutModulo
@@ -78,11 +78,12 @@ def test_extremes_are_selected(name: str, dtype: str) -> None:
 def test_only_releases_without_a_kernel_want_the_selection() -> None:
     text = "g (float[2] a, float[2] b) => (float[2] y) { y = Max (a, b) }"
     old, new = (
-        SelectExtremes.for_goal(Goal.of(load_target(t))) for t in ("visionary", "webgpu")
+        SelectExtremes.for_goal(RewriteTarget.of(load_target(t)))
+        for t in ("visionary", "webgpu")
     )
     assert not new(parsed(text)).modified
     assert old(parsed(text)).modified
-    assert SelectExtremes.for_goal(Goal(load_target("core"))) is None
+    assert SelectExtremes.for_goal(RewriteTarget(load_target("core"))) is None
 
 
 # ---- Activations -----------------------------------------------------------------------------

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsgen.contract.spec.targets import load_target
-from gsgen.sdk.passes.framework.base import Goal
+from gsgen.sdk.passes.framework.base import RewriteTarget
 from gsgen.sdk.passes.portability.lower_opset import LowerOpset
 from support.passes import HEAD, operators, parsed, run, text_of
 
@@ -131,13 +131,15 @@ def test_bodies_of_branches_are_of_the_same_set() -> None:
 
 
 def test_the_goal_chooses_the_set() -> None:
-    assert LowerOpset.for_goal(Goal(load_target("core"))) is None
-    assert LowerOpset.for_goal(Goal.of(load_target("webgpu"))).wanted == 18
-    assert LowerOpset.for_goal(Goal.of(load_target("webgpu"), opset=20)).wanted == 20
+    assert LowerOpset.for_goal(RewriteTarget(load_target("core"))) is None
+    assert LowerOpset.for_goal(RewriteTarget.of(load_target("webgpu"))).wanted == 18
+    assert (
+        LowerOpset.for_goal(RewriteTarget.of(load_target("webgpu"), opset=20)).wanted == 20
+    )
 
 
 def test_a_viewer_of_an_older_format_gets_that() -> None:
     model = parsed("g (float[2] x) => (float[2] y) { y = Neg (x) }")
     model.ir_version = 12
-    assert LowerOpset.for_goal(Goal.of(load_target("visionary")))(model).modified
+    assert LowerOpset.for_goal(RewriteTarget.of(load_target("visionary")))(model).modified
     assert model.ir_version == load_target("visionary").ir

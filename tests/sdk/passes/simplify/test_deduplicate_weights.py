@@ -6,7 +6,7 @@ import numpy as np
 import onnx_ir as ir
 import pytest
 
-from gsgen.sdk.passes.simplify.deduplicate_weights import ShareWeights
+from gsgen.sdk.passes.simplify.deduplicate_weights import DeduplicateWeights
 from support.passes import parsed, run, text_of
 
 TWICE = """
@@ -53,11 +53,11 @@ def test_weights_are_shared_if_every_byte_is_equal(
     model = with_weights(TWICE, first=first, second=second)
     x = float3(0.5, -1, 7)
     (before,) = run(model, x=x)
-    result = ShareWeights()(model)
+    result = DeduplicateWeights()(model)
     assert result.modified is (left == 1)
     assert len(model.graph.initializers) == left
     np.testing.assert_array_equal(run(model, x=x)[0], before)
-    assert not ShareWeights()(model).modified
+    assert not DeduplicateWeights()(model).modified
 
 
 def test_nan_of_other_bits_is_another_weight() -> None:
@@ -65,7 +65,7 @@ def test_nan_of_other_bits_is_another_weight() -> None:
     first = bits[[0, 2, 2]].view(np.float32)
     second = bits[[1, 2, 2]].view(np.float32)
     model = with_weights(TWICE, first=first, second=second)
-    assert not ShareWeights()(model).modified
+    assert not DeduplicateWeights()(model).modified
 
 
 def test_weights_of_a_body_are_shared_with_those_around_it_but_not_between_branches() -> (
@@ -86,7 +86,7 @@ def test_weights_of_a_body_are_shared_with_those_around_it_but_not_between_branc
     model = parsed(text)
     x = float3(1, -2, 3)
     before = [run(model, c=np.array(c), x=x)[0] for c in (True, False)]
-    rewrite = ShareWeights()
+    rewrite = DeduplicateWeights()
     assert rewrite(model).modified
     assert rewrite.changed == ["in"]
     after = [run(model, c=np.array(c), x=x)[0] for c in (True, False)]
@@ -97,7 +97,7 @@ def test_a_weight_that_can_be_fed_stays() -> None:
     model = with_weights(TWICE, first=float3(1, 2, 3), second=float3(1, 2, 3))
     model.graph.inputs.append(model.graph.initializers["second"])
     before = text_of(model)
-    rewrite = ShareWeights()
+    rewrite = DeduplicateWeights()
     assert not rewrite(model).modified
     assert [one.where for one in rewrite.refusals] == ["second"]
     assert text_of(model) == before
@@ -117,5 +117,5 @@ def test_weights_beside_the_model_are_compared_with_those_inside(tmp_path: Path)
             shape=ir.Shape([3]),
             base_dir=tmp_path,
         )
-    assert ShareWeights()(model).modified
+    assert DeduplicateWeights()(model).modified
     assert isinstance(model.graph.initializers["first"].const_value, ir.ExternalTensor)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gsgen.contract.spec.targets import load_target
-from gsgen.sdk.passes.framework.base import Goal
-from gsgen.sdk.passes.simplify.explicit_defaults import SpellOutDefaults
+from gsgen.sdk.passes.framework.base import RewriteTarget
+from gsgen.sdk.passes.simplify.explicit_defaults import MakeDefaultsExplicit
 from support.passes import parsed, run
 
 RNG = np.random.default_rng(8)
@@ -21,11 +21,11 @@ def test_a_conv_says_that_it_is_not_dilated(space: int) -> None:
     x = RNG.normal(size=(1, 2, *[6] * space)).astype(np.float32)
     w = RNG.normal(size=(4, 2, *[3] * space)).astype(np.float32)
     (before,) = run(model, x=x, w=w)
-    assert SpellOutDefaults()(model).modified
+    assert MakeDefaultsExplicit()(model).modified
     (node,) = model.graph
     assert list(node.attributes["dilations"].as_ints()) == [1] * space
     np.testing.assert_array_equal(run(model, x=x, w=w)[0], before)
-    assert not SpellOutDefaults()(model).modified
+    assert not MakeDefaultsExplicit()(model).modified
 
 
 @pytest.mark.parametrize("arguments", ["x, b, e", "x, b, e, , s"])
@@ -36,11 +36,11 @@ def test_a_slice_says_which_axes_it_cuts(arguments: str) -> None:
     )
     model, x = parsed(text), RNG.normal(size=(4, 5, 2)).astype(np.float32)
     (before,) = run(model, x=x)
-    assert SpellOutDefaults()(model).modified
+    assert MakeDefaultsExplicit()(model).modified
     (node,) = model.graph
     assert node.inputs[3].const_value.numpy().tolist() == [0, 1]
     np.testing.assert_array_equal(run(model, x=x)[0], before)
-    assert not SpellOutDefaults()(model).modified
+    assert not MakeDefaultsExplicit()(model).modified
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def test_a_slice_says_which_axes_it_cuts(arguments: str) -> None:
     ],
 )
 def test_what_is_said_or_not_known_stays(text: str) -> None:
-    assert not SpellOutDefaults()(parsed(text)).modified
+    assert not MakeDefaultsExplicit()(parsed(text)).modified
 
 
 def test_branches_are_reached_and_targets_without_tables_want_none() -> None:
@@ -61,7 +61,7 @@ def test_branches_are_reached_and_targets_without_tables_want_none() -> None:
         "else_branch = f () => (float[N] d) { d = Neg (x) }> }"
     )
     model = parsed(text)
-    assert SpellOutDefaults()(model).modified
+    assert MakeDefaultsExplicit()(model).modified
     x = np.arange(4, dtype=np.float32)
     assert run(model, c=np.array(True), x=x)[0].tolist() == [1, 2]
-    assert SpellOutDefaults.for_goal(Goal(load_target("core"))) is None
+    assert MakeDefaultsExplicit.for_goal(RewriteTarget(load_target("core"))) is None

@@ -5,7 +5,7 @@ import pytest
 
 from gsgen.sdk.passes.simplify.merge_casts import MergeCasts
 from gsgen.sdk.passes.simplify.merge_reshapes import MergeReshapes
-from gsgen.sdk.passes.simplify.remove_no_ops import DropIdleOperators
+from gsgen.sdk.passes.simplify.remove_no_ops import RemoveNoOps
 from support.passes import HEAD, operators, parsed, run
 
 IDLE = {
@@ -59,7 +59,7 @@ def model_of(body: str, rank: str = "A,B"):
 def test_idle_operators_go_and_every_bit_stays(name: str) -> None:
     model = model_of(IDLE[name])
     (before,) = run(model, x=X)
-    assert DropIdleOperators()(model).modified
+    assert RemoveNoOps()(model).modified
     assert operators(model) == {"Neg", "Abs"}
     assert run(model, x=X)[0].tobytes() == before.tobytes()
 
@@ -67,12 +67,12 @@ def test_idle_operators_go_and_every_bit_stays(name: str) -> None:
 @pytest.mark.parametrize("name", BUSY)
 def test_operators_that_do_something_stay(name: str) -> None:
     rank = {"larger by ones": "A,B,C", "sum of all": "A,B"}.get(name, "A,B")
-    assert not DropIdleOperators()(model_of(BUSY[name], rank)).modified
+    assert not RemoveNoOps()(model_of(BUSY[name], rank)).modified
 
 
 def test_an_idle_operator_in_front_of_an_output_leaves_the_name_of_the_output() -> None:
     model = parsed("g (float[2] x) => (float[2] y) { n = Neg (x) y = Max (n) }")
-    assert DropIdleOperators()(model).modified
+    assert RemoveNoOps()(model).modified
     assert [node.op_type for node in model.graph] == ["Neg"]
     assert model.graph.outputs[0].name == "y"
     assert run(model, x=np.array([1, 2], np.float32))[0].tolist() == [-1, -2]
@@ -88,7 +88,7 @@ def test_an_idle_operator_in_front_of_an_output_leaves_the_name_of_the_output() 
     ],
 )
 def test_what_keeps_outputs_apart_stays(text: str) -> None:
-    assert not DropIdleOperators()(parsed(text)).modified
+    assert not RemoveNoOps()(parsed(text)).modified
 
 
 def test_an_idle_operator_in_a_branch_goes_but_not_the_only_node_of_it() -> None:
@@ -97,7 +97,7 @@ def test_an_idle_operator_in_a_branch_goes_but_not_the_only_node_of_it() -> None
         "then_branch = t () => (float[2] b) { n = Neg (x) a = Max (n) b = Abs (a) }, "
         "else_branch = e () => (float[2] d) { d = Identity (x) }> }"
     )
-    assert DropIdleOperators()(model).modified
+    assert RemoveNoOps()(model).modified
     assert operators(model) == {"If", "Neg", "Abs", "Identity"}
     x = np.array([1, -2], np.float32)
     assert run(model, c=np.array(True), x=x)[0].tolist() == [1, 2]

@@ -9,7 +9,7 @@ from gsgen.contract.probing.probes import as_tensor
 from gsgen.contract.probing.run_comparison import Behaviour, difference
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _RUNS = ("GV025", "GB001", "GB002")
@@ -28,7 +28,7 @@ _CULLED_SHARE = 0.01
     fixture="matrix_order_differs",
     needs=(*_RUNS, "GI001", "GM006"),
 )
-def matrix_order(behaviour: Behaviour) -> Iterator[Breach]:
+def matrix_order(behaviour: Behaviour) -> Iterator[Violation]:
     """The view matrix is read in the memory order that the manifest declares.
 
     Why:
@@ -36,7 +36,7 @@ def matrix_order(behaviour: Behaviour) -> Iterator[Breach]:
         translation is lost and the rotation turned around: the camera seems to stand still at the
         origin.
 
-    Mend:
+    Hint:
         Declare the order that the model reads as space.matrix_order, or transpose inside the model.
     """
     visits = behaviour.visits("moved")
@@ -46,9 +46,11 @@ def matrix_order(behaviour: Behaviour) -> Iterator[Breach]:
     space = behaviour.subject.generator.space if behaviour.subject.generator else None
     order = space.matrix_order if space else "column"
     if moved == still and transposed != still:
-        saw = f"a moved camera changes nothing, read in {order} order; transposed it does"
+        actual = (
+            f"a moved camera changes nothing, read in {order} order; transposed it does"
+        )
         name = next(iter(behaviour.subject.inputs_of("view")))[0].name
-        yield Breach.at(f"input {name}", saw, f"the {order} order, as declared")
+        yield Violation.at(f"input {name}", actual, f"the {order} order, as declared")
 
 
 @rule(
@@ -59,14 +61,14 @@ def matrix_order(behaviour: Behaviour) -> Iterator[Breach]:
     fixture="projection_y_matters",
     needs=(*_RUNS, "GI002"),
 )
-def projection_y_sign(behaviour: Behaviour) -> Iterator[Breach]:
+def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
     """Turning the y axis of clip space around changes no output.
 
     Why:
         Some hosts pass a projection with +y up, some with +y down, and a generator has no use for
         the sign: culling and level of detail are the same for both.
 
-    Mend:
+    Hint:
         Use absolute values of clip coordinates, or the view matrix alone.
     """
     visits = behaviour.visits("flipped")
@@ -77,8 +79,10 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Breach]:
         for name, value in plain.outputs.items():
             largest = difference(value, turned.outputs[name])
             if largest > 0:
-                saw = f"differs by up to {largest:.3g} with row 1 of the projection negated"
-                yield Breach.at(f"output {name}", saw, "the same for both signs")
+                actual = (
+                    f"differs by up to {largest:.3g} with row 1 of the projection negated"
+                )
+                yield Violation.at(f"output {name}", actual, "the same for both signs")
 
 
 @rule(
@@ -89,14 +93,14 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Breach]:
     fixture="culls_what_is_seen",
     needs=(*_RUNS, "GO001", "GO002", "GI007", "GM006", "GV017"),
 )
-def culling_conservative(behaviour: Behaviour) -> Iterator[Breach]:
+def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
     """A Gaussian in the middle of the view is not transparent where another camera sees it.
 
     Why:
         Models cull what their camera cannot see by setting its opacity to zero. Culling with a
         wrong matrix, sign or margin makes holes in the picture that move with the camera.
 
-    Mend:
+    Hint:
         Cull behind the camera and outside the frustum widened by a tenth; check the matrix order
         and that +z is forward. If a Gaussian fades on purpose, ignore this rule.
     """
@@ -120,11 +124,13 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Breach]:
                 elsewhere |= same & shown[other]
         culled = int(np.count_nonzero(middle & elsewhere))
         if culled > _CULLED_SHARE * max(int(np.count_nonzero(shown[index])), 1):
-            saw = (
+            actual = (
                 f"{culled} rows in the middle of the view have opacity 0 at {probe.label!r}"
             )
-            want = "an opacity above 0, as other cameras get"
-            yield Breach.at(f"output {declared.name}", saw, want, certainty="possible")
+            expected = "an opacity above 0, as other cameras get"
+            yield Violation.at(
+                f"output {declared.name}", actual, expected, certainty="possible"
+            )
 
 
 def _in_cone(
@@ -142,14 +148,14 @@ def _in_cone(
     fixture="nothing_for_some_cameras",
     needs=("GV025", "GO010", "GO011", "GV016"),
 )
-def count_not_zero(behaviour: Behaviour) -> Iterator[Breach]:
+def count_not_zero(behaviour: Behaviour) -> Iterator[Violation]:
     """No camera that sees the bounds gets an empty scene, where others do not.
 
     Why:
         All probes look at the middle of the bounds. A count of zero for some of them is culling
         with a wrong matrix or sign.
 
-    Mend:
+    Hint:
         Check the matrix order, and that +z is forward.
     """
     subject = behaviour.subject
@@ -163,6 +169,8 @@ def count_not_zero(behaviour: Behaviour) -> Iterator[Breach]:
     }
     empty = [label for label, count in counts.items() if count == 0]
     if empty and len(empty) < len(counts):
-        saw = f"0 at {len(empty)} of {len(counts)} probes, first {empty[0]!r}"
-        want = "rows for every camera that sees the bounds"
-        yield Breach.at(f"output {declared.name}", saw, want, certainty="possible")
+        actual = f"0 at {len(empty)} of {len(counts)} probes, first {empty[0]!r}"
+        expected = "rows for every camera that sees the bounds"
+        yield Violation.at(
+            f"output {declared.name}", actual, expected, certainty="possible"
+        )

@@ -2,20 +2,20 @@
 
 from collections.abc import Iterator
 
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.run_comparison import Behaviour, Comparison
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _OF_CAMERA = ("view", "projection", "camera_position", "viewport")
 
 
-def _differences(comparison: Comparison, want: str) -> Iterator[Breach]:
+def _differences(comparison: Comparison, expected: str) -> Iterator[Violation]:
     for name, largest in comparison.changed.items():
-        saw = f"differs by up to {largest:.3g} at probe {comparison.first!r}"
-        yield Breach.at(f"output {name}", saw, want)
+        actual = f"differs by up to {largest:.3g} at probe {comparison.first!r}"
+        yield Violation.at(f"output {name}", actual, expected)
 
 
 @rule(
@@ -27,13 +27,13 @@ def _differences(comparison: Comparison, want: str) -> Iterator[Breach]:
     needs=("GV025", "GG010"),
     kinds=KINDS,
 )
-def deterministic(behaviour: Behaviour) -> Iterator[Breach]:
+def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
     """The same inputs twice in a row give the same bits.
 
     Why:
         A still camera would show a flickering picture, and no test could compare results.
 
-    Mend:
+    Hint:
         Remove random operators; draw the numbers before export and store them as weights.
     """
     yield from _differences(behaviour.repeated, "the same bits as the run before")
@@ -48,18 +48,18 @@ def deterministic(behaviour: Behaviour) -> Iterator[Breach]:
     needs=("GV025", "GB001"),
     kinds=KINDS,
 )
-def stateless(behaviour: Behaviour) -> Iterator[Breach]:
+def stateless(behaviour: Behaviour) -> Iterator[Violation]:
     """The same inputs give the same bits, whatever was run in between.
 
     Why:
         Scrubbing back to an earlier time must show what was shown then.
 
-    Mend:
+    Hint:
         Make every output a function of the inputs alone.
     """
     if behaviour.revisited is not None:
-        want = "the same bits as before other inputs were run"
-        yield from _differences(behaviour.revisited, want)
+        expected = "the same bits as before other inputs were run"
+        yield from _differences(behaviour.revisited, expected)
 
 
 @rule(
@@ -70,7 +70,7 @@ def stateless(behaviour: Behaviour) -> Iterator[Breach]:
     fixture="time_times_zero",
     needs=("GV025", "GB001", "GB002"),
 )
-def inputs_matter(behaviour: Behaviour) -> Iterator[Breach]:
+def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
     """Each input changes some output, unless `depends_on` says that it does not; and then it does not.
 
     Why:
@@ -78,7 +78,7 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Breach]:
         avatar does not move, the scene does not change with time. A runtime also skips inference
         where nothing it depends on has changed.
 
-    Mend:
+    Hint:
         Export without detaching the input (numpy round trips, `.item()`, Python branches), or set
         "depends_on": {role: false}.
     """
@@ -90,11 +90,11 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Breach]:
         changes = any(comparison.changed for comparison in comparisons)
         place = f"role {role}"
         if declared.get(role, True) and not (changes or _zero_changes(behaviour, role)):
-            saw = f"no output changes with it ({len(comparisons)} variations)"
-            yield Breach.at(place, saw, "an effect, or depends_on false")
+            actual = f"no output changes with it ({len(comparisons)} variations)"
+            yield Violation.at(place, actual, "an effect, or depends_on false")
         elif not declared.get(role, True) and changes and role not in _OF_CAMERA:
             name = next(iter(next(c.changed for c in comparisons if c.changed)))
-            yield Breach.at(place, f"output {name} changes with it", "depends_on true")
+            yield Violation.at(place, f"output {name} changes with it", "depends_on true")
 
 
 def _zero_changes(behaviour: Behaviour, role: str) -> bool:
@@ -107,7 +107,7 @@ def _zero_changes(behaviour: Behaviour, role: str) -> bool:
     return any(visit.digest != behaviour.base.digest for visit in zeroed)
 
 
-def _leads_anywhere(subject: Subject, role: str) -> bool:
+def _leads_anywhere(subject: InspectedModel, role: str) -> bool:
     graph = subject.graph
     used = {name for tensor in graph.outputs for name in graph.ancestors(tensor.name)[0]}
     return any(tensor.name in used for _, tensor in subject.inputs_of(role))
@@ -121,14 +121,14 @@ def _leads_anywhere(subject: Subject, role: str) -> bool:
     fixture="undeclared_camera",
     needs=("GV025", "GB001", "GB002"),
 )
-def camera_invariance(behaviour: Behaviour) -> Iterator[Breach]:
+def camera_invariance(behaviour: Behaviour) -> Iterator[Violation]:
     """Where `depends_on` says that the camera changes nothing, no output changes with it.
 
     Why:
         A runtime runs such a model once and keeps the result while the camera moves: the picture
         shows what another camera should see.
 
-    Mend:
+    Hint:
         Set "depends_on": {"view": true}, or compute what depends on the camera elsewhere.
     """
     generator = behaviour.subject.generator

@@ -5,10 +5,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from gsgen.contract.probing.run_comparison import Behaviour, Visit, difference
+from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, difference
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _RUNS = ("GV025", "GB001", "GB002")
@@ -21,7 +21,7 @@ _ROUNDING = 2e-3
 _POP = 0.1
 
 
-def _floats(visit: Visit) -> dict[str, np.ndarray]:
+def _floats(visit: ProbeRun) -> dict[str, np.ndarray]:
     floats = {n: v for n, v in visit.outputs.items() if v.dtype.kind == "f"}
     return floats if all(np.isfinite(v).all() for v in floats.values()) else {}
 
@@ -34,13 +34,13 @@ def _floats(visit: Visit) -> dict[str, np.ndarray]:
     fixture="loop_that_jumps",
     needs=(*_RUNS, "GM010", "GB003", "GI006"),
 )
-def time_loops(behaviour: Behaviour) -> Iterator[Breach]:
+def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
     """Where time is declared to loop, its end continues at its start.
 
     Why:
         Viewers wrap around at the end of the range: what is not the same there jumps, once a turn.
 
-    Mend:
+    Hint:
         Let the end of the range show what its start shows, or do not declare "loop".
     """
     visits = behaviour.visits("loop")
@@ -54,9 +54,9 @@ def time_loops(behaviour: Behaviour) -> Iterator[Breach]:
         )
         peak = float(np.abs(start[name].astype(np.float64)).max(initial=0))
         if jump > _JUMP * step + _ROUNDING * peak:
-            saw = f"jumps by up to {jump:.3g} from the end to the start"
-            want = f"steps like the {step:.3g} before and after"
-            yield Breach.at(f"output {name}", saw, want)
+            actual = f"jumps by up to {jump:.3g} from the end to the start"
+            expected = f"steps like the {step:.3g} before and after"
+            yield Violation.at(f"output {name}", actual, expected)
 
 
 @rule(
@@ -67,14 +67,14 @@ def time_loops(behaviour: Behaviour) -> Iterator[Breach]:
     fixture="scene_that_pops",
     needs=(*_RUNS, "GM009", "GM010", "GO001", "GO002"),
 )
-def time_continuous(behaviour: Behaviour) -> Iterator[Breach]:
+def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
     """No visible Gaussian crosses a tenth of the bounds between two pictures of a 60 Hz screen.
 
     Why:
         At the declared speed the eye sees a jump instead of motion. Usually two frames are not of
         the same Gaussians, or the declared frames per second are wrong.
 
-    Mend:
+    Hint:
         Interpolate between frames of the same Gaussians; fade what appears. Check frames and fps.
     """
     generator, declared = behaviour.subject.generator, behaviour.subject.declared_gaussians
@@ -90,9 +90,11 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Breach]:
         paths = (a[shown, POSITION].astype(np.float64), b[shown, POSITION])
         far = float(np.linalg.norm(paths[0] - paths[1], axis=1).max(initial=0.0))
         if far > _POP * diagonal:
-            saw = f"moves by {far:.3g} within 1/60 s, {early.probe.label!r}"
-            want = f"{_POP * diagonal:.3g} at most, a tenth of the bounds' diagonal"
-            yield Breach.at(f"output {declared.name}", saw, want, certainty="possible")
+            actual = f"moves by {far:.3g} within 1/60 s, {early.probe.label!r}"
+            expected = f"{_POP * diagonal:.3g} at most, a tenth of the bounds' diagonal"
+            yield Violation.at(
+                f"output {declared.name}", actual, expected, certainty="possible"
+            )
 
 
 @rule(
@@ -103,14 +105,14 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Breach]:
     fixture="last_frame_unreachable",
     needs=(*_RUNS, "GM010", "GB003", "GI006"),
 )
-def every_frame_reached(behaviour: Behaviour) -> Iterator[Breach]:
+def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
     """Where frames are declared, each of them shows another picture.
 
     Why:
         Rounding time down to one frame less than there are shows a frame twice, and the last one
         never.
 
-    Mend:
+    Hint:
         Take frame floor(time · frames), clamped to the last, for a time from 0 to 1. If the scene
         stands still for a while, ignore this rule.
     """
@@ -121,5 +123,5 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Breach]:
         if earlier.digest == later.digest
     ]
     if twice:
-        saw = f"{len(twice)} of {len(visits)} frames show what the frame before did, {twice[0]}"
-        yield Breach.at("role time", saw, "a picture a frame", certainty="possible")
+        actual = f"{len(twice)} of {len(visits)} frames show what the frame before did, {twice[0]}"
+        yield Violation.at("role time", actual, "a picture a frame", certainty="possible")

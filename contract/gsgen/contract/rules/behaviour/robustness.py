@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 
 from gsgen.contract.probing.behaviour_probes import AGAIN
-from gsgen.contract.probing.outputs import Emission, read_emission
-from gsgen.contract.probing.run_comparison import Behaviour, Visit, difference
+from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
+from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, difference
 from gsgen.contract.probing.test_vectors import MOST_SEEDS, probed_seeds, vector_label
 from gsgen.contract.spec.layout import OPACITY
 from gsgen.contract.spec.manifest import TestVector
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.agreement import Apart, apart, comparable
-from gsgen.contract.validation.finding import Breach, Where
+from gsgen.contract.validation.agreement import FieldError, apart, comparable
+from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.rule import rule
 from gsgen.contract.validation.tolerances import effective_tolerances
 
@@ -27,14 +27,14 @@ _INERT_SHARE = 0.5
 _MOSTLY_DEAD = 0.9
 
 
-def _broken(visits: list[Visit]) -> Iterator[Breach]:
+def _broken(visits: list[ProbeRun]) -> Iterator[Violation]:
     for visit in visits:
         if visit.error:
-            yield Breach.at(
+            yield Violation.at(
                 "ONNX Runtime", f"{visit.error} ({visit.probe.label})", "no error"
             )
         for name in visit.not_finite:
-            yield Breach.at(
+            yield Violation.at(
                 f"output {name}", f"not finite at {visit.probe.label!r}", "finite values"
             )
 
@@ -47,14 +47,14 @@ def _broken(visits: list[Visit]) -> Iterator[Breach]:
     fixture="nan_at_half_a_turn",
     needs=(*_RUNS, *_FINITE),
 )
-def edges_finite(behaviour: Behaviour) -> Iterator[Breach]:
+def edges_finite(behaviour: Behaviour) -> Iterator[Violation]:
     """Every output is finite while one input is all zero, and at both ends of all ranges.
 
     Why:
         A rest pose is all zeros, a slider rests at its end, a joint turns by half a circle: norms
         of zero and logarithms of zero hide there.
 
-    Mend:
+    Hint:
         Clamp under the square root, and before division and logarithm.
     """
     yield from _broken(behaviour.visits("edges"))
@@ -68,14 +68,14 @@ def edges_finite(behaviour: Behaviour) -> Iterator[Breach]:
     fixture="nan_beyond_range",
     needs=(*_RUNS, *_FINITE, "GB013"),
 )
-def beyond_range_finite(behaviour: Behaviour) -> Iterator[Breach]:
+def beyond_range_finite(behaviour: Behaviour) -> Iterator[Violation]:
     """Just outside the declared ranges, every output is finite and nothing fails.
 
     Why:
         Timelines overshoot by a rounding error, and sliders by a pixel. An index computed from time
         then lies outside its table, and the whole frame fails.
 
-    Mend:
+    Hint:
         Clip inputs to their range inside the model.
     """
     yield from _broken(behaviour.visits("outside"))
@@ -90,7 +90,7 @@ def beyond_range_finite(behaviour: Behaviour) -> Iterator[Breach]:
     needs=(*_RUNS, "GG020"),
     kinds=KINDS,
 )
-def optimiser_agrees(behaviour: Behaviour) -> Iterator[Breach]:
+def optimiser_agrees(behaviour: Behaviour) -> Iterator[Violation]:
     """With the optimisations of ONNX Runtime switched off, outputs agree within the tolerances.
 
     Why:
@@ -99,7 +99,7 @@ def optimiser_agrees(behaviour: Behaviour) -> Iterator[Breach]:
         and cells are compared field by field with the tolerances of the configuration, else the
         manifest's, else the contract's; other outputs by one hundredth of their largest value.
 
-    Mend:
+    Hint:
         Find the operators by switching optimisations off one by one; write that part differently.
         Widen the tolerances only if the difference cannot be seen.
     """
@@ -109,7 +109,7 @@ def optimiser_agrees(behaviour: Behaviour) -> Iterator[Breach]:
         if not visit.outputs:
             continue
         first, second = (
-            read_emission(subject, one.probe.label, False, one.outputs)
+            read_outputs(subject, one.probe.label, False, one.outputs)
             for one in (base, visit)
         )
         for one in apart(first, second, tolerances):
@@ -126,31 +126,31 @@ def optimiser_agrees(behaviour: Behaviour) -> Iterator[Breach]:
                 yield from _loosely(name, value, visit.outputs[name])
 
 
-def _too_far(one: Apart, emission: Emission) -> Breach:
+def _too_far(one: FieldError, emission: ModelOutputs) -> Violation:
     tolerance, field = one.tolerance, one.tolerance.field
     output = emission.color_place if field == "appearance" else emission.rows_place
     if one.of_cells:
         output = emission.cells_place
         field = "visibility" if field == "opacity" else field
-    place = Where(output, field)
-    saw = f"row {one.row} differs by {one.error:.3g} without optimisations"
+    place = Location(output, field)
+    actual = f"row {one.row} differs by {one.error:.3g} without optimisations"
     source = {"default": "the contract's own", "config": "by the configuration"}
-    want = (
+    expected = (
         f"{tolerance.value:g} at most, {tolerance.unit} "
         f"({source.get(tolerance.source, 'by the manifest')})"
     )
-    return Breach(place, want, saw)
+    return Violation(place, expected, actual)
 
 
-def _loosely(name: str, value: np.ndarray, other: np.ndarray) -> Iterator[Breach]:
+def _loosely(name: str, value: np.ndarray, other: np.ndarray) -> Iterator[Violation]:
     """Compare an output that no tolerance speaks of, in the scale of its largest value."""
     peak = float(np.abs(value.astype(np.float64)).max(initial=0))
     least = 1.0 if value.dtype.kind in "iu" else 0.0
     largest = difference(value, other)
     if largest > max(_REWRITTEN * peak, least):
-        saw = f"differs by up to {largest:.3g} without optimisations"
-        want = f"{_REWRITTEN * peak:.3g} at most, 1 % of the largest value"
-        yield Breach.at(f"output {name}", saw, want)
+        actual = f"differs by up to {largest:.3g} without optimisations"
+        expected = f"{_REWRITTEN * peak:.3g} at most, 1 % of the largest value"
+        yield Violation.at(f"output {name}", actual, expected)
 
 
 @rule(
@@ -162,20 +162,22 @@ def _loosely(name: str, value: np.ndarray, other: np.ndarray) -> Iterator[Breach
     needs=_RUNS,
     kinds=KINDS,
 )
-def order_does_not_matter(behaviour: Behaviour) -> Iterator[Breach]:
+def order_does_not_matter(behaviour: Behaviour) -> Iterator[Violation]:
     """After all other runs, the probes give the same bits in reverse order.
 
     Why:
         What is remembered from run to run may show only after a while.
 
-    Mend:
+    Hint:
         Make every output a function of the inputs alone.
     """
     first = {one.probe.label: one.digest for one in behaviour.values}
     for visit in behaviour.visits("again"):
         label = visit.probe.label.removesuffix(f" {AGAIN}")
         if visit.digest and visit.digest != first[label]:
-            yield Breach.at(f"probe {label!r}", "other bits than at first", "the same bits")
+            yield Violation.at(
+                f"probe {label!r}", "other bits than at first", "the same bits"
+            )
 
 
 @rule(
@@ -186,14 +188,14 @@ def order_does_not_matter(behaviour: Behaviour) -> Iterator[Breach]:
     fixture="mostly_inert",
     needs=("GV025", "GO001", "GO002", "GO010", "GO011", "GV016", "GV003"),
 )
-def live_rows_first(behaviour: Behaviour) -> Iterator[Breach]:
+def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
     """An exact count counts rows that are drawn: most of them are not fully transparent.
 
     Why:
         A renderer sorts and visits all rows before an exact count. If most are inert, the live ones
         do not stand first, and the count saves nothing.
 
-    Mend:
+    Hint:
         Move live rows to the front, or declare the count's semantics as "upper-bound".
     """
     subject = behaviour.subject
@@ -206,10 +208,10 @@ def live_rows_first(behaviour: Behaviour) -> Iterator[Breach]:
         inert = int(np.count_nonzero(opacity == 0))
         # If nearly all are, another rule says so.
         if _INERT_SHARE * len(opacity) < inert <= _MOSTLY_DEAD * len(opacity):
-            saw = (
+            actual = (
                 f"{inert} of {len(opacity)} counted rows have opacity 0 at {probe.label!r}"
             )
-            yield Breach.at(f"output {count.name}", saw, "live rows first")
+            yield Violation.at(f"output {count.name}", actual, "live rows first")
             return
 
 
@@ -222,7 +224,7 @@ def live_rows_first(behaviour: Behaviour) -> Iterator[Breach]:
     needs=(*_RUNS, "GM002", "GM003"),
     kinds=KINDS,
 )
-def vectors_reproduce(behaviour: Behaviour) -> Iterator[Breach]:
+def vectors_reproduce(behaviour: Behaviour) -> Iterator[Violation]:
     """Every test vector names a probe, and the model gives the outputs that it promises.
 
     Why:
@@ -230,26 +232,26 @@ def vectors_reproduce(behaviour: Behaviour) -> Iterator[Breach]:
         digest is SHA-256 over the declared outputs in order: a line "name dtype shape", then the
         bytes. Another processor may round differently, so a difference is no proof of a fault.
 
-    Mend:
+    Hint:
         Take the digest given here, if the model is right. Models without vectors are fine.
     """
     manifest = behaviour.subject.manifest
     for index, vector in enumerate(manifest.test_vectors if manifest else ()):
         place, given = f"manifest test_vectors.{index}", _outcome(behaviour, vector)
-        if isinstance(given, Breach):
-            yield replace(given, where=Where(place))
+        if isinstance(given, Violation):
+            yield replace(given, where=Location(place))
         elif given != vector.expected_sha256:
-            want = f"the declared {vector.expected_sha256}"
-            yield Breach.at(place, f"sha256 {given}", want, certainty="possible")
+            expected = f"the declared {vector.expected_sha256}"
+            yield Violation.at(place, f"sha256 {given}", expected, certainty="possible")
 
 
-def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Breach:
+def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation:
     """Return the digest of what the vector's probe gave, or why there is none."""
     manifest, plan = behaviour.subject.manifest, behaviour.trial.plan
     assert manifest is not None
     label, ours = vector_label(vector.inputs, vector.seed), vector.seed == plan.seed
     if not ours and vector.seed not in probed_seeds(manifest, plan.seed):
-        return Breach.at("", f"seed {vector.seed}", f"{MOST_SEEDS} other seeds at most")
+        return Violation.at("", f"seed {vector.seed}", f"{MOST_SEEDS} other seeds at most")
     visits = behaviour.values if ours else behaviour.visits("vectors")
     digests = {one.probe.label: one.digest for one in visits}
     given = digests.get(vector.inputs if ours else label)
@@ -258,7 +260,7 @@ def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Breach:
     known = [one.probe.label for one in behaviour.values]
     planned = [plan.probes[index].label for index in plan.trials.get("vectors", ())]
     if not ours and label in planned:
-        saw = f"no outputs at {label!r}"
-        return Breach.at("", saw, "a run in time", certainty="possible")
-    saw = f"no probe {vector.inputs!r} with seed {vector.seed}"
-    return Breach.at("", saw, f"one of {', '.join(map(repr, known))}")
+        actual = f"no outputs at {label!r}"
+        return Violation.at("", actual, "a run in time", certainty="possible")
+    actual = f"no probe {vector.inputs!r} with seed {vector.seed}"
+    return Violation.at("", actual, f"one of {', '.join(map(repr, known))}")

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 
 from onnx import NodeProto
 
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.provider_placement import Cause, Placement, shape_arguments
 from gsgen.contract.spec.operator_tables import FAILURES
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _NEEDS = ("GG001", "GG002", "GG019")
@@ -24,7 +24,7 @@ def _place(node: NodeProto) -> str:
     return f"node {node.name or node.output[0]} ({node.op_type})"
 
 
-def _of_cause(subject: Subject, cause: Cause) -> list[Placement]:
+def _of_cause(subject: InspectedModel, cause: Cause) -> list[Placement]:
     return [one for one in subject.placements if one.cause == cause]
 
 
@@ -48,21 +48,23 @@ def _seen(one: Placement) -> str:
     needs=_NEEDS,
     limit=_CAPTURE,
 )
-def no_dynamic_shapes(subject: Subject) -> Iterator[Breach]:
+def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
     """No tensor's shape depends on what the frame's inputs hold.
 
     Why:
         A recorded frame has fixed buffers. NonZero, Compress, Unique, and any shape computed from
         values, are placed on the CPU, and graph capture is then refused for the whole model.
 
-    Mend:
+    Hint:
         Keep all rows, set the opacity of those that are not wanted to zero with Where, and lower
         num_points.
     """
     for one in _of_cause(subject, "shape"):
         names = shape_arguments(one.node)
-        saw = f"the shape comes from {names[0]!r}" if names else "as many as values say"
-        yield Breach.at(_place(one.node), saw, "a shape that is known before the frame")
+        actual = f"the shape comes from {names[0]!r}" if names else "as many as values say"
+        yield Violation.at(
+            _place(one.node), actual, "a shape that is known before the frame"
+        )
 
 
 @rule(
@@ -75,18 +77,18 @@ def no_dynamic_shapes(subject: Subject) -> Iterator[Breach]:
     needs=_NEEDS,
     limit=_CAPTURE,
 )
-def no_int64_compute(subject: Subject) -> Iterator[Breach]:
+def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
     """No operator of the frame computes in int64 without a kernel for it.
 
     Why:
         WebGPU has no 64-bit integers. Few operators take them by way of 32 bits; the others fall to
         the CPU, and graph capture is then refused for the whole model.
 
-    Mend:
+    Hint:
         Cast to int32 first; frame numbers and identities come as int32 already.
     """
     for one in _of_cause(subject, "int64"):
-        yield Breach.at(_place(one.node), _seen(one), "int32, or a kernel for int64")
+        yield Violation.at(_place(one.node), _seen(one), "int32, or a kernel for int64")
 
 
 @rule(
@@ -99,19 +101,19 @@ def no_int64_compute(subject: Subject) -> Iterator[Breach]:
     needs=_NEEDS,
     limit=_CAPTURE,
 )
-def operators_have_kernels(subject: Subject) -> Iterator[Breach]:
+def operators_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
     """The target's WebGPU provider has a kernel for every operator of the frame, in its dtype.
 
     Why:
         A node without one is copied to the CPU and back every frame, and graph capture is refused
         for the whole model. A few kernels exist and compute something else.
 
-    Mend:
+    Hint:
         Write the operation with operators that have kernels: Round as Floor(x + 0.5), Mod as
         x − Floor(x / y) · y, Sign as a difference of two comparisons.
     """
     for one in _of_cause(subject, "operator"):
-        yield Breach.at(_place(one.node), _seen(one), "an operator that is captured")
+        yield Violation.at(_place(one.node), _seen(one), "an operator that is captured")
 
 
 @rule(
@@ -124,25 +126,27 @@ def operators_have_kernels(subject: Subject) -> Iterator[Breach]:
     needs=("GG019",),
     limit="split_outputs",
 )
-def narrow_concat_and_split(subject: Subject) -> Iterator[Breach]:
+def narrow_concat_and_split(subject: InspectedModel) -> Iterator[Violation]:
     """A Split has no more outputs, and a Concat no more inputs, than the target can bind.
 
     Why:
         WebGPU guarantees eight storage buffers a stage, one of them for the whole tensor. A Split
         of more fails at the first frame; onnxruntime-web 1.22 gives garbage for a wide Concat.
 
-    Mend:
+    Hint:
         Nest them: join or split seven at a time.
     """
     limits = subject.target.limits
     for one in subject.placements:
         node = one.node
         if node.op_type == "Split" and len(node.output) > limits["split_outputs"]:
-            want = f"{limits['split_outputs']} at most"
-            yield Breach.at(_place(node), f"{len(node.output)} outputs", want)
+            expected = f"{limits['split_outputs']} at most"
+            yield Violation.at(_place(node), f"{len(node.output)} outputs", expected)
         widest = limits.get("concat_inputs")
         if node.op_type == "Concat" and widest is not None and len(node.input) > widest:
-            yield Breach.at(_place(node), f"{len(node.input)} inputs", f"{widest} at most")
+            yield Violation.at(
+                _place(node), f"{len(node.input)} inputs", f"{widest} at most"
+            )
 
 
 @rule(
@@ -155,19 +159,19 @@ def narrow_concat_and_split(subject: Subject) -> Iterator[Breach]:
     needs=_NEEDS,
     limit=_CAPTURE,
 )
-def norms_have_kernels(subject: Subject) -> Iterator[Breach]:
+def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
     """The target's WebGPU provider has a kernel for every norm and normalisation of the frame.
 
     Why:
         GroupNormalization has none in current releases, LpNormalization none in onnxruntime-web
         1.22. The node falls to the CPU, and graph capture is refused for the whole model.
 
-    Mend:
+    Hint:
         Write it out: subtract the mean, divide by the root of the mean square, and clamp under the
         root rather than add a small number.
     """
     for one in _of_cause(subject, "norm"):
-        yield Breach.at(_place(one.node), _seen(one), "Mul, ReduceSum and Sqrt")
+        yield Violation.at(_place(one.node), _seen(one), "Mul, ReduceSum and Sqrt")
 
 
 @rule(
@@ -180,7 +184,7 @@ def norms_have_kernels(subject: Subject) -> Iterator[Breach]:
     needs=_NEEDS,
     limit=_CAPTURE,
 )
-def opset_has_kernels(subject: Subject) -> Iterator[Breach]:
+def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
     """Operators that the target's WebGPU provider knows are of an operator set it knows them in.
 
     Why:
@@ -188,11 +192,11 @@ def opset_has_kernels(subject: Subject) -> Iterator[Breach]:
         written for. From operator set 22 on, Sin and Cos among others are of a newer version:
         they fall to the CPU, and graph capture is refused.
 
-    Mend:
+    Hint:
         Export at operator set 18.
     """
     for one in _of_cause(subject, "opset"):
-        yield Breach.at(_place(one.node), _seen(one), "operator set 18")
+        yield Violation.at(_place(one.node), _seen(one), "operator set 18")
 
 
 @rule(
@@ -205,7 +209,7 @@ def opset_has_kernels(subject: Subject) -> Iterator[Breach]:
     needs=("GG003", "GG004", "GG005", "GG006", "GG008", "GG011", "GG018"),
     limit=_CAPTURE,
 )
-def capture_foreseen(subject: Subject) -> Iterator[Breach]:
+def capture_foreseen(subject: InspectedModel) -> Iterator[Violation]:
     """Nothing in the graph stands against graph capture.
 
     Why:
@@ -213,10 +217,12 @@ def capture_foreseen(subject: Subject) -> Iterator[Breach]:
         rule sums up: it passes if every node is known to be captured, does not apply where one of
         the rules it needs says what stands against it, and reports operators nobody has measured.
 
-    Mend:
+    Hint:
         Run `gsgen validate --level live`, which captures the model in the real provider.
     """
     for one in _of_cause(subject, "unknown"):
         runtimes = " and ".join(one.outcomes)
-        saw = f"{one.dtype or 'unknown dtype'} was not measured in {runtimes}"
-        yield Breach.at(_place(one.node), saw, "a measured operator", certainty="possible")
+        actual = f"{one.dtype or 'unknown dtype'} was not measured in {runtimes}"
+        yield Violation.at(
+            _place(one.node), actual, "a measured operator", certainty="possible"
+        )

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 from onnx import NodeProto
 
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _MAIN_DOMAIN = ("", "ai.onnx")
@@ -36,14 +36,14 @@ def _place(node: NodeProto) -> str:
     fixture="ancient_opset",
     kinds=KINDS,
 )
-def opset_supported(subject: Subject) -> Iterator[Breach]:
+def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
     """Operator set and IR version are ones that the target runs.
 
     Why:
         A runtime refuses an operator set it does not know, and old sets lack operators and types
         that the layout needs.
 
-    Mend:
+    Hint:
         Export at operator set 18, which every current runtime has kernels for.
     """
     low, high = subject.target.opset
@@ -51,13 +51,15 @@ def opset_supported(subject: Subject) -> Iterator[Breach]:
     opsets = {entry.domain: entry.version for entry in proto.opset_import}
     seen = next((opsets[domain] for domain in _MAIN_DOMAIN if domain in opsets), None)
     if seen is None:
-        yield Breach.at(
+        yield Violation.at(
             "opset_import", "no version of the ONNX operator set", f"{low} to {high}"
         )
     elif not low <= seen <= high:
-        yield Breach.at("opset_import", f"operator set {seen}", f"{low} to {high}")
+        yield Violation.at("opset_import", f"operator set {seen}", f"{low} to {high}")
     if proto.ir_version > subject.target.ir:
-        yield Breach.at("ir_version", str(proto.ir_version), f"{subject.target.ir} at most")
+        yield Violation.at(
+            "ir_version", str(proto.ir_version), f"{subject.target.ir} at most"
+        )
 
 
 @rule(
@@ -68,22 +70,22 @@ def opset_supported(subject: Subject) -> Iterator[Breach]:
     fixture="custom_operator",
     kinds=KINDS,
 )
-def standard_operators(subject: Subject) -> Iterator[Breach]:
+def standard_operators(subject: InspectedModel) -> Iterator[Violation]:
     """Every operator is a standard one, or a function that the model defines.
 
     Why:
         No runtime but the author's has kernels for operators of another domain.
 
-    Mend:
+    Hint:
         Export without custom operators; write the operation with standard ones.
     """
     graph, allowed = subject.graph, subject.target.domains
     for node in graph.all_nodes():
         known = node.domain in allowed or (node.domain, node.op_type) in graph.functions
         if not known:
-            saw = f"domain {node.domain!r}"
-            yield Breach.at(
-                _place(node), saw, "the ONNX domain, or a function in the model"
+            actual = f"domain {node.domain!r}"
+            yield Violation.at(
+                _place(node), actual, "the ONNX domain, or a function in the model"
             )
 
 
@@ -95,18 +97,18 @@ def standard_operators(subject: Subject) -> Iterator[Breach]:
     fixture="if_node",
     kinds=KINDS,
 )
-def no_control_flow(subject: Subject) -> Iterator[Breach]:
+def no_control_flow(subject: InspectedModel) -> Iterator[Violation]:
     """The graph has no If, Loop or Scan.
 
     Why:
         Graph capture refuses control flow, so every frame pays for launching every kernel anew.
 
-    Mend:
+    Hint:
         Compute both branches and select with Where; unroll loops of fixed length.
     """
     for node in subject.graph.all_nodes():
         if node.op_type in _CONTROL_FLOW and node.domain in _MAIN_DOMAIN:
-            yield Breach.at(_place(node), node.op_type, "straight-line operators")
+            yield Violation.at(_place(node), node.op_type, "straight-line operators")
 
 
 @rule(
@@ -117,19 +119,19 @@ def no_control_flow(subject: Subject) -> Iterator[Breach]:
     fixture="unseeded_random",
     kinds=KINDS,
 )
-def no_unseeded_random(subject: Subject) -> Iterator[Breach]:
+def no_unseeded_random(subject: InspectedModel) -> Iterator[Violation]:
     """Random operators have a seed.
 
     Why:
         The same camera and time would give another picture every frame and on every machine.
 
-    Mend:
+    Hint:
         Draw the numbers before export and store them as weights.
     """
     for node in subject.graph.all_nodes():
         seeded = any(attribute.name == "seed" for attribute in node.attribute)
         if node.op_type in _RANDOM and node.domain in _MAIN_DOMAIN and not seeded:
-            yield Breach.at(_place(node), "no seed", "a seed, or stored numbers")
+            yield Violation.at(_place(node), "no seed", "a seed, or stored numbers")
 
 
 @rule(
@@ -141,19 +143,19 @@ def no_unseeded_random(subject: Subject) -> Iterator[Breach]:
     kinds=KINDS,
     needs=("GG019",),
 )
-def no_float64(subject: Subject) -> Iterator[Breach]:
+def no_float64(subject: InspectedModel) -> Iterator[Violation]:
     """No tensor of the graph is float64.
 
     Why:
         WebGPU has no 64-bit floats: the node falls back to the CPU, and with graph capture the
         session is refused.
 
-    Mend:
+    Hint:
         Keep constants and buffers in float32; numpy and Python floats are float64 by default.
     """
     for tensor in subject.graph.tensors.values():
         if tensor.dtype == "float64":
-            yield Breach.at(f"tensor {tensor.name}", "float64", "float32 or float16")
+            yield Violation.at(f"tensor {tensor.name}", "float64", "float32 or float16")
 
 
 @rule(
@@ -165,21 +167,23 @@ def no_float64(subject: Subject) -> Iterator[Breach]:
     kinds=KINDS,
     needs=("GG019",),
 )
-def shapes_agree(subject: Subject) -> Iterator[Breach]:
+def shapes_agree(subject: InspectedModel) -> Iterator[Violation]:
     """Declared shapes and dtypes agree with what the operators compute.
 
     Why:
         Readers allocate buffers from declared shapes; ONNX Runtime computes the real ones, and
         only warns where they differ.
 
-    Mend:
+    Hint:
         Run shape inference again after editing a graph, and keep its result.
     """
     for conflict in subject.graph.conflicts:
-        saw = f"declared {conflict.declared}"
-        yield Breach.at(f"tensor {conflict.name}", saw, f"{conflict.inferred}, as inferred")
+        actual = f"declared {conflict.declared}"
+        yield Violation.at(
+            f"tensor {conflict.name}", actual, f"{conflict.inferred}, as inferred"
+        )
     if subject.graph.inference_fault and not subject.graph.conflicts:
-        yield Breach.at(
+        yield Violation.at(
             "graph", subject.graph.inference_fault, "operators whose shapes fit"
         )
 
@@ -193,7 +197,7 @@ def shapes_agree(subject: Subject) -> Iterator[Breach]:
     kinds=KINDS,
     needs=("GG019",),
 )
-def no_transposed_vector_product(subject: Subject) -> Iterator[Breach]:
+def no_transposed_vector_product(subject: InspectedModel) -> Iterator[Violation]:
     """No MatMul multiplies the result of a Transpose with a vector of one axis.
 
     Why:
@@ -201,7 +205,7 @@ def no_transposed_vector_product(subject: Subject) -> Iterator[Breach]:
         computes A v where Aᵀ v was meant. The camera centre −Rᵀ t comes out wrong without any
         error, and right again when optimisation is switched off.
 
-    Mend:
+    Hint:
         Give the vector a second axis: Unsqueeze it to [n, 1], multiply, and Squeeze the result.
         Models exported with the SDK are so already.
     """
@@ -216,7 +220,7 @@ def no_transposed_vector_product(subject: Subject) -> Iterator[Breach]:
         maker, right = graph.producers.get(node.input[0]), graph.tensors.get(node.input[1])
         turned = maker is not None and maker.op_type == "Transpose"
         if turned and right is not None and right.dims is not None and len(right.dims) == 1:
-            yield Breach.at(
+            yield Violation.at(
                 _place(node), f"Transpose times {right}", "a right side of two axes"
             )
 
@@ -230,14 +234,16 @@ def no_transposed_vector_product(subject: Subject) -> Iterator[Breach]:
     kinds=KINDS,
     needs=("GG001", "GG002"),
 )
-def onnx_well_formed(subject: Subject) -> Iterator[Breach]:
+def onnx_well_formed(subject: InspectedModel) -> Iterator[Violation]:
     """ONNX's own checker accepts the model.
 
     Why:
         A graph with a cycle, a dangling name or a missing attribute does not load anywhere.
 
-    Mend:
+    Hint:
         Export again, or undo the edit that broke the graph; the message is that of onnx.checker.
     """
     if subject.graph.checker_fault:
-        yield Breach.at("graph", subject.graph.checker_fault, "what onnx.checker accepts")
+        yield Violation.at(
+            "graph", subject.graph.checker_fault, "what onnx.checker accepts"
+        )

@@ -4,10 +4,10 @@ from collections import Counter
 from collections.abc import Iterator
 
 from gsgen.contract.model.graph import Tensor, tensor_bytes
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _MIB = 1 << 20
@@ -27,7 +27,7 @@ _NOTHING = Tensor("", None, None)
     fixture="node_name_twice",
     kinds=KINDS,
 )
-def names_are_clean(subject: Subject) -> Iterator[Breach]:
+def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
     """Node names are unique where there are any, and names of inputs and outputs are plain words.
 
     Why:
@@ -35,14 +35,14 @@ def names_are_clean(subject: Subject) -> Iterator[Breach]:
         it. A name with a blank or a control character looks like another one, and whoever trims it
         does not find the tensor.
 
-    Mend:
+    Hint:
         Rename the nodes; name inputs and outputs with letters, digits, dots, slashes and
         underscores.
     """
     names = Counter(node.name for node in subject.graph.nodes if node.name)
     for name, count in names.items():
         if count > 1:
-            yield Breach.at(
+            yield Violation.at(
                 f"node {name}", f"{count} nodes of that name", "one node a name"
             )
     for kind, tensors in (
@@ -51,7 +51,9 @@ def names_are_clean(subject: Subject) -> Iterator[Breach]:
     ):
         for tensor in tensors:
             if not tensor.name.isprintable() or " " in tensor.name:
-                yield Breach.at(f"{kind} {tensor.name!r}", "a blank in it", "a plain word")
+                yield Violation.at(
+                    f"{kind} {tensor.name!r}", "a blank in it", "a plain word"
+                )
 
 
 @rule(
@@ -62,24 +64,26 @@ def names_are_clean(subject: Subject) -> Iterator[Breach]:
     fixture="large_constant_node",
     kinds=KINDS,
 )
-def weights_are_loadable(subject: Subject) -> Iterator[Breach]:
+def weights_are_loadable(subject: InspectedModel) -> Iterator[Violation]:
     """The file is below 1500 MiB, and large weights are initialisers, not constants of nodes.
 
     Why:
         A protobuf message ends at 2 GiB, and a browser needs several times the file in memory. A
         constant of a node cannot lie beside the model, and optimisers copy it.
 
-    Mend:
+    Hint:
         Store large weights as initialisers, in a file beside the model if they are many.
     """
     file = subject.file
     if file.size > _LARGEST_FILE:
-        want = f"{_LARGEST_FILE / _MIB:.0f} MiB at most, and weights beside it"
-        yield Breach.at("file", f"{file.size / _MIB:.0f} MiB", want)
+        expected = f"{_LARGEST_FILE / _MIB:.0f} MiB at most, and weights beside it"
+        yield Violation.at("file", f"{file.size / _MIB:.0f} MiB", expected)
     for node in subject.graph.all_nodes():
         if node.op_type != "Constant" or not node.output:
             continue
         size = tensor_bytes(subject.graph.tensors.get(node.output[0], _NOTHING))
         if size > _LARGEST_CONSTANT:
-            saw = f"a constant of {size / _MIB:.1f} MiB"
-            yield Breach.at(f"node {node.name or node.output[0]}", saw, "an initialiser")
+            actual = f"a constant of {size / _MIB:.1f} MiB"
+            yield Violation.at(
+                f"node {node.name or node.output[0]}", actual, "an initialiser"
+            )

@@ -6,10 +6,10 @@ from onnx import NodeProto
 
 from gsgen.contract.model.buffer_copies import is_copy
 from gsgen.contract.model.graph import Graph
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _SCATTERS = frozenset({"ScatterElements", "ScatterND"})
@@ -28,7 +28,7 @@ def _place(node: NodeProto) -> str:
     kinds=KINDS,
     needs=("GG019",),
 )
-def outputs_survive_replay(subject: Subject) -> Iterator[Breach]:
+def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
     """Every output that varies is written by an operator that computes, not by a view of a buffer.
 
     Why:
@@ -37,7 +37,7 @@ def outputs_survive_replay(subject: Subject) -> Iterator[Breach]:
         one by an operator with nothing to do (a reduction over no axes, Max or Min of one input),
         and an update in place by ScatterND or ScatterElements.
 
-    Mend:
+    Hint:
         End the output on Cast, Concat, Mul by one, or Add of zero; reshape before that. Replace
         Scatter by Concat, Where or Gather.
     """
@@ -45,18 +45,20 @@ def outputs_survive_replay(subject: Subject) -> Iterator[Breach]:
     for tensor in graph.outputs:
         place = f"output {tensor.name}"
         if graph.input(tensor.name):
-            yield Breach.at(place, "an input passed through", "the result of an operator")
+            yield Violation.at(
+                place, "an input passed through", "the result of an operator"
+            )
             continue
         if not graph.varies(tensor.name):
             continue
         producer = graph.producers.get(tensor.name)
         if producer is not None and _copies(graph, producer):
-            yield Breach.at(
+            yield Violation.at(
                 place, f"made by {producer.op_type}", "an operator that computes"
             )
         for node in graph.ancestors(tensor.name)[1]:
             if node.op_type in _SCATTERS and _shares_base(graph, node):
-                yield Breach.at(
+                yield Violation.at(
                     _place(node), "updates a tensor that others read", "Where or Concat"
                 )
 

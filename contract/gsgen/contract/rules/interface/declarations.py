@@ -4,11 +4,11 @@ import json
 import re
 from collections.abc import Iterator
 
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.roles import KINDS, ROLES
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _PREFIX = "gsgen."
@@ -25,7 +25,7 @@ _SPDX = re.compile(rf"^{_TERM}(?:\s+(?:AND|OR|WITH)\s+{_TERM})*$")
     fixture="rgb_with_degree",
     needs=("GM002", "GM003"),
 )
-def sh_declared_as_sh(subject: Subject) -> Iterator[Breach]:
+def sh_declared_as_sh(subject: InspectedModel) -> Iterator[Violation]:
     """A degree is declared for SH alone.
 
     Why:
@@ -33,13 +33,13 @@ def sh_declared_as_sh(subject: Subject) -> Iterator[Breach]:
         The contract fixes order, signs and direction of SH, so the declared space alone decides
         how a row is read, and a degree beside `rgb` says the opposite.
 
-    Mend:
+    Hint:
         Set "space": "sh" if the rows hold coefficients; else remove the degree.
     """
     declared = subject.declared_appearance
     if declared is not None and declared.space == "rgb" and declared.degree is not None:
-        saw = f"space rgb with degree {declared.degree}"
-        yield Breach.at("manifest outputs.appearance", saw, "sh, or no degree")
+        actual = f"space rgb with degree {declared.degree}"
+        yield Violation.at("manifest outputs.appearance", actual, "sh, or no degree")
 
 
 @rule(
@@ -50,21 +50,23 @@ def sh_declared_as_sh(subject: Subject) -> Iterator[Breach]:
     fixture="no_color_space",
     needs=("GM002", "GM003"),
 )
-def color_space_declared(subject: Subject) -> Iterator[Breach]:
+def color_space_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest says whether colours are sRGB or linear.
 
     Why:
         Readers take sRGB where nothing is said, as trained scenes are. Linear colours shown so are
         too dark.
 
-    Mend:
+    Hint:
         Add "color_space": "srgb" or "linear" to outputs.appearance.
     """
     if subject.declared_appearance is None or subject.file.manifest_text is None:
         return
     written = json.loads(subject.file.manifest_text)["outputs"]["appearance"]
     if "color_space" not in written:
-        yield Breach.at("manifest outputs.appearance", "no color_space", "srgb or linear")
+        yield Violation.at(
+            "manifest outputs.appearance", "no color_space", "srgb or linear"
+        )
 
 
 @rule(
@@ -75,31 +77,31 @@ def color_space_declared(subject: Subject) -> Iterator[Breach]:
     fixture="time_without_range",
     needs=("GM004",),
 )
-def time_domain(subject: Subject) -> Iterator[Breach]:
+def time_domain(subject: InspectedModel) -> Iterator[Violation]:
     """Time has a range with a beginning before its end, and nothing but time loops or has frames.
 
     Why:
         A viewer's timeline runs from one end of the range to the other; without one it guesses, and
         shows the first instant of a scene that runs for minutes.
 
-    Mend:
+    Hint:
         Declare "range": [first, last] for time, and loop, frames and fps there alone.
     """
     for entry in subject.manifest.inputs if subject.manifest else ():
         place = f"manifest input {entry.name}"
         if entry.role == "time" and entry.range is None:
-            yield Breach.at(place, "no range", '"range": [first, last]')
+            yield Violation.at(place, "no range", '"range": [first, last]')
         backwards = entry.range is not None and not entry.range[0] < entry.range[1]
         if entry.role in ("time", "frame_index") and backwards:
-            yield Breach.at(place, f"range {list(entry.range or ())}", "first < last")
+            yield Violation.at(place, f"range {list(entry.range or ())}", "first < last")
         yield from _foreign_fields(entry, place)
 
 
-def _foreign_fields(entry: Input, place: str) -> Iterator[Breach]:
+def _foreign_fields(entry: Input, place: str) -> Iterator[Violation]:
     timed = {"loop": entry.loop, "fps": entry.fps, "frames": entry.frames}
     said = [name for name, value in timed.items() if value is not None]
     if said and entry.role not in ("time", "frame_index"):
-        yield Breach.at(place, f"role {entry.role} with {', '.join(said)}", "role time")
+        yield Violation.at(place, f"role {entry.role} with {', '.join(said)}", "role time")
 
 
 @rule(
@@ -111,25 +113,27 @@ def _foreign_fields(entry: Input, place: str) -> Iterator[Breach]:
     kinds=KINDS,
     needs=("GM002", "GM003"),
 )
-def provenance_readable(subject: Subject) -> Iterator[Breach]:
+def provenance_readable(subject: InspectedModel) -> Iterator[Violation]:
     """Where the producer is declared, its licence is an SPDX expression and its tool has a version.
 
     Why:
         Whoever collects models filters by licence, and a fault in an exporter can be traced to its
         version; prose helps with neither. A manifest without a producer is fine.
 
-    Mend:
+    Hint:
         Write "license": "Apache-2.0" or another SPDX expression, and "tool": "name 1.2".
     """
     producer = subject.manifest.producer if subject.manifest else None
     if producer is None:
         return
     if producer.license is not None and not _SPDX.match(producer.license):
-        yield Breach.at(
+        yield Violation.at(
             "manifest producer.license", repr(producer.license), "an SPDX expression"
         )
     if not any(letter.isdigit() for letter in producer.tool):
-        yield Breach.at("manifest producer.tool", repr(producer.tool), "name and version")
+        yield Violation.at(
+            "manifest producer.tool", repr(producer.tool), "name and version"
+        )
 
 
 @rule(
@@ -140,14 +144,14 @@ def provenance_readable(subject: Subject) -> Iterator[Breach]:
     fixture="contract_in_value_metadata",
     kinds=KINDS,
 )
-def manifest_at_model_level(subject: Subject) -> Iterator[Breach]:
+def manifest_at_model_level(subject: InspectedModel) -> Iterator[Violation]:
     """Nothing of the contract is stored in the metadata of single tensors.
 
     Why:
         Simplifiers and optimisers keep the model's metadata, and drop that of tensors: what is said
         there is lost on the way to the viewer.
 
-    Mend:
+    Hint:
         Say it in the manifest, under the model-level key gsgen.manifest.
     """
     graph = subject.file.proto.graph
@@ -160,7 +164,7 @@ def manifest_at_model_level(subject: Subject) -> Iterator[Breach]:
     for name, keys in said:
         ours = [key for key in keys if key.startswith(_PREFIX)]
         if ours:
-            yield Breach.at(f"tensor {name}", f"key {ours[0]!r}", "the manifest")
+            yield Violation.at(f"tensor {name}", f"key {ours[0]!r}", "the manifest")
 
 
 @rule(
@@ -171,14 +175,14 @@ def manifest_at_model_level(subject: Subject) -> Iterator[Breach]:
     fixture="depends_on_unknown",
     needs=("GM002", "GM003"),
 )
-def dependencies_are_inputs(subject: Subject) -> Iterator[Breach]:
+def dependencies_are_inputs(subject: InspectedModel) -> Iterator[Violation]:
     """`depends_on` speaks of roles that some input has.
 
     Why:
         A misspelt role says nothing of the one that was meant, which then counts as one that the
         outputs depend on: the model runs at every move of a camera that it does not look at.
 
-    Mend:
+    Hint:
         Write the role as it stands in the inputs, or remove the entry.
     """
     generator = subject.generator
@@ -187,6 +191,6 @@ def dependencies_are_inputs(subject: Subject) -> Iterator[Breach]:
     taken = list(dict.fromkeys(entry.role for entry in generator.inputs))
     for role in generator.depends_on:
         if role not in taken:
-            saw = "no such role" if role not in ROLES else "no input has it"
+            actual = "no such role" if role not in ROLES else "no input has it"
             listed = ", ".join(taken) or "none: there are no inputs"
-            yield Breach.at(f"manifest depends_on {role!r}", saw, f"one of {listed}")
+            yield Violation.at(f"manifest depends_on {role!r}", actual, f"one of {listed}")

@@ -4,11 +4,11 @@ from collections.abc import Iterator
 from math import prod
 
 from gsgen.contract.model.graph import static_dims
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.roles import KINDS, ROLES
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _TIMED = ("time", "frame_index")  # GM010 judges their ranges
@@ -28,11 +28,11 @@ def _place(entry: Input) -> str:
     return f"manifest input {entry.name}"
 
 
-def _entries(subject: Subject) -> tuple[Input, ...]:
+def _entries(subject: InspectedModel) -> tuple[Input, ...]:
     return subject.manifest.inputs if subject.manifest else ()
 
 
-def _shape(subject: Subject, entry: Input) -> tuple[int, ...] | None:
+def _shape(subject: InspectedModel, entry: Input) -> tuple[int, ...] | None:
     """Return the size of every axis, from the graph or else from the manifest."""
     tensor = subject.graph.input(entry.name)
     dims = static_dims(tensor) if tensor else None
@@ -48,25 +48,25 @@ def _shape(subject: Subject, entry: Input) -> tuple[int, ...] | None:
     needs=("GM004",),
     kinds=KINDS,
 )
-def input_range_ordered(subject: Subject) -> Iterator[Breach]:
+def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
     """A declared range runs from low to high, and between whole numbers where the input counts.
 
     Why:
         A slider drawn for [1, 0] runs backwards or not at all, a clip to it gives one constant, and
         a frame number of 7.5 is no frame.
 
-    Mend:
+    Hint:
         Write "range": [low, high]; for frame numbers, identities and timesteps with whole numbers.
     """
     for entry in _entries(subject):
         if entry.range is None:
             continue
         low, high = entry.range
-        saw = f"range {[low, high]}"
+        actual = f"range {[low, high]}"
         if entry.role not in _TIMED and not low <= high:
-            yield Breach.at(_place(entry), saw, "low <= high")
+            yield Violation.at(_place(entry), actual, "low <= high")
         elif ROLES[entry.role].index and not (low.is_integer() and high.is_integer()):
-            yield Breach.at(_place(entry), saw, "whole numbers")
+            yield Violation.at(_place(entry), actual, "whole numbers")
 
 
 @rule(
@@ -78,14 +78,14 @@ def input_range_ordered(subject: Subject) -> Iterator[Breach]:
     needs=("GM005", "GM010", "GI001", "GI002", "GI003", "GI005", "GI013"),
     kinds=KINDS,
 )
-def input_default_fits(subject: Subject) -> Iterator[Breach]:
+def input_default_fits(subject: InspectedModel) -> Iterator[Violation]:
     """A declared default fills its input, lies in its range, and is whole where the input counts.
 
     Why:
         It is what every runtime feeds first. One of another size cannot be fed, and one outside the
         range starts a slider beyond its end.
 
-    Mend:
+    Hint:
         Give one number for all elements, as many as there are (row-major), "zeros", or "identity"
         for matrices and quaternions.
     """
@@ -95,7 +95,7 @@ def input_default_fits(subject: Subject) -> Iterator[Breach]:
             continue
         fault = _misfit(entry, shape)
         if fault is not None:
-            yield Breach.at(_place(entry), *fault)
+            yield Violation.at(_place(entry), *fault)
 
 
 def _misfit(entry: Input, shape: tuple[int, ...]) -> tuple[str, str] | None:
@@ -105,8 +105,8 @@ def _misfit(entry: Input, shape: tuple[int, ...]) -> tuple[str, str] | None:
     if default == "identity" and not (shape in _SQUARE or turns):
         return f"default identity for shape {list(shape)}", "a matrix or quaternions"
     if isinstance(default, tuple) and len(default) != prod(shape):
-        saw = f"default of {len(default)} numbers for shape {list(shape)}"
-        return saw, f"{prod(shape)} numbers"
+        actual = f"default of {len(default)} numbers for shape {list(shape)}"
+        return actual, f"{prod(shape)} numbers"
     numbers = _numbers(entry)
     low, high = entry.range or (min(numbers, default=0), max(numbers, default=0))
     room = _ROUNDING * max(abs(low), abs(high), 1.0)
@@ -136,27 +136,29 @@ def _numbers(entry: Input) -> tuple[float, ...]:
     needs=("GM004", "GI005"),
     kinds=KINDS,
 )
-def input_convention_known(subject: Subject) -> Iterator[Breach]:
+def input_convention_known(subject: InspectedModel) -> Iterator[Violation]:
     """A declared convention is one of the role's, and of the shape that the input has.
 
     Why:
         A runtime that drives an avatar writes rotations as the convention says. It cannot follow
         one that it does not know, nor write quaternions into rows of three.
 
-    Mend:
+    Hint:
         Name one of the role's conventions, as the page of roles lists them, or none.
     """
     for entry in _entries(subject):
         if entry.convention is None:
             continue
         known, shape = ROLES[entry.role].conventions, _shape(subject, entry)
-        saw = f"convention {entry.convention!r}"
+        actual = f"convention {entry.convention!r}"
         if entry.convention not in known:
-            want = f"one of {', '.join(known)}" if known else f"none, as {entry.role} has"
-            yield Breach.at(_place(entry), saw, want)
+            expected = (
+                f"one of {', '.join(known)}" if known else f"none, as {entry.role} has"
+            )
+            yield Violation.at(_place(entry), actual, expected)
         elif shape is not None and not _holds(entry.convention, shape):
-            want = "a shape that can hold it"
-            yield Breach.at(_place(entry), f"{saw} for shape {list(shape)}", want)
+            expected = "a shape that can hold it"
+            yield Violation.at(_place(entry), f"{actual} for shape {list(shape)}", expected)
 
 
 def _holds(convention: str, shape: tuple[int, ...]) -> bool:
@@ -176,7 +178,7 @@ def _holds(convention: str, shape: tuple[int, ...]) -> bool:
     needs=("GM004",),
     kinds=KINDS,
 )
-def input_has_a_start(subject: Subject) -> Iterator[Breach]:
+def input_has_a_start(subject: InspectedModel) -> Iterator[Violation]:
     """An input that no runtime can know has a default.
 
     Why:
@@ -184,7 +186,7 @@ def input_has_a_start(subject: Subject) -> Iterator[Breach]:
         default a runtime feeds the low end of the range, which is a body at its most extreme, or
         zeros, and the first picture is not what the author would show.
 
-    Mend:
+    Hint:
         Declare "default": a number, a list, "zeros" or "identity".
     """
     if subject.candidate is not None:
@@ -192,5 +194,5 @@ def input_has_a_start(subject: Subject) -> Iterator[Breach]:
     for entry in _entries(subject):
         if entry.role in _CHOSEN and entry.default is None:
             low = "zeros" if entry.range is None else f"{entry.range[0]:g}, the low end,"
-            saw = f"role {entry.role} without a default: {low} would be fed"
-            yield Breach.at(_place(entry), saw, '"default"')
+            actual = f"role {entry.role} without a default: {low} would be fed"
+            yield Violation.at(_place(entry), actual, '"default"')

@@ -5,22 +5,24 @@ from collections.abc import Iterator
 import numpy as np
 
 from gsgen.contract.model.graph import Tensor, static_dims
-from gsgen.contract.model.inspected_model import Subject
-from gsgen.contract.probing.outputs import Emission
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.spec.roles import GENERATOR, KINDS, ROLES, matching_shape
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 # These roles have a rule for their shape of their own.
 _OWN_RULE = ("view", "projection", "time")
 
 
-def _wrong_shape(subject: Subject, role: str, want: tuple[int, ...]) -> Iterator[Breach]:
+def _wrong_shape(
+    subject: InspectedModel, role: str, expected: tuple[int, ...]
+) -> Iterator[Violation]:
     for _, tensor in subject.inputs_of(role):
-        if tensor.dims != want:
-            yield Breach.at(
-                f"input {tensor.name}", f"shape {_shown(tensor)}", str(list(want))
+        if tensor.dims != expected:
+            yield Violation.at(
+                f"input {tensor.name}", f"shape {_shown(tensor)}", str(list(expected))
             )
 
 
@@ -38,14 +40,14 @@ def _shown(tensor: Tensor) -> str:
     fixture="view_flattened",
     needs=("GM004",),
 )
-def view_is_4x4(subject: Subject) -> Iterator[Breach]:
+def view_is_4x4(subject: InspectedModel) -> Iterator[Violation]:
     """An input with the role `view` has the static shape [4, 4].
 
     Why:
         Runtimes feed a [4, 4] tensor; a [1, 16] or [1, 4, 4] input makes ONNX Runtime refuse the
         frame with "Got invalid dimensions".
 
-    Mend:
+    Hint:
         Take a [4, 4] tensor and reshape inside the model.
     """
     yield from _wrong_shape(subject, "view", (4, 4))
@@ -59,13 +61,13 @@ def view_is_4x4(subject: Subject) -> Iterator[Breach]:
     fixture="projection_flattened",
     needs=("GM004",),
 )
-def projection_is_4x4(subject: Subject) -> Iterator[Breach]:
+def projection_is_4x4(subject: InspectedModel) -> Iterator[Violation]:
     """An input with the role `projection` has the static shape [4, 4].
 
     Why:
         Runtimes feed a [4, 4] tensor; any other shape is refused at the first frame.
 
-    Mend:
+    Hint:
         Take a [4, 4] tensor and reshape inside the model.
     """
     yield from _wrong_shape(subject, "projection", (4, 4))
@@ -79,14 +81,14 @@ def projection_is_4x4(subject: Subject) -> Iterator[Breach]:
     fixture="time_is_1x1",
     needs=("GM004",),
 )
-def time_is_1(subject: Subject) -> Iterator[Breach]:
+def time_is_1(subject: InspectedModel) -> Iterator[Violation]:
     """An input with the role `time` has the static shape [1].
 
     Why:
         Runtimes feed one number as [1]. A [1, 1] input is refused ("Invalid rank"); a scalar works
         in some runtimes only.
 
-    Mend:
+    Hint:
         Take a [1] tensor.
     """
     yield from _wrong_shape(subject, "time", (1,))
@@ -101,21 +103,23 @@ def time_is_1(subject: Subject) -> Iterator[Breach]:
     needs=("GM004",),
     kinds=KINDS,
 )
-def input_dtype(subject: Subject) -> Iterator[Breach]:
+def input_dtype(subject: InspectedModel) -> Iterator[Violation]:
     """Every input has the dtype of its role: float32, or int32 for indices.
 
     Why:
         Runtimes feed 32-bit buffers. WebGPU has no 64-bit types, so an int64 index cannot be
         captured and is truncated where it is accepted.
 
-    Mend:
+    Hint:
         Take the input in its role's dtype and cast inside the model.
     """
     for entry in subject.manifest.inputs if subject.manifest else ():
         tensor = subject.graph.input(entry.name)
         wanted = ROLES[entry.role].dtype
         if tensor is not None and tensor.dtype not in wanted:
-            yield Breach.at(f"input {entry.name}", str(tensor.dtype), " or ".join(wanted))
+            yield Violation.at(
+                f"input {entry.name}", str(tensor.dtype), " or ".join(wanted)
+            )
 
 
 @rule(
@@ -127,7 +131,7 @@ def input_dtype(subject: Subject) -> Iterator[Breach]:
     needs=("GM004",),
     kinds=KINDS,
 )
-def inputs_declared(subject: Subject) -> Iterator[Breach]:
+def inputs_declared(subject: InspectedModel) -> Iterator[Violation]:
     """Every graph input is declared with a role, and any runtime can feed it.
 
     Why:
@@ -135,7 +139,7 @@ def inputs_declared(subject: Subject) -> Iterator[Breach]:
         inputs are missing". A free-form input needs a static shape, a range and a default, or no
         runtime knows what to give it.
 
-    Mend:
+    Hint:
         Declare it in the manifest's inputs, or bake it into the model before export.
     """
     manifest = subject.manifest
@@ -144,36 +148,36 @@ def inputs_declared(subject: Subject) -> Iterator[Breach]:
         entry = declared.get(tensor.name)
         place = f"input {tensor.name}"
         if entry is None:
-            yield Breach.at(
+            yield Violation.at(
                 place, f"{tensor} without a role", "a declared role, or no such input"
             )
             continue
         role = ROLES[entry.role]
         if manifest and manifest.kind not in role.kinds:
-            yield Breach.at(
+            yield Violation.at(
                 place, f"role {entry.role}", f"a role that a {manifest.kind} may take"
             )
         if role.needs_range and entry.range is None:
-            yield Breach.at(
+            yield Violation.at(
                 place, f"role {entry.role} without a range", '"range": [low, high]'
             )
         yield from _feedable(tensor, entry.role, manifest.kind if manifest else "")
 
 
-def _feedable(tensor: Tensor, role: str, kind: str) -> Iterator[Breach]:
+def _feedable(tensor: Tensor, role: str, kind: str) -> Iterator[Violation]:
     if role in _OWN_RULE and kind == GENERATOR:
         return
     place = f"input {tensor.name}"
     dims = static_dims(tensor)
     if dims is None:
         if kind == GENERATOR:
-            yield Breach.at(place, f"shape {_shown(tensor)}", "a static shape")
+            yield Violation.at(place, f"shape {_shown(tensor)}", "a static shape")
         return
     if matching_shape(ROLES[role], dims) is None:
         shapes = " or ".join(
             f"[{', '.join(map(str, shape))}]" for shape in ROLES[role].shapes
         )
-        yield Breach.at(
+        yield Violation.at(
             place, f"shape {_shown(tensor)}", f"{shapes}, as the role {role} has"
         )
 
@@ -186,14 +190,14 @@ def _feedable(tensor: Tensor, role: str, kind: str) -> Iterator[Breach]:
     fixture="nan_at_zero_inputs",
     needs=("GV025",),
 )
-def zero_inputs_finite(emission: Emission) -> Iterator[Breach]:
+def zero_inputs_finite(emission: ModelOutputs) -> Iterator[Violation]:
     """With all inputs zero, every output is finite.
 
     Why:
         Viewers run the model once on zeroed buffers before the first camera arrives; a NaN there
         may stay in buffers and sort on top of the picture.
 
-    Mend:
+    Hint:
         Guard the division or the norm that sees the zero, with a clamp under the square root.
     """
     if not emission.zeros:
@@ -201,7 +205,7 @@ def zero_inputs_finite(emission: Emission) -> Iterator[Breach]:
     for name, value in emission.outputs.items():
         if value.dtype.kind == "f" and not np.isfinite(value).all():
             bad = int(np.count_nonzero(~np.isfinite(value)))
-            yield Breach.at(
+            yield Violation.at(
                 f"output {name}", f"{bad} of {value.size} values not finite", "finite"
             )
 
@@ -215,14 +219,14 @@ def zero_inputs_finite(emission: Emission) -> Iterator[Breach]:
     needs=("GM004", "GG019"),
     kinds=KINDS,
 )
-def inputs_reach_outputs(subject: Subject) -> Iterator[Breach]:
+def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
     """Some output is computed from each input, unless `depends_on` says that none is.
 
     Why:
         An input that leads nowhere was usually turned into a constant when the model was traced.
         Runtimes still feed it, and run the model whenever it changes.
 
-    Mend:
+    Hint:
         Export without detaching the input (numpy round trips, `.item()`, Python branches), remove
         it, or set "depends_on": {role: false}.
     """
@@ -233,7 +237,7 @@ def inputs_reach_outputs(subject: Subject) -> Iterator[Breach]:
         used |= graph.ancestors(tensor.name)[0]
     for entry in subject.manifest.inputs if subject.manifest else ():
         if entry.name not in used and idle.get(entry.role, True):
-            yield Breach.at(f"input {entry.name}", "leads to no output", "an effect")
+            yield Violation.at(f"input {entry.name}", "leads to no output", "an effect")
 
 
 @rule(
@@ -244,18 +248,18 @@ def inputs_reach_outputs(subject: Subject) -> Iterator[Breach]:
     fixture="weight_listed_as_input",
     kinds=KINDS,
 )
-def weights_are_no_inputs(subject: Subject) -> Iterator[Breach]:
+def weights_are_no_inputs(subject: InspectedModel) -> Iterator[Violation]:
     """No weight is listed among the inputs.
 
     Why:
         Old exporters list them, which lets a runtime feed other numbers: so no optimiser folds
         them, and a viewer that walks the inputs finds one that nobody can explain.
 
-    Mend:
+    Hint:
         Remove the entry from the graph's inputs; the weight stays.
     """
     for value in subject.file.proto.graph.input:
         if value.name in subject.graph.initializers:
-            yield Breach.at(
+            yield Violation.at(
                 f"input {value.name}", "a weight of that name", "a weight alone"
             )

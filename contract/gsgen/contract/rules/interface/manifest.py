@@ -3,14 +3,14 @@
 from collections.abc import Iterator
 
 from gsgen.contract.model.graph import Tensor, static_dims
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.spec.layout import appearance_channels
 from gsgen.contract.spec.manifest import CellsOutput, GaussiansOutput, GeneratorManifest
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.upgrades import CURRENT
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _ITEMSIZE = {"float32": 4, "float16": 2}
@@ -24,19 +24,19 @@ _ITEMSIZE = {"float32": 4, "float16": 2}
     fixture="no_manifest",
     kinds=KINDS,
 )
-def manifest_present(subject: Subject) -> Iterator[Breach]:
+def manifest_present(subject: InspectedModel) -> Iterator[Violation]:
     """The model carries a manifest.
 
     Why:
         Without one a viewer guesses the meaning of tensors from parts of their names, and a wrong
         guess shows a wrong picture without any error.
 
-    Mend:
+    Hint:
         Derive one with `gsgen inspect MODEL --emit-manifest`, correct what it had to guess, and
         embed it with `gsgen.contract.write_manifest`.
     """
     if subject.parsed is None:
-        yield Breach.at(
+        yield Violation.at(
             "metadata_props", f"no key {MANIFEST_KEY!r}", "a manifest under that key"
         )
 
@@ -49,20 +49,20 @@ def manifest_present(subject: Subject) -> Iterator[Breach]:
     fixture="manifest_wrong_field",
     kinds=KINDS,
 )
-def manifest_schema(subject: Subject) -> Iterator[Breach]:
+def manifest_schema(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest is a JSON document that follows the schema of its kind and version.
 
     Why:
         A reader that cannot parse the manifest knows nothing of the model; one that parses half of
         it draws something else than was meant.
 
-    Mend:
+    Hint:
         Correct the field named here; the schema is printed by `gsgen inspect --schema KIND`.
     """
     for complaint in subject.parsed.complaints if subject.parsed else ():
         if complaint.cause in ("schema", "syntax"):
             place = f"manifest {complaint.where}".strip()
-            yield Breach.at(place, complaint.saw, complaint.want)
+            yield Violation.at(place, complaint.actual, complaint.expected)
 
 
 @rule(
@@ -73,18 +73,20 @@ def manifest_schema(subject: Subject) -> Iterator[Breach]:
     fixture="manifest_from_the_future",
     kinds=KINDS,
 )
-def manifest_version(subject: Subject) -> Iterator[Breach]:
+def manifest_version(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares a contract version that this reader knows.
 
     Why:
         A newer major version may change what a field means, so guessing would be wrong in silence.
 
-    Mend:
+    Hint:
         Update gsgen, or export the model for the contract version that your readers know.
     """
     for complaint in subject.parsed.complaints if subject.parsed else ():
         if complaint.cause == "version":
-            yield Breach.at(f"manifest {complaint.where}", complaint.saw, complaint.want)
+            yield Violation.at(
+                f"manifest {complaint.where}", complaint.actual, complaint.expected
+            )
 
 
 @rule(
@@ -96,13 +98,13 @@ def manifest_version(subject: Subject) -> Iterator[Breach]:
     needs=("GM002", "GM003"),
     kinds=KINDS,
 )
-def declared_tensors_exist(subject: Subject) -> Iterator[Breach]:
+def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
     """Every tensor that the manifest names is an input or output of the graph, and named once.
 
     Why:
         A role that points at no tensor cannot be fed or read; the runtime fails at the first frame.
 
-    Mend:
+    Hint:
         Write the names as the graph has them; `gsgen inspect MODEL` lists both.
     """
     manifest = subject.manifest
@@ -113,17 +115,17 @@ def declared_tensors_exist(subject: Subject) -> Iterator[Breach]:
     declared = [i.name for i in manifest.inputs]
     for name in declared:
         if name not in inputs:
-            yield Breach.at(
+            yield Violation.at(
                 f"manifest input {name!r}", "no such graph input", _one_of(inputs)
             )
     for name in subject.output_names:
         if name not in outputs:
-            yield Breach.at(
+            yield Violation.at(
                 f"manifest output {name!r}", "no such graph output", _one_of(outputs)
             )
     for names in (declared, list(subject.output_names)):
         for name in sorted({one for one in names if names.count(one) > 1}):
-            yield Breach.at(
+            yield Violation.at(
                 f"manifest name {name!r}", "declared more than once", "one role a tensor"
             )
 
@@ -141,14 +143,14 @@ def _one_of(names: list[str]) -> str:
     fixture="declared_dtype_differs",
     needs=("GM004",),
 )
-def manifest_agrees_with_graph(subject: Subject) -> Iterator[Breach]:
+def manifest_agrees_with_graph(subject: InspectedModel) -> Iterator[Violation]:
     """What the manifest says of dtypes and sizes is compatible with the graph.
 
     Why:
         Runtimes allocate buffers from the manifest; a buffer of another size or dtype is read as
         noise or refused at the first frame.
 
-    Mend:
+    Hint:
         Take the values from the graph, or export again so that they agree.
     """
     if not isinstance(subject.manifest, GeneratorManifest):
@@ -157,9 +159,9 @@ def manifest_agrees_with_graph(subject: Subject) -> Iterator[Breach]:
         tensor = subject.graph.input(entry.name)
         dims = static_dims(tensor) if tensor else None
         if entry.shape and dims and tuple(dims) != entry.shape:
-            saw = f"graph has {list(dims)}"
-            yield Breach.at(
-                f"input {entry.name}", saw, f"the declared shape {list(entry.shape)}"
+            actual = f"graph has {list(dims)}"
+            yield Violation.at(
+                f"input {entry.name}", actual, f"the declared shape {list(entry.shape)}"
             )
     yield from _dtypes_agree(subject.declared_gaussians, subject.gaussians)
     yield from _gaussians_agree(subject)
@@ -169,15 +171,18 @@ def manifest_agrees_with_graph(subject: Subject) -> Iterator[Breach]:
 
 def _dtypes_agree(
     declared: GaussiansOutput | CellsOutput | None, tensor: Tensor | None
-) -> Iterator[Breach]:
+) -> Iterator[Violation]:
     if declared is None or tensor is None:
         return
     if tensor.dtype in _ITEMSIZE and tensor.dtype != declared.dtype:
-        saw, want = f"graph has {tensor.dtype}", f"the declared dtype {declared.dtype}"
-        yield Breach.at(f"output {tensor.name}", saw, want)
+        actual, expected = (
+            f"graph has {tensor.dtype}",
+            f"the declared dtype {declared.dtype}",
+        )
+        yield Violation.at(f"output {tensor.name}", actual, expected)
 
 
-def _gaussians_agree(subject: Subject) -> Iterator[Breach]:
+def _gaussians_agree(subject: InspectedModel) -> Iterator[Violation]:
     declared, tensor = subject.declared_gaussians, subject.gaussians
     if declared is None or tensor is None or tensor.dims is None:
         return
@@ -186,11 +191,11 @@ def _gaussians_agree(subject: Subject) -> Iterator[Breach]:
     guessed = subject.candidate is not None  # taken from the graph, so it cannot disagree
     known = len(tensor.dims) == 2 and isinstance(first, int) and first > 0
     if known and not guessed and first != declared.capacity:
-        want = f"the declared capacity {declared.capacity}"
-        yield Breach.at(place, f"graph has {first} rows", want)
+        expected = f"the declared capacity {declared.capacity}"
+        yield Violation.at(place, f"graph has {first} rows", expected)
 
 
-def _appearance_agrees(subject: Subject) -> Iterator[Breach]:
+def _appearance_agrees(subject: InspectedModel) -> Iterator[Violation]:
     declared, tensor = subject.declared_appearance, subject.appearance
     if (
         declared is None
@@ -204,16 +209,18 @@ def _appearance_agrees(subject: Subject) -> Iterator[Breach]:
     if declared.space != "sh" or not isinstance(channels, int):
         return
     if declared.degree is None:
-        saw = "no degree is declared"
-        yield Breach.at(
-            f"output {tensor.name}", saw, f"the degree of {channels} SH channels"
+        actual = "no degree is declared"
+        yield Violation.at(
+            f"output {tensor.name}", actual, f"the degree of {channels} SH channels"
         )
         return
     wanted = appearance_channels("sh", declared.degree, 4)
     legal = {appearance_channels("sh", degree, 4) for degree in range(4)}
     if channels in legal and channels != wanted:
-        want = f"{wanted} channels, as SH degree {declared.degree} has"
-        yield Breach.at(f"output {tensor.name}", f"graph has {channels} channels", want)
+        expected = f"{wanted} channels, as SH degree {declared.degree} has"
+        yield Violation.at(
+            f"output {tensor.name}", f"graph has {channels} channels", expected
+        )
 
 
 @rule(
@@ -224,18 +231,18 @@ def _appearance_agrees(subject: Subject) -> Iterator[Breach]:
     fixture="no_space",
     needs=("GM002", "GM003"),
 )
-def coordinate_frame_declared(subject: Subject) -> Iterator[Breach]:
+def coordinate_frame_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares the coordinate frame: up axis, unit and matrix memory order.
 
     Why:
         Two hosts that assume different frames show the same model upside down or mirrored, and a
         view matrix read in the wrong memory order moves the camera centre.
 
-    Mend:
+    Hint:
         Add "space": {"handedness": "right", "up": …, "unit": …, "matrix_order": …}.
     """
     if subject.candidate is None and subject.generator and subject.generator.space is None:
-        yield Breach.at("manifest space", "not declared", "up, unit and matrix_order")
+        yield Violation.at("manifest space", "not declared", "up, unit and matrix_order")
 
 
 @rule(
@@ -246,26 +253,26 @@ def coordinate_frame_declared(subject: Subject) -> Iterator[Breach]:
     fixture="no_bounds",
     needs=("GM002", "GM003"),
 )
-def bounds_declared(subject: Subject) -> Iterator[Breach]:
+def bounds_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares the box that the Gaussians stay in.
 
     Why:
         Without it a viewer cannot frame the model, cull it, or choose near and far planes; the
         usual fallback is a box of ±1 around the origin.
 
-    Mend:
+    Hint:
         Add "bounds": {"min": [x, y, z], "max": [x, y, z]}; the SDK measures them at export.
     """
     generator = subject.generator
     if subject.candidate is not None or generator is None:
         return
     if generator.bounds is None:
-        yield Breach.at("manifest bounds", "not declared", "min and max corners")
+        yield Violation.at("manifest bounds", "not declared", "min and max corners")
     elif not all(
         a <= b for a, b in zip(generator.bounds.min, generator.bounds.max, strict=True)
     ):
-        saw = f"min {list(generator.bounds.min)}, max {list(generator.bounds.max)}"
-        yield Breach.at("manifest bounds", saw, "min <= max on every axis")
+        actual = f"min {list(generator.bounds.min)}, max {list(generator.bounds.max)}"
+        yield Violation.at("manifest bounds", actual, "min <= max on every axis")
 
 
 @rule(
@@ -276,17 +283,17 @@ def bounds_declared(subject: Subject) -> Iterator[Breach]:
     fixture="manifest_newer_minor",
     kinds=KINDS,
 )
-def manifest_minor_known(subject: Subject) -> Iterator[Breach]:
+def manifest_minor_known(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest is of no newer minor version than this reader knows.
 
     Why:
         Fields that came with the newer version are left unread.
 
-    Mend:
+    Hint:
         Update gsgen.
     """
     if subject.parsed is not None and subject.parsed.newer and subject.parsed.version:
         major, minor = subject.parsed.version
-        yield Breach.at(
+        yield Violation.at(
             "manifest contract", f"{major}.{minor}", f"{CURRENT[0]}.{CURRENT[1]} or older"
         )

@@ -3,11 +3,11 @@
 from collections.abc import Iterator
 
 from gsgen.contract.model.graph import tensor_bytes
-from gsgen.contract.model.inspected_model import Subject
-from gsgen.contract.probing.outputs import Emission
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.probing.run_comparison import Behaviour
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _ROWS = ("GV025", "GO001", "GO002", "GO008", "GO010", "GO011", "GV016")
@@ -33,14 +33,14 @@ def _wasteful(most: int, capacity: int) -> bool:
     fixture="constant_count_with_padding",
     needs=_ROWS[:-1],
 )
-def constant_count_fills_capacity(emission: Emission) -> Iterator[Breach]:
+def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]:
     """A count that never changes is the capacity, up to rounding to whole workgroups.
 
     Why:
         Rows behind a constant count are never used, but computed, bound and often drawn: the
         capacity could as well end there.
 
-    Mend:
+    Hint:
         Export with the count as capacity, or return the real count if it should vary.
     """
     subject, rows = emission.subject, emission.gaussians
@@ -49,8 +49,10 @@ def constant_count_fills_capacity(emission: Emission) -> Iterator[Breach]:
         return
     padding = len(rows) - emission.count
     if padding >= _ROUNDING and not _wasteful(emission.count, len(rows)):
-        saw = f"always {emission.count}, with {padding} rows behind it"
-        yield Breach.at(f"output {declared.name}", saw, f"a capacity of {emission.count}")
+        actual = f"always {emission.count}, with {padding} rows behind it"
+        yield Violation.at(
+            f"output {declared.name}", actual, f"a capacity of {emission.count}"
+        )
 
 
 @rule(
@@ -61,14 +63,14 @@ def constant_count_fills_capacity(emission: Emission) -> Iterator[Breach]:
     fixture="mostly_padding",
     needs=_ROWS,
 )
-def padding_is_small(behaviour: Behaviour) -> Iterator[Breach]:
+def padding_is_small(behaviour: Behaviour) -> Iterator[Violation]:
     """At some probe the count reaches half of the capacity.
 
     Why:
         Every row of the capacity is computed, kept in memory and visited every frame, whatever the
         count says. Exporters that always pad to four million rows write 464 MB a frame.
 
-    Mend:
+    Hint:
         Lower the capacity to the largest count that occurs.
     """
     subject = behaviour.subject
@@ -82,8 +84,8 @@ def padding_is_small(behaviour: Behaviour) -> Iterator[Breach]:
     if not isinstance(capacity, int) or not counts:
         return
     if _wasteful(max(counts), capacity) and declared is not None:
-        saw = f"at most {max(counts)} of {capacity} rows, at {len(counts)} probes"
-        yield Breach.at(f"output {declared.name}", saw, f"{_WASTE_SHARE:.0%} or more")
+        actual = f"at most {max(counts)} of {capacity} rows, at {len(counts)} probes"
+        yield Violation.at(f"output {declared.name}", actual, f"{_WASTE_SHARE:.0%} or more")
 
 
 @rule(
@@ -95,14 +97,14 @@ def padding_is_small(behaviour: Behaviour) -> Iterator[Breach]:
     needs=("GM004", "GL001", "GL002"),
     limit="frame_bytes",
 )
-def frame_is_small(subject: Subject) -> Iterator[Breach]:
+def frame_is_small(subject: InspectedModel) -> Iterator[Violation]:
     """The outputs of a frame together stay below what the target moves with ease.
 
     Why:
         Every byte is written by the model and read by the renderer, sixty times a second, beside
         all that the model itself reads.
 
-    Mend:
+    Hint:
         Use float16, fewer SH degrees or a smaller capacity.
     """
     limit = subject.target.limits["frame_bytes"]
@@ -110,8 +112,10 @@ def frame_is_small(subject: Subject) -> Iterator[Breach]:
     size = sum(tensor_bytes(tensor) for tensor in declared if tensor is not None)
     if size > limit:
         rate = 2 * size * _FRAMES / 1e9
-        saw = f"{size / _MIB:.1f} MiB a frame, {rate:.1f} GB/s at {_FRAMES} frames a second"
-        yield Breach.at("outputs", saw, f"{limit / _MIB:.0f} MiB at most")
+        actual = (
+            f"{size / _MIB:.1f} MiB a frame, {rate:.1f} GB/s at {_FRAMES} frames a second"
+        )
+        yield Violation.at("outputs", actual, f"{limit / _MIB:.0f} MiB at most")
 
 
 @rule(
@@ -122,14 +126,14 @@ def frame_is_small(subject: Subject) -> Iterator[Breach]:
     fixture="faster_than_possible",
     needs=("GV025", "GM004"),
 )
-def keeps_frame_rate(behaviour: Behaviour) -> Iterator[Breach]:
+def keeps_frame_rate(behaviour: Behaviour) -> Iterator[Violation]:
     """Where frames per second are declared, the median run takes no longer than a frame lasts.
 
     Why:
         The declared rate is what a viewer plans for. Here the model runs on a CPU, so this is a
         hint: a model that is far too slow here rarely is fast enough elsewhere.
 
-    Mend:
+    Hint:
         Make the model smaller, or declare the rate that it reaches.
     """
     times = sorted(behaviour.seconds)
@@ -138,8 +142,10 @@ def keeps_frame_rate(behaviour: Behaviour) -> Iterator[Breach]:
             continue
         median, late = times[len(times) // 2], times[int(0.95 * (len(times) - 1))]
         if median > 1 / entry.fps:
-            saw = (
+            actual = (
                 f"median {1e3 * median:.3g} ms, 95 % within {1e3 * late:.3g} ms on this CPU"
             )
-            want = f"{1e3 / entry.fps:.3g} ms, as {entry.fps:g} frames a second need"
-            yield Breach.at(f"input {tensor.name}", saw, want, certainty="possible")
+            expected = f"{1e3 / entry.fps:.3g} ms, as {entry.fps:g} frames a second need"
+            yield Violation.at(
+                f"input {tensor.name}", actual, expected, certainty="possible"
+            )

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from gsgen.contract.model.graph import Tensor
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.manifest import (
     ImageOutput,
     PostProcessManifest,
@@ -11,7 +11,7 @@ from gsgen.contract.spec.manifest import (
 )
 from gsgen.contract.spec.roles import POST_PROCESS, TRAJECTORY
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 # Numbers of a camera state: the centre, then the rotation.
@@ -27,14 +27,14 @@ _STATE = {"position+quaternion-wxyz": 7, "position+axis-angle": 6}
     needs=("GM004", "GI005"),
     kinds=(POST_PROCESS,),
 )
-def image_out_as_in(subject: Subject) -> Iterator[Breach]:
+def image_out_as_in(subject: InspectedModel) -> Iterator[Violation]:
     """The image that comes out has the declared dtype, and the size of the one that goes in.
 
     Why:
         The result takes the place of the rendered image: it is read with the declared dtype, and
         drawn over the same pixels.
 
-    Mend:
+    Hint:
         Resize inside the model, cast at its end, and declare the dtype that the graph has.
     """
     manifest = subject.manifest
@@ -45,16 +45,16 @@ def image_out_as_in(subject: Subject) -> Iterator[Breach]:
         return
     place = f"output {tensor.name}"
     if tensor.dtype is not None and tensor.dtype != declared.dtype:
-        want = f"the declared dtype {declared.dtype}"
-        yield Breach.at(place, f"graph has {tensor.dtype}", want)
+        expected = f"the declared dtype {declared.dtype}"
+        yield Violation.at(place, f"graph has {tensor.dtype}", expected)
     for _, given in subject.inputs_of("image"):
         if not _alike(given, tensor):
-            want = f"{given}, as {given.name} has, with 3 or 4 channels"
-            yield Breach.at(place, f"shape {tensor}", want)
+            expected = f"{given}, as {given.name} has, with 3 or 4 channels"
+            yield Violation.at(place, f"shape {tensor}", expected)
 
 
 def _image(
-    subject: Subject, manifest: PostProcessManifest
+    subject: InspectedModel, manifest: PostProcessManifest
 ) -> tuple[ImageOutput, Tensor | None]:
     declared = manifest.outputs.image
     return declared, subject.graph.output(declared.name)
@@ -82,14 +82,14 @@ def _alike(given: Tensor, made: Tensor) -> bool:
     needs=("GM004",),
     kinds=(TRAJECTORY,),
 )
-def states_as_declared(subject: Subject) -> Iterator[Breach]:
+def states_as_declared(subject: InspectedModel) -> Iterator[Violation]:
     """Predicted states, their uncertainty and the history have the sizes that the manifest fixes.
 
     Why:
         A prefetcher reads row k as the camera at k steps from now, and its numbers by the declared
         representation. A row too few or a number too many shifts all that follows.
 
-    Mend:
+    Hint:
         Declare the number of steps and the representation that the graph has.
     """
     manifest = subject.manifest
@@ -98,23 +98,23 @@ def states_as_declared(subject: Subject) -> Iterator[Breach]:
     future, doubt = manifest.outputs.future, manifest.outputs.uncertainty
     state, graph = _STATE[future.representation], subject.graph
     wide = {"covariance-upper": state * (state + 1) // 2}.get(doubt.semantics, state)
-    for name, want in ((future.name, state), (doubt.name, wide)):
-        yield from _sized(graph.output(name), f"output {name}", (future.steps, want))
+    for name, expected in ((future.name, state), (doubt.name, wide)):
+        yield from _sized(graph.output(name), f"output {name}", (future.steps, expected))
     for entry, tensor in subject.inputs_of("camera_history"):
         yield from _sized(tensor, f"input {entry.name}", (None, state))
 
 
 def _sized(
-    tensor: Tensor | None, place: str, want: tuple[int | None, int]
-) -> Iterator[Breach]:
+    tensor: Tensor | None, place: str, expected: tuple[int | None, int]
+) -> Iterator[Violation]:
     if tensor is None or tensor.dims is None:
         return
-    shown = f"[{'T' if want[0] is None else want[0]}, {want[1]}]"
+    shown = f"[{'T' if expected[0] is None else expected[0]}, {expected[1]}]"
     fits = len(tensor.dims) == 2 and all(
         wanted is None or not isinstance(dim, int) or dim == wanted
-        for dim, wanted in zip(tensor.dims, want, strict=True)
+        for dim, wanted in zip(tensor.dims, expected, strict=True)
     )
     if not fits:
-        yield Breach.at(place, f"shape {tensor}", f"{shown}, as the manifest fixes")
+        yield Violation.at(place, f"shape {tensor}", f"{shown}, as the manifest fixes")
     elif tensor.dtype not in (None, "float32"):
-        yield Breach.at(place, str(tensor.dtype), "float32")
+        yield Violation.at(place, str(tensor.dtype), "float32")

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _DECLARED = ("GM002", "GM003", "GM004")
@@ -18,17 +18,17 @@ _DECLARED = ("GM002", "GM003", "GM004")
     fixture="no_count",
     needs=_DECLARED,
 )
-def count_declared(subject: Subject) -> Iterator[Breach]:
+def count_declared(subject: InspectedModel) -> Iterator[Violation]:
     """An output says how many rows are live.
 
     Why:
         Runtimes fetch it every frame; without it the fetch fails ("Invalid output name").
 
-    Mend:
+    Hint:
         Return an int32 [1] tensor, a constant where nothing varies, and declare it as outputs.count.
     """
     if subject.count is None:
-        yield Breach.at(
+        yield Violation.at(
             "outputs", "no row count", "one int32 [1] output, usually num_points"
         )
 
@@ -41,16 +41,16 @@ def count_declared(subject: Subject) -> Iterator[Breach]:
     fixture="count_is_int64",
     needs=("GO010",),
 )
-def count_is_int32(subject: Subject) -> Iterator[Breach]:
+def count_is_int32(subject: InspectedModel) -> Iterator[Violation]:
     """The row count is int32 with the static shape [1].
 
     Why:
         Runtimes bind four bytes to it. An int64 count is refused ("Unexpected output data type"),
         and a scalar has another rank than the buffer.
 
-    Mend:
+    Hint:
         Cast the count to int32 and reshape it to [1]; `gsgen explain GG016` says in which order.
     """
     tensor = subject.count
     if tensor is not None and (tensor.dtype != "int32" or tensor.dims != (1,)):
-        yield Breach.at(f"output {tensor.name}", str(tensor), "int32 [1]")
+        yield Violation.at(f"output {tensor.name}", str(tensor), "int32 [1]")

@@ -3,10 +3,10 @@
 from collections import Counter
 from collections.abc import Iterator
 
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 
@@ -19,19 +19,19 @@ from gsgen.contract.validation.rule import rule
     kinds=KINDS,
     needs=("GG019",),
 )
-def outputs_are_computed(subject: Subject) -> Iterator[Breach]:
+def outputs_are_computed(subject: InspectedModel) -> Iterator[Violation]:
     """Every output is made by an operator, and is not a weight itself.
 
     Why:
         Exporters and optimisers rename weights: the output's name is lost, and has been repaired by
         string surgery before. Some runtimes cannot bind a buffer to it.
 
-    Mend:
+    Hint:
         End the output on an operator, such as Mul by one; Identity may be removed again.
     """
     for tensor in subject.graph.outputs:
         if tensor.name in subject.graph.initializers:
-            yield Breach.at(
+            yield Violation.at(
                 f"output {tensor.name}", "a weight", "the result of an operator"
             )
 
@@ -44,19 +44,19 @@ def outputs_are_computed(subject: Subject) -> Iterator[Breach]:
     fixture="output_listed_twice",
     kinds=KINDS,
 )
-def outputs_are_distinct(subject: Subject) -> Iterator[Breach]:
+def outputs_are_distinct(subject: InspectedModel) -> Iterator[Violation]:
     """No tensor is listed as an output twice.
 
     Why:
         Two buffers are bound to one name. A recorded frame writes one of them, and the other keeps
         what it held at first.
 
-    Mend:
+    Hint:
         Remove the second entry, or give it a tensor of its own through Mul by one.
     """
     for name, count in Counter(subject.graph.output_names).items():
         if count > 1:
-            yield Breach.at(f"output {name}", f"listed {count} times", "listed once")
+            yield Violation.at(f"output {name}", f"listed {count} times", "listed once")
 
 
 @rule(
@@ -68,18 +68,20 @@ def outputs_are_distinct(subject: Subject) -> Iterator[Breach]:
     kinds=KINDS,
     needs=("GM004", "GO001", "GO005", "GO010", "TV102"),
 )
-def outputs_declared(subject: Subject) -> Iterator[Breach]:
+def outputs_declared(subject: InspectedModel) -> Iterator[Violation]:
     """Every output of the graph is declared in the manifest.
 
     Why:
         A runtime that fetches all outputs computes and copies it every frame, and viewers that go
         by names may take it for the colour.
 
-    Mend:
+    Hint:
         Remove the output from the graph.
     """
     declared = subject.output_names
     for name in dict.fromkeys(subject.graph.output_names):
         passed_on = subject.graph.input(name) is not None  # another rule says so
         if declared and name not in declared and not passed_on:
-            yield Breach.at(f"output {name}", "not declared", f"only {', '.join(declared)}")
+            yield Violation.at(
+                f"output {name}", "not declared", f"only {', '.join(declared)}"
+            )

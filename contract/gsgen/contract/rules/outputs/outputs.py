@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 
 from gsgen.contract.model.graph import Tensor
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, ROW, WORD_BYTES
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _ITEMSIZE = {"float32": 4, "float16": 2}
@@ -25,20 +25,20 @@ def _dim(tensor: Tensor | None, axis: int) -> int | str | None:
     fixture="gaussians_undeclared",
     needs=_DECLARED,
 )
-def gaussians_declared(subject: Subject) -> Iterator[Breach]:
+def gaussians_declared(subject: InspectedModel) -> Iterator[Violation]:
     """Exactly one output holds the packed Gaussians.
 
     Why:
         It is what a generator is for. Viewers that do not find it fall back to two million rows of
         nothing.
 
-    Mend:
+    Hint:
         Return one [N, 10] tensor and declare it as outputs.gaussians.
     """
     if subject.gaussians is not None:
         return
     outputs = ", ".join(str(tensor) for tensor in subject.graph.outputs) or "nothing"
-    yield Breach.at(
+    yield Violation.at(
         "outputs", f"no packed Gaussians among {outputs}", f"one [N, {ROW}] output"
     )
 
@@ -51,19 +51,19 @@ def gaussians_declared(subject: Subject) -> Iterator[Breach]:
     fixture="nine_columns",
     needs=("GO001", "GO003"),
 )
-def gaussian_row_has_10(subject: Subject) -> Iterator[Breach]:
+def gaussian_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
     """The last dimension of the packed Gaussians is a static 10.
 
     Why:
         A row is x y z opacity xx xy xz yy yz zz. A reader that steps by ten through rows of nine
         mixes positions with covariances.
 
-    Mend:
+    Hint:
         Pack all ten fields; the SDK does it for you.
     """
     tensor = subject.gaussians
     if tensor is not None and _dim(tensor, -1) != ROW:
-        yield Breach.at(f"output {tensor.name}", f"shape {tensor}", f"[N, {ROW}]")
+        yield Violation.at(f"output {tensor.name}", f"shape {tensor}", f"[N, {ROW}]")
 
 
 @rule(
@@ -74,18 +74,18 @@ def gaussian_row_has_10(subject: Subject) -> Iterator[Breach]:
     fixture="batched_gaussians",
     needs=("GO001",),
 )
-def gaussians_rank_2(subject: Subject) -> Iterator[Breach]:
+def gaussians_rank_2(subject: InspectedModel) -> Iterator[Violation]:
     """The packed Gaussians are a matrix, without a batch axis.
 
     Why:
         Readers take the first dimension as the capacity: [1, N, 10] is read as one Gaussian.
 
-    Mend:
+    Hint:
         Drop the batch axis.
     """
     tensor = subject.gaussians
     if tensor is not None and (tensor.dims is None or len(tensor.dims) != 2):
-        yield Breach.at(f"output {tensor.name}", f"shape {tensor}", "two axes, [N, 10]")
+        yield Violation.at(f"output {tensor.name}", f"shape {tensor}", "two axes, [N, 10]")
 
 
 @rule(
@@ -96,20 +96,20 @@ def gaussians_rank_2(subject: Subject) -> Iterator[Breach]:
     fixture="symbolic_capacity",
     needs=("GO001", "GO003"),
 )
-def capacity_static(subject: Subject) -> Iterator[Breach]:
+def capacity_static(subject: InspectedModel) -> Iterator[Violation]:
     """The number of rows is a positive number in the graph, not a symbol.
 
     Why:
         Viewers allocate buffers from it before the first frame: a symbol becomes NaN bytes. Graph
         capture needs fixed shapes too.
 
-    Mend:
+    Hint:
         Export with a fixed capacity, fill it with inert rows, and return the count in num_points.
     """
     tensor = subject.gaussians
     first = _dim(tensor, 0)
     if tensor is not None and not (isinstance(first, int) and first > 0):
-        yield Breach.at(
+        yield Violation.at(
             f"output {tensor.name}", f"shape {tensor}", "a fixed, positive number of rows"
         )
 
@@ -122,17 +122,17 @@ def capacity_static(subject: Subject) -> Iterator[Breach]:
     fixture="appearance_undeclared",
     needs=_DECLARED,
 )
-def appearance_declared(subject: Subject) -> Iterator[Breach]:
+def appearance_declared(subject: InspectedModel) -> Iterator[Violation]:
     """Exactly one output holds the appearance.
 
     Why:
         Without it there is no colour to draw.
 
-    Mend:
+    Hint:
         Return SH coefficients or RGB and declare them as outputs.appearance.
     """
     if subject.appearance is None:
-        yield Breach.at("outputs", "no appearance", "one [N, channels] output")
+        yield Violation.at("outputs", "no appearance", "one [N, channels] output")
 
 
 @rule(
@@ -143,14 +143,14 @@ def appearance_declared(subject: Subject) -> Iterator[Breach]:
     fixture="odd_channels",
     needs=("GO005",),
 )
-def appearance_channels_known(subject: Subject) -> Iterator[Breach]:
+def appearance_channels_known(subject: InspectedModel) -> Iterator[Violation]:
     """The appearance is [N, C] with a C that its declared space has.
 
     Why:
         Readers step through the buffer by C: 3 or 4 for RGB, 3, 12, 27 or 48 for SH. Any other
         number shows colours of neighbouring rows.
 
-    Mend:
+    Hint:
         Pad SH to the next degree with zeros, and RGB to four channels with ones.
     """
     tensor, declared = subject.appearance, subject.declared_appearance
@@ -160,7 +160,7 @@ def appearance_channels_known(subject: Subject) -> Iterator[Breach]:
     channels = _dim(tensor, -1)
     if tensor.dims is None or len(tensor.dims) != 2 or channels not in allowed:
         wanted = f"[N, C] with C in {list(allowed)} for {declared.space}"
-        yield Breach.at(f"output {tensor.name}", f"shape {tensor}", wanted)
+        yield Violation.at(f"output {tensor.name}", f"shape {tensor}", wanted)
 
 
 @rule(
@@ -171,19 +171,19 @@ def appearance_channels_known(subject: Subject) -> Iterator[Breach]:
     fixture="fewer_colors",
     needs=("GO004", "GO006"),
 )
-def appearance_rows(subject: Subject) -> Iterator[Breach]:
+def appearance_rows(subject: InspectedModel) -> Iterator[Violation]:
     """The appearance has as many rows as there are Gaussians.
 
     Why:
         Row i of one belongs to row i of the other; a shorter buffer is read beyond its end.
 
-    Mend:
+    Hint:
         Pad both outputs to the same capacity.
     """
     tensor, rows = subject.appearance, _dim(subject.gaussians, 0)
     seen = _dim(tensor, 0)
     if tensor is not None and isinstance(rows, int) and seen != rows:
-        yield Breach.at(f"output {tensor.name}", f"{seen} rows", f"{rows} rows")
+        yield Violation.at(f"output {tensor.name}", f"{seen} rows", f"{rows} rows")
 
 
 @rule(
@@ -194,19 +194,19 @@ def appearance_rows(subject: Subject) -> Iterator[Breach]:
     fixture="output_bfloat16",
     needs=("GO001", "GO005"),
 )
-def output_dtype(subject: Subject) -> Iterator[Breach]:
+def output_dtype(subject: InspectedModel) -> Iterator[Violation]:
     """Gaussians, appearance and cells are float32 or float16.
 
     Why:
         Shaders read these two. Integers would need a scale that readers do not apply, and WebGPU
         has neither float64 nor bfloat16.
 
-    Mend:
+    Hint:
         End the output on a cast to float32 or float16.
     """
     for tensor in (subject.gaussians, subject.appearance, subject.cells):
         if tensor is not None and tensor.dtype not in _ITEMSIZE:
-            yield Breach.at(
+            yield Violation.at(
                 f"output {tensor.name}", str(tensor.dtype), "float32 or float16"
             )
 
@@ -219,19 +219,19 @@ def output_dtype(subject: Subject) -> Iterator[Breach]:
     fixture="mixed_precision",
     needs=("GO008",),
 )
-def output_dtypes_match(subject: Subject) -> Iterator[Breach]:
+def output_dtypes_match(subject: InspectedModel) -> Iterator[Violation]:
     """The appearance has the dtype of the Gaussians.
 
     Why:
         The Visionary viewer takes the colour's precision from the Gaussians and fails with
         "Unexpected output data type"; others need a second shader.
 
-    Mend:
+    Hint:
         Cast both to the same dtype.
     """
     rows, color = subject.gaussians, subject.appearance
     if rows is not None and color is not None and rows.dtype != color.dtype:
-        yield Breach.at(
+        yield Violation.at(
             f"output {color.name}", str(color.dtype), f"{rows.dtype}, as {rows.name}"
         )
 
@@ -244,14 +244,14 @@ def output_dtypes_match(subject: Subject) -> Iterator[Breach]:
     fixture="rgb3_float16",
     needs=("GO002", "GO006", "GO008"),
 )
-def rows_fill_words(subject: Subject) -> Iterator[Breach]:
+def rows_fill_words(subject: InspectedModel) -> Iterator[Violation]:
     """A row of each output is a whole number of 4-byte words.
 
     Why:
         Shaders read storage buffers in words. A float16 row of three colours is six bytes, so
         every second row starts in the middle of a word and six of eight rows show wrong colours.
 
-    Mend:
+    Hint:
         Pad float16 RGB to four channels, and SH to 12 or 48 channels.
     """
     for tensor in (subject.gaussians, subject.appearance):
@@ -260,7 +260,7 @@ def rows_fill_words(subject: Subject) -> Iterator[Breach]:
             continue
         size = channels * _ITEMSIZE.get(tensor.dtype or "", WORD_BYTES)
         if size % WORD_BYTES:
-            saw = f"{channels} channels of {tensor.dtype}, {size} bytes a row"
-            yield Breach.at(
-                f"output {tensor.name}", saw, f"a multiple of {WORD_BYTES} bytes"
+            actual = f"{channels} channels of {tensor.dtype}, {size} bytes a row"
+            yield Violation.at(
+                f"output {tensor.name}", actual, f"a multiple of {WORD_BYTES} bytes"
             )

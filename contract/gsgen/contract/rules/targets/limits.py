@@ -3,17 +3,17 @@
 from collections.abc import Iterator
 
 from gsgen.contract.model.graph import Graph, Tensor, reads, tensor_bytes
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.provider_placement import frame_nodes
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _MIB = 1 << 20
 
 
-def _buffers(subject: Subject) -> Iterator[tuple[str, int]]:
+def _buffers(subject: InspectedModel) -> Iterator[tuple[str, int]]:
     graph = subject.graph
     for tensor in graph.outputs:
         yield f"output {tensor.name}", tensor_bytes(tensor)
@@ -39,11 +39,11 @@ def _mib(size: int) -> str:
     return f"{size / _MIB:.1f} MiB ({size} bytes)"
 
 
-def _larger(subject: Subject, limit: int) -> Iterator[Breach]:
+def _larger(subject: InspectedModel, limit: int) -> Iterator[Violation]:
     """Report every output, weight and unpacked weight of more than ``limit`` bytes."""
     for place, size in _buffers(subject):
         if size > limit:
-            yield Breach.at(place, _mib(size), f"{_mib(limit)} at most")
+            yield Violation.at(place, _mib(size), f"{_mib(limit)} at most")
 
 
 @rule(
@@ -56,7 +56,7 @@ def _larger(subject: Subject, limit: int) -> Iterator[Breach]:
     limit="binding_bytes",
     needs=("GL002",),
 )
-def fits_binding(subject: Subject) -> Iterator[Breach]:
+def fits_binding(subject: InspectedModel) -> Iterator[Violation]:
     """Every output and weight fits one storage buffer binding of the target.
 
     Why:
@@ -65,7 +65,7 @@ def fits_binding(subject: Subject) -> Iterator[Breach]:
         once a runtime has loaded the model: a table of 16 bits a number that is read as float32
         is twice as large as in the file.
 
-    Mend:
+    Hint:
         Use float16, fewer SH degrees or a smaller capacity, or split the model.
     """
     yield from _larger(subject, subject.target.limits["binding_bytes"])
@@ -80,14 +80,14 @@ def fits_binding(subject: Subject) -> Iterator[Breach]:
     kinds=KINDS,
     limit="buffer_bytes",
 )
-def fits_buffer(subject: Subject) -> Iterator[Breach]:
+def fits_buffer(subject: InspectedModel) -> Iterator[Violation]:
     """Every output and weight fits one buffer of the target.
 
     Why:
         WebGPU guarantees buffers of 256 MiB; creating a larger one fails on many devices. What is
         computed from weights alone at loading, such as a table unpacked to float32, is one, too.
 
-    Mend:
+    Hint:
         Use float16, fewer SH degrees or a smaller capacity, or split the model.
     """
     yield from _larger(subject, subject.target.limits["buffer_bytes"])
@@ -102,14 +102,14 @@ def fits_buffer(subject: Subject) -> Iterator[Breach]:
     needs=("GO004", "GL001", "GL002"),
     limit="workgroups",
 )
-def fits_dispatch(subject: Subject) -> Iterator[Breach]:
+def fits_dispatch(subject: InspectedModel) -> Iterator[Violation]:
     """One dispatch can visit every row.
 
     Why:
         WebGPU launches at most 65,535 workgroups along an axis. With 256 rows a workgroup, rows
         beyond 16,776,960 are never visited.
 
-    Mend:
+    Hint:
         Lower the capacity, or split the model.
     """
     limits = subject.target.limits
@@ -117,4 +117,4 @@ def fits_dispatch(subject: Subject) -> Iterator[Breach]:
     tensor = subject.gaussians
     rows = tensor.dims[0] if tensor is not None and tensor.dims else 0
     if tensor is not None and isinstance(rows, int) and rows > most:
-        yield Breach.at(f"output {tensor.name}", f"{rows} rows", f"{most} rows at most")
+        yield Violation.at(f"output {tensor.name}", f"{rows} rows", f"{most} rows at most")

@@ -6,9 +6,9 @@ Source: its ``onnx_gpu_io.ts`` and ``preprocess.wgsl``, version 1.0.1.
 
 from collections.abc import Iterator
 
-from gsgen.contract.model.inspected_model import Subject
+from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
 _TARGET = "visionary"
@@ -36,14 +36,14 @@ def bound_role(name: str) -> str:
     target=_TARGET,
     needs=("GO001",),
 )
-def visionary_finds_gaussians(subject: Subject) -> Iterator[Breach]:
+def visionary_finds_gaussians(subject: InspectedModel) -> Iterator[Violation]:
     """The Gaussian output is the first whose name starts with `gauss`.
 
     Why:
         The viewer takes the first output with that prefix, in lower case, and falls back to
         2,000,000 rows if there is none.
 
-    Mend:
+    Hint:
         Call it gaussians, and list it first.
     """
     tensor = subject.gaussians
@@ -51,9 +51,9 @@ def visionary_finds_gaussians(subject: Subject) -> Iterator[Breach]:
         (t.name for t in subject.graph.outputs if t.name.startswith("gauss")), None
     )
     if tensor is not None and taken != tensor.name:
-        saw = f"the viewer takes {taken!r}" if taken else "the viewer finds none"
-        yield Breach.at(
-            f"output {tensor.name}", saw, "a name that starts with 'gauss', first"
+        actual = f"the viewer takes {taken!r}" if taken else "the viewer finds none"
+        yield Violation.at(
+            f"output {tensor.name}", actual, "a name that starts with 'gauss', first"
         )
 
 
@@ -66,13 +66,13 @@ def visionary_finds_gaussians(subject: Subject) -> Iterator[Breach]:
     target=_TARGET,
     needs=("GO005", "TV101"),
 )
-def visionary_finds_color(subject: Subject) -> Iterator[Breach]:
+def visionary_finds_color(subject: InspectedModel) -> Iterator[Violation]:
     """The appearance is the first output whose name contains `color`, `sh` or `rgb`.
 
     Why:
         An earlier output such as `mesh` or `shift` with a fitting last dimension is taken instead.
 
-    Mend:
+    Hint:
         Call it color_sh or color_rgb, and list it before other outputs.
     """
     tensor = subject.appearance
@@ -85,9 +85,9 @@ def visionary_finds_color(subject: Subject) -> Iterator[Breach]:
     ]
     taken = candidates[0] if candidates else None
     if tensor is not None and taken != tensor.name:
-        saw = f"the viewer takes {taken!r}" if taken else "the viewer finds none"
-        yield Breach.at(
-            f"output {tensor.name}", saw, "a name with 'color', 'sh' or 'rgb', first"
+        actual = f"the viewer takes {taken!r}" if taken else "the viewer finds none"
+        yield Violation.at(
+            f"output {tensor.name}", actual, "a name with 'color', 'sh' or 'rgb', first"
         )
 
 
@@ -100,7 +100,7 @@ def visionary_finds_color(subject: Subject) -> Iterator[Breach]:
     target=_TARGET,
     needs=("GM004", "GI005"),
 )
-def visionary_binds_inputs(subject: Subject) -> Iterator[Breach]:
+def visionary_binds_inputs(subject: InspectedModel) -> Iterator[Violation]:
     """Every input is fed, and with what its role says.
 
     Why:
@@ -108,14 +108,14 @@ def visionary_binds_inputs(subject: Subject) -> Iterator[Breach]:
         projection_matrix receives the view matrix. Inputs that match nothing are never fed, and
         inference fails.
 
-    Mend:
+    Hint:
         Call them camera, proj and time; bake other inputs in before export.
     """
     for entry in subject.manifest.inputs if subject.manifest else ():
         fed = bound_role(entry.name)
         if fed != entry.role:
-            saw = f"will receive the {fed}" if fed else "will never be fed"
-            yield Breach.at(f"input {entry.name}", saw, f"the {entry.role}")
+            actual = f"will receive the {fed}" if fed else "will never be fed"
+            yield Violation.at(f"input {entry.name}", actual, f"the {entry.role}")
 
 
 @rule(
@@ -127,14 +127,14 @@ def visionary_binds_inputs(subject: Subject) -> Iterator[Breach]:
     target=_TARGET,
     needs=("GO006", "GO008", "GM005"),
 )
-def visionary_reads_color(subject: Subject) -> Iterator[Breach]:
+def visionary_reads_color(subject: InspectedModel) -> Iterator[Violation]:
     """The appearance is SH with 48 channels, or float16 RGB with 4.
 
     Why:
         The shader's row strides are fixed for these two. All other layouts are accepted and drawn
         with the colours of neighbouring rows.
 
-    Mend:
+    Hint:
         Pad SH to degree 3, or emit float16 RGB with four channels.
     """
     tensor, declared = subject.appearance, subject.declared_appearance
@@ -142,12 +142,12 @@ def visionary_reads_color(subject: Subject) -> Iterator[Breach]:
         return
     channels = tensor.dims[-1]
     if declared.space == "sh" and channels != _SH_CHANNELS:
-        yield Breach.at(
+        yield Violation.at(
             f"output {tensor.name}", f"SH with {channels} channels", "48 channels"
         )
     if declared.space == "rgb" and (channels, tensor.dtype) != (4, "float16"):
-        saw = f"RGB as {tensor.dtype} with {channels} channels"
-        yield Breach.at(f"output {tensor.name}", saw, "float16 with 4 channels")
+        actual = f"RGB as {tensor.dtype} with {channels} channels"
+        yield Violation.at(f"output {tensor.name}", actual, "float16 with 4 channels")
 
 
 @rule(
@@ -159,15 +159,17 @@ def visionary_reads_color(subject: Subject) -> Iterator[Breach]:
     target=_TARGET,
     needs=("GM004",),
 )
-def visionary_time_range(subject: Subject) -> Iterator[Breach]:
+def visionary_time_range(subject: InspectedModel) -> Iterator[Violation]:
     """Time runs from 0 to 1.
 
     Why:
         The viewer feeds (timeline · 0.4) mod 1, whatever the manifest says.
 
-    Mend:
+    Hint:
         Scale time inside the model, so that its range is [0, 1].
     """
     for entry, _ in subject.inputs_of("time"):
         if entry.range is not None and entry.range != (0.0, 1.0):
-            yield Breach.at(f"input {entry.name}", f"range {list(entry.range)}", "[0, 1]")
+            yield Violation.at(
+                f"input {entry.name}", f"range {list(entry.range)}", "[0, 1]"
+            )

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gsgen.contract.model.inspected_model import Subject
-from gsgen.contract.probing.outputs import Emission, Rows
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach, Where
+from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.rule import rule
 
 _TARGET = "visionary"
@@ -31,7 +31,7 @@ _FADED = 0.5
     target=_TARGET,
     needs=("GV025", "GO001", "GO002", "GO010", "GO011"),
 )
-def capacity_fills_workgroups(emission: Emission) -> Iterator[Breach]:
+def capacity_fills_workgroups(emission: ModelOutputs) -> Iterator[Violation]:
     """A capacity that has padding is a multiple of 256.
 
     Why:
@@ -39,13 +39,13 @@ def capacity_fills_workgroups(emission: Emission) -> Iterator[Breach]:
         read there depends on the driver; one draws hundreds of ghosts. A model that pads anyway can
         pad to whole workgroups, whose last rows are inert.
 
-    Mend:
+    Hint:
         Raise the capacity to the next multiple of 256.
     """
     rows = emission.gaussians
     if rows is not None and emission.count < len(rows) and len(rows) % _WORKGROUP:
-        want = f"{-(-len(rows) // _WORKGROUP) * _WORKGROUP} rows"
-        yield Breach.at(emission.rows_place, f"{len(rows)} rows", want)
+        expected = f"{-(-len(rows) // _WORKGROUP) * _WORKGROUP} rows"
+        yield Violation.at(emission.rows_place, f"{len(rows)} rows", expected)
 
 
 @rule(
@@ -57,19 +57,19 @@ def capacity_fills_workgroups(emission: Emission) -> Iterator[Breach]:
     target=_TARGET,
     needs=("GO010",),
 )
-def visionary_ignores_count(subject: Subject) -> Iterator[Breach]:
+def visionary_ignores_count(subject: InspectedModel) -> Iterator[Violation]:
     """The count does not vary, because the viewer draws all rows whatever it says.
 
     Why:
         The test of the count is commented out in the viewer's shader. Rows behind it are drawn as
         they are, so only their opacity of 0 keeps them invisible (rule padding-inert).
 
-    Mend:
+    Hint:
         Nothing, if rows behind the count are zeros; do not rely on the count alone.
     """
     declared = subject.declared_count
     if declared is not None and subject.graph.varies(declared.name):
-        yield Breach.at(f"output {declared.name}", "varies", "a constant count")
+        yield Violation.at(f"output {declared.name}", "varies", "a constant count")
 
 
 @rule(
@@ -81,14 +81,14 @@ def visionary_ignores_count(subject: Subject) -> Iterator[Breach]:
     target=_TARGET,
     needs=("GO008", "GG019"),
 )
-def visionary_needs_f16(subject: Subject) -> Iterator[Breach]:
+def visionary_needs_f16(subject: InspectedModel) -> Iterator[Violation]:
     """A model with float32 outputs does not compute in float16.
 
     Why:
         Kernels in float16 need the WebGPU feature shader-f16. Outputs in float32 look as if the
         model ran without it, and on a device that lacks it the viewer stops.
 
-    Mend:
+    Hint:
         Compute in float32, or emit float16 as well, which at least halves what is read.
     """
     outputs = (subject.gaussians, subject.appearance)
@@ -97,7 +97,7 @@ def visionary_needs_f16(subject: Subject) -> Iterator[Breach]:
     for one in subject.placements:
         if one.dtype == "float16":
             place = f"node {one.node.name or one.node.output[0]} ({one.node.op_type})"
-            yield Breach.at(place, "computes in float16", "float32, as the outputs are")
+            yield Violation.at(place, "computes in float16", "float32, as the outputs are")
             return
 
 
@@ -110,7 +110,7 @@ def visionary_needs_f16(subject: Subject) -> Iterator[Breach]:
     target=_TARGET,
     needs=("GV025", "GO001", "GO002", "GO008", "GM009"),
 )
-def visionary_fades_small(rows: Rows) -> Iterator[Breach]:
+def visionary_fades_small(rows: Rows) -> Iterator[Violation]:
     """Most Gaussians are large enough that the viewer's low-pass filter does not fade them.
 
     Why:
@@ -118,7 +118,7 @@ def visionary_fades_small(rows: Rows) -> Iterator[Breach]:
         narrower than a third of a pixel loses most of its opacity. This is a prediction for a
         camera that sees all of the bounds on a screen of 1080 rows.
 
-    Mend:
+    Hint:
         Declare "antialias": "mip" if it was trained so; else make tiny Gaussians larger.
     """
     generator = rows.emission.subject.generator
@@ -128,13 +128,13 @@ def visionary_fades_small(rows: Rows) -> Iterator[Breach]:
     distance = _ORBIT * float(np.linalg.norm(high - low)) / 2
     pixels = rows.widest * np.float32((_FOCAL / max(distance, 1e-9)) ** 2)
     kept = pixels / (pixels + np.float32(_KERNEL))
-    yield Breach.rows(
-        Where(rows.emission.rows_place, "covariance"),
+    yield Violation.rows(
+        Location(rows.emission.rows_place, "covariance"),
         rows.drawn & (kept < _FADED),
         rows.widest,
         f"more than {_FADED:.0%} of the opacity in most rows",
         judged=rows.drawn_count,
-        above_share=0.5,
+        min_fraction=0.5,
         certainty="possible",
     )
 
@@ -148,18 +148,18 @@ def visionary_fades_small(rows: Rows) -> Iterator[Breach]:
     target=_TARGET,
     needs=("GO005", "GM002", "GM003"),
 )
-def visionary_shows_srgb(subject: Subject) -> Iterator[Breach]:
+def visionary_shows_srgb(subject: InspectedModel) -> Iterator[Violation]:
     """Colours are sRGB.
 
     Why:
         The viewer writes colours to the screen as they are: linear ones are too dark.
 
-    Mend:
+    Hint:
         Convert colours to sRGB before packing.
     """
     declared = subject.declared_appearance
     if declared is not None and declared.color_space != "srgb":
-        yield Breach.at(f"output {declared.name}", declared.color_space, "srgb")
+        yield Violation.at(f"output {declared.name}", declared.color_space, "srgb")
 
 
 @rule(
@@ -171,7 +171,7 @@ def visionary_shows_srgb(subject: Subject) -> Iterator[Breach]:
     target=_TARGET,
     needs=("GM017",),
 )
-def visionary_sorts(subject: Subject) -> Iterator[Breach]:
+def visionary_sorts(subject: InspectedModel) -> Iterator[Violation]:
     """Gaussians are blended by sorting.
 
     Why:
@@ -179,10 +179,10 @@ def visionary_sorts(subject: Subject) -> Iterator[Breach]:
         divides by a sum of weights. What was trained for a weighted sum looks near its own picture
         at best, and cells are computed every frame for nothing.
 
-    Mend:
+    Hint:
         Export for sorting, where the method has such an option (`--blend alpha`), and compare
         pictures.
     """
     generator = subject.generator
     if generator is not None and generator.blend != "alpha":
-        yield Breach.at("manifest blend", generator.blend, "alpha")
+        yield Violation.at("manifest blend", generator.blend, "alpha")

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from gsgen.contract.probing.outputs import Emission, Rows
+from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.spherical_harmonics import degree_of
-from gsgen.contract.validation.finding import Breach, Where
+from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.rule import rule
 
 _COLOR_SLACK = 1e-2
@@ -33,7 +33,7 @@ _LARGE_SHARE = 0.01
     fixture="rgb_in_bytes",
     needs=_COLOR,
 )
-def rgb_range(rows: Rows) -> Iterator[Breach]:
+def rgb_range(rows: Rows) -> Iterator[Violation]:
     """Raw RGB lies in [0, 1] in every drawn row.
 
     Why:
@@ -41,7 +41,7 @@ def rgb_range(rows: Rows) -> Iterator[Breach]:
         are SH coefficients passed as colours, and show as black. Where no manifest says that three
         channels are RGB, they may be SH of degree 0, so the finding is possible then.
 
-    Mend:
+    Hint:
         Divide bytes by 255; turn the SH constant term into colour as 0.5 + 0.28209479 · f_dc.
     """
     declared, color = rows.emission.declared, rows.color
@@ -50,13 +50,13 @@ def rgb_range(rows: Rows) -> Iterator[Breach]:
     shown = color[:, :3].astype(np.float32)
     kept = ((shown >= -_COLOR_SLACK) & (shown <= 1 + _COLOR_SLACK)).all(axis=1)
     guessed = rows.emission.subject.candidate is not None
-    yield Breach.rows(
-        Where(rows.emission.color_place, "rgb"),
+    yield Violation.rows(
+        Location(rows.emission.color_place, "rgb"),
         rows.drawn & ~kept,
         shown,
         "0 <= rgb <= 1",
         judged=rows.drawn_count,
-        badness=np.nan_to_num(np.abs(shown - 0.5).max(axis=1)),
+        magnitude=np.nan_to_num(np.abs(shown - 0.5).max(axis=1)),
         certainty="possible" if guessed else "confirmed",
     )
 
@@ -69,14 +69,14 @@ def rgb_range(rows: Rows) -> Iterator[Breach]:
     fixture="sh_channel_major",
     needs=("GV025", "GO005", "GO006", "GO007", "GO008", "GM005"),
 )
-def sh_order(emission: Emission) -> Iterator[Breach]:
+def sh_order(emission: ModelOutputs) -> Iterator[Violation]:
     """SH coefficients stand coefficient by coefficient, red, green and blue innermost.
 
     Why:
         A 3DGS PLY stores all red coefficients first. Copied as they are, green and blue constants
         are read as view-dependent detail: colours change wildly with every step of the camera.
 
-    Mend:
+    Hint:
         Transpose [N, 3, K] to [N, K, 3] before flattening. If the order is right and the scene is
         unusual, ignore this rule.
     """
@@ -94,11 +94,13 @@ def sh_order(emission: Emission) -> Iterator[Breach]:
     stored = spread.pop("coefficient-major")
     name, other = min(spread.items(), key=lambda item: item[1])
     if stored > _SUSPECT and other < _CLEARER * stored:
-        saw = (
+        actual = (
             f"energy lies at mean degree {stored:.2f} as stored, {other:.2f} if read {name}"
         )
-        want = f"a mean degree below {_SUSPECT}, as coefficient-major SH of a scene has"
-        yield Breach.at(f"output {declared.name}", saw, want, certainty="possible")
+        expected = f"a mean degree below {_SUSPECT}, as coefficient-major SH of a scene has"
+        yield Violation.at(
+            f"output {declared.name}", actual, expected, certainty="possible"
+        )
 
 
 def _orders(size: int) -> dict[str, np.ndarray]:
@@ -129,14 +131,14 @@ def _mean_degree(energy: Float[np.ndarray, "k 3"]) -> float:
     fixture="sh_in_bytes",
     needs=("GV025", "GO005", "GO006", "GO007", "GO008", "GM005"),
 )
-def sh_magnitude(emission: Emission) -> Iterator[Breach]:
+def sh_magnitude(emission: ModelOutputs) -> Iterator[Violation]:
     """SH coefficients above degree 0 are not far larger than colours can use.
 
     Why:
         A coefficient of 3 alone moves a colour from black to white within a turn of the camera.
         Coefficients beyond 10 are usually bytes, or quantised and never scaled back.
 
-    Mend:
+    Hint:
         Scale the coefficients as they were trained.
     """
     if not emission.is_sh or emission.shown_colors.shape[1] <= 3:
@@ -147,9 +149,9 @@ def sh_magnitude(emission: Emission) -> Iterator[Breach]:
     detail = np.abs(detail)
     share = float(np.count_nonzero(detail > _LARGE) / max(detail.size, 1))
     if share > _LARGE_SHARE:
-        saw = f"{100 * share:.3g} % of coefficients beyond ±{_LARGE:g}, up to {detail.max():.3g}"
-        want = f"magnitudes up to {_LARGE:g}"
-        yield Breach.at(emission.color_place, saw, want, certainty="possible")
+        actual = f"{100 * share:.3g} % of coefficients beyond ±{_LARGE:g}, up to {detail.max():.3g}"
+        expected = f"magnitudes up to {_LARGE:g}"
+        yield Violation.at(emission.color_place, actual, expected, certainty="possible")
 
 
 @rule(
@@ -160,14 +162,14 @@ def sh_magnitude(emission: Emission) -> Iterator[Breach]:
     fixture="rgb_with_alpha",
     needs=("GV025", "GO005", "GO006", "GO007", "GO008", "GM005"),
 )
-def fourth_channel_unused(emission: Emission) -> Iterator[Breach]:
+def fourth_channel_unused(emission: ModelOutputs) -> Iterator[Violation]:
     """The fourth channel of RGB holds the same number in all rows.
 
     Why:
         It only fills the row up to whole words, and no reader looks at it. What varies there was
         meant to have an effect, such as an alpha, and has none.
 
-    Mend:
+    Hint:
         Put opacity in column 3 of the packed rows, and 1 in the fourth channel.
     """
     sample = emission.shown_colors
@@ -175,5 +177,5 @@ def fourth_channel_unused(emission: Emission) -> Iterator[Breach]:
         return
     low, high = sample[:, 3].min(), sample[:, 3].max()
     if low != high:
-        saw = f"values from {low:.3g} to {high:.3g} in channel 3"
-        yield Breach.at(emission.color_place, saw, "one number in all rows")
+        actual = f"values from {low:.3g} to {high:.3g} in channel 3"
+        yield Violation.at(emission.color_place, actual, "one number in all rows")

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
-from gsgen.contract.model.inspected_model import Subject
-from gsgen.contract.probing.outputs import Emission
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.rules.values.covariance import PSD_FLOOR, PSD_SLACK
 from gsgen.contract.spec.geometry import smallest_eigenvalue
 from gsgen.contract.spec.layout import (
@@ -19,7 +19,7 @@ from gsgen.contract.spec.layout import (
     VISIBILITY,
 )
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach, Where
+from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.rule import rule
 
 _LARGEST_HALF = 65504.0
@@ -40,14 +40,14 @@ _CELLS = ("GV025", "GO001", "GO002", "GO008", "GO021")
     fixture="weighted_sum_without_cells",
     needs=("GM002", "GM003"),
 )
-def weighted_sum_complete(subject: Subject) -> Iterator[Breach]:
+def weighted_sum_complete(subject: InspectedModel) -> Iterator[Violation]:
     """`blend: wsr`, `weighted_sum` and `outputs.cells` are declared together or not at all.
 
     Why:
         A weighted sum is taken cell by cell, with weights that the manifest gives. A renderer that
         knows two of the three has to make up the third, or blends in another way than was meant.
 
-    Mend:
+    Hint:
         Declare the tensor of cells as outputs.cells and the weights as weighted_sum, or blend by
         alpha and declare neither.
     """
@@ -64,7 +64,7 @@ def weighted_sum_complete(subject: Subject) -> Iterator[Breach]:
             " and ".join(name for name, given in said.items() if given is wanted)
             for wanted in (True, False)
         )
-        yield Breach.at("manifest", f"{there} without {lacking}", "all three, or none")
+        yield Violation.at("manifest", f"{there} without {lacking}", "all three, or none")
 
 
 @rule(
@@ -75,21 +75,23 @@ def weighted_sum_complete(subject: Subject) -> Iterator[Breach]:
     fixture="weighted_sum_of_1_0",
     needs=("GM002", "GM003"),
 )
-def weighted_sum_has_cells(subject: Subject) -> Iterator[Breach]:
+def weighted_sum_has_cells(subject: InspectedModel) -> Iterator[Violation]:
     """A manifest of contract 1.0 does not say `blend: wsr`.
 
     Why:
         1.0 had the word and no way to say which rows form a cell, so nobody can draw such a model
         as it was meant. It is read as `alpha`: sorted, and the picture is another one.
 
-    Mend:
+    Hint:
         Export the model anew for contract 1.1, with its cells, or set "blend": "alpha".
     """
     parsed = subject.parsed
     if parsed is None or parsed.version != (1, 0) or subject.generator is None:
         return
     if json.loads(subject.file.manifest_text or "{}").get("blend") == "wsr":
-        yield Breach.at("manifest blend", "wsr in contract 1.0", "alpha, or contract 1.1")
+        yield Violation.at(
+            "manifest blend", "wsr in contract 1.0", "alpha, or contract 1.1"
+        )
 
 
 @rule(
@@ -100,14 +102,14 @@ def weighted_sum_has_cells(subject: Subject) -> Iterator[Breach]:
     fixture="cells_with_one_field_less",
     needs=("GM004", "GM017"),
 )
-def cell_row_has_10(subject: Subject) -> Iterator[Breach]:
+def cell_row_has_10(subject: InspectedModel) -> Iterator[Violation]:
     """Cells are a matrix of ten columns and a fixed number of rows.
 
     Why:
         A row is x y z visibility xx xy xz yy yz zz, read by position. Buffers are allocated before
         the first frame, and a recorded frame has fixed shapes.
 
-    Mend:
+    Hint:
         Return one [C, 10] tensor; the SDK packs it from `gsgen.sdk.Cells`.
     """
     tensor = subject.cells
@@ -117,8 +119,8 @@ def cell_row_has_10(subject: Subject) -> Iterator[Breach]:
     rows = dims[0] if dims else None
     sized = isinstance(rows, int) and rows > 0
     if not (len(dims) == 2 and dims[1] == ROW and sized):
-        want = f"[C, {ROW}] with a fixed C"
-        yield Breach.at(f"output {tensor.name}", f"shape {tensor}", want)
+        expected = f"[C, {ROW}] with a fixed C"
+        yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
 
 
 @rule(
@@ -129,14 +131,14 @@ def cell_row_has_10(subject: Subject) -> Iterator[Breach]:
     fixture="cells_for_other_rows",
     needs=("GO020", "GO002", "GO004"),
 )
-def cells_hold_all_rows(subject: Subject) -> Iterator[Breach]:
+def cells_hold_all_rows(subject: InspectedModel) -> Iterator[Violation]:
     """The number of cells times `per_cell` is the number of rows.
 
     Why:
         Row r belongs to cell r // per_cell, and to no other. With too few cells the last rows
         belong to none, and a renderer reads beyond the buffer; with too many, cells are empty.
 
-    Mend:
+    Hint:
         Give every cell the same number of rows, and fill the last ones with inert rows.
     """
     declared, tensor, rows = subject.declared_cells, subject.cells, subject.gaussians
@@ -146,8 +148,8 @@ def cells_hold_all_rows(subject: Subject) -> Iterator[Breach]:
     assert rows.dims is not None
     cells, capacity = tensor.dims[0], rows.dims[0]
     if isinstance(cells, int) and cells * declared.per_cell != capacity:
-        saw = f"{cells} cells of {declared.per_cell} rows"
-        yield Breach.at(f"output {tensor.name}", saw, f"cells for {capacity} rows")
+        actual = f"{cells} cells of {declared.per_cell} rows"
+        yield Violation.at(f"output {tensor.name}", actual, f"cells for {capacity} rows")
 
 
 def _finite(cells: Float[np.ndarray, "c 10"]) -> Bool[np.ndarray, " c"]:
@@ -157,13 +159,13 @@ def _finite(cells: Float[np.ndarray, "c 10"]) -> Bool[np.ndarray, " c"]:
     return np.asarray(finite)
 
 
-def _per_cell(emission: Emission) -> int:
+def _per_cell(emission: ModelOutputs) -> int:
     declared = emission.subject.declared_cells
     assert declared is not None
     return declared.per_cell
 
 
-def _live(emission: Emission) -> Bool[np.ndarray, " c"]:
+def _live(emission: ModelOutputs) -> Bool[np.ndarray, " c"]:
     """Return which cells have a row before the count."""
     assert emission.cells is not None
     first = np.arange(len(emission.cells)) * _per_cell(emission)
@@ -178,21 +180,21 @@ def _live(emission: Emission) -> Bool[np.ndarray, " c"]:
     fixture="nan_cell",
     needs=_CELLS,
 )
-def cells_finite(emission: Emission) -> Iterator[Breach]:
+def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
     """Every value of every cell is finite, and less than float16's largest where it is float16.
 
     Why:
         Cells are what is sorted: a NaN sorts anywhere, and takes all Gaussians of the cell along.
         65504 means that the value was clamped on its way into float16.
 
-    Mend:
+    Hint:
         Find the division, logarithm or norm that sees zero, such as the mean of quaternions whose
         weights are all zero, and clamp before it.
     """
     cells = emission.cells
     if cells is not None and not emission.zeros:
-        place, want = Where(emission.cells_place), "finite values"
-        yield Breach.rows(place, ~_finite(cells), cells, want, judged=len(cells))
+        place, expected = Location(emission.cells_place), "finite values"
+        yield Violation.rows(place, ~_finite(cells), cells, expected, judged=len(cells))
 
 
 @rule(
@@ -203,14 +205,14 @@ def cells_finite(emission: Emission) -> Iterator[Breach]:
     fixture="visibility_is_logits",
     needs=_CELLS,
 )
-def visibility_range(emission: Emission) -> Iterator[Breach]:
+def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
     """Visibility, column 3 of a cell, lies in [0, 1].
 
     Why:
         The weight of every Gaussian of the cell is multiplied by it: beyond 1 the cell outweighs
         what is in front of it, and below 0 it takes away from the sum.
 
-    Mend:
+    Hint:
         Apply the activation, usually a sigmoid, before packing.
     """
     if emission.cells is None:
@@ -218,13 +220,13 @@ def visibility_range(emission: Emission) -> Iterator[Breach]:
     seen = emission.cells[:, VISIBILITY].astype(np.float64)
     kept = (seen >= -_VISIBILITY_SLACK) & (seen <= 1 + _VISIBILITY_SLACK)
     judged = _finite(emission.cells)
-    yield Breach.rows(
-        Where(emission.cells_place, "visibility"),
+    yield Violation.rows(
+        Location(emission.cells_place, "visibility"),
         ~kept & judged,
         seen,
         "0 <= visibility <= 1",
         judged=int(np.count_nonzero(judged)),
-        badness=np.abs(seen - 0.5),
+        magnitude=np.abs(seen - 0.5),
     )
 
 
@@ -236,14 +238,14 @@ def visibility_range(emission: Emission) -> Iterator[Breach]:
     fixture="indefinite_cell",
     needs=_CELLS,
 )
-def cell_covariance_psd(emission: Emission) -> Iterator[Breach]:
+def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
     """The covariance of every cell that is seen is positive semi-definite, up to rounding.
 
     Why:
         A renderer looks for a cell's Gaussians where its ellipsoid shows. One that is none shows
         nowhere, or everywhere.
 
-    Mend:
+    Hint:
         Build the covariance as R S Sᵀ Rᵀ with a normalised rotation, and check the order of the
         six entries: xx xy xz yy yz zz.
     """
@@ -255,13 +257,13 @@ def cell_covariance_psd(emission: Emission) -> Iterator[Breach]:
     slack, floor = PSD_SLACK[cells.itemsize], PSD_FLOOR[cells.itemsize]
     lowest = smallest_eigenvalue(upper)
     size = np.abs(upper[:, [0, 3, 5]]).sum(axis=1)
-    yield Breach.rows(
-        Where(emission.cells_place, "covariance"),
+    yield Violation.rows(
+        Location(emission.cells_place, "covariance"),
         judged & ~(lowest >= -slack * size - floor),
         lowest,
         f"smallest eigenvalue >= -{slack:.2g} of the trace",
         judged=int(np.count_nonzero(judged)),
-        badness=-lowest,
+        magnitude=-lowest,
     )
 
 
@@ -273,14 +275,14 @@ def cell_covariance_psd(emission: Emission) -> Iterator[Breach]:
     fixture="opaque_rows_of_a_hidden_cell",
     needs=(*_CELLS, "GO010", "GO011"),
 )
-def hidden_cells_inert(emission: Emission) -> Iterator[Breach]:
+def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     """The rows of a cell with visibility 0 have opacity 0.
 
     Why:
         Renderers without a weighted sum blend the rows by sorting, and know nothing of visibility:
         they show what the model hides, such as levels of detail that are too fine.
 
-    Mend:
+    Hint:
         Multiply opacities by the mask that hides the cell.
     """
     cells, rows = emission.cells, emission.gaussians
@@ -288,13 +290,13 @@ def hidden_cells_inert(emission: Emission) -> Iterator[Breach]:
         return
     hidden = np.repeat(cells[:, VISIBILITY] == 0, _per_cell(emission))[: emission.count]
     opacity = rows[: emission.count, OPACITY].astype(np.float32)
-    yield Breach.rows(
-        Where(emission.rows_place, "opacity"),
+    yield Violation.rows(
+        Location(emission.rows_place, "opacity"),
         hidden & np.isfinite(opacity) & (opacity != 0),
         opacity,
         "opacity 0 in rows of cells with visibility 0",
         judged=int(np.count_nonzero(hidden)),
-        badness=opacity,
+        magnitude=opacity,
     )
 
 
@@ -306,27 +308,27 @@ def hidden_cells_inert(emission: Emission) -> Iterator[Breach]:
     fixture="visible_cell_behind_the_count",
     needs=(*_CELLS, "GO010", "GO011"),
 )
-def empty_cells_inert(emission: Emission) -> Iterator[Breach]:
+def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     """Visibility is 0 in every cell that has no row before the count.
 
     Why:
         Renderers sort all cells that are visible, and look for their Gaussians in every tile that
         they touch: what has none costs as much as what has some.
 
-    Mend:
+    Hint:
         Fill cells behind the count with zeros; the SDK does it for you.
     """
     if emission.cells is None:
         return
     seen = emission.cells[:, VISIBILITY].astype(np.float32)
     empty = ~_live(emission)
-    yield Breach.rows(
-        Where(emission.cells_place, "visibility"),
+    yield Violation.rows(
+        Location(emission.cells_place, "visibility"),
         empty & np.isfinite(seen) & (seen != 0),
         seen,
         "visibility 0 in cells behind the count",
         judged=int(np.count_nonzero(empty)),
-        badness=seen,
+        magnitude=seen,
     )
 
 
@@ -338,7 +340,7 @@ def empty_cells_inert(emission: Emission) -> Iterator[Breach]:
     fixture="cells_in_another_order",
     needs=_CELLS,
 )
-def rows_near_their_cell(emission: Emission) -> Iterator[Breach]:
+def rows_near_their_cell(emission: ModelOutputs) -> Iterator[Violation]:
     """Every drawn Gaussian's centre is within twice the size of its cell from the cell's centre.
 
     Why:
@@ -346,7 +348,7 @@ def rows_near_their_cell(emission: Emission) -> Iterator[Breach]:
         standard deviation: what lies beyond is cut off in straight lines. If many do, rows and
         cells probably stand in different orders.
 
-    Mend:
+    Hint:
         Row r belongs to cell r // per_cell: check the order of both, and that the covariance is
         that of the cell, in square units. The size is the square root of its trace.
     """
@@ -365,11 +367,11 @@ def rows_near_their_cell(emission: Emission) -> Iterator[Breach]:
     )
     drawn = seen & np.isfinite(live).all(axis=1) & (live[:, OPACITY] >= CULL_OPACITY)
     off = np.linalg.norm(live[:, POSITION] - centre, axis=1)
-    yield Breach.rows(
-        Where(emission.rows_place, "position"),
+    yield Violation.rows(
+        Location(emission.rows_place, "position"),
         drawn & ~(off <= reach),
         np.stack([off, reach], axis=1),
         "distances from the cell's centre of at most twice its size",
         judged=int(np.count_nonzero(drawn)),
-        badness=off - reach,
+        magnitude=off - reach,
     )

@@ -8,7 +8,7 @@ from jaxtyping import Bool
 from gsgen.contract.probing.outputs import Rows
 from gsgen.contract.spec.geometry import smallest_eigenvalue
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach, Where
+from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.rule import rule
 
 # How negative an eigenvalue may be by rounding alone: relative to the trace, and, because the
@@ -31,25 +31,25 @@ _ROWS = ("GV025", "GO001", "GO002", "GO008")
     fixture="negative_variance",
     needs=_ROWS,
 )
-def variance_not_negative(rows: Rows) -> Iterator[Breach]:
+def variance_not_negative(rows: Rows) -> Iterator[Violation]:
     """The variances xx, yy and zz are not negative in any drawn row.
 
     Why:
         A negative variance has no axes: the projected ellipse is NaN or covers the screen.
 
-    Mend:
+    Hint:
         Build the covariance as R S Sᵀ Rᵀ, and check the order of the six entries: xx xy xz yy yz zz.
     """
     if rows.emission.field_order is not None:
         return  # another rule says what is wrong with all of them
     lowest = rows.covariance[[0, 3, 5]].min(axis=0)
-    yield Breach.rows(
-        Where(rows.emission.rows_place, "covariance"),
+    yield Violation.rows(
+        Location(rows.emission.rows_place, "covariance"),
         rows.drawn & ~(lowest >= 0),
         lowest,
         "xx, yy, zz >= 0",
         judged=rows.drawn_count,
-        badness=-lowest,
+        magnitude=-lowest,
     )
 
 
@@ -61,14 +61,14 @@ def variance_not_negative(rows: Rows) -> Iterator[Breach]:
     fixture="indefinite_covariance",
     needs=_ROWS,
 )
-def covariance_psd(rows: Rows) -> Iterator[Breach]:
+def covariance_psd(rows: Rows) -> Iterator[Violation]:
     """The covariance of every drawn row is positive semi-definite, up to rounding.
 
     Why:
         A renderer clamps the smaller eigenvalue of the projected ellipse, which hides the fault
         until the other axis is hundreds of pixels long: a spike.
 
-    Mend:
+    Hint:
         Build the covariance as R S Sᵀ Rᵀ with a normalised rotation; in float16, scale the scene
         so that variances do not underflow.
     """
@@ -84,13 +84,13 @@ def covariance_psd(rows: Rows) -> Iterator[Breach]:
         trace = upper[:, [0, 3, 5]].sum(axis=1)
         lowest[suspects] = smallest_eigenvalue(upper)
         bad[suspects] = ~(lowest[suspects] >= -slack * trace - floor)
-    yield Breach.rows(
-        Where(rows.emission.rows_place, "covariance"),
+    yield Violation.rows(
+        Location(rows.emission.rows_place, "covariance"),
         bad,
         lowest,
         f"smallest eigenvalue >= -{slack:.2g} of the trace",
         judged=rows.drawn_count,
-        badness=-lowest,
+        magnitude=-lowest,
     )
 
 
@@ -114,18 +114,18 @@ def _surely_psd(rows: Rows, slack: float) -> Bool[np.ndarray, " n"]:
     fixture="zero_covariance",
     needs=_ROWS,
 )
-def covariance_not_zero(rows: Rows) -> Iterator[Breach]:
+def covariance_not_zero(rows: Rows) -> Iterator[Violation]:
     """The covariance of a drawn row is not all zero.
 
     Why:
         The Gaussian has no extent of its own and shows only as the renderer's low-pass filter. A
         zero quaternion, or float16 underflow of a variance below 6e-8, gives such rows.
 
-    Mend:
+    Hint:
         Normalise rotations safely; scale the scene up before float16.
     """
-    yield Breach.rows(
-        Where(rows.emission.rows_place, "covariance"),
+    yield Violation.rows(
+        Location(rows.emission.rows_place, "covariance"),
         rows.drawn & (rows.trace == 0) & (rows.covariance == 0).all(axis=0),
         rows.trace,
         "a trace above 0",

@@ -3,12 +3,12 @@
 from collections.abc import Iterator
 
 from gsgen.contract.model.graph import static_dims
-from gsgen.contract.model.inspected_model import Subject
-from gsgen.contract.probing.outputs import Emission
-from gsgen.contract.probing.run_comparison import Trial
+from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.probing.outputs import ModelOutputs
+from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach
+from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import RUNNABLE
 from gsgen.contract.validation.rule import rule
 
@@ -21,17 +21,17 @@ from gsgen.contract.validation.rule import rule
     fixture="shape_differs_at_run",
     needs=("GV025",),
 )
-def shapes_as_declared(emission: Emission) -> Iterator[Breach]:
+def shapes_as_declared(emission: ModelOutputs) -> Iterator[Violation]:
     """At run time every output has the shape and dtype that the graph declares.
 
     Why:
         ONNX Runtime only logs a warning where they differ, and readers have sized their buffers by
         the declaration.
 
-    Mend:
+    Hint:
         Declare what the operators compute, or give data-dependent outputs a fixed capacity.
     """
-    subject: Subject = emission.subject
+    subject: InspectedModel = emission.subject
     for tensor in subject.graph.outputs:
         value = emission.outputs.get(tensor.name)
         if value is None or tensor.dims is None:
@@ -41,8 +41,8 @@ def shapes_as_declared(emission: Emission) -> Iterator[Breach]:
         if wrong_shape or (
             tensor.dtype in ("float32", "float16") and tensor.dtype != value.dtype
         ):
-            saw = f"{value.dtype} {list(value.shape)}"
-            yield Breach.at(f"output {tensor.name}", saw, f"{tensor}, as declared")
+            actual = f"{value.dtype} {list(value.shape)}"
+            yield Violation.at(f"output {tensor.name}", actual, f"{tensor}, as declared")
 
 
 @rule(
@@ -54,13 +54,13 @@ def shapes_as_declared(emission: Emission) -> Iterator[Breach]:
     kinds=KINDS,
     needs=(*RUNNABLE, "GS004"),
 )
-def model_runs(trial: Trial) -> Iterator[Breach]:
+def model_runs(trial: ProbeRuns) -> Iterator[Violation]:
     """ONNX Runtime loads the model and runs it at every probe.
 
     Why:
         What does not run here, on the CPU with the reference kernels, runs nowhere.
 
-    Mend:
+    Hint:
         The message is ONNX Runtime's own; the probe's inputs are what it was given.
     """
     fault = trial.execution.fault
@@ -70,5 +70,5 @@ def model_runs(trial: Trial) -> Iterator[Breach]:
             if fault.probe is None
             else f" at probe {trial.plan.probes[fault.probe].label!r}"
         )
-        saw = f"{fault.stage}{probe}: {fault.message}"
-        yield Breach.at("ONNX Runtime", saw, "no error")
+        actual = f"{fault.stage}{probe}: {fault.message}"
+        yield Violation.at("ONNX Runtime", actual, "no error")

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gsgen.contract.probing.outputs import Emission, Rows
+from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.spec.layout import CULL_OPACITY, FIELDS, OPACITY
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach, Where
+from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.rule import rule
 
 _ROWS = ("GV025", "GO001", "GO002", "GO008")
@@ -34,23 +34,23 @@ _EQUAL_SHARE = 0.1
     fixture="diagonal_first",
     needs=_ROWS,
 )
-def fields_in_order(emission: Emission) -> Iterator[Breach]:
+def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
     """The fields of a row stand in the order x y z opacity xx xy xz yy yz zz.
 
     Why:
         The contract fixes the order, and readers take it by position. With another one nearly every
         covariance is none, and Gaussians become spikes.
 
-    Mend:
+    Hint:
         Reorder the columns before packing; the SDK packs for you.
     """
     order = emission.field_order
     if order is not None:
-        saw = (
+        actual = (
             f"{100 * order.declared:.3g} % of {order.rows} rows have no valid covariance, "
             f"{100 * order.found:.3g} % if read as {order.name}"
         )
-        yield Breach.at(emission.rows_place, saw, " ".join(FIELDS))
+        yield Violation.at(emission.rows_place, actual, " ".join(FIELDS))
 
 
 @rule(
@@ -62,25 +62,25 @@ def fields_in_order(emission: Emission) -> Iterator[Breach]:
     needs=_ROWS,
     limit="subnormal_permille",
 )
-def variance_not_subnormal(rows: Rows) -> Iterator[Breach]:
+def variance_not_subnormal(rows: Rows) -> Iterator[Violation]:
     """Float16 variances are not so small that a shader may take them for zero.
 
     Why:
         WGSL lets a device flush numbers below 2⁻¹⁴ to zero. A Gaussian whose largest variance is
         below that, a standard deviation of 0.0078, then has no extent at all.
 
-    Mend:
+    Hint:
         Scale the scene up before float16, or emit float32.
     """
     if rows.packed.dtype != np.float16:
         return
-    yield Breach.rows(
-        Where(rows.emission.rows_place, "covariance"),
+    yield Violation.rows(
+        Location(rows.emission.rows_place, "covariance"),
         rows.drawn & (rows.widest > 0) & (rows.widest < _SMALLEST_HALF),
         rows.widest,
         f"a largest variance of {_SMALLEST_HALF:.2g} or more in most rows",
         judged=rows.drawn_count,
-        above_share=rows.emission.subject.target.limits["subnormal_permille"] / 1000,
+        min_fraction=rows.emission.subject.target.limits["subnormal_permille"] / 1000,
     )
 
 
@@ -92,14 +92,14 @@ def variance_not_subnormal(rows: Rows) -> Iterator[Breach]:
     fixture="coarse_positions",
     needs=_ROWS,
 )
-def position_resolution(rows: Rows) -> Iterator[Breach]:
+def position_resolution(rows: Rows) -> Iterator[Violation]:
     """Steps between neighbouring float16 positions are no larger than the Gaussians themselves.
 
     Why:
         Float16 has steps of 0.0078 at 8 and of 0.5 at 512. Where a step is larger than a Gaussian's
         largest standard deviation, surfaces break into a grid, and motion jumps.
 
-    Mend:
+    Hint:
         Centre the scene, emit float32, or split it into tiles with origins of their own.
     """
     if rows.packed.dtype != np.float16:
@@ -113,14 +113,14 @@ def position_resolution(rows: Rows) -> Iterator[Breach]:
         beyond = np.square(np.exp2(power) * _HALF_STEP) > rows.widest[small]
         coarse[small] = beyond & (far < _SATURATED)
         farthest[small] = far
-    yield Breach.rows(
-        Where(rows.emission.rows_place, "position"),
+    yield Violation.rows(
+        Location(rows.emission.rows_place, "position"),
         coarse,
         rows.packed[:, :3],
         "steps below the largest standard deviation",
         judged=rows.drawn_count,
-        badness=farthest,
-        above_share=_COARSE_SHARE,
+        magnitude=farthest,
+        min_fraction=_COARSE_SHARE,
     )
 
 
@@ -132,14 +132,14 @@ def position_resolution(rows: Rows) -> Iterator[Breach]:
     fixture="larger_than_the_scene",
     needs=(*_ROWS, "GM009"),
 )
-def size_within_bounds(rows: Rows) -> Iterator[Breach]:
+def size_within_bounds(rows: Rows) -> Iterator[Violation]:
     """No Gaussian's standard deviation exceeds the diagonal of the bounds.
 
     Why:
         One such Gaussian covers the picture from everywhere, and costs as much as all others. It
         usually is a scale that was not activated, or diverged in training.
 
-    Mend:
+    Hint:
         Apply the activation (usually exp) once; clamp scales; prune outliers.
     """
     generator = rows.emission.subject.generator
@@ -147,13 +147,13 @@ def size_within_bounds(rows: Rows) -> Iterator[Breach]:
         return
     low, high = np.asarray([generator.bounds.min, generator.bounds.max])
     diagonal = float(np.linalg.norm(high - low))
-    yield Breach.rows(
-        Where(rows.emission.rows_place, "covariance"),
+    yield Violation.rows(
+        Location(rows.emission.rows_place, "covariance"),
         rows.drawn & (rows.widest > diagonal**2),
         rows.widest,
         f"variances up to {diagonal**2:.4g}, the squared diagonal of the bounds",
         judged=rows.drawn_count,
-        badness=rows.widest,
+        magnitude=rows.widest,
     )
 
 
@@ -165,14 +165,14 @@ def size_within_bounds(rows: Rows) -> Iterator[Breach]:
     fixture="outside_bounds",
     needs=(*_ROWS, "GM009"),
 )
-def centres_within_bounds(rows: Rows) -> Iterator[Breach]:
+def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     """The declared bounds hold the centres of 99.9 % of the drawn rows, at every probe.
 
     Why:
         Viewers frame the camera, cull the whole model and choose near and far planes by the bounds:
         what lies outside is cut off, or seen from inside.
 
-    Mend:
+    Hint:
         Measure bounds over all times and poses; the SDK does. If a few Gaussians fly off, clamp
         them.
     """
@@ -191,13 +191,13 @@ def centres_within_bounds(rows: Rows) -> Iterator[Breach]:
         )
         saturated = np.abs(position).max(axis=0) >= _SATURATED  # another rule says so
         outside = rows.drawn & ~inside.all(axis=0) & ~saturated
-    yield Breach.rows(
-        Where(rows.emission.rows_place, "position"),
+    yield Violation.rows(
+        Location(rows.emission.rows_place, "position"),
         outside,
         rows.packed[:, :3],
         f"centres within {generator.bounds.min} to {generator.bounds.max}",
         judged=rows.drawn_count,
-        above_share=_OUTSIDE_SHARE,
+        min_fraction=_OUTSIDE_SHARE,
     )
 
 
@@ -209,14 +209,14 @@ def centres_within_bounds(rows: Rows) -> Iterator[Breach]:
     fixture="every_row_twice",
     needs=_ROWS,
 )
-def rows_differ(emission: Emission) -> Iterator[Breach]:
+def rows_differ(emission: ModelOutputs) -> Iterator[Violation]:
     """Drawn rows are not copies of each other.
 
     Why:
         Copies are sorted and blended one over the other: they cost as much as other rows, and only
         make the first more opaque.
 
-    Mend:
+    Hint:
         Drop the copies, and raise the opacity of what stays.
     """
     if emission.gaussians is None or emission.zeros:
@@ -230,5 +230,5 @@ def rows_differ(emission: Emission) -> Iterator[Breach]:
     different = len({row.tobytes() for row in block})
     copies = len(block) - different
     if copies > _EQUAL_SHARE * len(block):
-        saw = f"{copies} of the first {len(block)} drawn rows equal another"
-        yield Breach.at(emission.rows_place, saw, f"{100 * _EQUAL_SHARE:g} % at most")
+        actual = f"{copies} of the first {len(block)} drawn rows equal another"
+        yield Violation.at(emission.rows_place, actual, f"{100 * _EQUAL_SHARE:g} % at most")

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
-from gsgen.contract.probing.outputs import Emission, Rows
+from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.spec.layout import CULL_OPACITY
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.finding import Breach, Where
+from gsgen.contract.validation.finding import Location, Violation
 from gsgen.contract.validation.rule import rule
 
 _LARGEST_HALF = 65504.0
@@ -26,13 +26,19 @@ _MOSTLY_DEAD = 0.9
 _ROWS = ("GV025", "GO001", "GO002", "GO008")
 
 
-def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], judged: int) -> Iterator[Breach]:
+def _not_finite(
+    rows: Rows, among: Bool[np.ndarray, " n"], judged: int
+) -> Iterator[Violation]:
     """Report rows of ``among`` with a value that is NaN or infinite, output by output."""
     if not judged:
         return
     packed = ~np.isfinite(rows.wide).all(axis=0) & among
-    yield Breach.rows(
-        Where(rows.emission.rows_place), packed, rows.packed, "finite values", judged=judged
+    yield Violation.rows(
+        Location(rows.emission.rows_place),
+        packed,
+        rows.packed,
+        "finite values",
+        judged=judged,
     )
     color = rows.color
     if color is None or not color.size:
@@ -42,20 +48,20 @@ def _not_finite(rows: Rows, among: Bool[np.ndarray, " n"], judged: int) -> Itera
     first = np.flatnonzero(bad)[:_SHOWN]  # the rows that a report shows
     broken = ~np.isfinite(color[first])
     shown[first] = np.take_along_axis(color[first], broken.argmax(axis=1)[:, None], axis=1)
-    yield Breach.rows(
-        Where(rows.emission.color_place), bad, shown, "finite values", judged=judged
+    yield Violation.rows(
+        Location(rows.emission.color_place), bad, shown, "finite values", judged=judged
     )
 
 
 @rule("GV001", "rows-finite", Severity.ERROR, over="rows", fixture="nan_row", needs=_ROWS)
-def rows_finite(rows: Rows) -> Iterator[Breach]:
+def rows_finite(rows: Rows) -> Iterator[Violation]:
     """Every value of every live row is finite.
 
     Why:
         NaN passes every cull test, since all comparisons with it are false: the Gaussian is drawn
         with a depth that sorts on top of everything.
 
-    Mend:
+    Hint:
         Find the division, logarithm or norm that sees zero, and clamp before it. The row and the
         probe are given.
     """
@@ -71,13 +77,13 @@ def rows_finite(rows: Rows) -> Iterator[Breach]:
     fixture="nan_padding",
     needs=_ROWS,
 )
-def padding_finite(rows: Rows) -> Iterator[Breach]:
+def padding_finite(rows: Rows) -> Iterator[Violation]:
     """Every value of the rows behind the count is finite.
 
     Why:
         Some viewers draw all rows whatever the count says, and NaN is then drawn on top.
 
-    Mend:
+    Hint:
         Pad with constants, not with arithmetic on live rows: x − x is NaN where x is infinite.
     """
     if not rows.emission.zeros:
@@ -92,26 +98,26 @@ def padding_finite(rows: Rows) -> Iterator[Breach]:
     fixture="opacity_is_logits",
     needs=_ROWS,
 )
-def opacity_range(rows: Rows) -> Iterator[Breach]:
+def opacity_range(rows: Rows) -> Iterator[Violation]:
     """Opacity lies in [0, 1] in every live row.
 
     Why:
         Blending multiplies by it unclamped: an opacity of 1.7 subtracts light behind it. Values
         below zero usually are logits whose sigmoid was forgotten.
 
-    Mend:
+    Hint:
         Apply the activation, usually a sigmoid, before packing.
     """
     opacity = rows.opacity
     kept = (opacity >= -_OPACITY_SLACK) & (opacity <= 1 + _OPACITY_SLACK)
     bad = ~kept & rows.counted & rows.finite
-    yield Breach.rows(
-        Where(rows.emission.rows_place, "opacity"),
+    yield Violation.rows(
+        Location(rows.emission.rows_place, "opacity"),
         bad,
         opacity,
         "0 <= opacity <= 1",
         judged=rows.live_rows,
-        badness=np.abs(opacity - 0.5),
+        magnitude=np.abs(opacity - 0.5),
     )
 
 
@@ -123,24 +129,24 @@ def opacity_range(rows: Rows) -> Iterator[Breach]:
     fixture="all_transparent",
     needs=_ROWS,
 )
-def mostly_visible(rows: Rows) -> Iterator[Breach]:
+def mostly_visible(rows: Rows) -> Iterator[Violation]:
     """Most live rows are opaque enough to change a pixel.
 
     Why:
         A Gaussian below 1/255 is never drawn, but it is decoded, uploaded and sorted every frame.
         If nearly all are, the activation is probably missing or applied twice.
 
-    Mend:
+    Hint:
         Check the opacity activation; prune dead Gaussians before export.
     """
     dead = rows.counted & rows.finite & (rows.opacity < CULL_OPACITY)
-    yield Breach.rows(
-        Where(rows.emission.rows_place, "opacity"),
+    yield Violation.rows(
+        Location(rows.emission.rows_place, "opacity"),
         dead,
         rows.opacity,
         f"at least 1/255 in more than {100 * (1 - _MOSTLY_DEAD):.0f} % of live rows",
         judged=rows.live_rows,
-        above_share=_MOSTLY_DEAD,
+        min_fraction=_MOSTLY_DEAD,
     )
 
 
@@ -152,13 +158,13 @@ def mostly_visible(rows: Rows) -> Iterator[Breach]:
     fixture="saturated_half",
     needs=_ROWS,
 )
-def float16_saturation(rows: Rows) -> Iterator[Breach]:
+def float16_saturation(rows: Rows) -> Iterator[Violation]:
     """No float16 value is as large as float16 can be.
 
     Why:
         65504 means that the value was clamped on its way into float16: the true one is lost.
 
-    Mend:
+    Hint:
         Centre and scale the scene, or emit float32.
     """
     if rows.packed.dtype == np.float16:
@@ -169,10 +175,10 @@ def float16_saturation(rows: Rows) -> Iterator[Breach]:
         yield _saturated(rows, rows.emission.color_place, peak)
 
 
-def _saturated(rows: Rows, subject: str, peak: Float[np.ndarray, " n"]) -> Breach:
+def _saturated(rows: Rows, subject: str, peak: Float[np.ndarray, " n"]) -> Violation:
     bad = (peak >= _LARGEST_HALF) & rows.counted & rows.finite
-    want = f"magnitudes below {_LARGEST_HALF:g}"
-    return Breach.rows(Where(subject), bad, peak, want, judged=rows.live_rows)
+    expected = f"magnitudes below {_LARGEST_HALF:g}"
+    return Violation.rows(Location(subject), bad, peak, expected, judged=rows.live_rows)
 
 
 @rule(
@@ -183,13 +189,13 @@ def _saturated(rows: Rows, subject: str, peak: Float[np.ndarray, " n"]) -> Breac
     fixture="count_above_capacity",
     needs=("GV025", "GO001", "GO002", "GO010", "GO011"),
 )
-def count_range(emission: Emission) -> Iterator[Breach]:
+def count_range(emission: ModelOutputs) -> Iterator[Violation]:
     """The row count lies between 0 and the capacity, at every probe.
 
     Why:
         A renderer that believes a count above the capacity reads beyond the buffer.
 
-    Mend:
+    Hint:
         Clamp the count to the number of rows that are returned.
     """
     declared = emission.subject.declared_count
@@ -198,8 +204,8 @@ def count_range(emission: Emission) -> Iterator[Breach]:
         return
     value = emission.outputs[declared.name].reshape(-1)
     if value.size and not 0 <= int(value[0]) <= capacity:
-        want = f"0 to {capacity}, the capacity"
-        yield Breach.at(f"output {declared.name}", f"count {int(value[0])}", want)
+        expected = f"0 to {capacity}, the capacity"
+        yield Violation.at(f"output {declared.name}", f"count {int(value[0])}", expected)
 
 
 @rule(
@@ -210,20 +216,20 @@ def count_range(emission: Emission) -> Iterator[Breach]:
     fixture="opaque_padding",
     needs=_ROWS,
 )
-def padding_inert(rows: Rows) -> Iterator[Breach]:
+def padding_inert(rows: Rows) -> Iterator[Violation]:
     """Opacity is 0 in every row behind the count.
 
     Why:
         Some viewers ignore the count and draw all rows: whatever stands there is seen.
 
-    Mend:
+    Hint:
         Fill rows behind the count with zeros; the SDK pads so.
     """
-    yield Breach.rows(
-        Where(rows.emission.rows_place, "opacity"),
+    yield Violation.rows(
+        Location(rows.emission.rows_place, "opacity"),
         ~rows.counted & np.isfinite(rows.opacity) & (rows.opacity != 0),
         rows.opacity,
         "opacity 0 in rows behind the count",
         judged=len(rows) - rows.live_rows,
-        badness=rows.opacity,
+        magnitude=rows.opacity,
     )

@@ -117,7 +117,7 @@ def _pipeline(device: Device, **parts: Any) -> Any:
             raise
         raise DeviceUnavailable(
             f"{device.name} cannot draw meshes: not into textures of 32-bit floats",
-            mend="Draw on another device, see `gsgen doctor`, or without meshes.",
+            hint="Draw on another device, see `gsgen doctor`, or without meshes.",
         ) from error
 
 

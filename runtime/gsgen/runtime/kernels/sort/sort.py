@@ -1,6 +1,6 @@
 """Sort: a stable radix sort of keys with values."""
 
-__all__ = ["KEY_BITS", "Columns", "Cut", "RadixSort", "cut_for", "sort_reference"]
+__all__ = ["KEY_BITS", "Columns", "RadixSort", "SortConfig", "cut_for", "sort_reference"]
 
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, final
@@ -27,7 +27,7 @@ class Columns(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True)
-class Cut:
+class SortConfig:
     """How work is cut into workgroups.
 
     Attributes:
@@ -48,9 +48,9 @@ class Cut:
         return self.threads * self.run
 
 
-def cut_for(device: Device) -> Cut:
+def cut_for(device: Device) -> SortConfig:
     """Return the cut that suits a device: a CPU likes long runs, a GPU many invocations."""
-    return Cut(8, 512, 8, 64) if device.software else Cut(256, 16, 4, 4)
+    return SortConfig(8, 512, 8, 64) if device.software else SortConfig(256, 16, 4, 4)
 
 
 @final
@@ -63,7 +63,7 @@ class RadixSort:
         scan: The scan between counting and scattering.
     """
 
-    def __init__(self, device: Device, cut: Cut, scan: Scan) -> None:
+    def __init__(self, device: Device, cut: SortConfig, scan: Scan) -> None:
         self._device, self._cut, self._scan = device, cut, scan
         constants = {
             "THREADS": cut.threads,

@@ -3,8 +3,8 @@
 __all__ = [
     "PROVIDERS",
     "Choice",
-    "Opening",
     "Provider",
+    "SessionOptions",
     "choose",
     "installed",
     "open_session",
@@ -67,7 +67,7 @@ class Choice:
 
 
 @dataclass(frozen=True, slots=True)
-class Opening:
+class SessionOptions:
     """How a session is opened.
 
     Attributes:
@@ -84,7 +84,7 @@ class Opening:
     threads: int = 0
     stop: Stop | None = None
 
-    def without_capture(self) -> "Opening":
+    def without_capture(self) -> "SessionOptions":
         """Return the same, for a session that computes every frame anew."""
         return replace(self, capture=False)
 
@@ -121,8 +121,8 @@ def choose(wanted: str = "auto") -> Choice:
     provider: Provider = next(one for one in PROVIDERS if one == wanted)
     if provider == "cuda" and not _has_cuda():
         what = f"ONNX Runtime has no {CUDA} here"
-        mend = "pip install onnxruntime-gpu in place of onnxruntime, or ask for 'auto'"
-        raise ProviderUnavailable(what, where="provider cuda", mend=mend)
+        hint = "pip install onnxruntime-gpu in place of onnxruntime, or ask for 'auto'"
+        raise ProviderUnavailable(what, where="provider cuda", hint=hint)
     adapter = _asked_adapter() if provider == "webgpu" else None
     return Choice(provider, "asked for", adapter, asked=True)
 
@@ -135,7 +135,7 @@ def _automatic() -> Choice:
     try:
         adapter = find_adapter()
     except AdapterMissing as error:
-        return Choice("cpu", error.what)
+        return Choice("cpu", error.message)
     if not adapter.hardware:
         return Choice(
             "cpu", "WebGPU has only a software driver here, which the CPU outruns"
@@ -148,7 +148,7 @@ def _asked_adapter() -> Adapter:
         return find_adapter()
     except AdapterMissing as error:
         raise ProviderUnavailable(
-            error.what, where="provider webgpu", mend=error.mend
+            error.message, where="provider webgpu", hint=error.hint
         ) from error
 
 
@@ -158,7 +158,7 @@ def _has_cuda() -> bool:
     return CUDA in onnxruntime.get_available_providers()
 
 
-def open_session(model: Path | bytes, opening: Opening) -> Any:
+def open_session(model: Path | bytes, opening: SessionOptions) -> Any:
     """Return an ``onnxruntime.InferenceSession`` on the chosen provider and no other.
 
     Raises:
@@ -188,7 +188,7 @@ def open_session(model: Path | bytes, opening: Opening) -> Any:
         if _NO_ADAPTER not in str(error):
             raise
         where = f"provider {provider}"
-        raise ProviderUnavailable(words(error), where=where, mend=DRIVER) from error
+        raise ProviderUnavailable(words(error), where=where, hint=DRIVER) from error
     if NAMES[provider] not in session.get_providers():
         what = f"wanted {NAMES[provider]}, got {', '.join(session.get_providers())}"
         raise FellBack(what, where=f"provider {provider}")

@@ -26,13 +26,13 @@ class AdapterMissing(Exception):
     """The provider or a device for it is missing here, which is no fault of any model.
 
     Attributes:
-        what: What is missing.
-        mend: What to type to mend it.
+        message: What is missing.
+        hint: What to type to install it.
     """
 
-    def __init__(self, what: str, mend: str) -> None:
-        self.what, self.mend = what, mend
-        super().__init__(what)
+    def __init__(self, message: str, hint: str) -> None:
+        self.message, self.hint = message, hint
+        super().__init__(message)
 
 
 @dataclass(frozen=True, slots=True)

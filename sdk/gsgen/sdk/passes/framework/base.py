@@ -9,10 +9,10 @@ __all__ = [
     "BITS",
     "SAFE_WIDTH",
     "ByTables",
-    "Exactness",
-    "Goal",
+    "ErrorBudget",
     "NodeRewrite",
     "Rewrite",
+    "RewriteTarget",
     "Substitute",
     "WithinLimit",
     "every_node",
@@ -40,19 +40,19 @@ _KERNEL_ARGUMENT = {"OneHot": 2, "Where": 1}
 
 
 @dataclass(frozen=True, slots=True)
-class Exactness:
+class ErrorBudget:
     """How far outputs may differ after a rewrite; by default in no bit.
 
     Attributes:
         relative: Allowed error over the largest number in the output's tensor.
         absolute: Allowed error besides.
-        mends: A value that was NaN or infinite before may become any number.
+        repairs_nonfinite: A value that was NaN or infinite before may become any number.
         pads: Rows of zeros may stand behind the rows of an output.
     """
 
     relative: float = 0.0
     absolute: float = 0.0
-    mends: bool = False
+    repairs_nonfinite: bool = False
     pads: bool = False
 
     @property
@@ -63,26 +63,30 @@ class Exactness:
     def describe(self) -> str:
         """Say it in words."""
         if not (self.relative or self.absolute):
-            return "every finite value keeps its bits" if self.mends else "bit for bit"
+            return (
+                "every finite value keeps its bits"
+                if self.repairs_nonfinite
+                else "bit for bit"
+            )
         parts = [f"{self.relative:g} of the largest value"] if self.relative else []
         parts += [f"{self.absolute:g}"] if self.absolute else []
         behind = ", with zeros behind" if self.pads else ""
         return "within " + " and ".join(parts) + behind
 
-    def __or__(self, other: "Exactness") -> "Exactness":
-        return Exactness(
+    def __or__(self, other: "ErrorBudget") -> "ErrorBudget":
+        return ErrorBudget(
             self.relative + other.relative,
             self.absolute + other.absolute,
-            self.mends or other.mends,
+            self.repairs_nonfinite or other.repairs_nonfinite,
             self.pads or other.pads,
         )
 
 
-BITS = Exactness()
+BITS = ErrorBudget()
 
 
 @dataclass(frozen=True, slots=True)
-class Goal:
+class RewriteTarget:
     """What a model is rewritten for.
 
     Attributes:
@@ -109,7 +113,7 @@ class Goal:
         manifest: Manifest | None = None,
         opset: int | None = None,
         sizes: Mapping[str, int] | None = None,
-    ) -> "Goal":
+    ) -> "RewriteTarget":
         """Return the goal of suiting ``target``, or every known target if it names no kernels."""
         meant = [target] if target.operators else [*known_targets().values(), target]
         names = sorted({name for one in meant for name in one.operators})
@@ -138,7 +142,7 @@ class Rewrite(passes.InPlacePass):
     """
 
     name: ClassVar[str]
-    exactness: ClassVar[Exactness] = BITS
+    exactness: ClassVar[ErrorBudget] = BITS
     wanted_by: ClassVar[str] = "every target"
 
     def __init__(self) -> None:
@@ -147,7 +151,7 @@ class Rewrite(passes.InPlacePass):
         self.opset = 0
 
     @classmethod
-    def for_goal(cls, goal: Goal) -> Self | None:
+    def for_goal(cls, goal: RewriteTarget) -> Self | None:
         """Return the pass that serves ``goal``; None where it wants none."""
         return cls()
 
@@ -205,12 +209,12 @@ class ByTables(Rewrite):
     Made without a goal, it rewrites all that it can.
     """
 
-    def __init__(self, goal: Goal | None = None) -> None:
+    def __init__(self, goal: RewriteTarget | None = None) -> None:
         super().__init__()
         self.goal = goal
 
     @classmethod
-    def for_goal(cls, goal: Goal) -> Self | None:
+    def for_goal(cls, goal: RewriteTarget) -> Self | None:
         """Return the pass; without tables there is nothing to suit."""
         return cls(goal) if goal.tables else None
 
@@ -232,7 +236,7 @@ class WithinLimit(Rewrite):
         self.limit = limit
 
     @classmethod
-    def for_goal(cls, goal: Goal) -> Self | None:
+    def for_goal(cls, goal: RewriteTarget) -> Self | None:
         """Return the pass for the target's limit; None where it has none."""
         limit = goal.limits.get(cls.limited_by)
         return None if limit is None else cls(limit)

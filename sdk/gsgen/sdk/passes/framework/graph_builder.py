@@ -1,7 +1,7 @@
 """What passes build graphs from: weights, and nodes whose results have a type."""
 
 __all__ = [
-    "Before",
+    "InsertionPoint",
     "append_output",
     "free_name",
     "known_array",
@@ -77,7 +77,7 @@ def append_output(graph: ir.Graph, old: ir.Value, nodes: Sequence[ir.Node]) -> N
             graph.outputs[index] = made
 
 
-class Before:
+class InsertionPoint:
     """Writes nodes in front of another one, named after it.
 
     Results get the dtype of their first input unless one is given; shapes are inferred afterwards

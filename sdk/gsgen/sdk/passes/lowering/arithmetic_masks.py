@@ -8,7 +8,7 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import Substitute, is_op
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of
 
 _BOOL, _FLOAT = ir.DataType.BOOL, ir.DataType.FLOAT
@@ -61,7 +61,7 @@ class ArithmeticMasks(Substitute):
 
     def replace(self, node: ir.Node) -> None:
         """Compute with numbers."""
-        write = Before(node)
+        write = InsertionPoint(node)
         if _undoes(node):
             write.replace(_recast(write, node))
             return
@@ -91,7 +91,7 @@ def _places_of(node: ir.Node) -> range:
     return range(1, 3) if is_op(node, "Where") else range(1)
 
 
-def _number(write: Before, value: ir.Value | None) -> ir.Value:
+def _number(write: InsertionPoint, value: ir.Value | None) -> ir.Value:
     """Return ``value`` as zeros and ones."""
     assert value is not None
     maker = value.producer()
@@ -108,7 +108,7 @@ def _number(write: Before, value: ir.Value | None) -> ir.Value:
     return made
 
 
-def _logic(write: Before, kind: str, *numbers: ir.Value) -> ir.Value:
+def _logic(write: InsertionPoint, kind: str, *numbers: ir.Value) -> ir.Value:
     a, b = numbers
     if kind == "And":
         return write.op("Mul", a, b)
@@ -130,7 +130,7 @@ def _undoes(node: ir.Node) -> bool:
     return inner is not None and bool(inner.meta.get(_MARK))
 
 
-def _recast(write: Before, node: ir.Node) -> ir.Value:
+def _recast(write: InsertionPoint, node: ir.Node) -> ir.Value:
     maker = node.inputs[0].producer() if node.inputs[0] is not None else None
     assert maker is not None
     inner, kind = maker.inputs[0], node.outputs[0].dtype

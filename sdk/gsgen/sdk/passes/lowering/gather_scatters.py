@@ -10,7 +10,7 @@ import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute
 
 _LARGEST = 1 << 24
@@ -56,7 +56,7 @@ def _unknown(node: ir.Node) -> str:
 
 
 def _replace(node: ir.Node) -> None:
-    write = Before(node)
+    write = InsertionPoint(node)
     data, _, updates = node.inputs
     places, shape = constant_of(node.inputs[1], largest=_LARGEST), fixed_shape(data)
     assert places is not None

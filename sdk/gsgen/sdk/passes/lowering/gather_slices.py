@@ -10,7 +10,7 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import Substitute, is_op
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import (
     constant_of,
     fixed_shape,
@@ -59,7 +59,7 @@ class GatherSlices(Substitute):
 
     def replace(self, node: ir.Node) -> None:
         """Take the parts another way."""
-        write, x = Before(node), node.inputs[0]
+        write, x = InsertionPoint(node), node.inputs[0]
         assert x is not None
         if is_op(node, "Split"):
             write.replace(*_slices(write, node, x))
@@ -74,7 +74,7 @@ class GatherSlices(Substitute):
             write.replace(_places(write, node, x))
 
 
-def _slices(write: Before, node: ir.Node, x: ir.Value) -> list[ir.Value]:
+def _slices(write: InsertionPoint, node: ir.Node, x: ir.Value) -> list[ir.Value]:
     axis, sizes = int_attribute(node, "axis", 0), split_sizes(node)
     assert sizes is not None
     ends = np.cumsum([0, *sizes])
@@ -118,7 +118,7 @@ def _clipped(begin: int, end: int, step: int, size: int) -> tuple[int, int | Non
     return first, None if last < 0 else last, int(step)
 
 
-def _places(write: Before, node: ir.Node, x: ir.Value) -> ir.Value:
+def _places(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
     """Write a GatherND: the axes that it looks into become one, and each place one number."""
     indices, shape = constant_of(node.inputs[1], largest=1 << 24), fixed_shape(x)
     assert indices is not None

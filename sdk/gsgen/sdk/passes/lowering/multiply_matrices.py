@@ -5,7 +5,7 @@ __all__ = ["MultiplyMatrices"]
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import Exactness, NodeRewrite
+from gsgen.sdk.passes.framework.base import ErrorBudget, NodeRewrite
 from gsgen.sdk.passes.framework.graph_builder import new_node, weight
 
 
@@ -21,7 +21,7 @@ class MultiplyMatrices(NodeRewrite):
     """
 
     name = "multiply-matrices"
-    exactness = Exactness(relative=1e-6)
+    exactness = ErrorBudget(relative=1e-6)
 
     def matches(self, node: ir.Node) -> bool:
         """Say whether it is a MatMul with an operand of one axis."""

@@ -8,7 +8,7 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute
 
 _FEW = 1 << 10
@@ -48,7 +48,7 @@ class PickParts(NodeRewrite):
         """Take the parts one step earlier."""
         maker = node.inputs[0].producer() if node.inputs[0] is not None else None
         assert maker is not None
-        write, axis = Before(node), _axis(node)
+        write, axis = InsertionPoint(node), _axis(node)
         if is_op(maker, "Transpose"):
             write.replace(_turned_later(write, node, maker, axis))
             return
@@ -69,7 +69,9 @@ def _axis(node: ir.Node) -> int:
     return axis if axis >= 0 or shape is None else axis + len(shape)
 
 
-def _taken(write: Before, value: ir.Value, places: list[int], axis: int) -> ir.Value:
+def _taken(
+    write: InsertionPoint, value: ir.Value, places: list[int], axis: int
+) -> ir.Value:
     numbers = write.constant(np.array(places, np.int64), "places")
     return write.op("Gather", value, numbers, axis=axis)
 
@@ -100,7 +102,9 @@ def _spread(node: ir.Node, join: ir.Node) -> list[tuple[ir.Value, list[int]]] | 
     return found if found and len(found) <= len(join.inputs) else None
 
 
-def _turned_later(write: Before, node: ir.Node, turn: ir.Node, axis: int) -> ir.Value:
+def _turned_later(
+    write: InsertionPoint, node: ir.Node, turn: ir.Node, axis: int
+) -> ir.Value:
     """Take the parts first and turn them then."""
     source = turn.inputs[0]
     assert source is not None

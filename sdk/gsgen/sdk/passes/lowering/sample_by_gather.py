@@ -7,9 +7,9 @@ from typing import ClassVar
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import ByTables, Exactness, every_node, is_op
+from gsgen.sdk.passes.framework.base import ByTables, ErrorBudget, every_node, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute
 
 _BILINEAR = ("bilinear", "linear")  # the name since operator set 20
@@ -34,7 +34,7 @@ class SampleByGather(ByTables, CautiousRewrite):
     """
 
     name: ClassVar[str] = "sample-by-gather"
-    exactness: ClassVar[Exactness] = Exactness(relative=2e-6)
+    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=2e-6)
     wanted_by: ClassVar[str] = (
         "targets without a kernel for GridSample in the model's dtype"
     )
@@ -82,7 +82,7 @@ def _replace(node: ir.Node) -> None:
     assert grid is not None
     frames, channels, height, width = fixed_shape(image) or ()
     points = int(np.prod((fixed_shape(grid) or ())[:-1]))
-    before = Before(node)
+    before = InsertionPoint(node)
     kind = image.dtype
     assert kind is not None
     wide = kind if kind == ir.DataType.DOUBLE else _FLOAT
@@ -116,7 +116,7 @@ def _replace(node: ir.Node) -> None:
 class _Sampler:
     """Finds the two neighbours of every point along one axis."""
 
-    def __init__(self, before: Before, wide: ir.DataType, node: ir.Node) -> None:
+    def __init__(self, before: InsertionPoint, wide: ir.DataType, node: ir.Node) -> None:
         self.before, self.wide = before, wide
         self.aligned = bool(int_attribute(node, "align_corners", 0))
         self.border = _word(node, "padding_mode", "zeros") == "border"
@@ -166,7 +166,7 @@ class _Sampler:
         return op("Where", below, kept, zero, dtype=self.wide)
 
 
-def _table(before: Before, image: ir.Value) -> ir.Value:
+def _table(before: InsertionPoint, image: ir.Value) -> ir.Value:
     """Return the image as [frames · pixels, channels]; a weight is turned here and now."""
     frames, channels, height, width = fixed_shape(image) or ()
     known = constant_of(image, largest=1 << 62)
@@ -180,7 +180,10 @@ def _table(before: Before, image: ir.Value) -> ir.Value:
 
 
 def _as(
-    before: Before, value: ir.Value, kind: ir.DataType, shape: list[int] | None = None
+    before: InsertionPoint,
+    value: ir.Value,
+    kind: ir.DataType,
+    shape: list[int] | None = None,
 ) -> ir.Value:
     """Return ``value`` in this dtype and shape."""
     if value.dtype != kind:

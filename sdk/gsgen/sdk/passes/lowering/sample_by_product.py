@@ -8,9 +8,9 @@ from typing import ClassVar
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import Exactness, is_op
+from gsgen.sdk.passes.framework.base import ErrorBudget, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import fixed_shape, int_attribute
 
 # The matrix of weights is held in memory; beyond this, taking samples is cheaper.
@@ -33,7 +33,7 @@ class SampleByProduct(CautiousRewrite):
     """
 
     name: ClassVar[str] = "sample-by-product"
-    exactness: ClassVar[Exactness] = Exactness(relative=2e-5)
+    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=2e-5)
 
     def rewrite(self, model: ir.Model) -> None:
         """Rewrite every sample of a line whose points are fixed."""
@@ -134,7 +134,7 @@ def _common(value: ir.Value) -> ir.Value | None:
 
 
 def _replace(node: ir.Node, line: _Line) -> None:
-    write = Before(node)
+    write = InsertionPoint(node)
     plane, grid = node.inputs
     shape, points = fixed_shape(plane), fixed_shape(grid)
     assert shape is not None
@@ -152,7 +152,7 @@ def _replace(node: ir.Node, line: _Line) -> None:
     write.replace(write.op("Reshape", flat, write.whole(1, channels, points[1], points[2])))
 
 
-def _hat(write: Before, node: ir.Node, place: ir.Value, size: int) -> ir.Value:
+def _hat(write: InsertionPoint, node: ir.Node, place: ir.Value, size: int) -> ir.Value:
     """Return the weight of each of ``size`` cells for each coordinate [n, 1] from −1 to 1."""
 
     def number(value: float) -> ir.Value:

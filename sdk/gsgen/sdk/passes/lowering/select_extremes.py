@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import Exactness, Substitute, is_op
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute, is_op
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, rank_of
 
 _FLOATS = (ir.DataType.FLOAT, ir.DataType.FLOAT16)
@@ -28,7 +28,7 @@ class SelectExtremes(Substitute):
     """
 
     name: ClassVar[str] = "select-extremes"
-    exactness: ClassVar[Exactness] = Exactness(mends=True)
+    exactness: ClassVar[ErrorBudget] = ErrorBudget(repairs_nonfinite=True)
     kinds: ClassVar[frozenset[str]] = frozenset({"Clip", "Max", "Min"})
 
     def suits(self, node: ir.Node) -> bool:
@@ -40,7 +40,7 @@ class SelectExtremes(Substitute):
 
     def replace(self, node: ir.Node) -> None:
         """Compare argument by argument."""
-        write, first = Before(node), node.inputs[0]
+        write, first = InsertionPoint(node), node.inputs[0]
         assert first is not None
         if is_op(node, "Clip"):
             low, high = (*node.inputs[1:], None)[:2]
@@ -56,7 +56,7 @@ class SelectExtremes(Substitute):
         write.replace(made)
 
 
-def _extreme(write: Before, kind: str, a: ir.Value, b: ir.Value) -> ir.Value:
+def _extreme(write: InsertionPoint, kind: str, a: ir.Value, b: ir.Value) -> ir.Value:
     """Return the larger or the smaller of two; NaN where one is NaN."""
     for x, other in ((a, b), (b, a)):
         bound = _one_number(other)
@@ -71,7 +71,7 @@ def _extreme(write: Before, kind: str, a: ir.Value, b: ir.Value) -> ir.Value:
     return write.op("Where", number_itself, chosen, b, dtype=b.dtype)
 
 
-def _selected(write: Before, test: str, x: ir.Value, bound: ir.Value) -> ir.Value:
+def _selected(write: InsertionPoint, test: str, x: ir.Value, bound: ir.Value) -> ir.Value:
     """Return ``bound`` where ``x`` is beyond it, and else ``x``."""
     beyond = write.op(test, x, bound, dtype=ir.DataType.BOOL)
     return write.op("Where", beyond, bound, x, dtype=x.dtype)

@@ -10,7 +10,7 @@ import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import every_node, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, rank_of
 
 # Beyond these a graph takes longer to load than the loop took to run.
@@ -83,7 +83,7 @@ def _write_if(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
     branch = "then_branch" if known.reshape(-1)[0] else "else_branch"
 
     def write() -> None:
-        before = Before(node)
+        before = InsertionPoint(node)
         copy = _Body(before, node.attributes[branch].as_graph(), rewrite.taken)
         before.replace(*copy(()))
 
@@ -103,7 +103,7 @@ def _write_loop(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
         return large
 
     def write() -> None:
-        before = Before(node)
+        before = InsertionPoint(node)
         copy = _Body(before, body, rewrite.taken)
         state = [_given(value) for value in node.inputs[2:]]
         lists: list[list[ir.Value]] = [[] for _ in node.outputs[carried:]]
@@ -174,7 +174,7 @@ def _write_scan(node: ir.Node, rewrite: UnrollControlFlow) -> Plan:
         return large
 
     def write() -> None:
-        before = Before(node)
+        before = InsertionPoint(node)
         copy = _Body(before, body, rewrite.taken)
         state = [_given(value) for value in node.inputs[:carried]]
         lists: list[list[ir.Value]] = [[] for _ in out_axes]
@@ -232,7 +232,9 @@ _WRITERS: dict[str, Callable[[ir.Node, UnrollControlFlow], Plan]] = {
 class _Body:
     """A body that is copied into the graph around it, once a turn."""
 
-    def __init__(self, before: Before, body: ir.Graph, taken: set[str | None]) -> None:
+    def __init__(
+        self, before: InsertionPoint, body: ir.Graph, taken: set[str | None]
+    ) -> None:
         self.before, self.body, self.taken = before, body, taken
         self.stem = before.node.name or before.node.outputs[0].name or before.node.op_type
         self.turn = 0
@@ -278,7 +280,7 @@ class _Body:
         return name
 
 
-def _stacked(before: Before, values: Sequence[ir.Value], axis: int) -> ir.Value:
+def _stacked(before: InsertionPoint, values: Sequence[ir.Value], axis: int) -> ir.Value:
     """Join what the turns gave along a new axis."""
     rank = rank_of(values[0])
     if axis < 0 and rank is not None:

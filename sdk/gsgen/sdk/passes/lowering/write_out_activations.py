@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import Exactness, Substitute
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import int_attribute
 
 _FLOATS = (ir.DataType.FLOAT, ir.DataType.FLOAT16, ir.DataType.DOUBLE)
@@ -28,7 +28,7 @@ class WriteOutActivations(Substitute):
     """
 
     name: ClassVar[str] = "write-out-activations"
-    exactness: ClassVar[Exactness] = Exactness(relative=1e-5, absolute=1e-7)
+    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-5, absolute=1e-7)
     kinds: ClassVar[frozenset[str]] = frozenset(
         {
             *(
@@ -54,14 +54,14 @@ class WriteOutActivations(Substitute):
 
     def replace(self, node: ir.Node) -> None:
         """Write the activation out."""
-        write = Before(node)
+        write = InsertionPoint(node)
         write.replace(_FORMULAS[node.op_type](_Formula(write, node, self.opset)))
 
 
 class _Formula:
     """What writing a formula down takes."""
 
-    def __init__(self, write: Before, node: ir.Node, opset: int) -> None:
+    def __init__(self, write: InsertionPoint, node: ir.Node, opset: int) -> None:
         self.write, self.node, self.opset = write, node, opset
         x = node.inputs[0]
         assert x is not None

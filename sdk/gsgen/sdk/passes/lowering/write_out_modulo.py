@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import Exactness, Substitute
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import int_attribute
 
 _INTEGERS = (ir.DataType.INT32, ir.DataType.INT64)
@@ -29,7 +29,7 @@ class WriteOutModulo(Substitute):
     """
 
     name: ClassVar[str] = "write-out-modulo"
-    exactness: ClassVar[Exactness] = Exactness(relative=1e-5)
+    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-5)
     kinds: ClassVar[frozenset[str]] = frozenset({"Mod"})
 
     def suits(self, node: ir.Node) -> bool:
@@ -42,7 +42,7 @@ class WriteOutModulo(Substitute):
 
     def replace(self, node: ir.Node) -> None:
         """Divide, and take the multiple away."""
-        write = Before(node)
+        write = InsertionPoint(node)
         x, y = node.inputs
         assert x is not None
         assert y is not None
@@ -55,7 +55,7 @@ class WriteOutModulo(Substitute):
 
 
 def _of_integers(
-    write: Before, x: ir.Value, y: ir.Value, zero: ir.Value, of_dividend: int
+    write: InsertionPoint, x: ir.Value, y: ir.Value, zero: ir.Value, of_dividend: int
 ) -> ir.Value:
     """Return the remainder with the sign of ``y``, or with that of ``x``."""
     rest = write.op("Sub", x, write.op("Mul", write.op("Div", x, y), y))
@@ -70,7 +70,7 @@ def _of_integers(
     return write.op("Add", rest, write.op("Where", wrong, y, zero, dtype=x.dtype))
 
 
-def _of_floats(write: Before, x: ir.Value, y: ir.Value, zero: ir.Value) -> ir.Value:
+def _of_floats(write: InsertionPoint, x: ir.Value, y: ir.Value, zero: ir.Value) -> ir.Value:
     """Work with sizes alone, and give the sign of ``x`` back at the end."""
     size, step = write.op("Abs", x), write.op("Abs", y)
     count = write.op("Floor", write.op("Div", size, step))
@@ -84,5 +84,5 @@ def _of_floats(write: Before, x: ir.Value, y: ir.Value, zero: ir.Value) -> ir.Va
     )
 
 
-def _positive(write: Before, x: ir.Value, zero: ir.Value) -> ir.Value:
+def _positive(write: InsertionPoint, x: ir.Value, zero: ir.Value) -> ir.Value:
     return write.op("Greater", x, zero, dtype=ir.DataType.BOOL)

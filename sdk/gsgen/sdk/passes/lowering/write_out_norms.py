@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import Exactness, Substitute
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import fixed_shape, int_attribute, rank_of
 
 # From these operator sets on, axes of a reduction are an argument; before, an attribute.
@@ -33,7 +33,7 @@ class WriteOutNorms(Substitute):
     """
 
     name: ClassVar[str] = "write-out-norms"
-    exactness: ClassVar[Exactness] = Exactness(relative=1e-5)
+    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-5)
     kinds: ClassVar[frozenset[str]] = frozenset(
         {
             "GroupNormalization",
@@ -52,7 +52,7 @@ class WriteOutNorms(Substitute):
 
     def replace(self, node: ir.Node) -> None:
         """Write the norm out."""
-        write = Before(node)
+        write = InsertionPoint(node)
         x = node.inputs[0]
         assert x is not None
         _WRITERS[node.op_type](_Norm(write, node, x, self.opset))
@@ -61,7 +61,9 @@ class WriteOutNorms(Substitute):
 class _Norm:
     """What writing one norm out takes."""
 
-    def __init__(self, write: Before, node: ir.Node, x: ir.Value, opset: int) -> None:
+    def __init__(
+        self, write: InsertionPoint, node: ir.Node, x: ir.Value, opset: int
+    ) -> None:
         self.write, self.node, self.opset = write, node, opset
         self.kind = x.dtype
         self.rank = rank_of(x) or 0

@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import Exactness, Substitute
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, int_attribute
 
 # From these operator sets on, axes are an argument; before, an attribute.
@@ -27,7 +27,7 @@ class WriteOutReductions(Substitute):
     """
 
     name: ClassVar[str] = "write-out-reductions"
-    exactness: ClassVar[Exactness] = Exactness(relative=1e-6)
+    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-6)
     kinds: ClassVar[frozenset[str]] = frozenset(
         {"ReduceL1", "ReduceL2", "ReduceLogSum", "ReduceLogSumExp", "ReduceSumSquare"}
     )
@@ -46,7 +46,7 @@ class WriteOutReductions(Substitute):
 
     def replace(self, node: ir.Node) -> None:
         """Write the reduction out, over the same axes."""
-        write, x = Before(node), node.inputs[0]
+        write, x = InsertionPoint(node), node.inputs[0]
         assert x is not None
         reduced = partial(_reduced, write, node, self.opset)
         match node.op_type:
@@ -63,7 +63,9 @@ class WriteOutReductions(Substitute):
         write.replace(made)
 
 
-def _log_sum_exp(write: Before, x: ir.Value, reduced: Callable[..., ir.Value]) -> ir.Value:
+def _log_sum_exp(
+    write: InsertionPoint, x: ir.Value, reduced: Callable[..., ir.Value]
+) -> ir.Value:
     """Subtract the largest number first, unless it is infinite: e to a large power is."""
     assert x.dtype is not None
     kind = x.dtype.numpy()
@@ -81,7 +83,7 @@ def _log_sum_exp(write: Before, x: ir.Value, reduced: Callable[..., ir.Value]) -
 
 
 def _reduced(
-    write: Before,
+    write: InsertionPoint,
     node: ir.Node,
     opset: int,
     kind: str,

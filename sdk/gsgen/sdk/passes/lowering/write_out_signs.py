@@ -8,7 +8,7 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import Substitute
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import int_attribute
 
 
@@ -41,7 +41,7 @@ class WriteOutSigns(Substitute):
 
     def replace(self, node: ir.Node) -> None:
         """Write it with comparisons."""
-        write, x = Before(node), node.inputs[0]
+        write, x = InsertionPoint(node), node.inputs[0]
         assert x is not None
         assert x.dtype is not None
         kind = x.dtype.numpy()
@@ -74,12 +74,12 @@ class WriteOutSigns(Substitute):
         write.replace(made)
 
 
-def _minus_one(write: Before, kind: np.dtype, zero: ir.Value) -> ir.Value:
+def _minus_one(write: InsertionPoint, kind: np.dtype, zero: ir.Value) -> ir.Value:
     """Return −1; unsigned integers hold none, and never ask for it."""
     return zero if kind.kind == "u" else write.constant(np.asarray(-1, kind), "number")
 
 
-def _endless(write: Before, node: ir.Node, x: ir.Value) -> ir.Value:
+def _endless(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
     """Write IsInf: of either sign, or of the one that is asked for."""
     assert x.dtype is not None
     kind = x.dtype.numpy()

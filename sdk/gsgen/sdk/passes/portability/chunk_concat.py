@@ -9,7 +9,7 @@ from typing import ClassVar
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import NodeRewrite, WithinLimit, is_op
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 
 
 class ChunkConcat(WithinLimit, NodeRewrite):
@@ -32,7 +32,7 @@ class ChunkConcat(WithinLimit, NodeRewrite):
 
     def replace(self, node: ir.Node) -> None:
         """Join neighbours, as many as may be, until few enough are left."""
-        axis, write = node.attributes["axis"].as_int(), Before(node)
+        axis, write = node.attributes["axis"].as_int(), InsertionPoint(node)
         parts: list[ir.Value | None] = list(node.inputs)
         while len(parts) > 1:
             parts = [

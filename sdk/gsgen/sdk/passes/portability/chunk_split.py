@@ -11,7 +11,7 @@ import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import WithinLimit, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import split_sizes
 
 # From this operator set on, sizes are an argument; before, an attribute.
@@ -46,7 +46,7 @@ class ChunkSplit(WithinLimit, CautiousRewrite):
             self._split(node, sizes)
 
     def _split(self, node: ir.Node, sizes: list[int]) -> None:
-        write = Before(node)
+        write = InsertionPoint(node)
         axis = node.attributes["axis"].as_int() if "axis" in node.attributes else 0
         parts = [(node.inputs[0], sizes)]
         while any(len(inner) > 1 for _, inner in parts):
@@ -66,7 +66,7 @@ class ChunkSplit(WithinLimit, CautiousRewrite):
         return [sizes[a:b] for a, b in pairwise(ends)]
 
     def _cut(
-        self, write: Before, value: ir.Value | None, sizes: list[int], axis: int
+        self, write: InsertionPoint, value: ir.Value | None, sizes: list[int], axis: int
     ) -> list[ir.Value]:
         if self.opset >= _SIZES_ARE_INPUT:
             return write.ops("Split", len(sizes), value, write.whole(*sizes), axis=axis)

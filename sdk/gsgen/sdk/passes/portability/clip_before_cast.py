@@ -8,7 +8,7 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of
 
 _WHOLE = (ir.DataType.INT32, ir.DataType.INT64)
@@ -56,7 +56,7 @@ class ClipBeforeCast(NodeRewrite):
         assert x.dtype is not None
         assert kind is not None
         assert bounds is not None
-        write, dtype = Before(node), x.dtype.numpy()
+        write, dtype = InsertionPoint(node), x.dtype.numpy()
         numbers = [
             None if bound is None else write.constant(np.asarray(bound, dtype), "bound")
             for bound in bounds

@@ -8,9 +8,9 @@ from typing import ClassVar, Self
 import onnx
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import MAIN_DOMAIN, Exactness, Goal, is_op
+from gsgen.sdk.passes.framework.base import MAIN_DOMAIN, ErrorBudget, RewriteTarget, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, rank_of, split_sizes
 from gsgen.sdk.passes.lowering.write_out_activations import WriteOutActivations
 from gsgen.sdk.passes.lowering.write_out_norms import WriteOutNorms
@@ -68,7 +68,7 @@ class LowerOpset(CautiousRewrite):
     """
 
     name: ClassVar[str] = "lower-opset"
-    exactness: ClassVar[Exactness] = Exactness(relative=1e-5, absolute=1e-7)
+    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-5, absolute=1e-7)
     wanted_by: ClassVar[str] = "targets with operator tables, or --opset"
 
     def __init__(self, wanted: int = SAFEST, most_ir: int | None = None) -> None:
@@ -76,7 +76,7 @@ class LowerOpset(CautiousRewrite):
         self.wanted, self.most_ir = wanted, most_ir
 
     @classmethod
-    def for_goal(cls, goal: Goal) -> Self | None:
+    def for_goal(cls, goal: RewriteTarget) -> Self | None:
         """Return the pass for the set that was wished for, or for the safest one."""
         if goal.opset is None and not goal.tables:
             return None
@@ -156,7 +156,7 @@ class LowerOpset(CautiousRewrite):
         if is_op(node, "Split") and self.wanted < _SPLIT_COUNTS and len(node.inputs) < 2:
             sizes = split_sizes(node) or []
             node.resize_inputs(2)
-            node.replace_input_with(1, Before(node).whole(*sizes))
+            node.replace_input_with(1, InsertionPoint(node).whole(*sizes))
             node.attributes.pop("num_outputs", None)
         for name in list(node.attributes):
             if name not in old.attributes:

@@ -11,7 +11,7 @@ from gsgen.contract.model.value_ranges import Interval
 from gsgen.sdk.passes.framework.base import ByTables, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.gather_spans import fits_int32, spans_of
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of
 
 _WIDE, _NARROW = ir.DataType.INT64, ir.DataType.INT32
@@ -81,7 +81,7 @@ class NarrowIntegers(ByTables, CautiousRewrite):
                 self.refuse(node, f"{value.name} may leave the range of int32")
                 return
         self.note(node)
-        write = Before(node)
+        write = InsertionPoint(node)
         places = _COMPUTES[node.op_type]
         inputs = [
             _narrowed(write, value) if places is None or index in places else value
@@ -120,7 +120,7 @@ class NarrowIntegers(ByTables, CautiousRewrite):
                 self.refuse(node, "floats might not be exact there")
                 return
         self.note(node)
-        write = Before(node)
+        write = InsertionPoint(node)
         attributes = {key: one.value for key, one in node.attributes.items()}
         taken = _cast(write, node.inputs[0], ir.DataType.FLOAT)
         made = write.op(node.op_type, taken, *node.inputs[1:], **attributes)
@@ -163,7 +163,7 @@ def _undone(node: ir.Node) -> bool:
     return is_op(node, "Cast") and kinds == {_WIDE, _NARROW}
 
 
-def _narrowed(write: Before, value: ir.Value | None) -> ir.Value | None:
+def _narrowed(write: InsertionPoint, value: ir.Value | None) -> ir.Value | None:
     if value is None or value.dtype != _WIDE:
         return value
     known = constant_of(value)
@@ -172,6 +172,6 @@ def _narrowed(write: Before, value: ir.Value | None) -> ir.Value | None:
     return _cast(write, value, _NARROW)
 
 
-def _cast(write: Before, value: ir.Value | None, kind: ir.DataType) -> ir.Value:
+def _cast(write: InsertionPoint, value: ir.Value | None, kind: ir.DataType) -> ir.Value:
     assert value is not None
     return write.op("Cast", value, dtype=kind, shape=value.shape, to=int(kind))

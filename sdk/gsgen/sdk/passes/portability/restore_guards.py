@@ -7,9 +7,9 @@ from typing import ClassVar
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import Exactness, every_node, is_op
+from gsgen.sdk.passes.framework.base import ErrorBudget, every_node, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.lower_bounds import is_never_zero, smallest_normal
 from gsgen.sdk.passes.framework.value_facts import constant_of
 
@@ -38,7 +38,7 @@ class RestoreGuards(CautiousRewrite):
     """
 
     name: ClassVar[str] = "restore-guards"
-    exactness: ClassVar[Exactness] = Exactness(mends=True)
+    exactness: ClassVar[ErrorBudget] = ErrorBudget(repairs_nonfinite=True)
 
     def rewrite(self, model: ir.Model) -> None:
         """Guard every divisor that needs it, subgraphs included."""
@@ -77,7 +77,7 @@ def _guard(node: ir.Node, place: int) -> None:
     assert divisor.dtype is not None
     wanted = _LENGTH if _is_length(divisor) else _SQUARE
     least, dtype = max(wanted, smallest_normal(divisor.dtype)), divisor.dtype.numpy()
-    before = Before(node)
+    before = InsertionPoint(node)
     zero, small = (before.constant(np.asarray(value, dtype)) for value in (0, least))
     at_zero = before.op("Equal", divisor, zero, dtype=ir.DataType.BOOL, shape=divisor.shape)
     guarded = before.op(

@@ -9,9 +9,9 @@ from typing import ClassVar
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import Exactness, Goal, is_op
+from gsgen.sdk.passes.framework.base import ErrorBudget, RewriteTarget, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
-from gsgen.sdk.passes.framework.graph_builder import Before, weight
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint, weight
 from gsgen.sdk.passes.framework.value_facts import (
     constant_of,
     fixed_shape,
@@ -39,7 +39,7 @@ class SplitLargeWeights(CautiousRewrite):
     """
 
     name: ClassVar[str] = "split-large-weights"
-    exactness: ClassVar[Exactness] = Exactness(relative=2e-6)
+    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=2e-6)
     wanted_by: ClassVar[str] = "targets that limit a binding"
 
     def __init__(self, limit: int = _BINDING) -> None:
@@ -47,7 +47,7 @@ class SplitLargeWeights(CautiousRewrite):
         self.limit = limit
 
     @classmethod
-    def for_goal(cls, goal: Goal) -> "SplitLargeWeights":
+    def for_goal(cls, goal: RewriteTarget) -> "SplitLargeWeights":
         """Return the pass with the target's limit."""
         return cls(goal.limits.get("binding_bytes", _BINDING))
 
@@ -137,7 +137,7 @@ def _along(value: ir.Value, node: ir.Node, place: int) -> tuple[int, Write] | st
 
 
 def _look_up(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
-    before, index = Before(node), node.inputs[1]
+    before, index = InsertionPoint(node), node.inputs[1]
     assert index is not None
     assert index.dtype is not None
     kind = index.dtype.numpy()
@@ -172,21 +172,21 @@ def _look_up(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
 
 
 def _by_columns(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
-    before = Before(node)
+    before = InsertionPoint(node)
     made = [before.op("MatMul", node.inputs[0], part) for part in parts]
     rank = rank_of(node.inputs[0]) or 2
     before.replace(before.op("Concat", *made, axis=rank - 1))
 
 
 def _by_rows(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
-    before = Before(node)
+    before = InsertionPoint(node)
     made = [before.op("MatMul", part, node.inputs[1]) for part in parts]
     rank = rank_of(node.inputs[1]) or 2
     before.replace(before.op("Concat", *made, axis=rank - 2))
 
 
 def _gemm(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
-    before = Before(node)
+    before = InsertionPoint(node)
     added = node.inputs[2] if len(node.inputs) > 2 else None
     made = []
     for part, (start, end) in zip(parts, pairwise(bounds), strict=True):
@@ -209,7 +209,9 @@ def _gemm(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
     before.replace(before.op("Concat", *made, axis=1))
 
 
-def _columns(before: Before, added: ir.Value, start: int, end: int, width: int) -> ir.Value:
+def _columns(
+    before: InsertionPoint, added: ir.Value, start: int, end: int, width: int
+) -> ir.Value:
     array = constant_of(added, largest=1 << 62)
     assert array is not None
     if not array.ndim or array.shape[-1] != width or width == 1:

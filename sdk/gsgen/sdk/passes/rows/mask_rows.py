@@ -9,7 +9,7 @@ import onnx_ir as ir
 from onnx_ir.passes.common import RemoveUnusedNodesPass
 
 from gsgen.contract.spec.manifest import GeneratorManifest
-from gsgen.sdk.passes.framework.base import Exactness, Goal, is_op
+from gsgen.sdk.passes.framework.base import ErrorBudget, RewriteTarget, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import append_output, remake
 from gsgen.sdk.passes.framework.value_facts import fixed_shape
@@ -74,7 +74,7 @@ class MaskRows(CautiousRewrite):
     """
 
     name: ClassVar[str] = "mask-rows"
-    exactness: ClassVar[Exactness] = Exactness(relative=2e-6, pads=True)
+    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=2e-6, pads=True)
     wanted_by: ClassVar[str] = "targets that capture graphs"
 
     def __init__(self, count: str | None = None) -> None:
@@ -82,7 +82,7 @@ class MaskRows(CautiousRewrite):
         self.count = count
 
     @classmethod
-    def for_goal(cls, goal: Goal) -> "MaskRows":
+    def for_goal(cls, goal: RewriteTarget) -> "MaskRows":
         """Return the pass; the manifest says which output is the count."""
         declared = goal.manifest
         known = declared.outputs.count if isinstance(declared, GeneratorManifest) else None

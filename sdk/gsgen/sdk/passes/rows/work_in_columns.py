@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import SAFE_WIDTH, Exactness, Rewrite, is_op
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.base import SAFE_WIDTH, ErrorBudget, Rewrite, is_op
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import fixed_shape
 from gsgen.sdk.passes.rows.column_rules import Columns, Emit, columns_of, handles
 
@@ -41,7 +41,7 @@ class WorkInColumns(Rewrite):
     """
 
     name: ClassVar[str] = "work-in-columns"
-    exactness: ClassVar[Exactness] = Exactness(relative=2e-6)
+    exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=2e-6)
 
     def rewrite(self, model: ir.Model) -> None:
         """Rewrite every group of the main graph that is worth it."""
@@ -154,7 +154,7 @@ class _Plan:
         """Write the columns, and put together what others read."""
         seen: dict[Hashable, ir.Value] = {}
 
-        def writers(write: Before) -> tuple[Emit, Callable[[ir.Value], Columns]]:
+        def writers(write: InsertionPoint) -> tuple[Emit, Callable[[ir.Value], Columns]]:
             def emit(
                 kind: str, operands: Sequence[Any], attributes: dict[str, Any]
             ) -> ir.Value:
@@ -165,7 +165,7 @@ class _Plan:
 
             return emit, lambda value: _cut(write, value, self.rows)
 
-        def finish(write: Before, node: ir.Node, columns: list[Columns]) -> None:
+        def finish(write: InsertionPoint, node: ir.Node, columns: list[Columns]) -> None:
             for value, made in zip(node.outputs, columns, strict=True):
                 if value in self.read:
                     whole = _joined(write, made, value, self.rows)
@@ -183,7 +183,7 @@ class _Plan:
     def _run(self, writers: Callable[..., Any], finish: Callable[..., None]) -> None:
         known: dict[ir.Value, Columns] = {}
         for node in self.nodes:
-            write = Before(node)
+            write = InsertionPoint(node)
             emit, leaf = writers(write)
 
             def look(
@@ -228,7 +228,7 @@ def _cost(node: ir.Node, rows: int) -> float:
 
 
 def _written(
-    write: Before, kind: str, operands: Sequence[Any], attributes: dict[str, Any]
+    write: InsertionPoint, kind: str, operands: Sequence[Any], attributes: dict[str, Any]
 ) -> ir.Value:
     values = [
         write.constant(np.asarray(one), "number") if isinstance(one, np.generic) else one
@@ -252,7 +252,7 @@ def _written(
     return write.op(kind, *values, dtype=dtype, **attributes)
 
 
-def _cut(write: Before, value: ir.Value, rows: int) -> Columns:
+def _cut(write: InsertionPoint, value: ir.Value, rows: int) -> Columns:
     """Return the columns [rows] of a tensor that is not made here.
 
     They have one axis: of two axes, ONNX Runtime spreads a single number row by row.
@@ -276,7 +276,9 @@ def _cut(write: Before, value: ir.Value, rows: int) -> Columns:
     return array.reshape(shape[1:])
 
 
-def _joined(write: Before, columns: Columns, value: ir.Value, rows: int) -> ir.Value:
+def _joined(
+    write: InsertionPoint, columns: Columns, value: ir.Value, rows: int
+) -> ir.Value:
     """Return ``columns`` as a tensor of the shape of ``value``."""
     shape = fixed_shape(value)
     assert shape is not None
@@ -287,7 +289,7 @@ def _joined(write: Before, columns: Columns, value: ir.Value, rows: int) -> ir.V
     return made
 
 
-def _rejoined(write: Before, columns: list[ir.Value], rows: int) -> list[ir.Value]:
+def _rejoined(write: InsertionPoint, columns: list[ir.Value], rows: int) -> list[ir.Value]:
     """Return tensors [rows, …] that are ``columns`` side by side.
 
     What was cut into columns that stand side by side again is put back whole.

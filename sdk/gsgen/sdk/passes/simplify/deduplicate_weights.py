@@ -1,6 +1,6 @@
 """Weights that are held once."""
 
-__all__ = ["ShareWeights"]
+__all__ = ["DeduplicateWeights"]
 
 import hashlib
 from collections import ChainMap, Counter
@@ -15,7 +15,7 @@ from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 _CHUNK = 1 << 24
 
 
-class ShareWeights(CautiousRewrite):
+class DeduplicateWeights(CautiousRewrite):
     """Hold every weight once that stands in the graph several times.
 
     A tied table, or a constant that an exporter writes anew at each use, is stored, downloaded

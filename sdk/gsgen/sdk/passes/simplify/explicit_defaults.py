@@ -1,19 +1,19 @@
 """What operators mean by saying nothing."""
 
-__all__ = ["SpellOutDefaults"]
+__all__ = ["MakeDefaultsExplicit"]
 
 from typing import ClassVar, Self
 
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.base import Goal, NodeRewrite, is_op
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.base import NodeRewrite, RewriteTarget, is_op
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, rank_of
 
 _AXES = 3
 
 
-class SpellOutDefaults(NodeRewrite):
+class MakeDefaultsExplicit(NodeRewrite):
     """Say what an operator leaves to the standard, where a release gets that wrong.
 
     onnxruntime-web 1.22 fails at the first frame of a Conv without ``dilations``, and of a Slice
@@ -27,7 +27,7 @@ class SpellOutDefaults(NodeRewrite):
     wanted_by: ClassVar[str] = "targets with operator tables"
 
     @classmethod
-    def for_goal(cls, goal: Goal) -> Self | None:
+    def for_goal(cls, goal: RewriteTarget) -> Self | None:
         """Return the pass; without tables there is nothing to suit."""
         return cls() if goal.tables else None
 
@@ -51,4 +51,4 @@ class SpellOutDefaults(NodeRewrite):
         assert starts is not None
         if len(node.inputs) == _AXES:
             node.resize_inputs(_AXES + 1)
-        node.replace_input_with(_AXES, Before(node).whole(*range(len(starts))))
+        node.replace_input_with(_AXES, InsertionPoint(node).whole(*range(len(starts))))

@@ -9,7 +9,7 @@ from typing import ClassVar
 import onnx_ir as ir
 
 from gsgen.contract.errors import ConfigInvalid, UnknownName
-from gsgen.sdk.passes.framework.base import Goal
+from gsgen.sdk.passes.framework.base import RewriteTarget
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 
 
@@ -36,7 +36,7 @@ class FreezeDimensions(CautiousRewrite):
         self._frozen: set[str] = set()
 
     @classmethod
-    def for_goal(cls, goal: Goal) -> "FreezeDimensions | None":
+    def for_goal(cls, goal: RewriteTarget) -> "FreezeDimensions | None":
         """Return the pass where sizes are known."""
         return cls(goal.sizes) if goal.sizes else None
 

@@ -8,7 +8,7 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 
 _WIDEST = (ir.DataType.INT64, ir.DataType.UINT64)
 
@@ -55,7 +55,7 @@ class MergeCasts(NodeRewrite):
         """Cast what the first Cast took."""
         inner = node.inputs[0].producer() if node.inputs[0] is not None else None
         assert inner is not None
-        write, x, kind = Before(node), inner.inputs[0], node.outputs[0].dtype
+        write, x, kind = InsertionPoint(node), inner.inputs[0], node.outputs[0].dtype
         assert kind is not None
         assert x is not None
         if x.dtype == kind:

@@ -7,7 +7,7 @@ from typing import ClassVar
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import fixed_shape
 
 _SHAPERS = ("Flatten", "Reshape", "Squeeze", "Unsqueeze")
@@ -36,7 +36,7 @@ class MergeReshapes(NodeRewrite):
 
     def replace(self, node: ir.Node) -> None:
         """Give the last shape to what the first took."""
-        write, shape = Before(node), fixed_shape(node.outputs[0])
+        write, shape = InsertionPoint(node), fixed_shape(node.outputs[0])
         assert shape is not None
         x = node.inputs[0]
         while x is not None and is_op(x.producer(), *_SHAPERS):

@@ -7,7 +7,7 @@ from typing import ClassVar
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 
 
 class MergeTransposes(NodeRewrite):
@@ -36,7 +36,7 @@ class MergeTransposes(NodeRewrite):
         assert first is not None
         assert outer is not None
         assert x is not None
-        perm, write = [first[axis] for axis in outer], Before(node)
+        perm, write = [first[axis] for axis in outer], InsertionPoint(node)
         if perm == sorted(perm):
             write.replace(x)
             return

@@ -1,13 +1,13 @@
 """Operators that return what they take."""
 
-__all__ = ["DropIdleOperators"]
+__all__ = ["RemoveNoOps"]
 
 from typing import ClassVar
 
 import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
-from gsgen.sdk.passes.framework.graph_builder import Before
+from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute
 
 _OF_ONE = frozenset({"Concat", "Max", "Mean", "Min", "Sum"})
@@ -18,7 +18,7 @@ _KEEP_ORDER = frozenset({"Expand", "Flatten", "Reshape", "Squeeze", "Unsqueeze"}
 _NEUTRAL = {"Div": 1, "Mul": 1, "Sub": 0}
 
 
-class DropIdleOperators(NodeRewrite):
+class RemoveNoOps(NodeRewrite):
     """Drop operators that return their argument as it is.
 
     Exporters leave many: a Cast to the dtype that is there already, an Expand to the same shape, a
@@ -48,7 +48,7 @@ class DropIdleOperators(NodeRewrite):
         """Let its argument take its place."""
         kept = _argument(node)  # asked again: another replacement may have changed it
         assert kept is not None
-        write = Before(node)
+        write = InsertionPoint(node)
         for spare in node.outputs[1:]:
             spare.name = None
         node.resize_outputs(1)
