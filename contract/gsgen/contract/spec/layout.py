@@ -9,6 +9,7 @@ __all__ = [
     "OPACITY",
     "POSITION",
     "ROW",
+    "UPPER_TRIANGLE",
     "VISIBILITY",
     "WORD_BYTES",
     "Cells",
@@ -33,6 +34,9 @@ ROW = len(FIELDS)
 POSITION = slice(0, 3)
 OPACITY = 3
 COVARIANCE = slice(4, 10)
+
+# The (row, column) of each covariance entry of a row: xx xy xz yy yz zz.
+UPPER_TRIANGLE = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 # A cell's row is a Gaussian's with its visibility where that has its opacity.
 VISIBILITY = OPACITY

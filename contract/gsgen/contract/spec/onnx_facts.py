@@ -1,0 +1,41 @@
+"""Facts of the ONNX standard that rules, rewrites and runtimes share."""
+
+__all__ = [
+    "CONTROL_FLOW",
+    "FLOAT_TYPES",
+    "INLINE_LIMIT",
+    "KERNEL_TYPE_INPUT",
+    "MAIN_DOMAIN",
+    "RANDOM_OPERATORS",
+]
+
+from typing import Final
+
+from onnx import TensorProto
+
+# The two spellings of the domain of ONNX's own operators.
+MAIN_DOMAIN: Final = ("", "ai.onnx")
+
+# Operators whose attributes hold graphs.
+CONTROL_FLOW: Final = frozenset({"If", "Loop", "Scan"})
+
+# Operators that draw random numbers; Dropout only does so in training.
+RANDOM_OPERATORS: Final = frozenset(
+    {
+        "Bernoulli",
+        "Multinomial",
+        "RandomNormal",
+        "RandomNormalLike",
+        "RandomUniform",
+        "RandomUniformLike",
+    }
+)
+
+# The IEEE floating-point element types that kernels compute with.
+FLOAT_TYPES: Final = (TensorProto.FLOAT, TensorProto.FLOAT16, TensorProto.DOUBLE)
+
+# The input whose element type selects the kernel, where it is not the first one.
+KERNEL_TYPE_INPUT: Final = {"OneHot": 2, "Where": 1}
+
+# Bytes of weights that a model file may hold itself: protobuf refuses 2 GiB and more.
+INLINE_LIMIT: Final = 1_900_000_000

@@ -1,0 +1,39 @@
+"""Limits of float16, and sizes in bytes as text."""
+
+__all__ = [
+    "FLOAT16_EPSILON",
+    "FLOAT16_MAX",
+    "FLOAT16_SMALLEST_NORMAL",
+    "KIBIBYTE",
+    "MEBIBYTE",
+    "format_bytes",
+    "format_mebibytes",
+]
+
+from typing import Final
+
+# The largest finite float16; larger values become infinite.
+FLOAT16_MAX: Final = 65504.0
+
+# Positive float16 values below it are subnormal, which GPUs may flush to zero.
+FLOAT16_SMALLEST_NORMAL: Final = 2.0**-14
+
+# The distance from 1 to the next larger float16.
+FLOAT16_EPSILON: Final = 2.0**-10
+
+KIBIBYTE: Final = 1 << 10
+MEBIBYTE: Final = 1 << 20
+
+
+def format_bytes(size: int) -> str:
+    """Return a size with its unit: ``812 B``, ``12.4 KiB`` or ``3.1 MiB``."""
+    if size < KIBIBYTE:
+        return f"{size} B"
+    if size < MEBIBYTE:
+        return f"{size / KIBIBYTE:.1f} KiB"
+    return f"{size / MEBIBYTE:.1f} MiB"
+
+
+def format_mebibytes(size: int, digits: int = 1) -> str:
+    """Return a size in MiB, with ``digits`` decimals."""
+    return f"{size / MEBIBYTE:.{digits}f} MiB"
