@@ -1,30 +1,37 @@
-"""Scenes and checkpoints made from formulas, for tests, demos and pictures where no data is at hand.
+"""Writes synthetic scenes, and checkpoints of every method with made-up weights.
 
-The writers of checkpoints need torch; they are loaded when first used.
+Each family's writers stand in its folder, and this package lists them all. They need torch and are
+imported on first use. The modules of this package are what writers of several families share.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
-from gsgen.contract._lazy import attributes
-
 if TYPE_CHECKING:
-    from gsgen.reference_plugins.synthetic.anchors import (
+    from gsgen.reference_plugins.anchors.synthetic_anchors import (
         AnchorOptions,
         write_duplex,
         write_octree,
         write_scaffold,
     )
-    from gsgen.reference_plugins.synthetic.body import PersonOptions, write_body
-    from gsgen.reference_plugins.synthetic.enhancer import write_difix
-    from gsgen.reference_plugins.synthetic.images import write_denoiser, write_stylise
-    from gsgen.reference_plugins.synthetic.knot import torus_knot
-    from gsgen.reference_plugins.synthetic.moving import (
+    from gsgen.reference_plugins.bodies.synthetic_body import PersonOptions, write_body
+    from gsgen.reference_plugins.bodies.synthetic_motion import write_motion
+    from gsgen.reference_plugins.deformation.synthetic_deformations import (
         HexPlaneOptions,
         write_deformable,
         write_hexplane,
     )
-    from gsgen.reference_plugins.synthetic.people import write_gauhuman, write_lhm, write_r3
-    from gsgen.reference_plugins.synthetic.walk import write_motion
+    from gsgen.reference_plugins.images.synthetic_difix import write_difix
+    from gsgen.reference_plugins.images.synthetic_images import (
+        write_denoiser,
+        write_stylise,
+    )
+    from gsgen.reference_plugins.people.synthetic_people import (
+        write_gauhuman,
+        write_lhm,
+        write_r3,
+    )
+    from gsgen.reference_plugins.synthetic.knot import torus_knot
 
 __all__ = [
     "AnchorOptions",
@@ -46,24 +53,31 @@ __all__ = [
     "write_stylise",
 ]
 
-_HOME = {
-    "AnchorOptions": "anchors",
-    "HexPlaneOptions": "moving",
-    "PersonOptions": "body",
-    "torus_knot": "knot",
-    "write_body": "body",
-    "write_deformable": "moving",
-    "write_denoiser": "images",
-    "write_difix": "enhancer",
-    "write_duplex": "anchors",
-    "write_gauhuman": "people",
-    "write_hexplane": "moving",
-    "write_lhm": "people",
-    "write_motion": "walk",
-    "write_octree": "anchors",
-    "write_r3": "people",
-    "write_scaffold": "anchors",
-    "write_stylise": "images",
+_MODULES = {
+    "AnchorOptions": "anchors.synthetic_anchors",
+    "HexPlaneOptions": "deformation.synthetic_deformations",
+    "PersonOptions": "bodies.synthetic_body",
+    "torus_knot": "synthetic.knot",
+    "write_body": "bodies.synthetic_body",
+    "write_deformable": "deformation.synthetic_deformations",
+    "write_denoiser": "images.synthetic_images",
+    "write_difix": "images.synthetic_difix",
+    "write_duplex": "anchors.synthetic_anchors",
+    "write_gauhuman": "people.synthetic_people",
+    "write_hexplane": "deformation.synthetic_deformations",
+    "write_lhm": "people.synthetic_people",
+    "write_motion": "bodies.synthetic_motion",
+    "write_octree": "anchors.synthetic_anchors",
+    "write_r3": "people.synthetic_people",
+    "write_scaffold": "anchors.synthetic_anchors",
+    "write_stylise": "images.synthetic_images",
 }
 
-__getattr__ = attributes(__name__, _HOME)
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = import_module(f"gsgen.reference_plugins.{_MODULES[name]}")
+    value: object = getattr(module, name)
+    globals()[name] = value
+    return value

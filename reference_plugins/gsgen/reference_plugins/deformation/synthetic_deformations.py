@@ -15,8 +15,9 @@ from torch import Tensor
 
 from gsgen.formats import write_ply
 from gsgen.reference_plugins.deformation.hexplane_checkpoint import HEADS
-from gsgen.reference_plugins.synthetic.files import write_cfg_args
 from gsgen.reference_plugins.synthetic.knot import torus_knot
+from gsgen.reference_plugins.synthetic.random_layers import random_linear
+from gsgen.reference_plugins.synthetic.run_files import write_cfg_args
 
 _UNUSED = ("time_poc", "pos_poc", "rotation_scaling_poc", "opacity_poc")
 
@@ -94,14 +95,14 @@ def _hexplane_state(options: HexPlaneOptions) -> dict[str, Tensor]:
     wide = options.width
     for layer in range(max(1, options.depth)):
         inputs = options.channels * len(options.multires) if layer == 0 else wide
-        state |= _linear(f"{net}feature_out.{2 * layer}", inputs, wide, noise)
+        state |= random_linear(f"{net}feature_out.{2 * layer}", inputs, wide, noise)
     for name, outputs in HEADS.items():
-        state |= _linear(f"{net}{name}_deform.1", wide, wide, noise)
+        state |= random_linear(f"{net}{name}_deform.1", wide, wide, noise)
         gain = options.sway if name == "pos" else 0.15
-        state |= _linear(f"{net}{name}_deform.3", wide, outputs, noise, gain)
+        state |= random_linear(f"{net}{name}_deform.3", wide, outputs, noise, gain)
     if options.flags.get("static_mlp"):
-        state |= _linear(f"{net}static_mlp.1", wide, wide, noise)
-        state |= _linear(f"{net}static_mlp.3", wide, 1, noise)
+        state |= random_linear(f"{net}static_mlp.1", wide, wide, noise)
+        state |= random_linear(f"{net}static_mlp.3", wide, 1, noise)
     if options.flags.get("empty_voxel"):
         state[f"{net}empty_voxel.grid"] = torch.rand((1, 1, 5, 6, 7), generator=noise)
     return state | {name: torch.ones(4) for name in _UNUSED}
@@ -133,20 +134,20 @@ def write_deformable(
     state: dict[str, Tensor] = {}
     for layer in range(8):
         inputs = {0: embedded, 5: width + embedded}.get(layer, width)
-        state |= _linear(f"linear.{layer}", inputs, width, noise, 1.5)
+        state |= random_linear(f"linear.{layer}", inputs, width, noise, 1.5)
     for layer in (
         0,
         5,
     ):  # neighbours move alike: what changes quickly in space counts for less
         state[f"linear.{layer}.weight"][:, 3:63] *= 0.4 ** (torch.arange(60) // 6)
     if blender:
-        state |= _linear("timenet.0", 13, width, noise) | _linear(
+        state |= random_linear("timenet.0", 13, width, noise) | random_linear(
             "timenet.2", width, 30, noise
         )
     for name in ("branch_w", "branch_v") if six_degrees else ("gaussian_warp",):
-        state |= _linear(name, width, 3, noise, sway)
-    state |= _linear("gaussian_rotation", width, 4, noise, 0.2)
-    state |= _linear("gaussian_scaling", width, 3, noise, 0.004)
+        state |= random_linear(name, width, 3, noise, sway)
+    state |= random_linear("gaussian_rotation", width, 4, noise, 0.2)
+    state |= random_linear("gaussian_scaling", width, 3, noise, 0.004)
     write_cfg_args(folder, {"is_blender": blender, "is_6dof": six_degrees, "sh_degree": 3})
     for place in ("point_cloud/iteration_40000", "deform/iteration_40000"):
         (folder / place).mkdir(parents=True, exist_ok=True)
@@ -155,11 +156,3 @@ def write_deformable(
     )
     torch.save(state, folder / "deform/iteration_40000/deform.pth")
     return folder
-
-
-def _linear(
-    name: str, inputs: int, outputs: int, noise: torch.Generator, gain: float = 1.0
-) -> dict[str, Tensor]:
-    weight = torch.randn((outputs, inputs), generator=noise) * (gain / inputs**0.5)
-    bias = 0.1 * gain * torch.randn(outputs, generator=noise)
-    return {f"{name}.weight": weight, f"{name}.bias": bias}

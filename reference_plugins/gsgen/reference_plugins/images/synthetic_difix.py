@@ -24,13 +24,13 @@ from torch import Tensor
 from gsgen.reference_plugins.diffusion.autoencoder import Autoencoder
 from gsgen.reference_plugins.diffusion.options import AutoencoderOptions, UNetOptions
 from gsgen.reference_plugins.diffusion.unet import UNet
-from gsgen.reference_plugins.synthetic.diffusers_files import (
+from gsgen.reference_plugins.images.diffusers_writer import (
     SCHEDULE,
     config_of,
     write_network,
     write_schedule,
 )
-from gsgen.reference_plugins.synthetic.handmade import BINOMIAL, Weights
+from gsgen.reference_plugins.images.handmade_weights import BINOMIAL, Weights
 
 _RGB = 3
 _WIDTH = 24

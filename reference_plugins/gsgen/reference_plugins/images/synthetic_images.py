@@ -13,13 +13,13 @@ from torch import nn
 from gsgen.reference_plugins.diffusion.autoencoder import Autoencoder
 from gsgen.reference_plugins.diffusion.options import AutoencoderOptions, UNetOptions
 from gsgen.reference_plugins.diffusion.unet import UNet
-from gsgen.reference_plugins.images.stylise import Stylise, StyliseOptions
-from gsgen.reference_plugins.synthetic.diffusers_files import (
+from gsgen.reference_plugins.images.diffusers_writer import (
     config_of,
     write_network,
     write_schedule,
 )
-from gsgen.reference_plugins.synthetic.handmade import draw_outlines, take_off_noise
+from gsgen.reference_plugins.images.handmade_weights import draw_outlines, take_off_noise
+from gsgen.reference_plugins.images.stylise import Stylise, StyliseOptions
 
 _UNET: Mapping[str, Any] = {
     "_class_name": "UNet2DModel",

@@ -21,13 +21,14 @@ from torch import Tensor, nn
 from gsgen.formats import Splats, write_ply
 from gsgen.reference_plugins.bodies.body_models import Body, read_body
 from gsgen.reference_plugins.bodies.rest_pose import big_pose, posed_vertices
-from gsgen.reference_plugins.synthetic.body import (
+from gsgen.reference_plugins.bodies.synthetic_body import (
     PersonOptions,
     arrays_of,
     colors_of,
     write_body,
 )
-from gsgen.reference_plugins.synthetic.files import write_cfg_args, write_columns
+from gsgen.reference_plugins.synthetic.random_layers import random_linear
+from gsgen.reference_plugins.synthetic.run_files import write_cfg_args, write_columns
 
 _C0 = 0.28209479177387814
 _PLAIN = PersonOptions()
@@ -82,24 +83,16 @@ def _pose_nets(options: PersonOptions) -> tuple[dict[str, Tensor], dict[str, Ten
     pose: dict[str, Tensor] = {}
     for index, (inputs, outputs) in enumerate([(turns, wide), (wide, wide), (wide, turns)]):
         gain = 0.05 if index == 2 else 1.0
-        pose |= _linear(f"block_mlps.{2 * index}", inputs, outputs, noise, gain)
+        pose |= random_linear(f"block_mlps.{2 * index}", inputs, outputs, noise, gain)
     weights: dict[str, Tensor] = {}
     for index, inputs in enumerate([63, wide, wide, 63 + wide]):
-        weights |= _linear(f"bw_linears.{index}", inputs, wide, noise)
-    weights |= _linear("bw_fc", wide, options.joints, noise, 0.3)
+        weights |= random_linear(f"bw_linears.{index}", inputs, wide, noise)
+    weights |= random_linear("bw_fc", wide, options.joints, noise, 0.3)
     convolved = {
         name: value[:, :, None] if value.ndim == 2 else value
         for name, value in weights.items()
     }
     return pose, convolved
-
-
-def _linear(
-    name: str, inputs: int, outputs: int, noise: torch.Generator, gain: float = 1.0
-) -> dict[str, Tensor]:
-    weight = torch.randn((outputs, inputs), generator=noise) * (gain / inputs**0.5)
-    bias = 0.1 * gain * torch.randn(outputs, generator=noise)
-    return {f"{name}.weight": weight, f"{name}.bias": bias}
 
 
 def write_lhm(folder: Path, options: PersonOptions = _PLAIN) -> Path:
@@ -186,8 +179,8 @@ def _r3_fields(
         ]
         grids.append(nn.ParameterList(planes))
     wide = options.width
-    decoder = _linear("linear.0", 3 * options.channels, wide, noise)
-    decoder |= _linear("linear.1", wide, wide, noise)
+    decoder = random_linear("linear.0", 3 * options.channels, wide, noise)
+    decoder |= random_linear("linear.1", wide, wide, noise)
     heads = {
         "warp": (3, 0.02),
         "opacity": (1, 0.7),
@@ -195,7 +188,7 @@ def _r3_fields(
         "scaling": (3, 0.03),
     }
     for name, (outputs, gain) in heads.items():
-        decoder |= _linear(f"gaussian_{name}", wide, outputs, noise, gain)
+        decoder |= random_linear(f"gaussian_{name}", wide, outputs, noise, gain)
     decoder["gaussian_opacity.bias"] += 2  # most are seen
     decoder["gaussian_scaling.bias"] += 0.11  # its square is the scale
     margin = 0.05

@@ -1,0 +1,23 @@
+"""Random weights of networks, for synthetic checkpoints."""
+
+__all__ = ["random_linear"]
+
+import torch
+from torch import Tensor
+
+
+def random_linear(
+    name: str, inputs: int, outputs: int, noise: torch.Generator, gain: float = 1.0
+) -> dict[str, Tensor]:
+    """Return weight and bias of a linear layer, drawn from normal distributions.
+
+    Args:
+        name: The layer's name in the state dict.
+        inputs: Columns of the weight.
+        outputs: Rows of the weight.
+        noise: The random generator.
+        gain: Standard deviation of an output for inputs of variance 1; a tenth of it for the bias.
+    """
+    weight = torch.randn((outputs, inputs), generator=noise) * (gain / inputs**0.5)
+    bias = 0.1 * gain * torch.randn(outputs, generator=noise)
+    return {f"{name}.weight": weight, f"{name}.bias": bias}
