@@ -40,6 +40,7 @@ PARTS: dict[str, Part] = {
     "fields": manifest.fields,
     "limits": contract.limits,
     "plugin-commands": commands.plugins,
+    "plugin-list": commands.plugin_list,
     "plugins": commands.plugin_table,
     "probes": contract.probes,
     "report-fields": report.fields,
@@ -85,7 +86,7 @@ def generated() -> dict[Path, str]:
     for name, document in published.items():
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         made[DOCS / "spec" / "schemas" / name] = text
-    for path in sorted(DOCS.rglob("*.md")):
+    for path in (ROOT / "README.md", *sorted(DOCS.rglob("*.md"))):
         if path not in made and "<!-- generated: " in path.read_text("utf-8"):
             made[path] = fill(path.read_text("utf-8"))
     return made

@@ -34,11 +34,11 @@ def compressed(picture: Image.Image) -> bytes:
 
 def main(names: list[str]) -> int:
     """Draw and write; return the exit code."""
-    if unknown := [name for name in names if name not in demo_families.FAMILIES]:
-        known = ", ".join(demo_families.FAMILIES)
-        sys.exit(f"there is no plugin {unknown[0]} in the demo; known: {known}")
+    known = demo_families.demo_plugins()
+    if unknown := [name for name in names if name not in known]:
+        sys.exit(f"{unknown[0]!r} has no demo; expected one of: {', '.join(known)}")
     PICTURES.mkdir(parents=True, exist_ok=True)
-    chosen = names or list(demo_families.FAMILIES)
+    chosen = names or list(known)
     for made in demo_families.make_all(ROOT / "out" / "demo" / "families", chosen):
         if made.strip is None:
             sys.exit(f"{made.name} cannot be drawn: {made.trouble}")

@@ -9,6 +9,7 @@ import typer
 from docs_parts.tables import code, table
 from gsgen.cli.app import build
 from gsgen.contract._extensions import find_commands
+from gsgen.sdk.plugins.plugin import Publication
 
 _OWNER = "gsgen"
 
@@ -118,7 +119,7 @@ def plugins() -> str:
     parts = []
     for point in _ours("gsgen.generators"):
         plugin = point.load()
-        head = f"### gsgen export {point.name}\n\n{plugin.summary} {plugin.reads}"
+        head = f"### gsgen export {point.name}\n\n{plugin.headline} {plugin.reads}"
         parts.append(f"{head}\n\n{command('export', point.name)}")
     return "\n\n".join(parts)
 
@@ -129,8 +130,28 @@ def plugin_table() -> str:
     for point in _ours("gsgen.generators"):
         plugin = point.load()
         inputs = code(plugin.inputs) or "none"
-        link = f"[{point.name}]({point.name.replace('_', '-')}.md)"
-        rows.append((link, plugin.summary, plugin.reads, inputs))
-    return table(
-        ("plugin", "what it exports", "what it reads", "inputs of the model"), rows
-    )
+        link = f"[{point.name}]({point.name}.md)"
+        rows.append(
+            (link, plugin.headline, plugin.reads, inputs, _cited(plugin.publication))
+        )
+    columns = ("plugin", "what it exports", "what it reads", "inputs of the model")
+    return table((*columns, "paper, code and its licence"), rows)
+
+
+def plugin_list() -> str:
+    """Return the methods that ``gsgen export`` knows in one line each, for the README."""
+    rows = []
+    for point in _ours("gsgen.generators"):
+        link = f"[{point.name}](docs/plugins/{point.name}.md)"
+        rows.append((link, point.load().headline))
+    return table(("`gsgen export …`", "what it exports"), rows)
+
+
+def _cited(publication: Publication) -> str:
+    """Return paper, code and licence with links."""
+    paper, address = publication.paper, publication.code
+    if publication.arxiv:
+        paper += f", [arXiv {publication.arxiv}](https://arxiv.org/abs/{publication.arxiv})"
+    repository = address.removeprefix("https://github.com/")
+    source = f"[{repository}]({address}), {publication.licence}" if address else ""
+    return "; ".join(filter(None, (paper, source))) or "–"

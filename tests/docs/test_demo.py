@@ -52,10 +52,19 @@ def test_without_a_driver_it_says_so(
     why = "gsgen: no adapter was found"
     monkeypatch.setattr(demo, "gsgen", lambda *_: (2, "", f"{why}\n"))
     strip, trouble = demo.draw(
-        demo.FAMILIES["gauhuman"], tmp_path / "m.onnx", tmp_path, tmp_path / "log"
+        demo.demo_plugins()["gauhuman"], tmp_path / "m.onnx", tmp_path, tmp_path / "log"
     )
     assert (strip, trouble) == (None, why)
-    row = demo.ModelOutput("gauhuman", 10, 2048, "conforms", "behaviour", 1.0, None, why)
+    row = demo.DemoModel(
+        name="gauhuman",
+        gaussians=10,
+        size=2048,
+        verdict="conforms",
+        level="behaviour",
+        milliseconds=1.0,
+        strip=None,
+        trouble=why,
+    )
     assert "conforms (behaviour); picture: not drawn" in demo.table([row])
 
 

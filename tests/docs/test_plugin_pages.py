@@ -10,7 +10,6 @@ from PIL import Image
 from typer.models import OptionInfo
 
 from gsgen.sdk.plugins.plugin import Plugin, find_plugins
-from support.commands import ROOT
 from support.reports.pages import DOCS
 
 PAGES = DOCS / "plugins"
@@ -104,7 +103,19 @@ def spelled(function: Callable[..., object]) -> list[str]:
     return found
 
 
-def test_the_script_knows_every_plugin_that_has_a_picture() -> None:
-    script = (ROOT / "docs" / "examples" / "demo_families.py").read_text("utf-8")
-    families = script.partition("FAMILIES = {")[2].partition("\n}\n")[0]
-    assert set(re.findall(r'^    "([\w-]+)": Family', families, re.MULTILINE)) == set(OURS)
+@pytest.mark.parametrize("name", OURS)
+def test_every_plugin_has_a_demo(name: str) -> None:
+    assert plugin_of(name).demo is not None
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_the_page_cites_what_the_plugin_cites(name: str) -> None:
+    publication, introduction = (
+        plugin_of(name).publication,
+        text_of(name).partition("\n## ")[0],
+    )
+    cited = re.findall(r"arxiv\.org/abs/([\d.]+)\)", introduction)
+    assert cited == [publication.arxiv] * bool(publication.arxiv)
+    facts = (publication.paper, publication.code.removeprefix("https://github.com/"))
+    for fact in (*facts, publication.licence):
+        assert fact in introduction

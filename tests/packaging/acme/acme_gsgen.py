@@ -91,4 +91,6 @@ def write_row(path: Path, count: int) -> None:
     write_constant(*packed, manifest, path)
 
 
-PLUGIN = Plugin("row", "Gaussians in a row.", reads="nothing", inputs=(), command=row)
+PLUGIN = Plugin(
+    name="row", summary="Gaussians in a row.", reads="nothing", inputs=(), command=row
+)

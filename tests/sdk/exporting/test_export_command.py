@@ -260,11 +260,11 @@ def test_a_model_is_no_target() -> None:
 
 
 def test_a_plugin_is_built_or_commands_by_itself() -> None:
-    facts = ("it", "It.", "Reads it.", ())
+    facts = {"name": "it", "summary": "It.", "reads": "Reads it.", "inputs": ()}
     for both in ({}, {"command": print, "build": print}):
         with pytest.raises(TypeError, match="exactly one of command and build"):
-            Plugin(*facts, **both)
-    assert Plugin(*facts, command=print).function is print
+            Plugin(**facts, **both)
+    assert Plugin(**facts, command=print).function is print
 
 
 def test_a_plugin_s_own_options_stand_beside_the_common_ones() -> None:
@@ -296,7 +296,13 @@ def clashing(dtype: str) -> object:
     return dtype
 
 
-CLASHING = Plugin("clashing", "It clashes.", "Reads nothing.", (), build=clashing)
+CLASHING = Plugin(
+    name="clashing",
+    summary="It clashes.",
+    reads="Reads nothing.",
+    inputs=(),
+    build=clashing,
+)
 
 
 def test_a_plugin_that_cannot_be_used_spoils_only_itself(

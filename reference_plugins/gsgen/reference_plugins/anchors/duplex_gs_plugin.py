@@ -2,10 +2,12 @@
 
 __all__ = ["PLUGIN"]
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from gsgen.reference_plugins.loading.method_detection import point_columns
 from gsgen.reference_plugins.loading.options import (
     AppearanceId,
     Checkpoint,
@@ -15,7 +17,7 @@ from gsgen.reference_plugins.loading.options import (
     tell,
     warn_of,
 )
-from gsgen.sdk.plugins.plugin import Plugin
+from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.anchors.duplex_gs import DuplexGS
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
 _HONOURED = {
     "resolution_scales": ([1.0], "levels are those of images at full resolution"),
 }
-_SOURCE = "https://github.com/LiYukeee/Duplex-GS"
 
 OpacityOption = Annotated[
     Literal["decoded", "weighted"],
@@ -45,6 +46,12 @@ CullOption = Annotated[
         "--cull", help="Hide cells that are surely out of view (adds projection)."
     ),
 ]
+_PUBLICATION = Publication(
+    paper="Liu et al. 2025",
+    arxiv="2508.03180",
+    code="https://github.com/LiYukeee/Duplex-GS",
+    licence="Inria and MPII, for research only",
+)
 
 
 def build(
@@ -85,16 +92,38 @@ def build(
         appearance=appearance,
         selection=Selection(cull, max_anchors),
     )
-    made.producer = producer_of(_SOURCE, read.anchors.folder, read.anchors.iteration)
+    made.producer = producer_of(
+        _PUBLICATION.code, read.anchors.folder, read.anchors.iteration
+    )
     return made
+
+
+def _recognises(run: Path, iteration: Path) -> bool:
+    """Whether the point cloud has cells: anchors with a size."""
+    return "anchor_size_0" in point_columns(iteration)
+
+
+def _write_demo(folder: Path) -> list[str]:
+    """Write a checkpoint of 3,000 cells."""
+    from gsgen.reference_plugins.anchors.synthetic_anchors import (
+        AnchorOptions,
+        write_duplex,
+    )
+
+    write_duplex(folder, AnchorOptions(anchors=3000, iteration=40_000))
+    return ["--checkpoint", str(folder), "--blend", "wsr"]
 
 
 PLUGIN = Plugin(
     name="duplex-gs",
-    summary="Ellipsoidal cells whose networks make Gaussians within them (Duplex-GS).",
+    title="Duplex-GS",
+    summary="Ellipsoidal cells whose networks make Gaussians within them.",
     reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply with cells and "
     "the networks, opacity_mlp.pt, cov_mlp.pt, color_mlp.pt (feature_bank_mlp.pt, "
     "embedding_appearance.pt), or all of them in checkpoints.pth.",
     inputs=("view", "projection", "appearance_id"),
+    publication=_PUBLICATION,
+    recognises=_recognises,
+    demo=Demo(write=_write_demo, caption="around it"),
     build=build,
 )

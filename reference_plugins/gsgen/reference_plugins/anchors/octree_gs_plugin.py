@@ -2,8 +2,10 @@
 
 __all__ = ["PLUGIN"]
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gsgen.reference_plugins.loading.method_detection import point_columns
 from gsgen.reference_plugins.loading.options import (
     AppearanceId,
     Checkpoint,
@@ -13,7 +15,7 @@ from gsgen.reference_plugins.loading.options import (
     tell,
     warn_of,
 )
-from gsgen.sdk.plugins.plugin import Plugin
+from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.anchors.octree_gs import OctreeGS
@@ -21,7 +23,12 @@ if TYPE_CHECKING:
 _HONOURED = {
     "resolution_scales": ([1.0], "levels are those of images at full resolution"),
 }
-_SOURCE = "https://github.com/city-super/Octree-GS"
+_PUBLICATION = Publication(
+    paper="Ren et al. 2024",
+    arxiv="2403.17898",
+    code="https://github.com/city-super/Octree-GS",
+    licence="Inria and MPII, for research only",
+)
 
 
 def build(
@@ -53,16 +60,40 @@ def build(
     made = OctreeGS(
         read.cloud, read.nets, levels, appearance=appearance, selection=selection
     )
-    made.producer = producer_of(_SOURCE, read.folder, read.iteration)
+    made.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
     return made
+
+
+def _recognises(run: Path, iteration: Path) -> bool:
+    """Whether the point cloud has anchors with levels, which are not cells."""
+    columns = point_columns(iteration)
+    return {"f_offset_0", "level"} <= set(columns) and "anchor_size_0" not in columns
+
+
+def _write_demo(folder: Path) -> list[str]:
+    """Write a checkpoint of 3,000 anchors in five levels."""
+    from gsgen.reference_plugins.anchors.synthetic_anchors import (
+        AnchorOptions,
+        write_octree,
+    )
+
+    options = AnchorOptions(anchors=3000, iteration=40_000)
+    write_octree(folder, options, levels=5, distance=48)
+    return ["--checkpoint", str(folder)]
 
 
 PLUGIN = Plugin(
     name="octree-gs",
-    summary="Anchors in levels of detail, chosen by distance (Octree-GS).",
+    title="Octree-GS",
+    summary="Anchors in levels of detail, chosen by distance.",
     reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply with levels and "
     "the networks, opacity_mlp.pt, cov_mlp.pt, color_mlp.pt (feature_bank_mlp.pt, "
     "embedding_appearance.pt), or all of them in checkpoints.pth.",
     inputs=("view", "projection", "viewport", "appearance_id"),
+    publication=_PUBLICATION,
+    recognises=_recognises,
+    demo=Demo(
+        write=_write_demo, caption="from ever farther, zoomed in: levels go", view="recede"
+    ),
     build=build,
 )

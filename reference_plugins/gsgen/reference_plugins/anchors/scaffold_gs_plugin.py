@@ -2,8 +2,10 @@
 
 __all__ = ["PLUGIN"]
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gsgen.reference_plugins.loading.method_detection import point_columns
 from gsgen.reference_plugins.loading.options import (
     AppearanceId,
     Checkpoint,
@@ -13,12 +15,16 @@ from gsgen.reference_plugins.loading.options import (
     note,
     tell,
 )
-from gsgen.sdk.plugins.plugin import Plugin
+from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.anchors.scaffold_gs import ScaffoldGS
-
-_SOURCE = "https://github.com/city-super/Scaffold-GS"
+_PUBLICATION = Publication(
+    paper="Lu et al. 2024",
+    arxiv="2312.00109",
+    code="https://github.com/city-super/Scaffold-GS",
+    licence="Inria and MPII, for research only",
+)
 
 
 def build(
@@ -47,16 +53,37 @@ def build(
     selection = Selection(cull, max_anchors)
     appearance = require_appearance(read, appearance_id, "--appearance-id")
     made = ScaffoldGS(read.cloud, read.nets, appearance=appearance, selection=selection)
-    made.producer = producer_of(_SOURCE, read.folder, read.iteration)
+    made.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
     return made
+
+
+def _recognises(run: Path, iteration: Path) -> bool:
+    """Whether the point cloud has anchors without levels."""
+    columns = point_columns(iteration)
+    return "f_offset_0" in columns and not {"level", "anchor_size_0"} & set(columns)
+
+
+def _write_demo(folder: Path) -> list[str]:
+    """Write a checkpoint of 3,000 anchors."""
+    from gsgen.reference_plugins.anchors.synthetic_anchors import (
+        AnchorOptions,
+        write_scaffold,
+    )
+
+    write_scaffold(folder, AnchorOptions(anchors=3000))
+    return ["--checkpoint", str(folder)]
 
 
 PLUGIN = Plugin(
     name="scaffold-gs",
-    summary="Anchors whose networks make view-dependent Gaussians (Scaffold-GS).",
+    title="Scaffold-GS",
+    summary="Anchors whose networks make view-dependent Gaussians.",
     reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply and the networks, "
     "opacity_mlp.pt, cov_mlp.pt, color_mlp.pt (feature_bank_mlp.pt, embedding_appearance.pt), "
     "or all of them in checkpoints.pth.",
     inputs=("view", "projection", "viewport", "appearance_id"),
+    publication=_PUBLICATION,
+    recognises=_recognises,
+    demo=Demo(write=_write_demo, caption="around it: colours follow the camera"),
     build=build,
 )

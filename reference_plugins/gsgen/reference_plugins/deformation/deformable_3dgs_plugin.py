@@ -2,6 +2,7 @@
 
 __all__ = ["PLUGIN"]
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gsgen.reference_plugins.loading.options import (
@@ -13,14 +14,19 @@ from gsgen.reference_plugins.loading.options import (
     note,
     tell,
 )
-from gsgen.sdk.plugins.plugin import Plugin
+from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.deformation.deformable_3dgs import Deformable3DGS
 
 # What a good graphics card does in a sixtieth of a second, at a tenth of its peak.
 _HEAVY = 60e9
-_SOURCE = "https://github.com/ingra14m/Deformable-3D-Gaussians"
+_PUBLICATION = Publication(
+    paper="Yang et al. 2024",
+    arxiv="2309.13101",
+    code="https://github.com/ingra14m/Deformable-3D-Gaussians",
+    licence="MIT",
+)
 
 
 def build(
@@ -44,15 +50,32 @@ def build(
         note(f"warning: {read.operations / 1e9:.0f} GFLOP a frame is slow on most machines")
     time = inputs.time(frames=frames, fps=fps, loop=loop or None)
     made = Deformable3DGS(read.canonical, read.net, time)
-    made.producer = producer_of(_SOURCE, read.folder, read.iteration)
+    made.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
     return made
+
+
+def _recognises(run: Path, iteration: Path) -> bool:
+    """Whether the run has a folder of deformation networks."""
+    return (run / "deform").is_dir()
+
+
+def _write_demo(folder: Path) -> list[str]:
+    """Write a checkpoint of 8,000 Gaussians that move visibly."""
+    from gsgen.reference_plugins.deformation.synthetic_deformations import write_deformable
+
+    write_deformable(folder, count=8000, sway=1.0)
+    return ["--checkpoint", str(folder)]
 
 
 PLUGIN = Plugin(
     name="deformable-3dgs",
-    summary="Gaussians that a network moves (Deformable-3D-Gaussians).",
+    title="Deformable-3D-Gaussians",
+    summary="Gaussians that a network moves.",
     reads="Reads DIR/cfg_args, DIR/point_cloud/iteration_N/point_cloud.ply and "
     "DIR/deform/iteration_N/deform.pth.",
     inputs=("time",),
+    publication=_PUBLICATION,
+    recognises=_recognises,
+    demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,
 )

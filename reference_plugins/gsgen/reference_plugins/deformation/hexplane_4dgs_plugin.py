@@ -2,6 +2,7 @@
 
 __all__ = ["PLUGIN"]
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -15,7 +16,7 @@ from gsgen.reference_plugins.loading.options import (
     note,
     tell,
 )
-from gsgen.sdk.plugins.plugin import Plugin
+from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.deformation.hexplane_4dgs import HexPlane4DGS
@@ -27,7 +28,12 @@ _Bake = Annotated[
         "themselves (never), or what is smaller (auto)."
     ),
 ]
-_SOURCE = "https://github.com/hustvl/4DGaussians"
+_PUBLICATION = Publication(
+    paper="Wu et al. 2024",
+    arxiv="2310.08528",
+    code="https://github.com/hustvl/4DGaussians",
+    licence="Apache-2.0; its files name Inria's licence, for research only",
+)
 
 
 def build(
@@ -50,15 +56,36 @@ def build(
         note("warning: empty_voxel is honoured, but was never compared with the original")
     time = inputs.time(frames=frames, fps=fps, loop=loop or None)
     made = HexPlane4DGS(read.canonical, read.nets, read.flags, time, bake=bake)
-    made.producer = producer_of(_SOURCE, read.folder, read.iteration)
+    made.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
     return made
+
+
+def _recognises(run: Path, iteration: Path) -> bool:
+    """Whether the hexplane and its network are among the files of the iteration."""
+    return (iteration / "deformation.pth").is_file()
+
+
+def _write_demo(folder: Path) -> list[str]:
+    """Write a checkpoint of 8,000 Gaussians that move visibly."""
+    from gsgen.reference_plugins.deformation.synthetic_deformations import (
+        HexPlaneOptions,
+        write_hexplane,
+    )
+
+    options = HexPlaneOptions(count=8000, sway=1.8, resolution=(4, 4, 4, 12), multires=(1,))
+    write_hexplane(folder, options)
+    return ["--checkpoint", str(folder)]
 
 
 PLUGIN = Plugin(
     name="hexplane-4dgs",
-    summary="Gaussians that a hexplane and a small network move (4DGaussians).",
+    title="4DGaussians",
+    summary="Gaussians that a hexplane and a small network move.",
     reads="Reads DIR/cfg_args and DIR/point_cloud/iteration_N: point_cloud.ply and "
     "deformation.pth. Iterations of the coarse stage are passed over.",
     inputs=("time",),
+    publication=_PUBLICATION,
+    recognises=_recognises,
+    demo=Demo(write=_write_demo, caption="time 0 to 1", view="still"),
     build=build,
 )

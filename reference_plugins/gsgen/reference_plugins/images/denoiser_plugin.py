@@ -2,6 +2,7 @@
 
 __all__ = ["PLUGIN"]
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -10,9 +11,10 @@ import typer
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.reference_plugins.images.image_sizes import read_size
 from gsgen.reference_plugins.loading.options import note
-from gsgen.sdk.plugins.plugin import Plugin
+from gsgen.sdk.plugins.plugin import Demo, Plugin
 
 if TYPE_CHECKING:
+    import numpy as np
     from torch import Tensor
 
     from gsgen.reference_plugins.images.denoiser import Denoiser
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from gsgen.reference_plugins.images.embeddings import Embeddings
 
 _EMBEDDINGS = "prompt_embeds.npz"
+_DEMO_TIMESTEP = 60
 
 Folder = Annotated[
     Path,
@@ -130,8 +133,6 @@ def build(
 
 def _scaled(word: str) -> tuple[Path, float]:
     """Return the file and the scale that ``FILE[:SCALE]`` says."""
-    import math
-
     name, colon, text = word.rpartition(":")
     if not colon or Path(word).exists():
         return Path(word), 1.0
@@ -201,8 +202,6 @@ def _vector(
 
 
 def _numbers(text: str) -> tuple[float, ...]:
-    import math
-
     try:
         made = tuple(float(word) for word in text.split(","))
     except ValueError:
@@ -215,6 +214,30 @@ def _numbers(text: str) -> tuple[float, ...]:
     return made
 
 
+def _write_demo(folder: Path) -> list[str]:
+    """Write a U-Net that takes off fine noise."""
+    from gsgen.reference_plugins.images.synthetic_images import write_denoiser
+
+    unet = {"down_block_types": ["DownBlock2D"] * 2, "up_block_types": ["UpBlock2D"] * 2}
+    write_denoiser(folder, unet | {"add_attention": False}, smoothing=True)
+    step = ["--timestep", str(_DEMO_TIMESTEP), "--values", "unit"]
+    return ["--checkpoint", str(folder), *step, "--size", "240x240"]
+
+
+def _with_noise(picture: "np.ndarray") -> "np.ndarray":
+    """Add the noise that diffusion has at the demo's timestep to a picture [H, W, 3] of uint8."""
+    import numpy as np
+
+    from gsgen.reference_plugins.images.diffusers_writer import SCHEDULE
+
+    first, last = math.sqrt(SCHEDULE["beta_start"]), math.sqrt(SCHEDULE["beta_end"])
+    beta = np.linspace(first, last, SCHEDULE["num_train_timesteps"]) ** 2
+    signal = float(np.prod(1 - beta[: _DEMO_TIMESTEP + 1]))
+    noise = np.random.default_rng(0).normal(size=picture.shape)
+    signed = math.sqrt(signal) * (picture / 127.5 - 1) + math.sqrt(1 - signal) * noise
+    return (np.clip(0.5 * signed + 0.5, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
 PLUGIN = Plugin(
     name="denoiser",
     summary="One step of a diffusion network that cleans the rendered image (post-process).",
@@ -222,5 +245,10 @@ PLUGIN = Plugin(
     "with config.json and diffusion_pytorch_model.safetensors (or .bin), and "
     "DIR/scheduler/scheduler_config.json. A U-Net's own folder will do, too.",
     inputs=("image", "timestep"),
+    demo=Demo(
+        write=_write_demo,
+        caption="noise on a rendered image, and off it",
+        degrade=_with_noise,
+    ),
     build=build,
 )

@@ -9,7 +9,7 @@ import typer
 
 from gsgen.reference_plugins.images.image_sizes import read_size
 from gsgen.reference_plugins.loading.options import note
-from gsgen.sdk.plugins.plugin import Plugin
+from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.images.stylise import Stylise
@@ -57,10 +57,23 @@ def build(checkpoint: Folder, size: Size = "360x640", slider: Slider = True) -> 
     return made
 
 
+def _write_demo(folder: Path) -> list[str]:
+    """Write a network that draws outlines."""
+    from gsgen.reference_plugins.images.synthetic_images import write_stylise
+
+    write_stylise(folder, drawing=True)
+    return ["--checkpoint", str(folder), "--size", "240x240"]
+
+
 PLUGIN = Plugin(
     name="stylise",
     summary="A feed-forward network that draws the rendered image in another style (post-process).",
     reads="Reads DIR/config.json (channels, blocks) and DIR/stylise.safetensors.",
     inputs=("image", "control"),
+    publication=Publication(
+        paper="Johnson et al. 2016",
+        arxiv="1603.08155",
+    ),
+    demo=Demo(write=_write_demo, caption="a rendered image, and its drawing"),
     build=build,
 )

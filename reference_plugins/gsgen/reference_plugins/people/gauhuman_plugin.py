@@ -2,6 +2,7 @@
 
 __all__ = ["PLUGIN"]
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gsgen.reference_plugins.bodies.options import (
@@ -16,8 +17,10 @@ from gsgen.reference_plugins.bodies.options import (
     read_shape,
     warn_of_body,
 )
+from gsgen.reference_plugins.loading.cfg_args import read_cfg_args
 from gsgen.reference_plugins.loading.options import Checkpoint, Fps, Iteration, Loop, tell
-from gsgen.sdk.plugins.plugin import Plugin
+from gsgen.reference_plugins.people.r3_detection import is_r3_run
+from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
     from gsgen.sdk import GaussianGenerator
@@ -59,12 +62,37 @@ def build(
     )
 
 
+def _recognises(run: Path, iteration: Path) -> bool:
+    """Whether training knew of a body model, and R3-Avatar, which knows of one too, is not meant."""
+    return "smpl_type" in read_cfg_args(run).values and not is_r3_run(run)
+
+
+def _write_demo(folder: Path) -> list[str]:
+    """Write a checkpoint of a person, and a motion to play."""
+    from gsgen.reference_plugins.bodies.synthetic_body import PersonOptions
+    from gsgen.reference_plugins.bodies.synthetic_motion import write_motion
+    from gsgen.reference_plugins.people.synthetic_people import write_gauhuman
+
+    write_gauhuman(folder, PersonOptions(count=6000, vertices=3000))
+    motion = write_motion(folder / "walk.npz", frames=24)
+    return ["--checkpoint", str(folder), "--motion", str(motion)]
+
+
 PLUGIN = Plugin(
     name="gauhuman",
-    summary="A person whom SMPL or SMPL-X moves (GauHuman).",
+    title="GauHuman",
+    summary="A person whom SMPL or SMPL-X moves.",
     reads="Reads DIR/cfg_args, DIR/point_cloud/iteration_N/point_cloud.ply, the networks in "
     "DIR/mlp_ckpt/iteration_N/ckpt.pth where they were trained, and the body model that --body "
     "names or DIR/assets holds.",
     inputs=("pose", "root_rotation", "root_translation", "shape", "time"),
+    publication=Publication(
+        paper="Hu, Hu and Liu 2024",
+        arxiv="2312.02973",
+        code="https://github.com/skhu101/GauHuman",
+        licence="S-Lab licence, non-commercial",
+    ),
+    recognises=_recognises,
+    demo=Demo(write=_write_demo, caption="a motion", view="person"),
     build=build,
 )

@@ -16,7 +16,7 @@ from gsgen.reference_plugins.bodies.options import (
     played,
 )
 from gsgen.reference_plugins.loading.options import Checkpoint, Fps, Loop, note
-from gsgen.sdk.plugins.plugin import Plugin
+from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
     from gsgen.sdk import GaussianGenerator
@@ -77,11 +77,30 @@ def build(
     )
 
 
+def _write_demo(folder: Path) -> list[str]:
+    """Write a checkpoint of a person, and a motion to play."""
+    from gsgen.reference_plugins.bodies.synthetic_body import PersonOptions
+    from gsgen.reference_plugins.bodies.synthetic_motion import write_motion
+    from gsgen.reference_plugins.people.synthetic_people import write_lhm
+
+    write_lhm(folder, PersonOptions(count=6000, vertices=3000))
+    motion = write_motion(folder / "walk.npz", frames=24)
+    return ["--checkpoint", str(folder), "--motion", str(motion)]
+
+
 PLUGIN = Plugin(
     name="lhm",
-    summary="A person from one picture, whom SMPL-X moves (LHM).",
+    title="LHM",
+    summary="A person from one picture, whom SMPL-X moves.",
     reads="Reads the avatar's .pth in DIR, DIR/pretrained_models/dense_sample_points/*.ply and "
     "voxel_grid/human_prior_constrain.npz, and the SMPL-X model that --body names or DIR holds.",
     inputs=("pose", "root_translation", "expression", "time"),
+    publication=Publication(
+        paper="Qiu et al. 2025",
+        arxiv="2503.10625",
+        code="https://github.com/aigc3d/LHM",
+        licence="Apache-2.0",
+    ),
+    demo=Demo(write=_write_demo, caption="a motion", view="person"),
     build=build,
 )

@@ -3,6 +3,7 @@
 __all__ = ["PLUGIN"]
 
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -28,7 +29,8 @@ from gsgen.reference_plugins.loading.options import (
     note,
     tell,
 )
-from gsgen.sdk.plugins.plugin import Plugin
+from gsgen.reference_plugins.people.r3_detection import is_r3_run
+from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
 if TYPE_CHECKING:
     from gsgen.sdk import GaussianGenerator
@@ -126,11 +128,36 @@ def ids_of(text: str) -> list[int]:
     return made
 
 
+def _recognises(run: Path, iteration: Path) -> bool:
+    """Whether some ``chkpntN.pth`` holds the decoder of R3-Avatar."""
+    return is_r3_run(run)
+
+
+def _write_demo(folder: Path) -> list[str]:
+    """Write a checkpoint of a person, and a motion to play."""
+    from gsgen.reference_plugins.bodies.synthetic_body import PersonOptions
+    from gsgen.reference_plugins.bodies.synthetic_motion import write_motion
+    from gsgen.reference_plugins.people.synthetic_people import write_r3
+
+    write_r3(folder, PersonOptions(count=6000, vertices=3000, nets=True))
+    motion = write_motion(folder / "walk.npz", frames=24)
+    return ["--checkpoint", str(folder), "--motion", str(motion)]
+
+
 PLUGIN = Plugin(
     name="r3-avatar",
-    summary="A person whose look changes from frame to frame (R3-Avatar).",
+    title="R3-Avatar",
+    summary="A person whose look changes from frame to frame.",
     reads="Reads DIR/cfg_args, DIR/chkpntN.pth and the body model that --body names or "
     "DIR/assets holds.",
     inputs=("pose", "root_rotation", "root_translation", "frame_index", "shape", "time"),
+    publication=Publication(
+        paper="Zhan et al. 2025",
+        arxiv="2503.12751",
+        code="https://github.com/Yifever20002/R3Avatars",
+        licence="MIT",
+    ),
+    recognises=_recognises,
+    demo=Demo(write=_write_demo, caption="a motion", view="person"),
     build=build,
 )

@@ -42,9 +42,11 @@ def _facts(command: Command) -> dict[str, Any]:
         "usable": not command.missing,
         "missing": list(command.missing),
         "remedy": command.remedy if command.missing else None,
+        "title": None,
         "summary": None,
         "reads": None,
         "inputs": [],
+        "publication": None,
     }
     loaded = _loaded(command)
     if loaded is None:
@@ -53,9 +55,11 @@ def _facts(command: Command) -> dict[str, Any]:
         summary = (getattr(loaded, "__doc__", None) or "").strip().partition("\n")[0]
         return facts | {"summary": summary or None}
     return facts | {
-        "summary": loaded.summary,
+        "title": loaded.title or None,
+        "summary": loaded.headline,
         "reads": loaded.reads,
         "inputs": list(loaded.inputs),
+        "publication": loaded.publication.describe() or None,
     }
 
 
@@ -76,4 +80,6 @@ def _text(facts: dict[str, Any]) -> str:
     lines += [f"  {facts[key]}" for key in ("summary", "reads") if facts[key]]
     if facts["reads"]:
         lines.append(f"  Inputs of the model: {', '.join(facts['inputs']) or 'none'}.")
+    if facts["publication"]:
+        lines.append(f"  Published: {facts['publication']}.")
     return "\n".join(lines)

@@ -1,49 +1,115 @@
-"""Plugins: what turns a method's files into a generator, found by entry point.
+"""Plugins: each describes one method, and turns the method's files into a generator.
 
-A package registers an object of :class:`Plugin` under the group ``gsgen.generators``. If it needs
-an extra, the entry point says so in square brackets.
+A package registers an object of :class:`Plugin` under the entry point group ``gsgen.generators``.
+If it needs an extra, the entry point names the extra in square brackets.
 """
 
-__all__ = ["Plugin", "find_plugins"]
+__all__ = ["Demo", "Plugin", "Publication", "find_plugins", "installed_plugins"]
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 from gsgen.contract._extensions import Command, find_commands
 from gsgen.sdk.plugins.export_options import Build
 
+if TYPE_CHECKING:
+    import numpy as np
+
 _GROUP = "gsgen.generators"
 
 
-@dataclass(frozen=True, slots=True)
-class Plugin:
-    """One method: give ``build``, or ``command`` where a plugin does the exporting by itself.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Publication:
+    """Where a method was published, and under which licence its code is.
 
     Attributes:
-        name: What ``gsgen export`` takes.
-        summary: One sentence for people.
-        reads: What files it reads, for ``gsgen export --help``.
-        inputs: The roles of the inputs of what it exports.
+        paper: Authors and year; empty if there is no paper.
+        arxiv: Number of the paper at arxiv.org.
+        code: Address of the method's own code.
+        licence: Licence of that code. None of the code is used here.
+    """
+
+    paper: str = ""
+    arxiv: str = ""
+    code: str = ""
+    licence: str = ""
+
+    def describe(self) -> str:
+        """Return paper, code and licence in one line; empty if nothing is known of them."""
+        arxiv = f"https://arxiv.org/abs/{self.arxiv}" if self.arxiv else ""
+        paper = ", ".join(filter(None, (self.paper, arxiv)))
+        code = ", ".join(filter(None, (self.code, self.licence)))
+        return "; code: ".join(filter(None, (paper, code)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Demo:
+    """An example of a method, exported and drawn by the demo from synthetic files.
+
+    Attributes:
+        write: Writes the files into a folder, and returns the method's arguments for
+            ``gsgen export``. Import torch inside. Image models take 240 × 240 pixels.
+        caption: Says what differs from picture to picture.
+        view: Where the camera is: ``orbit`` around a scene, ``recede`` from it, ``still`` before
+            it, or before a ``person``.
+        degrade: For image models, makes the model's input from a drawn picture, both uint8
+            [H, W, 3]. The picture itself is the input if this is absent.
+    """
+
+    write: Callable[[Path], list[str]]
+    caption: str
+    view: Literal["orbit", "recede", "still", "person"] = "orbit"
+    degrade: "Callable[[np.ndarray], np.ndarray] | None" = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plugin:
+    """One method: give ``build``, or ``command`` where a plugin exports by itself.
+
+    Attributes:
+        name: The word after ``gsgen export``.
+        title: The method's own name; empty if it has none.
+        summary: One sentence that says what the plugin exports.
+        reads: The files it reads, for ``gsgen export --help``.
+        inputs: The roles of the inputs of the exported models.
+        publication: Paper, code and licence of the method.
+        recognises: Returns True if a training run is certainly of this method. Called with the
+            folder of the run and the folder of one iteration, which may be the same.
+        demo: An example for the demo and the pictures of the documentation.
         command: The typer function behind ``gsgen export NAME``.
         build: Returns the generator. Its parameters, declared as typer does, become arguments
             and options of ``gsgen export NAME``; ``-o``, ``--dtype``, ``--capacity`` and the
-            other options of every export come by themselves. Import torch inside.
+            other options of every export are added. Import torch inside.
 
     Raises:
         TypeError: Both or neither of ``command`` and ``build`` are given.
     """
 
     name: str
+    title: str = ""
     summary: str
     reads: str
     inputs: tuple[str, ...]
+    publication: Publication = Publication()
+    recognises: Callable[[Path, Path], bool] | None = None
+    demo: Demo | None = None
     command: Callable[..., Any] | None = None
     build: Build | None = None
 
     def __post_init__(self) -> None:
         if (self.command is None) == (self.build is None):
             raise TypeError(f"plugin {self.name!r}: give exactly one of command and build")
+
+    @property
+    def headline(self) -> str:
+        """The summary, with the method's name in parentheses."""
+        return (
+            f"{self.summary.removesuffix('.')} ({self.title})."
+            if self.title
+            else self.summary
+        )
 
     @property
     def function(self) -> Callable[..., Any]:
@@ -60,5 +126,13 @@ class Plugin:
 
 
 def find_plugins() -> dict[str, Command]:
-    """Return every installed plugin by name, as commands that may lack something."""
+    """Return every registered plugin by name, as commands that may lack a distribution."""
     return find_commands(_GROUP)
+
+
+def installed_plugins() -> Iterator[Plugin]:
+    """Yield every plugin that can be used here."""
+    for command in find_plugins().values():
+        plugin = command.load()
+        if isinstance(plugin, Plugin):
+            yield plugin
