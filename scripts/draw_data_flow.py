@@ -10,7 +10,7 @@ from pathlib import Path
 
 PICTURE = Path(__file__).parents[1] / "docs" / "assets" / "data-flow.svg"
 
-WIDE, HIGH = 104, 46  # of a box
+BOX_WIDTH, BOX_HEIGHT = 104, 46  # of a box
 COLUMNS = (14, 146, 278, 410, 542, 674, 806)  # left edges
 QUADS, SORTED, SUMMED, MESHES = 18, 96, 196, 296  # upper edges of the rows
 SIZE = (924, 376)
@@ -45,13 +45,13 @@ class Box:
     @property
     def middle(self) -> int:
         """Halfway down."""
-        return self.top + HIGH // 2
+        return self.top + BOX_HEIGHT // 2
 
     def svg(self) -> str:
         """The box with its two lines of text."""
-        x = self.left + WIDE / 2
+        x = self.left + BOX_WIDTH / 2
         return (
-            f'<rect x="{self.left}" y="{self.top}" width="{WIDE}" height="{HIGH}" rx="6" '
+            f'<rect x="{self.left}" y="{self.top}" width="{BOX_WIDTH}" height="{BOX_HEIGHT}" rx="6" '
             f'fill="{self.fill}" stroke="{LINE}"/>\n'
             f'<text x="{x:g}" y="{self.top + 20}" font-size="13" font-weight="600">'
             f"{escape(self.name)}</text>\n"
@@ -91,23 +91,23 @@ def arrow(*points: tuple[float, float]) -> str:
 
 def between(row: int, first: int, last: int) -> list[str]:
     """Arrows from column to column."""
-    y = row + HIGH / 2
+    y = row + BOX_HEIGHT / 2
     return [
-        arrow((COLUMNS[one] + WIDE, y), (COLUMNS[one + 1] - 3, y))
-        for one in range(first, last)
+        arrow((COLUMNS[column] + BOX_WIDTH, y), (COLUMNS[column + 1] - 3, y))
+        for column in range(first, last)
     ]
 
 
 def arrows() -> list[str]:
     """Everything that one box gives to another."""
-    half = WIDE / 2
-    quads_y, mesh_y = QUADS + HIGH / 2, MESHES + HIGH / 2
+    half = BOX_WIDTH / 2
+    quads_y, mesh_y = QUADS + BOX_HEIGHT / 2, MESHES + BOX_HEIGHT / 2
     sum_x, layers_x, blend_x = (
         COLUMNS[5] + half,
         COLUMNS[6] + half,
         COLUMNS[5] + half,
     )
-    turn = (SORTED + HIGH + SUMMED) / 2
+    turn = (SORTED + BOX_HEIGHT + SUMMED) / 2
     return [
         *between(SORTED, 0, 6),
         *between(SUMMED, 0, 6),
@@ -116,12 +116,12 @@ def arrows() -> list[str]:
         arrow(
             (COLUMNS[2] + half, SORTED), (COLUMNS[2] + half, quads_y), (COLUMNS[3] - 3, quads_y)
         ),
-        arrow((COLUMNS[3] + WIDE, quads_y), (layers_x, quads_y), (layers_x, SORTED - 3)),
+        arrow((COLUMNS[3] + BOX_WIDTH, quads_y), (layers_x, quads_y), (layers_x, SORTED - 3)),
         # layers → blend
-        arrow((layers_x, SUMMED), (layers_x, turn), (blend_x, turn), (blend_x, SORTED + HIGH + 3)),
+        arrow((layers_x, SUMMED), (layers_x, turn), (blend_x, turn), (blend_x, SORTED + BOX_HEIGHT + 3)),
         # meshes → layers, and where sums stop
-        arrow((COLUMNS[2] + WIDE, mesh_y), (layers_x, mesh_y), (layers_x, SUMMED + HIGH + 3)),
-        arrow((sum_x, mesh_y), (sum_x, SUMMED + HIGH + 3)),
+        arrow((COLUMNS[2] + BOX_WIDTH, mesh_y), (layers_x, mesh_y), (layers_x, SUMMED + BOX_HEIGHT + 3)),
+        arrow((sum_x, mesh_y), (sum_x, SUMMED + BOX_HEIGHT + 3)),
     ]  # fmt: skip
 
 
@@ -133,9 +133,9 @@ def note(x: float, y: float, text: str) -> str:
 def drawn() -> str:
     """Return the picture."""
     notes = [
-        note(COLUMNS[6] - 62, MESHES + HIGH / 2 + 16, "opaque layer"),
-        note(COLUMNS[5] + WIDE / 2 - 44, SUMMED + HIGH + 30, "stops at depth"),
-        note(COLUMNS[4] + WIDE + 14, QUADS + HIGH / 2 - 6, "colours, by hardware blending"),
+        note(COLUMNS[6] - 62, MESHES + BOX_HEIGHT / 2 + 16, "opaque layer"),
+        note(COLUMNS[5] + BOX_WIDTH / 2 - 44, SUMMED + BOX_HEIGHT + 30, "stops at depth"),
+        note(COLUMNS[4] + BOX_WIDTH + 14, QUADS + BOX_HEIGHT / 2 - 6, "colours, by hardware blending"),
     ]  # fmt: skip
     legend = [
         f'<rect x="{x}" y="{MESHES + 52}" width="11" height="11" rx="2" fill="{fill}" '
@@ -147,7 +147,7 @@ def drawn() -> str:
             (COLUMNS[3] + 190, HARDWARE, "the hardware's rasteriser"),
         )
     ]
-    body = [*arrows(), *(one.svg() for one in (*BOXES, LAYERS)), *notes, *legend]
+    body = [*arrows(), *(box.svg() for box in (*BOXES, LAYERS)), *notes, *legend]
     width, height = SIZE
     return "\n".join(
         [

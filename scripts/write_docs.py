@@ -73,48 +73,49 @@ def fill(text: str) -> str:
 def generated() -> dict[Path, str]:
     """Return every file that is generated as a whole or in part: path → what it should hold."""
     registry = rules.ours()
-    made = {
+    pages = {
         DOCS / "rules" / f"{rule.id}.md": page(rule, registry)
         for rule in registry.rules.values()
     }
-    made[DOCS / "rules" / "index.md"] = index(registry)
-    made |= {
-        DOCS / "passes" / f"{one.name}.md": passes.page(one) for one in passes.REWRITES
+    pages[DOCS / "rules" / "index.md"] = index(registry)
+    pages |= {
+        DOCS / "passes" / f"{rewrite.name}.md": passes.page(rewrite)
+        for rewrite in passes.REWRITES
     }
-    made[DOCS / "passes" / "index.md"] = passes.index()
+    pages[DOCS / "passes" / "index.md"] = passes.index()
     published = schemas() | {SCHEMA_FILE: schema()}
     for name, document in published.items():
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
-        made[DOCS / "spec" / "schemas" / name] = text
+        pages[DOCS / "spec" / "schemas" / name] = text
     for path in (ROOT / "README.md", *sorted(DOCS.rglob("*.md"))):
-        if path not in made and "<!-- generated: " in path.read_text("utf-8"):
-            made[path] = fill(path.read_text("utf-8"))
-    return made
+        if path not in pages and "<!-- generated: " in path.read_text("utf-8"):
+            pages[path] = fill(path.read_text("utf-8"))
+    return pages
 
 
-def orphans(made: dict[Path, str]) -> list[Path]:
+def orphans(current: dict[Path, str]) -> list[Path]:
     """Return pages of rules and of passes that no longer exist."""
     pages = [*(DOCS / "rules").glob("*.md"), *(DOCS / "passes").glob("*.md")]
-    return sorted(path for path in pages if path not in made)
+    return sorted(path for path in pages if path not in current)
 
 
 def main(arguments: list[str]) -> int:
     """Write what is not current, or only say so; return the exit code."""
-    made = generated()
+    pages = generated()
     stale = [
         path
-        for path, text in made.items()
+        for path, text in pages.items()
         if not path.is_file() or path.read_text("utf-8") != text
     ]
-    gone = orphans(made)
-    listed = "".join(f"{path.relative_to(ROOT)}\n" for path in [*stale, *gone])
+    orphaned = orphans(pages)
+    listed = "".join(f"{path.relative_to(ROOT)}\n" for path in [*stale, *orphaned])
     sys.stdout.write(listed)
     if "--check" in arguments:
         return int(bool(listed))
     for path in stale:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(made[path], "utf-8")
-    for path in gone:
+        path.write_text(pages[path], "utf-8")
+    for path in orphaned:
         path.unlink()
     return 0
 

@@ -67,28 +67,28 @@ def blocks(text: str) -> list[Block]:
     """Return the blocks of a page, in order."""
     return [
         Block(
-            name=one["name"],
-            language=one["language"],
-            text=one["text"],
-            parts=tuple((one["parts"] or "").split()),
-            columns=int(one["columns"] or 0),
-            enlarged=int(one["enlarged"] or 1),
-            needs=one["needs"] or "",
+            name=match["name"],
+            language=match["language"],
+            text=match["text"],
+            parts=tuple((match["parts"] or "").split()),
+            columns=int(match["columns"] or 0),
+            enlarged=int(match["enlarged"] or 1),
+            needs=match["needs"] or "",
         )
-        for one in _BLOCK.finditer(text)
+        for match in _BLOCK.finditer(text)
     ]
 
 
 def digests(page: list[Block]) -> dict[str, str]:
     """Return the digest of each picture: of its own block, and of all before it that are none."""
-    made, before = {}, hashlib.sha256()
-    for one in page:
-        own = hashlib.sha256(before.digest() + repr(one).encode())
-        if one.parts:
-            made[one.name] = own.hexdigest()[:16]
+    page_digests, before = {}, hashlib.sha256()
+    for block in page:
+        digest = hashlib.sha256(before.digest() + repr(block).encode())
+        if block.parts:
+            page_digests[block.name] = digest.hexdigest()[:16]
         else:
-            before = own
-    return made
+            before = digest
+    return page_digests
 
 
 def run(block: Block, folder: Path) -> None:
@@ -103,15 +103,17 @@ def run(block: Block, folder: Path) -> None:
         script.write_text(block.text, "utf-8")
         command = [sys.executable, script.name]
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(
+    completed = subprocess.run(
         command,
         cwd=folder,
         env=os.environ | {"PATH": path},
         capture_output=True,
         text=True,
     )
-    if done.returncode:
-        sys.exit(f"{block.name} ended with {done.returncode}\n{done.stdout}{done.stderr}")
+    if completed.returncode:
+        sys.exit(
+            f"{block.name} ended with {completed.returncode}\n{completed.stdout}{completed.stderr}"
+        )
 
 
 def assembled(block: Block, folder: Path) -> Image.Image:
@@ -126,8 +128,8 @@ def assembled(block: Block, folder: Path) -> Image.Image:
     rows = -(-len(parts) // columns)
     width, height = parts[0].width + GAP, parts[0].height + GAP
     sheet = Image.new("RGB", (columns * width - GAP, rows * height - GAP), "white")
-    for place, part in enumerate(parts):
-        sheet.paste(part, (place % columns * width, place // columns * height))
+    for index, part in enumerate(parts):
+        sheet.paste(part, (index % columns * width, index // columns * height))
     return sheet
 
 
@@ -138,17 +140,17 @@ def compressed(picture: Image.Image, comment: str) -> bytes:
         ValueError: There is none.
     """
     for quality in range(90, 20, -4):
-        held = io.BytesIO()
+        buffer = io.BytesIO()
         picture.save(
-            held,
+            buffer,
             "JPEG",
             quality=quality,
             optimize=True,
             progressive=True,
             comment=comment,
         )
-        if held.tell() <= LIMIT:
-            return held.getvalue()
+        if buffer.tell() <= LIMIT:
+            return buffer.getvalue()
     raise ValueError(f"no quality makes it {LIMIT} bytes")
 
 

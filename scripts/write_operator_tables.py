@@ -55,12 +55,12 @@ def variant_of(operator: str, variant: str) -> str:
 
 def steps(outcomes: dict[int, str]) -> dict[str, str]:
     """Keep the operator sets from which on an outcome holds."""
-    kept: dict[str, str] = {}
+    by_step: dict[str, str] = {}
     last = ""
     for opset in sorted(outcomes):
         if outcomes[opset] != last:
-            last = kept[str(opset)] = outcomes[opset]
-    return kept
+            last = by_step[str(opset)] = outcomes[opset]
+    return by_step
 
 
 def compact(measured: dict) -> dict[str, dict[str, dict[str, str]]]:
@@ -72,17 +72,17 @@ def compact(measured: dict) -> dict[str, dict[str, dict[str, str]]]:
                 continue
             name = "/".join(filter(None, (operator, variant_of(operator, variant))))
             for dtype, outcomes in dtypes.items():
-                kept = merged.setdefault((name, DTYPES[dtype]), {})
+                by_opset = merged.setdefault((name, DTYPES[dtype]), {})
                 for opset, outcome in outcomes.items():
                     if outcome not in UNKNOWN:
-                        other = kept.get(int(opset), outcome)
-                        kept[int(opset)] = min(other, outcome, key=ORDER.index)
+                        known = by_opset.get(int(opset), outcome)
+                        by_opset[int(opset)] = min(known, outcome, key=ORDER.index)
     table: dict[str, dict[str, dict[str, str]]] = {}
     for (name, dtype), outcomes in merged.items():
         if outcomes:
             table.setdefault(name, {})[dtype] = steps(outcomes)
     implicit = table.get(_IMPLICIT, {})
-    if all(set(found.values()) == {"capture"} for found in implicit.values()):
+    if all(set(outcomes.values()) == {"capture"} for outcomes in implicit.values()):
         table["Conv"] = table.pop(_IMPLICIT)  # no node of it was refused
     return {name: grouped(table[name]) for name in sorted(table)}
 
@@ -90,9 +90,9 @@ def compact(measured: dict) -> dict[str, dict[str, dict[str, str]]]:
 def grouped(dtypes: dict[str, dict[str, str]]) -> dict[str, dict[str, str]]:
     """Join dtypes with the same outcomes, as ``float16 float32``."""
     groups: dict[str, list[str]] = {}
-    for dtype, found in dtypes.items():
-        groups.setdefault(json.dumps(found), []).append(dtype)
-    return {" ".join(sorted(names)): json.loads(found) for found, names in groups.items()}
+    for dtype, by_opset in dtypes.items():
+        groups.setdefault(json.dumps(by_opset), []).append(dtype)
+    return {" ".join(sorted(names)): json.loads(text) for text, names in groups.items()}
 
 
 def main(source: Path) -> None:
@@ -100,8 +100,8 @@ def main(source: Path) -> None:
     measured = json.loads(source.read_text("utf-8"))["runtimes"]
     FOLDER.mkdir(exist_ok=True)
     for name, label in RUNTIMES.items():
-        found = next(key for key in measured if key.startswith(name))
-        rows = compact(measured[found])
+        release = next(key for key in measured if key.startswith(name))
+        rows = compact(measured[release])
         lines = [f'    "{op}": {json.dumps(rows[op])}' for op in rows]
         head = f'{{\n  "runtime": "{label}",\n  "operators": {{\n'
         text = head + ",\n".join(lines) + "\n  }\n}\n"

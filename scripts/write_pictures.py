@@ -25,10 +25,10 @@ def compressed(picture: Image.Image) -> bytes:
         ValueError: There is none.
     """
     for quality in range(90, 20, -5):
-        held = io.BytesIO()
-        picture.save(held, "JPEG", quality=quality, optimize=True, progressive=True)
-        if held.tell() <= LIMIT:
-            return held.getvalue()
+        buffer = io.BytesIO()
+        picture.save(buffer, "JPEG", quality=quality, optimize=True, progressive=True)
+        if buffer.tell() <= LIMIT:
+            return buffer.getvalue()
     raise ValueError(f"no quality makes it {LIMIT} bytes")
 
 
@@ -38,13 +38,13 @@ def main(names: list[str]) -> int:
     if unknown := [name for name in names if name not in known]:
         sys.exit(f"{unknown[0]!r} has no demo; expected one of: {', '.join(known)}")
     PICTURES.mkdir(parents=True, exist_ok=True)
-    chosen = names or list(known)
-    for made in demo_families.make_all(ROOT / "out" / "demo" / "families", chosen):
-        if made.strip is None:
-            sys.exit(f"{made.name} cannot be drawn: {made.trouble}")
-        with Image.open(made.strip) as strip:
+    families = names or list(known)
+    for example in demo_families.make_all(ROOT / "out" / "demo" / "families", families):
+        if example.strip is None:
+            sys.exit(f"{example.name} cannot be drawn: {example.trouble}")
+        with Image.open(example.strip) as strip:
             data = compressed(strip.convert("RGB"))
-        path = PICTURES / f"{made.name}.jpg"
+        path = PICTURES / f"{example.name}.jpg"
         path.write_bytes(data)
         sys.stdout.write(f"{path.relative_to(ROOT)}: {len(data):,} bytes\n")
     return 0

@@ -25,12 +25,12 @@ class Avatar(GaussianGenerator):
         super().__init__()
         torch.manual_seed(seed)
         along = torch.linspace(0, 1.3, n)[:, None]
-        rest = along * torch.tensor([1.0, 0.0, 0.0]) + 0.08 * torch.randn(n, 3)
+        rest_centers = along * torch.tensor([1.0, 0.0, 0.0]) + 0.08 * torch.randn(n, 3)
         joints = torch.tensor(JOINTS)
-        self.register_buffer("rest", rest)
+        self.register_buffer("rest", rest_centers)
         self.register_buffer("joints", joints)
         self.register_buffer(
-            "weights", torch.softmax(-20 * torch.cdist(rest, joints), dim=1)
+            "weights", torch.softmax(-20 * torch.cdist(rest_centers, joints), dim=1)
         )
         scale = torch.tensor([0.05, 0.02, 0.02]).expand(n, 3)
         # The shape at rest does not change, so its covariance is computed once.

@@ -33,10 +33,10 @@ console = Console(highlight=False, soft_wrap=True)
 @contextmanager
 def step(title: str) -> Iterator[None]:
     """Show what is being done and how long it took."""
-    began = time.perf_counter()
+    started = time.perf_counter()
     with console.status(title):
         yield
-    console.print(f"[green]done[/] {title} ({time.perf_counter() - began:.1f} s)")
+    console.print(f"[green]done[/] {title} ({time.perf_counter() - started:.1f} s)")
 
 
 def gsgen(*words: str | Path) -> "subprocess.CompletedProcess[str]":
@@ -158,13 +158,13 @@ def cameras(source: Path) -> str:
         return "orbit"
     with np.load(source) as scene:
         size = {"width": int(scene["width"]), "height": int(scene["height"]), "near": 0.01}
-        places = zip(scene["viewmats"].tolist(), scene["Ks"].tolist(), strict=True)
-        told = [
+        poses = zip(scene["viewmats"].tolist(), scene["Ks"].tolist(), strict=True)
+        document = [
             size
             | {"view": view, "fx": k[0][0], "fy": k[1][1], "cx": k[0][2], "cy": k[1][2]}
-            for view, k in places
+            for view, k in poses
         ]
-    path.write_text(json.dumps(told))
+    path.write_text(json.dumps(document))
     return str(path)
 
 
@@ -181,10 +181,10 @@ def draw(model: Path, source: Path) -> list[str]:
         ("drawing an orbit", ("-o", film, "--camera", orbit, *small)),
     ):
         with step(title):
-            done = gsgen("render", model, *words)
-        if done.returncode and "adapter" in done.stderr:
-            return [f"No pictures: {done.stderr.strip()}"]
-        expect(done, 0)
+            completed = gsgen("render", model, *words)
+        if completed.returncode and "adapter" in completed.stderr:
+            return [f"No pictures: {completed.stderr.strip()}"]
+        expect(completed, 0)
     return [
         f"{views}/frame_0000.png to frame_0002.png: three cameras; {depth}: how far away",
         f"{film}: once around it",
@@ -206,21 +206,21 @@ def show_broken(
     # A heuristic rule only ever says "possible", and so never fails a run by itself.
     gsgen("validate", path, "--format", "json", "-o", report)
     findings = json.loads(report.read_text())["findings"]
-    found = next((finding for finding in findings if finding["rule"] == rule), None)
-    if found is None:
+    match = next((finding for finding in findings if finding["rule"] == rule), None)
+    if match is None:
         sys.exit(f"demo: {path} should break {rule}, but the report has {findings}")
     console.print(f"[bold]{path.name}[/]: {title}")
-    doubt = "" if found["certainty"] == "confirmed" else " (possible)"
-    console.print(f"  [red]{found['rule']} {found['severity']}{doubt}[/] {found['slug']}")
-    console.print(f"  {found['where']['subject']}: {found['message']}")
-    console.print(f"  hint: {found['mend']}\n")
+    doubt = "" if match["certainty"] == "confirmed" else " (possible)"
+    console.print(f"  [red]{match['rule']} {match['severity']}{doubt}[/] {match['slug']}")
+    console.print(f"  {match['where']['subject']}: {match['message']}")
+    console.print(f"  hint: {match['mend']}\n")
 
 
-def expect(done: "subprocess.CompletedProcess[str]", code: int) -> None:
+def expect(completed: "subprocess.CompletedProcess[str]", code: int) -> None:
     """Stop with the command's own words if it ended otherwise."""
-    if done.returncode != code:
+    if completed.returncode != code:
         sys.exit(
-            f"demo: {' '.join(done.args)} ended with {done.returncode}\n{done.stdout}{done.stderr}"
+            f"demo: {' '.join(completed.args)} ended with {completed.returncode}\n{completed.stdout}{completed.stderr}"
         )
 
 

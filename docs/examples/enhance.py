@@ -54,7 +54,7 @@ def main(out: Path) -> None:
         for frame in range(FRAMES)
         for kind in ("before", "after")
     ]
-    strip = np.concatenate([np.asarray(one) for one in pictures], axis=1)
+    strip = np.concatenate([np.asarray(picture) for picture in pictures], axis=1)
     Image.fromarray(strip).save(out / "enhanced.png")
 
 

@@ -24,11 +24,11 @@ class LitMlp(GaussianGenerator):
     def forward(self, view: torch.Tensor) -> Gaussians:
         """Colour the ball for the camera of ``view``, world→camera [4, 4]."""
         towards = math.safe_normalize(self.position - math.camera_centre(view))
-        made = self.head(torch.cat([self.feature, towards], dim=1))
+        features = self.head(torch.cat([self.feature, towards], dim=1))
         return Gaussians(
             position=self.position,
-            opacity=0.2 + 0.8 * torch.sigmoid(made[:, 3]),
+            opacity=0.2 + 0.8 * torch.sigmoid(features[:, 3]),
             scale=torch.tensor([0.06, 0.06, 0.01]).expand_as(self.position),
             rotation=self.rotation,
-            rgb=torch.sigmoid(made[:, :3]),
+            rgb=torch.sigmoid(features[:, :3]),
         )

@@ -27,37 +27,37 @@ TRANSLATION = (RED, GREEN, BLUE)
 
 def matrix_order(renderer: Renderer) -> Image.Image:
     """A matrix, and its sixteen numbers in both orders of memory."""
-    made = paper(680, 250)
-    _cells(made, (20, 44), MATRIX, across=4)
-    write(made, (20 + 2 * 34, 22), "M, as it is written", INK, 16)
+    image = paper(680, 250)
+    _cells(image, (20, 44), MATRIX, across=4)
+    write(image, (20 + 2 * 34, 22), "M, as it is written", INK, 16)
     for name, numbers, y in (("column", MATRIX.T, 70), ("row", MATRIX, 170)):
         write(
-            made,
+            image,
             (200, y - 24),
             f'"{name}": memory, and tensor[0] to tensor[3]',
             INK,
             16,
             "lm",
         )
-        _cells(made, (196, y), numbers, across=16, side=29)
-    write(made, (20 + 2 * 34, 200), "coloured: t", INK, 15)
-    return made
+        _cells(image, (196, y), numbers, across=16, side=29)
+    write(image, (20 + 2 * 34, 200), "coloured: t", INK, 15)
+    return image
 
 
 def _cells(
-    made: Image.Image,
+    image: Image.Image,
     corner: tuple[int, int],
     numbers: np.ndarray,
     across: int,
     side: int = 34,
 ) -> None:
-    pen = ImageDraw.Draw(made)
-    for at, number in enumerate(numbers.ravel()):
-        x, y = corner[0] + at % across * side, corner[1] + at // across * side
+    pen = ImageDraw.Draw(image)
+    for index, number in enumerate(numbers.ravel()):
+        x, y = corner[0] + index % across * side, corner[1] + index // across * side
         color = TRANSLATION[number - 5] if number >= 5 else INK
         pen.rectangle([x, y, x + side, y + side], outline=FAINT)
-        write(made, (x + side / 2, y + side / 2), str(number), color, 16)
-        if across == 16 and at % 4 == 0:
+        write(image, (x + side / 2, y + side / 2), str(number), color, 16)
+        if across == 16 and index % 4 == 0:
             pen.line([(x, y - 4), (x, y + side + 4)], fill=INK, width=3)
 
 
@@ -67,8 +67,8 @@ def quaternions(renderer: Renderer) -> Image.Image:
     stored = np.array([np.cos(half), 0, 0, np.sin(half)])
     right = _board(renderer, stored, "read as w x y z: 60° about z")
     wrong = _board(renderer, stored[[3, 0, 1, 2]], "misread as x y z w: 120° about x")
-    plain = _board(renderer, np.array([1.0, 0, 0, 0]), "1 0 0 0: not turned")
-    return beside([plain, right, wrong], 6)
+    unturned = _board(renderer, np.array([1.0, 0, 0, 0]), "1 0 0 0: not turned")
+    return beside([unturned, right, wrong], 6)
 
 
 def _board(renderer: Renderer, quaternion: np.ndarray, title: str) -> Image.Image:

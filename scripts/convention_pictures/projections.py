@@ -28,18 +28,18 @@ def camera_kinds(renderer: Renderer) -> Image.Image:
     flat = pinhole.flattened(5.2)
     around = Camera.panorama((0.0, -0.3, 0.0), width=672, height=336)
     two = beside([drawn(renderer, scene, pinhole), drawn(renderer, scene, flat)])
-    wide = drawn(renderer, scene, around)
-    made = paper(two.width, two.height + wide.height + 66)
-    made.paste(two, (0, 26))
-    made.paste(wide, (0, two.height + 58))
-    write(made, (165, 13), 'kind "pinhole"')
-    write(made, (507, 13), 'kind "orthographic"')
-    write(made, (336, two.height + 43), 'kind "panorama", from the middle of the floor')
+    panorama_image = drawn(renderer, scene, around)
+    image = paper(two.width, two.height + panorama_image.height + 66)
+    image.paste(two, (0, 26))
+    image.paste(panorama_image, (0, two.height + 58))
+    write(image, (165, 13), 'kind "pinhole"')
+    write(image, (507, 13), 'kind "orthographic"')
+    write(image, (336, two.height + 43), 'kind "panorama", from the middle of the floor')
     for degrees in (-180, -90, 0, 90, 180):
         x = 336 + 336 * degrees / 180
-        place = min(max(x, 24), 648)
-        write(made, (place, two.height + 58 + 322), f"{degrees}°", INK, 14)
-    return made
+        label_x = min(max(x, 24), 648)
+        write(image, (label_x, two.height + 58 + 322), f"{degrees}°", INK, 14)
+    return image
 
 
 def principal_point(renderer: Renderer) -> Image.Image:
@@ -63,28 +63,28 @@ def principal_point(renderer: Renderer) -> Image.Image:
 
 def clip_depth(renderer: Renderer) -> Image.Image:
     """What becomes of z: 0 at the near plane, 1 at the far plane, and most in between near 1."""
-    made, left, top, wide, high = paper(560, 260), 56, 24, 470, 180
-    pen = ImageDraw.Draw(made)
+    image, x0, top, width, high = paper(560, 260), 56, 24, 470, 180
+    pen = ImageDraw.Draw(image)
     near, far = 0.5, 8.0
     for share in (0.0, 0.5, 1.0):
         y = top + high * (1 - share)
-        pen.line([(left, y), (left + wide, y)], fill=FAINT)
-        write(made, (left - 10, y), f"{share:g}", INK, 14, "rm")
+        pen.line([(x0, y), (x0 + width, y)], fill=FAINT)
+        write(image, (x0 - 10, y), f"{share:g}", INK, 14, "rm")
     for z in (near, 1, 2, 4, far):
-        x = left + wide * z / 9
+        x = x0 + width * z / 9
         pen.line([(x, top), (x, top + high)], fill=FAINT)
-        write(made, (x, top + high + 16), f"{z:g}", INK, 14)
+        write(image, (x, top + high + 16), f"{z:g}", INK, 14)
     z = np.linspace(near, far, 300)
     curves = ((far / (far - near) * (1 - near / z), BLUE), ((z - near) / (far - near), RED))
     for values, color in curves:
         points = [
-            (left + wide * a / 9, top + high * (1 - b))
+            (x0 + width * a / 9, top + high * (1 - b))
             for a, b in zip(z, values, strict=True)
         ]
         pen.line(points, fill=color, width=3)
-    write(made, (left + 104, top + 54), "pinhole: (m - n m / z) / (m - n)", BLUE, 15, "lm")
-    write(made, (left + 236, top + 136), "orthographic: (z - n) / (m - n)", RED, 15, "lm")
+    write(image, (x0 + 104, top + 54), "pinhole: (m - n m / z) / (m - n)", BLUE, 15, "lm")
+    write(image, (x0 + 236, top + 136), "orthographic: (z - n) / (m - n)", RED, 15, "lm")
     write(
-        made, (left + wide / 2, 246), "z in camera space, with n = 0.5 and m = 8", INK, 15
+        image, (x0 + width / 2, 246), "z in camera space, with n = 0.5 and m = 8", INK, 15
     )
-    return made
+    return image

@@ -19,33 +19,33 @@ def room() -> list[Dots]:
 def floor(half: int = 4, step: float = 0.05) -> list[Dots]:
     """Tiles of one unit, alternately light and dark."""
     side = np.arange(-half, half, step) + step / 2
-    x, z = (one.ravel() for one in np.meshgrid(side, side))
+    x, z = (axis.ravel() for axis in np.meshgrid(side, side))
     dark = (np.floor(x) + np.floor(z)) % 2 == 1
     color = np.where(dark[:, None], (120, 124, 130), (216, 214, 206))
     return [Dots(np.stack([x, np.ones_like(x), z], 1), 0.085, color.astype(float))]
 
 
-def ball(place: tuple[float, float], color: tuple[int, int, int]) -> list[Dots]:
+def ball(ground: tuple[float, float], color: tuple[int, int, int]) -> list[Dots]:
     """A ball of many small ones, lighter above, that lies on the floor."""
     n = np.arange(2500) + 0.5
     height, turn = 1 - 2 * n / len(n), np.pi * (1 + np.sqrt(5)) * n  # Fibonacci's sphere
     level = np.sqrt(1 - height**2)
     around = np.stack([level * np.cos(turn), height, level * np.sin(turn)], 1)
     light = 0.75 - 0.35 * around[:, 1:2]
-    center = np.array([place[0], 0.55, place[1]])
+    center = np.array([ground[0], 0.55, ground[1]])
     return [
         Dots(center + 0.45 * around, 0.05, np.clip(np.array(color) * light * 1.25, 0, 255))
     ]
 
 
-def tower(place: tuple[float, float], color: tuple[int, int, int]) -> list[Dots]:
+def tower(ground: tuple[float, float], color: tuple[int, int, int]) -> list[Dots]:
     """Four edges and rings between them, which show what is parallel."""
-    x, z = place
+    x, z = ground
     corners = [
         (x + a * 0.35, z + b * 0.35) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
     ]
-    made = [line((a, 1, b), (a, -1.5, b), 0.05, color) for a, b in corners]
+    dots = [line((a, 1, b), (a, -1.5, b), 0.05, color) for a, b in corners]
     for y in np.linspace(1, -1.5, 6):
         for (a, b), (c, d) in zip(corners, corners[1:] + corners[:1], strict=True):
-            made.append(line((a, y, b), (c, y, d), 0.04, color))
-    return made
+            dots.append(line((a, y, b), (c, y, d), 0.04, color))
+    return dots

@@ -29,8 +29,8 @@ class Dots:
     @classmethod
     def at(cls, position: np.ndarray, radius: float, color: Sequence[float]) -> "Dots":
         """Balls of one colour."""
-        places = np.atleast_2d(np.asarray(position, float))
-        return cls(places, radius, np.tile(np.asarray(color, float), (len(places), 1)))
+        centers = np.atleast_2d(np.asarray(position, float))
+        return cls(centers, radius, np.tile(np.asarray(color, float), (len(centers), 1)))
 
 
 def line(
@@ -64,34 +64,34 @@ def arrow(
 
 
 def axes(
-    at: np.ndarray, length: float, radius: float, turn: np.ndarray | None = None
+    origin: np.ndarray, length: float, radius: float, turn: np.ndarray | None = None
 ) -> list[Dots]:
     """Arrows along x (red), y (green) and z (blue), the columns of ``turn``."""
     columns = np.eye(3) if turn is None else turn
     return [
         dots
-        for which in range(3)
-        for dots in arrow(at, at + length * columns[:, which], radius, AXES[which])
+        for axis in range(3)
+        for dots in arrow(origin, origin + length * columns[:, axis], radius, AXES[axis])
     ]
 
 
 def scene_of(dots: Iterable[Dots]) -> Scene:
     """The balls as Gaussians whose flank is where a ball would end."""
     several = list(dots)
-    position = np.concatenate([one.position for one in several])
+    position = np.concatenate([dots.position for dots in several])
     rows = np.zeros((len(position), 10), np.float32)
     rows[:, :3], rows[:, 3] = position, 0.99
     variance = np.concatenate(
-        [np.full(len(one.position), (one.radius / 2) ** 2) for one in several]
+        [np.full(len(dots.position), (dots.radius / 2) ** 2) for dots in several]
     )
     rows[:, [4, 7, 9]] = variance[:, None]
-    color = np.concatenate([one.color for one in several]).astype(np.float32) / 255
+    color = np.concatenate([dots.color for dots in several]).astype(np.float32) / 255
     return Scene([SplatSet(SplatData(rows, color, "rgb"))])
 
 
 def drawn(renderer: Renderer, scene: Scene, camera: Camera) -> Image.Image:
     """The scene on paper."""
-    behind = (*(one / 255 for one in PAPER), 1.0)
+    behind = (*(channel / 255 for channel in PAPER), 1.0)
     rgba = renderer.render(scene, camera, background=behind).rgba
     assert rgba is not None
     return Image.fromarray((np.clip(rgba[..., :3], 0, 1) * 255 + 0.5).astype(np.uint8))
@@ -104,17 +104,17 @@ def paper(width: int, height: int) -> Image.Image:
 
 def beside(pictures: Sequence[Image.Image], gap: int = 12) -> Image.Image:
     """Pictures in a row."""
-    width = sum(one.width for one in pictures) + gap * (len(pictures) - 1)
-    made, x = paper(width, max(one.height for one in pictures)), 0
-    for one in pictures:
-        made.paste(one, (x, 0))
-        x += one.width + gap
-    return made
+    width = sum(picture.width for picture in pictures) + gap * (len(pictures) - 1)
+    row, x = paper(width, max(picture.height for picture in pictures)), 0
+    for picture in pictures:
+        row.paste(picture, (x, 0))
+        x += picture.width + gap
+    return row
 
 
 def write(
     picture: Image.Image,
-    place: Sequence[float],
+    position: Sequence[float],
     text: str,
     color: tuple[int, int, int] = INK,
     size: int = 17,
@@ -122,7 +122,7 @@ def write(
 ) -> None:
     """Write ``text`` at a pixel, on a rim of paper."""
     ImageDraw.Draw(picture).text(
-        (float(place[0]), float(place[1])),
+        (float(position[0]), float(position[1])),
         text,
         fill=color,
         font=ImageFont.load_default(size),
@@ -135,8 +135,10 @@ def write(
 def pixel(camera: Camera, point: Sequence[float]) -> np.ndarray:
     """Where a pinhole or an orthographic camera sees a point."""
     x, y, z = camera.view[:3, :3] @ np.asarray(point, float) + camera.view[:3, 3]
-    away = 1.0 if camera.kind == "orthographic" else z
-    return np.array([camera.fx * x / away + camera.cx, camera.fy * y / away + camera.cy])
+    distance = 1.0 if camera.kind == "orthographic" else z
+    return np.array(
+        [camera.fx * x / distance + camera.cx, camera.fy * y / distance + camera.cy]
+    )
 
 
 def label(

@@ -47,15 +47,15 @@ def _world(renderer: Renderer, up: str) -> Image.Image:
     )
     across = np.linspace(-1, 1, 9)
     floor: list[Dots] = []
-    u, v = (np.eye(3)[one] for one in range(3) if one != axis)
-    for at in across:
+    u, v = (np.eye(3)[index] for index in range(3) if index != axis)
+    for offset in across:
         floor += [
-            line(at * u - v, at * u + v, 0.012, FAINT),
-            line(at * v - u, at * v + u, 0.012, FAINT),
+            line(offset * u - v, offset * u + v, 0.012, FAINT),
+            line(offset * v - u, offset * v + u, 0.012, FAINT),
         ]
     picture = drawn(renderer, scene_of([*floor, *axes(np.zeros(3), 1.05, 0.035)]), camera)
-    for which in range(3):
-        label(picture, camera, 1.22 * np.eye(3)[which], f"+{NAMES[which]}", AXES[which])
+    for index in range(3):
+        label(picture, camera, 1.22 * np.eye(3)[index], f"+{NAMES[index]}", AXES[index])
     write(picture, (190, 286), f'"up": "{up}"', INK, 19)
     return picture
 
@@ -87,12 +87,16 @@ def _camera(renderer: Renderer, turn: np.ndarray, title: str) -> Image.Image:
     picture = drawn(
         renderer, scene_of([*body, *axes(np.zeros(3), 0.8, 0.03, turn)]), seen_by
     )
-    ours = turn[1, 1] > 0
-    meanings = ("right", "down", "forward") if ours else ("right", "up", "backward")
-    shifts = ((40, -4), (0, 16 if ours else -16), (-12, 22) if ours else (-18, 20))
-    for which, (meaning, shift) in enumerate(zip(meanings, shifts, strict=True)):
-        tip = 0.8 * turn[:, which]
-        label(picture, seen_by, tip, f"{NAMES[which]} {meaning}", AXES[which], shift)
+    is_y_down = turn[1, 1] > 0
+    meanings = ("right", "down", "forward") if is_y_down else ("right", "up", "backward")
+    shifts = (
+        (40, -4),
+        (0, 16 if is_y_down else -16),
+        (-12, 22) if is_y_down else (-18, 20),
+    )
+    for index, (meaning, shift) in enumerate(zip(meanings, shifts, strict=True)):
+        tip = 0.8 * turn[:, index]
+        label(picture, seen_by, tip, f"{NAMES[index]} {meaning}", AXES[index], shift)
     label(picture, seen_by, corners[3], "image", INK, (10, 14))
     write(picture, (190, 16), title, INK, 19)
     return picture
@@ -103,16 +107,18 @@ def sh_directions(renderer: Renderer) -> Image.Image:
     camera = Camera.look_at(
         (0, -4.2, 0.001), (0, 0, 0), up=(0, 0, 1), width=420, height=400, fov_y=47
     )
-    places = [np.array([np.cos(a), 0, np.sin(a)]) * 1.45 for a in np.arange(8) * np.pi / 4]
+    positions = [
+        np.array([np.cos(a), 0, np.sin(a)]) * 1.45 for a in np.arange(8) * np.pi / 4
+    ]
     dots: list[Dots] = []
-    for place in places:
-        dots += arrow(place * 0.93, place * 0.42, 0.02, FAINT)
+    for position in positions:
+        dots += arrow(position * 0.93, position * 0.42, 0.02, FAINT)
     picture = drawn(
         renderer, scene_of([*dots, *axes(np.array([-1.25, 0, -1.25]), 0.4, 0.02)]), camera
     )
-    for which, shift in ((0, (14, 0)), (2, (0, -12))):
-        tip = np.array([-1.25, 0, -1.25]) + 0.45 * np.eye(3)[which]
-        label(picture, camera, tip, NAMES[which], AXES[which], shift)
+    for axis_index, shift in ((0, (14, 0)), (2, (0, -12))):
+        tip = np.array([-1.25, 0, -1.25]) + 0.45 * np.eye(3)[axis_index]
+        label(picture, camera, tip, NAMES[axis_index], AXES[axis_index], shift)
     row = np.zeros((1, 10), np.float32)
     row[0, 3], row[0, [4, 7, 9]] = 0.99, 0.06
     coefficients = np.zeros((1, 4, 3), np.float32)
@@ -122,10 +128,10 @@ def sh_directions(renderer: Renderer) -> Image.Image:
         1.0,
     )  # the x part: red where the direction is +x, blue where −x
     ball = Scene([SplatSet(SplatData(row, coefficients.reshape(1, 12), "sh"))])
-    for place in places:
-        eye = Camera.look_at(place, (0, 0, 0), width=52, height=52, fov_y=50)
-        seen = drawn(renderer, ball, eye)
-        x, y = (round(one) for one in pixel(camera, place * 1.12))
-        picture.paste(seen, (x - 26, y - 26))
+    for position in positions:
+        eye = Camera.look_at(position, (0, 0, 0), width=52, height=52, fov_y=50)
+        view_image = drawn(renderer, ball, eye)
+        x, y = (round(coordinate) for coordinate in pixel(camera, position * 1.12))
+        picture.paste(view_image, (x - 26, y - 26))
     write(picture, (210, 200), "Gaussian", INK, 16)
     return picture

@@ -15,23 +15,23 @@ _OWNER = "gsgen"
 
 
 def _ours(group: str) -> list[EntryPoint]:
-    found = [p for p in entry_points(group=group) if p.dist and p.dist.name == _OWNER]
-    return sorted(found, key=lambda point: point.name)
+    points = [p for p in entry_points(group=group) if p.dist and p.dist.name == _OWNER]
+    return sorted(points, key=lambda point: point.name)
 
 
 def _find(*words: str) -> Any:
     """Return the click command behind ``gsgen WORDS``."""
-    found: Any = typer.main.get_command(build([find_commands()[words[0]]]))
+    click_command: Any = typer.main.get_command(build([find_commands()[words[0]]]))
     for word in words:
-        found = found.commands[word]
-    return found
+        click_command = click_command.commands[word]
+    return click_command
 
 
 def command(*words: str) -> str:
     """Return what a command takes: its arguments and options."""
-    found = _find(*words)
-    rows = [_row(parameter) for parameter in found.params if _shown(parameter)]
-    usage = f"```text\ngsgen {' '.join([*words, *_usage(found)])}\n```"
+    click_command = _find(*words)
+    rows = [_row(parameter) for parameter in click_command.params if _shown(parameter)]
+    usage = f"```text\ngsgen {' '.join([*words, *_usage(click_command)])}\n```"
     if not rows:
         return usage
     return f"{usage}\n\n{table(('argument or option', 'takes', 'meaning'), rows)}"
@@ -41,11 +41,11 @@ def _shown(parameter: Any) -> bool:
     return parameter.name != "help" and not getattr(parameter, "hidden", False)
 
 
-def _usage(found: Any) -> list[str]:
-    if hasattr(found, "commands"):
+def _usage(click_command: Any) -> list[str]:
+    if hasattr(click_command, "commands"):
         return ["COMMAND", "…"]
     words = ["[OPTIONS]"]
-    for parameter in found.params:
+    for parameter in click_command.params:
         if parameter.param_type_name == "argument":
             word = parameter.name.upper() + ("…" if parameter.nargs == -1 else "")
             words.append(word if parameter.required else f"[{word}]")
@@ -63,8 +63,8 @@ def _row(parameter: Any) -> tuple[str, str, str]:
         text += f" [{default}]"
     if parameter.required:
         text += " Required."
-    shown = [parameter.name.upper()] if is_argument else names
-    return code(shown), _takes(parameter), text.strip() or "–"
+    spellings = [parameter.name.upper()] if is_argument else names
+    return code(spellings), _takes(parameter), text.strip() or "–"
 
 
 def _default(parameter: Any) -> str:
@@ -82,24 +82,24 @@ def _takes(parameter: Any) -> str:
         return "–"
     kind = parameter.type
     words = {"str": "text", "int": "integer", "float": "number"}
-    taken = words.get(kind.name.partition(" ")[0], kind.name.partition(" ")[0])
+    value_name = words.get(kind.name.partition(" ")[0], kind.name.partition(" ")[0])
     if getattr(kind, "choices", None):
-        taken = code(str(getattr(choice, "value", choice)) for choice in kind.choices)
+        value_name = code(str(getattr(choice, "value", choice)) for choice in kind.choices)
     elif parameter.metavar:
-        taken = f"`{parameter.metavar}`"
+        value_name = f"`{parameter.metavar}`"
     low, high = getattr(kind, "min", None), getattr(kind, "max", None)
-    taken += f" ≥ {low:g}" if low is not None else ""
-    taken += f" ≤ {high:g}" if high is not None else ""
+    value_name += f" ≥ {low:g}" if low is not None else ""
+    value_name += f" ≤ {high:g}" if high is not None else ""
     many = getattr(parameter, "multiple", False)
-    return f"{taken}, repeatable" if many else taken
+    return f"{value_name}, repeatable" if many else value_name
 
 
 def overview() -> str:
     """Return every command of ours with the first sentence of its help."""
     rows = []
     for point in _ours("gsgen.commands"):
-        found = _find(point.name)
-        text = (found.help or "").partition("\n\n")[0].replace("\n", " ")
+        click_command = _find(point.name)
+        text = (click_command.help or "").partition("\n\n")[0].replace("\n", " ")
         rows.append((f"[`gsgen {point.name}`](#gsgen-{point.name})", text))
     return table(("command", "what it does"), rows)
 

@@ -22,7 +22,7 @@ from gsgen.contract.spec.spherical_harmonics import degree_of
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings, config_schema
 
-_OURS = ("core", "webgpu", "visionary", "gsgen")
+_TARGETS = ("core", "webgpu", "visionary", "gsgen")
 _SIZES = {"float32": 4, "float16": 2}
 
 # What a limit bounds, where the rule that asks for it does not say so.
@@ -55,8 +55,8 @@ def roles(kind: str) -> str:
 def row(of: str = "gaussians") -> str:
     """Return where each field of a packed row lies, of Gaussians or of cells."""
     rows = [
-        (str(place), f"`{name}`", str(4 * place), str(2 * place))
-        for place, name in enumerate(CELL_FIELDS if of == "cells" else FIELDS)
+        (str(column), f"`{name}`", str(4 * column), str(2 * column))
+        for column, name in enumerate(CELL_FIELDS if of == "cells" else FIELDS)
     ]
     sizes = [str(size * len(FIELDS)) for size in _SIZES.values()]
     head = ("column", "field", "byte in float32", "byte in float16")
@@ -79,17 +79,17 @@ def rows_of_color() -> str:
 
 def targets() -> str:
     """Return the targets that come with gsgen."""
-    found = [load_target(name) for name in _OURS]
+    known = [load_target(name) for name in _TARGETS]
     rows = [
         (
-            f"`{one.name}`",
-            one.version,
-            f"{one.opset[0]} to {one.opset[1]}",
-            f"up to {one.ir}",
-            code(sorted(domain for domain in one.domains if domain)),
-            one.summary,
+            f"`{target.name}`",
+            target.version,
+            f"{target.opset[0]} to {target.opset[1]}",
+            f"up to {target.ir}",
+            code(sorted(domain for domain in target.domains if domain)),
+            target.summary,
         )
-        for one in found
+        for target in known
     ]
     head = ("target", "version", "operator set", "IR version", "domains", "what it is")
     return table(head, rows)
@@ -97,31 +97,35 @@ def targets() -> str:
 
 def limits() -> str:
     """Return the limits of each target."""
-    found = [load_target(name) for name in _OURS]
-    names = list(dict.fromkeys(name for one in found for name in one.limits))
+    known = [load_target(name) for name in _TARGETS]
+    names = list(dict.fromkeys(name for target in known for name in target.limits))
     rows = []
     for name in names:
         asked_by = [rule for rule in ours().rules.values() if rule.limit == name]
         text = _LIMITS.get(name) or (asked_by[0].statement if asked_by else "–")
-        values = [f"{one.limits[name]:,}" if name in one.limits else "–" for one in found]
+        values = [
+            f"{target.limits[name]:,}" if name in target.limits else "–" for target in known
+        ]
         links = ", ".join(_link(rule.id) for rule in asked_by)
         rows.append((f"`{name}`", *values, f"{text} {links}".strip()))
-    return table(("limit", *(f"`{one.name}`" for one in found), "meaning, and rule"), rows)
+    return table(
+        ("limit", *(f"`{target.name}`" for target in known), "meaning, and rule"), rows
+    )
 
 
 def severities() -> str:
     """Return the severities that targets change, and the rules that are theirs alone."""
     registry = ours()
     rows = []
-    for name in _OURS:
+    for name in _TARGETS:
         target = load_target(name)
-        own = [rule.id for rule in registry.rules.values() if rule.target == name]
+        rule_ids = [rule.id for rule in registry.rules.values() if rule.target == name]
         changed = [
             f"{_link(id)} {registry.rules[id].severity.word} → {severity.word}"
             for id, severity in target.severities.items()
         ]
-        shown = ", ".join(_link(id) for id in own)
-        rows.append((f"`{name}`", ", ".join(changed) or "–", shown or "–"))
+        links = ", ".join(_link(id) for id in rule_ids)
+        rows.append((f"`{name}`", ", ".join(changed) or "–", links or "–"))
     return table(("target", "severities it changes", "rules of its own"), rows)
 
 
@@ -203,14 +207,14 @@ def probes() -> str:
         bounds=Bounds((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
     )
     shapes = {"camera": (4, 4), "proj": (4, 4), "eye": (3,), "viewport": (2,), "time": (1,)}
-    made = default_probes(manifest, shapes, dict.fromkeys(shapes, "float32"))
+    probe_list = default_probes(manifest, shapes, dict.fromkeys(shapes, "float32"))
     rows = []
-    for probe in made:
+    for probe in probe_list:
         eye, lens = probe.inputs["eye"], probe.inputs["proj"]
         fov = "–" if probe.zeros else f"{2 * np.degrees(np.arctan(1 / lens[0, 0])):.1f}°"
         width, height = probe.inputs["viewport"]
-        place = " ".join(f"{value:.3f}" for value in eye.tolist())
+        position = " ".join(f"{value:.3f}" for value in eye.tolist())
         size, when = f"{width:g} × {height:g}", f"{probe.inputs['time'].item():.3f}"
-        rows.append((f"`{probe.label}`", place, fov, size, when))
+        rows.append((f"`{probe.label}`", position, fov, size, when))
     head = ("label", "camera centre", "horizontal field of view", "viewport", "time")
     return table(head, rows)

@@ -14,9 +14,9 @@ def good() -> str:
 def broken() -> str:
     """Return the models that break one rule each."""
     rows = []
-    for one in fixtures():
-        if one.rule:
-            name = f"{one.rule} {ours().rules[one.rule].slug}"
-            link = f"[{name}](../rules/{one.rule}.md)"
-            rows.append((f"`{one.name}`", link, f"`{one.target}`", one.summary))
+    for fixture in fixtures():
+        if fixture.rule:
+            name = f"{fixture.rule} {ours().rules[fixture.rule].slug}"
+            link = f"[{name}](../rules/{fixture.rule}.md)"
+            rows.append((f"`{fixture.name}`", link, f"`{fixture.target}`", fixture.summary))
     return table(("model", "breaks", "judged for", "what is special"), rows)

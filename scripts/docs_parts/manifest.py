@@ -15,9 +15,9 @@ def kinds() -> str:
     """Return the kinds of model, what each does, and its schema."""
     rows = []
     for kind in KINDS:
-        what = (manifest_type(kind).__doc__ or "").partition("\n")[0]
+        summary = (manifest_type(kind).__doc__ or "").partition("\n")[0]
         name = schema_name(kind)
-        rows.append((f"`{kind}`", what, f"[{name}](schemas/{name})"))
+        rows.append((f"`{kind}`", summary, f"[{name}](schemas/{name})"))
     return table(("kind", "what it is", "JSON Schema"), rows)
 
 

@@ -19,13 +19,13 @@ Exactness is that of outputs: *bit for bit* (zeros of either sign, and NaNs, cou
 """
 
 
-def page(one: type[Rewrite]) -> str:
+def page(rewrite: type[Rewrite]) -> str:
     """Return the Markdown page of a pass."""
-    first, _, body = inspect.cleandoc(one.__doc__ or "").partition("\n")
-    facts = f"- exactness: {one.exactness.describe()}\n- wanted by: {marked(one.wanted_by)}"
-    run = f"gsgen rewrite model.onnx -o out.onnx --pass {one.name}"
+    first, _, body = inspect.cleandoc(rewrite.__doc__ or "").partition("\n")
+    facts = f"- exactness: {rewrite.exactness.describe()}\n- wanted by: {marked(rewrite.wanted_by)}"
+    run = f"gsgen rewrite model.onnx -o out.onnx --pass {rewrite.name}"
     return (
-        f"# {one.name}\n\n{marked(first)}\n\n{facts}\n\n"
+        f"# {rewrite.name}\n\n{marked(first)}\n\n{facts}\n\n"
         f"## Why\n\n{pictured(body.strip())}\n\n"
         f"## Run it alone\n\n```bash\n{run}\n```\n"
     )
@@ -34,22 +34,22 @@ def page(one: type[Rewrite]) -> str:
 def index() -> str:
     """Return the list of all passes, in the order they run."""
     rows = [
-        f"| [{one.name}]({one.name}.md) | {marked(one.summary())} | {one.exactness.describe()} | {marked(one.wanted_by)} |"
-        for one in REWRITES
+        f"| [{rewrite.name}]({rewrite.name}.md) | {marked(rewrite.summary())} | {rewrite.exactness.describe()} | {marked(rewrite.wanted_by)} |"
+        for rewrite in REWRITES
     ]
     return _INTRODUCTION + "\n".join(rows) + "\n"
 
 
 def marked(text: str) -> str:
     """Turn the marks of a docstring into Markdown's."""
-    plain = re.sub(r":[a-z]+:`~?([^`]+)`", r"`\1`", text)
-    return plain.replace("``", "`").replace("|", "\\|")
+    unquoted = re.sub(r":[a-z]+:`~?([^`]+)`", r"`\1`", text)
+    return unquoted.replace("``", "`").replace("|", "\\|")
 
 
 def pictured(text: str) -> str:
     """Fence the pictures of a docstring, and join the lines of its paragraphs."""
-    made = _PICTURE.sub(_fenced, text + "\n")
-    parts = re.split(r"(```text\n.*?```)", made, flags=re.DOTALL)
+    fenced = _PICTURE.sub(_fenced, text + "\n")
+    parts = re.split(r"(```text\n.*?```)", fenced, flags=re.DOTALL)
     return "".join(
         part if part.startswith("```") else _flowing(part) for part in parts
     ).strip()

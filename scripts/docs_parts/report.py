@@ -20,14 +20,19 @@ def _rows(definitions: Any, name: str, path: str) -> Iterator[tuple[str, ...]]:
     entry = definitions[name]
     for key, inner in entry["properties"].items():
         is_list = inner.get("type") == "array"
-        place = f"{path}{key}{'[]' if is_list else ''}"
+        field_path = f"{path}{key}{'[]' if is_list else ''}"
         inside = inner["items"] if is_list else inner
         need = "" if key in entry["required"] else "may be absent"
         reference = inside.get("$ref", "").removeprefix(_REFERENCE)
         if not reference:
             kind = {key: value for key, value in inside.items() if key != "pattern"}
-            yield f"`{place}`", type_in_words(kind), need, inner.get("description", "–")
+            yield (
+                f"`{field_path}`",
+                type_in_words(kind),
+                need,
+                inner.get("description", "–"),
+            )
             continue
         text = inner.get("description") or definitions[reference]["description"]
-        yield f"`{place}`", "object", need, text
-        yield from _rows(definitions, reference, f"{place}.")
+        yield f"`{field_path}`", "object", need, text
+        yield from _rows(definitions, reference, f"{field_path}.")

@@ -12,15 +12,15 @@ def ours() -> Registry:
     Those of a third party have its name in front of their ids.
     """
     registry = installed_rules()
-    own = [one for one in registry.rules.values() if "/" not in one.id]
-    return Registry.of(own, registry.runners.values())
+    contract_rules = [rule for rule in registry.rules.values() if "/" not in rule.id]
+    return Registry.known_findings(contract_rules, registry.backends.values())
 
 
 def by_level() -> str:
     """Return how many rules each level adds, and which families they are of."""
     rows = []
     for level in Level:
-        found = [rule for rule in ours().rules.values() if rule.level is level]
-        families = list(dict.fromkeys(rule.family for rule in found))
-        rows.append((f"`{level.word}`", str(len(found)), ", ".join(families) or "–"))
+        level_rules = [rule for rule in ours().rules.values() if rule.level is level]
+        families = list(dict.fromkeys(rule.family for rule in level_rules))
+        rows.append((f"`{level.word}`", str(len(level_rules)), ", ".join(families) or "–"))
     return table(("level", "rules", "families"), rows)

@@ -12,15 +12,15 @@ from gsgen.conformance.fixtures import find
 
 def run(*words: str) -> str:
     """Return a command, its output and its exit code; MODEL.onnx is that example model."""
-    done = _run(words)
-    printed = (done.stdout + done.stderr).rstrip()
-    return f"```console\n$ {' '.join(words)}\n{printed}\n$ echo $?\n{done.returncode}\n```"
+    completed = _run(words)
+    printed = (completed.stdout + completed.stderr).rstrip()
+    return f"```console\n$ {' '.join(words)}\n{printed}\n$ echo $?\n{completed.returncode}\n```"
 
 
 def finding(name: str) -> str:
     """Return the first finding of an example model as a JSON report has it."""
-    done = _run(("gsgen", "validate", f"{name}.onnx", "--format", "json"))
-    first = json.loads(done.stdout)["findings"][0]
+    completed = _run(("gsgen", "validate", f"{name}.onnx", "--format", "json"))
+    first = json.loads(completed.stdout)["findings"][0]
     return f"```json\n{json.dumps(first, indent=2, ensure_ascii=False)}\n```"
 
 

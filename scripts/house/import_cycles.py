@@ -1,6 +1,6 @@
 """Import cycles of the product, imports in functions and for type checkers included."""
 
-__all__ = ["import_cycles", "strong_components"]
+__all__ = ["import_cycles", "imports_of", "strong_components"]
 
 import ast
 from collections import defaultdict, deque
@@ -22,7 +22,7 @@ def import_cycles(repository: Repository) -> Measurement:
     files = {module_name(file.path): file for file in repository.product}
     if not files:
         return Measurement([])
-    graph: Graph = {name: _imports(name, file, files) for name, file in files.items()}
+    graph: Graph = {name: imports_of(name, file, files) for name, file in files.items()}
     violations = []
     for component in strong_components(graph):
         violation = _violation(component, graph, files)
@@ -47,7 +47,7 @@ def strong_components(graph: Graph) -> list[list[str]]:
     return sorted(members for members in components.values() if len(members) > 1)
 
 
-def _imports(name: str, file: PythonFile, files: dict[str, PythonFile]) -> dict[str, int]:
+def imports_of(name: str, file: PythonFile, files: dict[str, PythonFile]) -> dict[str, int]:
     """Return the modules of the product that a module imports, with the line of the import."""
     targets: dict[str, int] = {}
     for node in file.nodes:

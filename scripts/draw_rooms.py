@@ -1,0 +1,100 @@
+"""Draw docs/assets/rooms.svg: the rooms of the house, lowest first, and who imports whom.
+
+Everything is read from the code: the order from the layers of import-linter, the arcs from the
+imports, lazy ones included. An arc that longer arcs imply is left out. Run it after a change to
+the rooms: .venv/bin/python scripts/draw_rooms.py
+"""
+
+from html import escape
+from pathlib import Path
+
+from docs_parts.rooms import Room, imported_rooms, rooms
+
+PICTURE = Path(__file__).parents[1] / "docs" / "assets" / "rooms.svg"
+
+LINE_HEIGHT = 19
+TOP = 30
+NAMES_X = 250  # of the column of names; arcs lie left of it
+WIDTH = 1040
+WIDEST_ARC = 225  # how far the longest arc reaches to the left
+FILLS = {
+    "contract": "#e8eef7",
+    "conformance": "#eef4fb",
+    "cli": "#eef4fb",
+    "formats": "#f3f0e4",
+    "sdk": "#fdf1d8",
+    "runtime": "#e3f1e2",
+    "tiles": "#d6eadb",
+    "reference_plugins": "#f6e4ea",
+}
+INK, LINE, FAINT = "#242a33", "#6b7480", "#59616d"
+
+
+def drawn_rooms() -> list[Room]:
+    """Return the rooms of the picture, highest first, as the house stands."""
+    return [room for room in reversed(rooms()) if room.name.count(".") > 1 and room.modules]
+
+
+def arcs(names: list[str]) -> list[tuple[str, str]]:
+    """Return the imports that no chain of other imports implies: (importer, imported)."""
+    direct = {
+        name: {target for target in imported_rooms().get(name, ()) if target in names}
+        for name in names
+    }
+    reached: dict[str, set[str]] = {}
+
+    def reach(name: str) -> set[str]:
+        if name not in reached:
+            reached[name] = set()
+            reached[name] = direct[name].union(*(reach(target) for target in direct[name]))
+        return reached[name]
+
+    return [
+        (name, target)
+        for name in names
+        for target in sorted(direct[name])
+        if not any(target in reach(between) for between in direct[name] - {target})
+    ]
+
+
+def drawn() -> str:
+    """Return the picture as SVG."""
+    listed = drawn_rooms()
+    names = [room.name for room in listed]
+    heights = {name: TOP + LINE_HEIGHT * row for row, name in enumerate(names)}
+    height = TOP + LINE_HEIGHT * len(names) + 10
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" '
+        f'font-family="system-ui, sans-serif" fill="{INK}">',
+        f'<rect width="{WIDTH}" height="{height}" fill="#ffffff"/>',
+        f'<text x="{NAMES_X}" y="16" font-size="11" fill="{FAINT}">room (modules) and its question;'
+        " an arc leads from a room down to a room that it imports</text>",
+    ]
+    parts += [_arc(heights[a], heights[b], len(names)) for a, b in arcs(names)]
+    parts += [_line(room, heights[room.name]) for room in listed]
+    return "\n".join([*parts, "</svg>"]) + "\n"
+
+
+def _arc(start: int, end: int, rows: int) -> str:
+    reach = WIDEST_ARC * ((end - start) / LINE_HEIGHT / rows) ** 0.6
+    x, y0, y1 = NAMES_X - 6, start + 9, end + 9
+    return (
+        f'<path d="M{x} {y0} C{x - reach:.0f} {y0} {x - reach:.0f} {y1} {x} {y1}" '
+        f'fill="none" stroke="{LINE}" stroke-opacity="0.55"/>'
+    )
+
+
+def _line(room: Room, top: int) -> str:
+    package = room.name.split(".")[1]
+    name = room.name.removeprefix("gsgen.")
+    return (
+        f'<rect x="{NAMES_X}" y="{top + 1}" width="{WIDTH - NAMES_X - 10}" height="{LINE_HEIGHT - 2}" '
+        f'rx="3" fill="{FILLS[package]}"/>'
+        f'<text x="{NAMES_X + 6}" y="{top + 14}" font-size="12" font-weight="600">'
+        f"{escape(name)} ({room.modules})</text>"
+        f'<text x="{NAMES_X + 240}" y="{top + 14}" font-size="11">{escape(room.question)}</text>'
+    )
+
+
+if __name__ == "__main__":
+    PICTURE.write_text(drawn(), "utf-8")

@@ -1,0 +1,39 @@
+"""The picture of the rooms is drawn from the imports, and shows that they point downwards."""
+
+import importlib.util
+import sys
+from types import ModuleType
+
+import pytest
+
+from support.commands import ROOT
+
+
+@pytest.fixture(scope="module")
+def script() -> ModuleType:
+    sys.path.insert(0, str(ROOT / "scripts"))
+    path = ROOT / "scripts" / "draw_rooms.py"
+    spec = importlib.util.spec_from_file_location("draw_rooms", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_picture_is_current(script: ModuleType) -> None:
+    advice = "run: .venv/bin/python scripts/draw_rooms.py"
+    assert script.PICTURE.read_text("utf-8") == script.drawn(), advice
+
+
+def test_every_room_stands_above_the_rooms_that_it_imports(script: ModuleType) -> None:
+    names = [room.name for room in script.drawn_rooms()]
+    arcs = script.arcs(names)
+    assert len(arcs) > len(names)
+    assert [arc for arc in arcs if names.index(arc[0]) > names.index(arc[1])] == []
+
+
+def test_every_room_states_its_question(script: ModuleType) -> None:
+    for room in script.drawn_rooms():
+        assert len(room.question) > 15, room.name
+        assert room.question[-1] in "?.", room.name
