@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-from gsgen.contract.tools.doctor import Check, package
+from gsgen.contract.tools.doctor import Check, check_package
 
 _SECONDS = 60
 _PURPOSE = "draw; graph capture"
@@ -36,21 +36,21 @@ except DisplayUnavailable as error:
 
 def checks() -> Iterator[Check]:
     """Yield the state of what drawing and showing need, and some file formats."""
-    wgpu = package("wgpu", _RUNTIME, purpose="draw")
+    wgpu = check_package("wgpu", _RUNTIME, purpose="draw")
     yield wgpu
     if wgpu.state == "ok":
         yield from _adapters()
     windows = [
-        package(name, _RUNTIME, purpose=_WINDOW) for name in ("glfw", "rendercanvas")
+        check_package(name, _RUNTIME, purpose=_WINDOW) for name in ("glfw", "rendercanvas")
     ]
     yield from windows
-    if all(one.state == "ok" for one in windows):
+    if all(check.state == "ok" for check in windows):
         yield _screen()
     yield _widget()
     remedy = "pip install 'gsgen[formats]'"
-    yield package("pillow", remedy, purpose="read SOG; write pictures")
-    yield package("zstandard", remedy, purpose="SPZ version 4")
-    yield package("trimesh", _RUNTIME, purpose="read meshes")
+    yield check_package("pillow", remedy, purpose="read SOG; write pictures")
+    yield check_package("zstandard", remedy, purpose="SPZ version 4")
+    yield check_package("trimesh", _RUNTIME, purpose="read meshes")
 
 
 def _adapters() -> Iterator[Check]:
@@ -59,13 +59,19 @@ def _adapters() -> Iterator[Check]:
         yield adapters
         return
     if not adapters:
-        yield Check("adapters", "missing", "no graphics adapter", _DRIVERS, _PURPOSE)
+        yield Check(
+            name="adapters",
+            state="missing",
+            detail="no graphics adapter",
+            remedy=_DRIVERS,
+            purpose=_PURPOSE,
+        )
     for adapter in adapters:
         name, kind, backend = (
             adapter.get(key, "?") for key in ("device", "adapter_type", "backend_type")
         )
         detail = f"{name} ({kind}, {backend}) {adapter.get('description', '')}"
-        yield Check("adapter", "ok", detail.strip(), purpose=_PURPOSE)
+        yield Check(name="adapter", state="ok", detail=detail.strip(), purpose=_PURPOSE)
 
 
 def _screen() -> Check:
@@ -74,32 +80,56 @@ def _screen() -> Check:
     if isinstance(trouble, Check):
         return trouble
     if trouble is None:
-        return Check("screen", "ok", "windows can be opened", purpose=_WINDOW)
-    return Check("screen", "missing", trouble, "without one, `gsgen render` draws", _WINDOW)
+        return Check(
+            name="screen", state="ok", detail="windows can be opened", purpose=_WINDOW
+        )
+    return Check(
+        name="screen",
+        state="missing",
+        detail=trouble,
+        remedy="without one, `gsgen render` draws",
+        purpose=_WINDOW,
+    )
 
 
 def _widget() -> Check:
     """Say what shows a scene in a notebook: rendercanvas has two ways, and one is enough."""
-    found = [package(name, "", purpose=_NOTEBOOK) for name in ("anywidget", "jupyter_rfb")]
-    there = [one for one in found if one.state == "ok"]
+    widget_checks = [
+        check_package(name, "", purpose=_NOTEBOOK) for name in ("anywidget", "jupyter_rfb")
+    ]
+    working = [check for check in widget_checks if check.state == "ok"]
     missing = Check(
-        "anywidget", "missing", "not installed", "pip install anywidget", _NOTEBOOK
+        name="anywidget",
+        state="missing",
+        detail="not installed",
+        remedy="pip install anywidget",
+        purpose=_NOTEBOOK,
     )
-    return there[0] if there else missing
+    return working[0] if working else missing
 
 
 def _told(name: str, code: str, remedy: str, purpose: str) -> Any:
     """Return what ``code`` prints as JSON in a child, or the check that says how it failed."""
     try:
-        done = subprocess.run(
+        completed = subprocess.run(
             [sys.executable, "-P", "-c", code],
             capture_output=True,
             text=True,
             timeout=_SECONDS,
         )
     except subprocess.TimeoutExpired:
-        return Check(name, "broken", f"no answer after {_SECONDS} s", remedy, purpose)
-    if done.returncode != 0:
-        tail = done.stderr.strip().splitlines()[-1:] or [f"exit status {done.returncode}"]
-        return Check(name, "broken", tail[0], remedy, purpose)
-    return json.loads(done.stdout.strip().splitlines()[-1])
+        return Check(
+            name=name,
+            state="broken",
+            detail=f"no answer after {_SECONDS} s",
+            remedy=remedy,
+            purpose=purpose,
+        )
+    if completed.returncode != 0:
+        tail = completed.stderr.strip().splitlines()[-1:] or [
+            f"exit status {completed.returncode}"
+        ]
+        return Check(
+            name=name, state="broken", detail=tail[0], remedy=remedy, purpose=purpose
+        )
+    return json.loads(completed.stdout.strip().splitlines()[-1])

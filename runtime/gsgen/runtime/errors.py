@@ -44,6 +44,6 @@ class SceneUnreadable(GsgenError):
 
 def placed(error: GsgenError, model: str, frame: int) -> GsgenError:
     """Return an error that says in which model and frame it happened, too."""
-    place = f"{model}, frame {frame}"
-    where = place if error.where in ("", model) else f"{place}, {error.where}"
+    frame_name = f"{model}, frame {frame}"
+    where = frame_name if error.where in ("", model) else f"{frame_name}, {error.where}"
     return type(error)(error.message, where=where, hint=error.hint)

@@ -123,12 +123,12 @@ def test_a_picture_that_the_model_draws_is_the_same(
 ) -> None:
     png = drawn_reference(renderer)
     seen = compared(with_reference(still(), png), tmp_path, renderer=renderer)
-    assert seen.given is not None
-    assert seen.given > 55  # bytes of the file round by half a 255th
+    assert seen.psnr is not None
+    assert seen.psnr > 55  # bytes of the file round by half a 255th
     other = with_reference(still(), png, center=(34.0, 18.0))
     moved = compared(other, tmp_path, renderer=renderer)
-    assert moved.given is not None
-    assert moved.given < 40
+    assert moved.psnr is not None
+    assert moved.psnr < 40
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_a_picture_that_cannot_be_compared_says_why(
 ) -> None:
     sketch = with_reference(still(), png_of(np.zeros((36, 64, 3), np.uint8)), **changes)
     seen = compared(sketch, tmp_path, renderer=renderer)
-    assert seen.given is None
+    assert seen.psnr is None
     assert problem in seen.problem
 
 

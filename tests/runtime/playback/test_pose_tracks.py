@@ -44,7 +44,7 @@ class Body(Source):
 
 def read(path: Path, body: Body | None = None) -> dict[str, np.ndarray]:
     tracks, _ = pose_tracks(str(path), body or Body())
-    return {track.word: track.given for track in tracks}
+    return {track.word: track.values for track in tracks}
 
 
 def write(path: Path, **arrays: object) -> Path:

@@ -69,7 +69,7 @@ def looks_otherwise() -> ModelSpec:
 def with_reference(sketch: ModelSpec, png: bytes, **changes: object) -> ModelSpec:
     """Return a copy that declares a picture of 64×36 pixels, seen from four units away."""
     straight = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 4.0))
-    one = ReferenceImage(
+    reference = ReferenceImage(
         path="reference.png",
         sha256=hashlib.sha256(png).hexdigest(),
         inputs="no inputs",
@@ -77,6 +77,6 @@ def with_reference(sketch: ModelSpec, png: bytes, **changes: object) -> ModelSpe
         focal=(50.0, 50.0),
         center=(32.0, 18.0),
     )
-    declared = replace(one, **changes)  # type: ignore[arg-type]
-    beside = replace(sketch, beside={"reference.png": png})
-    return beside.declaring(reference_images=(declared,))
+    declared = replace(reference, **changes)  # type: ignore[arg-type]
+    with_file = replace(sketch, beside={"reference.png": png})
+    return with_file.declaring(reference_images=(declared,))

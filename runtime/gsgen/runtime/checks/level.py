@@ -74,14 +74,14 @@ class Compared:
 
     Attributes:
         path: As declared.
-        wanted: The least decibels.
-        given: Those there are; None where nothing can be compared.
+        expected: The least decibels.
+        psnr: Those there are; None where nothing can be compared.
         problem: Why not; empty where it was.
     """
 
     path: str
-    wanted: float
-    given: float | None = None
+    expected: float
+    psnr: float | None = None
     problem: str = ""
 
 
@@ -109,21 +109,21 @@ def prepare_render(trial: ProbeRuns) -> Iterator[LevelContext]:
     """
     if find_spec("wgpu") is None:
         raise LevelUnavailable("wgpu is not installed", hint="pip install 'gsgen[runtime]'")
-    began = time.monotonic()
+    started = time.monotonic()
     try:
         renderer = Renderer(rasteriser="tiles")
         quads = _quads(renderer.device)
         frames = tuple(_drawn(trial, renderer, quads))
         references = tuple(_compared(trial, renderer))
     except (DeviceUnavailable, CapacityExceeded) as error:
-        what = f"{error.where}: {error.message}" if error.where else error.message
-        raise LevelUnavailable(what, hint=error.hint) from error
+        message = f"{error.where}: {error.message}" if error.where else error.message
+        raise LevelUnavailable(message, hint=error.hint) from error
     yield LevelContext(
         context=RenderEvidence(frames, renderer.device.name, references),
         items=len(frames),
         environment={"renderer": renderer.device.name},
-        seconds=time.monotonic() - began,
-        unjudged=_unjudged(trial, renderer.device),
+        seconds=time.monotonic() - started,
+        skipped=_unjudged(trial, renderer.device),
     )
 
 
@@ -156,11 +156,11 @@ def _drawn(
         probe = trial.plan.probes[number]
         scene, camera = _scene(trial, number), probe_camera(manifest, probe)
         frame = renderer.render(scene, camera)
-        other = None
+        second = None
         if quads is not None and scene.sets[0].weighted is None:
-            other = decibels(frame, quads.render(scene, camera))
+            second = decibels(frame, quads.render(scene, camera))
         live, covered = scene.sets[0].data.count, float(frame.alpha.max())
-        yield RenderedProbe(probe.label, live, frame.visible, covered, other)
+        yield RenderedProbe(probe.label, live, frame.visible, covered, second)
 
 
 def _scene(trial: ProbeRuns, number: int) -> Scene:
@@ -194,8 +194,8 @@ def scene_of(manifest: GeneratorManifest, tensors: Mapping[str, np.ndarray]) -> 
         per_cell=outputs.cells.per_cell if outputs.cells else 1,
     )
     weighted = manifest.weighted_sum if manifest.blend == "wsr" else None
-    one = SplatSet(data, antialias=manifest.antialias, weighted=weighted)
-    return Scene([one], outputs.appearance.color_space)
+    splat_set = SplatSet(data, antialias=manifest.antialias, weighted=weighted)
+    return Scene([splat_set], outputs.appearance.color_space)
 
 
 def _compared(trial: ProbeRuns, renderer: Renderer) -> Iterator[Compared]:
@@ -204,30 +204,30 @@ def _compared(trial: ProbeRuns, renderer: Renderer) -> Iterator[Compared]:
     if manifest is None or find_spec("PIL") is None:
         return
     labels = [probe.label for probe in trial.plan.probes[: trial.plan.values]]
-    for number, one in enumerate(manifest.reference_images):
+    for number, reference in enumerate(manifest.reference_images):
         if number >= MOST_REFERENCES:
             few = f"there are {MOST_REFERENCES} before it, the most that are looked at"
-            yield Compared(one.path, one.psnr, problem=few)
+            yield Compared(reference.path, reference.psnr, problem=few)
             return
-        if one.inputs not in labels:
-            known = (
-                f"no probe is called {one.inputs!r}; there are {', '.join(labels[:5])}, …"
-            )
-            yield Compared(one.path, one.psnr, problem=known)
+        if reference.inputs not in labels:
+            known = f"no probe is called {reference.inputs!r}; there are {', '.join(labels[:5])}, …"
+            yield Compared(reference.path, reference.psnr, problem=known)
             continue
         try:
-            wanted = read_reference(trial.subject.file.path.parent, one)
-            height, width = wanted.shape[:2]
-            camera = reference_camera(one, width, height)
+            expected = read_reference(trial.subject.file.path.parent, reference)
+            height, width = expected.shape[:2]
+            camera = reference_camera(reference, width, height)
         except (ReferenceUnreadable, SceneInvalid) as error:
-            yield Compared(one.path, one.psnr, problem=str(error).partition("\n")[0])
+            yield Compared(
+                reference.path, reference.psnr, problem=str(error).partition("\n")[0]
+            )
             continue
         frame = renderer.render(
-            _scene(trial, labels.index(one.inputs)), camera, background=BEHIND
+            _scene(trial, labels.index(reference.inputs)), camera, background=BEHIND
         )
-        apart = np.square(frame.srgb8[..., :3] / 255 - wanted.astype(np.float64)).mean()
-        given = float(-10 * np.log10(max(apart, _LEAST_ERROR)))
-        yield Compared(one.path, one.psnr, given)
+        apart = np.square(frame.srgb8[..., :3] / 255 - expected.astype(np.float64)).mean()
+        psnr = float(-10 * np.log10(max(apart, _LEAST_ERROR)))
+        yield Compared(reference.path, reference.psnr, psnr)
 
 
 def decibels(a: Frame, b: Frame) -> float:
@@ -240,12 +240,12 @@ def decibels(a: Frame, b: Frame) -> float:
 
 def _chosen(trial: ProbeRuns) -> list[int]:
     """Choose runs that are spread over the probes; all inputs zero is no camera."""
-    every = [
+    candidates = [
         number for number in range(trial.plan.values) if not trial.plan.probes[number].zeros
     ]
     return [
-        every[i]
-        for i in np.linspace(0, len(every) - 1, min(len(every), _FRAMES))
+        candidates[i]
+        for i in np.linspace(0, len(candidates) - 1, min(len(candidates), _FRAMES))
         .round()
         .astype(int)
     ]
@@ -253,17 +253,25 @@ def _chosen(trial: ProbeRuns) -> list[int]:
 
 def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
     """Return the camera that the inputs describe, or one that looks at the bounds."""
-    given = {one.role: probe.inputs[one.name] for one in manifest.inputs}
+    by_role = {spec.role: probe.inputs[spec.name] for spec in manifest.inputs}
     order = manifest.space.matrix_order if manifest.space else "column"
-    plain = _looking(manifest, given.get("camera_position"))
-    if "view" not in given:
-        return plain
-    view = as_tensor(np.asarray(given["view"], np.float64), order).astype(np.float64)
-    if "projection" not in given:
+    default_camera = _looking(manifest, by_role.get("camera_position"))
+    if "view" not in by_role:
+        return default_camera
+    view = as_tensor(np.asarray(by_role["view"], np.float64), order).astype(np.float64)
+    if "projection" not in by_role:
         return Camera(
-            view, plain.fx, plain.fy, plain.cx, plain.cy, plain.width, plain.height
+            view,
+            default_camera.fx,
+            default_camera.fy,
+            default_camera.cx,
+            default_camera.cy,
+            default_camera.width,
+            default_camera.height,
         )
-    lens = as_tensor(np.asarray(given["projection"], np.float64), order).astype(np.float64)
+    lens = as_tensor(np.asarray(by_role["projection"], np.float64), order).astype(
+        np.float64
+    )
     height = max(1, round(_WIDTH * lens[0, 0] / -lens[1, 1]))
     focal = _WIDTH / 2 * float(lens[0, 0])
     return Camera(

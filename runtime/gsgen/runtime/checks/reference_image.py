@@ -36,20 +36,20 @@ class ReferenceUnreadable(GsgenError):
     """The file is missing, another one, elsewhere, or no PNG of a size to compare."""
 
 
-def read_reference(folder: Path, wanted: ReferenceImage) -> Float32[np.ndarray, "h w 3"]:
+def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarray, "h w 3"]:
     """Return red, green and blue in [0, 1] of a declared picture.
 
     Args:
         folder: The model's.
-        wanted: What the manifest says of it.
+        reference: What the manifest says of it.
 
     Raises:
         ReferenceUnreadable: There is no such picture.
     """
-    raw = _bytes(folder, wanted.path)
+    raw = _bytes(folder, reference.path)
     digest = hashlib.sha256(raw).hexdigest()
-    if digest != wanted.sha256:
-        raise ReferenceUnreadable(f"sha256 {digest}, the manifest has {wanted.sha256}")
+    if digest != reference.sha256:
+        raise ReferenceUnreadable(f"sha256 {digest}, the manifest has {reference.sha256}")
     from PIL import Image, UnidentifiedImageError
 
     try:
@@ -70,17 +70,17 @@ def read_reference(folder: Path, wanted: ReferenceImage) -> Float32[np.ndarray, 
     return colors / np.float32(_MOST_COMPONENT)
 
 
-def reference_camera(wanted: ReferenceImage, width: int, height: int) -> Camera:
+def reference_camera(reference: ReferenceImage, width: int, height: int) -> Camera:
     """Return the camera that a declared picture was taken by.
 
     Raises:
         SceneInvalid: The manifest's numbers are no camera.
     """
-    if len(wanted.view) != 3:
-        raise SceneInvalid(f"has {len(wanted.view)} rows, wanted 3", where="view")
+    if len(reference.view) != 3:
+        raise SceneInvalid(f"has {len(reference.view)} rows, wanted 3", where="view")
     view = np.eye(4)
-    view[:3] = wanted.view
-    return Camera(view, *wanted.focal, *wanted.center, width, height)
+    view[:3] = reference.view
+    return Camera(view, *reference.focal, *reference.center, width, height)
 
 
 def _bytes(folder: Path, name: str) -> bytes:

@@ -21,11 +21,11 @@ from gsgen.contract.spec.severity import Level
 from gsgen.contract.spec.upgrades import upgrade
 from gsgen.contract.tools.recording import (
     RecordingRefused,
-    executed,
-    recordable,
-    recorded_copy,
-    refuse_standing,
-    spread,
+    evenly_spaced,
+    inspect_recordable,
+    refuse_existing,
+    run_at_probes,
+    write_recorded_copy,
 )
 from gsgen.contract.validation.settings import Settings
 from gsgen.runtime.checks.level import probe_camera, scene_of
@@ -105,13 +105,13 @@ def record_references(
     folder = model.with_name(f"{model.stem}-references")
     standing = _standing(folder)
     if not force:
-        refuse_standing(standing, folder, "copy")
+        refuse_existing(standing, folder, "copy")
     settings = settings or Settings()
     progress(f"reading {source.name}")
-    subject = recordable(source, settings)
+    subject = inspect_recordable(source, settings)
     if subject.generator is None:
-        what = "is no gaussian-generator, and only these are drawn"
-        raise RecordingRefused(what, where=str(source))
+        message = "is no gaussian-generator, and only these are drawn"
+        raise RecordingRefused(message, where=str(source))
     probes = _chosen(make_plan(subject, Level.VALUES, settings.seed).probes, count)
     renderer = renderer or Renderer(rasteriser="tiles")
     views = _Views(subject.generator, camera, width or _WIDTH)
@@ -121,7 +121,9 @@ def record_references(
     for path in standing:
         if path.name not in {Path(image.path).name for image in images}:
             path.unlink()
-    empty = [one.probe.label for one in shots if not one.frame.alpha.max() >= CULL_OPACITY]
+    empty = [
+        shot.probe.label for shot in shots if not shot.frame.alpha.max() >= CULL_OPACITY
+    ]
     return References(model, images, tuple(empty), renderer.device.name)
 
 
@@ -147,7 +149,7 @@ class _Views:
 
     def __init__(self, manifest: GeneratorManifest, words: str | None, width: int) -> None:
         self._manifest, self._width = manifest, width
-        seeing = any(one.role in _SEEING for one in manifest.inputs)
+        seeing = any(spec.role in _SEEING for spec in manifest.inputs)
         self._view = None if seeing and words is None else viewpoint(words)
 
     def camera(self, probe: Probe, scene: Scene, number: int) -> Camera:
@@ -157,16 +159,18 @@ class _Views:
             SceneInvalid: A manifest cannot describe such a camera.
         """
         if self._view is None:
-            made = probe_camera(self._manifest, probe)
+            camera = probe_camera(self._manifest, probe)
         else:
             (source,) = sources_of(scene)
             source.up = direction((self._manifest.space or Space()).up)
-            made = self._view.camera(source, number, 0.0)
-        if made.kind != "pinhole":
-            what = f"is a camera of kind {made.kind}; reference images have perspective"
-            raise SceneInvalid(what, where="--camera")
-        return made.scaled(
-            self._width, max(1, round(made.height * self._width / made.width))
+            camera = self._view.camera(source, number, 0.0)
+        if camera.kind != "pinhole":
+            message = (
+                f"is a camera of kind {camera.kind}; reference images have perspective"
+            )
+            raise SceneInvalid(message, where="--camera")
+        return camera.scaled(
+            self._width, max(1, round(camera.height * self._width / camera.width))
         )
 
 
@@ -180,7 +184,7 @@ def _drawn(
     manifest = subject.generator
     assert manifest is not None
     progress(f"running {len(probes)} probes in ONNX Runtime")
-    with executed(subject, fetched_outputs(subject), probes) as execution:
+    with run_at_probes(subject, fetched_outputs(subject), probes) as execution:
         for number, (run, probe) in enumerate(zip(execution.runs, probes, strict=True)):
             progress(f"drawing picture {number + 1} of {len(probes)}")
             scene = scene_of(manifest, execution.samples[run.sample].outputs)
@@ -198,18 +202,18 @@ def _write(
     if subject.parsed.version is not None:  # 1.0 knows of no pictures
         document = upgrade(document, subject.parsed.version)
     files = {
-        f"{folder}/{number}.png": png_of(one.frame.srgb8[..., :3])
-        for number, one in enumerate(shots)
+        f"{folder}/{number}.png": png_of(shot.frame.srgb8[..., :3])
+        for number, shot in enumerate(shots)
     }
     images = tuple(
-        _declared(path, file, one.probe, one.camera, psnr)
-        for (path, file), one in zip(files.items(), shots, strict=True)
+        _declared(path, file, shot.probe, shot.camera, psnr)
+        for (path, file), shot in zip(files.items(), shots, strict=True)
     )
     changed = document | {"reference_images": to_json(images)}
-    with recorded_copy(subject.file, changed, model) as beside:
-        (beside / folder).mkdir()
+    with write_recorded_copy(subject.file, changed, model) as written:
+        (written / folder).mkdir()
         for path, file in files.items():
-            (beside / path).write_bytes(file)
+            (written / path).write_bytes(file)
     return images
 
 
@@ -217,20 +221,20 @@ def _standing(folder: Path) -> list[Path]:
     """Return the pictures that a folder holds, in the order of their numbers."""
     if not folder.is_dir():
         return []
-    found = [path for path in folder.iterdir() if _PICTURE.match(path.name)]
-    return sorted(found, key=lambda path: int(path.stem))
+    pictures = [path for path in folder.iterdir() if _PICTURE.match(path.name)]
+    return sorted(pictures, key=lambda path: int(path.stem))
 
 
 def _chosen(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
     """Choose probes that are spread over those that have a camera; all zeros are none."""
-    every = [probe for probe in probes if not probe.zeros] or list(probes)
-    most = min(len(every), MOST_REFERENCES)
+    candidates = [probe for probe in probes if not probe.zeros] or list(probes)
+    most = min(len(candidates), MOST_REFERENCES)
     if count is None:
         count = min(_COUNT, most)
     if not 1 <= count <= most:
-        what = f"{count} pictures, wanted from 1 to {most}"
-        raise ConfigInvalid(what, where="--count", hint=f"--count {most} takes most.")
-    return spread(every, count)
+        message = f"{count} pictures, wanted from 1 to {most}"
+        raise ConfigInvalid(message, where="--count", hint=f"--count {most} takes most.")
+    return evenly_spaced(candidates, count)
 
 
 def _declared(

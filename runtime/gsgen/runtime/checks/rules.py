@@ -129,15 +129,15 @@ def reference_images_match(showing: "RenderEvidence") -> Iterator[Violation]:
         Give the file along with the model. If the model is right, draw its pictures anew:
         `gsgen references MODEL -o MODEL --force`. Models without pictures are fine.
     """
-    for number, one in enumerate(showing.references):
-        place = f"manifest reference_images.{number}"
-        if one.given is None:
+    for number, reference in enumerate(showing.references):
+        subject = f"manifest reference_images.{number}"
+        if reference.psnr is None:
             yield Violation.at(
-                place, f"{one.path!r}: {one.problem}", "a PNG to compare with"
+                subject, f"{reference.path!r}: {reference.problem}", "a PNG to compare with"
             )
-        elif one.given < one.wanted:
-            actual = f"{one.path!r}: {one.given:.1f} dB"
-            yield Violation.at(place, actual, f"at least {one.wanted:g} dB")
+        elif reference.psnr < reference.expected:
+            actual = f"{reference.path!r}: {reference.psnr:.1f} dB"
+            yield Violation.at(subject, actual, f"at least {reference.expected:g} dB")
 
 
 def _is_seen(covered: float) -> bool:

@@ -102,9 +102,9 @@ def _show(cost: "FrameCost") -> None:
     table.add_row("encode and submit, CPU", *_cells(cost.submit))
     for name, span in cost.inference.items():
         table.add_row(f"inference, {Path(name).name}", *_cells(span))
-    told = "by the device" if cost.clock == "timestamps" else "CPU"
+    clock_name = "by the device" if cost.clock == "timestamps" else "CPU"
     for name, seconds in cost.stages.items():
-        table.add_row(f"{name}, {told}", f"{_MILLI * seconds:.3f}", "")
+        table.add_row(f"{name}, {clock_name}", f"{_MILLI * seconds:.3f}", "")
     console = Console(highlight=False)
     console.print(table)
     for line in _lines(cost):
@@ -119,11 +119,11 @@ def _lines(cost: "FrameCost") -> list[str]:
     """Say what was drawn, where, and how much memory that takes."""
     width, height = cost.size
     kind = " (a software driver)" if cost.software else ""
-    each = cost.rows_bytes / max(1, cost.capacity)
+    bytes_per_row = cost.rows_bytes / max(1, cost.capacity)
     return [
         f"{cost.frames} frames of {width}×{height} on {cost.device}{kind}",
         f"{cost.gaussians:,} Gaussians, {cost.visible:,} visible, {cost.pairs:,} pairs of a "
         "Gaussian and a tile",
-        f"memory of the device: {cost.rows_bytes / _MEGA:.1f} MB of Gaussians, {each:.0f} bytes "
+        f"memory of the device: {cost.rows_bytes / _MEGA:.1f} MB of Gaussians, {bytes_per_row:.0f} bytes "
         f"each; {cost.plan_bytes / _MEGA:.1f} MB for drawing",
     ]

@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gsgen.contract.errors import ConfigInvalid, UnknownName
+from gsgen.contract.errors import ConfigInvalid, ExitCode, UnknownName
 from gsgen.contract.process.atomic_files import refuse_itself
 
 if TYPE_CHECKING:
     from gsgen.formats.codecs import Codec
     from gsgen.formats.conversion import Conversion
-
-_FAILED, _UNREADABLE = 1, 4
 
 
 def convert(
@@ -91,7 +89,7 @@ def convert(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", FormatWarning)
         try:
-            done = run(
+            result = run(
                 source,
                 target,
                 codec,
@@ -104,13 +102,15 @@ def convert(
             clear()
             typer.echo(f"gsgen: {error}", err=True)
             unreadable = reading and error.path == str(source)
-            raise typer.Exit(_UNREADABLE if unreadable else _FAILED) from error
+            raise typer.Exit(
+                ExitCode.UNREADABLE if unreadable else ExitCode.FAILURE
+            ) from error
     clear()
     notes = list(dict.fromkeys(str(warning.message) for warning in caught))
     for note in notes:
         typer.echo(f"note: {note}", err=True)
-    told = _as_dict(done) | {"notes": notes}
-    typer.echo(json.dumps(told, indent=2) if as_json else _as_text(done))
+    document = _as_dict(result) | {"notes": notes}
+    typer.echo(json.dumps(document, indent=2) if as_json else _as_text(result))
 
 
 def _codec(name: str | None, target: Path) -> "Codec":
@@ -124,10 +124,10 @@ def _codec(name: str | None, target: Path) -> "Codec":
         return codec_named(name)
     codec = codec_of_suffix(target)
     if codec is None or codec.write is None:
-        seen = f"{codec.title} is only read" if codec else "ends in no known suffix"
-        suffixes = [one.suffixes[0] for one in CODECS if one.write]
+        problem = f"{codec.title} is only read" if codec else "ends in no known suffix"
+        suffixes = [known.suffixes[0] for known in CODECS if known.write]
         raise ConfigInvalid(
-            seen,
+            problem,
             where=str(target),
             hint=f"Let it end in {', '.join(suffixes)}, or give --format.",
         )
@@ -138,12 +138,12 @@ def _writer(
     codec: "Codec", spz_version: int | None, encoding: str | None
 ) -> "Callable[..., None] | None":
     """Return what writes with the options of the format, or None where none is given."""
-    given: dict[str, tuple[str, dict[str, Any]]] = {}
+    writers: dict[str, tuple[str, dict[str, Any]]] = {}
     if spz_version is not None:
-        given["--spz-version"] = "spz", {"version": spz_version}
+        writers["--spz-version"] = "spz", {"version": spz_version}
     if encoding is not None:
-        given["--encoding"] = "ply", {"format": encoding}
-    for option, (format, _) in given.items():
+        writers["--encoding"] = "ply", {"format": encoding}
+    for option, (format, _) in writers.items():
         if codec.name != format:
             raise ConfigInvalid(
                 f"is for {format}, and {codec.name} is written",
@@ -151,33 +151,33 @@ def _writer(
                 hint="Leave it out.",
             )
     assert codec.write is not None
-    options = {key: value for _, words in given.values() for key, value in words.items()}
+    options = {key: value for _, words in writers.values() for key, value in words.items()}
     return partial(codec.write, **options) if options else None
 
 
-def _as_dict(done: "Conversion") -> dict[str, Any]:
-    made = asdict(done)
-    made["degree"] = done.degree and list(done.degree)
-    return made
+def _as_dict(result: "Conversion") -> dict[str, Any]:
+    document = asdict(result)
+    document["degree"] = result.degree and list(result.degree)
+    return document
 
 
-def _as_text(done: "Conversion") -> str:
-    before, after = (size / (1 << 20) for size in done.sizes)
-    kind = "points" if done.degree is None else "splats"
-    degree = f" of SH degree {done.degree[1]}" if done.degree else ""
+def _as_text(result: "Conversion") -> str:
+    before, after = (size / (1 << 20) for size in result.sizes)
+    kind = "points" if result.degree is None else "splats"
+    degree = f" of SH degree {result.degree[1]}" if result.degree else ""
     times = f", {before / after:.1f} times smaller" if before > 1.05 * after > 0 else ""
     lines = [
-        f"{done.target}: {done.count:,} {kind}{degree}, {done.format}, "
+        f"{result.target}: {result.count:,} {kind}{degree}, {result.format}, "
         f"{before:.2f} MiB → {after:.2f} MiB{times}"
     ]
-    lines += [f"lost: {what}" for what in done.lost]
-    off = [one for one in done.differences if one.largest]
+    lines += [f"lost: {loss}" for loss in result.lost]
+    off = [difference for difference in result.differences if difference.largest]
     if off:
         lines.append(f"{'off by':<12}{'at most':>12}{'typically':>12}")
     lines += [
-        f"  {one.name:<10}{one.largest:>12.3g}{one.typical:>12.3g} {one.unit}".rstrip()
-        for one in off
+        f"  {difference.name:<10}{difference.largest:>12.3g}{difference.typical:>12.3g} {difference.unit}".rstrip()
+        for difference in off
     ]
-    if done.degree and not off and not done.lost:
+    if result.degree and not off and not result.lost:
         lines.append("nothing was lost")
     return "\n".join(lines)

@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from gsgen.contract.errors import ModelUnreadable, UnknownName
+from gsgen.contract.errors import ExitCode, ModelUnreadable, UnknownName
 
 if TYPE_CHECKING:
     from gsgen.runtime.playback.post_process import PostProcessor
     from gsgen.runtime.sources.scene_file import SceneFile
     from gsgen.runtime.sources.source import Source
-
-_UNREADABLE = 4
 
 
 def scene_files(scenes: Sequence[Path]) -> "dict[Path, SceneFile]":
@@ -34,7 +32,7 @@ def scene_files(scenes: Sequence[Path]) -> "dict[Path, SceneFile]":
         return {path: read_scene(path) for path in scenes if is_scene_file(path)}
     except SceneUnreadable as error:
         typer.echo(f"gsgen: {error}", err=True)
-        raise typer.Exit(_UNREADABLE) from error
+        raise typer.Exit(ExitCode.UNREADABLE) from error
 
 
 @contextmanager
@@ -63,28 +61,28 @@ def opened(
     from gsgen.runtime.sources.source import open_source
 
     files = scene_files(scenes)
-    named = [model.path for file in files.values() for model in file.models]
+    model_paths = [model.path for file in files.values() for model in file.models]
     with ExitStack() as stack:
         with _noting():
             try:
-                given = _sizes_of_each([*scenes, *named, *post], sizes or {})
+                sizes_by_path = _sizes_of_each([*scenes, *model_paths, *post], sizes or {})
                 sources: list[Source] = []
                 models: list[PostProcessor] = []
                 for path in scenes:
-                    found = (
-                        open_scene(files[path], provider, given)
+                    opened_sources = (
+                        open_scene(files[path], provider, sizes_by_path)
                         if path in files
-                        else [open_source(path, provider, given.get(path))]
+                        else [open_source(path, provider, sizes_by_path.get(path))]
                     )
-                    sources += found
-                    for one in found:
-                        stack.callback(one.close)
+                    sources += opened_sources
+                    for source in opened_sources:
+                        stack.callback(source.close)
                 for path in post:
-                    models.append(PostProcessor(path, provider, given.get(path)))
+                    models.append(PostProcessor(path, provider, sizes_by_path.get(path)))
                     stack.callback(models[-1].close)
             except (ModelUnreadable, SceneUnreadable) as error:
                 typer.echo(f"gsgen: {error}", err=True)
-                raise typer.Exit(_UNREADABLE) from error
+                raise typer.Exit(ExitCode.UNREADABLE) from error
         yield sources, models
 
 

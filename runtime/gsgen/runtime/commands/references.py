@@ -78,7 +78,7 @@ def references(
         installed_rules(), config=config, timeout=timeout, memory=memory
     )
     try:
-        made = record_references(
+        recorded = record_references(
             model,
             output,
             camera=camera,
@@ -91,21 +91,25 @@ def references(
         )
     finally:
         clear()
-    for label in made.empty:
+    for label in recorded.empty:
         typer.echo(f"note: nothing is seen at {label!r}", err=True)
-    _print(made, as_json)
+    _print(recorded, as_json)
 
 
-def _print(made: "References", as_json: bool) -> None:
+def _print(recorded: "References", as_json: bool) -> None:
     if as_json:
-        listed = [asdict(image) for image in made.images]
-        said = {"model": str(made.model), "device": made.device, "reference_images": listed}
-        typer.echo(json.dumps(said, indent=2))
+        listed = [asdict(image) for image in recorded.images]
+        document = {
+            "model": str(recorded.model),
+            "device": recorded.device,
+            "reference_images": listed,
+        }
+        typer.echo(json.dumps(document, indent=2))
         return
-    for image in made.images:
-        typer.echo(f"{made.model.parent / image.path}: {image.inputs}")
-    typed = shlex.quote(str(made.model))
+    for image in recorded.images:
+        typer.echo(f"{recorded.model.parent / image.path}: {image.inputs}")
+    typed = shlex.quote(str(recorded.model))
     typer.echo(
-        f"{made.model}: declares them, drawn on {made.device}; "
+        f"{recorded.model}: declares them, drawn on {recorded.device}; "
         f"`gsgen validate {typed} --level render` draws them again"
     )

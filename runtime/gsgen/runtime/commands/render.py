@@ -193,14 +193,14 @@ def render(
                 rasteriser=rasteriser, compact=compact, published=wsr == "published"
             ),
         )
-        began = clock.perf_counter()
+        started = clock.perf_counter()
         film.write(
             output,
             fps or speed,
             lambda number: progress(f"frame {number} of {film.frames}"),
         )
         clear()
-        _report(film, output, clock.perf_counter() - began, as_json)
+        _report(film, output, clock.perf_counter() - started, as_json)
 
 
 def fed(
@@ -217,17 +217,19 @@ def fed(
         takers = [source for source in sources if source.named(word)]
         if not takers:
             raise ConfigInvalid(f"no scene has an input {word!r}", where=f"--pose {text}")
-        made, speed = pose_tracks(text, takers[0])
-        tracks, fps = [*tracks, *made], fps or speed
+        pose_values, speed = pose_tracks(text, takers[0])
+        tracks, fps = [*tracks, *pose_values], fps or speed
     return [*tracks, *(input_track(text) for text in inputs or ())], fps
 
 
 def _require_sums(sources: "list[Source]") -> None:
     """Refuse what the published form of weighted sums is not defined for."""
-    other = next((one for one in sources if one.weighted is None or one.meshes), None)
-    if other is not None:
+    unsummed = next(
+        (source for source in sources if source.weighted is None or source.meshes), None
+    )
+    if unsummed is not None:
         raise ConfigInvalid(
-            f"{other.name} is not blended by weighted sums, and nothing else can be drawn so",
+            f"{unsummed.name} is not blended by weighted sums, and nothing else can be drawn so",
             where="--wsr published",
             hint="Leave it out, or draw all of it as the contract says: `--wsr contract`.",
         )
@@ -266,18 +268,18 @@ def _of_transparency(
 
 
 def _report(film: "FrameSequence", output: Path, seconds: float, as_json: bool) -> None:
-    said = film.summary() | {"output": str(output), "seconds": round(seconds, 3)}
+    document = film.summary() | {"output": str(output), "seconds": round(seconds, 3)}
     if as_json:
-        typer.echo(json.dumps(said, indent=2))
+        typer.echo(json.dumps(document, indent=2))
         return
     count = f"{film.frames} frames of " if film.frames > 1 else ""
-    triangles = f"{said['triangles']:,} triangles, " if said["triangles"] else ""
+    triangles = f"{document['triangles']:,} triangles, " if document["triangles"] else ""
     typer.echo(
-        f"{output}: {count}{said['width']}×{said['height']}, "
-        f"{said['visible']:,} of {said['gaussians']:,} Gaussians drawn, {triangles}"
-        f"{seconds:.2f} s on {said['device']}"
+        f"{output}: {count}{document['width']}×{document['height']}, "
+        f"{document['visible']:,} of {document['gaussians']:,} Gaussians drawn, {triangles}"
+        f"{seconds:.2f} s on {document['device']}"
     )
-    if said["gaussians"] and not said["visible"]:
+    if document["gaussians"] and not document["visible"]:
         typer.echo(
             "note: no Gaussian is seen: none is in front of the camera and opaque", err=True
         )

@@ -128,8 +128,8 @@ def view(
         hint = error.hint or f"Without a screen: {words}"
         raise DisplayUnavailable(error.message, hint=hint) from error
     files = list(scene_files(scenes).values())
-    seen = scene_view(files, camera, width, height, fov, up, orthographic, panorama)
-    for note in seen.notes:
+    viewpoint = scene_view(files, camera, width, height, fov, up, orthographic, panorama)
+    for note in viewpoint.notes:
         typer.echo(f"note: {note}", err=True)
     behind = told(files, "background") or (0.0, 0.0, 0.0, 1.0)
     if background is not None:
@@ -152,7 +152,7 @@ def view(
         stage.playing = play and stage.frames > 1
         viewer = Viewer(
             stage,
-            seen,
+            viewpoint,
             painter=SurfaceRenderer(rasteriser=rasteriser, compact=compact),
             mode=mode.shown,
             background=behind,
@@ -160,7 +160,7 @@ def view(
             say=typer.echo,
             reopen=_reopener(play),
         )
-        home = seen.camera(sources[0], 0, 0.0)
+        home = viewpoint.camera(sources[0], 0, 0.0)
         try:
             open_window(viewer, _title(scenes), (home.width, home.height))
         finally:

@@ -30,23 +30,27 @@ def save_gif(path: Path, pictures: Sequence[UInt8[np.ndarray, "..."]], fps: floa
     """
     from PIL import Image
 
-    told: dict[str, Any] = {"duration": round(_MILLISECONDS / fps), "loop": 0}
-    if any(one.shape[2:] == (4,) and one[..., 3].min() < _ABSENT for one in pictures):
-        frames = [_keyed(Image, one) for one in pictures]
-        told |= {"disposal": _CLEARED, "transparency": _ABSENT, "optimize": False}
+    options: dict[str, Any] = {"duration": round(_MILLISECONDS / fps), "loop": 0}
+    if any(
+        picture.shape[2:] == (4,) and picture[..., 3].min() < _ABSENT
+        for picture in pictures
+    ):
+        frames = [_keyed(Image, picture) for picture in pictures]
+        options |= {"disposal": _CLEARED, "transparency": _ABSENT, "optimize": False}
     else:
         frames = [
-            Image.fromarray(one[..., :3] if one.ndim == 3 else one) for one in pictures
+            Image.fromarray(picture[..., :3] if picture.ndim == 3 else picture)
+            for picture in pictures
         ]
-    frames[0].save(path, "gif", save_all=True, append_images=frames[1:], **told)
+    frames[0].save(path, "gif", save_all=True, append_images=frames[1:], **options)
 
 
 def _keyed(image: Any, picture: UInt8[np.ndarray, "h w 4"]) -> Any:
     """Return a picture of 255 colours and one that is none."""
-    there = picture[..., 3] >= _HALF
-    colors = image.fromarray(picture[..., :3] * there[..., None]).quantize(_ABSENT)
-    chosen = np.where(there, np.asarray(colors), _ABSENT).astype(np.uint8)
-    made = image.frombytes("P", colors.size, chosen.tobytes())
+    is_opaque = picture[..., 3] >= _HALF
+    colors = image.fromarray(picture[..., :3] * is_opaque[..., None]).quantize(_ABSENT)
+    indices = np.where(is_opaque, np.asarray(colors), _ABSENT).astype(np.uint8)
+    frame = image.frombytes("P", colors.size, indices.tobytes())
     palette = colors.getpalette()
-    made.putpalette(palette + [0] * (3 * (_ABSENT + 1) - len(palette)))
-    return made
+    frame.putpalette(palette + [0] * (3 * (_ABSENT + 1) - len(palette)))
+    return frame

@@ -25,9 +25,9 @@ def gpano(camera: Camera) -> bytes | None:
     width, height = round(camera.period), round(math.pi * camera.fy)
     left = round(width / 2 - camera.cx)
     top = round(height / 2 - camera.cy)
-    held = left >= 0 and top >= 0
-    held &= left + camera.width <= width and top + camera.height <= height
-    if camera.kind != "panorama" or width != 2 * height or not held:
+    is_inside = left >= 0 and top >= 0
+    is_inside &= left + camera.width <= width and top + camera.height <= height
+    if camera.kind != "panorama" or width != 2 * height or not is_inside:
         return None
     terms = {
         "ProjectionType": "equirectangular",
@@ -39,5 +39,5 @@ def gpano(camera: Camera) -> bytes | None:
         "CroppedAreaLeftPixels": left,
         "CroppedAreaTopPixels": top,
     }
-    said = " ".join(f'GPano:{name}="{value}"' for name, value in terms.items())
-    return _PACKET.format(said).encode()
+    attributes = " ".join(f'GPano:{name}="{value}"' for name, value in terms.items())
+    return _PACKET.format(attributes).encode()

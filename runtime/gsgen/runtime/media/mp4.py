@@ -83,11 +83,11 @@ def _groups(pictures: Iterator["Image"]) -> Iterator[list["Image"]]:
 
     A sequence of one picture would be a still image, which has other boxes.
     """
-    held = list(islice(pictures, _GROUP))
+    group = list(islice(pictures, _GROUP))
     while len(coming := list(islice(pictures, _GROUP))) > 1:
-        yield held
-        held = coming
-    yield held + coming
+        yield group
+        group = coming
+    yield group + coming
 
 
 def _sequence(pictures: Sequence["Image"]) -> _Group:
@@ -101,19 +101,19 @@ def _sequence(pictures: Sequence["Image"]) -> _Group:
         )
     if len(shapes := {picture.size for picture in pictures}) > 1:
         raise _uneven(shapes)
-    first, *rest = pictures
-    made = io.BytesIO()
+    first, *remaining = pictures
+    buffer = io.BytesIO()
     first.save(
-        made,
+        buffer,
         "AVIF",
         save_all=True,
-        append_images=rest or [first],
+        append_images=remaining or [first],
         duration=1,
         quality=_QUALITY,
         speed=_SPEED,
         range="limited",  # what players assume of a film that says nothing
     )
-    file = made.getvalue()
+    file = buffer.getvalue()
     table = _find(file, b"moov", b"trak", b"mdia", b"minf", b"stbl")
     lengths = np.frombuffer(_find(table, b"stsz"), ">u4")[3:]
     start = int.from_bytes(_find(table, b"stco")[8:12], "big")
@@ -124,26 +124,26 @@ def _sequence(pictures: Sequence["Image"]) -> _Group:
 
 
 def _uneven(sizes: Collection[tuple[int, int]]) -> SceneInvalid:
-    seen = ", ".join(f"{width}×{height}" for width, height in sorted(sizes))
+    size_list = ", ".join(f"{width}×{height}" for width, height in sorted(sizes))
     return SceneInvalid(
-        f"frames differ in size ({seen}), those of a film cannot",
+        f"frames differ in size ({size_list}), those of a film cannot",
         hint="Give --width and --height.",
     )
 
 
 def _entry(avif: bytes) -> bytes:
     """Return the sample entry of a film, given the one of an image sequence."""
-    kept = {b"av1C", b"colr"}
+    retained = {b"av1C", b"colr"}
     boxes = [
-        _box(kind, body) for kind, body in _boxes(avif[_ENTRY_FIELDS:]) if kind in kept
+        _box(kind, body) for kind, body in _boxes(avif[_ENTRY_FIELDS:]) if kind in retained
     ]
     return _box(b"av01", avif[8:_ENTRY_FIELDS], *boxes)
 
 
 def _contents(
-    look: _Group, samples: Sequence[bytes], firsts: Sequence[int], fps: float, at: int
+    look: _Group, samples: Sequence[bytes], firsts: Sequence[int], fps: float, offset: int
 ) -> bytes:
-    """Return the box ``moov`` of samples that lie one after the other from ``at`` on."""
+    """Return the box ``moov`` of samples that lie one after the other from ``offset`` on."""
     duration = _TICKS * len(samples)
     rate = round(_TICKS * fps)
     table = _box(
@@ -153,18 +153,20 @@ def _contents(
         _box(b"stss", _u32(0, len(firsts), *firsts)),
         _box(b"stsc", _u32(0, 1, 1, len(samples), 1)),
         _box(b"stsz", _u32(0, 0, len(samples), *map(len, samples))),
-        _box(b"stco", _u32(0, 1, at)),
+        _box(b"stco", _u32(0, 1, offset)),
     )
-    here = _box(b"dref", _u32(0, 1), _box(b"url ", _u32(1)))
+    data_reference = _box(b"dref", _u32(0, 1), _box(b"url ", _u32(1)))
     media = _box(
         b"mdia",
         _box(b"mdhd", _u32(0, 0, 0, rate, duration, 0x55C40000)),  # "und": no language
         _box(b"hdlr", _u32(0, 0), b"vide", _u32(0, 0, 0), b"\0"),
-        _box(b"minf", _box(b"vmhd", _u32(1, 0, 0)), _box(b"dinf", here), table),
+        _box(b"minf", _box(b"vmhd", _u32(1, 0, 0)), _box(b"dinf", data_reference), table),
     )
     size = _u32(look.width << 16, look.height << 16)
-    shown = _u32(3, 0, 0, 1, 0, duration, 0, 0, 0, 0)  # enabled, in the film; track 1
-    track = _box(b"trak", _box(b"tkhd", shown, _UNITY, size), media)
+    track_fields = _u32(
+        3, 0, 0, 1, 0, duration, 0, 0, 0, 0
+    )  # enabled, in the film; track 1
+    track = _box(b"trak", _box(b"tkhd", track_fields, _UNITY, size), media)
     film = _u32(0, 0, 0, rate, duration, 0x10000, 0x1000000, 0, 0)
     return _box(b"moov", _box(b"mvhd", film, _UNITY, bytes(24), _u32(2)), track)
 
@@ -180,15 +182,15 @@ def _box(kind: bytes, *parts: bytes) -> bytes:
 
 def _boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
     """Yield the kind and the content of each box in ``data``."""
-    at = 0
-    while at < len(data):
-        size = int.from_bytes(data[at : at + 4], "big")
-        yield data[at + 4 : at + 8], data[at + 8 : at + size]
-        at += size
+    offset = 0
+    while offset < len(data):
+        size = int.from_bytes(data[offset : offset + 4], "big")
+        yield data[offset + 4 : offset + 8], data[offset + 8 : offset + size]
+        offset += size
 
 
 def _find(data: bytes, *path: bytes) -> bytes:
     """Return what is in the box that ``path`` leads to."""
     for kind in path:
-        data = next(body for found, body in _boxes(data) if found == kind)
+        data = next(body for box_kind, body in _boxes(data) if box_kind == kind)
     return data

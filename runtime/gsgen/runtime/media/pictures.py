@@ -64,10 +64,10 @@ def array_of(frame: Frame, mode: Mode) -> Float32[np.ndarray, "h w *c"]:
         "normal": frame.normal,
         "alpha": frame.alpha,
     }
-    found = arrays[mode]
-    if found is None:
+    array = arrays[mode]
+    if array is None:
         raise ValueError(f"the frame was drawn without {MODES[mode]}")
-    return found
+    return array
 
 
 def picture_of(
@@ -85,14 +85,14 @@ def picture_of(
     """
     if mode == "color":
         return frame.srgb8
-    made = array_of(frame, mode)
+    array = array_of(frame, mode)
     if mode == "normal":
-        return _bytes((made + 1) / 2 * made.any(axis=-1, keepdims=True))
+        return _bytes((array + 1) / 2 * array.any(axis=-1, keepdims=True))
     if mode == "alpha":
-        return _bytes(made)
-    near, far = depths or depth_range(made)
-    share = (np.where(np.isfinite(made), made, far) - near) / max(far - near, 1e-12)
-    return _bytes(np.where(np.isfinite(made), 1 - 0.9 * np.clip(share, 0, 1), 0))
+        return _bytes(array)
+    near, far = depths or depth_range(array)
+    share = (np.where(np.isfinite(array), array, far) - near) / max(far - near, 1e-12)
+    return _bytes(np.where(np.isfinite(array), 1 - 0.9 * np.clip(share, 0, 1), 0))
 
 
 def depth_range(depth: Float32[np.ndarray, "h w"]) -> tuple[float, float]:
@@ -104,8 +104,8 @@ def depth_range(depth: Float32[np.ndarray, "h w"]) -> tuple[float, float]:
     return float(near), float(far)
 
 
-def _bytes(made: np.ndarray) -> UInt8[np.ndarray, "..."]:
-    return np.asarray(np.rint(np.clip(made, 0, 1) * 255), np.uint8)
+def _bytes(array: np.ndarray) -> UInt8[np.ndarray, "..."]:
+    return np.asarray(np.rint(np.clip(array, 0, 1) * 255), np.uint8)
 
 
 def save_picture(
@@ -122,10 +122,10 @@ def save_picture(
         SceneInvalid: The image library is missing or cannot write such a file.
     """
     image = _image()
-    said = _said_of(camera, picture) if path.suffix.lower() in (".jpg", ".jpeg") else {}
+    metadata = _said_of(camera, picture) if path.suffix.lower() in (".jpg", ".jpeg") else {}
     with atomic_write(path) as draft:
         try:
-            image.fromarray(_fitting(path, picture)).save(draft, **said)
+            image.fromarray(_fitting(path, picture)).save(draft, **metadata)
         except ValueError as error:
             raise SceneInvalid(f"cannot be written: {error}", where=str(path)) from error
 
@@ -151,10 +151,10 @@ def _said_of(
     return {} if packet is None else {"xmp": packet}
 
 
-def save_array(path: Path, made: Float32[np.ndarray, "h w *c"]) -> None:
+def save_array(path: Path, array: Float32[np.ndarray, "h w *c"]) -> None:
     """Write a NumPy file, whole or not at all."""
     with atomic_write(path) as draft:
-        np.save(draft, made)
+        np.save(draft, array)
 
 
 def save_film(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: float) -> None:
@@ -167,14 +167,16 @@ def save_film(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: flo
     """
     image = _image()
     if path.suffix.lower() == ".mp4":
-        colors = (image.fromarray(_fitting(path, one)).convert("RGB") for one in pictures)
+        colors = (
+            image.fromarray(_fitting(path, picture)).convert("RGB") for picture in pictures
+        )
         film = mp4.encode(colors, fps)
         with atomic_write(path) as draft:
             draft.write_bytes(film)
         return
-    made = list(pictures)
+    frames = list(pictures)
     with atomic_write(path) as draft:
-        save_gif(draft, made, fps)
+        save_gif(draft, frames, fps)
 
 
 def _fitting(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> np.ndarray:

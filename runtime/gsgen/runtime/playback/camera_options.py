@@ -55,8 +55,8 @@ class Viewpoint:
     def sizes(self) -> set[tuple[int, int]]:
         """Widths and heights that the cameras of a file have here; nothing without a file."""
         return {
-            (self.width or one.width, self.height or one.height)
-            for one in self.cameras
+            (self.width or camera.width, self.height or camera.height)
+            for camera in self.cameras
             if not self.around
         }
 
@@ -71,11 +71,11 @@ class Viewpoint:
         center, reach = source.extent()
         if self.around:
             return self._panorama(source, center, number, turn)
-        made = self._placed(source, center, reach, number, turn)
+        camera = self._placed(source, center, reach, number, turn)
         if not self.flat:
-            return made
-        ahead = float(made.view[2, :3] @ center + made.view[2, 3])
-        return made.flattened(ahead if ahead > made.near else reach)
+            return camera
+        ahead = float(camera.view[2, :3] @ center + camera.view[2, 3])
+        return camera.flattened(ahead if ahead > camera.near else reach)
 
     def _panorama(
         self, source: Source, center: Float[np.ndarray, "3"], number: int, turn: float
@@ -83,10 +83,10 @@ class Viewpoint:
         width = self.width or (2 * self.height if self.height else _AROUND)
         height = self.height or max(1, width // 2)
         if self.cameras:
-            own = self.cameras[number % len(self.cameras)]
+            file_camera = self.cameras[number % len(self.cameras)]
             if self.up is None:
-                return own.all_around(width, height)
-            eye, toward = own.eye.tolist(), own.view[2, :3].tolist()
+                return file_camera.all_around(width, height)
+            eye, toward = file_camera.eye.tolist(), file_camera.view[2, :3].tolist()
             return Camera.panorama(eye, toward, up=self.up, width=width, height=height)
         eye, toward = self._heading(source, center, turn)
         up = self.up or source.up
@@ -116,8 +116,10 @@ class Viewpoint:
         turn: float,
     ) -> Camera:
         if self.cameras:
-            own = self.cameras[number % len(self.cameras)]
-            return own.scaled(self.width or own.width, self.height or own.height)
+            file_camera = self.cameras[number % len(self.cameras)]
+            return file_camera.scaled(
+                self.width or file_camera.width, self.height or file_camera.height
+            )
         size = {"width": self.width or 1280, "height": self.height or 720}
         up = self.up or source.up
         if self.look_at is not None:
@@ -169,17 +171,17 @@ def viewpoint(
         both = "--orthographic and --panorama"
         raise ConfigInvalid("were both given; a camera is one of them", where=both)
     upward = None if up is None else direction(up)
-    head, _, rest = (text or "orbit").partition(":")
+    head, _, arguments = (text or "orbit").partition(":")
     if head == "orbit":
-        numbers = _numbers(text or "", rest, (0, 2, 3)) if rest else ()
+        numbers = _numbers(text or "", arguments, (0, 2, 3)) if arguments else ()
         azimuth, elevation = numbers[:2] or (_AZIMUTH, _ELEVATION)
         radius = numbers[2] if len(numbers) > 2 else None
         orbit = (azimuth, elevation, radius)
         return Viewpoint(orbit, None, (), width, height, fov, upward, flat, around)
     if head == "look-at":
-        eye_and_target = _numbers(text or "", rest, (6,))
+        eye_and_target = _numbers(text or "", arguments, (6,))
         return Viewpoint(None, eye_and_target, (), width, height, fov, upward, flat, around)
-    path, which = split_pick(text or "")
+    path, selection = split_pick(text or "")
     if not _exists(path):
         raise ConfigInvalid(
             f"{text!r} is no camera and no file that can be read",
@@ -187,7 +189,7 @@ def viewpoint(
             hint=_FORMS,
         )
     file = open_cameras(path)
-    cameras = tuple(one.camera for one in file.pick(which))
+    cameras = tuple(entry.camera for entry in file.pick(selection))
     return Viewpoint(
         None, None, cameras, width, height, fov, upward, flat, around, file.notes
     )
@@ -202,13 +204,13 @@ def _exists(path: Path) -> bool:
 
 def _numbers(text: str, part: str, counts: tuple[int, ...]) -> tuple[float, ...]:
     try:
-        numbers = tuple(float(one) for one in part.split(","))
+        numbers = tuple(float(word) for word in part.split(","))
     except ValueError as error:
         raise ConfigInvalid(f"{text!r}: {error}", where="--camera", hint=_FORMS) from error
     if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
-        wanted = " or ".join(map(str, counts))
+        expected = " or ".join(map(str, counts))
         raise ConfigInvalid(
-            f"{text!r} has {len(numbers)} numbers, wanted {wanted} finite ones",
+            f"{text!r} has {len(numbers)} numbers, wanted {expected} finite ones",
             where="--camera",
             hint=_FORMS,
         )

@@ -112,7 +112,9 @@ def measure(
         wall=Span.of(played.wall),
         cpu=Span.of(played.cpu),
         submit=Span.of(staged.submit),
-        inference={name: Span.of(one) for name, one in played.inference.items() if one},
+        inference={
+            name: Span.of(seconds) for name, seconds in played.inference.items() if seconds
+        },
         stages=staged.stages,
         clock=staged.clock,
         gaussians=int(np.median(played.gaussians)),
@@ -137,20 +139,20 @@ class _Played:
 
 
 def _play(film: FrameSequence) -> _Played:
-    made = _Played([], [], {one.name: [] for one in film.sources}, [], [], [])
-    began, busy = time.perf_counter(), time.process_time()
+    played = _Played([], [], {source.name: [] for source in film.sources}, [], [], [])
+    started, busy = time.perf_counter(), time.process_time()
     for frame in film.player.play(map(film.shot, range(film.frames))):
         now, used = time.perf_counter(), time.process_time()
-        made.wall.append(now - began)
-        made.cpu.append(used - busy)
-        began, busy = now, used
-        made.visible.append(frame.visible)
-        made.pairs.append(frame.pairs)
-        made.gaussians.append(sum(one.data.count for one in film.sources))
+        played.wall.append(now - started)
+        played.cpu.append(used - busy)
+        started, busy = now, used
+        played.visible.append(frame.visible)
+        played.pairs.append(frame.pairs)
+        played.gaussians.append(sum(source.data.count for source in film.sources))
         for source in film.sources:
             if source.seconds:
-                made.inference[source.name].append(source.seconds)
-    return made
+                played.inference[source.name].append(source.seconds)
+    return played
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,21 +170,21 @@ def _stage(film: FrameSequence) -> _Staged:
     """Draw some frames of the film stage by stage."""
     renderer = film.player.renderer
     clock = StageClock(renderer.device) if renderer.device.has_clock else None
-    chosen = np.unique(np.linspace(0, film.frames - 1, _STAGED).round().astype(int))
+    frame_numbers = np.unique(np.linspace(0, film.frames - 1, _STAGED).round().astype(int))
     submit: list[float] = []
     rows: list[dict[str, float]] = []
-    told: Literal["timestamps", "cpu"] = "timestamps"
+    clock_kind: Literal["timestamps", "cpu"] = "timestamps"
     _Part.of(film, film.frames - 1).submit(clock)  # the first timestamps take long
-    for number in chosen:
+    for number in frame_numbers:
         film.draw(int(number))
         part = _Part.of(film, int(number))
         submit.append(part.submit(clock))
         ticks = clock.seconds() if clock is not None else {}
         if not any(ticks.values()):
-            told, ticks = "cpu", part.added()
+            clock_kind, ticks = "cpu", part.added()
         rows.append(ticks)
     stages = {name: float(np.median([row[name] for row in rows])) for name in rows[0]}
-    return _Staged(submit, stages, told, part.rows_bytes, part.plan_bytes)
+    return _Staged(submit, stages, clock_kind, part.rows_bytes, part.plan_bytes)
 
 
 @final
@@ -207,22 +209,22 @@ class _Part:
         self, clock: StageClock | None = None, only: Sequence[str] | None = None
     ) -> float:
         """Draw; return the CPU seconds that this thread took until the device had everything."""
-        began = time.thread_time()
+        started = time.thread_time()
         self.plan.submit(
             self.placed, self.camera, _NOTHING, meshes=self.meshes, only=only, clock=clock
         )
-        taken = time.thread_time() - began
+        seconds = time.thread_time() - started
         self.plan.collect()
-        return taken
+        return seconds
 
     def added(self) -> dict[str, float]:
         """Return the CPU seconds that each stage adds to those before it, which it needs."""
         names = list(self.plan.stages)
         sums = []
         for length in range(len(names) + 1):
-            began = time.process_time()
+            started = time.process_time()
             self.submit(only=names[:length])
-            sums.append(time.process_time() - began)
+            sums.append(time.process_time() - started)
         return {
             name: max(b - a, 0.0) for name, a, b in zip(names, sums, sums[1:], strict=False)
         }

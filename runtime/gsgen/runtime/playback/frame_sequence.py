@@ -78,10 +78,11 @@ class FrameSequence:
         moving = self._score.moving
         turning = self.frames > 1 and view.orbit is not None and not moving
         self._turn = turn if turn is not None else (_CIRCLE if turning else 0.0)
-        looked = sorted({0, self.frames // 2, self.frames - 1}, reverse=True)
-        for place, source in enumerate(sources):  # an orbit goes around what the film shows
+        probed_frames = sorted({0, self.frames // 2, self.frames - 1}, reverse=True)
+        for index, source in enumerate(sources):  # an orbit goes around what the film shows
             source.survey(
-                (frame, self._score.values(frame, self.frames)[place]) for frame in looked
+                (frame, self._score.values(frame, self.frames)[index])
+                for frame in probed_frames
             )
         self.player = Player(
             sources,
@@ -123,7 +124,7 @@ class FrameSequence:
         if suffix in (".npy", *pictures.FILMS) and len(self._view.sizes) > 1:
             raise _uneven(path, self._view.sizes)
         if suffix == ".npy":
-            arrays = [pictures.array_of(one, self._mode) for one in self._drawn(watch)]
+            arrays = [pictures.array_of(frame, self._mode) for frame in self._drawn(watch)]
             pictures.save_array(path, np.stack(arrays) if self.frames > 1 else arrays[0])
         elif suffix in pictures.FILMS:
             pictures.save_film(path, self._pictures(watch), fps or self._fps())
@@ -156,7 +157,7 @@ class FrameSequence:
 
     def _fps(self) -> float:
         times = (source.time for source in self.sources)
-        return next((one.fps for one in times if one is not None and one.fps), _FPS)
+        return next((spec.fps for spec in times if spec is not None and spec.fps), _FPS)
 
     def summary(self) -> dict[str, int | str]:
         """Return what was drawn, of the last frame where there are several."""
@@ -168,7 +169,7 @@ class FrameSequence:
             "height": height,
             "gaussians": sum(source.data.count for source in self.sources),
             "visible": self._last.visible,
-            "triangles": sum(len(one.data) for one in self.player.scene.meshes),
+            "triangles": sum(len(mesh.data) for mesh in self.player.scene.meshes),
             "pairs": self._last.pairs,
             "device": self.player.renderer.device.name,
         }

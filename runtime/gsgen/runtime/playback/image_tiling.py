@@ -44,8 +44,8 @@ def lay_tiles(
     """
     rows, columns = (_starts(n, size, overlap) for n, size in zip(image, tile, strict=True))
     for top in rows:
-        for left in columns:
-            yield Tile(top, left)
+        for x in columns:
+            yield Tile(top, x)
 
 
 def _starts(length: int, size: int, overlap: int) -> list[int]:
@@ -67,9 +67,9 @@ def tile_weights(
     ramp = np.outer(_ramp(tile[0], overlap), _ramp(tile[1], overlap))
     tiles = list(lay_tiles(image, tile, overlap))
     total = np.zeros(image)
-    for one in tiles:
-        total[_part(one, tile)] += ramp
-    return [(one, ramp / total[_part(one, tile)]) for one in tiles]
+    for laid in tiles:
+        total[_part(laid, tile)] += ramp
+    return [(laid, ramp / total[_part(laid, tile)]) for laid in tiles]
 
 
 def _ramp(size: int, overlap: int) -> Float[np.ndarray, " n"]:
@@ -111,34 +111,34 @@ def run_tiled(
     padded = np.pad(image, ((0, 0), (0, 0), (0, missing[0]), (0, missing[1])), mode="edge")
     total: np.ndarray | None = None
     dtype: Any = None
-    for one, weight in tile_weights(padded.shape[2:], tile, overlap):
-        part = (slice(None), slice(None), *_part(one, tile))
-        made = np.asarray(network(np.ascontiguousarray(padded[part])))
-        if made.ndim != 4 or made.shape[0] != 1 or made.shape[2:] != tile:
-            what = f"the network returned {list(made.shape)} for a tile of {tile[0]} × {tile[1]}"
-            raise ConfigInvalid(what, where="tile")
+    for laid, weight in tile_weights(padded.shape[2:], tile, overlap):
+        part = (slice(None), slice(None), *_part(laid, tile))
+        result = np.asarray(network(np.ascontiguousarray(padded[part])))
+        if result.ndim != 4 or result.shape[0] != 1 or result.shape[2:] != tile:
+            message = f"the network returned {list(result.shape)} for a tile of {tile[0]} × {tile[1]}"
+            raise ConfigInvalid(message, where="tile")
         if total is None:
-            dtype = made.dtype
-            total = np.zeros((1, made.shape[1], *padded.shape[2:]))
-        total[part] += weight * made
+            dtype = result.dtype
+            total = np.zeros((1, result.shape[1], *padded.shape[2:]))
+        total[part] += weight * result
     assert total is not None
     return np.asarray(total[:, :, :height, :width].astype(dtype))
 
 
 def _require(image: np.ndarray, tile: tuple[int, int], overlap: int) -> None:
     if image.ndim != 4 or image.shape[0] != 1 or 0 in image.shape:
-        what = f"the image is {list(image.shape)}, wanted [1, channels, height, width]"
-        raise ConfigInvalid(what, where="image")
+        message = f"the image is {list(image.shape)}, wanted [1, channels, height, width]"
+        raise ConfigInvalid(message, where="image")
     if min(tile) < 1 or not 0 <= overlap <= (min(tile) - 1) // 2:
-        what = f"an overlap of {overlap} does not fit tiles of {tile[0]} × {tile[1]}"
+        message = f"an overlap of {overlap} does not fit tiles of {tile[0]} × {tile[1]}"
         hint = f"Give 0 to {max(0, (min(tile) - 1) // 2)}."
-        raise ConfigInvalid(what, where="overlap", hint=hint)
+        raise ConfigInvalid(message, where="overlap", hint=hint)
 
 
 def post_process(
     session: Any,
     image: Image,
-    others: Mapping[str, np.ndarray] | None = None,
+    extra_inputs: Mapping[str, np.ndarray] | None = None,
     *,
     name: str = "image",
     overlap: int = 32,
@@ -150,25 +150,25 @@ def post_process(
     Args:
         session: An ``onnxruntime.InferenceSession``.
         image: In the model's own range of values.
-        others: What the model takes besides the image.
+        extra_inputs: What the model takes besides the image.
         name: Of the input that takes the image.
         overlap: Pixels that tiles share; less where tiles are small.
 
     Raises:
         ConfigInvalid: The model has no such input, or takes another number of channels.
     """
-    taken = {entry.name: entry for entry in session.get_inputs()}
-    if name not in taken:
-        what = f"there is no input {name!r}; there are {', '.join(taken)}"
-        raise ConfigInvalid(what, where="image")
-    channels, *size = taken[name].shape[1:]
+    by_name = {entry.name: entry for entry in session.get_inputs()}
+    if name not in by_name:
+        message = f"there is no input {name!r}; there are {', '.join(by_name)}"
+        raise ConfigInvalid(message, where="image")
+    channels, *size = by_name[name].shape[1:]
     if isinstance(channels, int) and channels != image.shape[1]:
-        what = f"the image has {image.shape[1]} channels, and the model takes {channels}"
-        raise ConfigInvalid(what, where="image")
-    dtype = np.float16 if "float16" in taken[name].type else np.float32
+        message = f"the image has {image.shape[1]} channels, and the model takes {channels}"
+        raise ConfigInvalid(message, where="image")
+    dtype = np.float16 if "float16" in by_name[name].type else np.float32
 
     def run(part: np.ndarray) -> np.ndarray:
-        feeds = dict(others or {}) | {name: part.astype(dtype)}
+        feeds = dict(extra_inputs or {}) | {name: part.astype(dtype)}
         return np.asarray(session.run(None, feeds)[0])
 
     if not all(isinstance(side, int) for side in size):

@@ -26,13 +26,13 @@ class Track:
 
     Attributes:
         word: The tensor's name, or its role.
-        given: One value of the input, or one after the other along the first axis.
+        values: One value of the input, or one after the other along the first axis.
         where: What an error calls it.
-        sweep: ``given`` is where a film begins and where it ends; between them it goes evenly.
+        sweep: ``values`` is where a film begins and where it ends; between them it goes evenly.
     """
 
     word: str
-    given: Shaped[np.ndarray, "..."]
+    values: Shaped[np.ndarray, "..."]
     where: str
     sweep: bool = False
 
@@ -42,15 +42,15 @@ class Track:
         Raises:
             ConfigInvalid: They do not fill an input of that shape.
         """
-        if self.sweep or self.given.size == math.prod(shape):
+        if self.sweep or self.values.size == math.prod(shape):
             return 1
-        each = math.prod(self.given.shape[1:])
-        if self.given.ndim and len(self.given) and each == math.prod(shape):
-            return len(self.given)
-        wanted = ", ".join(map(str, shape))
+        row_size = math.prod(self.values.shape[1:])
+        if self.values.ndim and len(self.values) and row_size == math.prod(shape):
+            return len(self.values)
+        expected = ", ".join(map(str, shape))
         raise ConfigInvalid(
-            f"has shape {list(self.given.shape)}, and input {self.word} takes [{wanted}], "
-            f"or [frames, {wanted}]",
+            f"has shape {list(self.values.shape)}, and input {self.word} takes [{expected}], "
+            f"or [frames, {expected}]",
             where=self.where,
         )
 
@@ -66,12 +66,12 @@ class Track:
         """
         length = self.frames(shape)
         if self.sweep:
-            low, high = self.given
+            low, high = self.values
             share = number / (frames - 1) if frames > 1 else 0.0
             return np.full(shape, low + (high - low) * share)
         if length == 1:
-            return self.given.reshape(shape)
-        return np.asarray(self.given[number % length]).reshape(shape)
+            return self.values.reshape(shape)
+        return np.asarray(self.values[number % length]).reshape(shape)
 
 
 def input_track(text: str) -> Track:
@@ -96,10 +96,10 @@ def input_track(text: str) -> Track:
 
 def _numbers(text: str, part: str) -> Shaped[np.ndarray, " n"]:
     try:
-        made = [float(one) for one in part.split(",")]
+        numbers = [float(word) for word in part.split(",")]
     except ValueError as error:
         raise ConfigInvalid(f"{text!r}: {error}", where="--input", hint=_FORMS) from error
-    return whole_if_so(np.asarray(made))
+    return whole_if_so(np.asarray(numbers))
 
 
 def whole_if_so(values: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "..."]:
@@ -117,37 +117,37 @@ def read_array(path: Path) -> Shaped[np.ndarray, "..."]:
     """
     try:
         if path.suffix.lower() == ".json":
-            made = np.asarray(json.loads(path.read_text("utf-8")))
+            array = np.asarray(json.loads(path.read_text("utf-8")))
         else:
-            made = _loaded(path)
+            array = _loaded(path)
     except OSError as error:
-        what = f"cannot be read: {error.strerror or error}"
-        raise ConfigInvalid(what, where=str(path)) from error
+        message = f"cannot be read: {error.strerror or error}"
+        raise ConfigInvalid(message, where=str(path)) from error
     except (ValueError, EOFError, RecursionError) as error:
         raise ConfigInvalid(f"cannot be read: {error}", where=str(path)) from error
-    return numbers_of(made, str(path))
+    return numbers_of(array, str(path))
 
 
 def _loaded(path: Path) -> Shaped[np.ndarray, "..."]:
     with path.open("rb") as file:
-        made = np.load(file, allow_pickle=False)
-        if isinstance(made, np.ndarray):
-            return made
-        if len(made.files) != 1:
-            raise ValueError(f"it has {len(made.files)} arrays, wanted one")
-        return np.asarray(made[made.files[0]])
+        array = np.load(file, allow_pickle=False)
+        if isinstance(array, np.ndarray):
+            return array
+        if len(array.files) != 1:
+            raise ValueError(f"it has {len(array.files)} arrays, wanted one")
+        return np.asarray(array[array.files[0]])
 
 
-def numbers_of(made: Shaped[np.ndarray, "..."], where: str) -> Shaped[np.ndarray, "..."]:
+def numbers_of(array: Shaped[np.ndarray, "..."], where: str) -> Shaped[np.ndarray, "..."]:
     """Return an array of finite numbers, whole ones as integers.
 
     Raises:
         ConfigInvalid: It is none.
     """
-    if made.dtype.kind not in "iuf" or not made.size:
-        what = f"holds {made.dtype} {list(made.shape)}, wanted numbers"
-        raise ConfigInvalid(what, where=where)
-    if not np.isfinite(made).all():
-        count = int((~np.isfinite(made)).sum())
+    if array.dtype.kind not in "iuf" or not array.size:
+        message = f"holds {array.dtype} {list(array.shape)}, wanted numbers"
+        raise ConfigInvalid(message, where=where)
+    if not np.isfinite(array).all():
+        count = int((~np.isfinite(array)).sum())
         raise ConfigInvalid(f"has {count} numbers that are not finite", where=where)
-    return whole_if_so(made)
+    return whole_if_so(array)

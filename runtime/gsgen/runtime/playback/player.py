@@ -79,9 +79,9 @@ class Player:
         antialias: Literal["classic", "mip"] | None = None,
     ) -> None:
         if post and "color" not in outputs:
-            made = ", ".join(sorted(outputs))
-            what = f"works on colours, but {made} is what is made"
-            raise ConfigInvalid(what, where=post[0].name)
+            output_names = ", ".join(sorted(outputs))
+            message = f"works on colours, but {output_names} is what is made"
+            raise ConfigInvalid(message, where=post[0].name)
         self._sources, self._post = list(sources), list(post)
         self.scene = composed(sources, sh_degree, antialias)
         self.renderer = renderer or Renderer()
@@ -142,8 +142,8 @@ class Player:
         frame = self.renderer.render(
             self.scene, shot.camera, background=self._background, outputs=self._outputs
         )
-        rest = _each(shot.values[len(self._sources) :])
-        for model, values in zip(self._post, rest, strict=False):
+        post_values = _each(shot.values[len(self._sources) :])
+        for model, values in zip(self._post, post_values, strict=False):
             try:
                 frame = model(frame, values)
             except GsgenError as error:
@@ -173,9 +173,9 @@ def composed(
         ConfigInvalid: Colour spaces differ.
     """
     return Scene(
-        [one.splats(sh_degree, antialias) for one in sources],
+        [source.splats(sh_degree, antialias) for source in sources],
         color_space=_common_space(sources),
-        meshes=[mesh for one in sources for mesh in one.meshes],
+        meshes=[mesh for source in sources for mesh in source.meshes],
     )
 
 
@@ -236,7 +236,7 @@ class GeneratorPlayer:
         self.source = GeneratorSource(Path(model), provider, sizes)
         self._post: list[PostProcessor] = []
         try:
-            self._post.extend(PostProcessor(Path(one), provider) for one in post)
+            self._post.extend(PostProcessor(Path(path), provider) for path in post)
             self._player = Player(
                 [self.source],
                 post=self._post,
@@ -297,13 +297,16 @@ class GeneratorPlayer:
         Raises:
             GsgenError: As in :meth:`render`, when it is that frame's turn.
         """
-        tracks = [iter(one) if one is not None else None for one in (times, poses, values)]
+        tracks = [
+            iter(iterable) if iterable is not None else None
+            for iterable in (times, poses, values)
+        ]
         if isinstance(cameras, Camera):
             cameras = repeat(cameras) if any(tracks) else [cameras]
-        each = [repeat(None) if one is None else one for one in tracks]
+        columns = [repeat(None) if track is None else track for track in tracks]
         return self._player.play(
             FrameRequest(camera, (_merged(*parts),))
-            for camera, *parts in zip(cameras, *each, strict=False)
+            for camera, *parts in zip(cameras, *columns, strict=False)
         )
 
     def close(self) -> None:
@@ -327,6 +330,6 @@ class GeneratorPlayer:
 def _merged(
     time: float | None, pose: np.ndarray | None, values: Values | None
 ) -> dict[str, object]:
-    named = {"time": time, "pose": pose}
-    given = {name: value for name, value in named.items() if value is not None}
-    return given | dict(values or {})
+    by_role = {"time": time, "pose": pose}
+    values_by_role = {name: value for name, value in by_role.items() if value is not None}
+    return values_by_role | dict(values or {})

@@ -52,7 +52,7 @@ class _Read:
     """What a file holds: arrays by what they are, each with an axis for the frames."""
 
     pose: Float[np.ndarray, "t ..."]
-    others: Mapping[str, Float[np.ndarray, "t ..."]]
+    extra_inputs: Mapping[str, Float[np.ndarray, "t ..."]]
     fps: float | None = None
 
 
@@ -73,13 +73,13 @@ def pose_tracks(text: str, source: Source) -> tuple[list[Track], float | None]:
     read, where = _read(path), f"--pose {path}"
     taker = source.named(word)[0]
     pose = _fitted(read.pose, source.shape(taker.name), taker.convention, where)
-    made = [Track(word, pose, where)]
-    for role, values in read.others.items():
-        for one in source.named(role):
-            shape = source.shape(one.name)
+    tracks = [Track(word, pose, where)]
+    for role, values in read.extra_inputs.items():
+        for spec in source.named(role):
+            shape = source.shape(spec.name)
             turned = _turned(values, shape) if role == "root_rotation" else values
-            made.append(Track(one.name, turned, f"{where}, {role}"))
-    return made, read.fps
+            tracks.append(Track(spec.name, turned, f"{where}, {role}"))
+    return tracks, read.fps
 
 
 def _turned(
@@ -110,25 +110,30 @@ def _fitted(
     where: str,
 ) -> Float[np.ndarray, "t ..."]:
     """Return poses of one body as those of another; what the file does not have stays still."""
-    frames, each = len(pose), int(np.prod(pose.shape[1:]))
-    wanted = int(np.prod(shape))
-    flat = pose.reshape(frames, each)
-    if each == wanted:
+    frames, frame_size = len(pose), int(np.prod(pose.shape[1:]))
+    expected_size = int(np.prod(shape))
+    flat = pose.reshape(frames, frame_size)
+    if frame_size == expected_size:
         return flat.reshape(frames, *shape)
-    joints, found = shape[0], each // 3
-    known = shape[1:] == (3,) and found in _BODIES and joints in _BODIES and each % 3 == 0
+    joints, file_joints = shape[0], frame_size // 3
+    known = (
+        shape[1:] == (3,)
+        and file_joints in _BODIES
+        and joints in _BODIES
+        and frame_size % 3 == 0
+    )
     if not (known and convention == "smpl-axis-angle"):
         raise ConfigInvalid(
             f"holds poses of {list(pose.shape[1:])}, and the model takes {list(shape)}",
             where=where,
             hint=_KINDS,
         )
-    made = np.zeros((frames, joints, 3))
-    given = flat.reshape(frames, found, 3)
-    made[:, :_SHARED] = given[:, :_SHARED]
-    if min(joints, found) >= _SHARED + _HANDS:
-        made[:, -_HANDS:] = given[:, -_HANDS:]
-    return made
+    padded = np.zeros((frames, joints, 3))
+    file_pose = flat.reshape(frames, file_joints, 3)
+    padded[:, :_SHARED] = file_pose[:, :_SHARED]
+    if min(joints, file_joints) >= _SHARED + _HANDS:
+        padded[:, -_HANDS:] = file_pose[:, -_HANDS:]
+    return padded
 
 
 def _read(path: Path) -> _Read:
@@ -142,20 +147,22 @@ def _read(path: Path) -> _Read:
 
 
 def _number(path: Path) -> tuple[int, str]:
-    found = re.search(r"(\d+)$", path.stem)
-    return (int(found[1]) if found else -1, path.stem)
+    match = re.search(r"(\d+)$", path.stem)
+    return (int(match[1]) if match else -1, path.stem)
 
 
 def _joined(path: Path, frames: list[_Read]) -> _Read:
     try:
-        others = {
-            name: np.concatenate([one.others[name] for one in frames])
-            for name in frames[0].others
+        extra_inputs = {
+            name: np.concatenate([frame.extra_inputs[name] for frame in frames])
+            for name in frames[0].extra_inputs
         }
-        return _Read(np.concatenate([one.pose for one in frames]), others, frames[0].fps)
+        return _Read(
+            np.concatenate([frame.pose for frame in frames]), extra_inputs, frames[0].fps
+        )
     except (KeyError, ValueError) as error:
-        what = f"its files are not of one kind: {error}"
-        raise ConfigInvalid(what, where=str(path)) from error
+        message = f"its files are not of one kind: {error}"
+        raise ConfigInvalid(message, where=str(path)) from error
 
 
 def _read_file(path: Path) -> _Read:
@@ -163,39 +170,43 @@ def _read_file(path: Path) -> _Read:
         if path.suffix.lower() == ".json":
             return _of_json(json.loads(path.read_text("utf-8")), str(path))
         with path.open("rb") as file:
-            made = np.load(file, allow_pickle=False)
-            if isinstance(made, np.ndarray):
-                return _Read(_framed(made, str(path)), {})
-            return _of_arrays({name: made[name] for name in made.files}, str(path))
+            contents = np.load(file, allow_pickle=False)
+            if isinstance(contents, np.ndarray):
+                return _Read(_framed(contents, str(path)), {})
+            return _of_arrays({name: contents[name] for name in contents.files}, str(path))
     except OSError as error:
-        what = f"cannot be read: {error.strerror or error}"
-        raise ConfigInvalid(what, where=str(path), hint=_KINDS) from error
+        message = f"cannot be read: {error.strerror or error}"
+        raise ConfigInvalid(message, where=str(path), hint=_KINDS) from error
     except (ValueError, EOFError, RecursionError, zipfile.BadZipFile) as error:
         raise ConfigInvalid(
             f"cannot be read: {error}", where=str(path), hint=_KINDS
         ) from error
 
 
-def _framed(made: np.ndarray, where: str) -> Float[np.ndarray, "t ..."]:
+def _framed(array: np.ndarray, where: str) -> Float[np.ndarray, "t ..."]:
     """Return poses with an axis for the frames, which [joints, 3] has not."""
-    checked = numbers_of(made, where).astype(np.float64)
+    checked = numbers_of(array, where).astype(np.float64)
     if checked.ndim not in (1, 2, 3):
-        what = f"has shape {list(made.shape)}, wanted [joints, 3] or [frames, joints, 3]"
-        raise ConfigInvalid(what, where=where, hint=_KINDS)
+        message = (
+            f"has shape {list(array.shape)}, wanted [joints, 3] or [frames, joints, 3]"
+        )
+        raise ConfigInvalid(message, where=where, hint=_KINDS)
     alone = checked.ndim == 1 or (checked.ndim == 2 and checked.shape[1] in (3, 4))
     return checked[None] if alone else checked
 
 
 def _of_json(read: Any, where: str) -> _Read:
-    if isinstance(read, list) and read and all(isinstance(one, dict) for one in read):
+    if isinstance(read, list) and read and all(isinstance(entry, dict) for entry in read):
         return _joined(
             Path(where),
-            [_of_json(one, f"{where}, frame {k}") for k, one in enumerate(read)],
+            [_of_json(entry, f"{where}, frame {k}") for k, entry in enumerate(read)],
         )
     if isinstance(read, dict) and "body_pose" in read:
         return _of_lhm(read, where)
     if isinstance(read, dict):
-        return _of_arrays({name: np.asarray(one) for name, one in read.items()}, where)
+        return _of_arrays(
+            {name: np.asarray(values) for name, values in read.items()}, where
+        )
     return _Read(_framed(np.asarray(read), where), {})
 
 
@@ -204,15 +215,15 @@ def _of_lhm(read: Mapping[str, Any], where: str) -> _Read:
     for name, size in _PARTS.items():
         part = np.asarray(read.get(name, ()), np.float64).ravel()
         if len(part) != size:
-            what = f"{name} has {len(part)} numbers, wanted {size}"
-            raise ConfigInvalid(what, where=where)
+            message = f"{name} has {len(part)} numbers, wanted {size}"
+            raise ConfigInvalid(message, where=where)
         parts.append(part)
-    others = {
+    extra_inputs = {
         role: numbers_of(np.asarray(read[name]), f"{where}, {name}").reshape(1, -1)
         for name, role in {"trans": "root_translation", "expr": "expression"}.items()
         if name in read
     }
-    return _Read(numbers_of(np.concatenate(parts), where)[None], others)
+    return _Read(numbers_of(np.concatenate(parts), where)[None], extra_inputs)
 
 
 def _of_arrays(read: Mapping[str, np.ndarray], where: str) -> _Read:
@@ -220,10 +231,10 @@ def _of_arrays(read: Mapping[str, np.ndarray], where: str) -> _Read:
     if not names and len(read) == 1:
         names = list(read)
     if not names:
-        what = f"has no poses, but {', '.join(read) or 'nothing'}"
-        raise ConfigInvalid(what, where=where, hint=_KINDS)
+        message = f"has no poses, but {', '.join(read) or 'nothing'}"
+        raise ConfigInvalid(message, where=where, hint=_KINDS)
     pose = _framed(read[names[0]], where)
-    others = {}
+    extra_inputs = {}
     for name, role, size in (
         ("trans", "root_translation", 3),
         ("Th", "root_translation", 3),
@@ -233,10 +244,10 @@ def _of_arrays(read: Mapping[str, np.ndarray], where: str) -> _Read:
         if name in read:
             rows = numbers_of(np.asarray(read[name]), f"{where}, {name}").astype(np.float64)
             if rows.size != len(pose) * size:
-                what = (
+                message = (
                     f"is {list(rows.shape)}, wanted {size} numbers for {len(pose)} frames"
                 )
-                raise ConfigInvalid(what, where=f"{where}, {name}")
-            others[role] = rows.reshape(len(pose), size)
+                raise ConfigInvalid(message, where=f"{where}, {name}")
+            extra_inputs[role] = rows.reshape(len(pose), size)
     speed = next((float(np.ravel(read[n])[0]) for n in _SPEED if n in read), None)
-    return _Read(pose, others, speed)
+    return _Read(pose, extra_inputs, speed)

@@ -54,11 +54,11 @@ class PostProcessor:
         sources = read_sources(path, None)
         self.manifest = _post_process(self.name, sources)
         image = named(self.manifest.inputs, "image")
-        taken = {value.name for value in sources.file.proto.graph.input}
-        if not image or image[0].name not in taken:
+        graph_inputs = {value.name for value in sources.file.proto.graph.input}
+        if not image or image[0].name not in graph_inputs:
             raise SceneInvalid("has no input that is declared an image", where=self.name)
         self._image = image[0].name
-        self._shapes = {one.name: one for one in _specs(sources)}
+        self._shapes = {spec.name: spec for spec in _specs(sources)}
         self._known = sources.sizes(self._sizes)
         self._axes = {
             axis: dim or f"{self._image}[{axis + 2}]"
@@ -72,7 +72,7 @@ class PostProcessor:
     @property
     def inputs(self) -> tuple[Input, ...]:
         """What may be fed to it beside the image."""
-        return tuple(one for one in self.manifest.inputs if one.name != self._image)
+        return tuple(spec for spec in self.manifest.inputs if spec.name != self._image)
 
     def named(self, word: str) -> list[Input]:
         """Return the inputs that a word means: a tensor of that name, or all of that role."""
@@ -106,13 +106,13 @@ class PostProcessor:
         session = self._session((height, width))
         session.update(values)
         port = session.inputs[self._image]
-        given = np.concatenate([_srgb(frame, alpha), alpha], axis=-1)[..., : port.shape[1]]
+        pixels = np.concatenate([_srgb(frame, alpha), alpha], axis=-1)[..., : port.shape[1]]
         low, high = self.manifest.image_range
-        image = (low + (high - low) * given).transpose(2, 0, 1)[None].astype(port.dtype)
-        made = self._run(session, image)
+        image = (low + (high - low) * pixels).transpose(2, 0, 1)[None].astype(port.dtype)
+        result = self._run(session, image)
         return replace(
             frame,
-            rgba=self._blended(made, alpha),
+            rgba=self._blended(result, alpha),
             color_space=self.manifest.outputs.image.color_space,
         )
 
@@ -131,36 +131,36 @@ class PostProcessor:
         return network(image)
 
     def _blended(
-        self, made: Float[np.ndarray, "1 c h w"], alpha: Float32[np.ndarray, "h w 1"]
+        self, result: Float[np.ndarray, "1 c h w"], alpha: Float32[np.ndarray, "h w 1"]
     ) -> Float32[np.ndarray, "h w 4"]:
         """Return what the model gave as a frame has it: from 0 to 1, multiplied by alpha."""
         height, width = alpha.shape[:2]
-        if made.shape not in ((1, 3, height, width), (1, 4, height, width)):
+        if result.shape not in ((1, 3, height, width), (1, 4, height, width)):
             raise SceneInvalid(
-                f"gives {list(made.shape)} for an image of {height} × {width}, wanted "
+                f"gives {list(result.shape)} for an image of {height} × {width}, wanted "
                 f"[1, 3 or 4, {height}, {width}]",
                 where=self.name,
             )
         low, high = self.manifest.outputs.image.range
-        image = (made[0].transpose(1, 2, 0).astype(np.float32) - low) / (high - low)
+        image = (result[0].transpose(1, 2, 0).astype(np.float32) - low) / (high - low)
         wrong = ~np.isfinite(image)
         if wrong.any():
-            what = f"gives {int(wrong.sum())} of {wrong.size} values that are not finite"
-            raise SceneInvalid(what, where=self.name)
+            message = f"gives {int(wrong.sum())} of {wrong.size} values that are not finite"
+            raise SceneInvalid(message, where=self.name)
         if image.shape[2] == 4:
             alpha = np.clip(image[..., 3:], 0, 1)
         return np.concatenate([image[..., :3] * alpha, alpha], axis=-1, dtype=np.float32)
 
     def _session(self, size: tuple[int, int]) -> FrameSession:
         """Return the session for an image of a height and a width."""
-        wanted = size if self._axes else (0, 0)
-        if self._opened is not None and self._opened[0] == wanted:
+        image_size = size if self._axes else (0, 0)
+        if self._opened is not None and self._opened[0] == image_size:
             return self._opened[1]
         self.close()
         sizes = self._sizes | {name: size[axis] for axis, name in self._axes.items()}
-        made = FrameSession(self._path, provider=self._provider, sizes=sizes)
-        self._opened = wanted, made
-        return made
+        session = FrameSession(self._path, provider=self._provider, sizes=sizes)
+        self._opened = image_size, session
+        return session
 
     def close(self) -> None:
         """Release the session; the next frame would open another."""
@@ -184,11 +184,11 @@ def _post_process(name: str, sources: Sources) -> PostProcessManifest:
     manifest = sources.manifest
     if isinstance(manifest, PostProcessManifest):
         return manifest
-    seen = f"is a {manifest.kind}" if manifest else "has no manifest"
+    found_kind = f"is a {manifest.kind}" if manifest else "has no manifest"
     hint = "`gsgen inspect --emit-manifest` derives a manifest from names and shapes."
     if manifest and manifest.kind == "gaussian-generator":
         hint = "It makes Gaussians: name it among the scenes."
-    raise SceneInvalid(f"{seen}, wanted a post-process model", where=name, hint=hint)
+    raise SceneInvalid(f"{found_kind}, wanted a post-process model", where=name, hint=hint)
 
 
 def _specs(sources: Sources) -> Iterator[Spec]:

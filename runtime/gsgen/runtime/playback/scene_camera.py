@@ -16,8 +16,8 @@ _FOV: Final = 50.0
 
 def told(files: Sequence[SceneFile], name: str) -> Any:
     """Return what the first file that says something about ``name`` says, or None."""
-    said = (getattr(one, name) for one in files)
-    return next((value for value in said if value is not None), None)
+    values = (getattr(scene_file, name) for scene_file in files)
+    return next((value for value in values if value is not None), None)
 
 
 def scene_view(
@@ -50,11 +50,15 @@ def scene_view(
     shot = told(files, "camera") if camera is None else camera
     text = None if isinstance(shot, Camera) else shot
     try:
-        made = viewpoint(
+        view = viewpoint(
             text,
             width or told(files, "width"),
             height or told(files, "height"),
-            next(one for one in (fov, told(files, "fov"), _FOV) if one is not None),
+            next(
+                degrees
+                for degrees in (fov, told(files, "fov"), _FOV)
+                if degrees is not None
+            ),
             up or told(files, "up"),
             flat or kind == "orthographic",
             around or kind == "panorama",
@@ -62,6 +66,6 @@ def scene_view(
     except GsgenError as error:
         if camera is not None or text is None or error.where != "--camera":
             raise
-        where = f"{next(one.path for one in files if one.camera is not None)}: camera"
+        where = f"{next(scene_file.path for scene_file in files if scene_file.camera is not None)}: camera"
         raise type(error)(error.message, where=where, hint=error.hint) from error
-    return replace(made, orbit=None, cameras=(shot,)) if isinstance(shot, Camera) else made
+    return replace(view, orbit=None, cameras=(shot,)) if isinstance(shot, Camera) else view

@@ -60,16 +60,16 @@ class Timeline:
     def _length(self, track: Track) -> int:
         """Return how many values a track has, as those who take it see it."""
         shapes = [
-            taker.shape(one.name)
+            taker.shape(spec.name)
             for taker in self._takers
-            for one in taker.named(track.word)
+            for spec in taker.named(track.word)
         ]
         if not shapes:
             known = {
                 word
                 for taker in self._takers
-                for one in taker.inputs
-                for word in (one.name, one.role)
+                for spec in taker.inputs
+                for word in (spec.name, spec.role)
             }
             raise UnknownName.among("input", track.word, known, track.where)
         return max(track.frames(shape) for shape in shapes)
@@ -96,33 +96,35 @@ class Timeline:
         return [self._values(taker, number, frames) for taker in self._takers]
 
     def _values(self, taker: AnimatedInputs, number: int, frames: int) -> Values:
-        made: dict[str, object] = {}
+        values: dict[str, object] = {}
         if frames > 1:
-            for one, ends in self._playing(taker):
-                made[one.name] = _moment(one, ends, number, frames)
+            for spec, ends in self._playing(taker):
+                values[spec.name] = _moment(spec, ends, number, frames)
         if self._time is not None:
-            made |= {one.name: self._time for one in _of_role(taker, "time")}
+            values |= {spec.name: self._time for spec in _of_role(taker, "time")}
         for track in self._tracks:
-            for one in taker.named(track.word):
-                value = track.at(taker.shape(one.name), number, frames)
-                counting = track.sweep and ROLES[one.role].index
-                made[one.name] = _counting(value) if counting else value
-        return made
+            for spec in taker.named(track.word):
+                value = track.at(taker.shape(spec.name), number, frames)
+                counting = track.sweep and ROLES[spec.role].index
+                values[spec.name] = _counting(value) if counting else value
+        return values
 
     def _playing(self, taker: AnimatedInputs) -> list[tuple[Input, tuple[float, float]]]:
         """Return what goes on by itself, from where to where: times, else frame numbers."""
-        told = {one.name for track in self._tracks for one in taker.named(track.word)}
+        fixed_names = {
+            spec.name for track in self._tracks for spec in taker.named(track.word)
+        }
         if self._time is not None:
-            told |= {one.name for one in _of_role(taker, "time")}
+            fixed_names |= {spec.name for spec in _of_role(taker, "time")}
         times, numbers = (
-            [one for one in _of_role(taker, role) if one.name not in told]
+            [spec for spec in _of_role(taker, role) if spec.name not in fixed_names]
             for role in ("time", "frame_index")
         )
-        return [(one, one.range) for one in times or numbers if one.range is not None]
+        return [(spec, spec.range) for spec in times or numbers if spec.range is not None]
 
 
 def _of_role(taker: AnimatedInputs, role: str) -> list[Input]:
-    return [one for one in taker.inputs if one.role == role]
+    return [spec for spec in taker.inputs if spec.role == role]
 
 
 def _counting(value: Shaped[np.ndarray, "..."]) -> Int64[np.ndarray, "..."]:
@@ -130,10 +132,10 @@ def _counting(value: Shaped[np.ndarray, "..."]) -> Int64[np.ndarray, "..."]:
     return np.asarray(np.rint(value), np.int64)
 
 
-def _moment(one: Input, ends: tuple[float, float], number: int, frames: int) -> object:
+def _moment(spec: Input, ends: tuple[float, float], number: int, frames: int) -> object:
     """Return the time of a frame, or its number; a loop ends just before its beginning."""
     low, high = ends
-    if one.role == "frame_index":
+    if spec.role == "frame_index":
         return int(low + number % (high - low + 1))
-    steps = frames if one.loop else frames - 1
+    steps = frames if spec.loop else frames - 1
     return low + (high - low) * number / steps

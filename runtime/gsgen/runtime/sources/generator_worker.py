@@ -95,9 +95,9 @@ class Inference:
         if outputs.cells is not None:
             self._names.append(outputs.cells.name)
         self._inert = frozenset(
-            one.name
-            for one in self.manifest.inputs
-            if not self.manifest.depends_on.get(one.role, True)
+            spec.name
+            for spec in self.manifest.inputs
+            if not self.manifest.depends_on.get(spec.role, True)
         )
         self._forget()
 
@@ -136,7 +136,7 @@ class Inference:
         self._count = -1
 
     def _compute(self, camera: "Camera | None", values: Mapping[str, object]) -> FrameDelta:
-        began = perf_counter()
+        started = perf_counter()
         try:
             changed = self.session.update(values, camera=camera)
             if self._count >= 0 and changed <= self._inert:
@@ -145,25 +145,27 @@ class Inference:
             self._count = frame.count
             live = (self._count, self._count, None)  # cells have no count of their own
             rows, appearance, *cells = (
-                kept.take(frame[name], some)
-                for kept, name, some in zip(self._kept, self._names, live, strict=False)
+                previous.take(frame[name], live_rows)
+                for previous, name, live_rows in zip(
+                    self._kept, self._names, live, strict=False
+                )
             )
         except BaseException:
             self._forget()
             raise
         cell = cells[0] if cells else None
-        return FrameDelta(rows, appearance, cell, self._count, perf_counter() - began)
+        return FrameDelta(rows, appearance, cell, self._count, perf_counter() - started)
 
 
 def _generator(path: Path, session: "FrameSession") -> GeneratorManifest:
     manifest = session.manifest
     if not isinstance(manifest, GeneratorManifest):
-        seen = f"is a {manifest.kind}" if manifest else "has no manifest"
+        found_kind = f"is a {manifest.kind}" if manifest else "has no manifest"
         hint = "`gsgen inspect --emit-manifest` derives a manifest from names and shapes."
         if manifest and manifest.kind == "post-process":
             hint = "It works on images: `--post` runs it on what the scenes give."
         raise SceneInvalid(
-            f"{seen}, wanted a gaussian-generator", where=str(path), hint=hint
+            f"{found_kind}, wanted a gaussian-generator", where=str(path), hint=hint
         )
     if manifest.outputs.gaussians is None or manifest.outputs.appearance is None:
         raise SceneInvalid("declares no gaussians or no appearance", where=str(path))
@@ -179,18 +181,20 @@ class _Kept:
         self._spare: np.ndarray | None = None
         self._live = 0
 
-    def take(self, made: Float[np.ndarray, "n c"], some: int | None) -> np.ndarray | None:
+    def take(
+        self, array: Float[np.ndarray, "n c"], live_rows: int | None
+    ) -> np.ndarray | None:
         """Return a copy that lasts until the call after the next, or None if nothing changed.
 
         Args:
-            made: The output.
-            some: How many of its first rows matter; None for all.
+            array: The output.
+            live_rows: How many of its first rows matter; None for all.
         """
-        old, live = self._shown, len(made) if some is None else some
-        if old is not None and live <= self._live and _same(old[:live], made[:live]):
+        old, live = self._shown, len(array) if live_rows is None else live_rows
+        if old is not None and live <= self._live and _same(old[:live], array[:live]):
             return None
-        new = np.zeros_like(made) if self._spare is None else self._spare
-        new[:live] = made[:live]
+        new = np.zeros_like(array) if self._spare is None else self._spare
+        new[:live] = array[:live]
         self._shown, self._spare, self._live = new, old, live
         return new
 
@@ -198,8 +202,10 @@ class _Kept:
 def _same(a: Shaped[np.ndarray, "n c"], b: Shaped[np.ndarray, "n c"]) -> bool:
     """Say whether two arrays are the same bit by bit, stopping where they are not."""
     bits = np.dtype(f"u{a.itemsize}")
-    one, other = (np.ascontiguousarray(each).reshape(-1).view(bits) for each in (a, b))
+    a_bits, b_bits = (
+        np.ascontiguousarray(array).reshape(-1).view(bits) for array in (a, b)
+    )
     return all(
-        np.array_equal(one[at : at + _COMPARED], other[at : at + _COMPARED])
-        for at in range(0, len(one), _COMPARED)
+        np.array_equal(a_bits[start : start + _COMPARED], b_bits[start : start + _COMPARED])
+        for start in range(0, len(a_bits), _COMPARED)
     )

@@ -76,25 +76,25 @@ def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
     kind = _kind(file)
     try:
         _require_honest(file, kind)
-        bare = kind == "obj" and not _has_materials(file)
-        scene = _opened(trimesh, file, kind, bare)
+        has_no_materials = kind == "obj" and not _has_materials(file)
+        scene = _opened(trimesh, file, kind, has_no_materials)
         if kind in ("glb", "gltf"):
             _require_textures(json.loads(_json_of(file)), scene)
-        made = tuple(_meshes(scene, file, kind in ("glb", "gltf"), bare))
+        meshes = tuple(_meshes(scene, file, kind in ("glb", "gltf"), has_no_materials))
     except SceneUnreadable:
         raise
     except GsgenError as error:
-        what = f"{error.where}: {error.message}" if error.where else error.message
-        raise SceneUnreadable(what, where=str(file), hint=error.hint) from error
+        message = f"{error.where}: {error.message}" if error.where else error.message
+        raise SceneUnreadable(message, where=str(file), hint=error.hint) from error
     except Exception as error:  # whatever a reader of a hostile file stumbles over
         raise SceneUnreadable(
             f"is no readable {kind.upper()}: {type(error).__name__}: {_short(error)}",
             where=str(file),
             hint="Copy or export the file again.",
         ) from error
-    if not any(len(mesh.data) for mesh in made):
+    if not any(len(mesh.data) for mesh in meshes):
         raise SceneUnreadable("has no triangles", where=str(file))
-    return made
+    return meshes
 
 
 def _is_binary_stl(head: bytes, size: int | None = None) -> bool:
@@ -139,11 +139,11 @@ def _kind(path: Path) -> str:
     return kind
 
 
-def _opened(trimesh: ModuleType, path: Path, kind: str, bare: bool) -> Any:
+def _opened(trimesh: ModuleType, path: Path, kind: str, has_no_materials: bool) -> Any:
     """Return trimesh's scene; nothing is merged, and nothing comes from other folders."""
     options: dict[str, Any] = {"process": False}
     if kind == "obj":
-        options |= {"skip_materials": bare, "maintain_order": True}
+        options |= {"skip_materials": has_no_materials, "maintain_order": True}
     content = path.read_bytes()
     if kind == "obj" or (kind == "stl" and not _is_binary_stl(content)):
         # Names in other encodings are none of our business.
@@ -158,23 +158,23 @@ def _opened(trimesh: ModuleType, path: Path, kind: str, bare: bool) -> Any:
         )
 
 
-def _meshes(scene: Any, path: Path, gltf: bool, bare: bool) -> Iterator[Mesh]:
+def _meshes(scene: Any, path: Path, gltf: bool, has_no_materials: bool) -> Iterator[Mesh]:
     """Yield a mesh for each node; what several nodes show is held once."""
-    held: dict[str, tuple[MeshData, bool]] = {}
+    by_geometry: dict[str, tuple[MeshData, bool]] = {}
     for node in scene.graph.nodes_geometry:
         matrix, name = scene.graph[node]
         geometry = scene.geometry[name]
         if not hasattr(geometry, "faces") or not len(geometry.faces):
             continue  # points and lines
-        if name not in held:
-            held[name] = _data(geometry, gltf, bare)
-        data, colored = held[name]
-        place = (_FROM_GLTF if gltf else np.eye(4)) @ np.asarray(matrix, np.float64)
+        if name not in by_geometry:
+            by_geometry[name] = _data(geometry, gltf, has_no_materials)
+        data, colored = by_geometry[name]
+        transform = (_FROM_GLTF if gltf else np.eye(4)) @ np.asarray(matrix, np.float64)
         try:
-            yield Mesh(data, place, "unlit" if colored else "headlight")
+            yield Mesh(data, transform, "unlit" if colored else "headlight")
         except SceneInvalid as error:
-            what = f"node {node!r}: {error.where} {error.message}"
-            raise SceneUnreadable(what, where=str(path), hint=error.hint) from error
+            message = f"node {node!r}: {error.where} {error.message}"
+            raise SceneUnreadable(message, where=str(path), hint=error.hint) from error
 
 
 @final
@@ -188,13 +188,13 @@ class _Look:
     texture: UInt8[np.ndarray, "h w 4"] | None
 
 
-def _data(geometry: Any, gltf: bool, bare: bool) -> tuple[MeshData, bool]:
+def _data(geometry: Any, gltf: bool, has_no_materials: bool) -> tuple[MeshData, bool]:
     """Return the triangles of one part, and whether they have colours of their own.
 
     Args:
         geometry: What trimesh read.
         gltf: Whether from glTF, whose factors and vertex colours are linear (2.0, 3.9.2).
-        bare: Whether materials are those that trimesh gives to what has none.
+        has_no_materials: Whether materials are those that trimesh gives to what has none.
     """
     vertices = np.asarray(geometry.vertices, np.float64)
     faces = np.asarray(geometry.faces)
@@ -202,39 +202,45 @@ def _data(geometry: Any, gltf: bool, bare: bool) -> tuple[MeshData, bool]:
     if getattr(visual, "kind", None) == "face":  # each face gets corners of its own
         vertices = vertices[faces].reshape(-1, 3)
         faces = np.arange(len(vertices)).reshape(-1, 3)
-        own = np.asarray(visual.face_colors)[:, :3] / 255.0
-        look = _Look(np.repeat(own, 3, axis=0), _WHITE, None, None)
+        face_colors = np.asarray(visual.face_colors)[:, :3] / 255.0
+        look = _Look(np.repeat(face_colors, 3, axis=0), _WHITE, None, None)
     else:
-        look = _look(geometry, bare)
+        look = _look(geometry, has_no_materials)
     colored = (
         look.colors is not None or look.texture is not None or look.factor is not _WHITE
     )
     space: Literal["srgb", "linear"] = "srgb"
     colors = look.colors
     if colored:
-        plain = np.broadcast_to(_WHITE, vertices.shape) if colors is None else colors
-        colors = plain * look.factor
+        vertex_colors = (
+            np.broadcast_to(_WHITE, vertices.shape) if colors is None else colors
+        )
+        colors = vertex_colors * look.factor
         if gltf and look.texture is None:
             space = "linear"
         elif gltf:
             colors = srgb_of_linear(np.clip(colors, 0, 1))
-    made = MeshData(
+    data = MeshData(
         vertices, faces, colors, uv=look.uv, texture=look.texture, color_space=space
     )
-    return made, colored
+    return data, colored
 
 
-def _look(geometry: Any, bare: bool) -> _Look:
+def _look(geometry: Any, has_no_materials: bool) -> _Look:
     visual = geometry.visual
     attributes = geometry.vertex_attributes
     colors = None
     if getattr(visual, "kind", None) == "vertex":
         colors = np.asarray(visual.vertex_colors)[:, :3] / 255.0
     elif "color" in attributes:
-        own = np.asarray(attributes["color"], np.float64)[:, :3]
-        colors = own / 255.0 if attributes["color"].dtype.kind in "iu" else own
+        vertex_colors = np.asarray(attributes["color"], np.float64)[:, :3]
+        colors = (
+            vertex_colors / 255.0
+            if attributes["color"].dtype.kind in "iu"
+            else vertex_colors
+        )
     material = getattr(visual, "material", None)
-    if material is None or bare:
+    if material is None or has_no_materials:
         return _Look(colors, _WHITE, None, None)
     factor = getattr(material, "baseColorFactor", None)
     if factor is None:
@@ -252,9 +258,9 @@ def _look(geometry: Any, bare: bool) -> _Look:
 def _has_materials(path: Path) -> bool:
     """Say whether an OBJ file names materials that are there; note where they are not."""
     with path.open("rb") as file:
-        named = [line.split(None, 1) for line in file if line.startswith(b"mtllib")]
+        libraries = [line.split(None, 1) for line in file if line.startswith(b"mtllib")]
     names = [
-        words[1].strip().decode("utf-8", "replace") for words in named if len(words) > 1
+        words[1].strip().decode("utf-8", "replace") for words in libraries if len(words) > 1
     ]
     absent = [name for name in names if not (path.parent / name).is_file()]
     if absent:
@@ -332,7 +338,7 @@ def _require_honest_gltf(path: Path, size: int) -> None:
                 where="extensionsRequired",
                 hint="Export it without compression.",
             )
-    room = size + sum(_beside(path, one) for one in document.get("buffers", []))
+    room = size + sum(_beside(path, buffer) for buffer in document.get("buffers", []))
     for index, accessor in enumerate(document.get("accessors", [])):
         _require_count(accessor["count"], room, f"accessors[{index}].count")
     children = [
@@ -346,17 +352,22 @@ def _require_honest_gltf(path: Path, size: int) -> None:
 def _require_textures(document: dict[str, Any], scene: Any) -> None:
     """Refuse a file of whose textures some were not read: trimesh says nothing of it."""
     materials = document.get("materials", [])
-    wanted = sum(
+    declared = sum(
         "baseColorTexture" in materials[part["material"]].get("pbrMetallicRoughness", {})
         for mesh in document.get("meshes", [])
         for part in mesh["primitives"]
         if "material" in part and "TEXCOORD_0" in part["attributes"]
     )
-    held = [getattr(one.visual, "material", None) for one in scene.geometry.values()]
-    found = sum(getattr(one, "baseColorTexture", None) is not None for one in held)
-    if found < wanted:
+    loaded_materials = [
+        getattr(geometry.visual, "material", None) for geometry in scene.geometry.values()
+    ]
+    loaded = sum(
+        getattr(material, "baseColorTexture", None) is not None
+        for material in loaded_materials
+    )
+    if loaded < declared:
         raise SceneInvalid(
-            f"of {wanted} parts with a texture, {wanted - found} have one that cannot be read",
+            f"of {declared} parts with a texture, {declared - loaded} have one that cannot be read",
             where="textures",
             hint="Pictures are PNG, JPEG or WebP, and in the file or in its folder.",
         )
@@ -372,13 +383,15 @@ def _beside(path: Path, buffer: dict[str, Any]) -> int:
 def _require_no_ring(nodes: list[dict[str, Any]]) -> None:
     """Refuse nodes that are their own ancestors; each has one parent at most."""
     parent = {
-        child: at for at, node in enumerate(nodes) for child in node.get("children", [])
+        child: parent
+        for parent, node in enumerate(nodes)
+        for child in node.get("children", [])
     }
     for start in parent:
-        seen, at = 0, start
-        while at in parent:
-            at, seen = parent[at], seen + 1
-            if seen > len(nodes):
+        steps, node_index = 0, start
+        while node_index in parent:
+            node_index, steps = parent[node_index], steps + 1
+            if steps > len(nodes):
                 raise SceneInvalid("is its own ancestor", where=f"nodes[{start}]")
 
 

@@ -46,7 +46,7 @@ class MeshSource(Source):
 
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
         """Return the middle of the triangles and half the diagonal of the box around them."""
-        corners = np.concatenate([_box(one) for one in self.meshes if len(one.data)])
+        corners = np.concatenate([_box(mesh) for mesh in self.meshes if len(mesh.data)])
         low, high = corners.min(axis=0), corners.max(axis=0)
         return (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0
 

@@ -67,9 +67,9 @@ class PlacedSource(Source):
         self.name, self.data, self.color_space = inner.name, inner.data, inner.color_space
         self.antialias = self._look.antialias or inner.antialias
         self.weighted = None if self._look.sorted else inner.weighted
-        self.inputs = tuple(one for one in inner.inputs if one.name not in self._fixed)
+        self.inputs = tuple(spec for spec in inner.inputs if spec.name not in self._fixed)
         self.splats(None, None)  # what cannot be drawn says so now
-        self.meshes = tuple(one.placed(self._transform) for one in inner.meshes)
+        self.meshes = tuple(mesh.placed(self._transform) for mesh in inner.meshes)
         up = _rotation(self._transform) @ np.array(inner.up)
         self.up = (float(up[0]), float(up[1]), float(up[2]))
         if self._fixed:
@@ -131,14 +131,14 @@ class PlacedSource(Source):
 
 def _by_name(source: Source, values: Values, where: str) -> Mapping[str, object]:
     """Return the values by tensor name."""
-    known = {word for one in source.inputs for word in (one.name, one.role)}
-    made: dict[str, object] = {}
+    known = {word for spec in source.inputs for word in (spec.name, spec.role)}
+    by_name: dict[str, object] = {}
     for word, value in values.items():
-        found = source.named(word)
-        if not found:
+        matches = source.named(word)
+        if not matches:
             raise UnknownName.among("input", word, known, where)
-        made |= {one.name: value for one in found}
-    return made
+        by_name |= {spec.name: value for spec in matches}
+    return by_name
 
 
 def _scale(linear: Float[np.ndarray, "3 3"]) -> float:

@@ -15,18 +15,18 @@ _MOST = 1e12
 Word = TypeVar("Word", bound=str)
 
 
-def refuse(what: str, where: str, hint: str = "") -> NoReturn:
+def refuse(message: str, where: str, hint: str = "") -> NoReturn:
     """Raise SceneInvalid.
 
     Raises:
         SceneInvalid: Always.
     """
-    raise SceneInvalid(what, where=where, hint=hint)
+    raise SceneInvalid(message, where=where, hint=hint)
 
 
-def fields_of(made: Mapping[str, Any], where: str) -> "Fields":
+def fields_of(document: Mapping[str, Any], where: str) -> "Fields":
     """Return the fields of the outermost object of the file ``where``."""
-    return Fields(made, where, ": ")
+    return Fields(document, where, ": ")
 
 
 @final
@@ -39,21 +39,21 @@ class Fields:
         joint: What stands between that and the name of a field.
     """
 
-    def __init__(self, made: Mapping[str, Any], where: str, joint: str = ".") -> None:
-        self._made, self.where, self._joint = made, where, joint
+    def __init__(self, document: Mapping[str, Any], where: str, joint: str = ".") -> None:
+        self._made, self.where, self._joint = document, where, joint
         self._known: list[str] = []
 
     def place(self, name: str) -> str:
         """Return what to call the place of a field."""
         return f"{self.where}{self._joint}{name}"
 
-    def refuse(self, name: str, what: str) -> NoReturn:
+    def refuse(self, name: str, message: str) -> NoReturn:
         """Say what is wrong with a field.
 
         Raises:
             SceneInvalid: Always.
         """
-        refuse(what, self.place(name))
+        refuse(message, self.place(name))
 
     def has(self, name: str) -> bool:
         """Say whether a field is there, and not null."""
@@ -64,24 +64,24 @@ class Fields:
         self._known.append(name)
         return self._made.get(name)
 
-    def take(self, name: str, wanted: str) -> Any:
-        """Return a field that is text, or one of the other kinds that ``wanted`` names."""
-        found = self.peek(name)
+    def take(self, name: str, expected: str) -> Any:
+        """Return a field that is text, or one of the other kinds that ``expected`` names."""
+        value = self.peek(name)
         kinds: tuple[type, ...] = (str,)
-        if "numbers" in wanted:
+        if "numbers" in expected:
             kinds = (str, list)
-        if "object" in wanted:
+        if "object" in expected:
             kinds = (str, dict)
-        if found is not None and not isinstance(found, kinds):
-            self._wrong(name, wanted)
-        return found
+        if value is not None and not isinstance(value, kinds):
+            self._wrong(name, expected)
+        return value
 
     def required(self, name: str) -> str:
         """Return a text that has to be there."""
-        found = self.peek(name)
-        if not isinstance(found, str) or not found:
+        value = self.peek(name)
+        if not isinstance(value, str) or not value:
             self._wrong(name, "text")
-        return str(found)
+        return str(value)
 
     @overload
     def number(
@@ -100,29 +100,29 @@ class Fields:
         fallback: float | None = None,
     ) -> float | None:
         """Return a number from ``low`` to ``high``."""
-        found = self.peek(name)
-        if found is None:
+        value = self.peek(name)
+        if value is None:
             return fallback
-        if isinstance(found, bool) or not isinstance(found, int | float):
+        if isinstance(value, bool) or not isinstance(value, int | float):
             self._wrong(name, "a number")
-        if not low <= found <= high:
+        if not low <= value <= high:
             least = f"from {low:g}" if low > -_MOST else ""
             most = f"to {high:g}" if high < _MOST else ""
             self._wrong(name, " ".join(filter(None, ["a finite number", least, most])))
-        return float(found)
+        return float(value)
 
     def whole(self, name: str, *, low: int, high: int) -> int | None:
         """Return a whole number from ``low`` to ``high``."""
-        found = self.peek(name)
-        if found is None:
+        value = self.peek(name)
+        if value is None:
             return None
         if (
-            isinstance(found, bool)
-            or not isinstance(found, int)
-            or not low <= found <= high
+            isinstance(value, bool)
+            or not isinstance(value, int)
+            or not low <= value <= high
         ):
             self._wrong(name, f"a whole number from {low} to {high}")
-        return int(found)
+        return int(value)
 
     def side(self, name: str) -> int | None:
         """Return a number of pixels."""
@@ -134,69 +134,69 @@ class Fields:
         Raises:
             UnknownName: It is none of them; the nearest is suggested.
         """
-        found = self.peek(name)
-        if found is not None and found not in known:
-            if not isinstance(found, str):
+        value = self.peek(name)
+        if value is not None and value not in known:
+            if not isinstance(value, str):
                 self._wrong(name, " or ".join(known))
-            raise UnknownName.among("word", found, known, self.place(name))
-        return next((word for word in known if word == found), None)
+            raise UnknownName.among("word", value, known, self.place(name))
+        return next((word for word in known if word == value), None)
 
     def array(self, name: str, *shapes: tuple[int, ...]) -> Float[np.ndarray, "..."] | None:
         """Return an array of finite numbers of one of some shapes."""
-        found = self.peek(name)
-        if found is None:
+        value = self.peek(name)
+        if value is None:
             return None
         kinds = [
-            "a number" if not one else "×".join(map(str, one)) + " numbers"
-            for one in shapes
+            "a number" if not shape else "×".join(map(str, shape)) + " numbers"
+            for shape in shapes
         ]
-        wanted = " or ".join(kinds)
+        expected = " or ".join(kinds)
         try:
-            made = np.array(found)
+            array = np.array(value)
         except ValueError:  # rows of several lengths
-            self._wrong(name, wanted)
-        if made.dtype.kind not in "if" or made.shape not in shapes:
-            self._wrong(name, wanted)
-        if not (np.abs(made) <= _MOST).all():
-            self._wrong(name, f"{wanted} that are finite")
-        return made.astype(np.float64)
+            self._wrong(name, expected)
+        if array.dtype.kind not in "if" or array.shape not in shapes:
+            self._wrong(name, expected)
+        if not (np.abs(array) <= _MOST).all():
+            self._wrong(name, f"{expected} that are finite")
+        return array.astype(np.float64)
 
     def mapping(self, name: str) -> Mapping[str, Any]:
         """Return an object of any names, whose values are numbers or lists of them."""
-        found = self.peek(name)
-        if found is None:
+        value = self.peek(name)
+        if value is None:
             return {}
-        if not isinstance(found, dict):
+        if not isinstance(value, dict):
             self._wrong(name, "an object")
-        return {key: self._values(f"{name}.{key}", value) for key, value in found.items()}
+        return {key: self._values(f"{name}.{key}", value) for key, value in value.items()}
 
     def _values(self, name: str, value: Any) -> np.ndarray:
         try:
-            made = np.array(value)
+            array = np.array(value)
         except ValueError:
-            made = np.array(None)
-        if made.dtype.kind not in "ifb":
+            array = np.array(None)
+        if array.dtype.kind not in "ifb":
             refuse(f"is {_shown(value)}, wanted numbers", self.place(name))
-        return made
+        return array
 
     def inner(self, name: str) -> "Fields":
         """Return the fields of an object in a field."""
-        found = self.peek(name)
-        if not isinstance(found, dict):
+        value = self.peek(name)
+        if not isinstance(value, dict):
             self._wrong(name, "an object")
-        return Fields(found, self.place(name))
+        return Fields(value, self.place(name))
 
     def parts(self, name: str) -> Iterator["Fields"]:
         """Yield the fields of each object of a list; a text stands for an object of its path."""
-        found = self.peek(name)
-        if found is not None and not isinstance(found, list):
+        entries = self.peek(name)
+        if entries is not None and not isinstance(entries, list):
             self._wrong(name, "a list")
-        for index, one in enumerate(found or []):
+        for index, entry in enumerate(entries or []):
             where = f"{self.place(name)}[{index}]"
-            made = {"path": one} if isinstance(one, str) else one
-            if not isinstance(made, dict):
-                refuse(f"is {_shown(one)}, wanted an object or a path", where)
-            yield Fields(made, where)
+            document = {"path": entry} if isinstance(entry, str) else entry
+            if not isinstance(document, dict):
+                refuse(f"is {_shown(entry)}, wanted an object or a path", where)
+            yield Fields(document, where)
 
     def close(self) -> None:
         """Make sure that nothing was left over.
@@ -208,10 +208,10 @@ class Fields:
             if name not in self._known:
                 raise UnknownName.among("field", name, set(self._known), self.where)
 
-    def _wrong(self, name: str, wanted: str) -> NoReturn:
+    def _wrong(self, name: str, expected: str) -> NoReturn:
         if name not in self._made:
-            refuse(f"is missing: wanted {wanted}", self.place(name))
-        refuse(f"is {_shown(self._made[name])}, wanted {wanted}", self.place(name))
+            refuse(f"is missing: wanted {expected}", self.place(name))
+        refuse(f"is {_shown(self._made[name])}, wanted {expected}", self.place(name))
 
 
 def _shown(value: object) -> str:

@@ -107,13 +107,13 @@ def is_scene_file(path: Path) -> bool:
         return False
     text = path.read_bytes()[:_LARGEST]
     try:
-        made = json.loads(text)
+        document = json.loads(text)
     except (ValueError, RecursionError):  # it is told then what is wrong with it
         return path.name == "scene.json" or any(
             f'"{name}"'.encode() in text for name in _MARKS
         )
-    named = isinstance(made, dict) and bool(_MARKS & made.keys())
-    return named or path.name == "scene.json"
+    is_scene = isinstance(document, dict) and bool(_MARKS & document.keys())
+    return is_scene or path.name == "scene.json"
 
 
 def read_scene(path: str | Path) -> SceneFile:
@@ -124,28 +124,28 @@ def read_scene(path: str | Path) -> SceneFile:
         SceneInvalid: A field is unknown, missing, or cannot be meant; the message names it.
     """
     file = Path(path)
-    told = fields_of(_document(file), str(file))
-    version = told.take(_MARK, "text")
+    fields = fields_of(_document(file), str(file))
+    version = fields.take(_MARK, "text")
     if version is not None and version.split(".")[0] != VERSION.split(".")[0]:
-        told.refuse(_MARK, f"is {version!r}, wanted {VERSION}")
-    models = tuple(_model(one, file.parent) for one in told.parts("models"))
-    meshes = tuple(_mesh(one, file.parent) for one in told.parts("meshes"))
+        fields.refuse(_MARK, f"is {version!r}, wanted {VERSION}")
+    models = tuple(_model(part, file.parent) for part in fields.parts("models"))
+    meshes = tuple(_mesh(part, file.parent) for part in fields.parts("meshes"))
     if not models and not meshes:
         refuse("has neither models nor meshes", str(file), "Name a file in `models`.")
-    made = SceneFile(
+    scene_file = SceneFile(
         file,
         models,
         meshes,
-        background=_background(told),
-        camera=_camera(told, file.parent),
-        width=told.side("width"),
-        height=told.side("height"),
-        fov=_fov(told),
-        up=told.choice("up", ("+x", "-x", "+y", "-y", "+z", "-z")) or "-y",
-        kind=told.choice("kind", ("pinhole", "orthographic", "panorama")),
+        background=_background(fields),
+        camera=_camera(fields, file.parent),
+        width=fields.side("width"),
+        height=fields.side("height"),
+        fov=_fov(fields),
+        up=fields.choice("up", ("+x", "-x", "+y", "-y", "+z", "-z")) or "-y",
+        kind=fields.choice("kind", ("pinhole", "orthographic", "panorama")),
     )
-    told.close()
-    return made
+    fields.close()
+    return scene_file
 
 
 def open_scene(
@@ -166,15 +166,15 @@ def open_scene(
         SceneUnreadable: A file cannot be read.
         GsgenError: Whatever a model raises; the message names its place in the file.
     """
-    told = scene if isinstance(scene, SceneFile) else read_scene(scene)
+    scene_file = scene if isinstance(scene, SceneFile) else read_scene(scene)
     with ExitStack() as stack:
-        made: list[Source] = []
-        for model in told.models:
-            made.append(_opened(model, provider, (sizes or {}).get(model.path)))
-            stack.callback(made[-1].close)
-        made += [_stood(mesh) for mesh in told.meshes]
+        sources: list[Source] = []
+        for model in scene_file.models:
+            sources.append(_opened(model, provider, (sizes or {}).get(model.path)))
+            stack.callback(sources[-1].close)
+        sources += [_stood(mesh) for mesh in scene_file.meshes]
         stack.pop_all()  # whoever has the sources closes them
-    return made
+    return sources
 
 
 def _opened(model: Model, provider: str, sizes: Mapping[str, int] | None) -> Source:
@@ -197,12 +197,12 @@ def _opened(model: Model, provider: str, sizes: Mapping[str, int] | None) -> Sou
 
 
 def _stood(part: MeshPart) -> Source:
-    found = _named(lambda: read_mesh(part.path), f"{part.where}.path")
+    meshes = _named(lambda: read_mesh(part.path), f"{part.where}.path")
     return MeshSource(
         part.path,
         [
-            replace(one.placed(part.transform), shading=part.shading or one.shading)
-            for one in found
+            replace(mesh.placed(part.transform), shading=part.shading or mesh.shading)
+            for mesh in meshes
         ],
     )
 
@@ -212,8 +212,8 @@ def _named(make: Callable[[], Read], where: str) -> Read:
     try:
         return make()
     except GsgenError as error:
-        place = f"{where}: {error.where}" if error.where else where
-        raise type(error)(error.message, where=place, hint=error.hint) from error
+        error_where = f"{where}: {error.where}" if error.where else where
+        raise type(error)(error.message, where=error_where, hint=error.hint) from error
 
 
 def _document(path: Path) -> Mapping[str, Any]:
@@ -224,132 +224,136 @@ def _document(path: Path) -> Mapping[str, Any]:
     except (OSError, UnicodeDecodeError) as error:
         raise SceneUnreadable(f"cannot be read: {error}", where=str(path)) from error
     try:
-        made = json.loads(text, object_pairs_hook=_once)
+        document = json.loads(text, object_pairs_hook=_once)
     except (ValueError, RecursionError) as error:
         raise SceneUnreadable(f"is no JSON: {error}", where=str(path)) from error
-    if not isinstance(made, dict):
-        raise SceneInvalid(f"is a {type(made).__name__}, wanted an object", where=str(path))
-    return made
+    if not isinstance(document, dict):
+        raise SceneInvalid(
+            f"is a {type(document).__name__}, wanted an object", where=str(path)
+        )
+    return document
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    made = dict(pairs)
-    if len(made) < len(pairs):
+    members = dict(pairs)
+    if len(members) < len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"{twice!r} is there twice in one object")
-    return made
+    return members
 
 
-def _model(told: Fields, folder: Path) -> Model:
-    made = Model(
-        folder / told.required("path"),
-        _transform(told),
+def _model(fields: Fields, folder: Path) -> Model:
+    model = Model(
+        folder / fields.required("path"),
+        _transform(fields),
         Look(
-            opacity_scale=told.number("opacity_scale", low=0, fallback=1.0),
-            sh_degree=told.whole("sh_degree", low=0, high=3),
-            antialias=told.choice("antialias", ("classic", "mip")),
-            clip=_clip(told),
-            sorted=told.choice("blend", ("alpha", "declared")) == "alpha",
+            opacity_scale=fields.number("opacity_scale", low=0, fallback=1.0),
+            sh_degree=fields.whole("sh_degree", low=0, high=3),
+            antialias=fields.choice("antialias", ("classic", "mip")),
+            clip=_clip(fields),
+            sorted=fields.choice("blend", ("alpha", "declared")) == "alpha",
         ),
-        told.mapping("inputs"),
-        told.where,
+        fields.mapping("inputs"),
+        fields.where,
     )
-    told.close()
-    return made
+    fields.close()
+    return model
 
 
-def _mesh(told: Fields, folder: Path) -> MeshPart:
-    path = folder / told.required("path")
-    shading = told.choice("shading", SHADINGS)
-    made = MeshPart(path, _transform(told), shading, told.where)
-    told.close()
-    return made
+def _mesh(fields: Fields, folder: Path) -> MeshPart:
+    path = folder / fields.required("path")
+    shading = fields.choice("shading", SHADINGS)
+    part = MeshPart(path, _transform(fields), shading, fields.where)
+    fields.close()
+    return part
 
 
-def _transform(told: Fields) -> Float[np.ndarray, "4 4"]:
+def _transform(fields: Fields) -> Float[np.ndarray, "4 4"]:
     """Return ``transform``, or else translate × rotate × scale."""
-    matrix = told.array("transform", (4, 4))
-    steps = [name for name in ("translate", "rotate", "scale") if told.has(name)]
+    matrix = fields.array("transform", (4, 4))
+    steps = [name for name in ("translate", "rotate", "scale") if fields.has(name)]
     if matrix is not None:
         if steps:
-            told.refuse(steps[0], "and transform say the same: give one of them")
-        _require(told, "transform", matrix)
+            fields.refuse(steps[0], "and transform say the same: give one of them")
+        _require(fields, "transform", matrix)
         return matrix
-    made = np.eye(4)
-    scale = told.array("scale", (), (3,))
-    made[:3, :3] = _rotation(told) @ np.diag(
+    transform = np.eye(4)
+    scale = fields.array("scale", (), (3,))
+    transform[:3, :3] = _rotation(fields) @ np.diag(
         np.broadcast_to(1.0 if scale is None else scale, 3)
     )
-    translation = told.array("translate", (3,))
-    made[:3, 3] = 0 if translation is None else translation
-    _require(told, "scale", made)
-    return made
+    translation = fields.array("translate", (3,))
+    transform[:3, 3] = 0 if translation is None else translation
+    _require(fields, "scale", transform)
+    return transform
 
 
-def _require(told: Fields, name: str, matrix: Float[np.ndarray, "4 4"]) -> None:
-    require_affine(matrix, told.place(name))
+def _require(fields: Fields, name: str, matrix: Float[np.ndarray, "4 4"]) -> None:
+    require_affine(matrix, fields.place(name))
 
 
-def _rotation(told: Fields) -> Float[np.ndarray, "3 3"]:
+def _rotation(fields: Fields) -> Float[np.ndarray, "3 3"]:
     """Return ``rotate``: a quaternion w, x, y, z, or an axis and degrees about it."""
-    if isinstance(told.peek("rotate"), Mapping):
-        inner = told.inner("rotate")
+    if isinstance(fields.peek("rotate"), Mapping):
+        inner = fields.inner("rotate")
         axis = inner.array("axis", (3,))
         degrees = inner.number("degrees")
         inner.close()
         if axis is None or degrees is None or not np.linalg.norm(axis) > 0:
-            told.refuse(
+            fields.refuse(
                 "rotate", 'wanted {"axis": [x, y, z], "degrees": d} or [w, x, y, z]'
             )
         half = np.radians(degrees) / 2
         turn = np.append(np.cos(half), np.sin(half) * axis / np.linalg.norm(axis))
     else:
-        given = told.array("rotate", (4,))
-        turn = np.array([1.0, 0, 0, 0]) if given is None else given
+        quaternion = fields.array("rotate", (4,))
+        turn = np.array([1.0, 0, 0, 0]) if quaternion is None else quaternion
     length = np.linalg.norm(turn)
     if not length > 0:
-        told.refuse("rotate", "is the quaternion 0 0 0 0, which is no rotation")
+        fields.refuse("rotate", "is the quaternion 0 0 0 0, which is no rotation")
     w, x, y, z = turn / length
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross)
 
 
-def _clip(told: Fields) -> Box | None:
-    if not told.has("clip"):
+def _clip(fields: Fields) -> Box | None:
+    if not fields.has("clip"):
         return None
-    inner = told.inner("clip")
+    inner = fields.inner("clip")
     low, high = inner.array("low", (3,)), inner.array("high", (3,))
     inner.close()
     if low is None or high is None or not (low <= high).all():
-        told.refuse("clip", 'wanted {"low": [x, y, z], "high": [x, y, z]}, low first')
+        fields.refuse("clip", 'wanted {"low": [x, y, z], "high": [x, y, z]}, low first')
     return Box(tuple(low.tolist()), tuple(high.tolist()))
 
 
-def _background(told: Fields) -> tuple[float, float, float, float] | None:
-    given = told.take("background", "text or numbers")
-    if given is None:
+def _background(fields: Fields) -> tuple[float, float, float, float] | None:
+    value = fields.take("background", "text or numbers")
+    if value is None:
         return None
-    text = ",".join(map(str, given)) if isinstance(given, list) else str(given)
-    return color_of(text, told.place("background"))
+    text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
+    return color_of(text, fields.place("background"))
 
 
-def _fov(told: Fields) -> float | None:
-    given = told.number("fov", low=0, high=180)
-    if given in (0, 180):
-        told.refuse("fov", f"is {given:g} degrees, wanted more than 0 and less than 180")
-    return given
+def _fov(fields: Fields) -> float | None:
+    degrees = fields.number("fov", low=0, high=180)
+    if degrees in (0, 180):
+        fields.refuse(
+            "fov", f"is {degrees:g} degrees, wanted more than 0 and less than 180"
+        )
+    return degrees
 
 
-def _camera(told: Fields, folder: Path) -> str | Camera | None:
-    given = told.take("camera", "text or an object")
-    if isinstance(given, Mapping):
+def _camera(fields: Fields, folder: Path) -> str | Camera | None:
+    value = fields.take("camera", "text or an object")
+    if isinstance(value, Mapping):
         try:
-            return Camera.from_dict(given)
+            return Camera.from_dict(value)
         except SceneInvalid as error:
-            where = error.where.replace("camera", told.place("camera"), 1)
+            where = error.where.replace("camera", fields.place("camera"), 1)
             raise SceneInvalid(error.message, where=where, hint=error.hint) from error
-    if given is None:
+    if value is None:
         return None
-    text = str(given)
+    text = str(value)
     return text if text.partition(":")[0] in ("orbit", "look-at") else str(folder / text)

@@ -28,11 +28,11 @@ class SceneSource(Source):
     """
 
     def __init__(
-        self, one: SplatSet, color_space: Literal["srgb", "linear"] = "srgb"
+        self, splat_set: SplatSet, color_space: Literal["srgb", "linear"] = "srgb"
     ) -> None:
-        self._set = one
-        self.name, self.data, self.antialias = "scene", one.data, one.antialias
-        self.color_space, self.weighted = color_space, one.weighted
+        self._set = splat_set
+        self.name, self.data, self.antialias = "scene", splat_set.data, splat_set.antialias
+        self.color_space, self.weighted = color_space, splat_set.weighted
 
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
@@ -79,17 +79,19 @@ def sources_of(
     if isinstance(scene, SplatData):
         scene = Scene([scene])
     if isinstance(scene, Scene):
-        made: list[Source] = [SceneSource(one, scene.color_space) for one in scene.sets]
+        sources: list[Source] = [
+            SceneSource(splat_set, scene.color_space) for splat_set in scene.sets
+        ]
         if scene.meshes:
-            made.append(MeshSource(Path("meshes"), scene.meshes))
-        return made
+            sources.append(MeshSource(Path("meshes"), scene.meshes))
+        return sources
     paths = [scene] if isinstance(scene, str | Path) else scene
     opened: list[Source] = []
     try:
         for path in map(Path, paths):
             opened += open_scene(path) if is_scene_file(path) else [open_source(path)]
     except BaseException:
-        for one in opened:
-            one.close()
+        for source in opened:
+            source.close()
         raise
     return opened

@@ -118,7 +118,7 @@ class Source(ABC):
     @property
     def time(self) -> Input | None:
         """What the manifest says of the time, or None where nothing moves with it."""
-        return next((one for one in self.inputs if one.role == "time"), None)
+        return next((spec for spec in self.inputs if spec.role == "time"), None)
 
     def named(self, word: str) -> list[Input]:
         """Return the inputs that a word means: a tensor of that name, or all of that role."""
@@ -144,13 +144,13 @@ class Source(ABC):
         Args:
             moments: What an error calls the frame, and the values.
         """
-        seen: dict[tuple[int, int], Float64[np.ndarray, "n 3"]] = {}
+        centers: dict[tuple[int, int], Float64[np.ndarray, "n 3"]] = {}
         for frame, values in moments:
             self.update(None, values, frame)
             state = (self.data.rows_version, self.data.count)
-            if state not in seen:
-                seen[state] = _centers(self.data)
-        self._extent = _around(list(seen.values()))
+            if state not in centers:
+                centers[state] = _centers(self.data)
+        self._extent = _around(list(centers.values()))
 
     @abstractmethod
     def close(self) -> None:
@@ -159,8 +159,8 @@ class Source(ABC):
 
 def named(inputs: Sequence[Input], word: str) -> list[Input]:
     """Return the inputs that a word means: a tensor of that name, or all of that role."""
-    exact = [one for one in inputs if one.name == word]
-    return exact or [one for one in inputs if one.role == word]
+    exact = [spec for spec in inputs if spec.name == word]
+    return exact or [spec for spec in inputs if spec.role == word]
 
 
 def _centers(data: SplatData) -> Float64[np.ndarray, "n 3"]:
@@ -168,8 +168,8 @@ def _centers(data: SplatData) -> Float64[np.ndarray, "n 3"]:
     rows = data.rows[: data.count]
     centers = rows[:, layout.POSITION].astype(np.float64)
     finite = np.isfinite(centers).all(axis=1)
-    seen = finite & (rows[:, layout.OPACITY] > 0)
-    return np.asarray(centers[seen if seen.any() else finite])
+    is_visible = finite & (rows[:, layout.OPACITY] > 0)
+    return np.asarray(centers[is_visible if is_visible.any() else finite])
 
 
 def _around(moments: Sequence[Float64[np.ndarray, "n 3"]]) -> tuple[Center, float]:
@@ -285,20 +285,20 @@ class GeneratorSource(Source):
             if future.exception() is None:
                 self._take(future.result())
 
-    def _take(self, made: FrameDelta) -> None:
-        self.seconds = made.seconds
+    def _take(self, delta: FrameDelta) -> None:
+        self.seconds = delta.seconds
         if hasattr(self, "data"):
-            self.data.update(made.rows, made.appearance, made.count, cells=made.cells)
+            self.data.update(delta.rows, delta.appearance, delta.count, cells=delta.cells)
             return
-        assert made.rows is not None
-        assert made.appearance is not None
+        assert delta.rows is not None
+        assert delta.appearance is not None
         cells = self.manifest.outputs.cells
         self.data = SplatData(
-            made.rows,
-            made.appearance,
+            delta.rows,
+            delta.appearance,
             self._space,
-            count=made.count,
-            cells=made.cells,
+            count=delta.count,
+            cells=delta.cells,
             per_cell=cells.per_cell if cells else 1,
         )
 

@@ -75,17 +75,17 @@ class LivePlayback:
             self.frames = frames or (
                 self._score.frames if self._score.frames > 1 else _counted(self.sources)
             )
-        told = (one.time.fps for one in self.sources if one.time is not None)
-        self.fps = fps or next((each for each in told if each), _FPS)
+        rates = (source.time.fps for source in self.sources if source.time is not None)
+        self.fps = fps or next((rate for rate in rates if rate), _FPS)
         self.sh_degree: int | None = sh_degree
         self.antialias: Literal["classic", "mip"] | None = antialias
         self.playing, self.version = False, 0
         self._position = 0.0
         self._shown: object = None
         self._begun: object = None
-        looked = sorted({0, self.frames // 2, self.frames - 1}, reverse=True)
-        for place, source in enumerate(self.sources):  # an orbit goes around all of it
-            source.survey((at, self._values(at)[place]) for at in looked)
+        probed_frames = sorted({0, self.frames // 2, self.frames - 1}, reverse=True)
+        for index, source in enumerate(self.sources):  # an orbit goes around all of it
+            source.survey((number, self._values(number)[index]) for number in probed_frames)
         self.scene()  # what cannot be drawn together says so now
 
     @property
@@ -116,13 +116,13 @@ class LivePlayback:
 
     def begin(self, camera: Camera) -> None:
         """Begin to compute what a camera sees now, unless that is here or under way."""
-        wanted = self._wanted(camera)
-        if self._begun is None and wanted != self._shown:
+        request = self._wanted(camera)
+        if self._begun is None and request != self._shown:
             for source, values in zip(
                 self.sources, self._values(self.number), strict=False
             ):
                 source.start(camera, values, self.number)
-            self._begun = wanted
+            self._begun = request
 
     def take(self, wait: bool = False) -> None:
         """Take what is done.
@@ -133,7 +133,9 @@ class LivePlayback:
         Raises:
             GsgenError: A value does not fit, or a model fails. It is not tried again.
         """
-        if self._begun is None or not (wait or all(one.ready for one in self.sources)):
+        if self._begun is None or not (
+            wait or all(source.ready for source in self.sources)
+        ):
             return
         self._shown, self._begun = self._begun, None
         before = self._state()
@@ -182,24 +184,24 @@ class LivePlayback:
             GsgenError: A value does not fit, or a model fails.
         """
         self.abandon()
-        wanted, before = self._wanted(camera), self._state()
+        request, before = self._wanted(camera), self._state()
         frame = player.render(FrameRequest(camera, self._values(self.number), self.number))
-        self._shown = wanted
+        self._shown = request
         self.version += before != self._state()
         return frame
 
     def depths(self, camera: Camera) -> tuple[float, float]:
         """Return between which depths most of it lies."""
-        extents = [one.extent() for one in self.sources]
+        extents = [source.extent() for source in self.sources]
         ahead = [
             float(np.linalg.norm(center - camera.eye))
             if camera.kind == "panorama"
             else float(camera.view[2, :3] @ center + camera.view[2, 3])
             for center, _ in extents
         ]
-        reach = [one for _, one in extents]
-        near = min(at - size for at, size in zip(ahead, reach, strict=True))
-        far = max(at + size for at, size in zip(ahead, reach, strict=True))
+        reach = [radius for _, radius in extents]
+        near = min(depth - size for depth, size in zip(ahead, reach, strict=True))
+        far = max(depth + size for depth, size in zip(ahead, reach, strict=True))
         return max(near, camera.near), max(far, 2 * camera.near)
 
     @property
@@ -224,11 +226,11 @@ class LivePlayback:
             model.close()
 
     def _values(self, number: int) -> list[dict[str, object]]:
-        return [dict(one) for one in self._score.values(number, self.frames)]
+        return [dict(values) for values in self._score.values(number, self.frames)]
 
     def _wanted(self, camera: Camera) -> object:
         """Return what tells one moment from another."""
-        if not any(one.inputs for one in self.sources):
+        if not any(source.inputs for source in self.sources):
             return 0
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         return self.number, camera.view.tobytes(), lens
@@ -236,22 +238,22 @@ class LivePlayback:
     def _state(self) -> list[tuple[int, ...]]:
         return [
             (
-                id(one.data),
-                one.data.rows_version,
-                one.data.appearance_version,
-                one.data.cells_version,
-                one.data.count,
+                id(source.data),
+                source.data.rows_version,
+                source.data.appearance_version,
+                source.data.cells_version,
+                source.data.count,
             )
-            for one in self.sources
+            for source in self.sources
         ]
 
 
 def _counted(sources: Sequence[Source]) -> int:
     """Return how many frames those who count them have."""
     ends = [
-        one.range
+        spec.range
         for source in sources
-        for one in source.inputs
-        if one.role == "frame_index" and one.range is not None and source.time is None
+        for spec in source.inputs
+        if spec.role == "frame_index" and spec.range is not None and source.time is None
     ]
     return max([int(high - low) + 1 for low, high in ends], default=_FRAMES)

@@ -15,7 +15,7 @@ _TEXT: Final = 14  # pixels at a ratio of 1
 _LEADING: Final = 1.45
 _MARGIN: Final = 10
 _CORNER: Final = 6
-_PLAIN: Final = str.maketrans({"–": "-", "—": "-", "×": "x", "’": "'", "…": "..."})
+_ASCII: Final = str.maketrans({"–": "-", "—": "-", "×": "x", "’": "'", "…": "..."})
 _PAPER: Final = (16, 18, 22, 190)
 _INK: Final = (236, 238, 242, 255)
 _DIM: Final = (150, 156, 166, 255)
@@ -80,8 +80,8 @@ class Slider:
 
     def _ends(self) -> tuple[float, float]:
         """Return where the groove begins and ends in the panel."""
-        wide = self.size[0]
-        return min(34 * self.ratio, wide / 2), max(wide - 130 * self.ratio, wide / 2 + 1)
+        width = self.size[0]
+        return min(34 * self.ratio, width / 2), max(width - 130 * self.ratio, width / 2 + 1)
 
     def holds(self, x: float, y: float) -> bool:
         """Say whether a place on the surface is on the panel."""
@@ -107,13 +107,13 @@ class Slider:
             label: What is said at the end.
             playing: Whether the button pauses.
         """
-        (wide, tall), ratio, (low, high) = self.size, self.ratio, self._ends()
-        image, draw = _paper(wide, tall, ratio)
+        (width, tall), ratio, (low, high) = self.size, self.ratio, self._ends()
+        image, draw = _paper(width, tall, ratio)
         middle, knob = tall / 2, 6 * ratio
         draw.line((low, middle, high, middle), _DIM, max(1, round(2 * ratio)))
-        at = low + (high - low) * share
-        draw.line((low, middle, at, middle), _LIT, max(1, round(3 * ratio)))
-        draw.ellipse((at - knob, middle - knob, at + knob, middle + knob), _INK)
+        value = low + (high - low) * share
+        draw.line((low, middle, value, middle), _LIT, max(1, round(3 * ratio)))
+        draw.ellipse((value - knob, middle - knob, value + knob, middle + knob), _INK)
         left, half = 12 * ratio, 6 * ratio
         if playing:
             for start in (left, left + half):
@@ -134,7 +134,7 @@ class Slider:
 
 def _plain(text: str) -> str:
     """Return a text in characters that the font has."""
-    return text.translate(_PLAIN).encode("latin-1", "replace").decode("latin-1")
+    return text.translate(_ASCII).encode("latin-1", "replace").decode("latin-1")
 
 
 @cache
@@ -154,6 +154,8 @@ def _paper(
 
 def _multiplied(image: Image.Image) -> UInt8[np.ndarray, "h w 4"]:
     """Return the bytes with colours multiplied by alpha."""
-    made = np.asarray(image, np.uint16)
-    made = np.concatenate([made[..., :3] * made[..., 3:] // 255, made[..., 3:]], axis=-1)
-    return made.astype(np.uint8)
+    pixels = np.asarray(image, np.uint16)
+    pixels = np.concatenate(
+        [pixels[..., :3] * pixels[..., 3:] // 255, pixels[..., 3:]], axis=-1
+    )
+    return pixels.astype(np.uint8)

@@ -135,12 +135,12 @@ class Present:
             showing.draw(3)
         laid = {panel: self._lay(panel) for panel in panels}
         for panel, (_, bind) in laid.items():
-            tall, wide = panel.picture.shape[:2]
+            tall, panel_width = panel.picture.shape[:2]
             left, top = panel.at
-            tall, wide = min(tall, height - top), min(wide, width - left)
-            if tall > 0 and wide > 0:
+            tall, panel_width = min(tall, height - top), min(panel_width, width - left)
+            if tall > 0 and panel_width > 0:
                 showing.set_pipeline(self._panels)
-                showing.set_viewport(left, top, wide, tall, 0, 1)
+                showing.set_viewport(left, top, panel_width, tall, 0, 1)
                 showing.set_bind_group(0, bind)
                 showing.draw(3)
         showing.end()
@@ -179,16 +179,16 @@ class Present:
 
 def _showing(view: View, surface: tuple[int, int]) -> np.ndarray:
     camera = view.camera
-    made = np.zeros(1, _SHOWING)
-    made["turn"][0, :, :3] = camera.view[
+    uniforms = np.zeros(1, _SHOWING)
+    uniforms["turn"][0, :, :3] = camera.view[
         :3, :3
     ]  # its rows are the columns of camera → world
-    made["size"] = camera.width, camera.height
-    made["scale"] = camera.width / surface[0], camera.height / surface[1]
-    made["row"], made["mode"] = view.drawn.row, _MODES[view.mode]
-    made["near"], made["far"] = view.depths
-    made["is_linear"] = view.color_space == "linear"
-    return made
+    uniforms["size"] = camera.width, camera.height
+    uniforms["scale"] = camera.width / surface[0], camera.height / surface[1]
+    uniforms["row"], uniforms["mode"] = view.drawn.row, _MODES[view.mode]
+    uniforms["near"], uniforms["far"] = view.depths
+    uniforms["is_linear"] = view.color_space == "linear"
+    return uniforms
 
 
 def _pipeline(
@@ -220,5 +220,8 @@ def _pipeline(
 
 
 def _group(raw: Any, layout: Any, resources: Sequence[Any]) -> Any:
-    entries = [{"binding": at, "resource": one} for at, one in enumerate(resources)]
+    entries = [
+        {"binding": binding, "resource": resource}
+        for binding, resource in enumerate(resources)
+    ]
     return raw.create_bind_group(layout=layout, entries=entries)

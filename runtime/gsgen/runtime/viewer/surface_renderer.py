@@ -39,10 +39,10 @@ class ViewRequest:
         """Return what tells one picture from another."""
         camera = self.camera
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
-        place = (camera.view.tobytes(), lens, camera.near)
+        camera_key = (camera.view.tobytes(), lens, camera.near)
         moving = stage.number if stage.post else 0
-        how = (stage.sh_degree, stage.antialias, stage.version, moving)
-        return place, self.mode, self.background, how, id(stage)
+        settings_key = (stage.sh_degree, stage.antialias, stage.version, moving)
+        return camera_key, self.mode, self.background, settings_key, id(stage)
 
 
 @final
@@ -100,9 +100,9 @@ class SurfaceRenderer:
         """
         if self._shown is not None and self._shown[0] == wish.key(stage):
             return self._shown[1]
-        began = time.perf_counter()
+        started = time.perf_counter()
         view = self._drawn(stage, wish)
-        self.seconds, self.drawn = time.perf_counter() - began, view.drawn
+        self.seconds, self.drawn = time.perf_counter() - started, view.drawn
         self._shown = wish.key(stage), view  # a post-process model may have moved the stage
         return view
 
@@ -128,11 +128,11 @@ class SurfaceRenderer:
         if self._present is None or self._configured is not context:
             # The shader makes bytes of sRGB itself, so that panels are blended as they look.
             preferred = context.get_preferred_format(device.raw.adapter)
-            chosen = preferred.removesuffix("-srgb")
+            surface_format = preferred.removesuffix("-srgb")
             if context.get_configuration() is not None:
                 context.unconfigure()  # its texture was of a device that is lost
-            context.configure(device=device.raw, format=chosen)
-            self._present, self._configured = Present(device, chosen), context
+            context.configure(device=device.raw, format=surface_format)
+            self._present, self._configured = Present(device, surface_format), context
         self._present(context.get_current_texture(), view, panels)
 
     def _drawn(self, stage: LivePlayback, wish: ViewRequest) -> View:
@@ -179,10 +179,10 @@ class SurfaceRenderer:
             self._uploads = None
             self._begin()
         except DeviceUnavailable as error:
-            what = (
+            message = (
                 f"the graphics device was lost, and cannot be opened again: {error.message}"
             )
-            raise DeviceUnavailable(what, hint=error.hint) from error
+            raise DeviceUnavailable(message, hint=error.hint) from error
 
 
 def _resized(camera: Camera, frame: Frame) -> Camera:

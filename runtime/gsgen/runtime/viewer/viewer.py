@@ -57,7 +57,7 @@ _REFRESH: Final = 0.25  # seconds that numbers stand still
 _SLOW: Final = 0.12  # seconds that a picture may take while something moves
 _COARSEST: Final = 4
 _EDGE: Final = 10
-_LEFT, _RIGHT, _MIDDLE = 1, 2, 3
+_LEFT_BUTTON, _RIGHT_BUTTON, _MIDDLE_BUTTON = 1, 2, 3
 
 
 @final
@@ -215,27 +215,27 @@ class Viewer:
     def _laid(self) -> list[Panel]:
         """Return the panels, made anew where what they say has changed."""
         edge, ratio = round(_EDGE * self._ratio), self._ratio
-        wanted: dict[object, Callable[[], Panel]] = {}
+        makers: dict[object, Callable[[], Panel]] = {}
         if self._telling and self._numbers and not self._helping:
             rows = self._numbers
-            wanted["numbers", rows, ratio] = lambda: Panel(
+            makers["numbers", rows, ratio] = lambda: Panel(
                 paragraph(rows, ratio), (edge, edge)
             )
         if slider := self.slider:
             share, label = self.stage.number / (self.stage.frames - 1), self._label()
             playing = self.stage.playing
-            wanted["slider", slider, share, label, playing] = lambda: Panel(
+            makers["slider", slider, share, label, playing] = lambda: Panel(
                 slider.picture(share, label, playing), slider.at
             )
         if self.message:
             lines = tuple(
                 (line, "") for line in _wrapped(self.message, self._size[0] / ratio)
             )
-            wanted["message", lines, self._size, ratio] = lambda: self._centered(lines, 0.3)
+            makers["message", lines, self._size, ratio] = lambda: self._centered(lines, 0.3)
         if self._helping:
-            wanted["help", self._size, ratio] = lambda: self._centered(HELP, 0.5)
+            makers["help", self._size, ratio] = lambda: self._centered(HELP, 0.5)
         self._panels = {
-            key: self._panels.get(key) or make() for key, make in wanted.items()
+            key: self._panels.get(key) or make() for key, make in makers.items()
         }
         return list(self._panels.values())
 
@@ -248,8 +248,8 @@ class Viewer:
 
     def _label(self) -> str:
         moment = self.stage.moment()
-        told = "" if moment is None else f"  t {moment:.3g}"
-        return f"{self.stage.number + 1} / {self.stage.frames}{told}"
+        time_text = "" if moment is None else f"  t {moment:.3g}"
+        return f"{self.stage.number + 1} / {self.stage.frames}{time_text}"
 
     def _tell(self, now: float, moving: bool) -> None:
         """Write the numbers, not more often than they can be read."""
@@ -338,7 +338,7 @@ class Viewer:
         self._pointer, self.message = (event["x"], event["y"]), ""
         x, y = self._on_surface()
         slider = self.slider
-        if slider and event["button"] == _LEFT and slider.holds(x, y):
+        if slider and event["button"] == _LEFT_BUTTON and slider.holds(x, y):
             if slider.on_button(x):
                 self._play()
             else:
@@ -353,12 +353,14 @@ class Viewer:
         right, down = self._pointer[0] - x, self._pointer[1] - y
         if self._sliding:
             self._slide(self._on_surface()[0])
-        elif self._dragging == _MIDDLE or (self._dragging == _LEFT and self._shift):
+        elif self._dragging == _MIDDLE_BUTTON or (
+            self._dragging == _LEFT_BUTTON and self._shift
+        ):
             right, down = right * self._ratio, down * self._ratio
             self.controls.pan(right, down, *self._size)
-        elif self._dragging == _LEFT:
+        elif self._dragging == _LEFT_BUTTON:
             self.controls.orbit(right, down)
-        elif self._dragging == _RIGHT:
+        elif self._dragging == _RIGHT_BUTTON:
             self.controls.look(right, down)
 
     def _pointer_up(self, event: Mapping[str, Any]) -> None:

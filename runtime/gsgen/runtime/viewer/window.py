@@ -44,14 +44,14 @@ def attach(viewer: Viewer, canvas: Any) -> Callable[[], Exception | None]:
             canvas.close()
             return
         try:
-            again = viewer.draw(context)
+            is_unfinished = viewer.draw(context)
         except (
             Exception
         ) as error:  # rendercanvas would log it, and ask for the next picture
             ended.append(error)
             canvas.request_draw()
             raise
-        if again or viewer.closed:
+        if is_unfinished or viewer.closed:
             canvas.request_draw()
 
     def take(event: dict[str, Any]) -> None:
@@ -77,15 +77,15 @@ def require_display() -> None:
             f"a window needs {error.name}, which is not installed",
             hint="pip install 'gsgen[runtime]'",
         ) from error
-    told: list[str] = []
+    reasons: list[str] = []
     reporter: Any = glfw  # its stubs say of errors that they are str; they are bytes
     before = reporter.set_error_callback(
-        lambda _, text: told.append(text.decode("utf-8", "replace"))
+        lambda _, text: reasons.append(text.decode("utf-8", "replace"))
     )
     works = glfw.init()
     reporter.set_error_callback(before)
     if not works:
-        raise DisplayUnavailable(": ".join(["no window can be opened here", *told[-1:]]))
+        raise DisplayUnavailable(": ".join(["no window can be opened here", *reasons[-1:]]))
 
 
 def open_window(viewer: Viewer, title: str, size: tuple[int, int]) -> None:
@@ -160,11 +160,11 @@ def view(
     from gsgen.runtime.sources.scene_source import sources_of
     from gsgen.runtime.viewer.live_playback import LivePlayback
 
-    shown = canvas if canvas is not None else _canvas(size)
+    window_canvas = canvas if canvas is not None else _canvas(size)
     stage = LivePlayback(sources_of(scene))
     viewer = Viewer(stage, viewpoint(camera, *size), say=lambda text: _print(text))
-    attach(viewer, shown)
-    return shown
+    attach(viewer, window_canvas)
+    return window_canvas
 
 
 def _canvas(size: tuple[int, int]) -> Any:
