@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gsgen.reference_plugins.anchors import scaffold_gs_plugin
 from gsgen.reference_plugins.loading.cfg_args import CfgArgs, Printed, read_cfg_args
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
-from gsgen.reference_plugins.loading.options import tell
+from gsgen.reference_plugins.loading.options import report_checkpoint
 from gsgen.reference_plugins.synthetic import AnchorOptions, write_scaffold
 
 
@@ -41,7 +41,7 @@ def test_literals_are_read_and_unknown_ones_do_no_harm(tmp_path: Path) -> None:
     assert made.values == {
         "a": 1, "b": -2.5, "c": "x", "d": True, "e": None, "f": [1, 2], "g": {"k": [3]},
     }  # fmt: skip
-    assert (made.integer("a", 0), made.number("a", 0), made.flag("zz", True)) == (
+    assert (made.integer("a", 0), made.number("a", 0), made.flag("zz", default=True)) == (
         1,
         1,
         True,
@@ -49,7 +49,7 @@ def test_literals_are_read_and_unknown_ones_do_no_harm(tmp_path: Path) -> None:
 
 
 def test_what_python_prints_without_a_literal_is_read(tmp_path: Path) -> None:
-    """As argparse prints infinities, and options whose names are no identifiers."""
+    """As argparse prints infinities, and options whose names are not identifiers."""
     printed = Namespace(far=float("inf"), near=[-float("inf")], **{"some-key": 3})
     assert repr(printed) == "Namespace(far=inf, near=[-inf], **{'some-key': 3})"
     made = read(tmp_path, repr(printed))
@@ -171,9 +171,14 @@ def test_what_is_no_literal_is_refused_by_who_needs_it(
         return
     assert made.integer("b", 0) == 2
     assert list(made.printed()) == ["a", "c-d"]
-    for take in (made.flag, made.word, made.number, made.integer):
-        with pytest.raises(CheckpointInvalid, match=r"a is .*, wanted") as caught:
-            take("a", 0)  # type: ignore[arg-type]
+    for read_option in (
+        lambda: made.flag("a"),
+        lambda: made.word("a", ""),
+        lambda: made.number("a", 0),
+        lambda: made.integer("a", 0),
+    ):
+        with pytest.raises(CheckpointInvalid, match=r"a is .*, expected") as caught:
+            read_option()
         assert value[:60] in str(caught.value)
     assert not (tmp_path / "ran").exists()
 
@@ -181,16 +186,19 @@ def test_what_is_no_literal_is_refused_by_who_needs_it(
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("__import__('os').system('touch ran')", "is no Namespace"),
-        ("Namespace(1, 2)", "is no Namespace"),
-        ("Namespace(**{'a': 1})", "is no Namespace"),
-        ("Namespace(**x)", "is no Namespace"),
+        ("__import__('os').system('touch ran')", "is not a Namespace"),
+        ("Namespace(1, 2)", "is not a Namespace"),
+        ("Namespace(**{'a': 1})", "is not a Namespace"),
+        ("Namespace(**x)", "is not a Namespace"),
         ("Namespace(a=1", "cannot be parsed"),
         ("Namespace(a=<x>, b=)", "cannot be parsed"),
         ("Namespace(a=<x <y> z>)", "cannot be parsed"),
         ("", "cannot be parsed"),
         ("Namespace(a=" + "-" * 100_000 + "1)", "cannot be parsed"),
-        ("Namespace(a='" + "x" * (1 << 20) + "')", "is larger"),
+        (
+            "Namespace(a='" + "x" * (1 << 20) + "')",
+            "has 1,048,591 bytes, expected at most 1,048,576",
+        ),
     ],
 )
 def test_what_is_no_namespace_is_refused(
@@ -205,10 +213,10 @@ def test_what_is_no_namespace_is_refused(
 @pytest.mark.parametrize(
     ("take", "words"),
     [
-        (lambda c: c.flag("a"), "a is 1, wanted True or False"),
-        (lambda c: c.integer("b", 0), "b is 'x', wanted a whole number"),
-        (lambda c: c.number("d", 0), "d is True, wanted a number"),
-        (lambda c: c.word("b", "y", ("y", "z")), "b is 'x', wanted 'y' or 'z'"),
+        (lambda c: c.flag("a"), "a is 1, expected True or False"),
+        (lambda c: c.integer("b", 0), "b is 'x', expected a whole number"),
+        (lambda c: c.number("d", 0), "d is True, expected a number"),
+        (lambda c: c.word("b", "y", ("y", "z")), "b is 'x', expected 'y' or 'z'"),
     ],
 )
 def test_an_option_of_another_kind_is_refused(
@@ -223,11 +231,11 @@ def test_options_that_nobody_reads_are_warned_of_by_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = read(tmp_path, "Namespace(a=1, b=PosixPath('/x'), device=device('cpu'))")
-    tell("a run", made)
+    report_checkpoint("a run", made)
     said = capsys.readouterr().err.splitlines()
     assert said == [
         "a run",
-        f"warning: device=device('cpu') in {made.path} is no literal; it is not read",
+        f"warning: device=device('cpu') in {made.path} is not a literal and was ignored",
     ]
 
 

@@ -120,7 +120,7 @@ def test_what_lies_in_a_run_stands_for_it(
     with pytest.raises(CheckpointInvalid, match="does not exist"):
         read(run / "nowhere")
     (run / "notes.txt").write_text("")
-    with pytest.raises(CheckpointInvalid, match="is no folder"):
+    with pytest.raises(CheckpointInvalid, match="is not a folder"):
         read(run / "notes.txt")
 
 
@@ -153,7 +153,7 @@ def test_an_iteration_by_itself_will_do(tmp_path: Path) -> None:
         assert read_anchors(tmp_path / name, octree=True).iteration == number
         made = octree_gs_plugin.build(tmp_path / name)
         assert made.producer == wanted.producer
-        with pytest.raises(NotInCheckpoint, match="by itself"):
+        with pytest.raises(NotInCheckpoint, match="alone, not 5"):
             read_anchors(tmp_path / name, 5, octree=True)
 
 
@@ -255,7 +255,7 @@ def test_code_in_a_script_archive_is_not_run(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     _archive(tmp_path / "a.pt", Evil(), order)
-    words = "which is no tensor" if order == b"little" else "other byte order"
+    words = "which is not a tensor" if order == b"little" else "another byte order"
     with pytest.raises(CheckpointInvalid, match=words):
         read_script_state(tmp_path / "a.pt")
     assert not (tmp_path / "ran").exists()
@@ -292,7 +292,7 @@ NET = "deformation_net."
         (lambda s: s.update(surprise=torch.ones(1)), "unexpected: surprise"),
         (
             lambda s: s.update({NET + "pos_deform.1.weight": torch.ones(16, 15)}),
-            r"pos_deform.1.weight is \[16, 15\], wanted \[16, 16\]",
+            r"pos_deform.1.weight is \[16, 15\], expected \[16, 16\]",
         ),
         (
             lambda s: s[NET + "grid.aabb"].fill_(float("nan")),
@@ -300,14 +300,14 @@ NET = "deformation_net."
         ),
         (
             lambda s: s.update({NET + "pos_deform.1.bias": "no"}),
-            "is a str, wanted a tensor",
+            "is a str, expected a tensor",
         ),
         (
             lambda s: s.update({NET + "grid.grids.1.4": torch.ones(1, 4, 7, 16)}),
-            r"grids.1.4 is \(7, 16\), wanted \(6, 16\)",
+            r"grids.1.4 is \(7, 16\), expected \(6, 16\)",
         ),
         (lambda s: s.pop(NET + "feature_out.0.weight"), "0 layers behind them"),
-        (lambda s: s[NET + "grid.aabb"].fill_(1.0), "wanted a box with a volume"),
+        (lambda s: s[NET + "grid.aabb"].fill_(1.0), "expected a box with a volume"),
     ],
 )
 def test_tensors_that_do_not_fit_are_named(
@@ -351,8 +351,8 @@ def test_columns_go_by_their_number_not_by_their_place(tmp_path: Path) -> None:
         ("feat_dim=99", "feat_dim is 99, but point_cloud.ply has 16"),
         ("appearance_dim=4", "appearance_dim is 4"),
         ("use_feat_bank=True", "use_feat_bank is True"),
-        ("add_cov_dist=True", r"0.weight is \[16, 19\], wanted \[16, 20\]"),
-        ("appearance_dim='many'", "appearance_dim is 'many', wanted a whole number"),
+        ("add_cov_dist=True", r"0.weight is \[16, 19\], expected \[16, 20\]"),
+        ("appearance_dim='many'", "appearance_dim is 'many', expected a whole number"),
     ],
 )
 def test_options_of_another_run_are_noticed(text: str, words: str, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import pytest
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import read_r3
+from gsgen.sdk.plugins.plugin import installed_plugins
 from support.checkpoints.method_runs import METHODS
 
 # LHM's files are like those of no other method.
@@ -34,6 +35,18 @@ def test_the_right_plugin_is_named(plugin: str, runs: dict[str, Path]) -> None:
         with pytest.raises(CheckpointInvalid, match="is a checkpoint of") as caught:
             read(run)
         assert caught.value.hint == f"Export it with `gsgen export {name}`."
+
+
+@pytest.mark.parametrize("name", ALIKE)
+def test_one_plugin_recognises_a_run(name: str, runs: dict[str, Path]) -> None:
+    iterations = runs[name].glob("point_cloud/iteration_*")
+    recognising = {
+        plugin.name
+        for iteration in iterations
+        for plugin in installed_plugins()
+        if plugin.recognises is not None and plugin.recognises(runs[name], iteration)
+    }
+    assert recognising == {name}
 
 
 def test_a_resume_file_of_gauhuman_is_not_taken_for_one_of_r3(

@@ -239,7 +239,7 @@ def test_another_gender_is_warned_of(
     cfg = folder / "cfg_args"
     cfg.write_text(cfg.read_text().replace("'neutral'", "'male'"))
     gauhuman_plugin.build(folder, body=folder / "assets/SMPL_NEUTRAL.pkl")
-    assert "warning: actor_gender='male' is not honoured" in capsys.readouterr().err
+    assert "warning: actor_gender='male' is not supported" in capsys.readouterr().err
     cfg.unlink()
     gauhuman_plugin.build(folder)
     assert "a neutral SMPL body is assumed" in capsys.readouterr().err

@@ -147,11 +147,11 @@ def test_frames_of_zju_mocap_are_read_out_of_their_pickles(tmp_path: Path) -> No
 def test_a_frame_of_zju_mocap_runs_nothing(tmp_path: Path) -> None:
     harm = {"poses": Harmful(tmp_path / "harmed")}
     np.save(tmp_path / "0.npy", harm)  # type: ignore[arg-type]
-    with pytest.raises(CheckpointInvalid, match="which is no array"):
+    with pytest.raises(CheckpointInvalid, match="which is not an array"):
         read_motion(tmp_path, 24)
     assert not (tmp_path / "harmed").exists()
     np.save(tmp_path / "0.npy", np.zeros(72))
-    with pytest.raises(CheckpointInvalid, match="holds an array, wanted a dict"):
+    with pytest.raises(CheckpointInvalid, match="holds an array, expected a dict"):
         read_motion(tmp_path / "0.npy", 24)
 
 

@@ -40,7 +40,7 @@ def test_a_body_model_runs_nothing(hidden: bool, tmp_path: Path) -> None:
     harm = Harmful(tmp_path / "harmed")
     value = {"v_template": np.array([harm], object) if hidden else harm}
     path = unpickled(tmp_path / "SMPL_NEUTRAL.pkl", value)
-    with pytest.raises(CheckpointInvalid, match="system, which is no array"):
+    with pytest.raises(CheckpointInvalid, match="system, which is not an array"):
         read_body(path, 24)
     assert not (tmp_path / "harmed").exists()
 

@@ -35,7 +35,12 @@ from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid, NotInCheckpoint
 from gsgen.reference_plugins.loading.folder import find_iteration, required_file, within_run
 from gsgen.reference_plugins.loading.method_detection import refuse_other_method
-from gsgen.reference_plugins.loading.states import Shape, checked, load_network, load_state
+from gsgen.reference_plugins.loading.states import (
+    Shape,
+    load_network,
+    load_state,
+    require_tensors,
+)
 
 _OFFSET = re.compile(r"f_offset_(\d+)")
 _FEATURE = re.compile(r"f_anchor_feat_(\d+)")
@@ -198,7 +203,7 @@ def _read_cloud(path: Path, octree: bool) -> AnchorCloud:
         groups |= {name: (name,) for name in _LEVELS} if octree else {}
         if not offsets or len(offsets) % 3 or not features:
             what = f"{len(offsets)} properties f_offset and {len(features)} f_anchor_feat"
-            hint = "Wanted 3 K and F of them: is this a checkpoint of another method?"
+            hint = "Expected 3 K and F of them: is this a checkpoint of another method?"
             raise CheckpointInvalid(what, where=str(path), hint=hint)
         tables = read_ply_columns(path, groups)
     except FormatError as error:
@@ -287,7 +292,7 @@ def _states(place: Path) -> States:
 
 def _embedding(path: Path, state: Mapping[str, Any], cfg: CfgArgs) -> Tensor:
     wide = cfg.integer("appearance_dim", 0) if "appearance_dim" in cfg.values else None
-    return checked(path, state, {"embedding.weight": (None, wide)})["embedding.weight"]
+    return require_tensors(path, state, {"embedding.weight": (None, wide)})["embedding.weight"]
 
 
 def _head(name: str, states: States, place: Path, cfg: CfgArgs, sizes: _Sizes) -> Mlp:
@@ -309,7 +314,7 @@ def _head(name: str, states: States, place: Path, cfg: CfgArgs, sizes: _Sizes) -
 
 
 def _has_bank(states: States, place: Path, cfg: CfgArgs) -> bool:
-    wanted = cfg.flag("use_feat_bank", "bank" in states)
+    wanted = cfg.flag("use_feat_bank", default="bank" in states)
     if wanted and "bank" not in states:
         what = "is missing: use_feat_bank is True"
         raise CheckpointInvalid(what, where=str(place / "feature_bank_mlp.pt"))
@@ -336,7 +341,7 @@ def _mlp(
         "2.weight": (out, f),
         "2.bias": (out,),
     }
-    read = checked(path, state, wanted)
+    read = require_tensors(path, state, wanted)
     hidden, hidden_bias, last, last_bias = (read[name] for name in wanted)
     return Mlp(hidden, hidden_bias, last, last_bias, distance)
 

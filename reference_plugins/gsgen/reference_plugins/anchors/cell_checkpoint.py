@@ -126,7 +126,7 @@ def _columns(path: Path) -> dict[str, Tensor]:
             what = (
                 f"{len(groups['offset'])} properties f_offset and {len(groups['feature'])} "
             )
-            what += "f_anchor_feat, wanted 3 K and F"
+            what += "f_anchor_feat, expected 3 K and F"
             raise CheckpointInvalid(what, where=str(path))
         rest = groups["rest"]
         groups = {name: group for name, group in groups.items() if group}
@@ -154,7 +154,7 @@ def _cloud(read: Mapping[str, Tensor]) -> AnchorCloud:
 def _degree(visibility: Tensor, path: Path) -> int:
     squares = {(degree + 1) ** 2: degree for degree in range(_MAX_DEGREE + 1)}
     if visibility.shape[1] not in squares:
-        what = f"{visibility.shape[1] - 1} properties anchor_shv, wanted 0, 3, 8 or 15"
+        what = f"{visibility.shape[1] - 1} properties anchor_shv, expected 0, 3, 8 or 15"
         raise CheckpointInvalid(what, where=str(path))
     return squares[visibility.shape[1]]
 
@@ -168,7 +168,7 @@ def _weighting(info: Tensor, cfg: CfgArgs, path: Path) -> Weighting:
         sigma > 0 and grade > 0 and all(map(math.isfinite, (sigma, background, grade)))
     ):
         what = (
-            f"info is {info[:_INFO].tolist()}, wanted finite numbers, and sigma and ET_grade "
+            f"info is {info[:_INFO].tolist()}, expected finite numbers, and sigma and ET_grade "
             "above 0"
         )
         raise CheckpointInvalid(what, where=str(path))

@@ -14,8 +14,8 @@ from gsgen.reference_plugins.loading.options import (
     Iteration,
     MaxAnchors,
     note,
-    tell,
-    warn_of,
+    report_checkpoint,
+    warn_unsupported,
 )
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
@@ -73,7 +73,7 @@ def build(
 
     read = read_cells(checkpoint, iteration)
     levels = Levels.of(read.anchors)
-    tell(
+    report_checkpoint(
         f"{describe_cells(read)}; {levels.mode} to whole levels, fork {levels.fork:g}",
         read.anchors.cfg,
     )
@@ -82,7 +82,7 @@ def build(
             "note: the method blends by a weighted sum of cells; this model is blended by "
             "sorting. --blend wsr keeps the cells"
         )
-    warn_of(read.anchors.cfg, _HONOURED)
+    warn_unsupported(read.anchors.cfg, _HONOURED)
     appearance = require_appearance(read.anchors, appearance_id, "--appearance-id")
     made = DuplexGS(
         read,

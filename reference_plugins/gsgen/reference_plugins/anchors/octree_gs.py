@@ -64,13 +64,13 @@ class Levels:
         assert cloud.level is not None
         assert cloud.info is not None
         if len(cloud) < 2 or not (cloud.info[:2] > 0).all():
-            what = f"info is {cloud.info[:2].tolist()}, wanted voxel size and distance, above 0"
+            what = f"info is {cloud.info[:2].tolist()}, expected voxel size and distance, above 0"
             raise CheckpointInvalid(what, where=str(read.folder))
         mode = cfg.word("dist2level", "round", MODES)
         fork = cfg.number("fork", 2)
         if fork <= 1:
             raise CheckpointInvalid(
-                f"fork is {fork:g}, wanted above 1", where=str(cfg.path)
+                f"fork is {fork:g}, expected above 1", where=str(cfg.path)
             )
         top = int(cloud.level.max()) - int(cloud.level.min())
         return cls(mode, fork, float(cloud.info[0]), float(cloud.info[1]), top)

@@ -12,8 +12,8 @@ from gsgen.reference_plugins.loading.options import (
     CullOption,
     Iteration,
     MaxAnchors,
-    tell,
-    warn_of,
+    report_checkpoint,
+    warn_unsupported,
 )
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
@@ -50,11 +50,11 @@ def build(
 
     read = read_anchors(checkpoint, iteration, octree=True)
     levels = Levels.of(read)
-    tell(
+    report_checkpoint(
         f"{describe_anchors(read)}; {levels.mode} to whole levels, fork {levels.fork:g}",
         read.cfg,
     )
-    warn_of(read.cfg, _HONOURED)
+    warn_unsupported(read.cfg, _HONOURED)
     selection = Selection(cull, max_anchors)
     appearance = require_appearance(read, appearance_id, "--appearance-id")
     made = OctreeGS(

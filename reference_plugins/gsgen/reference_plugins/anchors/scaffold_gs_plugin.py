@@ -13,7 +13,7 @@ from gsgen.reference_plugins.loading.options import (
     Iteration,
     MaxAnchors,
     note,
-    tell,
+    report_checkpoint,
 )
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
@@ -45,7 +45,7 @@ def build(
     from gsgen.reference_plugins.loading.provenance import producer_of
 
     read = read_anchors(checkpoint, iteration)
-    tell(describe_anchors(read), read.cfg)
+    report_checkpoint(describe_anchors(read), read.cfg)
     if not read.cfg.present:
         note(
             f"note: there is no {read.cfg.path}; flags are taken from the networks' shapes"

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.reference_plugins.loading.options import note, warn_of
+from gsgen.reference_plugins.loading.options import note, warn_unsupported
 
 if TYPE_CHECKING:
     from gsgen.reference_plugins.bodies.actors import ActorInputs
@@ -82,7 +82,7 @@ def warn_of_body(cfg: "CfgArgs", body: "Body") -> None:
             "the published code takes the pose of training from SMPL_NEUTRAL.pkl whatever it "
             "says; here all is taken from the body model that was read"
         )
-        warn_of(cfg, {"actor_gender": ("neutral", meaning)})
+        warn_unsupported(cfg, {"actor_gender": ("neutral", meaning)})
 
 
 def read_shape(text: str | None, motion: "Motion | None", most: int) -> list[float] | None:

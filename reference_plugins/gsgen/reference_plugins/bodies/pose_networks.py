@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gsgen.reference_plugins.loading.states import Shape, checked
+from gsgen.reference_plugins.loading.states import Shape, require_tensors
 
 Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
 
@@ -53,7 +53,7 @@ def read_pose_nets(
     wanted: dict[str, Shape] = {}
     for name, (inputs, outputs) in zip(names, sizes, strict=True):
         wanted |= {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
-    read = checked(path, pose, wanted)
+    read = require_tensors(path, pose, wanted)
     first = tuple((read[f"{n}.weight"], read[f"{n}.bias"]) for n in names)
     wide = _width(weights.get("bw_linears.0.weight"))
     inputs_of = [_EMBEDDED, wide, wide, wide and _EMBEDDED + wide]
@@ -62,7 +62,7 @@ def read_pose_nets(
     for name, inputs in zip(names, [*inputs_of, wide], strict=True):
         outputs = joints if name == "bw_fc" else wide
         wanted |= {f"{name}.weight": (outputs, inputs, 1), f"{name}.bias": (outputs,)}
-    read = checked(path, weights, wanted)
+    read = require_tensors(path, weights, wanted)
     second = tuple((read[f"{n}.weight"][:, :, 0], read[f"{n}.bias"]) for n in names)
     return PoseNets(first, second)
 

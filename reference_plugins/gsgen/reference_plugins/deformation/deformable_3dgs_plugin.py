@@ -12,7 +12,7 @@ from gsgen.reference_plugins.loading.options import (
     Iteration,
     Loop,
     note,
-    tell,
+    report_checkpoint,
 )
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
@@ -43,7 +43,7 @@ def build(
     from gsgen.sdk import inputs
 
     read = read_deformation(checkpoint, iteration)
-    tell(read.describe(), read.cfg)
+    report_checkpoint(read.describe(), read.cfg)
     if not read.cfg.present:
         note(f"note: there is no {read.cfg.path}; the kind is taken from the network")
     if read.operations > _HEAVY:

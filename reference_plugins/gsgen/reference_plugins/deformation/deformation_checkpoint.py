@@ -19,7 +19,7 @@ from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.folder import find_iteration, within_run
 from gsgen.reference_plugins.loading.method_detection import refuse_other_method
-from gsgen.reference_plugins.loading.states import Shape, checked, load_state
+from gsgen.reference_plugins.loading.states import Shape, load_state, require_tensors
 
 OCTAVES = 10
 BLENDER_TIME_OCTAVES = 6
@@ -114,7 +114,7 @@ def read_deformation(folder: Path, iteration: int | None = None) -> DeformationC
         ("is_blender", net.time is not None),
         ("is_6dof", net.has_six_degrees),
     ):
-        if cfg.flag(option, seen) != seen:
+        if cfg.flag(option, default=seen) != seen:
             what = f"{option} is {not seen}, but the network in {path} says {seen}"
             raise CheckpointInvalid(what, where=str(cfg.path))
     return DeformationCheckpoint(folder, number, cfg, canonical, net)
@@ -124,7 +124,7 @@ def _read_net(path: Path, state: Mapping[str, Tensor]) -> Deformation:
     first = state.get("linear.0.weight")
     found = {int(match[1]) for name in state if (match := _LAYER.fullmatch(name))}
     if not isinstance(first, Tensor) or first.ndim != 2 or found != set(range(len(found))):
-        what = f"layers linear.N are {sorted(found)}, wanted 0 to 7"
+        what = f"layers linear.N are {sorted(found)}, expected 0 to 7"
         raise CheckpointInvalid(what, where=str(path))
     wide, count = first.shape[0], len(found)
     skip = count // 2 + 1
@@ -141,7 +141,7 @@ def _read_net(path: Path, state: Mapping[str, Tensor]) -> Deformation:
     for name in warp:
         wanted |= _linear(name, wide, 3)
     wanted |= _linear("gaussian_rotation", wide, 4) | _linear("gaussian_scaling", wide, 3)
-    read = checked(path, state, wanted)
+    read = require_tensors(path, state, wanted)
     moves = [_layer(read, name) for name in warp]
     return Deformation(
         layers=tuple(_layer(read, f"linear.{i}") for i in range(count)),

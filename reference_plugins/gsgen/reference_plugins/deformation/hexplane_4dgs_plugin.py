@@ -14,7 +14,7 @@ from gsgen.reference_plugins.loading.options import (
     Iteration,
     Loop,
     note,
-    tell,
+    report_checkpoint,
 )
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
@@ -51,7 +51,7 @@ def build(
     from gsgen.sdk import inputs
 
     read = read_hexplanes(checkpoint, iteration)
-    tell(read.describe(), read.cfg)
+    report_checkpoint(read.describe(), read.cfg)
     if read.flags.mask == "empty_voxel":
         note("warning: empty_voxel is honoured, but was never compared with the original")
     time = inputs.time(frames=frames, fps=fps, loop=loop or None)

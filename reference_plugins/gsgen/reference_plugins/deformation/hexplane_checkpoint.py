@@ -28,7 +28,12 @@ from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.folder import find_iteration, within_run
 from gsgen.reference_plugins.loading.method_detection import refuse_other_method
-from gsgen.reference_plugins.loading.states import Shape, checked, load_state, part
+from gsgen.reference_plugins.loading.states import (
+    Shape,
+    entries_below,
+    load_state,
+    require_tensors,
+)
 
 # What each head changes, and how many numbers it gives.
 HEADS = {"pos": 3, "scales": 3, "rotations": 4, "opacity": 1, "shs": 48}
@@ -68,14 +73,14 @@ class Flags:
             hint = "The published code fails with it, too."
             raise CheckpointInvalid("no_grid is True", where=str(cfg.path), hint=hint)
         if cfg.integer("grid_pe", 0) > 1:
-            what = f"grid_pe is {cfg.values['grid_pe']}, wanted 0 or 1"
+            what = f"grid_pe is {cfg.values['grid_pe']}, expected 0 or 1"
             raise CheckpointInvalid(what, where=str(cfg.path))
         off = {
             "pos": cfg.flag("no_dx"),
             "scales": cfg.flag("no_ds"),
             "rotations": cfg.flag("no_dr"),
-            "opacity": cfg.flag("no_do", True),
-            "shs": cfg.flag("no_dshs", True),
+            "opacity": cfg.flag("no_do", default=True),
+            "shs": cfg.flag("no_dshs", default=True),
         }
         active = tuple(head for head in HEADS if not off[head])
         if not active:
@@ -182,7 +187,7 @@ def read_hexplanes(folder: Path, iteration: int | None = None) -> HexPlaneCheckp
 
 def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
     state = load_state(path, "the deformation network")
-    net = part(state, _NET)
+    net = entries_below(state, _NET)
     scales, layers = _counts(path, net)
     wanted = _wanted(path, net, flags, scales, layers)
     # Heads and masks that are off were saved all the same.
@@ -190,15 +195,15 @@ def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
     idle += [
         f"{_NET}{mask}." for mask in ("static_mlp", "empty_voxel") if mask != flags.mask
     ]
-    read = checked(path, state, {_NET + k: v for k, v in wanted.items()}, (*_UNUSED, *idle))
-    read = part(read, _NET)
+    read = require_tensors(path, state, {_NET + k: v for k, v in wanted.items()}, (*_UNUSED, *idle))
+    read = entries_below(read, _NET)
     grids = tuple(
         tuple(read[f"grid.grids.{s}.{p}"][0] for p in range(_PLANES)) for s in range(scales)
     )
     _require_sizes(path, grids)
     if (read["grid.aabb"][0] == read["grid.aabb"][1]).any():
         what = (
-            f"{_NET}grid.aabb is {read['grid.aabb'].tolist()}, wanted a box with a volume"
+            f"{_NET}grid.aabb is {read['grid.aabb'].tolist()}, expected a box with a volume"
         )
         raise CheckpointInvalid(what, where=str(path))
     static = _pair(read, "static_mlp") if flags.mask == "static_mlp" else None
@@ -218,7 +223,7 @@ def _counts(path: Path, net: Mapping[str, Any]) -> tuple[int, int]:
     layers = {int(match[1]) for name in net if (match := _OUT.fullmatch(name))}
     if scales != set(range(len(scales))) or not scales or not layers:
         what = f"{len(scales)} resolutions of planes, {len(layers)} layers behind them"
-        hint = "Wanted deformation_net.grid.grids.S.P and deformation_net.feature_out.L."
+        hint = "Expected deformation_net.grid.grids.S.P and deformation_net.feature_out.L."
         raise CheckpointInvalid(what, where=str(path), hint=hint)
     return len(scales), len(layers)
 
@@ -279,5 +284,5 @@ def _require_sizes(path: Path, grids: tuple[tuple[Tensor, ...], ...]) -> None:
         for index, (first, second) in enumerate(pairs):
             seen, expected = tuple(planes[index].shape[1:]), (size[second], size[first])
             if seen != expected or min(seen) < 2:
-                what = f"{_NET}grid.grids.{scale}.{index} is {seen}, wanted {expected}, 2 or more"
+                what = f"{_NET}grid.grids.{scale}.{index} is {seen}, expected {expected}, 2 or more"
                 raise CheckpointInvalid(what, where=str(path))

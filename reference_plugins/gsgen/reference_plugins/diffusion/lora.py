@@ -26,7 +26,7 @@ from gsgen.reference_plugins.loading.safetensors import (
     read_metadata,
     read_safetensors,
 )
-from gsgen.reference_plugins.loading.states import listed, load_state
+from gsgen.reference_plugins.loading.states import first_names, load_state
 
 _FILES = tuple(
     f"{name}.{kind}"
@@ -125,7 +125,7 @@ def read_lora(path: Path) -> Adapter:
     if others:
         kinds = {kind for part, kind in _OTHER.items() for one in others if part in one}
         raise CheckpointInvalid(
-            f"{len(others)} tensors are no part of a LoRA: {listed(others)}",
+            f"{len(others)} tensors are no part of a LoRA: {first_names(others)}",
             where=str(path),
             hint=" ".join(f"{kind} is not supported." for kind in sorted(kinds)),
         )

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from gsgen.reference_plugins.diffusion.lora import Adapter, Pair
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
-from gsgen.reference_plugins.loading.states import listed
+from gsgen.reference_plugins.loading.states import first_names
 
 
 def merge(adapter: Adapter, scale: float, homes: Mapping[str, nn.Module]) -> str:
@@ -27,7 +27,7 @@ def merge(adapter: Adapter, scale: float, homes: Mapping[str, nn.Module]) -> str
 
     Raises:
         CheckpointInvalid: A tensor has no layer, no partner, or another shape than its layer; all
-            of them are listed, and no layer is changed.
+            of them are first_names, and no layer is changed.
     """
     troubles = [
         f"{name} {trouble}"
@@ -37,7 +37,7 @@ def merge(adapter: Adapter, scale: float, homes: Mapping[str, nn.Module]) -> str
     if troubles or not adapter.pairs:
         what = f"{len(troubles)} of {len(adapter.pairs)} layers do not fit the networks"
         raise CheckpointInvalid(
-            f"{what}: {listed(troubles, '; ')}",
+            f"{what}: {first_names(troubles, '; ')}",
             where=str(adapter.path),
             hint="It may be made for another network.",
         )

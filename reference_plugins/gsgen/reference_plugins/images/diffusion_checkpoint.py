@@ -29,7 +29,7 @@ from gsgen.reference_plugins.diffusion.unet import UNet
 from gsgen.reference_plugins.images.difix import Difix, fused, read_difix
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.safetensors import read_safetensors
-from gsgen.reference_plugins.loading.states import checked, load_state
+from gsgen.reference_plugins.loading.states import load_state, require_tensors
 
 _Net = TypeVar("_Net", bound=nn.Module)
 
@@ -191,7 +191,7 @@ def _network(
             f"makes no network: {error}", where=str(config.path)
         ) from error
     wanted = {name: tuple(value.shape) for name, value in made.state_dict().items()}
-    read = checked(changed_by or path, _renamed(plain, wanted), wanted)
+    read = require_tensors(changed_by or path, _renamed(plain, wanted), wanted)
     made.load_state_dict(read, strict=True, assign=True)
     return _Read(made.eval().requires_grad_(False), path, inside)
 

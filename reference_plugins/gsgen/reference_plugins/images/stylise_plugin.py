@@ -39,7 +39,7 @@ def build(checkpoint: Folder, size: Size = "360x640", slider: Slider = True) -> 
     from gsgen.reference_plugins.diffusion.model_config import read_model_config
     from gsgen.reference_plugins.images.stylise import Stylise, StyliseOptions
     from gsgen.reference_plugins.loading.safetensors import read_safetensors
-    from gsgen.reference_plugins.loading.states import checked
+    from gsgen.reference_plugins.loading.states import require_tensors
 
     sides = read_size(size)
     config = read_model_config(checkpoint)
@@ -49,7 +49,7 @@ def build(checkpoint: Folder, size: Size = "360x640", slider: Slider = True) -> 
     made = Stylise(options, sides, slider=slider)
     path = checkpoint / "stylise.safetensors"
     wanted = {name: tuple(value.shape) for name, value in made.state_dict().items()}
-    made.load_state_dict(checked(path, read_safetensors(path), wanted), strict=True)
+    made.load_state_dict(require_tensors(path, read_safetensors(path), wanted), strict=True)
     count = sum(weight.numel() for weight in made.parameters())
     note(f"{path}: {count:,} weights, {options.blocks} residual blocks")
     digest = hashlib.sha256(path.read_bytes()).hexdigest()

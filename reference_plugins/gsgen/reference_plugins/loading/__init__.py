@@ -1,5 +1,5 @@
-"""Read what official training code writes, without running any of it.
+"""Which readers of training files do several families share?
 
 Options come from ``cfg_args`` as literals, tensors from ``torch.load(weights_only=True)`` or from
-the storages of a TorchScript archive; nothing is evaluated, imported or called on a file's behalf.
+the storages of a TorchScript archive; no code of a file is evaluated, imported or called.
 """

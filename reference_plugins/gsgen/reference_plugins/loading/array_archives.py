@@ -1,4 +1,4 @@
-"""Arrays of an ``.npz``, without those that only a pickle could hold."""
+"""Reads arrays from an ``.npz`` archive, and refuses pickled objects in it."""
 
 __all__ = ["read_npz"]
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 
-# What reading a damaged archive raises; RuntimeError has versions and kinds that nobody writes.
+# Errors of reading a damaged archive; RuntimeError is for unknown versions and compressions.
 _DAMAGED = (
     *(zipfile.BadZipFile, zlib.error, OSError, EOFError),
     *(ValueError, KeyError, TypeError, RuntimeError, MemoryError, OverflowError),
@@ -22,23 +22,23 @@ _DAMAGED = (
 def read_npz(
     path: Path, names: Iterable[str] | None = None, hint: str = ""
 ) -> dict[str, Any]:
-    """Return those of ``names`` that the archive has, which may hold anything besides.
+    """Return the named arrays that an ``.npz`` archive has; other entries are not read.
 
     Args:
         path: The file.
-        names: Of arrays; all of the archive where absent.
-        hint: What is wanted, for the error.
+        names: Names of the arrays; all of the archive if absent.
+        hint: Hint of the error.
 
     Raises:
-        CheckpointInvalid: It is no archive, damaged, or holds an object under one of the names.
+        CheckpointInvalid: The file is damaged or not an archive, or a named entry is an object.
     """
     try:
-        # By a stream of our own: numpy leaves its own open where it fails.
+        # NumPy does not close a stream that it opened itself if it fails.
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise ValueError("holds one array, wanted an archive of several")
-            wanted = archive.files if names is None else names
-            return {name: archive[name] for name in wanted if name in archive.files}
+                raise ValueError("holds one array, expected an archive of several")
+            requested = archive.files if names is None else names
+            return {name: archive[name] for name in requested if name in archive.files}
     except _DAMAGED as error:
         reason = str(error) or type(error).__name__
         raise CheckpointInvalid(

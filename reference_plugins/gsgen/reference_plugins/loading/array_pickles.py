@@ -1,8 +1,8 @@
-"""Arrays of a pickle, read without calling anything that the file names.
+"""Reads NumPy arrays from a pickle without calling any function that the file names.
 
 The body models of SMPL are pickles of Python 2: a dict of NumPy arrays, a sparse matrix of SciPy
-and, in the oldest files, arrays wrapped by chumpy. A pickle may name any function to be called; this
-reader knows arrays, and refuses every other name.
+and, in the oldest files, arrays wrapped by chumpy. A pickle can call any function by name; this
+reader knows those of arrays and refuses all others.
 """
 
 __all__ = ["read_array_pickle"]
@@ -18,12 +18,13 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 
 
 def read_array_pickle(path: Path) -> dict[str, Any]:
-    """Return the dict that is pickled in ``path``; sparse and wrapped arrays become plain ones.
+    """Return the pickled dict of a file, with sparse and chumpy arrays as NumPy arrays.
 
-    It may be in an ``.npy``, as ``np.save`` writes a dict: one object in an array without axes.
+    An ``.npy`` file may hold the dict as ``np.save`` writes it: one object in an array without
+    axes.
 
     Raises:
-        CheckpointInvalid: The file is damaged, holds no dict, or names anything but arrays.
+        CheckpointInvalid: The file is damaged, does not hold a dict, or names other classes.
     """
     try:
         with path.open("rb") as file:
@@ -33,7 +34,7 @@ def read_array_pickle(path: Path) -> dict[str, Any]:
         if isinstance(read, np.ndarray) and read.shape == () and read.dtype == object:
             read = read.item()
         if not isinstance(read, dict):
-            raise ValueError(f"holds a {type(read).__name__}, wanted a dict of arrays")
+            raise ValueError(f"holds a {type(read).__name__}, expected a dict of arrays")
         return {str(name): _plain(value) for name, value in read.items()}
     except pickle.UnpicklingError as error:
         raise _unreadable(path, str(error)) from error
@@ -44,22 +45,22 @@ def read_array_pickle(path: Path) -> dict[str, Any]:
 
 
 def _pass_header(file: BinaryIO) -> None:
-    """Go to where the pickle of an ``.npy`` begins."""
+    """Move to the start of the pickle in an ``.npy`` file."""
     version = np.lib.format.read_magic(file)
     header = np.lib.format.read_array_header_1_0
     if version != (1, 0):
         header = np.lib.format.read_array_header_2_0
     if not header(file)[2].hasobject:
-        raise ValueError("holds an array, wanted a dict of arrays")
+        raise ValueError("holds an array, expected a dict of arrays")
 
 
 def _unreadable(path: Path, reason: str) -> CheckpointInvalid:
-    hint = "Wanted a pickle of arrays; code in files is not run."
+    hint = "Expected a pickle of arrays; code in files is not run."
     return CheckpointInvalid(f"cannot be read: {reason[:200]}", where=str(path), hint=hint)
 
 
 class _Inert:
-    """Stands for a class of the file: keeps the state and does nothing."""
+    """Placeholder for a class that the file names: keeps the state and runs no code."""
 
     def __init__(self, *_: Any) -> None:
         self.state: dict[str, Any] = {}
@@ -75,47 +76,47 @@ class _Sparse(_Inert):
     by_columns = True
 
     def dense(self) -> np.ndarray:
-        """Return it as an array."""
+        """Return the matrix as a dense array."""
         shape: Any = self.state.get("_shape", self.state.get("shape"))
         starts, minor, data = (self.state[k] for k in ("indptr", "indices", "data"))
         rows, columns = (int(size) for size in shape)
         major = columns if self.by_columns else rows
         if len(starts) != major + 1 or len(minor) != len(data):
-            raise ValueError("a sparse matrix does not fit its shape")
-        made = np.zeros((rows, columns), np.asarray(data).dtype)
-        along = np.repeat(np.arange(major), np.diff(starts))
-        at = (minor, along) if self.by_columns else (along, minor)
-        np.add.at(made, at, data)  # entries may be given in parts
-        return made
+            raise ValueError(f"a sparse matrix does not fit its shape {rows} × {columns}")
+        array = np.zeros((rows, columns), np.asarray(data).dtype)
+        major_index = np.repeat(np.arange(major), np.diff(starts))
+        index = (minor, major_index) if self.by_columns else (major_index, minor)
+        np.add.at(array, index, data)  # entries of equal index add up
+        return array
 
 
 @final
 class _SparseRows(_Inert):
     def dense(self) -> np.ndarray:
-        made = _Sparse()
-        made.state, made.by_columns = self.state, False
-        return made.dense()
+        matrix = _Sparse()
+        matrix.state, matrix.by_columns = self.state, False
+        return matrix.dense()
 
 
 @final
 class _Wrapped(_Inert):
-    """An array of chumpy (``Ch``), which keeps its numbers under ``x``."""
+    """An array of chumpy (``Ch``), whose numbers are its attribute ``x``."""
 
     def dense(self) -> np.ndarray:
         if "x" not in self.state:
-            raise ValueError("an array of chumpy has no numbers of its own")
+            raise ValueError("an array of chumpy has no attribute x")
         return np.asarray(_plain(self.state["x"]))
 
 
 @final
 class _Selected(_Inert):
-    """Some entries of another array of chumpy (``Select``), such as the first shapes of many."""
+    """Selected entries of another array of chumpy (``Select``), such as the first ten shapes."""
 
     def dense(self) -> np.ndarray:
-        every: np.ndarray = np.asarray(_plain(self.state["a"])).ravel()
-        chosen: np.ndarray = every[np.asarray(self.state["idxs"])]
-        shape = self.state.get("preferred_shape", chosen.shape)
-        return np.reshape(chosen, shape)
+        source: np.ndarray = np.asarray(_plain(self.state["a"])).ravel()
+        entries: np.ndarray = source[np.asarray(self.state["idxs"])]
+        shape = self.state.get("preferred_shape", entries.shape)
+        return np.reshape(entries, shape)
 
 
 def _plain(value: Any) -> Any:
@@ -125,9 +126,9 @@ def _plain(value: Any) -> Any:
 
 def _empty_array(kind: Any, shape: Any, code: Any) -> Any:
     if kind is not np.ndarray:
-        raise pickle.UnpicklingError("an array is of an unknown class")
-    made: Any = _reconstruct(kind, shape, code)
-    return made
+        raise pickle.UnpicklingError(f"an array is of the unknown class {kind!r}")
+    array: Any = _reconstruct(kind, shape, code)
+    return array
 
 
 def _array_of(data: bytes, dtype: Any, shape: Any, order: str) -> np.ndarray:
@@ -145,9 +146,9 @@ def _bytes_of(text: str, encoding: str) -> bytes:
 
 
 def _object_of(kind: Any, *_: Any) -> Any:
-    """Make an instance as ``copy_reg._reconstructor`` would, of our own classes alone."""
+    """Create an instance of a placeholder class, in place of ``copy_reg._reconstructor``."""
     if not (isinstance(kind, type) and issubclass(kind, _Inert)):
-        raise pickle.UnpicklingError("an object is of an unknown class")
+        raise pickle.UnpicklingError(f"an object is of the unknown class {kind!r}")
     return kind()
 
 
@@ -159,13 +160,13 @@ _KNOWN: dict[tuple[str, str], Any] = {
     ("copyreg", "_reconstructor"): _object_of,
     ("__builtin__", "object"): object,
     ("builtins", "object"): object,
-    # What chumpy notes of its own; nothing is done with it.
+    # chumpy stores sets in its state; they are not used.
     ("__builtin__", "set"): set,
     ("builtins", "set"): set,
 } | {
-    (f"numpy.{core}.{module}", name): made
+    (f"numpy.{core}.{module}", name): factory
     for core in ("core", "_core")
-    for module, name, made in (
+    for module, name, factory in (
         ("multiarray", "_reconstruct", _empty_array),
         ("multiarray", "scalar", _scalar),
         ("numeric", "_frombuffer", _array_of),
@@ -185,4 +186,4 @@ class _Unpickler(pickle.Unpickler):
             return _Wrapped
         if (module, name) in _KNOWN:
             return _KNOWN[module, name]
-        raise pickle.UnpicklingError(f"names {module}.{name}, which is no array")
+        raise pickle.UnpicklingError(f"names {module}.{name}, which is not an array")

@@ -1,4 +1,4 @@
-"""The Gaussians that a deformation starts from: a 3DGS PLY, as tensors."""
+"""Reads the canonical Gaussians of a deformation from a 3DGS PLY, as tensors."""
 
 __all__ = ["Canonical", "read_canonical"]
 
@@ -16,7 +16,7 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.folder import required_file
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Canonical:
     """N Gaussians before activation, float32.
 
@@ -25,8 +25,8 @@ class Canonical:
         rotation: Quaternions (w, x, y, z), not normalised.
         log_scale: Logarithms of the standard deviations.
         logit_opacity: Opacity before the sigmoid.
-        sh: Spherical harmonics, coefficient by coefficient.
-        stored: The degree in the file, where ``sh`` was cut to what renderers draw.
+        sh: SH coefficients of red, green and blue.
+        stored: SH degree of the file, if ``sh`` was cut to the highest degree of renderers.
     """
 
     position: Float[Tensor, "n 3"]
@@ -41,34 +41,34 @@ class Canonical:
 
     @property
     def degree(self) -> int:
-        """Of the spherical harmonics."""
+        """SH degree of ``sh``."""
         return math.isqrt(self.sh.shape[1]) - 1
 
     def describe(self) -> str:
-        """Say in a few words what it is."""
+        """Return the number of Gaussians and their SH degree as text."""
         cut = "" if self.stored is None else f" (cut from {self.stored})"
         return f"{len(self):,} Gaussians of SH degree {self.degree}{cut}"
 
 
 def read_canonical(path: Path) -> Canonical:
-    """Read the 3DGS PLY at ``path``.
+    """Read splats from a 3DGS PLY.
 
     Raises:
-        CheckpointInvalid: It is missing, or holds no splats.
+        CheckpointInvalid: The file is missing or damaged, or holds points without splats.
     """
     required_file(path, "the canonical Gaussians")
     try:
-        read = read_ply(path)
+        splats = read_ply(path)
     except FormatError as error:
-        what = str(error).replace(f"{path}: ", "")
-        raise CheckpointInvalid(what, where=str(path)) from error
-    if isinstance(read, PointCloud):
-        raise CheckpointInvalid("holds points, wanted splats", where=str(path))
+        message = str(error).replace(f"{path}: ", "")
+        raise CheckpointInvalid(message, where=str(path)) from error
+    if isinstance(splats, PointCloud):
+        raise CheckpointInvalid("holds points, expected splats", where=str(path))
     return Canonical(
-        torch.from_numpy(read.position),
-        torch.from_numpy(read.rotation),
-        torch.from_numpy(read.log_scale),
-        torch.from_numpy(read.logit_opacity)[:, None],
-        torch.from_numpy(read.sh[:, : coefficients(MAX_DEGREE)]),
-        read.degree if read.degree > MAX_DEGREE else None,
+        position=torch.from_numpy(splats.position),
+        rotation=torch.from_numpy(splats.rotation),
+        log_scale=torch.from_numpy(splats.log_scale),
+        logit_opacity=torch.from_numpy(splats.logit_opacity)[:, None],
+        sh=torch.from_numpy(splats.sh[:, : coefficients(MAX_DEGREE)]),
+        stored=splats.degree if splats.degree > MAX_DEGREE else None,
     )

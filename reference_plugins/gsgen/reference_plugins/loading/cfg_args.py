@@ -1,9 +1,9 @@
-"""The options of a training run, as ``cfg_args`` records them.
+"""Reads the options of a training run from ``cfg_args``.
 
 The file is one line, ``str(argparse.Namespace)``: ``Namespace(feat_dim=32, eval=True, …)``. The
-published loaders hand it to ``eval``; here it is parsed, and only literals are taken. A path,
-which pathlib prints as ``PosixPath('…')``, is its text. Whatever else Python printed there stays
-the text that it is, and is an error for whoever asks for that option alone.
+published loaders pass it to ``eval``; here it is parsed, and only literals are read. A path,
+which pathlib prints as ``PosixPath('…')``, becomes its text. Any other value stays the text that
+Python printed, and is an error only if a plugin reads that option.
 """
 
 __all__ = ["CfgArgs", "Printed", "read_cfg_args"]
@@ -19,14 +19,14 @@ from typing import Any
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 
 _NAME = "cfg_args"
-_MOST_BYTES = 1 << 20
-_SHOWN = 80
-# What pathlib calls the paths that it prints.
+_MAX_BYTES = 1 << 20
+_MAX_SHOWN = 80
+# The class names in pathlib's printed paths.
 _PATHS = frozenset(
     f"{pure}{kind}Path" for pure in ("", "Pure") for kind in ("", "Posix", "Windows")
 )
-# Texts; and what Python prints, but does not read: objects, as <function main at 0x7f…>, and
-# options that are called as a word of Python, as --lambda.
+# Quoted texts, and printed values that Python cannot parse: objects, as <function main at 0x7f…>,
+# and options named like a keyword of Python, as --lambda.
 _WORDS = "|".join(keyword.kwlist)
 _TEXT_OR_NOT_PYTHON = re.compile(
     r"""'(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*"|"""
@@ -36,7 +36,7 @@ _TEXT_OR_NOT_PYTHON = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Printed:
-    """A value that is no literal, as Python printed it: its text, which nobody runs."""
+    """The printed text of a value that is not a literal; it is never run."""
 
     text: str
 
@@ -50,38 +50,38 @@ class CfgArgs:
     """The options of one training run.
 
     Attributes:
-        path: Where they were read.
-        values: Option → literal, or :class:`Printed`; empty where the file is absent.
-        present: Whether there was a file.
+        path: The file.
+        values: Option → literal, or :class:`Printed`; empty if the file is absent.
+        present: Whether the file exists.
     """
 
     path: Path
     values: dict[str, Any]
     present: bool = True
 
-    def flag(self, name: str, default: bool = False) -> bool:
-        """Return a yes or no."""
+    def flag(self, name: str, *, default: bool = False) -> bool:
+        """Return a boolean option."""
         value = self.values.get(name, default)
         if not isinstance(value, bool):
             raise self._unlike(name, "True or False")
         return value
 
     def integer(self, name: str, default: int) -> int:
-        """Return a whole number."""
+        """Return an integer option."""
         value = self.values.get(name, default)
         if not isinstance(value, int) or isinstance(value, bool):
             raise self._unlike(name, "a whole number")
         return value
 
     def number(self, name: str, default: float) -> float:
-        """Return a number."""
+        """Return a numeric option as float."""
         value = self.values.get(name, default)
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise self._unlike(name, "a number")
         return float(value)
 
     def word(self, name: str, default: str, known: Iterable[str] = ()) -> str:
-        """Return a word, one of ``known`` if that is given."""
+        """Return a text option; it must be one of ``known`` unless that is empty."""
         value = self.values.get(name, default)
         choices = tuple(known)
         if not isinstance(value, str) or (choices and value not in choices):
@@ -89,14 +89,16 @@ class CfgArgs:
         return value
 
     def printed(self) -> dict[str, Printed]:
-        """Return the options that are no literals: whoever needs one of them cannot have it."""
+        """Return the options whose values are not literals, and so cannot be read."""
         return {
             name: value for name, value in self.values.items() if isinstance(value, Printed)
         }
 
-    def _unlike(self, name: str, wanted: str) -> CheckpointInvalid:
-        seen = repr(self.values[name])[:_SHOWN]
-        return CheckpointInvalid(f"{name} is {seen}, wanted {wanted}", where=str(self.path))
+    def _unlike(self, name: str, expected: str) -> CheckpointInvalid:
+        actual = repr(self.values[name])[:_MAX_SHOWN]
+        return CheckpointInvalid(
+            f"{name} is {actual}, expected {expected}", where=str(self.path)
+        )
 
 
 def read_cfg_args(folder: Path, *, required: bool = False) -> CfgArgs:
@@ -104,10 +106,10 @@ def read_cfg_args(folder: Path, *, required: bool = False) -> CfgArgs:
 
     Args:
         folder: The output folder of a training run.
-        required: The method cannot be exported without.
+        required: Raise if the file is missing.
 
     Raises:
-        CheckpointInvalid: The file is missing but required, or is no ``Namespace`` of literals.
+        CheckpointInvalid: The file is required but missing, or not a printed ``Namespace``.
     """
     path = folder / _NAME
     if not path.is_file():
@@ -119,10 +121,12 @@ def read_cfg_args(folder: Path, *, required: bool = False) -> CfgArgs:
 
 
 def _parsed(path: Path) -> dict[str, Any]:
-    hint = "Wanted one line: Namespace(name=literal, …), as the training code writes it."
-    if path.stat().st_size > _MOST_BYTES:
+    hint = "Expected one line: Namespace(name=literal, …), as the training code writes it."
+    if path.stat().st_size > _MAX_BYTES:
         raise CheckpointInvalid(
-            f"is larger than {_MOST_BYTES} bytes", where=str(path), hint=hint
+            f"has {path.stat().st_size:,} bytes, expected at most {_MAX_BYTES:,}",
+            where=str(path),
+            hint=hint,
         )
     try:
         text = path.read_text("utf-8").strip()
@@ -137,9 +141,9 @@ def _parsed(path: Path) -> dict[str, Any]:
         and isinstance(tree.func, ast.Name)
         and tree.func.id == "Namespace"
         and not tree.args
-        and all(one.arg or _is_unspellable(one.value) for one in tree.keywords)
+        and all(option.arg or _is_unspellable(option.value) for option in tree.keywords)
     ):
-        raise CheckpointInvalid("is no Namespace(…)", where=str(path), hint=hint)
+        raise CheckpointInvalid("is not a Namespace(…)", where=str(path), hint=hint)
     return {name: _value(node, text) for name, node in _options(tree, text)}
 
 
@@ -147,17 +151,17 @@ def _tree(text: str) -> ast.expr:
     try:
         return ast.parse(text, mode="eval").body
     except SyntaxError:
-        # A name as long as it, so that everything stays where it is in the text.
-        named = _TEXT_OR_NOT_PYTHON.sub(
-            lambda found: "_" * len(found[0].encode()) if found["other"] else found[0], text
+        # Replace it by a name of equal length, so that positions in the text stay valid.
+        parsable = _TEXT_OR_NOT_PYTHON.sub(
+            lambda match: "_" * len(match[0].encode()) if match["other"] else match[0], text
         )
-        if named == text:
+        if parsable == text:
             raise
-        return ast.parse(named, mode="eval").body
+        return ast.parse(parsable, mode="eval").body
 
 
 def _is_unspellable(value: ast.expr) -> bool:
-    """Whether this is how argparse prints options whose names are no identifiers: ``**{'a-b': 1}``."""
+    """Whether argparse printed options whose names are not identifiers: ``**{'a-b': 1}``."""
     return isinstance(value, ast.Dict) and all(
         isinstance(key, ast.Constant)
         and isinstance(key.value, str)
@@ -169,7 +173,7 @@ def _is_unspellable(value: ast.expr) -> bool:
 def _options(tree: ast.Call, text: str) -> Iterator[tuple[str, ast.expr]]:
     for option in tree.keywords:
         if option.arg:
-            # As it is in the text: Python normalises names.
+            # From the text, because the parser normalises names.
             source = ast.get_source_segment(text, option) or option.arg
             yield source.partition("=")[0].rstrip(), option.value
         elif isinstance(option.value, ast.Dict):
@@ -187,7 +191,7 @@ def _value(node: ast.expr, text: str) -> Any:
 
 
 class _Plain(ast.NodeTransformer):
-    """Reads numbers that have no literal, ``inf`` and ``nan``, and paths as their text."""
+    """Makes literals of ``inf`` and ``nan``, and of printed paths."""
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
         return ast.Constant(float(node.id)) if node.id in ("inf", "nan") else node

@@ -1,17 +1,17 @@
-"""What is wrong with a checkpoint."""
+"""Errors of checkpoints."""
 
 __all__ = ["CheckpointInvalid", "NotInCheckpoint"]
 
 from typing import ClassVar
 
-from gsgen.contract.errors import InputUnreadable
+from gsgen.contract.errors import ExitCode, InputUnreadable
 
 
 class CheckpointInvalid(InputUnreadable):
-    """A checkpoint lacks something, or holds something else than its method writes."""
+    """A checkpoint is incomplete or damaged, or differs from the files of its method."""
 
 
 class NotInCheckpoint(CheckpointInvalid):
-    """An option asks for what a checkpoint, sound as it is, does not have (exit code 2)."""
+    """An option asks for a part that a valid checkpoint does not have (exit code 2)."""
 
-    exit_code: ClassVar[int] = 2
+    exit_code: ClassVar[int] = ExitCode.USAGE

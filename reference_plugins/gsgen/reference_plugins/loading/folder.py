@@ -1,4 +1,4 @@
-"""Find the files of a training run."""
+"""Finds the folders and files of a training run."""
 
 __all__ = ["find_iteration", "likely_folders", "required_file", "source_name", "within_run"]
 
@@ -12,111 +12,116 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid, NotInCheck
 _ITERATION = re.compile(r"iteration_(\d+)")
 _CLOUD = "point_cloud"
 _LAST = -1
-# Where methods put what belongs to an iteration.
+# Folders of a run that hold a folder for each iteration.
 _PARENTS = (_CLOUD, "deform", "mlp_ckpt")
-# Files of a run that stand for it.
-_STANDING = re.compile(r"cfg_args|point_cloud\.ply|.*\.pth?")
+# Files of a run that may be given in place of its folder.
+_RUN_FILE = re.compile(r"cfg_args|point_cloud\.ply|.*\.pth?")
 _LEVELS = 2
 _MOST_LOOKED_AT = 500
 _MOST_NAMED = 3
 
 
-def within_run(given: Path, iteration: int | None = None) -> tuple[Path, int | None]:
-    """Return the training run that a path lies in, and which iteration is meant.
+def within_run(path: Path, iteration: int | None = None) -> tuple[Path, int | None]:
+    """Return the folder of the training run around a path, and the number of the iteration.
 
     Args:
-        given: The run's folder, or one of an iteration in it, or a file in either.
-        iteration: Which one is asked for besides; −1 is the last, as training code has it.
+        path: The folder of the run or of an iteration in it, or a file in either.
+        iteration: The requested iteration; −1 is the last, as in training code.
 
     Raises:
         NotInCheckpoint: The path is of another iteration.
     """
     iteration = None if iteration == _LAST else iteration
-    file = given.is_file() and _STANDING.fullmatch(given.name) is not None
-    place = given.parent if file else given
-    whole = place.absolute()
-    match = _ITERATION.fullmatch(whole.name)
-    if match and whole.parent.name in _PARENTS:
+    file = path.is_file() and _RUN_FILE.fullmatch(path.name) is not None
+    folder = path.parent if file else path
+    absolute = folder.absolute()
+    match = _ITERATION.fullmatch(absolute.name)
+    if match and absolute.parent.name in _PARENTS:
         number = int(match[1])
         if iteration not in (None, number):
             hint = "Leave out --iteration, or give the folder of the run."
-            what = f"is iteration {number}, not {iteration}"
-            raise NotInCheckpoint(what, where=str(given), hint=hint)
-        return whole.parent.parent, number
-    if whole.name in _PARENTS and not (place / _CLOUD).exists():
-        return whole.parent, iteration
-    return place, iteration
+            message = f"is iteration {number}, not {iteration}"
+            raise NotInCheckpoint(message, where=str(path), hint=hint)
+        return absolute.parent.parent, number
+    if absolute.name in _PARENTS and not (folder / _CLOUD).exists():
+        return absolute.parent, iteration
+    return folder, iteration
 
 
 def find_iteration(folder: Path, iteration: int | None = None) -> tuple[int, Path]:
-    """Return the number and the folder of an iteration: the last where none is asked for.
+    """Return the number and the folder of an iteration, by default the last.
 
     Args:
-        folder: What holds ``point_cloud/iteration_N``; other names, such as
-            ``coarse_iteration_N``, are passed over. Or what was in such a folder, by itself: then
-            the number is that of its name, or 0.
+        folder: Folder with ``point_cloud/iteration_N``; other names, such as
+            ``coarse_iteration_N``, are ignored. Or the files of one iteration by themselves:
+            the number is that of the folder's name, or 0.
         iteration: N.
 
     Raises:
-        CheckpointInvalid: There is no such folder; likely ones nearby are named.
-        NotInCheckpoint: There are other iterations; they are named.
+        CheckpointInvalid: The folder holds no iteration; the hint has likely folders nearby.
+        NotInCheckpoint: Only other iterations exist; the hint lists them.
     """
     parent = folder / _CLOUD
     if not folder.is_dir():
-        what = "is no folder" if folder.exists() else "does not exist"
+        message = "is not a folder" if folder.exists() else "does not exist"
         hint = "Give the folder that training wrote: the one with cfg_args in it."
-        raise CheckpointInvalid(what, where=str(folder), hint=hint)
+        raise CheckpointInvalid(message, where=str(folder), hint=hint)
     if (folder / f"{_CLOUD}.ply").is_file() and not parent.is_dir():
         match = _ITERATION.fullmatch(folder.absolute().name)
         number = int(match[1]) if match else 0
         if iteration not in (None, number):
-            what = f"holds an iteration by itself, {number}, not {iteration}"
-            raise NotInCheckpoint(what, where=str(folder), hint="Leave out --iteration.")
+            message = f"holds iteration {number} alone, not {iteration}"
+            raise NotInCheckpoint(message, where=str(folder), hint="Leave out --iteration.")
         return number, folder
     if not parent.is_dir():
         hint = "Give the folder that training wrote: the one with cfg_args in it."
-        hint = likely_folders(folder, lambda one: (one / parent.name).is_dir()) or hint
-        raise CheckpointInvalid("has no folder point_cloud", where=str(folder), hint=hint)
-    found = _iterations(parent)
-    if not found:
-        raise CheckpointInvalid("holds no folder iteration_N", where=str(parent))
-    wanted = max(found) if iteration is None else iteration
-    if wanted not in found:
-        known = ", ".join(map(str, sorted(found)))
-        raise NotInCheckpoint(
-            f"has no iteration {wanted}", where=str(parent), hint=f"There are: {known}."
+        hint = (
+            likely_folders(folder, lambda candidate: (candidate / parent.name).is_dir())
+            or hint
         )
-    return wanted, found[wanted]
+        raise CheckpointInvalid("has no folder point_cloud", where=str(folder), hint=hint)
+    iterations = _iterations(parent)
+    if not iterations:
+        raise CheckpointInvalid("holds no folder iteration_N", where=str(parent))
+    number = max(iterations) if iteration is None else iteration
+    if number not in iterations:
+        known = ", ".join(map(str, sorted(iterations)))
+        raise NotInCheckpoint(
+            f"has no iteration {number}", where=str(parent), hint=f"There are: {known}."
+        )
+    return number, iterations[number]
 
 
 def likely_folders(folder: Path, is_right: Callable[[Path], bool]) -> str:
-    """Ask whether a folder a little above or below ``folder`` was meant; empty if none is right."""
-    places = [
+    """Return a hint that names matching folders at most two levels above or below ``folder``."""
+    candidates = [
         *folder.absolute().parents[:_LEVELS],
         *islice(_below(folder), _MOST_LOOKED_AT),
     ]
-    found: list[Path] = []
-    for place in places:
-        if _is(is_right, place) and not set(found) & set(place.parents):
-            found.append(place)
-    if not found:
+    matches: list[Path] = []
+    for candidate in candidates:
+        if _is(is_right, candidate) and not set(matches) & set(candidate.parents):
+            matches.append(candidate)
+    if not matches:
         return ""
-    more = f" ({len(found) - _MOST_NAMED} more look right.)" * (len(found) > _MOST_NAMED)
-    return f"Did you mean {' or '.join(map(str, found[:_MOST_NAMED]))}?{more}"
+    remainder = f" ({len(matches) - _MOST_NAMED} more look right.)" * (
+        len(matches) > _MOST_NAMED
+    )
+    return f"Did you mean {' or '.join(map(str, matches[:_MOST_NAMED]))}?{remainder}"
 
 
-def _is(is_right: Callable[[Path], bool], place: Path) -> bool:
+def _is(is_right: Callable[[Path], bool], folder: Path) -> bool:
     try:
-        return is_right(place)
-    except OSError:  # a folder of somebody else
+        return is_right(folder)
+    except OSError:  # the folder cannot be listed
         return False
 
 
 def _below(folder: Path, levels: int = _LEVELS) -> Iterator[Path]:
-    """Yield the folders in ``folder`` that can be looked into, and those in these."""
+    """Yield the readable folders in ``folder``, and those below them to a depth of ``levels``."""
     try:
         inner = sorted(child for child in folder.iterdir() if child.is_dir())
-    except OSError:  # somebody else's
+    except OSError:  # the folder cannot be listed
         return
     yield from inner
     if levels > 1:
@@ -124,25 +129,31 @@ def _below(folder: Path, levels: int = _LEVELS) -> Iterator[Path]:
             yield from _below(child, levels - 1)
 
 
-def required_file(path: Path, what: str) -> Path:
-    """Return ``path`` if it is a file.
+def required_file(path: Path, content: str) -> Path:
+    """Return ``path`` if the file exists.
 
     Raises:
-        CheckpointInvalid: It is not; ``what`` says what it should hold.
+        CheckpointInvalid: The file is missing; the message names its ``content``.
     """
     if not path.is_file():
         hint = _elsewhere(path)
-        raise CheckpointInvalid(f"is missing: {what}", where=str(path), hint=hint)
+        raise CheckpointInvalid(f"is missing: {content}", where=str(path), hint=hint)
     return path
 
 
 def _elsewhere(path: Path) -> str:
-    """Say of which other iterations there is such a file."""
+    """Return a hint that names the other iterations with such a file."""
     home = path.parent.parent
     if not _ITERATION.fullmatch(path.parent.name) or not home.is_dir():
         return ""
-    has = [n for n, place in _iterations(home).items() if (place / path.name).is_file()]
-    return f"There is one of iteration {', '.join(map(str, sorted(has)))}." if has else ""
+    numbers = [
+        n for n, folder in _iterations(home).items() if (folder / path.name).is_file()
+    ]
+    return (
+        f"There is one of iteration {', '.join(map(str, sorted(numbers)))}."
+        if numbers
+        else ""
+    )
 
 
 def _iterations(home: Path) -> dict[int, Path]:
@@ -151,5 +162,5 @@ def _iterations(home: Path) -> dict[int, Path]:
 
 
 def source_name(folder: Path) -> str:
-    """Return what to call a model made from ``folder``."""
+    """Return the default name of a model exported from ``folder``."""
     return folder.resolve().name

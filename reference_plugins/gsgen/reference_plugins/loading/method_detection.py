@@ -26,18 +26,18 @@ def refuse_other_method(name: str, run: Path, iteration: Path) -> None:
         if plugin.recognises is not None and plugin.recognises(run, iteration)
     }
     if recognising and name not in recognising:
-        other = next(iter(recognising.values()))
+        match = next(iter(recognising.values()))
         raise CheckpointInvalid(
-            f"is a checkpoint of {other.title or other.name}",
+            f"is a checkpoint of {match.title or match.name}",
             where=str(run),
-            hint=f"Export it with `gsgen export {other.name}`.",
+            hint=f"Export it with `gsgen export {match.name}`.",
         )
 
 
 def point_columns(iteration: Path) -> tuple[str, ...]:
     """Return the column names of an iteration's point cloud; none if it cannot be read.
 
-    The reader of the file reports what is wrong with it.
+    The reader of the file reports its faults.
     """
     path = iteration / "point_cloud.ply"
     try:

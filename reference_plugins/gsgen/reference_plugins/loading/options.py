@@ -1,4 +1,4 @@
-"""Options that the plugins of checkpoints share, and how they say what they found."""
+"""Command-line options and console messages that several plugins share."""
 
 __all__ = [
     "AppearanceId",
@@ -10,8 +10,8 @@ __all__ = [
     "Loop",
     "MaxAnchors",
     "note",
-    "tell",
-    "warn_of",
+    "report_checkpoint",
+    "warn_unsupported",
 ]
 
 import sys
@@ -30,12 +30,12 @@ Checkpoint = Annotated[
 ]
 Iteration = Annotated[
     int | None,
-    typer.Option(help="Which iteration to take.", show_default="the last, as -1", min=-1),
+    typer.Option(help="Iteration to export.", show_default="the last, as -1", min=-1),
 ]
 AppearanceId = Annotated[
     int | None,
     typer.Option(
-        help="Keep the appearance of this training camera alone.",
+        help="Keep only the appearance of this training camera.",
         show_default="an input chooses",
         min=0,
     ),
@@ -44,8 +44,8 @@ CullOption = Annotated[
     Literal["none", "frustum", "published"],
     typer.Option(
         "--cull",
-        help="Hide anchors out of view: frustum surely so (adds the input projection), published "
-        "as the method's renderer does (adds projection and viewport).",
+        help="Hide anchors out of view: frustum, if no part is visible (adds the input projection); "
+        "published, as the method's renderer does (adds projection and viewport).",
     ),
 ]
 MaxAnchors = Annotated[
@@ -68,29 +68,31 @@ Loop = Annotated[bool, typer.Option("--loop", help="The end continues at the sta
 
 
 def note(text: str) -> None:
-    """Say something about the checkpoint, on a line of its own even while progress is shown."""
+    """Print a line to stderr, in place of a progress line if one is shown."""
     clear = "\r\x1b[2K" if sys.stderr.isatty() else ""
     typer.echo(f"{clear}{text}", err=True)
 
 
-def tell(what: str, cfg: "CfgArgs") -> None:
-    """Say what a checkpoint holds, and which options of its run are no literals.
+def report_checkpoint(description: str, cfg: "CfgArgs") -> None:
+    """Print a checkpoint's description, and a warning for each option that is not a literal.
 
-    Nothing was wanted of those: whoever reads one that is none has refused it before.
+    None of those options was needed: reading one raises an error.
     """
-    note(what)
+    note(description)
     for name, printed in cfg.printed().items():
-        note(f"warning: {name}={printed!r:.80} in {cfg.path} is no literal; it is not read")
+        note(
+            f"warning: {name}={printed!r:.80} in {cfg.path} is not a literal and was ignored"
+        )
 
 
-def warn_of(cfg: "CfgArgs", expected: Mapping[str, tuple[Any, str]]) -> None:
-    """Warn of options that changed the result where the checkpoint came from, but not here.
+def warn_unsupported(cfg: "CfgArgs", expected: Mapping[str, tuple[Any, str]]) -> None:
+    """Warn of training options that change the method's own result, but not the exported model.
 
     Args:
         cfg: The options of the training run.
-        expected: Option → the one value that we honour, and what another would mean.
+        expected: Option → the supported value, and the meaning of any other value.
     """
     for name, (value, meaning) in expected.items():
-        seen = cfg.values.get(name, value)
-        if seen != value:
-            note(f"warning: {name}={seen!r} is not honoured: {meaning}")
+        actual = cfg.values.get(name, value)
+        if actual != value:
+            note(f"warning: {name}={actual!r} is not supported: {meaning}")

@@ -1,4 +1,4 @@
-"""Where a generator's weights came from, for its manifest."""
+"""Records the source and the checksum of a generator's weights for its manifest."""
 
 __all__ = ["producer_of"]
 
@@ -9,24 +9,27 @@ from pathlib import Path
 from gsgen.contract.spec.manifest import Producer
 
 _WEIGHTS = (".ply", ".pt", ".pth")
-_PLACES = ("point_cloud", "deform", "mlp_ckpt")
+_PARENTS = ("point_cloud", "deform", "mlp_ckpt")
 
 
 def producer_of(source: str, folder: Path, iteration: int) -> Producer:
-    """Return who made a model from a checkpoint.
+    """Return the producer entry of the manifest: version, source and checksum of the weights.
 
     Args:
-        source: Where the method's code is.
-        folder: What training wrote, or an iteration of it by itself.
-        iteration: Which one was read.
+        source: Address of the method's code.
+        folder: Folder of the training run, or of one iteration by itself.
+        iteration: Number of the iteration.
 
     The digest is that of the contents of all PLY and torch files of the iteration, one after
     another in the order of their paths.
     """
-    places = [folder / place / f"iteration_{iteration}" for place in _PLACES]
-    places = places if places[0].is_dir() else [folder]
+    folders = [folder / parent / f"iteration_{iteration}" for parent in _PARENTS]
+    folders = folders if folders[0].is_dir() else [folder]
     files = [
-        file for place in places for file in place.glob("*") if file.suffix in _WEIGHTS
+        file
+        for iteration_folder in folders
+        for file in iteration_folder.glob("*")
+        if file.suffix in _WEIGHTS
     ]
     digest = hashlib.sha256()
     for file in sorted(files):

@@ -1,6 +1,6 @@
-"""Files of tensors in the safetensors format: a header of JSON, and bytes behind it.
+"""Reads and writes tensors in the safetensors format: a JSON header, then the raw bytes.
 
-Layout: https://github.com/huggingface/safetensors#format. Nothing in such a file can be run.
+Layout: https://github.com/huggingface/safetensors#format. Such a file cannot hold code.
 """
 
 __all__ = ["is_safetensors", "read_metadata", "read_safetensors", "write_safetensors"]
@@ -18,7 +18,7 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.folder import required_file
 
 _LENGTH = 8
-_MOST_HEADER = 100_000_000
+_MAX_HEADER_BYTES = 100_000_000
 _METADATA = "__metadata__"
 _DTYPES = {
     "F64": torch.float64,
@@ -39,7 +39,7 @@ def read_safetensors(path: Path) -> dict[str, Tensor]:
     """Read every tensor of a file.
 
     Raises:
-        CheckpointInvalid: It is missing, damaged, or holds a dtype that torch does not have.
+        CheckpointInvalid: The file is missing or damaged, or has a dtype unknown to torch.
     """
     required_file(path, "the weights")
     try:
@@ -53,7 +53,7 @@ def read_safetensors(path: Path) -> dict[str, Tensor]:
 
 
 def is_safetensors(path: Path) -> bool:
-    """Whether a file is one by its name, or begins as one."""
+    """Whether a file has the suffix or the first bytes of safetensors."""
     if path.suffix == ".safetensors":
         return True
     with path.open("rb") as stream:
@@ -61,30 +61,30 @@ def is_safetensors(path: Path) -> bool:
 
 
 def read_metadata(path: Path) -> dict[str, str]:
-    """Read what a file says of itself: texts by name, none where it says nothing.
+    """Read the metadata of a safetensors file: texts by name.
 
     Raises:
-        CheckpointInvalid: It is missing or damaged.
+        CheckpointInvalid: The file is missing or damaged.
     """
     required_file(path, "the weights")
     try:
         with path.open("rb") as stream:
-            start = stream.read(_LENGTH + _MOST_HEADER)
+            start = stream.read(_LENGTH + _MAX_HEADER_BYTES)
         header, _ = _header(start, path.stat().st_size)
-        told = header.get(_METADATA, {})
-        return {str(name): str(value) for name, value in told.items()}
+        metadata = header.get(_METADATA, {})
+        return {str(name): str(value) for name, value in metadata.items()}
     except (OSError, ValueError, AttributeError, RecursionError) as error:
         raise CheckpointInvalid(f"cannot be read: {error}", where=str(path)) from error
 
 
 def _header(data: bytes | bytearray, size: int) -> tuple[dict[str, Any], int]:
-    """Return the header of a file of ``size`` bytes that begins so, and where it ends."""
+    """Parse the header from the first bytes of a file, and return it with its end offset."""
     length = int.from_bytes(data[:_LENGTH], "little")
-    if size < _LENGTH or length > min(_MOST_HEADER, size - _LENGTH):
-        raise ValueError(f"the header is said to have {length:,} of {size:,} bytes")
+    if size < _LENGTH or length > min(_MAX_HEADER_BYTES, size - _LENGTH):
+        raise ValueError(f"the header claims {length:,} of {size:,} bytes")
     header = json.loads(data[_LENGTH : _LENGTH + length].decode("utf-8"))
     if not isinstance(header, dict):
-        raise ValueError("the header is no object")
+        raise ValueError(f"the header is a {type(header).__name__}, expected an object")
     return header, _LENGTH + length
 
 
@@ -100,7 +100,7 @@ def _tensors(data: bytearray) -> dict[str, Tensor]:
 def _tensor(data: bytearray, start: int, name: str, entry: Any) -> Tensor:
     if entry["dtype"] not in _DTYPES:
         raise ValueError(
-            f"{name} has the dtype {entry['dtype']}; known: {', '.join(_DTYPES)}"
+            f"{name} has the dtype {entry['dtype']}; expected one of {', '.join(_DTYPES)}"
         )
     dtype, shape = _DTYPES[entry["dtype"]], [int(size) for size in entry["shape"]]
     begin, end = (int(offset) for offset in entry["data_offsets"])
@@ -110,7 +110,7 @@ def _tensor(data: bytearray, start: int, name: str, entry: Any) -> Tensor:
         raise ValueError(f"{name} {shape} does not fit bytes {begin:,} to {end:,}")
     if not count:
         return torch.empty(shape, dtype=dtype)
-    # A copy, as numbers in the file need not be aligned.
+    # A copy, because numbers in the file may be unaligned.
     part = data[start + begin : start + end]
     return torch.frombuffer(part, dtype=dtype).reshape(shape)
 
@@ -118,25 +118,25 @@ def _tensor(data: bytearray, start: int, name: str, entry: Any) -> Tensor:
 def write_safetensors(
     path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str] | None = None
 ) -> None:
-    """Write tensors one after the other, in the order of their names.
+    """Write tensors to a safetensors file, sorted by name.
 
     Args:
         path: The file.
-        tensors: By name.
-        metadata: What the file says of itself besides ``format``.
+        tensors: Name → tensor.
+        metadata: Metadata of the file, besides ``format``.
     """
     header: dict[str, Any] = {_METADATA: {"format": "pt", **(metadata or {})}}
-    parts, at = [], 0
+    parts, offset = [], 0
     for name in sorted(tensors):
         value = tensors[name].detach().cpu().contiguous()
         part = bytes(value.flatten().view(torch.uint8).numpy()) if value.numel() else b""
         header[name] = {
             "dtype": _NAMES[value.dtype],
             "shape": list(value.shape),
-            "data_offsets": [at, at + len(part)],
+            "data_offsets": [offset, offset + len(part)],
         }
         parts.append(part)
-        at += len(part)
+        offset += len(part)
     text = json.dumps(header).encode()
     text += b" " * (-len(text) % _LENGTH)
     path.parent.mkdir(parents=True, exist_ok=True)

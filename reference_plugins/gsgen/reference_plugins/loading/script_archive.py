@@ -1,8 +1,8 @@
-"""Tensors of a TorchScript archive, read without loading its program.
+"""Reads the tensors of a TorchScript archive without loading its program.
 
 ``torch.jit.load`` compiles code that is in the file. The weights alone are a pickle (``data.pkl``)
-and one raw file for each storage, inside an uncompressed zip; a pickle reader that knows tensors
-and nothing else finds them by the names that ``state_dict`` would give.
+and one raw file for each storage, inside an uncompressed zip. A pickle reader that knows only
+tensors finds them, by their names in ``state_dict``.
 """
 
 __all__ = ["is_script_archive", "read_script_state"]
@@ -37,7 +37,7 @@ _DTYPES = {
 def is_script_archive(path: Path) -> bool:
     """Whether ``torch.jit.save`` wrote the file, and not ``torch.save``: it has constants.
 
-    An archive too damaged to be listed is one for :func:`read_script_state` to refuse.
+    True for an archive too damaged to be listed: :func:`read_script_state` then refuses it.
     """
     try:
         if not zipfile.is_zipfile(path):
@@ -49,11 +49,11 @@ def is_script_archive(path: Path) -> bool:
 
 
 def read_script_state(path: Path) -> dict[str, Tensor]:
-    """Return the parameters and buffers of the archive at ``path``, by dotted name.
+    """Return the parameters and buffers of a TorchScript archive by dotted name.
 
     Raises:
-        CheckpointInvalid: The file is no TorchScript archive, or refers to anything but tensors
-            and modules.
+        CheckpointInvalid: The file is not a TorchScript archive, or refers to objects other
+            than tensors and modules.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -61,18 +61,18 @@ def read_script_state(path: Path) -> dict[str, Tensor]:
     except (zipfile.BadZipFile, pickle.UnpicklingError, KeyError, OSError) as error:
         raise _damaged(path, error) from error
     except (ValueError, TypeError, RuntimeError, EOFError, AttributeError) as error:
-        raise _damaged(path, error) from error  # what a pickle with wrong arguments raises
+        raise _damaged(path, error) from error  # errors of a pickle with wrong arguments
 
 
 def _damaged(path: Path, error: Exception) -> CheckpointInvalid:
     reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
-    hint = "Wanted a network saved by torch.jit.save, as the training code writes it."
+    hint = "Expected a network saved by torch.jit.save, as the training code writes it."
     return CheckpointInvalid(f"cannot be read: {reason}", where=str(path), hint=hint)
 
 
 @final
 class _Module:
-    """Stands for any TorchScript class; keeps its attributes and does nothing."""
+    """Placeholder for any TorchScript class: keeps the attributes and runs no code."""
 
     def __init__(self) -> None:
         self.attributes: dict[str, Any] = {}
@@ -97,14 +97,16 @@ class _Reader:
         self._archive = archive
         names = [name for name in archive.namelist() if name.endswith("/data.pkl")]
         if len(names) != 1:
-            raise ValueError(f"{len(names)} entries data.pkl, wanted one")
+            raise ValueError(f"{len(names)} entries data.pkl, expected one")
         self._root = names[0].removesuffix("data.pkl")
         order = f"{self._root}byteorder"
         if (
             order in archive.namelist()
             and self._bytes("byteorder") != sys.byteorder.encode()
         ):
-            raise ValueError("is of the other byte order")
+            raise ValueError(
+                f"has another byte order than this machine, expected {sys.byteorder}-endian"
+            )
 
     def module(self) -> Any:
         with self._archive.open(f"{self._root}data.pkl") as file:
@@ -134,7 +136,7 @@ class _Unpickler(pickle.Unpickler):
             return _rebuilt
         if (module, name) == ("collections", "OrderedDict"):
             return OrderedDict
-        raise pickle.UnpicklingError(f"refers to {module}.{name}, which is no tensor")
+        raise pickle.UnpicklingError(f"refers to {module}.{name}, which is not a tensor")
 
     def persistent_load(self, pid: Any) -> Tensor:
         _, kind, key, *_ = pid

@@ -1,6 +1,13 @@
-"""State dicts, read safely and checked name by name before anything is made of them."""
+"""Reads state dicts without running code, and checks the shape of every tensor."""
 
-__all__ = ["Shape", "checked", "listed", "load_network", "load_state", "part"]
+__all__ = [
+    "Shape",
+    "entries_below",
+    "first_names",
+    "load_network",
+    "load_state",
+    "require_tensors",
+]
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -17,30 +24,30 @@ from gsgen.reference_plugins.loading.script_archive import (
 )
 from gsgen.reference_plugins.loading.tensor_files import load_tensors
 
-# None stands for any size.
 Shape = tuple[int | None, ...]
+"""Sizes of a tensor's axes; None allows any size."""
 
-_SHOWN = 12
-# What training on several GPUs, and compiling, put before every name.
+_MAX_SHOWN = 12
+# Prefixes of every name after training on several GPUs, and after compilation.
 _WRAPPERS = ("module.", "_orig_mod.")
 
 
-def load_state(path: Path, what: str) -> dict[str, Any]:
-    """Read a dict that ``torch.save`` wrote, onto the CPU, running no code of the file.
+def load_state(path: Path, content: str) -> dict[str, Any]:
+    """Read a dict that ``torch.save`` wrote, without running code of the file.
 
     Args:
         path: The file.
-        what: What it should hold, for the error where it is missing.
+        content: Content of the file, for the error if it is missing.
 
     Raises:
         CheckpointInvalid: The file is missing, damaged, or holds more than tensors.
     """
-    required_file(path, what)
-    hint = "Wanted a file of tensors, as torch.save writes it; code in files is not run."
+    required_file(path, content)
+    hint = "Expected a file of tensors, as torch.save writes it; code in files is not run."
     state = load_tensors(path, hint)
     if not isinstance(state, dict):
         raise CheckpointInvalid(
-            f"holds a {type(state).__name__}, wanted a state dict", where=str(path)
+            f"holds a {type(state).__name__}, expected a state dict", where=str(path)
         )
     return {name: _unwrapped(value) for name, value in _unwrapped(state).items()}
 
@@ -57,15 +64,15 @@ def load_network(path: Path) -> dict[str, Any]:
 
 
 def _unwrapped(value: Any) -> Any:
-    """Return a state dict as if its network had not been wrapped; anything else as it is."""
+    """Remove the prefixes of wrappers from a state dict's names; return other values unchanged."""
     for prefix in 2 * _WRAPPERS if isinstance(value, dict) and value else ():
         if all(str(name).startswith(prefix) for name in value):
-            value = {str(name).removeprefix(prefix): one for name, one in value.items()}
+            value = {str(name).removeprefix(prefix): entry for name, entry in value.items()}
     return value
 
 
-def part(state: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    """Return the entries below ``prefix``, without it."""
+def entries_below(state: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    """Return the entries whose names start with ``prefix``, without that prefix."""
     return {
         name.removeprefix(prefix): value
         for name, value in state.items()
@@ -73,63 +80,67 @@ def part(state: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     }
 
 
-def checked(
+def require_tensors(
     path: Path,
     state: Mapping[str, Any],
-    wanted: Mapping[str, Shape],
+    expected: Mapping[str, Shape],
     ignored: Iterable[str] = (),
 ) -> dict[str, Tensor]:
-    """Return the tensors named in ``wanted`` as float32, and demand that there is nothing else.
+    """Return the expected tensors as float32; raise if any is missing, invalid or unexpected.
 
     Args:
         path: The file, for the error.
-        state: What was read from it.
-        wanted: Name → shape.
-        ignored: Beginnings of names that inference has no use for.
+        state: The state dict of the file.
+        expected: Name → shape.
+        ignored: Prefixes of names that inference does not use.
 
     Raises:
-        CheckpointInvalid: Tensors are missing, unexpected, of another shape, or not finite; all
-            of them are listed.
+        CheckpointInvalid: Tensors are missing, unexpected, of another shape, or not finite;
+            the message lists them.
     """
-    passed = tuple(ignored)
+    ignored_prefixes = tuple(ignored)
     extra = [
         name
         for name in state
-        if name not in wanted and not (passed and name.startswith(passed))
+        if name not in expected
+        and not (ignored_prefixes and name.startswith(ignored_prefixes))
     ]
-    troubles = [f"missing: {listed(n for n in wanted if n not in state)}"]
-    troubles += [f"unexpected: {listed(extra)}"]
+    troubles = [f"missing: {first_names(n for n in expected if n not in state)}"]
+    troubles += [f"unexpected: {first_names(extra)}"]
     troubles += [
         _trouble(name, state[name], shape)
-        for name, shape in wanted.items()
+        for name, shape in expected.items()
         if name in state
     ]
-    found = [text for text in troubles if text and not text.endswith(": ")]
-    if found:
+    problems = [text for text in troubles if text and not text.endswith(": ")]
+    if problems:
         raise CheckpointInvalid(
-            "; ".join(found[:_SHOWN]),
+            "; ".join(problems[:_MAX_SHOWN]),
             where=str(path),
-            hint="Its options in cfg_args may be those of another run.",
+            hint="Its cfg_args may come from another training run.",
         )
-    return {name: state[name].detach().to(torch.float32) for name in wanted}
+    return {name: state[name].detach().to(torch.float32) for name in expected}
 
 
-def listed(names: Iterable[str], between: str = ", ") -> str:
-    """Return names in one line: a few of them, and how many there are besides."""
-    found = list(names)
-    more = f"{between}and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
-    return between.join(found[:_SHOWN]) + more
+def first_names(names: Iterable[str], between: str = ", ") -> str:
+    """Join the first names, and add how many more there are."""
+    shown = list(names)
+    remainder = (
+        f"{between}and {len(shown) - _MAX_SHOWN} more" if len(shown) > _MAX_SHOWN else ""
+    )
+    return between.join(shown[:_MAX_SHOWN]) + remainder
 
 
 def _trouble(name: str, value: Any, shape: Shape) -> str:
     if not isinstance(value, Tensor):
-        return f"{name} is a {type(value).__name__}, wanted a tensor"
+        return f"{name} is a {type(value).__name__}, expected a tensor"
     fits = value.ndim == len(shape) and all(
-        expected in (None, seen) for expected, seen in zip(shape, value.shape, strict=True)
+        expected in (None, actual)
+        for expected, actual in zip(shape, value.shape, strict=True)
     )
     if not fits:
         words = ", ".join("any" if size is None else str(size) for size in shape)
-        return f"{name} is {list(value.shape)}, wanted [{words}]"
+        return f"{name} is {list(value.shape)}, expected [{words}]"
     if not torch.isfinite(value.to(torch.float32)).all():
         return f"{name} holds NaN or infinity"
     return ""

@@ -1,4 +1,4 @@
-"""Files that ``torch.save`` wrote, read without running any code of theirs."""
+"""Reads files of ``torch.save`` without running code that they name."""
 
 __all__ = ["Inert", "load_tensors"]
 
@@ -14,8 +14,8 @@ import torch
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.reasons import reason_of
 
-# Training computes learning rates and sizes of scenes with NumPy, and its numbers get saved beside
-# tensors. None of them is needed.
+# Training computes learning rates and scene sizes with NumPy, and saves them with the tensors.
+# They are not used here.
 _NUMPY = (
     "numpy.dtype",
     "numpy.ndarray",
@@ -26,7 +26,7 @@ _NUMPY = (
     ),
 )
 
-# What the reader stumbles over in a file that is none of torch's.
+# Errors of reading a file that torch did not write.
 _DAMAGED = (
     pickle.UnpicklingError,
     struct.error,
@@ -41,7 +41,7 @@ _DAMAGED = (
 
 
 class Inert:
-    """Stands for what a file names and nobody needs: keeps its state and does nothing."""
+    """Placeholder for a class that a file names: keeps the state and runs no code."""
 
     def __init__(self, *_: Any) -> None:
         self.given: dict[str, Any] = {}
@@ -51,12 +51,12 @@ class Inert:
 
 
 def load_tensors(path: Path, hint: str, known: Sequence[tuple[type, str]] = ()) -> Any:
-    """Return what ``path`` holds, its tensors on the CPU whatever machine they were on.
+    """Return the object that ``torch.save`` wrote, with its tensors on the CPU.
 
     Args:
         path: The file.
-        hint: What is wanted, for the error of a file that holds something else.
-        known: Classes to put in the place of those that the file names.
+        hint: Hint of the error for a file with other content.
+        known: Pairs of a class and the name of a class in the file that it replaces.
 
     Raises:
         CheckpointInvalid: The file is damaged, or names code.
@@ -68,5 +68,5 @@ def load_tensors(path: Path, hint: str, known: Sequence[tuple[type, str]] = ()) 
             warnings.simplefilter("ignore")
             return torch.load(path, map_location="cpu", weights_only=True)
     except _DAMAGED as error:
-        what = f"cannot be read: {reason_of(error)}"
-        raise CheckpointInvalid(what, where=str(path), hint=hint) from error
+        message = f"cannot be read: {reason_of(error)}"
+        raise CheckpointInvalid(message, where=str(path), hint=hint) from error

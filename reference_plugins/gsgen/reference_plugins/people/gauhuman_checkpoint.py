@@ -81,7 +81,7 @@ def read_gauhuman(
     cfg = read_cfg_args(folder)
     model = read_body_of(folder, cfg, body)
     path = folder / "mlp_ckpt" / f"iteration_{number}" / "ckpt.pth"
-    trained = cfg.flag("motion_offset_flag", path.is_file())
+    trained = cfg.flag("motion_offset_flag", default=path.is_file())
     if not trained and path.is_file():
         what = f"motion_offset_flag is False, but there is {path}"
         raise CheckpointInvalid(what, where=str(cfg.path))

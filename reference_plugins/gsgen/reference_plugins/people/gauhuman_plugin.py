@@ -18,7 +18,13 @@ from gsgen.reference_plugins.bodies.options import (
     warn_of_body,
 )
 from gsgen.reference_plugins.loading.cfg_args import read_cfg_args
-from gsgen.reference_plugins.loading.options import Checkpoint, Fps, Iteration, Loop, tell
+from gsgen.reference_plugins.loading.options import (
+    Checkpoint,
+    Fps,
+    Iteration,
+    Loop,
+    report_checkpoint,
+)
 from gsgen.reference_plugins.people.r3_detection import is_r3_run
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 
@@ -45,7 +51,7 @@ def build(
     from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 
     read = read_gauhuman(checkpoint, iteration, body)
-    tell(read.describe(), read.cfg)
+    report_checkpoint(read.describe(), read.cfg)
     warn_of_body(read.cfg, read.body)
     told = read_motion(motion, read.body.joints) if motion else None
     avatar = GauHuman(

@@ -24,7 +24,7 @@ from gsgen.reference_plugins.loading.cfg_args import CfgArgs, read_cfg_args
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid, NotInCheckpoint
 from gsgen.reference_plugins.loading.folder import likely_folders, within_run
 from gsgen.reference_plugins.loading.method_detection import refuse_other_method
-from gsgen.reference_plugins.loading.states import Shape, checked
+from gsgen.reference_plugins.loading.states import Shape, require_tensors
 from gsgen.reference_plugins.loading.tensor_files import Inert, load_tensors
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_body_of
 
@@ -144,7 +144,7 @@ def read_r3(
     grids = _grids(path, _state(path, fields[16]))
     features = sum(six[0].shape[0] for six in grids)
     inner, heads = _decoder(path, _state(path, fields[18]), features)
-    aabb = checked(path, {"aabb": fields[14]}, {"aabb": (2, 3)})["aabb"]
+    aabb = require_tensors(path, {"aabb": fields[14]}, {"aabb": (2, 3)})["aabb"]
     if not (aabb[0] < aabb[1]).all():
         what = f"aabb is {aabb.tolist()}, wanted the lower corner before the upper"
         raise CheckpointInvalid(what, where=str(path))
@@ -236,12 +236,18 @@ def _canonical(path: Path, fields: Any) -> Canonical:
         "rotation": (count, 4),
         "opacity": (count, 1),
     }
-    read = checked(path, given, wanted)
+    read = require_tensors(path, given, wanted)
     sh = torch.cat([read["f_dc"], read["f_rest"]], dim=1)
     if sh.shape[1] not in (1, 4, 9, 16):
         what = f"f_rest has {sh.shape[1] - 1} coefficients, wanted 0, 3, 8 or 15"
         raise CheckpointInvalid(what, where=str(path))
-    return Canonical(read["xyz"], read["rotation"], read["scaling"], read["opacity"], sh)
+    return Canonical(
+        position=read["xyz"],
+        rotation=read["rotation"],
+        log_scale=read["scaling"],
+        logit_opacity=read["opacity"],
+        sh=sh,
+    )
 
 
 def _grids(path: Path, state: Mapping[str, Tensor]) -> tuple[tuple[Tensor, ...], ...]:
@@ -251,7 +257,7 @@ def _grids(path: Path, state: Mapping[str, Tensor]) -> tuple[tuple[Tensor, ...],
         for scale in range(len(scales))
         for plane in range(_PLANES)
     }
-    read = checked(path, state, sizes)
+    read = require_tensors(path, state, sizes)
     return tuple(
         tuple(read[f"{scale}.{plane}"][0] for plane in range(_PLANES))
         for scale in range(len(scales))
@@ -272,7 +278,7 @@ def _decoder(
     for head, outputs in _HEADS.items():
         wanted |= {f"gaussian_{head}.weight": (outputs, wide)}
         wanted |= {f"gaussian_{head}.bias": (outputs,)}
-    read = checked(path, state, wanted)
+    read = require_tensors(path, state, wanted)
 
     def layer(name: str) -> Layer:
         return read[f"{name}.weight"], read[f"{name}.bias"]

@@ -27,7 +27,7 @@ from gsgen.reference_plugins.loading.options import (
     Iteration,
     Loop,
     note,
-    tell,
+    report_checkpoint,
 )
 from gsgen.reference_plugins.people.r3_detection import is_r3_run
 from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
@@ -76,7 +76,7 @@ def build(
     from gsgen.reference_plugins.people.r3_avatar_checkpoint import guessed_dataset, read_r3
 
     read = read_r3(checkpoint, iteration, body, dataset)
-    tell(read.describe(), read.cfg)
+    report_checkpoint(read.describe(), read.cfg)
     if dataset is None:
         note(f"note: by {read.cfg.path} its data are of {guessed_dataset(read.cfg)}")
     warn_of_body(read.cfg, read.body)

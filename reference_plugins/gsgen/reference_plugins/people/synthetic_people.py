@@ -19,6 +19,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from gsgen.formats import Splats, write_ply
+from gsgen.formats.shared.quantities import SH_C0
 from gsgen.reference_plugins.bodies.body_models import Body, read_body
 from gsgen.reference_plugins.bodies.rest_pose import big_pose, posed_vertices
 from gsgen.reference_plugins.bodies.synthetic_body import (
@@ -30,7 +31,6 @@ from gsgen.reference_plugins.bodies.synthetic_body import (
 from gsgen.reference_plugins.synthetic.random_layers import random_linear
 from gsgen.reference_plugins.synthetic.run_files import write_cfg_args, write_columns
 
-_C0 = 0.28209479177387814
 _PLAIN = PersonOptions()
 _CORRECTED = PersonOptions(nets=True)
 
@@ -50,7 +50,7 @@ def _splats(options: PersonOptions, body: Body) -> Splats:
     spread = posed_vertices(body, big_pose(body), np.zeros(0))
     position = spread[near] + rng.normal(0, 0.012, (count, 3))
     sh = rng.normal(0, 0.03, (count, (options.degree + 1) ** 2, 3))
-    sh[:, 0] += (colors_of(body.template[near], options) - 0.5) / _C0
+    sh[:, 0] += (colors_of(body.template[near], options) - 0.5) / SH_C0
     return Splats(
         position=position.astype(np.float32),
         rotation=rng.normal(size=(count, 4)).astype(np.float32),

@@ -1,7 +1,7 @@
-"""Writes synthetic scenes, and checkpoints of every method with made-up weights.
+"""Which synthetic scenes and checkpoints can be written, and what do their writers share?
 
-Each family's writers stand in its folder, and this package lists them all. They need torch and are
-imported on first use. The modules of this package are what writers of several families share.
+The writers of a family are in its folder; this package offers them all. They need torch, so they
+are imported on first use.
 """
 
 from importlib import import_module

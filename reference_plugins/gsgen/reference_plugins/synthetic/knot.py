@@ -1,4 +1,4 @@
-"""A torus knot of splats."""
+"""A synthetic scene: splats along a torus knot."""
 
 __all__ = ["torus_knot"]
 
@@ -6,17 +6,16 @@ import numpy as np
 
 from gsgen.contract.spec.spherical_harmonics import basis, coefficients
 from gsgen.formats import Splats
-
-_C0 = 0.28209479177387814
+from gsgen.formats.shared.quantities import SH_C0
 
 
 def torus_knot(count: int, *, degree: int = 3, seed: int = 0) -> Splats:
     """Return splats along a (2, 3) torus knot, coloured along its length and shiny.
 
     Args:
-        count: How many splats.
+        count: Number of splats.
         degree: SH degree; above 0 the colour has a highlight from above.
-        seed: Of the jitter.
+        seed: Seed of all random numbers.
 
     The knot is three units wide. Colours come from SH: the constant term is the hue, the others
     are the projection of a soft lobe around the upward direction.
@@ -34,7 +33,7 @@ def torus_knot(count: int, *, degree: int = 3, seed: int = 0) -> Splats:
     lobe = basis(np.array([[0.0, -1.0, 0.0]]), degree)[0]
     strength = np.repeat([1.0, 0.45, 0.2, 0.08], [1, 3, 5, 7])[:k]
     sh += (0.25 * strength * lobe)[None, :, None]
-    sh[:, 0] += (color - 0.5) / _C0
+    sh[:, 0] += (color - 0.5) / SH_C0
     log_scale = np.log(0.02) + 0.4 * rng.normal(size=(count, 3))
     return Splats(
         position=position.astype(np.float32),

@@ -1,4 +1,4 @@
-"""How the training code of several methods lays out its output folder."""
+"""Writes the files that the training code of several methods has in common."""
 
 __all__ = ["write_cfg_args", "write_columns"]
 
@@ -12,10 +12,14 @@ from jaxtyping import Float
 
 
 def write_cfg_args(folder: Path, options: Mapping[str, Any]) -> None:
-    """Write ``cfg_args``: the text of an ``argparse.Namespace``."""
+    """Write ``cfg_args``, the printed ``argparse.Namespace`` of a training run."""
     folder.mkdir(parents=True, exist_ok=True)
-    usual = {"source_path": "/data/scene", "model_path": "output/synthetic", "eval": True}
-    text = str(argparse.Namespace(**(usual | dict(options))))
+    defaults = {
+        "source_path": "/data/scene",
+        "model_path": "output/synthetic",
+        "eval": True,
+    }
+    text = str(argparse.Namespace(**(defaults | dict(options))))
     (folder / "cfg_args").write_text(text, "utf-8")
 
 

@@ -1,8 +1,7 @@
-"""Tensors that no input changes: stored, or left to the graph to compute from what is smaller.
+"""Stores tensors that depend on weights alone, or lets the graph compute them from smaller ones.
 
-ONNX Runtime computes what follows from weights alone once, when it loads a model, whatever device
-the rest runs on. So a product that is larger than what it was made of need not be in the file: it
-costs no time of a frame either way.
+ONNX Runtime computes nodes without inputs once, when it loads a model, on any device. So a product
+larger than its factors need not be in the file: neither choice costs time in a frame.
 """
 
 __all__ = ["BAKES", "Bake", "Constants"]
@@ -19,40 +18,44 @@ BAKES: tuple[Bake, ...] = ("auto", "always", "never")
 
 
 class Constants(nn.Module):
-    """What a module makes, either as it is or as what makes it."""
+    """The constant results of a module, stored as results or as the module's buffers."""
 
     def __init__(
-        self, make: nn.Module, given: Sequence[Tensor] = (), bake: Bake = "auto"
+        self, make: nn.Module, arguments: Sequence[Tensor] = (), bake: Bake = "auto"
     ) -> None:
-        """Measure both, and keep the smaller one.
+        """Compute the results, compare their size with the buffers, and keep one of both.
 
         Args:
-            make: Returns a tuple of tensors; its buffers are what it takes to compute them.
-            given: Its arguments, which the model has for another reason, and so for free.
-            bake: ``always`` keeps what ``make`` returns, ``never`` its buffers, ``auto`` what is
-                smaller.
+            make: Module that returns a tuple of tensors, computed from its buffers.
+            arguments: Its arguments; the model stores them anyway, so they are not counted.
+            bake: ``always`` keeps the results, ``never`` the buffers, ``auto`` the smaller.
         """
         super().__init__()
-        with torch.no_grad():  # a copy in float64, as the result is rounded once only
+        with torch.no_grad():  # in float64, so that results are rounded only once
             exact = copy.deepcopy(make).double()
-            made = exact(
-                *(one.double() if one.is_floating_point() else one for one in given)
+            results = exact(
+                *(
+                    tensor.double() if tensor.is_floating_point() else tensor
+                    for tensor in arguments
+                )
             )
-        stored = [one.float() if one.is_floating_point() else one for one in made]
+        stored = [
+            tensor.float() if tensor.is_floating_point() else tensor for tensor in results
+        ]
         smaller = _bytes(stored) <= _bytes(make.buffers())
         self.bakes = bake == "always" or (bake == "auto" and smaller)
         self.make = None if self.bakes else make
         self.count = len(stored)
-        for index, one in enumerate(stored if self.bakes else ()):
-            self.register_buffer(f"made_{index}", one.contiguous())
+        for index, tensor in enumerate(stored if self.bakes else ()):
+            self.register_buffer(f"made_{index}", tensor.contiguous())
 
-    def forward(self, *given: Tensor) -> tuple[Tensor, ...]:
-        """Return the tensors; ``given`` are the arguments of the module that makes them."""
+    def forward(self, *arguments: Tensor) -> tuple[Tensor, ...]:
+        """Return the constant tensors, computed from ``arguments`` if they are not stored."""
         if self.make is None:
             return tuple(getattr(self, f"made_{index}") for index in range(self.count))
-        made: tuple[Tensor, ...] = self.make(*given)
-        return made
+        results: tuple[Tensor, ...] = self.make(*arguments)
+        return results
 
 
 def _bytes(tensors: Iterable[Tensor]) -> int:
-    return sum(one.numel() * one.element_size() for one in tensors)
+    return sum(tensor.numel() * tensor.element_size() for tensor in tensors)

@@ -1,4 +1,4 @@
-"""Layers of small networks, stored as the matrices that they multiply with."""
+"""Dense layers and an exact sigmoid, in a form that exports to few kernels."""
 
 __all__ = ["Dense", "proportion"]
 
@@ -6,31 +6,31 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-# exp of it is a number of float32, and that of float16 infinite: both give no proportion.
-_MOST = 80.0
+# exp of it is finite in float32 and infinite in float16; its reciprocal is near 0 in both.
+_MAX_EXPONENT = 80.0
 
 
 def proportion(logit: Tensor) -> Tensor:
-    """Return the sigmoid, as exact for small results as for large ones.
+    """Return the sigmoid, with a small relative error for small results too.
 
-    ONNX Runtime's own is off by 1e-7 on a CPU however small its result, so that what is a hundred
-    thousandth of a scale, or less, would be of another shape.
+    The error of ONNX Runtime's Sigmoid on a CPU is 1e-7, however small the result: a Gaussian that
+    is 1e-5 of its scale or smaller would get another shape.
     """
-    return torch.reciprocal(1 + torch.exp((-logit).clamp(max=_MOST)))
+    return torch.reciprocal(1 + torch.exp((-logit).clamp(max=_MAX_EXPONENT)))
 
 
 class Dense(nn.Module):
-    """x W + b, with W as (in, out): a transposed weight would be one more kernel."""
+    """A dense layer x W + b, with W as (in, out) so that no kernel has to transpose it."""
 
     weight: Tensor
     bias: Tensor
 
     def __init__(self, weight: Float[Tensor, "o i"], bias: Float[Tensor, " o"]) -> None:
-        """Take a weight as ``nn.Linear`` stores it, (out, in)."""
+        """Store a weight that is given as in ``nn.Linear``, (out, in)."""
         super().__init__()
         self.register_buffer("weight", weight.t().contiguous())
         self.register_buffer("bias", bias.clone())
 
     def forward(self, inputs: Float[Tensor, "n i"]) -> Float[Tensor, "n o"]:
-        """Apply the layer to rows."""
+        """Apply the layer to each row."""
         return inputs @ self.weight + self.bias
