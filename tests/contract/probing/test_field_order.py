@@ -21,7 +21,7 @@ def rows_in(order, count=200):
 def test_an_order_is_told_from_the_numbers(order):
     found = suspect_order(rows_in(order))
     assert (found.name if found else "") == order
-    assert found is None or (found.declared > 0.2 and found.found == 0)
+    assert found is None or (found.declared > 0.2 and found.fraction == 0)
 
 
 def test_too_few_rows_prove_nothing():

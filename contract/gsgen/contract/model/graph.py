@@ -223,17 +223,17 @@ def _facts(file: ModelFile) -> _Facts:
     inferred, facts.inference = infer(proto)
     if inferred is None:
         return facts
-    found = _values(inferred)
-    if not facts.inference and _is_open(proto, found):
+    tensors = _values(inferred)
+    if not facts.inference and _is_open(proto, tensors):
         inferred, facts.inference = propagate(proto, inferred)
-        found = _values(inferred)
+        tensors = _values(inferred)
     facts.tensors = {
-        name: _best(declared.get(name), tensor) for name, tensor in found.items()
+        name: _best(declared.get(name), tensor) for name, tensor in tensors.items()
     }
     facts.conflicts = tuple(
-        Conflict(name, tensor, found[name])
+        Conflict(name, tensor, tensors[name])
         for name, tensor in declared.items()
-        if name in found and not _compatible(tensor, found[name])
+        if name in tensors and not _compatible(tensor, tensors[name])
     )
     return facts
 
@@ -242,13 +242,13 @@ def _values(proto: ModelProto) -> dict[str, Tensor]:
     return {v.name: _of_value(v) for v in (*proto.graph.value_info, *proto.graph.output)}
 
 
-def _is_open(proto: ModelProto, found: dict[str, Tensor]) -> bool:
+def _is_open(proto: ModelProto, tensors: dict[str, Tensor]) -> bool:
     """Say whether the size of any tensor that a node makes is still unknown."""
-    sizes = (one.dims for one in found.values())
+    sizes = (tensor.dims for tensor in tensors.values())
     if any(dims is None or any(type(d) is not int for d in dims) for dims in sizes):
         return True
-    made = (name for node in proto.graph.node for name in node.output)
-    return any(name and name not in found for name in made)
+    outputs = (name for node in proto.graph.node for name in node.output)
+    return any(name and name not in tensors for name in outputs)
 
 
 def _without_stubs(file: ModelFile) -> ModelProto:
@@ -262,9 +262,9 @@ def _without_stubs(file: ModelFile) -> ModelProto:
     copy.ClearField("metadata_props")
     if file.whole:
         return copy
-    taken = {value.name for value in copy.graph.input}
+    graph_inputs = {value.name for value in copy.graph.input}
     for tensor in _take_stubs(copy.graph):
-        if tensor.name not in taken:
+        if tensor.name not in graph_inputs:
             _add_input(copy.graph, tensor)
     for body in bodies(copy):
         if isinstance(body, GraphProto):
@@ -340,8 +340,8 @@ def _make_sparse(attribute: AttributeProto, tensor: TensorProto) -> None:
     sparse = SparseTensorProto(dims=tensor.dims or [1], values=_nothing(tensor.data_type))
     sparse.indices.CopyFrom(_nothing(TensorProto.INT64))
     kind = AttributeProto.SPARSE_TENSOR
-    made = AttributeProto(name="sparse_value", type=kind, sparse_tensor=sparse)
-    attribute.CopyFrom(made)
+    sparse_value = AttributeProto(name="sparse_value", type=kind, sparse_tensor=sparse)
+    attribute.CopyFrom(sparse_value)
 
 
 def _empty(sparse: SparseTensorProto) -> None:

@@ -86,7 +86,7 @@ def infer_manifest(graph: Graph, name: str) -> Candidate:
     inputs = tuple(_input(tensor, guesses) for tensor in graph.inputs if _role_of(tensor))
     unknown = [tensor.name for tensor in graph.inputs if not _role_of(tensor)]
     guesses += [
-        f"input {one!r} has no recognisable role: add it by hand" for one in unknown
+        f"input {name!r} has no recognisable role: add it by hand" for name in unknown
     ]
     outputs = GeneratorOutputs(
         _gaussians(graph, guesses), _appearance(graph, guesses), _count(graph, guesses)
@@ -98,8 +98,8 @@ def infer_manifest(graph: Graph, name: str) -> Candidate:
 
 
 def _role_of(tensor: Tensor) -> str | None:
-    wanted = tensor.name.lower()
-    return next((role for role, names in _INPUT_NAMES.items() if wanted in names), None)
+    lowered = tensor.name.lower()
+    return next((role for role, names in _INPUT_NAMES.items() if lowered in names), None)
 
 
 def _input(tensor: Tensor, guesses: list[str]) -> Input:
@@ -109,14 +109,14 @@ def _input(tensor: Tensor, guesses: list[str]) -> Input:
     static = static_dims(tensor)
     entry = ROLES[role]
     free = static is not None and matching_shape(entry, static) is not None
-    named = any(isinstance(dim, str) for shape in entry.shapes for dim in shape)
+    has_named_axes = any(isinstance(dim, str) for shape in entry.shapes for dim in shape)
     span = (0.0, 1.0) if role == "time" or entry.needs_range else None
     if span:
         guesses.append(f"input {tensor.name!r} has the range [0, 1]")
     return Input(
         name=tensor.name,
         role=role,
-        shape=_sizes(static) if free and named else None,
+        shape=_sizes(static) if free and has_named_axes else None,
         range=span,
         default="zeros",
     )
@@ -136,19 +136,19 @@ def _last(tensor: Tensor) -> int:
 
 
 def _gaussians(graph: Graph, guesses: list[str]) -> GaussiansOutput | None:
-    found = _named(graph, _GAUSSIAN_NAMES)
+    tensor = _named(graph, _GAUSSIAN_NAMES)
     packed = [tensor for tensor in graph.outputs if _last(tensor) == ROW]
-    if found is None and len(packed) == 1:
-        found = packed[0]
-    if found is None:
+    if tensor is None and len(packed) == 1:
+        tensor = packed[0]
+    if tensor is None:
         guesses.append(
             f"no output is named like packed Gaussians or is the only one ending in {ROW}"
         )
         return None
-    guesses.append(f"output {found.name!r} holds the packed Gaussians")
-    first = found.dims[0] if found.dims else None
+    guesses.append(f"output {tensor.name!r} holds the packed Gaussians")
+    first = tensor.dims[0] if tensor.dims else None
     capacity = first if isinstance(first, int) and first > 0 else _PLACEHOLDER_CAPACITY
-    return GaussiansOutput(found.name, capacity, _float_dtype(found))
+    return GaussiansOutput(tensor.name, capacity, _float_dtype(tensor))
 
 
 def _float_dtype(tensor: Tensor) -> Literal["float32", "float16"]:
@@ -156,27 +156,27 @@ def _float_dtype(tensor: Tensor) -> Literal["float32", "float16"]:
 
 
 def _appearance(graph: Graph, guesses: list[str]) -> AppearanceOutput | None:
-    found = _named(graph, _COLOR_NAMES)
-    if found is None:
+    tensor = _named(graph, _COLOR_NAMES)
+    if tensor is None:
         guesses.append("no output is named like an appearance")
         return None
-    channels = _last(found)
+    channels = _last(tensor)
     if channels in APPEARANCE_CHANNELS["sh"] and channels != 3:
         degree = degree_of(channels // 3)
         guesses.append(
-            f"output {found.name!r} holds SH of degree {degree}, by its {channels} channels"
+            f"output {tensor.name!r} holds SH of degree {degree}, by its {channels} channels"
         )
-        return AppearanceOutput(found.name, "sh", degree)
+        return AppearanceOutput(tensor.name, "sh", degree)
     guesses.append(
-        f"output {found.name!r} holds raw RGB, by its {channels or '?'} channels"
+        f"output {tensor.name!r} holds raw RGB, by its {channels or '?'} channels"
     )
-    return AppearanceOutput(found.name, "rgb")
+    return AppearanceOutput(tensor.name, "rgb")
 
 
 def _count(graph: Graph, guesses: list[str]) -> CountOutput | None:
-    found = _named(graph, _COUNT_NAMES)
-    if found is None:
+    tensor = _named(graph, _COUNT_NAMES)
+    if tensor is None:
         guesses.append("no output is named like a row count")
         return None
-    guesses.append(f"output {found.name!r} is the number of live rows")
-    return CountOutput(found.name)
+    guesses.append(f"output {tensor.name!r} is the number of live rows")
+    return CountOutput(tensor.name)

@@ -127,8 +127,8 @@ class ModelFile:
         for ref in self.external:
             end = _LONGEST if ref.length is None else ref.offset + ref.length
             ranges.setdefault(ref.location, []).append((ref.offset, end))
-        beside = (_covered(self.path.parent, *one) for one in ranges.items())
-        return self.size + sum(beside)
+        external_sizes = (_covered(self.path.parent, *item) for item in ranges.items())
+        return self.size + sum(external_sizes)
 
     @property
     def manifest_text(self) -> str | None:
@@ -184,8 +184,10 @@ def _size(path: Path) -> int:
     except OSError as error:
         raise ModelUnreadable(f"cannot be read: {error.strerror}", where=where) from error
     if stat.S_ISDIR(entry.st_mode):
-        held = sorted(path.glob("*.onnx"))
-        hint = f"It holds {len(held)}: name {held[0]}, or {path}/*.onnx." if held else ""
+        models = sorted(path.glob("*.onnx"))
+        hint = (
+            f"It holds {len(models)}: name {models[0]}, or {path}/*.onnx." if models else ""
+        )
         raise ModelUnreadable("is a folder, wanted an ONNX file", where=where, hint=hint)
     if not stat.S_ISREG(entry.st_mode):
         raise ModelUnreadable("is not a regular file, wanted an ONNX file", where=where)
@@ -224,19 +226,19 @@ def _has_sparse(body: Body) -> bool:
     return isinstance(body, GraphProto) and bool(body.sparse_initializer)
 
 
-def _not_onnx(path: Path, what: str, head: bytes) -> ModelUnreadable:
+def _not_onnx(path: Path, message: str, head: bytes) -> ModelUnreadable:
     for magic, name in _LOOKALIKES:
         if head.startswith(magic):
             return ModelUnreadable(f"is not an ONNX model but {name}", where=str(path))
     if head[8:9] == b"{" and head[:8].endswith(bytes(3)):
-        what = "is not an ONNX model but weights in safetensors"
-        return ModelUnreadable(what, where=str(path))
+        message = "is not an ONNX model but weights in safetensors"
+        return ModelUnreadable(message, where=str(path))
     if _is_text(head):
         return ModelUnreadable("is not an ONNX model but text", where=str(path))
     hint = (
         "Write the file again; a partial download or an interrupted export looks like this."
     )
-    return ModelUnreadable(what, where=str(path), hint=hint)
+    return ModelUnreadable(message, where=str(path), hint=hint)
 
 
 def _is_text(head: bytes) -> bool:
@@ -383,13 +385,15 @@ def _without_manifest(descriptor: int) -> list[tuple[int, int]]:
         mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ) as view,
         memoryview(view) as data,
     ):
-        for one in scan(data, 0, len(data)):
-            if one.number == _METADATA_FIELD and _is_manifest(data, one.value, one.end):
+        for field in scan(data, 0, len(data)):
+            if field.number == _METADATA_FIELD and _is_manifest(
+                data, field.value, field.end
+            ):
                 continue
-            if ranges and ranges[-1][1] == one.start:
-                ranges[-1] = (ranges[-1][0], one.end)
+            if ranges and ranges[-1][1] == field.start:
+                ranges[-1] = (ranges[-1][0], field.end)
             else:
-                ranges.append((one.start, one.end))
+                ranges.append((field.start, field.end))
     return ranges
 
 

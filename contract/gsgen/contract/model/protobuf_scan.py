@@ -50,9 +50,9 @@ _MAX_KEPT = 256 << 20
 class WireFault(ValueError):
     """The bytes are not a well-formed protobuf message."""
 
-    def __init__(self, offset: int, what: str) -> None:
+    def __init__(self, offset: int, message: str) -> None:
         self.offset = offset
-        super().__init__(f"byte {offset}: {what}")
+        super().__init__(f"byte {offset}: {message}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,19 +79,19 @@ class StrippedModel:
     stripped: int = 0
 
 
-def varint(data: Buffer, at: int, end: int) -> tuple[int, int]:
-    """Return the base-128 number at ``at`` and the offset behind it."""
+def varint(data: Buffer, offset: int, end: int) -> tuple[int, int]:
+    """Return the base-128 number at ``offset`` and the offset behind it."""
     value = shift = 0
-    while at < end:
-        byte = data[at]
-        at += 1
+    while offset < end:
+        byte = data[offset]
+        offset += 1
         value |= (byte & 0x7F) << shift
         if byte < 0x80:
-            return value, at
+            return value, offset
         shift += 7
         if shift > 63:
-            raise WireFault(at, "a number of more than ten bytes")
-    raise WireFault(at, "the file ends inside a number")
+            raise WireFault(offset, "a number of more than ten bytes")
+    raise WireFault(offset, "the file ends inside a number")
 
 
 def scan(data: Buffer, start: int, end: int) -> Iterator[Field]:
@@ -100,18 +100,18 @@ def scan(data: Buffer, start: int, end: int) -> Iterator[Field]:
     Raises:
         WireFault: A field is malformed or reaches beyond ``end``.
     """
-    at = start
-    while at < end:
-        tag_at = at
-        tag, at = varint(data, at, end)
+    offset = start
+    while offset < end:
+        tag_at = offset
+        tag, offset = varint(data, offset, end)
         number, wire = tag >> 3, tag & 7
         if wire == BYTES:
-            size, at = varint(data, at, end)
-            stop = at + size
+            size, offset = varint(data, offset, end)
+            stop = offset + size
         elif wire == VARINT:
-            _, stop = varint(data, at, end)
+            _, stop = varint(data, offset, end)
         elif wire in (FIXED32, FIXED64):
-            stop = at + (4 if wire == FIXED32 else 8)
+            stop = offset + (4 if wire == FIXED32 else 8)
         else:
             raise WireFault(tag_at, f"wire type {wire} is not used by ONNX")
         if number == 0:
@@ -120,8 +120,8 @@ def scan(data: Buffer, start: int, end: int) -> Iterator[Field]:
             raise WireFault(
                 tag_at, f"field {number} needs {stop - end} more bytes than there are"
             )
-        yield Field(number, wire, tag_at, at, stop)
-        at = stop
+        yield Field(number, wire, tag_at, offset, stop)
+        offset = stop
 
 
 def skeleton(data: Buffer) -> StrippedModel:
@@ -131,9 +131,9 @@ def skeleton(data: Buffer) -> StrippedModel:
         WireFault: The bytes are no protobuf message, or the structure alone is too large.
     """
     builder = _Builder(data)
-    made = builder.result
-    made.data = b"".join(builder.message("Model", 0, len(data), 0))
-    return made
+    stripped = builder.result
+    stripped.data = b"".join(builder.message("Model", 0, len(data), 0))
+    return stripped
 
 
 class _Builder:
@@ -152,39 +152,39 @@ class _Builder:
             return self._tensor(start, end)
         nested = _NESTED[kind]
         parts: list[bytes] = []
-        for one in scan(self.data, start, end):
-            self._count(one.start)
-            inside = nested.get(one.number)
-            if inside is None or one.wire != BYTES or one.end - one.value <= _SMALL:
-                parts.append(self._copy(one.start, one.end))
+        for field in scan(self.data, start, end):
+            self._count(field.start)
+            inside = nested.get(field.number)
+            if inside is None or field.wire != BYTES or field.end - field.value <= _SMALL:
+                parts.append(self._copy(field.start, field.end))
                 continue
-            body = self.message(inside, one.value, one.end, depth + 1)
-            parts.append(_header(one.number, sum(map(len, body))))
+            body = self.message(inside, field.value, field.end, depth + 1)
+            parts.append(_header(field.number, sum(map(len, body))))
             parts.extend(body)
         return parts
 
     def _tensor(self, start: int, end: int) -> list[bytes]:
         fields: list[Field] = []
-        for one in scan(self.data, start, end):
-            self._count(one.start)
-            fields.append(one)
+        for field in scan(self.data, start, end):
+            self._count(field.start)
+            fields.append(field)
         dtype = next(
             (f for f in fields if f.number == _TENSOR_TYPE and f.wire == VARINT), None
         )
         code = varint(self.data, dtype.value, dtype.end)[0] if dtype else 0
         if code in _INTEGER_TYPES and end - start <= _SMALL_INTEGERS:
             return [self._copy(start, end)]
-        kept: list[bytes] = []
+        retained: list[bytes] = []
         payload = 0
-        for one in fields:
-            if one.number in _PAYLOAD:
-                payload += one.end - one.value
+        for field in fields:
+            if field.number in _PAYLOAD:
+                payload += field.end - field.value
             else:
-                kept.append(self._copy(one.start, one.end))
+                retained.append(self._copy(field.start, field.end))
         self.result.stripped += payload
         if payload:  # a stub, so that the tensor still says it has data
-            kept.append(_header(_TENSOR_RAW, len(STUB)) + STUB)
-        return kept
+            retained.append(_header(_TENSOR_RAW, len(STUB)) + STUB)
+        return retained
 
     def _copy(self, start: int, end: int) -> bytes:
         self.kept += end - start
@@ -194,10 +194,10 @@ class _Builder:
             )
         return bytes(self.data[start:end])
 
-    def _count(self, at: int) -> None:
+    def _count(self, offset: int) -> None:
         self.fields += 1
         if self.fields > _MAX_FIELDS:
-            raise WireFault(at, f"more than {_MAX_FIELDS} fields")
+            raise WireFault(offset, f"more than {_MAX_FIELDS} fields")
 
 
 def _header(number: int, size: int) -> bytes:

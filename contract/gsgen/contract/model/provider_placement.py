@@ -88,23 +88,23 @@ def frame_nodes(graph: Graph) -> list[NodeProto]:
     running: list[NodeProto] = []
     for node in graph.nodes:
         draws = node.op_type in _DRAWS and node.domain in _MAIN_DOMAIN
-        fed = node.op_type not in _OF_SHAPES and not varying.isdisjoint(reads(node))
-        if draws or fed:
+        is_varying = node.op_type not in _OF_SHAPES and not varying.isdisjoint(reads(node))
+        if draws or is_varying:
             varying.update(node.output)
             running.append(node)
     needed: set[str] = {tensor.name for tensor in graph.outputs}
-    kept: list[NodeProto] = []
+    nodes: list[NodeProto] = []
     for node in reversed(running):
         if not needed.isdisjoint(node.output):
             needed.update(reads(node))
-            kept.append(node)
-    return kept[::-1]
+            nodes.append(node)
+    return nodes[::-1]
 
 
 def shape_arguments(node: NodeProto) -> list[str]:
     """Return the names of the arguments that decide the shape of what ``node`` returns."""
-    places = _SHAPE_ARGUMENTS.get(node.op_type, ())
-    return [node.input[k] for k in places if k < len(node.input) and node.input[k]]
+    positions = _SHAPE_ARGUMENTS.get(node.op_type, ())
+    return [node.input[k] for k in positions if k < len(node.input) and node.input[k]]
 
 
 def placements(
@@ -140,16 +140,18 @@ def _place(
     if "float64" in (dtype, variant.removeprefix("to ")):
         return Placement(node, dtype, "float64", {})
     domain = node.domain in _MAIN_DOMAIN
-    found = {
+    outcomes = {
         table.runtime: table.outcome(node.op_type, variant, dtype, opset) if domain else ""
         for table in tables
     }
-    bad = {runtime: outcome for runtime, outcome in found.items() if outcome != CAPTURE}
-    if not bad:
+    failures = {
+        runtime: outcome for runtime, outcome in outcomes.items() if outcome != CAPTURE
+    }
+    if not failures:
         return Placement(node, dtype, "", {})
-    known = {runtime: outcome for runtime, outcome in bad.items() if outcome}
+    known = {runtime: outcome for runtime, outcome in failures.items() if outcome}
     if not known:
-        return Placement(node, dtype, "unknown", bad)
+        return Placement(node, dtype, "unknown", failures)
     return Placement(node, dtype, _cause(node, variant, dtype, known, tables), known)
 
 
@@ -173,8 +175,8 @@ def _cause(
 
 
 def _kernel_dtype(graph: Graph, node: NodeProto) -> str:
-    place = _KERNEL_ARGUMENT.get(node.op_type, 0)
-    names = [*node.input[place : place + 1], *node.output[:1]]
+    position = _KERNEL_ARGUMENT.get(node.op_type, 0)
+    names = [*node.input[position : position + 1], *node.output[:1]]
     tensors = (graph.tensors.get(name) for name in names)
     return next((t.dtype for t in tensors if t is not None and t.dtype), "")
 
@@ -187,8 +189,8 @@ def _variant(
     attributes = {attribute.name: attribute for attribute in node.attribute}
     match node.op_type:
         case "Cast":
-            made = graph.tensors.get(node.output[0])
-            return f"to {made.dtype}" if made is not None else ""
+            output = graph.tensors.get(node.output[0])
+            return f"to {output.dtype}" if output is not None else ""
         case "Conv":
             return "" if "dilations" in attributes else "implicit dilations"
         case "GatherND":

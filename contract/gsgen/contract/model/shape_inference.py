@@ -74,7 +74,7 @@ def _expanded(proto: ModelProto) -> int:
     """Return how many nodes there are once every call of a function has a body of its own."""
     if not proto.functions:
         return 0
-    functions = {(one.domain, one.name): one for one in proto.functions}
+    functions = {(function.domain, function.name): function for function in proto.functions}
     sizes: dict[tuple[str, str], int] = {}
 
     def size(body: GraphProto | FunctionProto) -> int:
@@ -98,11 +98,12 @@ def _may_be_long(proto: ModelProto) -> bool:
         return True  # what lies inside is not told
     values = (*graph.input, *graph.value_info, *graph.output)
     known = {value.name for value in values}
-    made = [name for node in graph.node for name in node.output if name]
+    outputs = [name for node in graph.node for name in node.output if name]
     weights = any(
-        len(one.dims) == 1 and one.dims[0] > _LONGEST for one in graph.initializer
+        len(initializer.dims) == 1 and initializer.dims[0] > _LONGEST
+        for initializer in graph.initializer
     )
-    return weights or any(map(_is_long, values)) or not known.issuperset(made)
+    return weights or any(map(_is_long, values)) or not known.issuperset(outputs)
 
 
 def _is_long(value: ValueInfoProto) -> bool:
@@ -118,14 +119,16 @@ def _is_long(value: ValueInfoProto) -> bool:
 def _propagated_elsewhere(proto: ModelProto) -> ModelProto | None:
     """Propagate data in a child process; None where it failed or took too much."""
     try:
-        done = subprocess.run(
+        completed = subprocess.run(
             [sys.executable, "-P", "-m", "gsgen.contract.model.shape_inference"],
             input=proto.SerializeToString(),
             capture_output=True,
             timeout=_SECONDS,
             check=False,
         )
-        return ModelProto.FromString(done.stdout) if done.returncode == 0 else None
+        return (
+            ModelProto.FromString(completed.stdout) if completed.returncode == 0 else None
+        )
     except (subprocess.TimeoutExpired, DecodeError, ValueError):
         return None
 
@@ -136,10 +139,10 @@ def _be_the_child() -> int:
     limit_memory(_MEMORY)
     proto = ModelProto.FromString(sys.stdin.buffer.read())
     try:
-        made = _propagated(proto, strict=False)
+        inferred = _propagated(proto, strict=False)
     except _ERRORS:
         return 1
-    sys.stdout.buffer.write(made.SerializeToString())
+    sys.stdout.buffer.write(inferred.SerializeToString())
     return 0
 
 

@@ -110,26 +110,28 @@ def intervals(
             known[entry.name] = _INT32
     for node in graph.nodes:
         span = _of_node(node, [known.get(name) for name in node.input])
-        made = graph.tensors.get(node.output[0]) if node.output else None
+        output = graph.tensors.get(node.output[0]) if node.output else None
         if span is not None and node.op_type == "ReduceSum":
-            span = _added(span, graph.tensors.get(node.input[0]), made)
-        if made is not None and made.dtype == "bool":
+            span = _added(span, graph.tensors.get(node.input[0]), output)
+        if output is not None and output.dtype == "bool":
             span = (0.0, 1.0)
-        if span is None and made is not None and made.dtype == "int32":
+        if span is None and output is not None and output.dtype == "int32":
             span = _INT32  # no other number fits
         if span is not None:
             known.update({name: span for name in node.output if name})
     return known
 
 
-def _added(span: Interval, taken: Tensor | None, made: Tensor | None) -> Interval | None:
+def _added(
+    span: Interval, operand: Tensor | None, output: Tensor | None
+) -> Interval | None:
     """Return the interval of sums; None where nobody knows how many numbers are added."""
-    if taken is None or made is None or taken.dims is None or made.dims is None:
+    if operand is None or output is None or operand.dims is None or output.dims is None:
         return None
-    sizes = [d for d in (*taken.dims, *made.dims) if isinstance(d, int) and d > 0]
-    if len(sizes) != len(taken.dims) + len(made.dims):
+    sizes = [d for d in (*operand.dims, *output.dims) if isinstance(d, int) and d > 0]
+    if len(sizes) != len(operand.dims) + len(output.dims):
         return None
-    count = math.prod(sizes[: len(taken.dims)]) / math.prod(sizes[len(taken.dims) :])
+    count = math.prod(sizes[: len(operand.dims)]) / math.prod(sizes[len(operand.dims) :])
     return span[0] * count, span[1] * count
 
 

@@ -1,6 +1,6 @@
 """Probes that one behaviour rule asks for: edges, flipped axes, loops, frames, another order."""
 
-__all__ = ["AGAIN", "trial_probes"]
+__all__ = ["REPEATED", "trial_probes"]
 
 import math
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest
 from gsgen.contract.spec.roles import ROLES
 
 # What the label of a probe ends on where it is run a second time.
-AGAIN = "once more"
+REPEATED = "once more"
 
 # How far from its place the camera is moved, as a share of its distance from the origin.
 _STEP = 0.3
@@ -47,8 +47,8 @@ def trial_probes(
                 yield "paces", tuple(_paces(entry, base))
                 yield "frames", tuple(_frames(entry, base))
     if len(first) > 1:
-        again = dict.fromkeys((len(first) - 1, len(first) // 2, 1))
-        yield "again", tuple(_changed(first[index], AGAIN) for index in again)
+        repeated = dict.fromkeys((len(first) - 1, len(first) // 2, 1))
+        yield "again", tuple(_changed(first[index], REPEATED) for index in repeated)
     yield "plain", (replace(_changed(base, "without optimisations"), optimise=False),)
 
 
@@ -169,8 +169,8 @@ def _frames(entry: Input, base: Probe) -> Iterator[Probe]:
         return
     count = entry.frames
     middle = int(_INTO_FRAME * count)
-    chosen = {k for start in (0, middle - _WINDOW, middle, count - _WINDOW) for k in
+    frame_numbers = {k for start in (0, middle - _WINDOW, middle, count - _WINDOW) for k in
               range(max(0, start), min(count, start + _WINDOW))}  # fmt: skip
-    for frame in sorted(chosen):
+    for frame in sorted(frame_numbers):
         probe = _at(entry, base, (frame + _INTO_FRAME) / count)
         yield replace(probe, label=f"frame {frame}")

@@ -31,13 +31,13 @@ class FieldOrder:
     Attributes:
         name: The fields in that order.
         declared: Share of rows without a valid covariance, read as declared.
-        found: The same share, read in this order.
+        fraction: The same share, read in this order.
         rows: How many rows were looked at.
     """
 
     name: str
     declared: float
-    found: float
+    fraction: float
     rows: int
 
 
@@ -52,17 +52,17 @@ def suspect_order(rows: Float[np.ndarray, "n 10"]) -> FieldOrder | None:
     declared = _share(_indefinite(covariance))
     if declared <= _BROKEN:
         return None
-    found = {
-        name: _share(_indefinite(covariance[:, places]))
-        for name, places in _COVARIANCES.items()
+    fractions = {
+        name: _share(_indefinite(covariance[:, columns]))
+        for name, columns in _COVARIANCES.items()
     }
-    found |= {name: _share(bad) for name, bad in _turned(rows).items()}
-    name, share = min(found.items(), key=lambda item: item[1])
+    fractions |= {name: _share(is_invalid) for name, is_invalid in _turned(rows).items()}
+    name, share = min(fractions.items(), key=lambda item: item[1])
     return FieldOrder(name, declared, share, len(rows)) if share <= _SOUND else None
 
 
-def _share(bad: Bool[np.ndarray, " n"]) -> float:
-    return float(np.count_nonzero(bad) / len(bad))
+def _share(is_invalid: Bool[np.ndarray, " n"]) -> float:
+    return float(np.count_nonzero(is_invalid) / len(is_invalid))
 
 
 def _indefinite(upper: Float[np.ndarray, "n 6"]) -> Bool[np.ndarray, " n"]:

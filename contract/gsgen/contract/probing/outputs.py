@@ -82,8 +82,8 @@ class ModelOutputs:
         if rows is None or color is None:
             return np.zeros((0, 0))
         live = slice(0, self.count, max(1, self.count // _SAMPLE))
-        shown = rows[live, OPACITY].astype(np.float32) >= CULL_OPACITY
-        sample = color[live][shown].astype(np.float32)
+        is_drawn = rows[live, OPACITY].astype(np.float32) >= CULL_OPACITY
+        sample = color[live][is_drawn].astype(np.float32)
         finite = np.isfinite(sample).all(axis=1)
         return sample if finite.all() else np.asarray(sample[finite])
 
@@ -181,10 +181,10 @@ class Rows:
     @cached_property
     def finite(self) -> Bool[np.ndarray, " n"]:
         """Rows whose packed values and colour are all finite."""
-        kept: Bool[np.ndarray, " n"] = np.isfinite(self.wide).all(axis=0)
+        is_finite: Bool[np.ndarray, " n"] = np.isfinite(self.wide).all(axis=0)
         if self.color is not None:
-            kept &= self.color_peak < _EXPONENT[self.color.itemsize]
-        return kept
+            is_finite &= self.color_peak < _EXPONENT[self.color.itemsize]
+        return is_finite
 
     @cached_property
     def color_peak(self) -> UInt[np.ndarray, " n"]:

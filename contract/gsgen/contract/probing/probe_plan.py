@@ -64,10 +64,10 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
         return Plan(first, len(first), seed=seed)
     base = len(first) - 1 if len(first) == 1 else 1
     probes = [*first, first[base], first[base]]
-    again = len(first)
-    others = (first[-1], first[len(first) // 2])[:_VARIANTS]
+    repeated_count = len(first)
+    other_probes = (first[-1], first[len(first) // 2])[:_VARIANTS]
     variants: dict[str, tuple[int, tuple[int, ...]]] = {}
-    for role, changed in dependency_probes(manifest, first[base], others):
+    for role, changed in dependency_probes(manifest, first[base], other_probes):
         variants[role] = (base, tuple(range(len(probes), len(probes) + len(changed))))
         probes.extend(changed)
     trials: dict[str, tuple[int, ...]] = {}
@@ -75,11 +75,11 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
         *vector_probes(manifest, shapes, dtypes, seed, count),
         *trial_probes(manifest, first[base], first),
     ]
-    for name, made in groups:
-        trials[name] = tuple(range(len(probes), len(probes) + len(made)))
-        probes.extend(made)
-    revisited = (base, again) if len(first) > 1 else None
-    repeated = (again, again + 1)
+    for name, group in groups:
+        trials[name] = tuple(range(len(probes), len(probes) + len(group)))
+        probes.extend(group)
+    revisited = (base, repeated_count) if len(first) > 1 else None
+    repeated = (repeated_count, repeated_count + 1)
     return Plan(tuple(probes), len(first), repeated, revisited, variants, trials, seed)
 
 

@@ -83,17 +83,17 @@ def default_probes(
 
 
 def dependency_probes(
-    manifest: Manifest, base: Probe, others: tuple[Probe, ...]
+    manifest: Manifest, base: Probe, other_probes: tuple[Probe, ...]
 ) -> Iterator[tuple[str, tuple[Probe, ...]]]:
     """Yield, for each role, probes that differ from ``base`` in that role's inputs alone."""
     for name in sorted({i.role for i in manifest.inputs}):
         changed = [i.name for i in manifest.inputs if i.role == name]
         variants = tuple(
             Probe(
-                f"{base.label} with the {name} of {other.label}",
-                base.inputs | {key: other.inputs[key] for key in changed},
+                f"{base.label} with the {name} of {variant.label}",
+                base.inputs | {key: variant.inputs[key] for key in changed},
             )
-            for other in others
+            for variant in other_probes
         )
         yield name, variants
 
@@ -105,7 +105,7 @@ def as_tensor(matrix: Float[np.ndarray, "4 4"], order: str) -> Float[np.ndarray,
 
 
 def _sample(
-    one: Input,
+    spec: Input,
     manifest: Manifest,
     shape: tuple[int, ...],
     along: float,
@@ -113,23 +113,23 @@ def _sample(
 ) -> Array:
     space = manifest.space if isinstance(manifest, GeneratorManifest) else None
     order = space.matrix_order if space else "column"
-    if one.role == "view":
+    if spec.role == "view":
         return as_tensor(_camera(manifest, along), order)
-    if one.role == "projection":
+    if spec.role == "projection":
         return as_tensor(_lens(along), order)
-    if one.role == "camera_position":
+    if spec.role == "camera_position":
         view = _camera(manifest, along)
         return np.asarray(-view[:3, :3].T @ view[:3, 3])
-    if one.role == "viewport":
+    if spec.role == "viewport":
         return np.asarray(_viewport(along))
-    low, high = one.range or _usual_range(one)
-    if one.role in ("time", "frame_index", "appearance_id", "timestep"):
+    low, high = spec.range or _usual_range(spec)
+    if spec.role in ("time", "frame_index", "appearance_id", "timestep"):
         value = _between(low, high, np.asarray(along))  # both ends included
-        return np.full(shape, np.rint(value) if ROLES[one.role].index else value)
-    if one.role in ("pose", "root_rotation") and shape[-1] == 4:
+        return np.full(shape, np.rint(value) if ROLES[spec.role].index else value)
+    if spec.role in ("pose", "root_rotation") and shape[-1] == 4:
         quaternion = rng.normal(size=shape)
         return np.asarray(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True))
-    if one.role == "root_rotation" and shape == (3, 3):
+    if spec.role == "root_rotation" and shape == (3, 3):
         q, r = np.linalg.qr(rng.normal(size=(3, 3)))
         q = q * np.sign(np.diag(r))
         return np.asarray(q * np.linalg.det(q))
@@ -150,13 +150,13 @@ def _cast(values: Array, dtype: str) -> Array:
     return np.asarray(values.astype(kind))
 
 
-def _usual_range(one: Input) -> tuple[float, float]:
+def _usual_range(spec: Input) -> tuple[float, float]:
     usual = {
         "pose": (-0.6, 0.6),
         "root_rotation": (-0.6, 0.6),
         "root_translation": (-0.5, 0.5),
     }
-    return usual.get(one.role, (0.0, 1.0))
+    return usual.get(spec.role, (0.0, 1.0))
 
 
 def _viewport(along: float) -> tuple[float, float]:
@@ -165,9 +165,11 @@ def _viewport(along: float) -> tuple[float, float]:
 
 def _lens(along: float) -> Float[np.ndarray, "4 4"]:
     """Return the projection of the camera ``along`` (0..1) the spiral, for its viewport."""
-    narrow, wide = _FOV
+    narrowest, widest = _FOV
     width, height = _viewport(along)
-    return perspective(narrow + (wide - narrow) * along, width / height, _NEAR, _FAR)
+    return perspective(
+        narrowest + (widest - narrowest) * along, width / height, _NEAR, _FAR
+    )
 
 
 def _camera(manifest: Manifest, along: float) -> Float[np.ndarray, "4 4"]:

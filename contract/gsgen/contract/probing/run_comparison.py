@@ -107,12 +107,14 @@ class Behaviour:
     @property
     def emitted(self) -> list[tuple[Probe, dict[str, np.ndarray]]]:
         """The probes that value rules look at, all-zero ones left out, with their outputs."""
-        return [one for one in self._of(range(self.trial.plan.values)) if not one[0].zeros]
+        return [
+            runs for runs in self._of(range(self.trial.plan.values)) if not runs[0].zeros
+        ]
 
     def variants(self, role: str) -> list[tuple[Probe, dict[str, np.ndarray]]]:
         """The base probe and those that differ from it in the inputs of ``role`` alone."""
-        base, others = self.trial.plan.variants.get(role, (0, ()))
-        return self._of((base, *others)) if others else []
+        base, variants = self.trial.plan.variants.get(role, (0, ()))
+        return self._of((base, *variants)) if variants else []
 
     @property
     def values(self) -> list[ProbeRun]:
@@ -133,12 +135,12 @@ class Behaviour:
 
     def visits(self, trial: str) -> list[ProbeRun]:
         """Return the extra runs of one name that took place, and note those that did not."""
-        asked = self.trial.plan.trials.get(trial, ())
-        missed = (index for index in asked if not self._ran(index))
+        probe_indices = self.trial.plan.trials.get(trial, ())
+        missed = (index for index in probe_indices if not self._ran(index))
         self.unfinished_probes.extend(
             self.trial.plan.probes[index].label for index in missed
         )
-        return [self._visit(index) for index in asked if self._ran(index)]
+        return [self._visit(index) for index in probe_indices if self._ran(index)]
 
     def _ran(self, index: int) -> bool:
         run = self.trial.execution.runs[index]
@@ -159,8 +161,8 @@ def read_behaviour(trial: ProbeRuns) -> Behaviour:
     plan = trial.plan
     assert plan.repeated is not None
     varied = {
-        role: tuple(_compare(trial, base, other) for other in others)
-        for role, (base, others) in plan.variants.items()
+        role: tuple(_compare(trial, base, variant) for variant in variants)
+        for role, (base, variants) in plan.variants.items()
     }
     revisited = _compare(trial, *plan.revisited) if plan.revisited else None
     repeated = _compare(trial, *plan.repeated)
@@ -192,5 +194,5 @@ def difference(a: np.ndarray, b: np.ndarray) -> float:
     x, y = a.astype(np.float64), b.astype(np.float64)
     same = (x == y) | (np.isnan(x) & np.isnan(y))
     with np.errstate(invalid="ignore"):  # infinity less infinity
-        wide = np.where(same, 0, np.abs(x - y))
-    return float(np.where(np.isnan(wide), np.inf, wide).max(initial=0.0))
+        errors = np.where(same, 0, np.abs(x - y))
+    return float(np.where(np.isnan(errors), np.inf, errors).max(initial=0.0))

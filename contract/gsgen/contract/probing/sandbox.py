@@ -124,9 +124,9 @@ def execute(
         try:
             _write_job(folder, model, outputs, probes, limits, **options)
         except OSError as error:
-            what = f"inputs cannot be written: {error.strerror or error}"
+            message = f"inputs cannot be written: {error.strerror or error}"
             hint = "Make room there, or set TMPDIR to a folder that has some."
-            raise ConfigInvalid(what, where=str(folder.parent), hint=hint) from error
+            raise ConfigInvalid(message, where=str(folder.parent), hint=hint) from error
         started = time.monotonic()
         ended = _run_child(folder, limits.seconds, worker)
         yield _collect(folder, ended, time.monotonic() - started, limits)
@@ -241,7 +241,7 @@ def _fault(
     events: list[dict[str, Any]], status: int | None, limits: Limits, log: Path
 ) -> Fault | None:
     last: dict[str, Any] = events[-1] if events else {"event": "nothing"}
-    marks = (one for one in reversed(events) if one["event"] in ("begin", "run"))
+    marks = (event for event in reversed(events) if event["event"] in ("begin", "run"))
     begun = next(marks, last)
     probe = begun.get("probe") if begun["event"] == "begin" else None
     if last["event"] == "done" and status == 0:

@@ -64,10 +64,10 @@ def serve(folder: Path, work: Callable[[Path, dict[str, Any], Emit], int]) -> in
 def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
     import onnxruntime
 
-    began = time.monotonic()
+    work_started = time.monotonic()
     emit("started", version=onnxruntime.__version__)
     limit_memory(job["memory"])
-    deadline = began + SHARE_FOR_EXTRAS * job["seconds"]
+    deadline = work_started + SHARE_FOR_EXTRAS * job["seconds"]
     known: dict[str, int] = {}
     probe: int | None = None
     optimised = True
@@ -88,8 +88,8 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
                 started = time.perf_counter()
                 outputs = session.run(job["outputs"], inputs)
                 seconds = time.perf_counter() - started
-                named = dict(zip(job["outputs"], outputs, strict=True))
-                sample = keep_outputs(folder, named, known, emit, thin=extra)
+                by_name = dict(zip(job["outputs"], outputs, strict=True))
+                sample = keep_outputs(folder, by_name, known, emit, thin=extra)
             except Exception as error:
                 if not extra:
                     raise
@@ -111,10 +111,12 @@ def _session(model: str, emit: Emit, *, optimise: bool = True) -> Any:
     if not optimise:
         level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
         options.graph_optimization_level = level
-    began = time.perf_counter()
-    made = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-    emit("loaded", seconds=time.perf_counter() - began)
-    return made
+    started = time.perf_counter()
+    session = onnxruntime.InferenceSession(
+        model, options, providers=["CPUExecutionProvider"]
+    )
+    emit("loaded", seconds=time.perf_counter() - started)
+    return session
 
 
 def read_inputs(path: Path, names: list[str]) -> dict[str, np.ndarray]:
@@ -140,10 +142,12 @@ def keep_outputs(
         known[key] = len(known)
         files = {name: f"sample_{known[key]}_{k}.npy" for k, name in enumerate(outputs)}
         for name, file in files.items():
-            kept = thinned(outputs[name]) if thin else outputs[name]
-            np.save(folder / file, kept, allow_pickle=False)
-        bad = [name for name, value in outputs.items() if thin and not _finite(value)]
-        facts = {"digest": key, "outputs": files, "thin": thin, "not_finite": bad}
+            array = thinned(outputs[name]) if thin else outputs[name]
+            np.save(folder / file, array, allow_pickle=False)
+        not_finite = [
+            name for name, value in outputs.items() if thin and not _finite(value)
+        ]
+        facts = {"digest": key, "outputs": files, "thin": thin, "not_finite": not_finite}
         emit("sample", sample=known[key], **facts)
     return known[key]
 

@@ -19,8 +19,10 @@ def vector_label(label: str, seed: int) -> str:
 
 def probed_seeds(manifest: Manifest, seed: int) -> tuple[int, ...]:
     """Return the seeds, other than ``seed``, whose test vectors are run."""
-    others = dict.fromkeys(one.seed for one in manifest.test_vectors if one.seed != seed)
-    return tuple(others)[:MOST_SEEDS]
+    seeds = dict.fromkeys(
+        vector.seed for vector in manifest.test_vectors if vector.seed != seed
+    )
+    return tuple(seeds)[:MOST_SEEDS]
 
 
 def vector_probes(
@@ -39,12 +41,14 @@ def vector_probes(
         seed: Seed of the probes that are run in any case.
         count: How many probes a set has.
     """
-    made = []
-    for other in probed_seeds(manifest, seed):
-        wanted = {one.inputs for one in manifest.test_vectors if one.seed == other}
-        for probe in default_probes(manifest, shapes, dtypes, other, count):
-            if probe.label in wanted:
-                label = vector_label(probe.label, other)
-                made.append(replace(probe, label=label, extra=True))
-    if made:
-        yield "vectors", tuple(made)
+    probes = []
+    for vector_seed in probed_seeds(manifest, seed):
+        labels = {
+            vector.inputs for vector in manifest.test_vectors if vector.seed == vector_seed
+        }
+        for probe in default_probes(manifest, shapes, dtypes, vector_seed, count):
+            if probe.label in labels:
+                label = vector_label(probe.label, vector_seed)
+                probes.append(replace(probe, label=label, extra=True))
+    if probes:
+        yield "vectors", tuple(probes)

@@ -47,8 +47,8 @@ def atomic_write(path: Path) -> Iterator[Path]:
             if error.filename is not None and name not in str(error.filename):
                 raise  # of a file that is read
             raise _unwritten(path, error) from error
-        made = [file for file in Path(name).rglob("*") if not file.is_dir()]
-        for file in sorted(made, key=lambda file: (file == draft, file)):
+        written_files = [file for file in Path(name).rglob("*") if not file.is_dir()]
+        for file in sorted(written_files, key=lambda file: (file == draft, file)):
             target = path.parent / file.relative_to(name)
             try:
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -78,7 +78,7 @@ def is_device(path: Path) -> bool:
     file there takes the name away from all others.
     """
     way = (path, path.readlink()) if path.is_symlink() else (path,)
-    if any(one.parent.resolve().is_relative_to("/proc") for one in way):
+    if any(parent.parent.resolve().is_relative_to("/proc") for parent in way):
         return True
     return path.exists() and not path.is_file() and not path.is_dir()
 
@@ -90,8 +90,8 @@ def refuse_device(path: Path) -> None:
         ConfigInvalid: ``path`` is one.
     """
     if is_device(path):
-        what = "is a device or a pipe, wanted a file to write"
-        raise ConfigInvalid(what, where=str(path), hint="Name a file.")
+        message = "is a device or a pipe, wanted a file to write"
+        raise ConfigInvalid(message, where=str(path), hint="Name a file.")
 
 
 def refuse_itself(
@@ -102,9 +102,11 @@ def refuse_itself(
     Raises:
         ConfigInvalid: ``path`` is one of ``sources``, which would be lost.
     """
-    if path.exists() and any(one.exists() and path.samefile(one) for one in sources):
-        what = "is the file that is read, and would be lost"
-        raise ConfigInvalid(what, where=str(path), hint=hint)
+    if path.exists() and any(
+        source.exists() and path.samefile(source) for source in sources
+    ):
+        message = "is the file that is read, and would be lost"
+        raise ConfigInvalid(message, where=str(path), hint=hint)
 
 
 def refuse_model(path: Path, models: Iterable[Path] = ()) -> None:
@@ -123,8 +125,8 @@ def refuse_model(path: Path, models: Iterable[Path] = ()) -> None:
     refuse_itself(path, models)
     if path.suffix.lower() == _MODEL:
         hint = f"Name another file, such as {path.with_suffix('.txt')}."
-        what = f"ends in {_MODEL}, and what is written there is no model"
-        raise ConfigInvalid(what, where=str(path), hint=hint)
+        message = f"ends in {_MODEL}, and what is written there is no model"
+        raise ConfigInvalid(message, where=str(path), hint=hint)
 
 
 def _unwritten(path: Path, error: OSError) -> ConfigInvalid:

@@ -5,7 +5,7 @@ driver computes, nor while it waits at exit for a thread that never ends. Whoeve
 would have to find out how to kill a process.
 """
 
-__all__ = ["INTERRUPTED", "Interrupts", "ending_at_interrupts"]
+__all__ = ["Interrupts", "ending_at_interrupts"]
 
 import os
 import signal
@@ -15,8 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Final, final
 
-INTERRUPTED: Final = 130
-"""What shells expect of a program that Ctrl-C ended: 128 and the number of the signal."""
+from gsgen.contract.errors import ExitCode
 
 _GRACE_SECONDS: Final = 2.0
 _OVER: Final = b"\0"  # no signal has this number
@@ -28,10 +27,10 @@ class Interrupts:
     """What is known of interrupts.
 
     Attributes:
-        seen: Set once there was one.
+        requested: Set once there was one.
     """
 
-    seen: threading.Event = field(default_factory=threading.Event)
+    requested: threading.Event = field(default_factory=threading.Event)
 
 
 @contextmanager
@@ -47,28 +46,28 @@ def ending_at_interrupts(seconds: float = _GRACE_SECONDS) -> Iterator[Interrupts
     if threading.current_thread() is not threading.main_thread():
         yield interrupts  # signals are the main thread's
         return
-    told, teller = os.pipe()
+    read_end, write_end = os.pipe()
     if os.name != "nt":  # there, Python asks for no such thing
-        os.set_blocking(teller, False)
+        os.set_blocking(write_end, False)
     watch = threading.Thread(
-        target=_watch, args=(told, interrupts, seconds), name="interrupts", daemon=True
+        target=_watch, args=(read_end, interrupts, seconds), name="interrupts", daemon=True
     )
-    before = signal.set_wakeup_fd(teller, warn_on_full_buffer=False)
+    before = signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
     watch.start()
     try:
         yield interrupts
     finally:
         signal.set_wakeup_fd(before)
-        os.write(teller, _OVER)
+        os.write(write_end, _OVER)
         watch.join()
-        os.close(teller)
-        os.close(told)
+        os.close(write_end)
+        os.close(read_end)
 
 
-def _watch(told: int, interrupts: Interrupts, seconds: float) -> None:
-    while (number := os.read(told, 1)) != _OVER:
-        if number[0] == signal.SIGINT and not interrupts.seen.is_set():
-            interrupts.seen.set()
-            end = threading.Timer(seconds, os._exit, (INTERRUPTED,))
+def _watch(read_end: int, interrupts: Interrupts, seconds: float) -> None:
+    while (number := os.read(read_end, 1)) != _OVER:
+        if number[0] == signal.SIGINT and not interrupts.requested.is_set():
+            interrupts.requested.set()
+            end = threading.Timer(seconds, os._exit, (ExitCode.INTERRUPTED,))
             end.daemon = True
             end.start()

@@ -69,9 +69,9 @@ def _type_schema(hint: Any, definitions: dict[str, object]) -> dict[str, object]
     if origin is Annotated:
         base, *extra = get_args(hint)
         entry = _type_schema(base, definitions)
-        for one in extra:
-            if isinstance(one, Hint):
-                entry = _constrain(entry, one)
+        for annotation in extra:
+            if isinstance(annotation, Hint):
+                entry = _constrain(entry, annotation)
         return entry
     if origin is Literal:
         return {"enum": list(get_args(hint))}
@@ -111,8 +111,8 @@ def _tuple_schema(
 def to_json(value: Any) -> Any:
     """Turn a dataclass (or a part of one) into what ``json.dumps`` takes, without absent fields."""
     if is_dataclass(value) and not isinstance(value, type):
-        given = ((f, getattr(value, f.name)) for f in fields(value))
-        return {f.name: to_json(entry) for f, entry in given if not _is_absent(f, entry)}
+        members = ((f, getattr(value, f.name)) for f in fields(value))
+        return {f.name: to_json(entry) for f, entry in members if not _is_absent(f, entry)}
     if isinstance(value, (tuple, list)):
         return [to_json(item) for item in value]
     if isinstance(value, Mapping):
@@ -139,9 +139,11 @@ def from_json(hint: Any, value: Any) -> Any:
         return _from_union(get_args(hint), value)
     if origin is tuple:
         item = get_args(hint)[0]
-        return tuple(from_json(item, one) for one in value)
+        return tuple(from_json(item, element) for element in value)
     if origin is dict:
-        return {key: from_json(get_args(hint)[1], one) for key, one in value.items()}
+        return {
+            key: from_json(get_args(hint)[1], element) for key, element in value.items()
+        }
     if is_dataclass(hint) and isinstance(hint, type):
         hints = _hints_of(hint)
         return hint(**{k: from_json(hints[k], v) for k, v in value.items() if k in hints})
@@ -155,17 +157,17 @@ def from_json(hint: Any, value: Any) -> Any:
 @cache
 def _hints_of(cls: type) -> dict[str, Any]:
     hints = get_type_hints(cls, include_extras=True)
-    return {one.name: hints[one.name] for one in fields(cls)}
+    return {field.name: hints[field.name] for field in fields(cls)}
 
 
 def _from_union(options: tuple[Any, ...], value: Any) -> Any:
     if value is None:
         return None
     for option in options:
-        bare = get_args(option)[0] if get_origin(option) is Annotated else option
-        origin = get_origin(bare)
+        unannotated = get_args(option)[0] if get_origin(option) is Annotated else option
+        origin = get_origin(unannotated)
         if isinstance(value, (list, tuple)) == (origin is tuple):
-            if isinstance(value, str) != (bare is str or origin is Literal):
+            if isinstance(value, str) != (unannotated is str or origin is Literal):
                 continue
             if option is not type(None):
                 return from_json(option, value)

@@ -6,6 +6,8 @@ __all__ = [
     "COVARIANCE",
     "CULL_OPACITY",
     "FIELDS",
+    "ITEMSIZE",
+    "MOSTLY_INVISIBLE",
     "OPACITY",
     "POSITION",
     "ROW",
@@ -46,8 +48,14 @@ CELL_FIELDS = (*FIELDS[:VISIBILITY], "visibility", *FIELDS[VISIBILITY + 1 :])
 # rasteriser of Kerbl et al. 2023 skips it.
 CULL_OPACITY = 1 / 255
 
+# A model is mostly invisible if more than this share of its rows is below that opacity.
+MOSTLY_INVISIBLE = 0.9
+
 # Shaders read storage buffers in whole words of this many bytes.
 WORD_BYTES = 4
+
+# Bytes of an element, by the dtypes that outputs may have.
+ITEMSIZE = {"float32": 4, "float16": 2}
 
 # The channels an appearance row may have, by its declared space.
 APPEARANCE_CHANNELS: dict[str, tuple[int, ...]] = {
@@ -78,20 +86,20 @@ class DecodedGaussians:
 
     def __post_init__(self) -> None:
         n = len(self.position)
-        wanted: dict[str, tuple[int, ...]] = {"position": (n, 3), "opacity": (n,)}
-        wanted["covariance"] = (n, 6)
+        expected: dict[str, tuple[int, ...]] = {"position": (n, 3), "opacity": (n,)}
+        expected["covariance"] = (n, 6)
         if (self.sh is None) == (self.rgb is None):
             raise LayoutMismatch("give exactly one of sh and rgb", where="Gaussians")
         if self.rgb is not None:
-            wanted["rgb"] = (n, 3)
+            expected["rgb"] = (n, 3)
         elif self.sh is not None:
             k = self.sh.shape[1] if self.sh.ndim == 3 else 0
-            wanted["sh"] = (n, k if k in COEFFICIENTS else COEFFICIENTS[-1], 3)
-        for name, shape in wanted.items():
-            seen = getattr(self, name).shape
-            if seen != shape:
+            expected["sh"] = (n, k if k in COEFFICIENTS else COEFFICIENTS[-1], 3)
+        for name, shape in expected.items():
+            actual = getattr(self, name).shape
+            if actual != shape:
                 raise LayoutMismatch(
-                    f"shape is {list(seen)}, wanted {list(shape)}",
+                    f"shape is {list(actual)}, wanted {list(shape)}",
                     where=f"Gaussians.{name}",
                 )
 
@@ -176,13 +184,13 @@ def decode(
             f"shape is {list(appearance.shape)}, wanted [{len(rows)}, C] with C in {allowed}",
             where="appearance",
         )
-    wide = rows.astype(np.float32)
+    float_rows = rows.astype(np.float32)
     color = appearance.astype(np.float32)
     n = len(rows)
     return DecodedGaussians(
-        position=wide[:, POSITION],
-        opacity=wide[:, OPACITY],
-        covariance=wide[:, COVARIANCE],
+        position=float_rows[:, POSITION],
+        opacity=float_rows[:, OPACITY],
+        covariance=float_rows[:, COVARIANCE],
         sh=color.reshape(n, color.shape[1] // 3, 3) if space == "sh" else None,
         rgb=color[:, :3] if space == "rgb" else None,
     )
@@ -198,5 +206,7 @@ def decode_cells(rows: Float[np.ndarray, "c 10"]) -> Cells:
         raise LayoutMismatch(
             f"shape is {list(rows.shape)}, wanted [C, {ROW}]", where="cells"
         )
-    wide = rows.astype(np.float32)
-    return Cells(wide[:, POSITION], wide[:, VISIBILITY], wide[:, COVARIANCE])
+    float_rows = rows.astype(np.float32)
+    return Cells(
+        float_rows[:, POSITION], float_rows[:, VISIBILITY], float_rows[:, COVARIANCE]
+    )

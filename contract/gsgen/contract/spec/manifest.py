@@ -86,8 +86,8 @@ class Bounds:
             points: Centres, in local units.
             margin: How much wider the box is, as a share of its size.
         """
-        wide = np.asarray(points, np.float64)
-        finite = wide[np.isfinite(wide).all(axis=1)]
+        float64_points = np.asarray(points, np.float64)
+        finite = float64_points[np.isfinite(float64_points).all(axis=1)]
         if not len(finite):
             return None
         low, high = finite.min(axis=0), finite.max(axis=0)

@@ -60,11 +60,11 @@ def schema_name(kind: str, version: Version = CURRENT) -> str:
 
 def schemas() -> dict[str, dict[str, object]]:
     """Generate the schemas of the current version from the dataclasses: file name → document."""
-    made: dict[str, dict[str, object]] = {}
+    documents: dict[str, dict[str, object]] = {}
     for kind in KINDS:
         body = schema_of(manifest_type(kind), title=f"gsgen manifest: {kind}")
-        made[schema_name(kind)] = body | {"required": _required(body)}
-    return made
+        documents[schema_name(kind)] = body | {"required": _required(body)}
+    return documents
 
 
 def _required(body: dict[str, object]) -> list[object]:
@@ -156,9 +156,9 @@ def dumps(manifest: Manifest, *, indent: int | None = 2) -> str:
     Raises:
         ManifestInvalid: A value in it does not follow the schema.
     """
-    plain = to_json(manifest)
-    first = {"contract": plain.pop("contract"), "kind": plain.pop("kind")}
-    text = json.dumps(first | {"inputs": []} | plain, indent=indent, ensure_ascii=False)
+    document = to_json(manifest)
+    first = {"contract": document.pop("contract"), "kind": document.pop("kind")}
+    text = json.dumps(first | {"inputs": []} | document, indent=indent, ensure_ascii=False)
     loads(text)
     return text
 

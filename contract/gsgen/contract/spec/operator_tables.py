@@ -50,7 +50,7 @@ class OperatorTable:
         """Return an operator set in which it is captured; None if there is none."""
         steps = self.outcomes.get((f"{operator}/{variant}", dtype)) if variant else None
         steps = steps or self.outcomes.get((operator, dtype), {})
-        return next((step for step, found in steps.items() if found == CAPTURE), None)
+        return next((step for step, outcome in steps.items() if outcome == CAPTURE), None)
 
 
 @cache
@@ -67,7 +67,7 @@ def operator_table(name: str) -> OperatorTable:
         raise UnknownName.among("operator table", name, known)
     data = json.loads(file.read_text("utf-8"))
     outcomes = {
-        (operator, dtype): {int(opset): found for opset, found in steps.items()}
+        (operator, dtype): {int(opset): outcome for opset, outcome in steps.items()}
         for operator, groups in data["operators"].items()
         for dtypes, steps in groups.items()
         for dtype in dtypes.split()

@@ -133,8 +133,8 @@ def matching_shape(entry: Role, dims: Shape) -> Shape | None:
         if shape == ("*",):
             return shape
         if len(shape) == len(dims) and all(
-            isinstance(expected, str) or expected == seen
-            for expected, seen in zip(shape, dims, strict=True)
+            isinstance(expected, str) or expected == dim
+            for expected, dim in zip(shape, dims, strict=True)
         ):
             return shape
     return None

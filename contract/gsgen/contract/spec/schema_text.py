@@ -19,7 +19,7 @@ class Hint:
 
     def keywords(self) -> dict[str, object]:
         """Return the JSON Schema keywords that this hint stands for."""
-        named = {
+        by_keyword = {
             "description": self.text or None,
             "minimum": self.minimum,
             "exclusiveMinimum": self.above,
@@ -28,4 +28,4 @@ class Hint:
             "pattern": self.pattern,
             "enum": list(self.enum) or None,
         }
-        return {key: value for key, value in named.items() if value is not None}
+        return {key: value for key, value in by_keyword.items() if value is not None}

@@ -9,7 +9,7 @@ from importlib import resources
 from importlib.metadata import EntryPoint
 from typing import Any
 
-from gsgen.contract._entry_points import registered
+from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.spec.severity import Severity
 
@@ -79,12 +79,12 @@ def _own_targets() -> dict[str, Target]:
     """Return the targets that come with gsgen."""
     folder = resources.files("gsgen.contract").joinpath("targets_data")
     files = sorted(folder.iterdir(), key=lambda entry: entry.name)
-    found = [
+    targets = [
         target_from_json(file.read_text("utf-8"), file.name)
         for file in files
         if file.name.endswith(".json")
     ]
-    return {target.name: target for target in found}
+    return {target.name: target for target in targets}
 
 
 @cache
@@ -97,11 +97,11 @@ def known_targets() -> dict[str, Target]:
     Raises:
         ConfigInvalid: A registered target cannot be loaded.
     """
-    found = dict(_own_targets())
-    for point in registered("gsgen.targets"):
+    targets = dict(_own_targets())
+    for point in registered_entry_points("gsgen.targets"):
         target = _loaded(point)
-        found[target.name] = target
-    return found
+        targets[target.name] = target
+    return targets
 
 
 def _loaded(point: EntryPoint) -> Target:
@@ -123,14 +123,14 @@ def load_target(name: str, where: str = "--target") -> Target:
         UnknownName: There is none of that name.
         ConfigInvalid: There is, but in another version.
     """
-    wanted, _, version = name.partition("@")
-    own = _own_targets()
-    targets = own if wanted in own else known_targets()
-    if wanted not in targets:
-        raise UnknownName.among("target", wanted, targets, where)
-    target = targets[wanted]
+    base_name, _, version = name.partition("@")
+    contract_targets = _own_targets()
+    targets = contract_targets if base_name in contract_targets else known_targets()
+    if base_name not in targets:
+        raise UnknownName.among("target", base_name, targets, where)
+    target = targets[base_name]
     if version and version != target.version:
         raise ConfigInvalid(
-            f"target {wanted} has version {target.version}, not {version}", where=where
+            f"target {base_name} has version {target.version}, not {version}", where=where
         )
     return target
