@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.contract.commands.progress import clear, progress
-from gsgen.contract.errors import ConfigInvalid, GsgenError, ModelUnreadable
+from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError, ModelUnreadable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from gsgen.sdk.rewriting.rewrite import Change, Rewritten
 
-_UNREADABLE = 4
 _SHOWN = 4
 
 
@@ -96,7 +95,7 @@ def rewrite(
         clear()
         typer.echo(f"gsgen: {error}", err=True)
         raise typer.Exit(
-            _UNREADABLE if isinstance(error, ModelUnreadable) else 1
+            ExitCode.UNREADABLE if isinstance(error, ModelUnreadable) else ExitCode.FAILURE
         ) from error
     clear()
     if as_json:
@@ -104,9 +103,9 @@ def rewrite(
         return
     for line in _report(done):
         typer.echo(line)
-    if done.unjudged:
+    if done.uncompared:
         typer.echo(
-            f"gsgen: {', '.join(done.unjudged)}: no finite number at any of {done.probes} probes, "
+            f"gsgen: {', '.join(done.uncompared)}: no finite number at any of {done.probes} probes, "
             "so the rewrite is not proven",
             err=True,
         )
@@ -128,7 +127,7 @@ def _list(target: str, as_json: bool) -> None:
             "summary": one.summary(),
             "exactness": one.exactness.describe(),
             "wanted_by": one.wanted_by,
-            "runs": one.for_goal(goal) is not None,
+            "runs": one.for_target(goal) is not None,
         }
         for one in REWRITES
     ]
@@ -155,7 +154,7 @@ def _report(done: "Rewritten") -> "Iterator[str]":
     for line in after.uncaptured:
         yield f"  {line}"
     for one in done.refusals[:_SHOWN]:
-        yield f"left by {one.rewrite}: {one.where}: {one.why}"
+        yield f"left by {one.rewrite}: {one.where}: {one.reason}"
     if len(done.refusals) > _SHOWN:
         yield f"… and {len(done.refusals) - _SHOWN} more were left, which --json lists"
     if done.changes:
@@ -172,9 +171,11 @@ def _counted(change: "Change") -> str:
 
 def _compared(done: "Rewritten") -> str:
     parts = [f"{one.output} differs by {one.largest:.2g}" for one in done.differences]
-    if not done.unjudged:
+    if not done.uncompared:
         return ", ".join(parts) or "equal bits"
-    blank = f"{', '.join(done.unjudged)} could not be judged, for want of any finite number"
+    blank = (
+        f"{', '.join(done.uncompared)} could not be judged, for want of any finite number"
+    )
     return "; ".join([", ".join(parts) or "nothing differs", blank])
 
 
@@ -189,6 +190,8 @@ def _document(done: "Rewritten") -> dict[str, object]:
         "after": asdict(done.after),
         "probes": done.probes,
         "differences": [asdict(one) for one in done.differences],
-        "unjudged": done.unjudged,
-        "left": [asdict(one) for one in done.refusals],
+        "unjudged": done.uncompared,
+        "left": [
+            {"rewrite": r.rewrite, "where": r.where, "why": r.reason} for r in done.refusals
+        ],
     }

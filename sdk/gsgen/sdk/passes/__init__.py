@@ -1,4 +1,4 @@
-"""Graph rewrites: each says why it is needed, and keeps what the graph computes."""
+"""Which graph rewrites exist, and which outputs can they repair? None changes what a graph computes."""
 
 __all__ = [
     "CastCount",

@@ -1,7 +1,7 @@
-"""All rewrites, in the order in which they run.
+"""All graph rewrites, in the order in which they run.
 
-The order is sound for one reason a block. Within a round every pass runs once; rounds are repeated
-until nothing changes, so a pass may rely on what a later one did in the round before.
+A comment gives the reason for each block's position. Every pass runs once in a round; rounds are
+repeated until nothing changes, so a pass may rely on a later pass of the previous round.
 """
 
 __all__ = ["REWRITES", "find_rewrites"]
@@ -45,19 +45,19 @@ from gsgen.sdk.passes.simplify.merge_transposes import MergeTransposes
 from gsgen.sdk.passes.simplify.remove_no_ops import RemoveNoOps
 
 REWRITES: tuple[type[Rewrite], ...] = (
-    # -- First what makes shapes and constants known: others look at them.
+    # -- First, passes that make shapes and constants known: later passes read them.
     FreezeDimensions,
     FoldShapes,
     UnrollControlFlow,
-    # -- Then what gives back what an exporter or an optimiser took away.
+    # -- Then the guards that an exporter or an optimiser removed.
     RestoreGuards,
-    # -- Whole constructs that no GPU runs, written out with plain operators.
+    # -- Constructs that no GPU runs, written out with basic operators.
     MaskRows,
     SampleByGather,
     # -- The operator set, before operators are looked up in tables.
     LowerOpset,
-    # -- Operators without a kernel, by ones that have one. Integers first: what they become may
-    #    lack a kernel in its turn.
+    # -- Operators without a kernel, replaced by ones that have one. Integers first: their
+    #    replacements may lack a kernel, too.
     MakeDefaultsExplicit,
     ClipBeforeCast,
     NarrowIntegers,
@@ -72,7 +72,7 @@ REWRITES: tuple[type[Rewrite], ...] = (
     WriteOutSigns,
     MultiplyMatrices,
     RoundByFloor,
-    # -- Less work: what the result does not need, and what can be done at once.
+    # -- Less work: unneeded operators are removed, consecutive ones merged.
     WorkInColumns,
     SampleByProduct,
     PickParts,
@@ -81,35 +81,37 @@ REWRITES: tuple[type[Rewrite], ...] = (
     MergeCasts,
     MergeReshapes,
     DeduplicateWeights,
-    # -- Widths and sizes that a target can bind, once nothing joins things any more.
+    # -- Widths and sizes that a target can bind, after every pass that joins tensors.
     SplitLargeWeights,
     ChunkConcat,
     ChunkSplit,
-    # -- Last: how outputs end, whatever came before.
+    # -- Last, the operators that produce outputs.
     EndOutputsOnCompute,
 )
 
 
 def find_rewrites(
-    goal: RewriteTarget, only: Sequence[str] = (), skip: Sequence[str] = ()
+    target: RewriteTarget, only: Sequence[str] = (), skip: Sequence[str] = ()
 ) -> list[Rewrite]:
-    """Return the passes that ``goal`` wants, in order.
+    """Return the rewrites that ``target`` needs, in order.
 
     Args:
-        goal: What to rewrite for.
-        only: Names of passes; none besides runs.
-        skip: Names of passes that do not run.
+        target: The consumer to rewrite for.
+        only: Names of the passes to run; all if empty.
+        skip: Names of passes not to run.
 
     Raises:
-        UnknownName: A name is no pass.
+        UnknownName: No pass has this name.
     """
-    known = [one.name for one in REWRITES]
+    known = [rewrite.name for rewrite in REWRITES]
     for option, names in (("--pass", only), ("--skip", skip)):
         for name in names:
             if name not in known:
                 raise UnknownName.among("pass", name, known, option)
-    chosen = [
-        one for one in REWRITES if (not only or one.name in only) and one.name not in skip
+    selected_passes = [
+        rewrite
+        for rewrite in REWRITES
+        if (not only or rewrite.name in only) and rewrite.name not in skip
     ]
-    made = [one.for_goal(goal) for one in chosen]
-    return [one for one in made if one is not None]
+    rewrites = [rewrite.for_target(target) for rewrite in selected_passes]
+    return [rewrite for rewrite in rewrites if rewrite is not None]

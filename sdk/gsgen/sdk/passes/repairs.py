@@ -1,4 +1,4 @@
-"""Repairs of outputs that break a rule in a way with one right answer."""
+"""Repairs of outputs that violate a rule, where only one repair is possible."""
 
 __all__ = [
     "CastCount",
@@ -27,7 +27,7 @@ _RGB = 3
 
 
 class CastCount(passes.InPlacePass):
-    """Make the row count int32 [1]: runtimes bind four bytes to it (rule GO011).
+    """Cast the row count to int32 [1]: runtimes bind four bytes to it (rule GO011).
 
     ::
 
@@ -39,13 +39,15 @@ class CastCount(passes.InPlacePass):
         self.name = name
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Cast last, so that the output ends on an operator that capture records."""
+        """Reshape and cast the count; Cast comes last because graph capture records it."""
         graph, count = model.graph, _output(model, self.name)
         flat = count.shape is not None and list(count.shape) == [1]
         if flat and count.dtype == ir.DataType.INT32:
             return passes.PassResult(model, modified=False)
-        one = weight(graph, f"{self.name}_one", np.array([1]))
-        shaped = new_node("Reshape", [count, one], f"{self.name}_flat", dtype=count.dtype)
+        vector_shape = weight(graph, f"{self.name}_one", np.array([1]))
+        shaped = new_node(
+            "Reshape", [count, vector_shape], f"{self.name}_flat", dtype=count.dtype
+        )
         cast = new_node(
             "Cast",
             [shaped.outputs[0]],
@@ -59,7 +61,7 @@ class CastCount(passes.InPlacePass):
 
 
 class PadColor(passes.InPlacePass):
-    """Give float16 RGB a fourth channel of ones: a row must fill whole words (rule GO015).
+    """Pad float16 RGB to four channels with ones: a row must fill whole words (rule GO015).
 
     ::
 
@@ -71,39 +73,39 @@ class PadColor(passes.InPlacePass):
         self.name = name
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Append a constant column."""
+        """Append a column of ones to the colour output."""
         graph, color = model.graph, _output(model, self.name)
         if color.shape is None or len(color.shape) != 2 or color.shape[1] != _RGB:
             return passes.PassResult(model, modified=False)
         rows = color.shape[0]
         if not isinstance(rows, int) or color.dtype != ir.DataType.FLOAT16:
             return passes.PassResult(model, modified=False)
-        # One number, as a column of them would be stored; it is spread when a model is loaded.
-        one = weight(graph, f"{self.name}_one", np.ones((1, 1), np.float16))
+        # One number, expanded when the model is loaded: a whole column would be stored.
+        unit = weight(graph, f"{self.name}_one", np.ones((1, 1), np.float16))
         size = weight(graph, f"{self.name}_rows", np.array([rows, 1], np.int64))
-        ones = new_node(
+        column = new_node(
             "Expand",
-            [one, size],
+            [unit, size],
             f"{self.name}_ones",
             dtype=ir.DataType.FLOAT16,
             shape=[rows, 1],
         )
         joined = new_node(
             "Concat",
-            [color, ones.outputs[0]],
+            [color, column.outputs[0]],
             f"{self.name}_padded",
             dtype=color.dtype,
             shape=[rows, _RGB + 1],
             axis=1,
         )
-        append_output(graph, color, [ones, joined])
+        append_output(graph, color, [column, joined])
         return passes.PassResult(model, modified=True)
 
 
 class SilencePadding(passes.InPlacePass):
-    """Set every value of the rows behind the count to zero (rules GV002 and GV018).
+    """Set every value of the rows after the count to zero (rules GV002 and GV018).
 
-    Where selects, so a NaN behind the count does not survive as it would a product::
+    Where selects, so a NaN after the count is removed; a product would keep it::
 
         gaussians   →   Where(arange < num_points, gaussians, 0) → gaussians
     """
@@ -114,53 +116,59 @@ class SilencePadding(passes.InPlacePass):
         self.count = count
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Guard each output with the same mask."""
+        """Mask each output with the same condition, row number < count."""
         graph, count = model.graph, _output(model, self.count)
         outputs = [_output(model, name) for name in self.names]
         rows = outputs[0].shape[0] if outputs[0].shape is not None else None
         if not isinstance(rows, int):
             return passes.PassResult(model, modified=False)
-        order = weight(graph, "row_numbers", np.arange(rows, dtype=np.int32)[:, None])
+        row_numbers = weight(graph, "row_numbers", np.arange(rows, dtype=np.int32)[:, None])
         live = new_node(
-            "Less", [order, count], "live_rows", dtype=ir.DataType.BOOL, shape=[rows, 1]
+            "Less",
+            [row_numbers, count],
+            "live_rows",
+            dtype=ir.DataType.BOOL,
+            shape=[rows, 1],
         )
         graph.append(live)
         for value in outputs:
             assert value.dtype is not None
             zero = weight(graph, f"{value.name}_zero", np.zeros((), value.dtype.numpy()))
-            kept = new_node("Where", [live.outputs[0], value, zero], f"{value.name}_live")
-            kept.outputs[0].type, kept.outputs[0].shape = value.type, value.shape
-            append_output(graph, value, [kept])
+            masked = new_node("Where", [live.outputs[0], value, zero], f"{value.name}_live")
+            masked.outputs[0].type, masked.outputs[0].shape = value.type, value.shape
+            append_output(graph, value, [masked])
         return passes.PassResult(model, modified=True)
 
 
 class RenameOutputs(passes.InPlacePass):
-    """Rename outputs, so that a viewer that goes by names finds them (TV101, TV102)."""
+    """Rename outputs for viewers that find them by name (rules TV101 and TV102)."""
 
     def __init__(self, names: Mapping[str, str]) -> None:
         super().__init__()
         self.names = names
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Rename values; a name that is taken inside the graph makes way.
+        """Rename the outputs; an inner value that has the new name gets another one.
 
         Raises:
-            GsgenError: An input has the name, or another output.
+            GsgenError: An input or another output already has the new name.
         """
-        wanted = {old: new for old, new in self.names.items() if old != new}
+        renames = {old: new for old, new in self.names.items() if old != new}
         graph = model.graph
-        ends = {*graph.inputs, *(v for v in graph.outputs if v.name not in wanted)}
-        taken = {value.name for value in ends}
-        for old, new in wanted.items():
-            if new in taken:
-                raise GsgenError(f"has the name that output {old!r} was to get", where=new)
+        ends = {*graph.inputs, *(v for v in graph.outputs if v.name not in renames)}
+        used_names = {value.name for value in ends}
+        for old, new in renames.items():
+            if new in used_names:
+                raise GsgenError(
+                    f"already exists, so output {old!r} cannot be renamed to it", where=new
+                )
         inner = [value for node in graph for value in node.outputs]
         for value in (*inner, *graph.initializers.values()):
-            if value.name in wanted.values() and value not in graph.outputs:
+            if value.name in renames.values() and value not in graph.outputs:
                 value.name = free_name(graph, f"{value.name}_inner")
         for value in model.graph.outputs:
-            value.name = wanted.get(value.name or "", value.name)
-        return passes.PassResult(model, modified=bool(wanted))
+            value.name = renames.get(value.name or "", value.name)
+        return passes.PassResult(model, modified=bool(renames))
 
 
 class PinDimensions(passes.InPlacePass):
@@ -171,7 +179,7 @@ class PinDimensions(passes.InPlacePass):
         self.sizes = sizes
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Replace every symbol that has a size."""
+        """Replace every symbolic dimension that has a size."""
         modified = False
         for value in (*model.graph.inputs, *model.graph.outputs):
             if value.shape is None:
@@ -192,7 +200,7 @@ def _output(model: ir.Model, name: str) -> ir.Value:
 
 
 class ReorderHarmonics(passes.InPlacePass):
-    """Turn channel-major SH into coefficient-major; done on request only (rule GV014 is a guess).
+    """Reorder channel-major SH to coefficient-major, on request only (rule GV014 is a heuristic).
 
     ::
 
@@ -204,14 +212,14 @@ class ReorderHarmonics(passes.InPlacePass):
         self.name = name
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Gather columns in the order that readers take them in."""
+        """Gather the columns in coefficient-major order."""
         graph, color = model.graph, _output(model, self.name)
         size = color.shape[1] if color.shape is not None and len(color.shape) == 2 else None
         if not isinstance(size, int) or size % _RGB:
             return passes.PassResult(model, modified=False)
         slots = np.arange(size).reshape(_RGB, -1).T.reshape(-1)
         order = weight(graph, f"{self.name}_order", slots)
-        taken = new_node("Gather", [color, order], f"{self.name}_reordered", axis=1)
-        taken.outputs[0].type, taken.outputs[0].shape = color.type, color.shape
-        append_output(graph, color, [taken])
+        gathered = new_node("Gather", [color, order], f"{self.name}_reordered", axis=1)
+        gathered.outputs[0].type, gathered.outputs[0].shape = color.type, color.shape
+        append_output(graph, color, [gathered])
         return passes.PassResult(model, modified=True)

@@ -82,4 +82,7 @@ def test_a_name_of_an_input_or_output_is_not_given_again(taken: str) -> None:
     model = parsed("g (float[2] x) => (float[2] y, float[2] z) { y = Abs (x) z = Neg (x) }")
     with pytest.raises(GsgenError) as caught:
         RenameOutputs({"y": taken})(model)
-    assert str(caught.value) == f"{taken}: has the name that output 'y' was to get"
+    assert (
+        str(caught.value)
+        == f"{taken}: already exists, so output 'y' cannot be renamed to it"
+    )

@@ -133,5 +133,5 @@ def test_what_is_not_bilinear_or_not_known_is_left_alone(change: dict, why: str)
     before = text_of(model)
     rewrite = SampleByGather()
     assert not rewrite(model).modified
-    assert why in rewrite.refusals[0].why
+    assert why in rewrite.refusals[0].reason
     assert text_of(model) == before

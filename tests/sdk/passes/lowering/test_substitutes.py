@@ -78,12 +78,12 @@ def test_extremes_are_selected(name: str, dtype: str) -> None:
 def test_only_releases_without_a_kernel_want_the_selection() -> None:
     text = "g (float[2] a, float[2] b) => (float[2] y) { y = Max (a, b) }"
     old, new = (
-        SelectExtremes.for_goal(RewriteTarget.of(load_target(t)))
+        SelectExtremes.for_target(RewriteTarget.of(load_target(t)))
         for t in ("visionary", "webgpu")
     )
     assert not new(parsed(text)).modified
     assert old(parsed(text)).modified
-    assert SelectExtremes.for_goal(RewriteTarget(load_target("core"))) is None
+    assert SelectExtremes.for_target(RewriteTarget(target=load_target("core"))) is None
 
 
 # ---- Activations -----------------------------------------------------------------------------

@@ -128,7 +128,7 @@ def sizes_of(text: str) -> tuple[int, ...]:
 
 
 REFUSED = {
-    "data decides when it ends": (
+    "its end depends on data": (
         "g (float[2] x, bool go) => (float[2] y) <int64 n = {3}> { y = Loop (n, , x)"
         " <body = b (int64 i, bool c, float[2] v) => (bool on, float[2] w)"
         " { on = Identity (go)\n w = Neg (v) }> }"
@@ -143,9 +143,9 @@ REFUSED = {
         " <then_branch = t () => (float[2] u) { u = Neg (x) },"
         " else_branch = e () => (float[2] v) { v = Abs (x) }> }"
     ),
-    "300 turns": loop(300),
+    "300 iterations": loop(300),
     "no shape": loop(0),
-    "length of what it scans": (
+    "length of its scanned inputs": (
         "g (float[2] x, float[N,2] rows) => (float[2] y) { y = Scan (x, rows)"
         " <num_scan_inputs = 1, body = b (float[2] v, float[2] row) => (float[2] w)"
         " { w = Add (v, row) }> }"
@@ -159,7 +159,7 @@ def test_what_is_not_known_or_too_long_is_left_alone(why: str) -> None:
     before = text_of(model)
     rewrite = UnrollControlFlow()
     assert not rewrite(model).modified
-    assert why in rewrite.refusals[0].why
+    assert why in rewrite.refusals[0].reason
     assert text_of(model) == before
 
 
@@ -167,5 +167,5 @@ def test_the_number_of_nodes_is_limited_too() -> None:
     model = parsed(loop(3))
     rewrite = UnrollControlFlow(nodes=17)
     assert not rewrite(model).modified
-    assert "18 nodes" in rewrite.refusals[0].why
+    assert "18 nodes" in rewrite.refusals[0].reason
     assert UnrollControlFlow(nodes=18)(model).modified

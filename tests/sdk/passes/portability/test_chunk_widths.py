@@ -193,7 +193,7 @@ def test_a_split_whose_sizes_vary_is_left_alone_and_named() -> None:
     before = text_of(model)
     assert not rewrite(model).modified
     assert text_of(model) == before
-    assert "not known" in rewrite.refusals[0].why
+    assert "not known" in rewrite.refusals[0].reason
 
 
 def test_bodies_of_branches_are_rewritten_too() -> None:
@@ -219,5 +219,5 @@ def test_bfloat16_is_chunked_though_the_cpu_runs_it_not() -> None:
 
 @pytest.mark.parametrize("make", [ChunkConcat, ChunkSplit])
 def test_a_limit_below_two_makes_no_tree(make: type) -> None:
-    with pytest.raises(ValueError, match="limit is 1, wanted 2 or more"):
+    with pytest.raises(ValueError, match="limit is 1, expected 2 or more"):
         make(1)

@@ -107,14 +107,14 @@ def test_a_node_without_an_equal_keeps_the_whole_model_as_it_is(name: str) -> No
     before = text_of(model)
     assert not rewrite(model).modified
     assert text_of(model) == before
-    assert why in rewrite.refusals[0].why
+    assert why in rewrite.refusals[0].reason
 
 
 def test_what_flattened_once_is_not_lowered_to_where_it_did() -> None:
     model = parsed("g (float[2,2,2] x) => (float[2,2,2] y) { y = Softmax <axis = 1> (x) }")
     rewrite = LowerOpset(12)
     assert not rewrite(model).modified
-    assert "flattened before operator set 13" in rewrite.refusals[0].why
+    assert "flattened before operator set 13" in rewrite.refusals[0].reason
 
 
 def test_bodies_of_branches_are_of_the_same_set() -> None:
@@ -131,15 +131,18 @@ def test_bodies_of_branches_are_of_the_same_set() -> None:
 
 
 def test_the_goal_chooses_the_set() -> None:
-    assert LowerOpset.for_goal(RewriteTarget(load_target("core"))) is None
-    assert LowerOpset.for_goal(RewriteTarget.of(load_target("webgpu"))).wanted == 18
+    assert LowerOpset.for_target(RewriteTarget(target=load_target("core"))) is None
+    assert LowerOpset.for_target(RewriteTarget.of(load_target("webgpu"))).target_opset == 18
     assert (
-        LowerOpset.for_goal(RewriteTarget.of(load_target("webgpu"), opset=20)).wanted == 20
+        LowerOpset.for_target(
+            RewriteTarget.of(load_target("webgpu"), opset=20)
+        ).target_opset
+        == 20
     )
 
 
 def test_a_viewer_of_an_older_format_gets_that() -> None:
     model = parsed("g (float[2] x) => (float[2] y) { y = Neg (x) }")
     model.ir_version = 12
-    assert LowerOpset.for_goal(RewriteTarget.of(load_target("visionary")))(model).modified
+    assert LowerOpset.for_target(RewriteTarget.of(load_target("visionary")))(model).modified
     assert model.ir_version == load_target("visionary").ir

@@ -81,7 +81,7 @@ def test_a_divisor_that_is_no_length_is_named_and_left_alone(body: str) -> None:
     before = text_of(model)
     rewrite = RestoreGuards()
     assert not rewrite(model).modified
-    assert "may be zero" in rewrite.refusals[0].why
+    assert "may be zero" in rewrite.refusals[0].reason
     assert text_of(model) == before
 
 

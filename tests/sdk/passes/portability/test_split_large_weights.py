@@ -87,7 +87,7 @@ def test_what_must_be_read_whole_is_left_alone(why: str) -> None:
     before = text_of(model)
     rewrite = SplitLargeWeights(100 if "whole" in why else 10)
     assert not rewrite(model).modified
-    assert why in rewrite.refusals[0].why
+    assert why in rewrite.refusals[0].reason
     assert text_of(model) == before
 
 
@@ -97,7 +97,7 @@ def test_a_weight_that_one_operator_reads_twice_is_left_alone() -> None:
     before = text_of(model)
     rewrite = SplitLargeWeights(16)
     assert not rewrite(model).modified
-    assert "reads it twice" in rewrite.refusals[0].why
+    assert "reads it twice" in rewrite.refusals[0].reason
     assert text_of(model) == before
 
 
@@ -108,4 +108,4 @@ def test_a_large_output_is_named_with_the_rows_that_fit() -> None:
     rewrite = SplitLargeWeights(2000)
     assert not rewrite(model).modified
     assert rewrite.refusals[0].where == "gaussians"
-    assert "50 rows fit" in rewrite.refusals[0].why
+    assert "50 rows fit" in rewrite.refusals[0].reason

@@ -178,7 +178,7 @@ def test_a_scatter_of_known_elements_is_gathered(dtype: str, axis: int) -> None:
     [
         (
             "g (float[3] x, int64[1,1] i, float[1] u) => (float[3] y) { y = ScatterND (x, i, u) }",
-            "places",
+            "indices",
         ),
         (
             "g (float[N] x, float[1] u) => (float[N] y) <int64[1,1] i = {0}> { y = ScatterND (x, i, u) }",
@@ -197,7 +197,7 @@ def test_a_scatter_of_known_elements_is_gathered(dtype: str, axis: int) -> None:
 def test_a_scatter_that_cannot_be_rewritten_says_why(text: str, why: str) -> None:
     rewrite = GatherScatters()
     assert not rewrite(parsed(text)).modified
-    assert why in rewrite.refusals[0].why
+    assert why in rewrite.refusals[0].reason
 
 
 def test_a_scatter_in_a_branch_is_rewritten() -> None:

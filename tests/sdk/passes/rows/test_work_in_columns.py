@@ -81,7 +81,7 @@ def inputs() -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("name", ROWS)
 def test_columns_give_what_rows_give(name: str, monkeypatch) -> None:
-    monkeypatch.setattr(work_in_columns, "_WORTH", np.inf)
+    monkeypatch.setattr(work_in_columns, "_MAX_COST_RATIO", np.inf)
     model, given = model_of(*ROWS[name]), inputs()
     (before,) = run(model, **given)
     assert WorkInColumns()(model).modified
@@ -123,7 +123,7 @@ def test_few_rows_stay_for_a_launch_costs_more() -> None:
 
 
 def test_wide_rows_and_rows_of_another_length_stay(monkeypatch) -> None:
-    monkeypatch.setattr(work_in_columns, "_WORTH", np.inf)
+    monkeypatch.setattr(work_in_columns, "_MAX_COST_RATIO", np.inf)
     text = (
         "g (float[70000,40] x, float[70000] z) => (float[70000,40] y, float[1,70000] w) <int64[1] zero = {0}> "
         "{ y = Exp (x) w = Unsqueeze (z, zero) }"
@@ -132,7 +132,7 @@ def test_wide_rows_and_rows_of_another_length_stay(monkeypatch) -> None:
 
 
 def test_what_others_read_is_put_together_again(monkeypatch) -> None:
-    monkeypatch.setattr(work_in_columns, "_WORTH", np.inf)
+    monkeypatch.setattr(work_in_columns, "_MAX_COST_RATIO", np.inf)
     text = (
         "g (float[70000,3] x, float[70000,1] c, float[3,20] k) => (float[70000,20] y, float[70000,3] w) "
         "{ e = Exp (c) w = Mul (x, e) y = MatMul (w, k) }"

@@ -105,7 +105,7 @@ def test_a_table_that_would_be_huge_stays() -> None:
     before = text_of(model)
     rewrite = FoldShapes()
     assert not rewrite(model).modified
-    assert "16777217" in rewrite.refusals[0].why
+    assert "16777217" in rewrite.refusals[0].reason
     assert text_of(model) == before
 
 

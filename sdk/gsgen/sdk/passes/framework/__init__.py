@@ -1,1 +1,1 @@
-"""What do all passes share: building nodes, facts about values, refusing to rewrite?"""
+"""What do all passes share: base classes, graph building, facts about values?"""

@@ -1,7 +1,7 @@
-"""What every rewrite has: a name, a reason, how exact it is, and which targets want it.
+"""Base classes of graph rewrites: name, error budget, and the targets that need the rewrite.
 
-A rewrite is a pass over onnx-ir in a file of its own. Its docstring says why it is there and shows
-what it does; the page in the documentation is made from it. It is listed in
+A rewrite is a pass over onnx-ir in a file of its own. Its docstring gives the reason and a picture;
+the documentation page is generated from it. Rewrites are listed in
 :mod:`gsgen.sdk.passes.registry` and run by :mod:`gsgen.sdk.rewriting.rewrite`.
 """
 
@@ -15,6 +15,7 @@ __all__ = [
     "RewriteTarget",
     "Substitute",
     "WithinLimit",
+    "describe_item",
     "every_node",
     "is_op",
     "kernel_dtype",
@@ -30,24 +31,23 @@ import onnx_ir as ir
 from onnx_ir import passes
 
 from gsgen.contract.spec.manifest import Manifest
+from gsgen.contract.spec.onnx_facts import KERNEL_TYPE_INPUT, MAIN_DOMAIN
 from gsgen.contract.spec.operator_tables import CAPTURE, OperatorTable, operator_table
 from gsgen.contract.spec.targets import Target, known_targets
 
-MAIN_DOMAIN = ("", "ai.onnx")
-# WebGPU guarantees eight storage buffers a stage, and one of them is that of the whole.
+# WebGPU guarantees eight storage buffers a stage, and the joined tensor needs one of them.
 SAFE_WIDTH = 7
-_KERNEL_ARGUMENT = {"OneHot": 2, "Where": 1}
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorBudget:
-    """How far outputs may differ after a rewrite; by default in no bit.
+    """The largest allowed difference of outputs after a rewrite; by default no bit may differ.
 
     Attributes:
-        relative: Allowed error over the largest number in the output's tensor.
-        absolute: Allowed error besides.
-        repairs_nonfinite: A value that was NaN or infinite before may become any number.
-        pads: Rows of zeros may stand behind the rows of an output.
+        relative: Allowed error, relative to the largest number in the output's tensor.
+        absolute: Allowed error in addition.
+        repairs_nonfinite: A value that was NaN or infinite may become any number.
+        pads: Rows of zeros may follow the rows of an output.
     """
 
     relative: float = 0.0
@@ -57,11 +57,11 @@ class ErrorBudget:
 
     @property
     def bits(self) -> bool:
-        """Whether every bit is kept."""
+        """Whether every bit must stay the same."""
         return self == BITS
 
     def describe(self) -> str:
-        """Say it in words."""
+        """Return the budget as text, such as ``bit for bit``."""
         if not (self.relative or self.absolute):
             return (
                 "every finite value keeps its bits"
@@ -85,18 +85,18 @@ class ErrorBudget:
 BITS = ErrorBudget()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RewriteTarget:
-    """What a model is rewritten for.
+    """The consumer that a model is rewritten for, and its known limits.
 
     Attributes:
         target: The consumer.
-        tables: What its releases have kernels for. A target that names none is any consumer: then
-            these are all tables that are known.
-        limits: Its limits, such as ``concat_inputs``; of any consumer, the lowest that are known.
-        manifest: What the model says of itself; None where it has no manifest.
-        opset: Operator set wished for; None where the kernels decide.
-        sizes: Symbolic dimension → the size to give it.
+        tables: Operators that its releases have kernels for. For a target that names no
+            releases, all known tables.
+        limits: Its limits, such as ``concat_inputs``; without named releases, the lowest known.
+        manifest: The model's manifest, if it has one.
+        opset: Requested operator set; None if the kernels decide.
+        sizes: Symbolic dimension → its fixed size.
     """
 
     target: Target
@@ -114,31 +114,37 @@ class RewriteTarget:
         opset: int | None = None,
         sizes: Mapping[str, int] | None = None,
     ) -> "RewriteTarget":
-        """Return the goal of suiting ``target``, or every known target if it names no kernels."""
-        meant = [target] if target.operators else [*known_targets().values(), target]
-        names = sorted({name for one in meant for name in one.operators})
+        """Return the rewrite target for ``target``, or for all known targets if it names no kernels."""
+        consumers = [target] if target.operators else [*known_targets().values(), target]
+        names = sorted({name for consumer in consumers for name in consumer.operators})
         limits: dict[str, int] = {}
-        for one in meant:
-            for name, number in one.limits.items():
+        for consumer in consumers:
+            for name, number in consumer.limits.items():
                 limits[name] = min(number, limits.get(name, number))
-        tables = tuple(operator_table(name) for name in names)
-        return cls(target, tables, limits, manifest, opset, sizes or {})
+        return cls(
+            target=target,
+            tables=tuple(operator_table(name) for name in names),
+            limits=limits,
+            manifest=manifest,
+            opset=opset,
+            sizes=sizes or {},
+        )
 
-    def lacks(self, node: ir.Node, opset: int, variant: str = "") -> bool:
-        """Say whether a release of the target is known not to capture ``node``."""
+    def lacks_kernel(self, node: ir.Node, opset: int, variant: str = "") -> bool:
+        """Return whether a release of the target is known not to capture ``node``."""
         dtype = kernel_dtype(node)
         outcomes = (t.outcome(node.op_type, variant, dtype, opset) for t in self.tables)
         return any(outcome not in ("", CAPTURE) for outcome in outcomes)
 
 
 class Rewrite(passes.InPlacePass):
-    """A pass that may be named on the command line.
+    """A graph rewrite that users can select on the command line.
 
-    Its first line says what it does, its body why, with a picture. Attributes of the class:
+    The docstring's first line says what it does, its body why, with a picture. Class attributes:
 
-    * ``name``: what ``--pass`` and ``--skip`` take, such as ``chunk-concat``;
-    * ``exactness``: how far outputs may differ;
-    * ``wanted_by``: which targets want it, for people; :meth:`for_goal` decides.
+    * ``name``: the name that ``--pass`` and ``--skip`` take, such as ``chunk-concat``;
+    * ``exactness``: the allowed difference of outputs;
+    * ``wanted_by``: the targets that need it, as text; :meth:`for_target` decides.
     """
 
     name: ClassVar[str]
@@ -151,80 +157,73 @@ class Rewrite(passes.InPlacePass):
         self.opset = 0
 
     @classmethod
-    def for_goal(cls, goal: RewriteTarget) -> Self | None:
-        """Return the pass that serves ``goal``; None where it wants none."""
+    def for_target(cls, target: RewriteTarget) -> Self | None:
+        """Return the rewrite configured for ``target``; None if the target does not need it."""
         return cls()
 
     @classmethod
     def summary(cls) -> str:
-        """The first sentence of the docstring."""
+        """Return the first line of the docstring, without the full stop."""
         return (cls.__doc__ or "").strip().split("\n", 1)[0].rstrip(".")
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Rewrite ``model``; :attr:`changed` then names what was changed.
-
-        :attr:`opset` is the operator set that it imports.
-        """
+        """Rewrite ``model`` in place; :attr:`changed` then names the changed nodes."""
         self.changed, self.opset = [], opset_of(model)
         self.rewrite(model)
         return passes.PassResult(model, modified=bool(self.changed))
 
     @abstractmethod
     def rewrite(self, model: ir.Model) -> None:
-        """Change ``model``, subgraphs included, and :meth:`note` every node that was changed."""
+        """Change ``model``, subgraphs included, and :meth:`note` every changed node."""
 
-    def note(self, what: ir.Node | ir.Value) -> None:
-        """Remember that a node (or an output, or a weight) was rewritten."""
-        if isinstance(what, ir.Value):
-            self.changed.append(what.name or "")
-            return
-        made = what.outputs[0].name if what.outputs else ""
-        self.changed.append(f"{what.name or made} ({what.op_type})")
+    def note(self, item: ir.Node | ir.Value) -> None:
+        """Record that a node, an output or a weight was rewritten."""
+        self.changed.append(describe_item(item))
 
 
 class NodeRewrite(Rewrite):
-    """A rewrite that looks at one node after the other.
+    """A rewrite that replaces single nodes.
 
-    Nodes are found first and replaced afterwards: replacing must not remove another match.
+    All matches are collected first, so replacing a node must not remove another match.
     """
 
     def rewrite(self, model: ir.Model) -> None:
-        """Replace every node that matches."""
+        """Replace every matching node, subgraphs included."""
         for node in [node for node in every_node(model) if self.matches(node)]:
             self.note(node)
             self.replace(node)
 
     @abstractmethod
     def matches(self, node: ir.Node) -> bool:
-        """Say whether ``node`` is to be replaced."""
+        """Return whether this rewrite replaces ``node``."""
 
     @abstractmethod
     def replace(self, node: ir.Node) -> None:
-        """Replace ``node``."""
+        """Replace ``node`` by equivalent nodes."""
 
 
 class ByTables(Rewrite):
-    """A rewrite that looks up in the target's tables what has a kernel.
+    """A rewrite that depends on the target's operator tables.
 
-    Made without a goal, it rewrites all that it can.
+    Without a target, it rewrites every node that it can.
     """
 
-    def __init__(self, goal: RewriteTarget | None = None) -> None:
+    def __init__(self, target: RewriteTarget | None = None) -> None:
         super().__init__()
-        self.goal = goal
+        self.target = target
 
     @classmethod
-    def for_goal(cls, goal: RewriteTarget) -> Self | None:
-        """Return the pass; without tables there is nothing to suit."""
-        return cls(goal) if goal.tables else None
+    def for_target(cls, target: RewriteTarget) -> Self | None:
+        """Return the rewrite if ``target`` has operator tables."""
+        return cls(target) if target.tables else None
 
 
 class WithinLimit(Rewrite):
-    """A rewrite of operators that are wider than the target can bind.
+    """A rewrite of operators with more tensors than the target can bind.
 
     Attributes:
         limited_by: Name of the target's limit.
-        limit: How many buffers one operator may join, or make.
+        limit: Maximum number of tensors that one operator may join or return.
     """
 
     limited_by: ClassVar[str]
@@ -232,66 +231,74 @@ class WithinLimit(Rewrite):
     def __init__(self, limit: int = SAFE_WIDTH) -> None:
         super().__init__()
         if limit < 2:
-            raise ValueError(f"limit is {limit}, wanted 2 or more")
+            raise ValueError(f"limit is {limit}, expected 2 or more")
         self.limit = limit
 
     @classmethod
-    def for_goal(cls, goal: RewriteTarget) -> Self | None:
-        """Return the pass for the target's limit; None where it has none."""
-        limit = goal.limits.get(cls.limited_by)
+    def for_target(cls, target: RewriteTarget) -> Self | None:
+        """Return the rewrite for the target's limit; None if the target has no such limit."""
+        limit = target.limits.get(cls.limited_by)
         return None if limit is None else cls(limit)
 
 
 class Substitute(ByTables, NodeRewrite):
     """A rewrite of operators that a release of the target does not capture.
 
-    Made without a goal, it replaces every operator that it knows.
+    Without a target, it replaces every operator of ``kinds``.
     """
 
     kinds: ClassVar[frozenset[str]]
     wanted_by: ClassVar[str] = "targets whose tables lack the operator"
 
     def matches(self, node: ir.Node) -> bool:
-        """Say whether a release does not capture ``node``, and this pass can replace it."""
+        """Return whether a release does not capture ``node`` and this rewrite can replace it."""
         if not is_op(node, *self.kinds):
             return False
-        if self.goal is not None and not self.goal.lacks(
+        if self.target is not None and not self.target.lacks_kernel(
             node, self.opset, self.variant(node)
         ):
             return False
-        return self.suits(node)
+        return self.can_replace(node)
 
-    def suits(self, node: ir.Node) -> bool:
-        """Say whether all is known that replacing ``node`` takes."""
+    def can_replace(self, node: ir.Node) -> bool:
+        """Return whether the shapes, dtypes and constants that a replacement needs are known."""
         return True
 
     def variant(self, node: ir.Node) -> str:
-        """Return which measured variant of its operator ``node`` is; empty for the usual one."""
+        """Return the variant of the operator in the tables; empty for the usual one."""
         return ""
+
+
+def describe_item(item: ir.Node | ir.Value) -> str:
+    """Return the name of a value, or the name and operator of a node, for reports."""
+    if isinstance(item, ir.Value):
+        return item.name or ""
+    result_name = item.outputs[0].name if item.outputs else ""
+    return f"{item.name or result_name} ({item.op_type})"
 
 
 def every_node(model: ir.Model) -> Iterator[ir.Node]:
     """Yield every node of the main graph and of the bodies of If, Loop and Scan.
 
-    Functions of the model are not looked into: the pipeline writes them out first.
+    Nodes of the model's functions are not included: the pipeline inlines functions first.
     """
     yield from model.graph.all_nodes()
 
 
 def is_op(node: ir.Node | None, *kinds: str) -> bool:
-    """Say whether ``node`` is one of these standard operators."""
+    """Return whether ``node`` is one of these operators of the ONNX domain."""
     return node is not None and node.domain in MAIN_DOMAIN and node.op_type in kinds
 
 
 def opset_of(model: ir.Model) -> int:
-    """Return the ONNX operator set that ``model`` imports; 0 if it imports none."""
+    """Return the version of the ONNX operator set that ``model`` imports; 0 without an import."""
     imports = model.opset_imports
     return next((imports[domain] for domain in MAIN_DOMAIN if domain in imports), 0)
 
 
 def kernel_dtype(node: ir.Node) -> str:
-    """Return the dtype that chooses the kernel of ``node``; empty if it is not known."""
-    place = _KERNEL_ARGUMENT.get(node.op_type, 0)
-    values = [*node.inputs[place : place + 1], *node.outputs[:1]]
+    """Return the dtype that selects the kernel of ``node``; empty if it is unknown."""
+    position = KERNEL_TYPE_INPUT.get(node.op_type, 0)
+    values = [*node.inputs[position : position + 1], *node.outputs[:1]]
     kinds = (value.dtype for value in values if value is not None)
     return next((str(kind.numpy()) for kind in kinds if kind is not None), "")

@@ -1,4 +1,4 @@
-"""Rewrites that say what they left as it was, and why."""
+"""Rewrites with preconditions, which record every node that they did not rewrite and the reason."""
 
 __all__ = ["CautiousRewrite", "Refusal"]
 
@@ -7,29 +7,29 @@ from dataclasses import dataclass
 import onnx_ir as ir
 from onnx_ir import passes
 
-from gsgen.sdk.passes.framework.base import Rewrite
+from gsgen.sdk.passes.framework.base import Rewrite, describe_item
 
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """A place that a rewrite left untouched because it could not prove that it may change it.
+    """A node, weight or output that a rewrite left unchanged, and the missing precondition.
 
     Attributes:
-        rewrite: Name of the pass.
-        where: The node, weight or output, as a person would look for it.
-        why: What stood against it.
+        rewrite: Name of the rewrite.
+        where: Name of the node, weight or output; a node with its operator.
+        reason: The precondition that could not be proven.
     """
 
     rewrite: str
     where: str
-    why: str
+    reason: str
 
 
 class CautiousRewrite(Rewrite):
-    """A rewrite with preconditions; :attr:`refusals` says where they could not be proven.
+    """A rewrite with preconditions that have to be proven for each node.
 
     Attributes:
-        refusals: What the last call left untouched, in the order of the graph.
+        refusals: What the last call left unchanged, in the order of the graph.
     """
 
     def __init__(self) -> None:
@@ -37,16 +37,10 @@ class CautiousRewrite(Rewrite):
         self.refusals: list[Refusal] = []
 
     def call(self, model: ir.Model) -> passes.PassResult:
-        """Rewrite ``model``; :attr:`refusals` then names what was left alone."""
+        """Rewrite ``model`` in place; :attr:`refusals` then lists the unchanged nodes."""
         self.refusals = []
         return super().call(model)
 
-    def refuse(self, what: ir.Node | ir.Value, why: str) -> None:
-        """Remember that a node (or an output, or a weight) stays as it is."""
-        if isinstance(what, ir.Value):
-            self.refusals.append(Refusal(self.name, what.name or "", why))
-            return
-        made = what.outputs[0].name if what.outputs else ""
-        self.refusals.append(
-            Refusal(self.name, f"{what.name or made} ({what.op_type})", why)
-        )
+    def refuse(self, item: ir.Node | ir.Value, reason: str) -> None:
+        """Record that a node, an output or a weight stays unchanged."""
+        self.refusals.append(Refusal(self.name, describe_item(item), reason))

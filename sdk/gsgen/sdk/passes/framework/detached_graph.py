@@ -1,6 +1,6 @@
-"""Nodes that are drafted beside a graph, and join it all together or not at all."""
+"""Drafts of nodes that are added to a graph all together, or discarded."""
 
-__all__ = ["Detached"]
+__all__ = ["DetachedGraph"]
 
 from collections.abc import Sequence
 
@@ -10,11 +10,11 @@ import onnx_ir as ir
 from gsgen.sdk.passes.framework.graph_builder import Dims, new_node, weight
 
 
-class Detached:
-    """Drafts nodes; the graph does not know of them before :meth:`join`.
+class DetachedGraph:
+    """Drafts nodes and weights, which :meth:`join` adds to the graph.
 
-    Each node will stand before the node that was :attr:`anchor` when it was drafted, or at the end
-    of the graph where that was None.
+    Each node is inserted before the node that was :attr:`anchor` when it was drafted, or at the
+    end of the graph if that was None.
     """
 
     def __init__(self, stem: str) -> None:
@@ -31,7 +31,7 @@ class Detached:
         shape: Dims | None = None,
         **attributes: int | float | str | Sequence[int],
     ) -> ir.Value:
-        """Draft a node of the ONNX domain with one result, and return the result."""
+        """Draft a node of the ONNX domain with one output, and return the output."""
         known = next(
             (v.dtype for v in inputs if v is not None and v.dtype is not None), None
         )
@@ -48,7 +48,7 @@ class Detached:
         return node.outputs[0]
 
     def like(self, node: ir.Node, inputs: Sequence[ir.Value | None]) -> list[ir.Value]:
-        """Draft a copy of ``node`` that reads ``inputs``; results have its dtypes and no shapes."""
+        """Draft a copy of ``node`` that reads ``inputs``; outputs have its dtypes and no shapes."""
         name = f"{self._stem}_{len(self._nodes)}_{node.op_type}"
         copy = ir.Node(
             node.domain,
@@ -58,34 +58,34 @@ class Detached:
             num_outputs=len(node.outputs),
             name=name,
         )
-        for place, (made, old) in enumerate(zip(copy.outputs, node.outputs, strict=True)):
-            made.name, made.type = f"{name}_{place}", old.type
+        for index, (result, old) in enumerate(zip(copy.outputs, node.outputs, strict=True)):
+            result.name, result.type = f"{name}_{index}", old.type
         self._nodes.append((self.anchor, copy))
         return list(copy.outputs)
 
     def constant(
         self, array: object, dtype: type[np.generic] | np.dtype[np.generic]
     ) -> ir.Value:
-        """Draft a weight."""
-        whole = np.asarray(array, dtype)
-        tensor = ir.tensor(whole)
-        made = ir.Value(
+        """Draft a weight with the numbers of ``array``."""
+        values = np.asarray(array, dtype)
+        tensor = ir.tensor(values)
+        value = ir.Value(
             name=f"{self._stem}_weight_{len(self._weights)}",
             const_value=tensor,
             type=ir.TensorType(tensor.dtype),
-            shape=ir.Shape(whole.shape),
+            shape=ir.Shape(values.shape),
         )
-        self._weights.append(made)
-        return made
+        self._weights.append(value)
+        return value
 
     def join(self, graph: ir.Graph) -> None:
-        """Put all that was drafted and is read by something into ``graph``."""
+        """Add all drafted nodes, and the weights that something reads, to ``graph``."""
         for value in self._weights:
             array = value.const_value
             assert array is not None
             if value.uses():
-                stands = weight(graph, value.name or self._stem, array.numpy())
-                ir.convenience.replace_all_uses_with(value, stands)
+                initializer = weight(graph, value.name or self._stem, array.numpy())
+                ir.convenience.replace_all_uses_with(value, initializer)
         for anchor, node in self._nodes:
             if anchor is None:
                 graph.append(node)
@@ -93,9 +93,9 @@ class Detached:
                 graph.insert_before(anchor, node)
 
     def discard(self) -> None:
-        """Let the graph's values forget that drafted nodes were to read them."""
+        """Discard the draft, and remove its nodes from the consumers of the graph's values."""
         for _, node in self._nodes:
-            for place in range(len(node.inputs)):
-                node.replace_input_with(place, None)
+            for index in range(len(node.inputs)):
+                node.replace_input_with(index, None)
         self._nodes.clear()
         self._weights.clear()

@@ -1,4 +1,4 @@
-"""How large the numbers inside a graph can become: the contract's ranges, for passes."""
+"""Value ranges inside a graph: the contract's range analysis, for passes."""
 
 __all__ = ["fits_int32", "spans_of"]
 
@@ -12,19 +12,19 @@ from onnx import TensorProto, numpy_helper
 from gsgen.contract.model.graph import Graph, Tensor
 from gsgen.contract.model.value_ranges import Interval, intervals
 from gsgen.contract.spec.manifest import Manifest
-from gsgen.sdk.passes.framework.base import MAIN_DOMAIN
+from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 
-# Weights of more elements are of no index arithmetic, and reading them takes time.
+# Larger weights do not take part in index arithmetic, and reading them takes time.
 _LARGEST = 1 << 16
 _INT32 = (-(2**31), 2**31 - 1)
 
 
 def spans_of(model: ir.Model, manifest: Manifest | None) -> dict[str, Interval]:
-    """Return value → smallest and largest number it can hold; what is not known is absent.
+    """Return each value's smallest and largest possible number; unknown values are absent.
 
     Args:
-        model: Its main graph is looked at.
-        manifest: Says what range each input has.
+        model: The model; its main graph is analysed.
+        manifest: Declares the range of each input.
     """
     graph = model.graph
     values = [*graph.inputs, *graph.initializers.values()]
@@ -33,13 +33,15 @@ def spans_of(model: ir.Model, manifest: Manifest | None) -> dict[str, Interval]:
     nodes = tuple(
         ir.serde.serialize_node(node) for node in graph if node.domain in MAIN_DOMAIN
     )
-    seen = Graph((), (), nodes, {}, tensors, frozenset())
+    described = Graph((), (), nodes, {}, tensors, frozenset())
     weights = [_weight(value) for value in graph.initializers.values()]
-    return intervals(seen, [one for one in weights if one is not None], manifest)
+    return intervals(
+        described, [tensor for tensor in weights if tensor is not None], manifest
+    )
 
 
 def fits_int32(span: Interval | None, most: int = _INT32[1]) -> bool:
-    """Say whether every number of ``span`` is an int32, of at most ``most`` either way."""
+    """Return whether every number of ``span`` is an int32 with an absolute value of ``most`` at most."""
     if span is None or not all(math.isfinite(end) for end in span):
         return False
     return max(_INT32[0], -most) <= span[0] <= span[1] <= most
@@ -59,7 +61,7 @@ def _weight(value: ir.Value) -> TensorProto | None:
         return None
     if tensor.dtype.is_string():
         return None
-    # Read, not referred to: it may lie in another file.
+    # A copy, not a reference: the tensor may be stored in another file.
     return numpy_helper.from_array(np.asarray(tensor.numpy()), value.name or "")
 
 

@@ -1,12 +1,12 @@
-"""What passes build graphs from: weights, and nodes whose results have a type."""
+"""Functions that add weights and typed nodes to a graph, and replace values."""
 
 __all__ = [
     "InsertionPoint",
     "append_output",
+    "constant_array",
     "free_name",
-    "known_array",
     "new_node",
-    "remake",
+    "replace_value",
     "weight",
 ]
 
@@ -19,7 +19,7 @@ Dims = Sequence[int | ir.SymbolicDim | None] | ir.Shape
 
 
 def weight(graph: ir.Graph, name: str, array: np.ndarray) -> ir.Value:
-    """Add ``array`` to ``graph`` as a weight, called ``name`` or, if that is taken, a like name."""
+    """Add ``array`` to ``graph`` as a weight called ``name``, with underscores if the name exists."""
     name = free_name(graph, name)
     tensor = ir.tensor(array, name=name)
     value = ir.Value(
@@ -33,14 +33,14 @@ def weight(graph: ir.Graph, name: str, array: np.ndarray) -> ir.Value:
 
 
 def free_name(graph: ir.Graph, name: str) -> str:
-    """Return ``name`` with as many underscores behind it as make it new to the graph.
+    """Return ``name``, with underscores appended until no value of the graph has it.
 
-    Subgraphs are not asked, which would take long: what they call alike is renamed at the end.
+    Subgraphs are not searched, which would take long: duplicates there are renamed at the end.
     """
     values = [*graph.inputs, *graph.initializers.values()]
     values += [value for node in graph for value in node.outputs]
-    taken = {value.name for value in values}
-    while name in taken:
+    used_names = {value.name for value in values}
+    while name in used_names:
         name += "_"
     return name
 
@@ -54,34 +54,34 @@ def new_node(
     shape: Dims | None = None,
     **attributes: int | float | str | Sequence[int],
 ) -> ir.Node:
-    """Return a node of the ONNX domain with one result, called ``name`` like the node."""
+    """Return a node of the ONNX domain with one output, which is named after the node."""
     node = ir.node(op, inputs, attributes=attributes, name=name)
-    (made,) = node.outputs
-    made.name = f"{name}_result"
+    (result,) = node.outputs
+    result.name = f"{name}_result"
     if dtype is not None:
-        made.type = ir.TensorType(dtype)
+        result.type = ir.TensorType(dtype)
     if shape is not None:
-        made.shape = ir.Shape(list(shape))
+        result.shape = ir.Shape(list(shape))
     return node
 
 
 def append_output(graph: ir.Graph, old: ir.Value, nodes: Sequence[ir.Node]) -> None:
-    """Let the last of ``nodes`` make the graph output that ``old`` was, under the same name."""
+    """Append ``nodes``; the last one produces the graph output ``old`` under the same name."""
     name = old.name
     old.name = free_name(graph, f"{name}_before_{nodes[-1].name}")
     graph.extend(nodes)
-    made = nodes[-1].outputs[0]
-    made.name = name
+    new = nodes[-1].outputs[0]
+    new.name = name
     for index, value in enumerate(graph.outputs):
         if value is old:
-            graph.outputs[index] = made
+            graph.outputs[index] = new
 
 
 class InsertionPoint:
-    """Writes nodes in front of another one, named after it.
+    """Inserts nodes before a node, and names them after it.
 
-    Results get the dtype of their first input unless one is given; shapes are inferred afterwards
-    by the pipeline.
+    Outputs get the dtype of their first input unless one is given; the pipeline infers shapes
+    afterwards.
     """
 
     def __init__(self, node: ir.Node) -> None:
@@ -99,13 +99,13 @@ class InsertionPoint:
         shape: Dims | None = None,
         **attributes: int | float | str | Sequence[int],
     ) -> ir.Value:
-        """Insert a node of the ONNX domain with one result, and return the result."""
+        """Insert a node of the ONNX domain with one output, and return the output."""
         known = (value.dtype for value in inputs if value is not None)
-        kind_of = dtype if dtype is not None else next(known, None)
+        result_dtype = dtype if dtype is not None else next(known, None)
         name = self._next(kind)
-        made = new_node(kind, inputs, name, dtype=kind_of, shape=shape, **attributes)
-        self.graph.insert_before(self.node, made)
-        return made.outputs[0]
+        node = new_node(kind, inputs, name, dtype=result_dtype, shape=shape, **attributes)
+        self.graph.insert_before(self.node, node)
+        return node.outputs[0]
 
     def ops(
         self,
@@ -114,35 +114,35 @@ class InsertionPoint:
         *inputs: ir.Value | None,
         **attributes: int | float | str | Sequence[int],
     ) -> list[ir.Value]:
-        """Insert a node with ``count`` results of the dtype of its first input."""
+        """Insert a node with ``count`` outputs of the dtype of its first input."""
         name = self._next(kind)
-        made = ir.node(kind, inputs, attributes=attributes, name=name, num_outputs=count)
-        for index, value in enumerate(made.outputs):
+        node = ir.node(kind, inputs, attributes=attributes, name=name, num_outputs=count)
+        for index, value in enumerate(node.outputs):
             value.name = f"{name}_result_{index}"
             value.type = inputs[0].type if inputs[0] is not None else None
-        self.graph.insert_before(self.node, made)
-        return list(made.outputs)
+        self.graph.insert_before(self.node, node)
+        return list(node.outputs)
 
     def constant(self, array: np.ndarray, name: str = "constant") -> ir.Value:
-        """Add a weight."""
+        """Add a weight with the numbers of ``array``."""
         return weight(self.graph, self._next(name), np.asarray(array))
 
-    def whole(self, *numbers: int) -> ir.Value:
-        """Add a weight of int64 [n]: axes, shapes, starts."""
+    def int64(self, *numbers: int) -> ir.Value:
+        """Add an int64 weight [n], such as axes, a shape or starts."""
         return self.constant(np.array(numbers, np.int64), "numbers")
 
     def replace(self, *values: ir.Value) -> None:
-        """Remove the node; ``values`` take the places and names of what it returned.
+        """Remove the node; ``values`` replace its outputs and take over their names.
 
-        What stood before the node already (an input of the graph, say) is no output of its own:
-        there, Identity comes in between.
+        A graph output needs a value of its own. If the value existed before the node (an input
+        of the graph, for example), an Identity is inserted.
         """
-        for old, made in zip(self.node.outputs, values, strict=True):
-            producer = made.producer()
+        for old, new in zip(self.node.outputs, values, strict=True):
+            producer = new.producer()
             fresh = producer is not None and producer.graph is self.graph
-            if old.is_graph_output() and (not fresh or made.is_graph_output()):
-                made = self.op("Identity", made, shape=made.shape)
-            remake(old, made)
+            if old.is_graph_output() and (not fresh or new.is_graph_output()):
+                new = self.op("Identity", new, shape=new.shape)
+            replace_value(old, new)
         self.graph.remove(self.node, safe=True)
 
     def _next(self, kind: str) -> str:
@@ -150,26 +150,26 @@ class InsertionPoint:
         return f"{self._stem}_{self._count}_{kind}"
 
 
-def remake(old: ir.Value, made: ir.Value) -> None:
-    """Let ``made`` stand wherever ``old`` did, as a graph output under the same name, too."""
+def replace_value(old: ir.Value, new: ir.Value) -> None:
+    """Replace all uses of ``old`` by ``new``; a graph output keeps its name."""
     name, output = old.name, old.is_graph_output()
-    if made.type is None or output:
-        made.type = old.type
-    if made.shape is None or output:
-        made.shape = old.shape
-    ir.convenience.replace_all_uses_with(old, made, replace_graph_outputs=True)
+    if new.type is None or output:
+        new.type = old.type
+    if new.shape is None or output:
+        new.shape = old.shape
+    ir.convenience.replace_all_uses_with(old, new, replace_graph_outputs=True)
     if output:
-        graph = made.graph
+        graph = new.graph
         assert isinstance(graph, ir.Graph)
         old.name = free_name(graph, f"{name}_replaced")
-        made.name = name
+        new.name = name
 
 
-def known_array(value: ir.Value | None) -> np.ndarray | None:
-    """Return the numbers of a weight or of a Constant; None where they are not known."""
+def constant_array(value: ir.Value | None) -> np.ndarray | None:
+    """Return the array of a weight or of a Constant node; None for other values."""
     if value is None:
         return None
-    if value.is_graph_input():  # a weight that may be fed anew
+    if value.is_graph_input():  # a weight that a caller may replace
         return None
     tensor = ir.convenience.get_const_tensor(value)
     return None if tensor is None else tensor.numpy()

@@ -1,4 +1,4 @@
-"""How small a number inside a graph can become, as far as its operators tell."""
+"""Lower bounds of the values inside a graph, derived from its operators."""
 
 __all__ = ["is_never_zero", "lower_bound", "smallest_normal"]
 
@@ -7,10 +7,11 @@ import math
 import numpy as np
 import onnx_ir as ir
 
+from gsgen.contract.spec.units import FLOAT16_SMALLEST_NORMAL
 from gsgen.sdk.passes.framework.base import is_op
 from gsgen.sdk.passes.framework.value_facts import constant_of
 
-_MOVES = (
+_BOUND_KEEPING = (
     *("Cast", "Expand", "Flatten", "Gather", "Identity", "Reshape", "Slice", "Squeeze"),
     *("Transpose", "Unsqueeze", "ReduceMax", "ReduceMean", "ReduceMin", "Split"),
 )
@@ -22,16 +23,17 @@ _DEEPEST = 40
 
 
 def smallest_normal(dtype: ir.DataType | None) -> float:
-    """Return the smallest positive number that a GPU does not take for zero."""
-    return {ir.DataType.FLOAT16: 2.0**-14, ir.DataType.DOUBLE: 2.0**-1022}.get(
-        dtype or ir.DataType.FLOAT, 2.0**-126
-    )
+    """Return the smallest normal number of ``dtype``; GPUs may flush smaller ones to zero."""
+    return {
+        ir.DataType.FLOAT16: FLOAT16_SMALLEST_NORMAL,
+        ir.DataType.DOUBLE: 2.0**-1022,
+    }.get(dtype or ir.DataType.FLOAT, 2.0**-126)
 
 
 def is_never_zero(value: ir.Value | None) -> bool:
-    """Say whether no element of ``value`` is ever zero, or so small that a GPU makes it zero.
+    """Return whether no element of ``value`` can be zero, or so small that a GPU flushes it to zero.
 
-    NaN counts as not zero: it is another fault.
+    NaN counts as not zero: other rules report it.
     """
     known = constant_of(value)
     if value is None:
@@ -42,45 +44,49 @@ def is_never_zero(value: ir.Value | None) -> bool:
 
 
 def lower_bound(value: ir.Value | None, depth: int = 0) -> float:
-    """Return a number that ``value`` never falls below; −∞ where none is known."""
+    """Return a lower bound of the elements of ``value``; −∞ if it is unknown."""
     known = constant_of(value)
     if known is not None:
         return float(known.min()) if known.size and not np.isnan(known).any() else -math.inf
-    maker = value.producer() if value is not None else None
-    if maker is None or depth > _DEEPEST:
+    node = value.producer() if value is not None else None
+    if node is None or depth > _DEEPEST:
         return -math.inf
 
-    def of(place: int) -> float:
-        given = maker.inputs[place] if place < len(maker.inputs) else None
-        return -math.inf if given is None else lower_bound(given, depth + 1)
+    def input_bound(index: int) -> float:
+        argument = node.inputs[index] if index < len(node.inputs) else None
+        return -math.inf if argument is None else lower_bound(argument, depth + 1)
 
-    if is_op(maker, *_MOVES):
-        return of(0)
-    if is_op(maker, *_NOT_NEGATIVE) or _squares(maker):
+    if is_op(node, *_BOUND_KEEPING):
+        return input_bound(0)
+    if is_op(node, *_NOT_NEGATIVE) or _squares(node):
         return 0.0
-    if is_op(maker, "Relu"):
-        return max(0.0, of(0))
-    if is_op(maker, "Clip"):
-        return max(of(0), of(1))
-    if is_op(maker, "Max"):
-        return max(of(place) for place in range(len(maker.inputs)))
-    if is_op(maker, "Min", "Concat"):
-        return min(of(place) for place in range(len(maker.inputs)))
-    if is_op(maker, "Where"):
-        return min(of(1), of(2))
-    if is_op(maker, "Add"):
-        return of(0) + of(1)
-    if is_op(maker, "Mul"):
-        return of(0) * of(1) if of(0) >= 0 and of(1) >= 0 else -math.inf
-    if is_op(maker, "Sqrt"):
-        return math.sqrt(max(0.0, of(0)))
-    if is_op(maker, "ReduceSum"):
-        return of(0) if of(0) >= 0 else -math.inf
+    if is_op(node, "Relu"):
+        return max(0.0, input_bound(0))
+    if is_op(node, "Clip"):
+        return max(input_bound(0), input_bound(1))
+    if is_op(node, "Max"):
+        return max(input_bound(index) for index in range(len(node.inputs)))
+    if is_op(node, "Min", "Concat"):
+        return min(input_bound(index) for index in range(len(node.inputs)))
+    if is_op(node, "Where"):
+        return min(input_bound(1), input_bound(2))
+    if is_op(node, "Add"):
+        return input_bound(0) + input_bound(1)
+    if is_op(node, "Mul"):
+        return (
+            input_bound(0) * input_bound(1)
+            if input_bound(0) >= 0 and input_bound(1) >= 0
+            else -math.inf
+        )
+    if is_op(node, "Sqrt"):
+        return math.sqrt(max(0.0, input_bound(0)))
+    if is_op(node, "ReduceSum"):
+        return input_bound(0) if input_bound(0) >= 0 else -math.inf
     return -math.inf
 
 
 def _squares(node: ir.Node) -> bool:
-    """Say whether ``node`` gives squares: x · x, or x to an even power."""
+    """Return whether ``node`` computes squares: x · x, or x to an even power."""
     if is_op(node, "Mul"):
         return node.inputs[0] is node.inputs[1]
     power = constant_of(node.inputs[1]) if is_op(node, "Pow") else None
@@ -88,15 +94,15 @@ def _squares(node: ir.Node) -> bool:
 
 
 def _replaces_zero(value: ir.Value) -> bool:
-    """Say whether ``value`` is Where(v = 0, c, v) or Where(v > 0, v, c) with c that is not zero."""
-    maker = value.producer()
-    test = maker.inputs[0].producer() if is_op(maker, "Where") and maker.inputs[0] else None  # type: ignore[union-attr]
-    if maker is None or test is None or not is_op(test, "Equal", "Greater"):
+    """Return whether ``value`` is Where(v = 0, c, v) or Where(v > 0, v, c) with a nonzero c."""
+    node = value.producer()
+    test = node.inputs[0].producer() if is_op(node, "Where") and node.inputs[0] else None  # type: ignore[union-attr]
+    if node is None or test is None or not is_op(test, "Equal", "Greater"):
         return False
-    zero, chosen, other = constant_of(test.inputs[1]), *maker.inputs[1:3]
+    zero, if_true, if_false = constant_of(test.inputs[1]), *node.inputs[1:3]
     if zero is None:
         return False
     if is_op(test, "Equal"):
-        return not zero.any() and other is test.inputs[0] and is_never_zero(chosen)
+        return not zero.any() and if_false is test.inputs[0] and is_never_zero(if_true)
     above = bool((zero >= 0).all())
-    return above and chosen is test.inputs[0] and is_never_zero(other)
+    return above and if_true is test.inputs[0] and is_never_zero(if_false)

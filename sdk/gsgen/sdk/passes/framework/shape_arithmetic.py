@@ -1,4 +1,4 @@
-"""Operators that shapes are computed with, in NumPy: exact, or not at all."""
+"""NumPy evaluation of the operators that compute shapes; inexact results are refused."""
 
 __all__ = ["evaluate"]
 
@@ -13,25 +13,25 @@ Arrays = Sequence[np.ndarray | None]
 
 
 def evaluate(node: ir.Node, inputs: Arrays) -> np.ndarray | None:
-    """Return what ``node`` gives for ``inputs``; None where that is not exact, or an error.
+    """Return the output of ``node`` for ``inputs``; None if it is not exact, or an error.
 
-    Whole numbers and booleans are computed with; other numbers are moved, compared and cast, and
-    never added or multiplied, because another machine rounds another way.
+    Arithmetic is limited to integers and booleans. Floats are only moved, compared and cast,
+    because sums and products round differently on other machines.
     """
     known = [array for array in inputs if array is not None]
-    found = _MOVES.get(node.op_type)
-    if found is None and all(array.dtype.kind in "iub" for array in known):
-        found = _OF_WHOLE.get(node.op_type)
-    if found is None:
+    evaluator = _ANY_DTYPE.get(node.op_type)
+    if evaluator is None and all(array.dtype.kind in "iub" for array in known):
+        evaluator = _INTEGERS_ONLY.get(node.op_type)
+    if evaluator is None:
         return None
     with np.errstate(all="raise"):
         try:
-            return found(node, inputs)
+            return evaluator(node, inputs)
         except (FloatingPointError, IndexError, TypeError, ValueError, ZeroDivisionError):
-            return None  # the runtime reports what is wrong with it, with its own words
+            return None  # the runtime reports the error itself
 
 
-def _of_two(compute: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> "Evaluator":
+def _binary(compute: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> "Evaluator":
     def run(_: ir.Node, inputs: Arrays) -> np.ndarray:
         first, second = inputs
         assert first is not None
@@ -41,17 +41,17 @@ def _of_two(compute: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> "Evaluat
     return run
 
 
-def _of_many(compute: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> "Evaluator":
+def _variadic(compute: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> "Evaluator":
     def run(_: ir.Node, inputs: Arrays) -> np.ndarray:
-        made, *others = [array for array in inputs if array is not None]
-        for other in others:
-            made = np.asarray(compute(made, other))
-        return made
+        result, *operands = [array for array in inputs if array is not None]
+        for operand in operands:
+            result = np.asarray(compute(result, operand))
+        return result
 
     return run
 
 
-def _of_one(compute: Callable[[np.ndarray], np.ndarray]) -> "Evaluator":
+def _unary(compute: Callable[[np.ndarray], np.ndarray]) -> "Evaluator":
     def run(_: ir.Node, inputs: Arrays) -> np.ndarray:
         assert inputs[0] is not None
         return np.asarray(compute(inputs[0]))
@@ -60,7 +60,7 @@ def _of_one(compute: Callable[[np.ndarray], np.ndarray]) -> "Evaluator":
 
 
 def _divide(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Divide whole numbers and round towards zero, as C does."""
+    """Divide integers and round towards zero, as C does."""
     if not np.all(b):
         raise ZeroDivisionError
     quotient = np.abs(a) // np.abs(b)
@@ -76,11 +76,11 @@ def _modulo(node: ir.Node, inputs: Arrays) -> np.ndarray:
     return np.asarray(np.fmod(a, b) if int_attribute(node, "fmod", 0) else np.mod(a, b))
 
 
-def _axes(node: ir.Node, inputs: Arrays, place: int = 1) -> tuple[int, ...] | None:
-    """Return the axes, which older operator sets have as an attribute."""
+def _axes(node: ir.Node, inputs: Arrays, position: int = 1) -> tuple[int, ...] | None:
+    """Return the axes from the input at ``position``, or from the attribute of older operator sets."""
     if "axes" in node.attributes:
         return tuple(int(axis) for axis in node.attributes["axes"].as_ints())
-    array = inputs[place] if place < len(inputs) else None
+    array = inputs[position] if position < len(inputs) else None
     return None if array is None else tuple(int(axis) for axis in array.reshape(-1))
 
 
@@ -95,8 +95,8 @@ def _reduce(compute: Callable[..., np.ndarray]) -> "Evaluator":
         if not axes and int_attribute(node, "noop_with_empty_axes", 0):
             return array
         keep = bool(int_attribute(node, "keepdims", 1))
-        made = compute(array, axis=axes or None, keepdims=keep)
-        return np.asarray(made, array.dtype)
+        reduced = compute(array, axis=axes or None, keepdims=keep)
+        return np.asarray(reduced, array.dtype)
 
     return run
 
@@ -116,7 +116,7 @@ def _reshape(node: ir.Node, inputs: Arrays) -> np.ndarray:
     assert shape is not None
     sizes = [int(size) for size in shape]
     if not int_attribute(node, "allowzero", 0):
-        sizes = [size or array.shape[place] for place, size in enumerate(sizes)]
+        sizes = [size or array.shape[axis] for axis, size in enumerate(sizes)]
     return array.reshape(sizes)
 
 
@@ -134,16 +134,16 @@ def _slice(node: ir.Node, inputs: Arrays) -> np.ndarray:
     assert inputs[2] is not None
     starts, ends = inputs[1].tolist(), inputs[2].tolist()
     axes = _axes(node, inputs, 3) or tuple(range(len(starts)))
-    given = inputs[4] if len(inputs) > 4 else None
-    steps = [1] * len(starts) if given is None else given.tolist()
-    cut = [slice(None)] * array.ndim
+    step_input = inputs[4] if len(inputs) > 4 else None
+    steps = [1] * len(starts) if step_input is None else step_input.tolist()
+    slices = [slice(None)] * array.ndim
     for axis, start, end, step in zip(axes, starts, ends, steps, strict=True):
         size = array.shape[axis]
-        # Below −size a backward slice ends before the first element, which Python spells None;
-        # and it starts at the first one, where Python's would be empty.
+        # Below −size a backward slice ends before the first element, which Python writes as None;
+        # it starts at the first element, where a Python slice would be empty.
         stop = None if step < 0 and end < -size else end
-        cut[axis] = slice(max(start, -size), stop, step)
-    return array[tuple(cut)]
+        slices[axis] = slice(max(start, -size), stop, step)
+    return array[tuple(slices)]
 
 
 def _cast(node: ir.Node, inputs: Arrays) -> np.ndarray:
@@ -155,7 +155,7 @@ def _cast(node: ir.Node, inputs: Arrays) -> np.ndarray:
         whole = np.trunc(array.astype(np.float64))
         limits = np.iinfo(dtype)
         if not ((whole >= limits.min) & (whole < float(limits.max))).all():
-            raise ValueError  # what such a cast gives is up to the machine
+            raise ValueError  # such a cast is undefined and differs between machines
     return array.astype(dtype)
 
 
@@ -165,11 +165,11 @@ def _concat(node: ir.Node, inputs: Arrays) -> np.ndarray:
 
 
 def _where(_: ir.Node, inputs: Arrays) -> np.ndarray:
-    chosen, yes, no = inputs
-    assert chosen is not None
-    assert yes is not None
-    assert no is not None
-    return np.asarray(np.where(chosen, yes, no))
+    condition, if_true, if_false = inputs
+    assert condition is not None
+    assert if_true is not None
+    assert if_false is not None
+    return np.asarray(np.where(condition, if_true, if_false))
 
 
 def _expand(_: ir.Node, inputs: Arrays) -> np.ndarray:
@@ -193,7 +193,7 @@ def _constant_of_shape(node: ir.Node, inputs: Arrays) -> np.ndarray:
 def _range(_: ir.Node, inputs: Arrays) -> np.ndarray:
     start, limit, step = (array.reshape(()) for array in inputs if array is not None)
     if start.dtype.kind == "f" and not _is_whole(start, limit, step):
-        raise ValueError  # start + i · step rounds in its own way
+        raise ValueError  # the rounding of start + i · step is not specified
     count = max(0, int(np.ceil((float(limit) - float(start)) / float(step))))
     return (start + np.arange(count) * step).astype(start.dtype)
 
@@ -203,18 +203,18 @@ def _is_whole(*numbers: np.ndarray) -> bool:
 
 
 Evaluator = Callable[[ir.Node, Arrays], np.ndarray]
-_MOVES: dict[str, Evaluator] = {
+_ANY_DTYPE: dict[str, Evaluator] = {
     "Cast": _cast,
     "Concat": _concat,
     "ConstantOfShape": _constant_of_shape,
-    "Equal": _of_two(np.equal),
+    "Equal": _binary(np.equal),
     "Expand": _expand,
     "Gather": _gather,
-    "Greater": _of_two(np.greater),
-    "GreaterOrEqual": _of_two(np.greater_equal),
-    "Identity": _of_one(lambda a: a),
-    "Less": _of_two(np.less),
-    "LessOrEqual": _of_two(np.less_equal),
+    "Greater": _binary(np.greater),
+    "GreaterOrEqual": _binary(np.greater_equal),
+    "Identity": _unary(lambda a: a),
+    "Less": _binary(np.less),
+    "LessOrEqual": _binary(np.less_equal),
     "Range": _range,
     "Reshape": _reshape,
     "Slice": _slice,
@@ -223,22 +223,22 @@ _MOVES: dict[str, Evaluator] = {
     "Unsqueeze": _unsqueeze,
     "Where": _where,
 }
-_OF_WHOLE: dict[str, Evaluator] = {
-    "Abs": _of_one(np.abs),
-    "Add": _of_two(np.add),
-    "And": _of_two(np.logical_and),
-    "Div": _of_two(_divide),
-    "Max": _of_many(np.maximum),
-    "Min": _of_many(np.minimum),
+_INTEGERS_ONLY: dict[str, Evaluator] = {
+    "Abs": _unary(np.abs),
+    "Add": _binary(np.add),
+    "And": _binary(np.logical_and),
+    "Div": _binary(_divide),
+    "Max": _variadic(np.maximum),
+    "Min": _variadic(np.minimum),
     "Mod": _modulo,
-    "Mul": _of_two(np.multiply),
-    "Neg": _of_one(np.negative),
-    "Not": _of_one(np.logical_not),
-    "Or": _of_two(np.logical_or),
+    "Mul": _binary(np.multiply),
+    "Neg": _unary(np.negative),
+    "Not": _unary(np.logical_not),
+    "Or": _binary(np.logical_or),
     "ReduceMax": _reduce(np.max),
     "ReduceMin": _reduce(np.min),
     "ReduceProd": _reduce(np.prod),
     "ReduceSum": _reduce(np.sum),
-    "Sub": _of_two(np.subtract),
-    "Xor": _of_two(np.logical_xor),
+    "Sub": _binary(np.subtract),
+    "Xor": _binary(np.logical_xor),
 }

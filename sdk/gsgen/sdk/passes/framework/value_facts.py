@@ -1,17 +1,30 @@
-"""What is known of a value before the first frame: its shape, and what it holds."""
+"""Facts about values that are known before the first frame: shapes, constants, attributes."""
 
-__all__ = ["constant_of", "fixed_shape", "int_attribute", "rank_of", "split_sizes"]
+__all__ = [
+    "UNBOUNDED_END",
+    "attribute_values",
+    "constant_of",
+    "fixed_shape",
+    "int_attribute",
+    "rank_of",
+    "split_sizes",
+]
+
+from typing import Any
 
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.graph_builder import known_array
+from gsgen.sdk.passes.framework.graph_builder import constant_array
 
 _LARGEST = 1 << 16
 
+# A Slice ends at or above this index to mean the end of the axis.
+UNBOUNDED_END = (1 << 31) - 1
+
 
 def fixed_shape(value: ir.Value | None) -> tuple[int, ...] | None:
-    """Return the shape of ``value`` where every axis has a number."""
+    """Return the shape of ``value`` if every axis has a fixed size; else None."""
     if value is None or value.shape is None:
         return None
     dims = tuple(dim for dim in value.shape if isinstance(dim, int))
@@ -19,14 +32,14 @@ def fixed_shape(value: ir.Value | None) -> tuple[int, ...] | None:
 
 
 def rank_of(value: ir.Value | None) -> int | None:
-    """Return how many axes ``value`` has, where that is known."""
+    """Return the number of axes of ``value``; None if it is unknown."""
     return None if value is None or value.shape is None else len(value.shape)
 
 
 def constant_of(value: ir.Value | None, largest: int = _LARGEST) -> np.ndarray | None:
-    """Return what ``value`` holds at every frame; None where that varies, or has many elements.
+    """Return the array of a constant; None if it varies or has more than ``largest`` elements.
 
-    A weight that is also an input of the graph can be fed: it is no constant.
+    A weight that is also an input of the graph is not constant: callers can feed it.
     """
     if value is None or value.is_graph_input():
         return None
@@ -34,21 +47,26 @@ def constant_of(value: ir.Value | None, largest: int = _LARGEST) -> np.ndarray |
         return None
     if value.const_value is not None and value.const_value.dtype.is_string():
         return None
-    array = known_array(value)
+    array = constant_array(value)
     return array if array is None or array.size <= largest else None
 
 
 def int_attribute(node: ir.Node, name: str, default: int) -> int:
-    """Return an integer attribute, or ``default`` where the node does not have it."""
+    """Return an integer attribute, or ``default`` if the node does not have it."""
     attribute = node.attributes.get(name)
     return default if attribute is None else int(attribute.as_int())
 
 
+def attribute_values(node: ir.Node) -> dict[str, Any]:
+    """Return the attributes of a node as Python values, by name."""
+    return {name: attribute.value for name, attribute in node.attributes.items()}
+
+
 def split_sizes(node: ir.Node) -> list[int] | None:
-    """Return the sizes of the parts that a Split returns; None where they are not known."""
-    given = node.attributes.get("split")
-    if given is not None:
-        return list(given.as_ints())
+    """Return the sizes of the outputs of a Split; None if they are unknown."""
+    attribute = node.attributes.get("split")
+    if attribute is not None:
+        return list(attribute.as_ints())
     if len(node.inputs) > 1 and node.inputs[1] is not None:
         known = constant_of(node.inputs[1])
         return None if known is None else [int(size) for size in known]
@@ -56,9 +74,9 @@ def split_sizes(node: ir.Node) -> list[int] | None:
     if value is None or value.shape is None:
         return None
     axis = node.attributes["axis"].as_int() if "axis" in node.attributes else 0
-    whole, count = value.shape[axis], len(node.outputs)
-    if not isinstance(whole, int):
+    length, count = value.shape[axis], len(node.outputs)
+    if not isinstance(length, int):
         return None
-    part = -(-whole // count)
-    last = whole - part * (count - 1)
+    part = -(-length // count)
+    last = length - part * (count - 1)
     return None if last < 0 else [part] * (count - 1) + [last]

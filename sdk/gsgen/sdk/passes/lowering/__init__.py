@@ -1,1 +1,1 @@
-"""Which operators are written as others that every GPU runtime has?"""
+"""Which operators are replaced by others that every GPU runtime has kernels for?"""

@@ -1,4 +1,4 @@
-"""Masks of zeros and ones, where a release cannot compute with booleans."""
+"""Rewrites boolean operators as arithmetic on zeros and ones, for releases without boolean kernels."""
 
 __all__ = ["ArithmeticMasks"]
 
@@ -9,90 +9,80 @@ import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import Substitute, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
-from gsgen.sdk.passes.framework.value_facts import constant_of
+from gsgen.sdk.passes.framework.value_facts import attribute_values, constant_of
 
 _BOOL, _FLOAT = ir.DataType.BOOL, ir.DataType.FLOAT
 _LOGIC = ("And", "Equal", "Or", "Xor")
 _JOINING = ("Concat",)
-# Set on tensors of this pass: they hold zeros and ones, and nothing else.
+# Metadata key of tensors that this pass created and that hold only zeros and ones.
 _MARK = "gsgen.mask"
 
 
 class ArithmeticMasks(Substitute):
     """Compute with masks as numbers where a release has no kernel for booleans.
 
-    No release joins, turns, pads or compares booleans, and onnxruntime-web 1.22 does not reshape
-    them either; a mask falls to the CPU on its way from a comparison to a Where::
+    No release joins, transposes, pads or compares booleans, and onnxruntime-web 1.22 does not
+    reshape them either; between a comparison and a Where, a mask falls back to the CPU::
 
-        Or(a, b)                  →   Cast<to bool>(a + b − a · b), of zeros and ones
-        Unsqueeze(mask: bool)     →   Cast<to bool>(Unsqueeze(Cast<to float>(mask)))
+        1  Or(a, b)                →   Cast<to bool>(a + b − a · b), of zeros and ones
+        2  Unsqueeze(mask: bool)   →   Cast<to bool>(Unsqueeze(Cast<to float>(mask)))
+        3  Cast<to float>(Cast<to bool>(x)), where case 1 or 2 wrote the inner Cast   →   x
 
-    Numbers are kept between two such operators, so that a chain of them casts once at each end.
+    Case 3 keeps numbers between two such operators: a chain of them casts only at its ends.
     """
 
     name: ClassVar[str] = "arithmetic-masks"
     wanted_by: ClassVar[str] = "targets whose tables lack operators of booleans"
-    kinds: ClassVar[frozenset[str]] = frozenset(
-        {
-            *("And", "Concat", "Equal", "Expand", "Flatten", "Gather", "GatherElements"),
-            *(
-                "GatherND",
-                "Or",
-                "Reshape",
-                "Slice",
-                "Split",
-                "Squeeze",
-                "Tile",
-                "Transpose",
-            ),
-            *("Unsqueeze", "Where", "Xor"),
-        }
-    )
+    kinds: ClassVar[frozenset[str]] = frozenset({
+        "And", "Concat", "Equal", "Expand", "Flatten", "Gather", "GatherElements",
+        "GatherND", "Or", "Reshape", "Slice", "Split", "Squeeze", "Tile", "Transpose",
+        "Unsqueeze", "Where", "Xor",
+    })  # fmt: skip
 
     def matches(self, node: ir.Node) -> bool:
-        """Say whether ``node`` lacks a kernel for booleans, or undoes a cast of this pass."""
-        return super().matches(node) or _undoes(node)
+        """Return whether ``node`` lacks a boolean kernel, or undoes a cast of this pass."""
+        return super().matches(node) or _undoes_mask_cast(node)
 
-    def suits(self, node: ir.Node) -> bool:
-        """Say whether what it computes with is boolean."""
-        # What a Where chooses by is boolean always, and stays so.
-        value = node.inputs[_places_of(node)[0]]
+    def can_replace(self, node: ir.Node) -> bool:
+        """Return whether its operands are boolean."""
+        # The condition of a Where is always boolean, and stays boolean.
+        value = node.inputs[_computed_inputs(node)[0]]
         return value is not None and value.dtype == _BOOL
 
     def replace(self, node: ir.Node) -> None:
-        """Compute with numbers."""
+        """Replace booleans by zeros and ones."""
         write = InsertionPoint(node)
-        if _undoes(node):
+        if _undoes_mask_cast(node):  # Case 3
             write.replace(_recast(write, node))
             return
-        places = _places_of(node)
-        numbers = {place: _number(write, node.inputs[place]) for place in places}
-        if is_op(node, *_LOGIC):
-            made = [_logic(write, node.op_type, *numbers.values())]
-        else:
-            inputs = [numbers.get(place, value) for place, value in enumerate(node.inputs)]
-            attributes = {key: one.value for key, one in node.attributes.items()}
-            made = write.ops(node.op_type, len(node.outputs), *inputs, **attributes)
-        for old, value in zip(node.outputs, made, strict=True):
+        indices = _computed_inputs(node)
+        numbers = {index: _as_number(write, node.inputs[index]) for index in indices}
+        if is_op(node, *_LOGIC):  # Case 1: an operator that computes with truth values
+            results = [_logic(write, node.op_type, *numbers.values())]
+        else:  # Case 2: an operator that moves elements
+            inputs = [numbers.get(index, value) for index, value in enumerate(node.inputs)]
+            attributes = attribute_values(node)
+            results = write.ops(node.op_type, len(node.outputs), *inputs, **attributes)
+        for old, value in zip(node.outputs, results, strict=True):
             value.type, value.shape = ir.TensorType(_FLOAT), old.shape
             value.meta[_MARK] = True
         write.replace(
             *(
-                write.op("Cast", one, dtype=_BOOL, shape=one.shape, to=int(_BOOL))
-                for one in made
+                write.op("Cast", result, dtype=_BOOL, shape=result.shape, to=int(_BOOL))
+                for result in results
             )
         )
 
 
-def _places_of(node: ir.Node) -> range:
-    """Return which arguments ``node`` computes with; the others are indices, shapes and tests."""
+def _computed_inputs(node: ir.Node) -> range:
+    """Return the indices of the operands of ``node``; other inputs are indices, shapes, conditions."""
     if is_op(node, *_LOGIC, *_JOINING):
         return range(len(node.inputs))
     return range(1, 3) if is_op(node, "Where") else range(1)
 
 
-def _number(write: InsertionPoint, value: ir.Value | None) -> ir.Value:
-    """Return ``value`` as zeros and ones."""
+def _as_number(write: InsertionPoint, value: ir.Value | None) -> ir.Value:
+    """Return a boolean tensor as float zeros and ones."""
     assert value is not None
     maker = value.producer()
     if is_op(maker, "Cast") and maker is not None:
@@ -101,11 +91,11 @@ def _number(write: InsertionPoint, value: ir.Value | None) -> ir.Value:
             return inner
     known = constant_of(value)
     if known is not None:
-        made = write.constant(known.astype(np.float32), "mask")
+        number = write.constant(known.astype(np.float32), "mask")
     else:
-        made = write.op("Cast", value, dtype=_FLOAT, shape=value.shape, to=int(_FLOAT))
-    made.meta[_MARK] = True
-    return made
+        number = write.op("Cast", value, dtype=_FLOAT, shape=value.shape, to=int(_FLOAT))
+    number.meta[_MARK] = True
+    return number
 
 
 def _logic(write: InsertionPoint, kind: str, *numbers: ir.Value) -> ir.Value:
@@ -114,14 +104,14 @@ def _logic(write: InsertionPoint, kind: str, *numbers: ir.Value) -> ir.Value:
         return write.op("Mul", a, b)
     if kind == "Or":
         return write.op("Sub", write.op("Add", a, b), write.op("Mul", a, b))
-    apart = write.op("Abs", write.op("Sub", a, b))
+    difference = write.op("Abs", write.op("Sub", a, b))
     if kind == "Xor":
-        return apart
-    return write.op("Sub", write.constant(np.ones((), np.float32), "one"), apart)
+        return difference
+    return write.op("Sub", write.constant(np.ones((), np.float32), "one"), difference)
 
 
-def _undoes(node: ir.Node) -> bool:
-    """Say whether ``node`` casts a mask to numbers that this pass has cast to booleans."""
+def _undoes_mask_cast(node: ir.Node) -> bool:
+    """Return whether ``node`` casts a mask back to numbers after this pass cast it to booleans."""
     value = node.inputs[0] if is_op(node, "Cast") else None
     maker = value.producer() if value is not None else None
     if value is None or maker is None or not is_op(maker, "Cast") or value.dtype != _BOOL:
@@ -138,5 +128,5 @@ def _recast(write: InsertionPoint, node: ir.Node) -> ir.Value:
     assert kind is not None
     if kind == inner.dtype:
         return inner
-    made = write.op("Cast", inner, dtype=kind, shape=inner.shape, to=int(kind))
-    return made
+    cast = write.op("Cast", inner, dtype=kind, shape=inner.shape, to=int(kind))
+    return cast

@@ -1,4 +1,4 @@
-"""Updates of a part of a tensor, without writing into a buffer that others read."""
+"""Rewrites scatters with constant indices as gathers, which do not update buffers in place."""
 
 __all__ = ["GatherScatters"]
 
@@ -17,74 +17,74 @@ _LARGEST = 1 << 24
 
 
 class GatherScatters(CautiousRewrite):
-    """Write a Scatter whose places are known by joining old and new and gathering from both.
+    """Replace scatters with constant indices by a Gather from the joined old and new elements.
 
-    ScatterND and ScatterElements update in place. Where their base is an input or a weight, or is
-    read by others too, a captured graph is wrong from its first frame on, without any error; and
-    onnxruntime-web 1.22 has no right kernel at all. torch exports them for ``x[:, 0] = y``::
+    ScatterND and ScatterElements update in place. If their base is an input, a weight or a tensor
+    that other nodes read, a captured graph is wrong from its first frame on, without any error;
+    and onnxruntime-web 1.22 has no correct kernel. torch exports them for ``x[:, 0] = y``::
 
-        ScatterND(x, places, y)   →   Gather(Concat(x, y), for each element the last that was put there)
+        ScatterND(x, indices, y)   →   Gather(Concat(x, y), index of each element's last update)
     """
 
     name: ClassVar[str] = "gather-scatters"
     wanted_by: ClassVar[str] = "every target"
 
     def rewrite(self, model: ir.Model) -> None:
-        """Rewrite every scatter whose places and shapes are known."""
+        """Rewrite every scatter with known indices and shapes."""
         for node in list(model.graph.all_nodes()):
             if not is_op(node, "ScatterElements", "ScatterND"):
                 continue
-            why = _unknown(node)
-            if why:
-                self.refuse(node, why)
+            obstacle = _obstacle(node)
+            if obstacle:
+                self.refuse(node, obstacle)
                 continue
             self.note(node)
             _replace(node)
 
 
-def _unknown(node: ir.Node) -> str:
-    """Say what stands against rewriting ``node``; nothing if nothing does."""
+def _obstacle(node: ir.Node) -> str:
+    """Return the reason why ``node`` cannot be rewritten; empty if it can."""
     reduction = node.attributes.get("reduction")
     if reduction is not None and reduction.as_string() != "none":
         return f"it does not replace elements: its reduction is {reduction.as_string()!r}"
     if constant_of(node.inputs[1], largest=_LARGEST) is None:
-        return "the places it updates are not known before the frame"
+        return "its indices are not known before the frame"
     shape = fixed_shape(node.inputs[0])
     if shape is None:
-        return "the shape of what it updates is not known"
-    return "what it updates is empty" if 0 in shape else ""
+        return "the shape of the updated tensor is not known"
+    return "the updated tensor is empty" if 0 in shape else ""
 
 
 def _replace(node: ir.Node) -> None:
     write = InsertionPoint(node)
     data, _, updates = node.inputs
-    places, shape = constant_of(node.inputs[1], largest=_LARGEST), fixed_shape(data)
-    assert places is not None
+    indices, shape = constant_of(node.inputs[1], largest=_LARGEST), fixed_shape(data)
+    assert indices is not None
     assert shape is not None
     if is_op(node, "ScatterND"):
-        depth = places.shape[-1]
-        rest = shape[depth:]
-        flat = _flat(places, shape[:depth])
+        depth = indices.shape[-1]
+        row_shape = shape[depth:]
+        flat = _flat_indices(indices, shape[:depth])
     else:
         axis = int_attribute(node, "axis", 0) % len(shape)
-        index = np.indices(places.shape)
-        index[axis] = np.where(places < 0, places + shape[axis], places)
-        rest, flat = (), _flat(np.moveaxis(index, 0, -1), shape)
-    rows = math.prod(shape) // max(math.prod(rest), 1) if math.prod(rest) else 0
+        index = np.indices(indices.shape)
+        index[axis] = np.where(indices < 0, indices + shape[axis], indices)
+        row_shape, flat = (), _flat_indices(np.moveaxis(index, 0, -1), shape)
+    rows = math.prod(shape) // max(math.prod(row_shape), 1) if math.prod(row_shape) else 0
     order = np.arange(rows, dtype=np.int64)
-    # Of several updates of one place, the last one holds; numpy assigns in this order.
+    # If several updates have the same index, the last one counts; NumPy assigns in this order.
     order[flat.reshape(-1)] = rows + np.arange(flat.size)
-    old = write.op("Reshape", data, write.whole(rows, *rest))
-    new = write.op("Reshape", updates, write.whole(flat.size, *rest))
+    old = write.op("Reshape", data, write.int64(rows, *row_shape))
+    new = write.op("Reshape", updates, write.int64(flat.size, *row_shape))
     both = write.op("Concat", old, new, axis=0)
-    taken = write.op("Gather", both, write.constant(order, "order"), axis=0)
-    write.replace(write.op("Reshape", taken, write.whole(*shape)))
+    gathered = write.op("Gather", both, write.constant(order, "order"), axis=0)
+    write.replace(write.op("Reshape", gathered, write.int64(*shape)))
 
 
-def _flat(places: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
-    """Return one number for each place in axes of ``sizes``; negative ones count from behind."""
-    flat = np.zeros(places.shape[:-1], np.int64)
+def _flat_indices(indices: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
+    """Return the flat index for each multi-index into axes of ``sizes``; negatives count from the end."""
+    flat = np.zeros(indices.shape[:-1], np.int64)
     for axis, size in enumerate(sizes):
-        place = places[..., axis]
-        flat = flat * size + np.where(place < 0, place + size, place)
+        index = indices[..., axis]
+        flat = flat * size + np.where(index < 0, index + size, index)
     return flat

@@ -1,4 +1,4 @@
-"""Parts of a tensor, by operators that have kernels."""
+"""Rewrites Split, Slice and GatherND as Slice and Gather, for releases without their kernels."""
 
 __all__ = ["GatherSlices"]
 
@@ -12,43 +12,42 @@ import onnx_ir as ir
 from gsgen.sdk.passes.framework.base import Substitute, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import (
+    UNBOUNDED_END,
     constant_of,
     fixed_shape,
     int_attribute,
     split_sizes,
 )
 
-_ENDLESS = 2**31 - 1
-
 
 class GatherSlices(Substitute):
-    """Take parts by Slice where Split has no kernel, and by Gather where Slice or GatherND has none.
+    """Replace Split by Slice, and Slice and GatherND by Gather, if a release has no kernel for them.
 
     onnxruntime-web 1.22 splits neither float16 nor int32, 1.30 does not slice int32, and 1.22 fails
-    at the first frame of a GatherND with constant indices, which is what torch exports for
-    ``x[:, (0, 2)]``. Gather has kernels for all of these everywhere::
+    at the first frame of a GatherND with constant indices, which torch exports for ``x[:, (0, 2)]``.
+    Every release has Gather kernels for all of these::
 
-        a, b = Split(x)          →   Slice(x, 0, n), Slice(x, n, n + m)
-        Slice(x, 2, 8, step 3)   →   Gather(x, [2, 5])
-        GatherND(x, constant)    →   Gather(Reshape(x), constant)
+        1  a, b = Split(x)          →   Slice(x, 0, n), Slice(x, n, n + m)
+        2  Slice(x, 2, 8, step 3)   →   Gather(x, [2, 5])
+        3  GatherND(x, constant)    →   Gather(Reshape(x), constant)
     """
 
     name: ClassVar[str] = "gather-slices"
     kinds: ClassVar[frozenset[str]] = frozenset({"GatherND", "Slice", "Split"})
 
     def variant(self, node: ir.Node) -> str:
-        """Return ``constant`` of a GatherND, ``backwards`` of a Slice, where they are that."""
+        """Return ``constant`` for a GatherND with constant indices, ``backwards`` for negative steps."""
         if is_op(node, "GatherND"):
             return "constant" if constant_of(node.inputs[1]) is not None else ""
         steps = constant_of(node.inputs[4]) if len(node.inputs) > 4 else None
         return "backwards" if steps is not None and (steps < 0).any() else ""
 
-    def suits(self, node: ir.Node) -> bool:
-        """Say whether the parts are known before the frame."""
+    def can_replace(self, node: ir.Node) -> bool:
+        """Return whether sizes, bounds or indices are known before the frame."""
         if is_op(node, "Split"):
             return split_sizes(node) is not None and self.opset >= 10
         if is_op(node, "Slice"):
-            return _parts(node) is not None
+            return _axis_indices(node) is not None
         known = constant_of(node.inputs[1], largest=1 << 24)
         return (
             known is not None
@@ -58,41 +57,43 @@ class GatherSlices(Substitute):
         )
 
     def replace(self, node: ir.Node) -> None:
-        """Take the parts another way."""
+        """Replace the node according to its case."""
         write, x = InsertionPoint(node), node.inputs[0]
         assert x is not None
-        if is_op(node, "Split"):
-            write.replace(*_slices(write, node, x))
-        elif is_op(node, "Slice"):
-            parts = _parts(node)
+        if is_op(node, "Split"):  # Case 1
+            write.replace(*_split_slices(write, node, x))
+        elif is_op(node, "Slice"):  # Case 2
+            parts = _axis_indices(node)
             assert parts is not None
-            made = x
-            for axis, places in parts:
-                made = write.op("Gather", made, write.constant(places, "places"), axis=axis)
-            write.replace(made if parts else write.op("Identity", x))
-        else:
-            write.replace(_places(write, node, x))
+            gathered = x
+            for axis, indices in parts:
+                gathered = write.op(
+                    "Gather", gathered, write.constant(indices, "places"), axis=axis
+                )
+            write.replace(gathered if parts else write.op("Identity", x))
+        else:  # Case 3
+            write.replace(_gather_nd(write, node, x))
 
 
-def _slices(write: InsertionPoint, node: ir.Node, x: ir.Value) -> list[ir.Value]:
+def _split_slices(write: InsertionPoint, node: ir.Node, x: ir.Value) -> list[ir.Value]:
     axis, sizes = int_attribute(node, "axis", 0), split_sizes(node)
     assert sizes is not None
     ends = np.cumsum([0, *sizes])
-    made = []
+    slices = []
     for begin, end in pairwise(ends):
-        numbers = (write.whole(int(begin)), write.whole(int(end)), write.whole(axis))
-        made.append(write.op("Slice", x, *numbers))
-    return made
+        numbers = (write.int64(int(begin)), write.int64(int(end)), write.int64(axis))
+        slices.append(write.op("Slice", x, *numbers))
+    return slices
 
 
-def _parts(node: ir.Node) -> list[tuple[int, np.ndarray]] | None:
-    """Return axis and places of each cut that a Slice makes; None where they are not known."""
+def _axis_indices(node: ir.Node) -> list[tuple[int, np.ndarray]] | None:
+    """Return each sliced axis with its indices; None if they are unknown."""
     shape = fixed_shape(node.inputs[0])
-    given = [constant_of(value) for value in node.inputs[1:]]
-    wanted = [value for value in node.inputs[1:] if value is not None]
-    if shape is None or len(wanted) != sum(array is not None for array in given):
+    arguments = [constant_of(value) for value in node.inputs[1:]]
+    present = [value for value in node.inputs[1:] if value is not None]
+    if shape is None or len(present) != sum(array is not None for array in arguments):
         return None
-    begins, ends, axes, steps = (*given, None, None)[:4]
+    begins, ends, axes, steps = (*arguments, None, None)[:4]
     if begins is None or ends is None:
         return None
     axes = np.arange(len(begins)) if axes is None else axes
@@ -100,16 +101,16 @@ def _parts(node: ir.Node) -> list[tuple[int, np.ndarray]] | None:
     parts = []
     for begin, end, axis, step in zip(begins, ends, axes, steps, strict=True):
         size = shape[axis]
-        if step < 0 and (end >= _ENDLESS or size == 0):
-            return None  # the standard and ONNX Runtime disagree
-        chosen = np.arange(size, dtype=np.int64)[slice(*_clipped(begin, end, step, size))]
-        if len(chosen) != size or step != 1:
-            parts.append((int(axis) % len(shape), chosen))
+        if step < 0 and (end >= UNBOUNDED_END or size == 0):
+            return None  # the ONNX standard and ONNX Runtime disagree
+        indices = np.arange(size, dtype=np.int64)[slice(*_clipped(begin, end, step, size))]
+        if len(indices) != size or step != 1:
+            parts.append((int(axis) % len(shape), indices))
     return parts
 
 
 def _clipped(begin: int, end: int, step: int, size: int) -> tuple[int, int | None, int]:
-    """Return a slice as Python wants it: ``None`` stands for "before the first"."""
+    """Return the Python slice of an ONNX slice; a ``None`` end means before the first element."""
     first = int(begin) + size if begin < 0 else int(begin)
     last = int(end) + size if end < 0 else int(end)
     if step > 0:
@@ -118,18 +119,18 @@ def _clipped(begin: int, end: int, step: int, size: int) -> tuple[int, int | Non
     return first, None if last < 0 else last, int(step)
 
 
-def _places(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
-    """Write a GatherND: the axes that it looks into become one, and each place one number."""
+def _gather_nd(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
+    """Write a GatherND as a Gather: merge the indexed axes, and flatten each multi-index."""
     indices, shape = constant_of(node.inputs[1], largest=1 << 24), fixed_shape(x)
     assert indices is not None
     assert shape is not None
     depth = indices.shape[-1]
-    looked, rest = shape[:depth], shape[depth:]
-    inside = np.where(indices < 0, indices + np.array(looked, np.int64), indices)
+    indexed_shape, row_shape = shape[:depth], shape[depth:]
+    inside = np.where(indices < 0, indices + np.array(indexed_shape, np.int64), indices)
     flat = np.zeros(indices.shape[:-1], np.int64)
-    for axis, size in enumerate(looked):
+    for axis, size in enumerate(indexed_shape):
         flat = flat * size + inside[..., axis]
     rows = x
     if depth > 1:
-        rows = write.op("Reshape", x, write.whole(math.prod(looked), *rest))
+        rows = write.op("Reshape", x, write.int64(math.prod(indexed_shape), *row_shape))
     return write.op("Gather", rows, write.constant(flat, "places"), axis=0)

@@ -1,40 +1,41 @@
-"""Products of matrices and vectors that every runtime computes right."""
+"""Rewrites products with vectors as matrix products, which every runtime computes correctly."""
 
 __all__ = ["MultiplyMatrices"]
 
 import numpy as np
 import onnx_ir as ir
 
+from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.sdk.passes.framework.base import ErrorBudget, NodeRewrite
 from gsgen.sdk.passes.framework.graph_builder import new_node, weight
 
 
 class MultiplyMatrices(NodeRewrite):
-    """Make both operands of every MatMul matrices.
+    """Give both operands of every MatMul two axes.
 
-    ONNX Runtime (seen in 1.31) fuses Transpose into MatMul, and computes A v where Aᵀ v was meant
-    if v has one axis: the camera centre −Rᵀ t comes out wrong, without any error. And
+    ONNX Runtime (observed in 1.31) fuses Transpose into MatMul, and computes A v instead of Aᵀ v
+    if v has one axis: the camera centre −Rᵀ t is wrong, without any error. Also,
     onnxruntime-web 1.22 has no kernel for operands of one axis::
 
-        MatMul(A, v)   →   Squeeze(MatMul(A, Unsqueeze(v, 1)), -1)
-        MatMul(v, B)   →   Squeeze(MatMul(Unsqueeze(v, 0), B), -2)
+        1  MatMul(A, v)   →   Squeeze(MatMul(A, Unsqueeze(v, 1)), -1)
+        2  MatMul(v, B)   →   Squeeze(MatMul(Unsqueeze(v, 0), B), -2)
     """
 
     name = "multiply-matrices"
     exactness = ErrorBudget(relative=1e-6)
 
     def matches(self, node: ir.Node) -> bool:
-        """Say whether it is a MatMul with an operand of one axis."""
+        """Return whether ``node`` is a MatMul with an operand of one axis."""
         return bool(_vector_operands(node))
 
     def replace(self, node: ir.Node) -> None:
-        """Give the vector a second axis."""
+        """Add an axis to each vector, and remove it from the product."""
         _rewrite(node)
 
 
 def _vector_operands(node: ir.Node) -> list[int]:
-    """Return which inputs of a MatMul are known to have one axis."""
-    if node.op_type != "MatMul" or node.domain not in ("", "ai.onnx"):
+    """Return the indices of the inputs of a MatMul that have one axis."""
+    if node.op_type != "MatMul" or node.domain not in MAIN_DOMAIN:
         return []
     shapes = [value.shape if value is not None else None for value in node.inputs]
     return [
@@ -48,8 +49,8 @@ def _rewrite(node: ir.Node) -> None:
     vectors, old = _vector_operands(node), node.outputs[0]
     operands = list(node.inputs)
     for index in vectors:
-        axis = 0 if index == 0 else 1  # on the left a row, on the right a column
-        lifted = _reaxed(
+        axis = 0 if index == 0 else 1  # Case 2: the left vector is a row. Case 1: a column.
+        lifted = _change_axes(
             graph, "Unsqueeze", operands[index], [axis], f"{node.name}_{index}"
         )
         size = _size(operands[index])
@@ -59,13 +60,13 @@ def _rewrite(node: ir.Node) -> None:
     product = ir.Node("", "MatMul", operands, name=f"{node.name}_matrices")
     product.outputs[0].type = old.type
     axes = [-2 if index == 0 else -1 for index in vectors]
-    flat = _reaxed(graph, "Squeeze", product.outputs[0], axes, f"{node.name}_result")
+    flat = _change_axes(graph, "Squeeze", product.outputs[0], axes, f"{node.name}_result")
     graph.insert_before(node, [product, flat])
-    made = flat.outputs[0]
-    made.type, made.shape, name = old.type, old.shape, old.name
-    ir.convenience.replace_all_uses_with(old, made, replace_graph_outputs=True)
+    product_value = flat.outputs[0]
+    product_value.type, product_value.shape, name = old.type, old.shape, old.name
+    ir.convenience.replace_all_uses_with(old, product_value, replace_graph_outputs=True)
     graph.remove(node, safe=True)
-    made.name = name
+    product_value.name = name
 
 
 def _size(vector: ir.Value | None) -> int | ir.SymbolicDim:
@@ -74,10 +75,10 @@ def _size(vector: ir.Value | None) -> int | ir.SymbolicDim:
     return vector.shape[0]
 
 
-def _reaxed(
+def _change_axes(
     graph: ir.Graph, op: str, value: ir.Value | None, axes: list[int], name: str
 ) -> ir.Node:
-    """Return a node that adds or removes axes; the axes become a weight of ``graph``."""
+    """Return a Squeeze or Unsqueeze node; its axes become a weight of ``graph``."""
     assert value is not None
     return new_node(
         op, [value, weight(graph, f"{name}_axes", np.array(axes))], name, dtype=value.dtype

@@ -1,4 +1,4 @@
-"""Bilinear sampling that every WebGPU runtime can do."""
+"""Rewrites bilinear GridSample as Gathers, which every WebGPU runtime supports."""
 
 __all__ = ["SampleByGather"]
 
@@ -13,24 +13,24 @@ from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute
 
 _BILINEAR = ("bilinear", "linear")  # the name since operator set 20
-_WIDEST = 1 << 24  # float32 counts pixels one by one up to here
+_MAX_PIXELS = 1 << 24  # float32 represents every pixel index up to this number
 _FLOAT, _INT = ir.DataType.FLOAT, ir.DataType.INT32
 
 
 class SampleByGather(ByTables, CautiousRewrite):
-    """Write a bilinear GridSample with four Gathers and arithmetic.
+    """Replace a bilinear GridSample by four Gathers and arithmetic.
 
-    Kernels of GridSample exist for operator sets 16 to 19 alone; in onnxruntime-web 1.22 its
-    float16 shader does not compile, and the output is silently wrong. With the image as a table of
-    [pixels, channels] and one row a point::
+    Kernels of GridSample exist for operator sets 16 to 19 only; in onnxruntime-web 1.22 its
+    float16 shader does not compile, and the output is silently wrong. With the image as a table
+    [pixels, channels] and one row per point::
 
         GridSample(X, grid)   →   Σ weight · Gather(table, y · W + x) over the four neighbours
 
-    The formulas are those of ONNX and torch: a pixel's place is ((g + 1) / 2) (W − 1) where corners
-    are aligned, else ((g + 1) W − 1) / 2. Padding by zeros gives neighbours outside the weight
-    zero; padding by the border moves the point to the edge. A coordinate that is NaN counts as
-    outside. Coordinates are computed in float32 at least, since float16 cannot number pixels.
-    Reflection, nearest and cubic sampling, and volumes, are left alone.
+    The formulas are those of ONNX and torch: the pixel coordinate is ((g + 1) / 2) (W − 1) with
+    aligned corners, else ((g + 1) W − 1) / 2. Zero padding sets the weights of neighbours outside
+    the image to zero; border padding moves the point to the edge. A NaN coordinate counts as
+    outside. Coordinates are at least float32, because float16 cannot represent pixel indices.
+    Reflection padding, nearest and cubic sampling, and volumes stay as they are.
     """
 
     name: ClassVar[str] = "sample-by-gather"
@@ -42,36 +42,39 @@ class SampleByGather(ByTables, CautiousRewrite):
     def rewrite(self, model: ir.Model) -> None:
         """Rewrite every GridSample that lacks a kernel, subgraphs included."""
         for node in [node for node in every_node(model) if is_op(node, "GridSample")]:
-            if self.goal is not None and not self.goal.lacks(node, self.opset):
+            if self.target is not None and not self.target.lacks_kernel(node, self.opset):
                 continue
-            why = _obstacle(node)
-            if why:
-                self.refuse(node, why)
+            obstacle = _obstacle(node)
+            if obstacle:
+                self.refuse(node, obstacle)
                 continue
             self.note(node)
             _replace(node)
 
 
 def _obstacle(node: ir.Node) -> str:
-    """Say what keeps ``node`` from being written out; nothing where nothing does."""
+    """Return the reason why ``node`` cannot be rewritten; empty if it can."""
     image, grid = (fixed_shape(value) for value in node.inputs)
     if image is None or grid is None:
         return "the sizes of its inputs are not known"
     if len(image) != 4:
-        return f"its image has {len(image)} axes, wanted 4"
-    mode, padding = _word(node, "mode", "bilinear"), _word(node, "padding_mode", "zeros")
+        return f"its image has {len(image)} axes, expected 4"
+    mode, padding = (
+        _string_attribute(node, "mode", "bilinear"),
+        _string_attribute(node, "padding_mode", "zeros"),
+    )
     if mode not in _BILINEAR:
-        return f"mode is {mode}, wanted bilinear"
+        return f"mode is {mode}, expected bilinear"
     if padding not in ("zeros", "border"):
-        return f"padding is {padding}, wanted zeros or border"
+        return f"padding is {padding}, expected zeros or border"
     if 0 in (*image, *grid):
         return "an axis is empty"
-    if image[0] * image[2] * image[3] >= _WIDEST:
-        return f"{image[0] * image[2] * image[3]} pixels, wanted fewer than {_WIDEST}"
+    if image[0] * image[2] * image[3] >= _MAX_PIXELS:
+        return f"{image[0] * image[2] * image[3]} pixels, expected fewer than {_MAX_PIXELS}"
     return ""
 
 
-def _word(node: ir.Node, name: str, default: str) -> str:
+def _string_attribute(node: ir.Node, name: str, default: str) -> str:
     attribute = node.attributes.get(name)
     return default if attribute is None else attribute.as_string()
 
@@ -85,10 +88,10 @@ def _replace(node: ir.Node) -> None:
     before = InsertionPoint(node)
     kind = image.dtype
     assert kind is not None
-    wide = kind if kind == ir.DataType.DOUBLE else _FLOAT
-    table = _table(before, image)
-    flat = _as(before, grid, wide, [points, 2])
-    sampler = _Sampler(before, wide, node)
+    dtype = kind if kind == ir.DataType.DOUBLE else _FLOAT
+    table = _pixel_table(before, image)
+    flat = _convert(before, grid, dtype, [points, 2])
+    sampler = _Sampler(before, dtype, node)
     xs = sampler.neighbours(flat, 0, width)
     ys = sampler.neighbours(flat, 1, height)
     first = np.repeat(np.arange(frames), points // frames) * (height * width)
@@ -101,73 +104,78 @@ def _replace(node: ir.Node) -> None:
         line = before.op("Add", line, start) if frames > 1 else line
         parts = []
         for x_index, x_weight in xs:
-            place = before.op("Add", line, x_index)
-            place = before.op("Reshape", place, before.whole(points))
-            taken = before.op("Gather", table, place, dtype=kind, axis=0)
-            parts.append(before.op("Mul", _as(before, taken, wide), x_weight))
+            pixel_index = before.op("Add", line, x_index)
+            pixel_index = before.op("Reshape", pixel_index, before.int64(points))
+            pixels = before.op("Gather", table, pixel_index, dtype=kind, axis=0)
+            parts.append(before.op("Mul", _convert(before, pixels, dtype), x_weight))
         rows.append(before.op("Mul", before.op("Add", *parts), y_weight))
     mixed = before.op("Add", *rows)
     shape = [frames, *(fixed_shape(grid) or ())[1:-1], channels]
-    mixed = before.op("Reshape", mixed, before.whole(*shape))
-    made = before.op("Transpose", mixed, perm=[0, 3, 1, 2])
-    before.replace(_as(before, made, kind))
+    mixed = before.op("Reshape", mixed, before.int64(*shape))
+    image_layout = before.op("Transpose", mixed, perm=[0, 3, 1, 2])
+    before.replace(_convert(before, image_layout, kind))
 
 
 class _Sampler:
-    """Finds the two neighbours of every point along one axis."""
+    """Computes the two neighbouring pixels of every point along one axis, and their weights."""
 
-    def __init__(self, before: InsertionPoint, wide: ir.DataType, node: ir.Node) -> None:
-        self.before, self.wide = before, wide
+    def __init__(self, before: InsertionPoint, dtype: ir.DataType, node: ir.Node) -> None:
+        self.before, self.dtype = before, dtype
         self.aligned = bool(int_attribute(node, "align_corners", 0))
-        self.border = _word(node, "padding_mode", "zeros") == "border"
+        self.border = _string_attribute(node, "padding_mode", "zeros") == "border"
 
     def number(self, value: float) -> ir.Value:
-        return self.before.constant(np.asarray(value, self.wide.numpy()), "number")
+        return self.before.constant(np.asarray(value, self.dtype.numpy()), "number")
 
     def neighbours(
         self, grid: ir.Value, axis: int, size: int
     ) -> list[tuple[ir.Value, ir.Value]]:
         """Return (index int32 [P, 1], weight [P, 1]) of the lower and the upper neighbour."""
-        op, one = self.before.op, self.number(1)
-        column = op("Gather", grid, self.before.whole(axis), dtype=self.wide, axis=1)
-        place = self._place(op("Add", column, one), size)
+        op, unit = self.before.op, self.number(1)
+        column = op("Gather", grid, self.before.int64(axis), dtype=self.dtype, axis=1)
+        coordinate = self._pixel_coordinate(op("Add", column, unit), size)
         last = self.number(size - 1)
         if self.border:
-            place = self._within(place, last)
-        low = op("Floor", place)
-        high = op("Add", low, one)
-        made = []
-        for index, weight in ((low, op("Sub", high, place)), (high, op("Sub", place, low))):
-            kept = weight if self.border else self._where_inside(index, weight, last)
-            whole = op("Cast", self._within(index, last), dtype=_INT, to=_INT.value)
-            made.append((whole, kept))
-        return made
+            coordinate = self._clamp(coordinate, last)
+        low = op("Floor", coordinate)
+        high = op("Add", low, unit)
+        pairs = []
+        for index, weight in (
+            (low, op("Sub", high, coordinate)),
+            (high, op("Sub", coordinate, low)),
+        ):
+            masked_weight = (
+                weight if self.border else self._mask_outside(index, weight, last)
+            )
+            pixel = op("Cast", self._clamp(index, last), dtype=_INT, to=_INT.value)
+            pairs.append((pixel, masked_weight))
+        return pairs
 
-    def _place(self, moved: ir.Value, size: int) -> ir.Value:
+    def _pixel_coordinate(self, shifted: ir.Value, size: int) -> ir.Value:
         op, half = self.before.op, self.number(2)
         if self.aligned:
-            return op("Mul", op("Div", moved, half), self.number(size - 1))
-        scaled = op("Sub", op("Mul", moved, self.number(size)), self.number(1))
+            return op("Mul", op("Div", shifted, half), self.number(size - 1))
+        scaled = op("Sub", op("Mul", shifted, self.number(size)), self.number(1))
         return op("Div", scaled, half)
 
-    def _within(self, value: ir.Value, last: ir.Value) -> ir.Value:
-        """Bring ``value`` into 0 … ``last``; NaN, which no comparison keeps, becomes 0."""
+    def _clamp(self, value: ir.Value, last: ir.Value) -> ir.Value:
+        """Clamp ``value`` to 0 … ``last``; NaN becomes 0 because comparisons with it are false."""
         op, zero = self.before.op, self.number(0)
         positive = op("Greater", value, zero, dtype=ir.DataType.BOOL)
-        raised = op("Where", positive, value, zero, dtype=self.wide)
+        raised = op("Where", positive, value, zero, dtype=self.dtype)
         small = op("Less", raised, last, dtype=ir.DataType.BOOL)
-        return op("Where", small, raised, last, dtype=self.wide)
+        return op("Where", small, raised, last, dtype=self.dtype)
 
-    def _where_inside(self, index: ir.Value, weight: ir.Value, last: ir.Value) -> ir.Value:
+    def _mask_outside(self, index: ir.Value, weight: ir.Value, last: ir.Value) -> ir.Value:
         op, zero = self.before.op, self.number(0)
         above = op("GreaterOrEqual", index, zero, dtype=ir.DataType.BOOL)
-        kept = op("Where", above, weight, zero, dtype=self.wide)
+        masked_weight = op("Where", above, weight, zero, dtype=self.dtype)
         below = op("LessOrEqual", index, last, dtype=ir.DataType.BOOL)
-        return op("Where", below, kept, zero, dtype=self.wide)
+        return op("Where", below, masked_weight, zero, dtype=self.dtype)
 
 
-def _table(before: InsertionPoint, image: ir.Value) -> ir.Value:
-    """Return the image as [frames · pixels, channels]; a weight is turned here and now."""
+def _pixel_table(before: InsertionPoint, image: ir.Value) -> ir.Value:
+    """Return the image as [frames · pixels, channels]; a weight is transposed at once."""
     frames, channels, height, width = fixed_shape(image) or ()
     known = constant_of(image, largest=1 << 62)
     if known is not None:
@@ -175,17 +183,17 @@ def _table(before: InsertionPoint, image: ir.Value) -> ir.Value:
         return before.constant(turned, "table")
     turned_value = before.op("Transpose", image, perm=[0, 2, 3, 1])
     return before.op(
-        "Reshape", turned_value, before.whole(frames * height * width, channels)
+        "Reshape", turned_value, before.int64(frames * height * width, channels)
     )
 
 
-def _as(
+def _convert(
     before: InsertionPoint,
     value: ir.Value,
     kind: ir.DataType,
     shape: list[int] | None = None,
 ) -> ir.Value:
-    """Return ``value`` in this dtype and shape."""
+    """Return ``value`` cast and reshaped."""
     if value.dtype != kind:
         value = before.op("Cast", value, dtype=kind, to=kind.value)
-    return value if shape is None else before.op("Reshape", value, before.whole(*shape))
+    return value if shape is None else before.op("Reshape", value, before.int64(*shape))

@@ -1,4 +1,4 @@
-"""Activations, written out with exponentials and selections."""
+"""Rewrites activations with exponentials and comparisons, for releases without their kernels."""
 
 __all__ = ["WriteOutActivations"]
 
@@ -9,57 +9,46 @@ from typing import ClassVar
 import numpy as np
 import onnx_ir as ir
 
+from gsgen.contract.spec.onnx_facts import FLOAT_TYPES
 from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import int_attribute
 
-_FLOATS = (ir.DataType.FLOAT, ir.DataType.FLOAT16, ir.DataType.DOUBLE)
-
 
 class WriteOutActivations(Substitute):
-    """Write activations out that a release has no kernel for.
+    """Write out activations that a release has no kernel for.
 
-    Softsign, Selu and Celu have none anywhere, Softplus, Mish and PRelu none in onnxruntime-web
-    1.22, and operator set 22 takes Elu, HardSigmoid, HardSwish and ThresholdedRelu away::
+    No release has kernels for Softsign, Selu and Celu; onnxruntime-web 1.22 has none for Softplus,
+    Mish and PRelu; from operator set 22 on, Elu, HardSigmoid, HardSwish and ThresholdedRelu have
+    none::
 
         Softplus(x)   →   Relu(x) + Log(1 + Exp(−|x|))
 
-    Exponents are never positive, so that nothing overflows on the way.
+    Exponents are never positive, so intermediate values do not overflow.
     """
 
     name: ClassVar[str] = "write-out-activations"
     exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=1e-5, absolute=1e-7)
-    kinds: ClassVar[frozenset[str]] = frozenset(
-        {
-            *(
-                "Celu",
-                "Elu",
-                "Gelu",
-                "HardSigmoid",
-                "HardSwish",
-                "LogSoftmax",
-                "Mish",
-                "PRelu",
-            ),
-            *("Selu", "Shrink", "Softplus", "Softsign", "Swish", "ThresholdedRelu"),
-        }
-    )
+    kinds: ClassVar[frozenset[str]] = frozenset({
+        "Celu", "Elu", "Gelu", "HardSigmoid", "HardSwish", "LogSoftmax", "Mish",
+        "PRelu", "Selu", "Shrink", "Softplus", "Softsign", "Swish", "ThresholdedRelu",
+    })  # fmt: skip
 
-    def suits(self, node: ir.Node) -> bool:
-        """Say whether it is of floats."""
+    def can_replace(self, node: ir.Node) -> bool:
+        """Return whether its dtype is a float; LogSoftmax needs operator set 13."""
         value = node.inputs[0]
-        if value is None or value.dtype not in _FLOATS:
+        if value is None or value.dtype not in FLOAT_TYPES:
             return False
         return node.op_type != "LogSoftmax" or self.opset >= 13  # before, it flattens
 
     def replace(self, node: ir.Node) -> None:
-        """Write the activation out."""
+        """Replace the activation by its formula."""
         write = InsertionPoint(node)
         write.replace(_FORMULAS[node.op_type](_Formula(write, node, self.opset)))
 
 
 class _Formula:
-    """What writing a formula down takes."""
+    """Helpers that write the operators of one activation's formula."""
 
     def __init__(self, write: InsertionPoint, node: ir.Node, opset: int) -> None:
         self.write, self.node, self.opset = write, node, opset
@@ -72,44 +61,55 @@ class _Formula:
         return self.write.constant(np.asarray(value, self.kind), "number")
 
     def attribute(self, name: str, default: float) -> float:
-        given = self.node.attributes.get(name)
-        return default if given is None else given.as_float()
+        attribute_value = self.node.attributes.get(name)
+        return default if attribute_value is None else attribute_value.as_float()
 
     def op(self, kind: str, *inputs: ir.Value | float) -> ir.Value:
-        values = [self.number(one) if isinstance(one, float) else one for one in inputs]
+        values = [
+            self.number(operand) if isinstance(operand, float) else operand
+            for operand in inputs
+        ]
         return self.write.op(kind, *values)
 
-    def where(self, test: str, bound: float, then: ir.Value, other: ir.Value) -> ir.Value:
-        """Return ``then`` where x is beyond ``bound``, and else ``other``."""
+    def where(
+        self, test: str, bound: float, then: ir.Value, otherwise: ir.Value
+    ) -> ir.Value:
+        """Return ``then`` where x exceeds ``bound`` in the direction of ``test``, else ``otherwise``."""
         limit = self.number(bound)
         beyond = self.write.op(test, self.x, limit, dtype=ir.DataType.BOOL)
-        return self.write.op("Where", beyond, then, other, dtype=self.x.dtype)
+        return self.write.op("Where", beyond, then, otherwise, dtype=self.x.dtype)
 
-    def below(self) -> ir.Value:
-        """X where it is negative, and zero elsewhere."""
+    def negative_part(self) -> ir.Value:
+        """Return min(x, 0)."""
         return self.op("Neg", self.op("Relu", self.op("Neg", self.x)))
 
-    def powers(self, scale: float = 1.0) -> ir.Value:
-        """e^(x / scale) − 1 where x is negative, and zero elsewhere."""
-        below = self.below() if scale == 1 else self.op("Div", self.below(), scale)
+    def negative_exponential(self, scale: float = 1.0) -> ir.Value:
+        """Return e^(x / scale) − 1 where x is negative, else zero."""
+        below = (
+            self.negative_part()
+            if scale == 1
+            else self.op("Div", self.negative_part(), scale)
+        )
         return self.op("Sub", self.op("Exp", below), 1.0)
 
 
 def _elu(f: _Formula) -> ir.Value:
-    negative = f.op("Mul", f.powers(), f.attribute("alpha", 1.0))
+    negative = f.op("Mul", f.negative_exponential(), f.attribute("alpha", 1.0))
     return f.op("Add", f.op("Relu", f.x), negative)
 
 
 def _celu(f: _Formula) -> ir.Value:
     alpha = f.attribute("alpha", 1.0)
-    return f.op("Add", f.op("Relu", f.x), f.op("Mul", f.powers(alpha), alpha))
+    return f.op("Add", f.op("Relu", f.x), f.op("Mul", f.negative_exponential(alpha), alpha))
 
 
 def _selu(f: _Formula) -> ir.Value:
     alpha = f.attribute("alpha", 1.67326319217681884765625)
     gamma = f.attribute("gamma", 1.05070102214813232421875)
     return f.op(
-        "Mul", f.op("Add", f.op("Relu", f.x), f.op("Mul", f.powers(), alpha)), gamma
+        "Mul",
+        f.op("Add", f.op("Relu", f.x), f.op("Mul", f.negative_exponential(), alpha)),
+        gamma,
     )
 
 
@@ -119,14 +119,14 @@ def _softplus(f: _Formula) -> ir.Value:
 
 
 def _gelu(f: _Formula) -> ir.Value:
-    given = f.node.attributes.get("approximate")
-    if given is not None and given.as_string() == "tanh":
+    approximation = f.node.attributes.get("approximate")
+    if approximation is not None and approximation.as_string() == "tanh":
         cube = f.op("Mul", f.op("Mul", f.x, f.x), f.x)
         inner = f.op("Add", f.x, f.op("Mul", cube, 0.044715))
-        turned = f.op("Tanh", f.op("Mul", inner, math.sqrt(2 / math.pi)))
+        gate = f.op("Tanh", f.op("Mul", inner, math.sqrt(2 / math.pi)))
     else:
-        turned = f.op("Erf", f.op("Mul", f.x, math.sqrt(0.5)))
-    return f.op("Mul", f.op("Mul", f.x, 0.5), f.op("Add", turned, 1.0))
+        gate = f.op("Erf", f.op("Mul", f.x, math.sqrt(0.5)))
+    return f.op("Mul", f.op("Mul", f.x, 0.5), f.op("Add", gate, 1.0))
 
 
 def _hard_sigmoid(f: _Formula) -> ir.Value:
@@ -141,7 +141,7 @@ def _hard_swish(f: _Formula) -> ir.Value:
 
 def _log_softmax(f: _Formula) -> ir.Value:
     axis = int_attribute(f.node, "axis", -1)
-    axes = f.write.whole(axis)
+    axes = f.write.int64(axis)
     most = (
         f.write.op("ReduceMax", f.x, axes, keepdims=1)
         if f.opset >= 18

@@ -1,4 +1,4 @@
-"""Norms and normalisations, written out with sums and roots."""
+"""Rewrites normalisations with means, products and roots, for releases without their kernels."""
 
 __all__ = ["WriteOutNorms"]
 
@@ -9,27 +9,27 @@ from typing import ClassVar
 import numpy as np
 import onnx_ir as ir
 
+from gsgen.contract.spec.onnx_facts import FLOAT_TYPES
 from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import fixed_shape, int_attribute, rank_of
 
-# From these operator sets on, axes of a reduction are an argument; before, an attribute.
+# From this operator set on, the axes of a reduction are an input; before, an attribute.
 _AXES_ARE_INPUT = 18
-# From this operator set on, GroupNormalization scales channels; before, groups.
+# From this operator set on, GroupNormalization has a scale per channel; before, per group.
 _SCALES_CHANNELS = 21
-_FLOATS = (ir.DataType.FLOAT, ir.DataType.FLOAT16, ir.DataType.DOUBLE)
 
 
 class WriteOutNorms(Substitute):
-    """Write norms and normalisations with means, products and roots.
+    """Write out normalisations with means, products and roots.
 
-    Most releases lack a kernel for one or the other: GroupNormalization in onnxruntime-web 1.30,
+    Most releases lack a kernel for some of them: GroupNormalization in onnxruntime-web 1.30,
     LpNormalization in 1.22, InstanceNormalization from operator set 22 on, RMSNormalization
-    everywhere. One such node keeps the whole model from being captured::
+    everywhere. One such node prevents the capture of the whole model::
 
         LayerNormalization(x, s, b)   →   d · 1/√(mean(d · d) + ε) · s + b, where d = x − mean(x)
 
-    float16 is computed in float32, as ONNX asks for (``stash_type``).
+    float16 is computed in float32, as ONNX requires (``stash_type``).
     """
 
     name: ClassVar[str] = "write-out-norms"
@@ -45,13 +45,15 @@ class WriteOutNorms(Substitute):
         }
     )
 
-    def suits(self, node: ir.Node) -> bool:
-        """Say whether dtype and rank are known."""
+    def can_replace(self, node: ir.Node) -> bool:
+        """Return whether dtype and rank are known."""
         value = node.inputs[0]
-        return value is not None and value.dtype in _FLOATS and rank_of(value) is not None
+        return (
+            value is not None and value.dtype in FLOAT_TYPES and rank_of(value) is not None
+        )
 
     def replace(self, node: ir.Node) -> None:
-        """Write the norm out."""
+        """Replace the normalisation by its formula."""
         write = InsertionPoint(node)
         x = node.inputs[0]
         assert x is not None
@@ -59,7 +61,7 @@ class WriteOutNorms(Substitute):
 
 
 class _Norm:
-    """What writing one norm out takes."""
+    """Helpers that write the operators of one normalisation."""
 
     def __init__(
         self, write: InsertionPoint, node: ir.Node, x: ir.Value, opset: int
@@ -67,12 +69,12 @@ class _Norm:
         self.write, self.node, self.opset = write, node, opset
         self.kind = x.dtype
         self.rank = rank_of(x) or 0
-        self.half = x.dtype == ir.DataType.FLOAT16
-        self.x = self.wide(x)
+        self.is_float16 = x.dtype == ir.DataType.FLOAT16
+        self.x = self.computed(x)
 
-    def wide(self, value: ir.Value) -> ir.Value:
-        """Return ``value`` in the dtype that is computed in."""
-        if not self.half:
+    def computed(self, value: ir.Value) -> ir.Value:
+        """Return ``value`` in the dtype of the computation: float16 becomes float32."""
+        if not self.is_float16:
             return value
         kind = ir.DataType.FLOAT
         return self.write.op("Cast", value, dtype=kind, shape=value.shape, to=int(kind))
@@ -81,21 +83,31 @@ class _Norm:
         return self.write.op(kind, *inputs)
 
     def number(self, value: float) -> ir.Value:
-        kind = np.float32 if self.half else self.kind.numpy() if self.kind else np.float32
+        kind = (
+            np.float32
+            if self.is_float16
+            else self.kind.numpy()
+            if self.kind
+            else np.float32
+        )
         return self.write.constant(np.asarray(value, kind), "number")
 
     def argument(self, index: int) -> ir.Value | None:
         value = self.node.inputs[index] if index < len(self.node.inputs) else None
-        return None if value is None else self.wide(value)
+        return None if value is None else self.computed(value)
 
     def attribute(self, name: str, default: float) -> float:
-        given = self.node.attributes.get(name)
-        return float(np.float32(default)) if given is None else given.as_float()
+        attribute_value = self.node.attributes.get(name)
+        return (
+            float(np.float32(default))
+            if attribute_value is None
+            else attribute_value.as_float()
+        )
 
     def reduced(self, kind: str, value: ir.Value, axes: list[int]) -> ir.Value:
-        """Reduce along ``axes``, which stay with size one."""
+        """Reduce along ``axes``, which keep size one."""
         if self.opset >= _AXES_ARE_INPUT or (kind == "ReduceSum" and self.opset >= 13):
-            return self.write.op(kind, value, self.write.whole(*axes), keepdims=1)
+            return self.write.op(kind, value, self.write.int64(*axes), keepdims=1)
         return self.write.op(kind, value, axes=axes, keepdims=1)
 
     def inverse_deviation(
@@ -112,20 +124,20 @@ class _Norm:
         return value if bias is None else self.op("Add", value, bias)
 
     def finish(self, *results: ir.Value) -> None:
-        """Cast back, and put the results in the node's place."""
-        first, *others = results
-        if self.half:
+        """Cast the first result back, and replace the node by the results."""
+        first, *statistics = results
+        if self.is_float16:
             assert self.kind is not None
             first = self.write.op("Cast", first, dtype=self.kind, to=int(self.kind))
-        self.write.replace(first, *others[: len(self.node.outputs) - 1])
+        self.write.replace(first, *statistics[: len(self.node.outputs) - 1])
 
     def per_channel(self, value: ir.Value | None) -> ir.Value | None:
-        """Give ``value`` [C] an axis of size one for each axis behind the channels."""
+        """Append an axis of size one to ``value`` [C] for each axis after the channels."""
         if value is None or self.rank <= 2:
             return value
         axes = list(range(1, self.rank - 1))
         if self.opset >= 13:
-            return self.write.op("Unsqueeze", value, self.write.whole(*axes))
+            return self.write.op("Unsqueeze", value, self.write.int64(*axes))
         return self.write.op("Unsqueeze", value, axes=axes)
 
 
@@ -135,8 +147,8 @@ def _layer(norm: _Norm) -> None:
     mean = norm.reduced("ReduceMean", norm.x, axes)
     centred = norm.op("Sub", norm.x, mean)
     inverse = norm.inverse_deviation(centred, axes, norm.attribute("epsilon", 1e-5))
-    even = norm.op("Mul", centred, inverse)
-    norm.finish(norm.scaled(even, norm.argument(1), norm.argument(2)), mean, inverse)
+    normalised = norm.op("Mul", centred, inverse)
+    norm.finish(norm.scaled(normalised, norm.argument(1), norm.argument(2)), mean, inverse)
 
 
 def _root_mean_square(norm: _Norm) -> None:
@@ -157,41 +169,45 @@ def _instance(norm: _Norm) -> None:
 def _group(norm: _Norm) -> None:
     groups = norm.node.attributes["num_groups"].as_int()
     sizes = fixed_shape(norm.x)
-    size = norm.op("Shape", norm.x) if sizes is None else norm.write.whole(*sizes)
+    size = norm.op("Shape", norm.x) if sizes is None else norm.write.int64(*sizes)
     if sizes is None:
         size.type = ir.TensorType(ir.DataType.INT64)
-    grouped = norm.op("Reshape", norm.x, norm.write.whole(0, groups, -1))
+    grouped = norm.op("Reshape", norm.x, norm.write.int64(0, groups, -1))
     centred = norm.op("Sub", grouped, norm.reduced("ReduceMean", grouped, [2]))
     inverse = norm.inverse_deviation(centred, [2], norm.attribute("epsilon", 1e-5))
-    even = norm.op("Mul", centred, inverse)
+    normalised = norm.op("Mul", centred, inverse)
     scale, bias = norm.argument(1), norm.argument(2)
-    if norm.opset < _SCALES_CHANNELS:  # one number a group
+    if norm.opset < _SCALES_CHANNELS:  # one number per group
         scale, bias = (
-            None if one is None else norm.write.op("Unsqueeze", one, norm.write.whole(1))
-            for one in (scale, bias)
+            None
+            if parameter is None
+            else norm.write.op("Unsqueeze", parameter, norm.write.int64(1))
+            for parameter in (scale, bias)
         )
-        norm.finish(norm.op("Reshape", norm.scaled(even, scale, bias), size))
+        norm.finish(norm.op("Reshape", norm.scaled(normalised, scale, bias), size))
         return
-    flat = norm.op("Reshape", even, size)
+    flat = norm.op("Reshape", normalised, size)
     norm.finish(norm.scaled(flat, norm.per_channel(scale), norm.per_channel(bias)))
 
 
-def _length(norm: _Norm) -> None:
-    """Write LpNormalization; where the length is zero, ONNX Runtime returns zero."""
+def _lp(norm: _Norm) -> None:
+    """Write LpNormalization; for vectors of length zero, ONNX Runtime returns zero."""
     axis = int_attribute(norm.node, "axis", -1)
     if int_attribute(norm.node, "p", 2) == 1:
         length = norm.reduced("ReduceSum", norm.op("Abs", norm.x), [axis])
     else:
         squares = norm.op("Mul", norm.x, norm.x)
         length = norm.op("Sqrt", norm.reduced("ReduceSum", squares, [axis]))
-    none = norm.write.op("Equal", length, norm.number(0), dtype=ir.DataType.BOOL)
-    safe = norm.write.op("Where", none, norm.number(math.inf), length, dtype=length.dtype)
+    is_zero = norm.write.op("Equal", length, norm.number(0), dtype=ir.DataType.BOOL)
+    safe = norm.write.op(
+        "Where", is_zero, norm.number(math.inf), length, dtype=length.dtype
+    )
     norm.finish(norm.op("Div", norm.x, safe))
 
 
 def _mean_variance(norm: _Norm) -> None:
-    given = norm.node.attributes.get("axes")
-    axes = list(given.as_ints()) if given is not None else [0, 2, 3]
+    attribute = norm.node.attributes.get("axes")
+    axes = list(attribute.as_ints()) if attribute is not None else [0, 2, 3]
     centred = norm.op("Sub", norm.x, norm.reduced("ReduceMean", norm.x, axes))
     variance = norm.reduced("ReduceMean", norm.op("Mul", centred, centred), axes)
     guarded = norm.op("Add", norm.op("Sqrt", variance), norm.number(1e-9))
@@ -202,7 +218,7 @@ _WRITERS: dict[str, Callable[[_Norm], None]] = {
     "GroupNormalization": _group,
     "InstanceNormalization": _instance,
     "LayerNormalization": _layer,
-    "LpNormalization": _length,
+    "LpNormalization": _lp,
     "MeanVarianceNormalization": _mean_variance,
     "RMSNormalization": _root_mean_square,
 }

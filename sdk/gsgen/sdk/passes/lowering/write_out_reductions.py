@@ -1,4 +1,4 @@
-"""Reductions, written out with the plainest of them."""
+"""Rewrites composite reductions, such as ReduceL2, with ReduceSum and ReduceMax."""
 
 __all__ = ["WriteOutReductions"]
 
@@ -13,15 +13,15 @@ from gsgen.sdk.passes.framework.base import ErrorBudget, Substitute
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of, int_attribute
 
-# From these operator sets on, axes are an argument; before, an attribute.
+# From these operator sets on, the axes are an input; before, an attribute.
 _SUM_TAKES_AXES, _ALL_TAKE_AXES = 13, 18
 
 
 class WriteOutReductions(Substitute):
     """Write composite reductions with ReduceSum and ReduceMax.
 
-    ReduceSum, ReduceMean, ReduceMax and ReduceMin have kernels wherever reductions have any; the
-    others are made of them::
+    Every release with kernels for reductions has ReduceSum, ReduceMean, ReduceMax and ReduceMin;
+    the other reductions are composed of these::
 
         ReduceL2(x)   →   Sqrt(ReduceSum(x · x))
     """
@@ -32,8 +32,8 @@ class WriteOutReductions(Substitute):
         {"ReduceL1", "ReduceL2", "ReduceLogSum", "ReduceLogSumExp", "ReduceSumSquare"}
     )
 
-    def suits(self, node: ir.Node) -> bool:
-        """Say whether it is of floats, and really reduces."""
+    def can_replace(self, node: ir.Node) -> bool:
+        """Return whether it reduces floats over at least one axis."""
         value = node.inputs[0]
         idle = int_attribute(node, "noop_with_empty_axes", 0)
         axes = constant_of(node.inputs[1]) if len(node.inputs) > 1 else None
@@ -45,40 +45,42 @@ class WriteOutReductions(Substitute):
         return floats and (not idle or (axes is not None and axes.size > 0))
 
     def replace(self, node: ir.Node) -> None:
-        """Write the reduction out, over the same axes."""
+        """Replace the reduction by its formula over the same axes."""
         write, x = InsertionPoint(node), node.inputs[0]
         assert x is not None
         reduced = partial(_reduced, write, node, self.opset)
         match node.op_type:
             case "ReduceL1":
-                made = reduced("ReduceSum", write.op("Abs", x))
+                result = reduced("ReduceSum", write.op("Abs", x))
             case "ReduceL2":
-                made = write.op("Sqrt", reduced("ReduceSum", write.op("Mul", x, x)))
+                result = write.op("Sqrt", reduced("ReduceSum", write.op("Mul", x, x)))
             case "ReduceSumSquare":
-                made = reduced("ReduceSum", write.op("Mul", x, x))
+                result = reduced("ReduceSum", write.op("Mul", x, x))
             case "ReduceLogSum":
-                made = write.op("Log", reduced("ReduceSum", x))
+                result = write.op("Log", reduced("ReduceSum", x))
             case _:
-                made = _log_sum_exp(write, x, reduced)
-        write.replace(made)
+                result = _log_sum_exp(write, x, reduced)
+        write.replace(result)
 
 
 def _log_sum_exp(
     write: InsertionPoint, x: ir.Value, reduced: Callable[..., ir.Value]
 ) -> ir.Value:
-    """Subtract the largest number first, unless it is infinite: e to a large power is."""
+    """Subtract the maximum first, unless it is infinite: the exponential of large numbers overflows."""
     assert x.dtype is not None
     kind = x.dtype.numpy()
     zero = write.constant(np.zeros((), kind))
-    endless = write.constant(np.asarray(np.inf, kind))
+    infinity = write.constant(np.asarray(np.inf, kind))
 
-    def usable(largest: ir.Value) -> ir.Value:
-        finite = write.op("Less", write.op("Abs", largest), endless, dtype=ir.DataType.BOOL)
+    def finite_or_zero(largest: ir.Value) -> ir.Value:
+        finite = write.op(
+            "Less", write.op("Abs", largest), infinity, dtype=ir.DataType.BOOL
+        )
         return write.op("Where", finite, largest, zero, dtype=x.dtype)
 
-    kept = usable(reduced("ReduceMax", x, keep=1))
-    powers = write.op("Exp", write.op("Sub", x, kept))
-    shift = usable(reduced("ReduceMax", x))
+    largest_kept = finite_or_zero(reduced("ReduceMax", x, keep=1))
+    powers = write.op("Exp", write.op("Sub", x, largest_kept))
+    shift = finite_or_zero(reduced("ReduceMax", x))
     return write.op("Add", write.op("Log", reduced("ReduceSum", powers)), shift)
 
 
@@ -90,13 +92,13 @@ def _reduced(
     value: ir.Value,
     keep: int | None = None,
 ) -> ir.Value:
-    """Reduce ``value`` along the axes of ``node``, given the way the operator set wants them."""
+    """Reduce ``value`` along the axes of ``node``, passed as the operator set requires."""
     keep = int_attribute(node, "keepdims", 1) if keep is None else keep
     attribute = node.attributes.get("axes")
     axes = None if attribute is None else list(attribute.as_ints())
-    given = node.inputs[1] if len(node.inputs) > 1 else None
+    axes_input = node.inputs[1] if len(node.inputs) > 1 else None
     if opset >= (_SUM_TAKES_AXES if kind == "ReduceSum" else _ALL_TAKE_AXES):
-        argument = write.whole(*axes) if axes is not None else given
+        argument = write.int64(*axes) if axes is not None else axes_input
         return write.op(
             kind, value, *([argument] if argument is not None else []), keepdims=keep
         )

@@ -1,4 +1,4 @@
-"""Signs, and the questions whether a number is none or has no end, by comparisons."""
+"""Rewrites Sign, IsNaN, IsInf and integer Abs, Neg and Relu with comparisons."""
 
 __all__ = ["WriteOutSigns"]
 
@@ -13,7 +13,7 @@ from gsgen.sdk.passes.framework.value_facts import int_attribute
 
 
 class WriteOutSigns(Substitute):
-    """Write Sign, IsNaN and IsInf with comparisons, and signs of integers with a difference.
+    """Write Sign, IsNaN and IsInf with comparisons, and integer Abs, Neg and Relu with a difference.
 
     No release has kernels for the first three, nor for Abs, Neg and Relu of int32::
 
@@ -21,7 +21,7 @@ class WriteOutSigns(Substitute):
         IsNaN(x)   →   Not(x = x)
         Neg(i)     →   0 − i
 
-    A WGSL compiler may assume that there are no NaNs; where a model relies on IsNaN, compare its
+    A WGSL compiler may assume that there are no NaNs. If a model relies on IsNaN, compare its
     replays at level ``live``.
     """
 
@@ -30,8 +30,8 @@ class WriteOutSigns(Substitute):
         {"Abs", "IsInf", "IsNaN", "Neg", "Relu", "Sign"}
     )
 
-    def suits(self, node: ir.Node) -> bool:
-        """Say whether the dtype is one that can be compared and is not simpler as it is."""
+    def can_replace(self, node: ir.Node) -> bool:
+        """Return whether the dtype is known; Abs, Neg and Relu are rewritten for integers only."""
         value = node.inputs[0]
         if value is None or value.dtype is None:
             return False
@@ -40,7 +40,7 @@ class WriteOutSigns(Substitute):
         return True
 
     def replace(self, node: ir.Node) -> None:
-        """Write it with comparisons."""
+        """Replace the node by comparisons."""
         write, x = InsertionPoint(node), node.inputs[0]
         assert x is not None
         assert x.dtype is not None
@@ -49,38 +49,38 @@ class WriteOutSigns(Substitute):
         def number(value: float) -> ir.Value:
             return write.constant(np.asarray(value, kind), "number")
 
-        def test(how: str, a: ir.Value, b: ir.Value) -> ir.Value:
-            return write.op(how, a, b, dtype=ir.DataType.BOOL)
+        def compare(comparison: str, a: ir.Value, b: ir.Value) -> ir.Value:
+            return write.op(comparison, a, b, dtype=ir.DataType.BOOL)
 
-        def where(condition: ir.Value, then: ir.Value, other: ir.Value) -> ir.Value:
-            return write.op("Where", condition, then, other, dtype=x.dtype)
+        def where(condition: ir.Value, then: ir.Value, otherwise: ir.Value) -> ir.Value:
+            return write.op("Where", condition, then, otherwise, dtype=x.dtype)
 
         zero = number(0)
         match node.op_type:
             case "Neg":
-                made = write.op("Sub", zero, x)
+                result = write.op("Sub", zero, x)
             case "Abs":
-                made = where(test("Less", x, zero), write.op("Sub", zero, x), x)
+                result = where(compare("Less", x, zero), write.op("Sub", zero, x), x)
             case "Relu":
-                made = where(test("Less", x, zero), zero, x)
+                result = where(compare("Less", x, zero), zero, x)
             case "IsNaN":
-                made = write.op("Not", test("Equal", x, x))
+                result = write.op("Not", compare("Equal", x, x))
             case "IsInf":
-                made = _endless(write, node, x)
+                result = _is_infinite(write, node, x)
             case _:
-                # What is neither above nor below zero is zero, or NaN, and stays so.
-                below = where(test("Less", x, zero), _minus_one(write, kind, zero), x)
-                made = where(test("Greater", x, zero), number(1), below)
-        write.replace(made)
+                # Numbers neither above nor below zero are zero or NaN, and stay so.
+                below = where(compare("Less", x, zero), _minus_one(write, kind, zero), x)
+                result = where(compare("Greater", x, zero), number(1), below)
+        write.replace(result)
 
 
 def _minus_one(write: InsertionPoint, kind: np.dtype, zero: ir.Value) -> ir.Value:
-    """Return −1; unsigned integers hold none, and never ask for it."""
+    """Return −1; for unsigned integers, which are never negative, return zero instead."""
     return zero if kind.kind == "u" else write.constant(np.asarray(-1, kind), "number")
 
 
-def _endless(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
-    """Write IsInf: of either sign, or of the one that is asked for."""
+def _is_infinite(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
+    """Write IsInf for both signs, or for the sign that the attributes select."""
     assert x.dtype is not None
     kind = x.dtype.numpy()
     end = write.constant(np.asarray(np.inf, kind), "number")
@@ -91,6 +91,6 @@ def _endless(write: InsertionPoint, node: ir.Node, x: ir.Value) -> ir.Value:
         x = write.op("Abs", x)
     elif down:
         x = write.op("Neg", x)
-    elif not up:  # neither is asked for
+    elif not up:  # no sign is selected, so no number may compare as equal
         end = write.constant(np.asarray(np.nan, kind), "number")
     return write.op("Equal", x, end, dtype=ir.DataType.BOOL)

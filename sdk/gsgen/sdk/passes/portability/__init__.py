@@ -1,1 +1,1 @@
-"""Which rewrites keep a model within the limits and defects of runtimes?"""
+"""Which rewrites adapt a model to the limits and defects of runtimes?"""

@@ -1,4 +1,4 @@
-"""Concats that a shader stage can bind."""
+"""Splits wide Concats, so that a shader stage can bind all their inputs."""
 
 __all__ = ["ChunkConcat"]
 
@@ -15,9 +15,9 @@ from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 class ChunkConcat(WithinLimit, NodeRewrite):
     """Write a Concat of more than seven inputs as a tree of smaller ones.
 
-    WebGPU guarantees eight storage buffers a shader stage. A Concat binds one for each input and
-    one for its result; onnxruntime-web 1.22 gives garbage where there are more, with nothing but
-    an uncaptured device error::
+    WebGPU guarantees eight storage buffers per shader stage. A Concat binds one for each input and
+    one for its output; with more, onnxruntime-web 1.22 returns garbage and reports nothing but an
+    uncaptured device error::
 
         Concat(a, …, n)   →   Concat(Concat(a, …, g), Concat(h, …, n))
     """
@@ -27,11 +27,11 @@ class ChunkConcat(WithinLimit, NodeRewrite):
     limited_by: ClassVar[str] = "concat_inputs"
 
     def matches(self, node: ir.Node) -> bool:
-        """Say whether ``node`` joins more than the limit."""
+        """Return whether ``node`` is a Concat with more inputs than the limit."""
         return is_op(node, "Concat") and len(node.inputs) > self.limit
 
     def replace(self, node: ir.Node) -> None:
-        """Join neighbours, as many as may be, until few enough are left."""
+        """Join groups of neighbours until one tensor is left."""
         axis, write = node.attributes["axis"].as_int(), InsertionPoint(node)
         parts: list[ir.Value | None] = list(node.inputs)
         while len(parts) > 1:
@@ -47,7 +47,7 @@ class ChunkConcat(WithinLimit, NodeRewrite):
 def _groups(
     parts: Sequence[ir.Value | None], limit: int
 ) -> list[Sequence[ir.Value | None]]:
-    """Cut ``parts`` into as few groups as may be, all about as large."""
+    """Divide ``parts`` into as few groups as possible, of about equal size."""
     count = -(-len(parts) // limit)
     ends = [len(parts) * k // count for k in range(count + 1)]
     return [parts[a:b] for a, b in pairwise(ends)]

@@ -1,8 +1,6 @@
-"""Splits that a shader stage can bind."""
+"""Divides wide Splits, so that a shader stage can bind all their outputs."""
 
-__all__ = [
-    "ChunkSplit",
-]
+__all__ = ["ChunkSplit"]
 
 from itertools import pairwise
 from typing import ClassVar
@@ -14,15 +12,15 @@ from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import split_sizes
 
-# From this operator set on, sizes are an argument; before, an attribute.
+# From this operator set on, the sizes are an input; before, an attribute.
 _SIZES_ARE_INPUT = 13
 
 
 class ChunkSplit(WithinLimit, CautiousRewrite):
     """Write a Split with more than seven outputs as a tree of smaller ones.
 
-    A Split binds one storage buffer for its argument and one for each output, and WebGPU
-    guarantees eight. Above the adapter's number it fails at the first frame, not at loading::
+    A Split binds one storage buffer for its input and one for each output, and WebGPU guarantees
+    eight. Above the adapter's limit it fails at the first frame, not at loading::
 
         a, …, n = Split(x)   →   left, right = Split(x); a, …, g = Split(left); h, …, n = Split(right)
     """
@@ -34,13 +32,13 @@ class ChunkSplit(WithinLimit, CautiousRewrite):
     limited_by: ClassVar[str] = "split_outputs"
 
     def rewrite(self, model: ir.Model) -> None:
-        """Split every wide Split whose sizes are known."""
+        """Divide every wide Split with known sizes."""
         for node in list(model.graph.all_nodes()):
             if not is_op(node, "Split") or len(node.outputs) <= self.limit:
                 continue
             sizes = split_sizes(node)
             if sizes is None:
-                self.refuse(node, "the sizes of its parts are not known before the frame")
+                self.refuse(node, "the sizes of its outputs are not known before the frame")
                 continue
             self.note(node)
             self._split(node, sizes)
@@ -50,17 +48,17 @@ class ChunkSplit(WithinLimit, CautiousRewrite):
         axis = node.attributes["axis"].as_int() if "axis" in node.attributes else 0
         parts = [(node.inputs[0], sizes)]
         while any(len(inner) > 1 for _, inner in parts):
-            made: list[tuple[ir.Value | None, list[int]]] = []
+            split_parts: list[tuple[ir.Value | None, list[int]]] = []
             for value, inner in parts:
                 groups = self._groups(inner)
                 outer = [sum(group) for group in groups]
                 cut = self._cut(write, value, outer, axis) if len(groups) > 1 else [value]
-                made += zip(cut, groups, strict=True)
-            parts = made
+                split_parts += zip(cut, groups, strict=True)
+            parts = split_parts
         write.replace(*(value for value, _ in parts if value is not None))
 
     def _groups(self, sizes: list[int]) -> list[list[int]]:
-        """Cut into as many groups as one Split may return, all about as long."""
+        """Divide ``sizes`` into as many groups as one Split may return, of about equal length."""
         count = min(self.limit, len(sizes))
         ends = [len(sizes) * k // count for k in range(count + 1)]
         return [sizes[a:b] for a, b in pairwise(ends)]
@@ -69,5 +67,5 @@ class ChunkSplit(WithinLimit, CautiousRewrite):
         self, write: InsertionPoint, value: ir.Value | None, sizes: list[int], axis: int
     ) -> list[ir.Value]:
         if self.opset >= _SIZES_ARE_INPUT:
-            return write.ops("Split", len(sizes), value, write.whole(*sizes), axis=axis)
+            return write.ops("Split", len(sizes), value, write.int64(*sizes), axis=axis)
         return write.ops("Split", len(sizes), value, axis=axis, split=sizes)

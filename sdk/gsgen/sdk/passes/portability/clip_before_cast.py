@@ -1,4 +1,4 @@
-"""Numbers that are bounded before they become whole."""
+"""Moves Clip before a Cast to integers, so that it runs on floats."""
 
 __all__ = ["ClipBeforeCast"]
 
@@ -11,27 +11,32 @@ from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import constant_of
 
-_WHOLE = (ir.DataType.INT32, ir.DataType.INT64)
-_FLOATS = {ir.DataType.FLOAT: 2**24, ir.DataType.FLOAT16: 2**11, ir.DataType.DOUBLE: 2**53}
+_INTEGERS = (ir.DataType.INT32, ir.DataType.INT64)
+# Up to this number, a dtype represents every integer.
+_EXACT_INTEGERS = {
+    ir.DataType.FLOAT: 2**24,
+    ir.DataType.FLOAT16: 2**11,
+    ir.DataType.DOUBLE: 2**53,
+}
 
 
 class ClipBeforeCast(NodeRewrite):
-    """Clip floats and cast then, where integers are clipped after the cast.
+    """Clip floats before they are cast to integers, instead of the integers after the cast.
 
-    A frame number is ``(t * frames).long().clamp(0, frames - 1)``: an int64 Clip, which has a
-    kernel hardly anywhere, of a number whose range nobody knows. Whole bounds commute with cutting
-    the fraction off, and a clipped number fits an int32::
+    A frame number is ``(t * frames).long().clamp(0, frames - 1)``: an int64 Clip, which hardly any
+    release has a kernel for, of a number with an unknown range. Integer bounds commute with the
+    truncation, and a clipped number fits an int32::
 
         Clip(Cast<to int64>(x), 0, 59)   →   Cast<to int64>(Clip(x, 0, 59))
 
-    Numbers that no int64 holds are an exception: what they become, ONNX leaves open. Those too large
-    become the upper bound now; NaN stays undefined.
+    Numbers outside of int64 are an exception, because ONNX does not define their cast. Numbers that
+    are too large now become the upper bound; NaN stays undefined.
     """
 
     name: ClassVar[str] = "clip-before-cast"
 
     def matches(self, node: ir.Node) -> bool:
-        """Say whether ``node`` bounds floats that were cast to integers, by constants."""
+        """Return whether ``node`` clips floats that were cast to integers, with constant bounds."""
         if (
             not is_op(node, "Clip", "Max", "Min")
             or self.opset < 12
@@ -40,15 +45,19 @@ class ClipBeforeCast(NodeRewrite):
             return False
         inner = node.inputs[0].producer()
         x = inner.inputs[0] if inner is not None and is_op(inner, "Cast") else None
-        if x is None or x.dtype not in _FLOATS or node.inputs[0].dtype not in _WHOLE:
+        if (
+            x is None
+            or x.dtype not in _EXACT_INTEGERS
+            or node.inputs[0].dtype not in _INTEGERS
+        ):
             return False
         bounds = _bounds(node)
         return bounds is not None and all(
-            bound is None or abs(bound) <= _FLOATS[x.dtype] for bound in bounds
+            bound is None or abs(bound) <= _EXACT_INTEGERS[x.dtype] for bound in bounds
         )
 
     def replace(self, node: ir.Node) -> None:
-        """Bound what is cast."""
+        """Clip the input of the Cast, and cast the result."""
         inner = node.inputs[0].producer() if node.inputs[0] is not None else None
         assert inner is not None
         x, kind, bounds = inner.inputs[0], node.outputs[0].dtype, _bounds(node)
@@ -68,10 +77,10 @@ class ClipBeforeCast(NodeRewrite):
 
 
 def _bounds(node: ir.Node) -> tuple[int | None, int | None] | None:
-    """Return the lower and the upper bound; None where they are not single constants."""
-    others = (*node.inputs[1:], None, None)[:2]
+    """Return the lower and the upper bound; None if they are not single constants."""
+    arguments = (*node.inputs[1:], None, None)[:2]
     numbers: list[int | None] = []
-    for value in others:
+    for value in arguments:
         known = constant_of(value)
         if value is not None and (known is None or known.size != 1 or known.ndim > 0):
             return None

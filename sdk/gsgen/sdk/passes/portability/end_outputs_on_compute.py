@@ -1,4 +1,4 @@
-"""Outputs that survive the replay of a captured graph."""
+"""Appends an operator that graph capture records to outputs that are buffer copies or weights."""
 
 __all__ = ["EndOutputsOnCompute"]
 
@@ -6,6 +6,7 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.contract.model.buffer_copies import is_copy
+from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.sdk.passes.framework.base import Rewrite
 from gsgen.sdk.passes.framework.graph_builder import free_name, new_node, weight
 
@@ -13,51 +14,53 @@ from gsgen.sdk.passes.framework.graph_builder import free_name, new_node, weight
 class EndOutputsOnCompute(Rewrite):
     """End every output on an operator that computes: Mul by one.
 
-    Graph capture records kernels, not buffer copies, so an output that Reshape or its kin makes,
-    or an operator with nothing to do, repeats the first frame for ever. An output that is a weight loses its name in some runtimes::
+    Graph capture records kernels, not buffer copies. An output of Reshape, of a similar operator
+    or of one that computes nothing repeats the first frame forever. An output that is a weight
+    loses its name in some runtimes::
 
-        Reshape → color_sh        →   Reshape → Mul(1) → color_sh
-        weight (color_sh)         →   weight → Mul(1) → color_sh
+        1  Reshape → color_sh   →   Reshape → Mul(1) → color_sh
+        2  weight (color_sh)    →   weight → Mul(1) → color_sh
 
-    Multiplying by one changes no bit of a number. A mask, which cannot be multiplied, ends on And(true).
+    Multiplying by one changes no bit of a number. A boolean output ends on And(true) instead.
     """
 
     name = "end-on-compute"
 
     def rewrite(self, model: ir.Model) -> None:
-        """Mend every output that needs it."""
-        seen: set[ir.Value] = set()
+        """Append Mul or And to every output that needs it."""
+        visited: set[ir.Value] = set()
         for index, value in enumerate(model.graph.outputs):
             if value.is_graph_input():
-                continue  # two tensors of one name cannot be: the output would need another
+                continue  # input and output share a name, which a new output could not have
             producer = value.producer()
-            if producer is None or _copies(producer) or value in seen:
+            # Case 1: a copy, or a second output of the same value. Case 2: a weight.
+            if producer is None or _copies(producer) or value in visited:
                 self.note(value)
                 _end_on_mul(model.graph, index, value)
-            seen.add(value)
+            visited.add(value)
 
 
 def _copies(node: ir.Node) -> bool:
-    if node.domain not in ("", "ai.onnx"):
+    if node.domain not in MAIN_DOMAIN:
         return False
     idle = node.attributes.get_int("noop_with_empty_axes", 0) == 1
-    named = "axes" in node.attributes and bool(node.attributes["axes"].as_ints())
+    has_axes = "axes" in node.attributes and bool(node.attributes["axes"].as_ints())
     axes = node.inputs[1] if len(node.inputs) > 1 else None
     empty = axes is None or (axes.shape is not None and 0 in axes.shape.dims)
     return is_copy(
-        node.op_type, len(node.inputs), keeps_all_axes=idle and empty and not named
+        node.op_type, len(node.inputs), keeps_all_axes=idle and empty and not has_axes
     )
 
 
 def _end_on_mul(graph: ir.Graph, index: int, value: ir.Value) -> None:
     name, kind = value.name, value.dtype
     if kind is None:
-        raise ValueError(f"output {name!r} has no dtype")
+        raise ValueError(f"output {name!r} has no dtype, expected one")
     value.name = free_name(graph, f"{name}_uncopied")
-    one = weight(graph, f"{name}_one", np.ones((), kind.numpy()))
-    computing = "And" if kind == ir.DataType.BOOL else "Mul"
-    node = new_node(computing, [value, one], f"{name}_end")
-    made = node.outputs[0]
-    made.name, made.type, made.shape = name, value.type, value.shape
+    unit = weight(graph, f"{name}_one", np.ones((), kind.numpy()))
+    operator = "And" if kind == ir.DataType.BOOL else "Mul"
+    node = new_node(operator, [value, unit], f"{name}_end")
+    result = node.outputs[0]
+    result.name, result.type, result.shape = name, value.type, value.shape
     graph.append(node)
-    graph.outputs[index] = made
+    graph.outputs[index] = result

@@ -1,4 +1,4 @@
-"""Guards against division by zero that were lost on the way."""
+"""Restores guards against divisions by a zero length that an exporter removed."""
 
 __all__ = ["RestoreGuards"]
 
@@ -7,62 +7,62 @@ from typing import ClassVar
 import numpy as np
 import onnx_ir as ir
 
+from gsgen.contract.spec.onnx_facts import FLOAT_TYPES
 from gsgen.sdk.passes.framework.base import ErrorBudget, every_node, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.lower_bounds import is_never_zero, smallest_normal
 from gsgen.sdk.passes.framework.value_facts import constant_of
 
-_FLOATS = (ir.DataType.FLOAT, ir.DataType.FLOAT16, ir.DataType.DOUBLE)
 _MOVES = (
     *("Cast", "Expand", "Flatten", "Gather", "Identity", "Reshape", "Slice", "Squeeze"),
     *("Transpose", "Unsqueeze"),
 )
-# What stands for a length that is zero, and for its square.
-_LENGTH, _SQUARE = 1e-12, 1e-24
+# The numbers that replace a length of zero, and its square.
+_MIN_LENGTH, _MIN_SQUARE = 1e-12, 1e-24
 
 
 class RestoreGuards(CautiousRewrite):
-    """Keep the length of a zero vector from being divided by.
+    """Guard divisions by the length of a vector that may be zero.
 
-    The exporter drops ``x + c`` for c up to 1e-8, and a guard of 1e-12 is zero once it is float16:
-    a zero vector, which a rest pose or a camera on a point gives, becomes NaN. Where a length, or
-    its square, is divided by and may be zero, a small number takes the place of zero alone::
+    The exporter drops ``x + c`` for c up to 1e-8, and a guard of 1e-12 is zero in float16: a zero
+    vector, as in a rest pose or for a camera at a point's position, becomes NaN. If the divisor is
+    a length or its square and may be zero, a small number replaces zero, and only zero::
 
         v / Sqrt(ReduceSum(v · v))   →   v / Where(length = 0, 1e-12, length)
 
-    So 0 / 0 becomes 0, and what was finite keeps every bit. Lengths are known by their form: the
-    root of a sum of squares, or ReduceL2; a guard that is too small for its dtype is looked
-    through. A divisor that may be zero and is no length is left alone and named: what a division
-    by a depth of zero should give is for the model's author to say.
+    So 0 / 0 becomes 0, and finite values keep every bit. A length is the root of a sum of squares,
+    or ReduceL2; guards that are too small for their dtype are ignored. Any other divisor that may
+    be zero stays as it is and is reported: only the author knows the result of a division by a
+    depth of zero.
     """
 
     name: ClassVar[str] = "restore-guards"
     exactness: ClassVar[ErrorBudget] = ErrorBudget(repairs_nonfinite=True)
 
     def rewrite(self, model: ir.Model) -> None:
-        """Guard every divisor that needs it, subgraphs included."""
+        """Guard every length that is divided by and may be zero, subgraphs included."""
         for node in list(every_node(model)):
-            place = _divisor_of(node)
-            if place is None:
+            divisor_index = _divisor_index(node)
+            if divisor_index is None:
                 continue
-            divisor = node.inputs[place]
+            divisor = node.inputs[divisor_index]
             assert divisor is not None
-            if divisor.dtype not in _FLOATS or is_never_zero(divisor):
+            if divisor.dtype not in FLOAT_TYPES or is_never_zero(divisor):
                 continue
             if constant_of(divisor) is not None or not (
                 _is_length(divisor) or _is_square(divisor)
             ):
                 self.refuse(
-                    node, f"its divisor {divisor.name} may be zero, and is no length"
+                    node, f"its divisor {divisor.name} may be zero, and is not a length"
                 )
                 continue
             self.note(node)
-            _guard(node, place)
+            _guard(node, divisor_index)
 
 
-def _divisor_of(node: ir.Node) -> int | None:
-    """Return which input of ``node`` must not be zero."""
+def _divisor_index(node: ir.Node) -> int | None:
+    """Return the index of the input that ``node`` divides by; None if it does not divide."""
     if is_op(node, "Div"):
         return 1
     if is_op(node, "Reciprocal"):
@@ -71,23 +71,23 @@ def _divisor_of(node: ir.Node) -> int | None:
     return 0 if power is not None and (power < 0).any() else None
 
 
-def _guard(node: ir.Node, place: int) -> None:
-    divisor = node.inputs[place]
+def _guard(node: ir.Node, divisor_index: int) -> None:
+    divisor = node.inputs[divisor_index]
     assert divisor is not None
     assert divisor.dtype is not None
-    wanted = _LENGTH if _is_length(divisor) else _SQUARE
-    least, dtype = max(wanted, smallest_normal(divisor.dtype)), divisor.dtype.numpy()
+    substitute = _MIN_LENGTH if _is_length(divisor) else _MIN_SQUARE
+    least, dtype = max(substitute, smallest_normal(divisor.dtype)), divisor.dtype.numpy()
     before = InsertionPoint(node)
     zero, small = (before.constant(np.asarray(value, dtype)) for value in (0, least))
     at_zero = before.op("Equal", divisor, zero, dtype=ir.DataType.BOOL, shape=divisor.shape)
     guarded = before.op(
         "Where", at_zero, small, divisor, dtype=divisor.dtype, shape=divisor.shape
     )
-    node.replace_input_with(place, guarded)
+    node.replace_input_with(divisor_index, guarded)
 
 
 def _is_length(value: ir.Value | None) -> bool:
-    maker = _maker(value)
+    maker = _producer_behind_guards(value)
     if is_op(maker, "ReduceL2"):
         return True
     if maker is None or not is_op(maker, "Sqrt", "Pow"):
@@ -97,8 +97,8 @@ def _is_length(value: ir.Value | None) -> bool:
 
 
 def _is_square(value: ir.Value | None) -> bool:
-    """Say whether ``value`` is a sum or mean of squares."""
-    maker = _maker(value)
+    """Return whether ``value`` is a sum or mean of squares."""
+    maker = _producer_behind_guards(value)
     if maker is None:
         return False
     if is_op(maker, "ReduceSumSquare") or _is_one_square(maker):
@@ -117,27 +117,27 @@ def _is_one_square(node: ir.Node) -> bool:
     return power is not None and bool((power == 2).all())
 
 
-def _maker(value: ir.Value | None) -> ir.Node | None:
-    """Return what makes ``value``, seen through moves and guards that are as good as zero."""
+def _producer_behind_guards(value: ir.Value | None) -> ir.Node | None:
+    """Return the node that computes ``value``, ignoring moves and guards too small to count."""
     while value is not None:
         maker = value.producer()
         if maker is None:
             return None
-        place = 0 if is_op(maker, *_MOVES) else _guarded(maker)
-        if place is None:
+        input_index = 0 if is_op(maker, *_MOVES) else _guarded_input(maker)
+        if input_index is None:
             return maker
-        value = maker.inputs[place]
+        value = maker.inputs[input_index]
     return None
 
 
-def _guarded(node: ir.Node) -> int | None:
-    """Return which input a guard guards, where its constant is as good as zero."""
+def _guarded_input(node: ir.Node) -> int | None:
+    """Return the guarded input of a guard whose constant counts as zero; None for other nodes."""
     if not is_op(node, "Add", "Clip", "Max") or len(node.inputs) < 2:
         return None
-    for place in (0, 1):
-        floor = constant_of(node.inputs[1 - place])
-        if floor is None or (is_op(node, "Clip") and place):
+    for input_index in (0, 1):
+        floor = constant_of(node.inputs[1 - input_index])
+        if floor is None or (is_op(node, "Clip") and input_index):
             continue
         least = smallest_normal(node.outputs[0].dtype)
-        return place if ((floor >= 0) & (floor < least)).all() else None
+        return input_index if ((floor >= 0) & (floor < least)).all() else None
     return None

@@ -1,4 +1,4 @@
-"""Weights that a target can bind."""
+"""Splits weights that are larger than a target can bind."""
 
 __all__ = ["SplitLargeWeights"]
 
@@ -19,7 +19,7 @@ from gsgen.sdk.passes.framework.value_facts import (
     rank_of,
 )
 
-_BINDING = 128 << 20  # what every WebGPU device binds
+_BINDING = 128 << 20  # every WebGPU device binds this many bytes
 _BOOL = ir.DataType.BOOL
 
 
@@ -27,15 +27,16 @@ class SplitLargeWeights(CautiousRewrite):
     """Split every weight that is larger than a target can bind.
 
     WebGPU binds 128 MiB unless a device offers more; onnxruntime-web 1.22 returns zeros for a
-    larger tensor, without any error. A table is split along the axis that is looked up, a factor of
-    a product along its columns (or its rows, if it is the left one)::
+    larger tensor, without any error. A table is split along its indexed axis, a factor of a
+    product along its columns (or its rows, if it is the left one)::
 
-        Gather(W, i)    →   Where(i ≥ n, Gather(W₂, i − n), Gather(W₁, i))
-        MatMul(x, W)    →   Concat(MatMul(x, W₁), MatMul(x, W₂))
+        1  Gather(W, i)   →   Where(i ≥ n, Gather(W₂, i − n), Gather(W₁, i))
+        2  MatMul(x, W)   →   Concat(MatMul(x, W₁), MatMul(x, W₂)), and likewise for W on the left
+        3  Gemm(x, W, b)  →   Concat(Gemm(x, W₁, b₁), Gemm(x, W₂, b₂))
 
-    Lookups keep every bit; products of fewer columns may round otherwise. A weight that something
-    else reads whole stays: what is made of it is as large. So does a large output: the contract
-    knows one tensor of rows, and the refusal says how many of them fit.
+    Lookups keep every bit; products of fewer columns may round differently. A weight stays if
+    another operator reads it whole, because the result is as large. A large output stays, too: the
+    contract has one tensor of rows, and the refusal reports how many of them fit.
     """
 
     name: ClassVar[str] = "split-large-weights"
@@ -47,46 +48,46 @@ class SplitLargeWeights(CautiousRewrite):
         self.limit = limit
 
     @classmethod
-    def for_goal(cls, goal: RewriteTarget) -> "SplitLargeWeights":
-        """Return the pass with the target's limit."""
-        return cls(goal.limits.get("binding_bytes", _BINDING))
+    def for_target(cls, target: RewriteTarget) -> "SplitLargeWeights":
+        """Return the rewrite with the target's limit."""
+        return cls(target.limits.get("binding_bytes", _BINDING))
 
     def rewrite(self, model: ir.Model) -> None:
-        """Split weights of the main graph and of bodies; name what stays large."""
+        """Split weights of the main graph and of subgraphs; report large outputs."""
         for graph in (model.graph, *model.graph.subgraphs()):
             for value in list(graph.initializers.values()):
                 if value.const_value is not None and value.const_value.nbytes > self.limit:
                     self._split(graph, value)
         for value in model.graph.outputs:
-            self._look_at(value)
+            self._refuse_large_output(value)
 
     def _split(self, graph: ir.Graph, value: ir.Value) -> None:
         uses = list(value.uses())
-        plans = [self._plan(value, node, place) for node, place in uses]
+        plans = [self._plan(value, node, input_index) for node, input_index in uses]
         if value.is_graph_input() or value.is_graph_output():
-            self.refuse(value, "it is an input or an output, too")
+            self.refuse(value, "it is also an input or an output")
             return
         if len({node for node, _ in uses}) < len(uses):
             self.refuse(value, "one operator reads it twice")
             return
-        whole = [plan for plan in plans if not isinstance(plan, str)]
+        splits = [plan for plan in plans if not isinstance(plan, str)]
         obstacles = [plan for plan in plans if isinstance(plan, str)]
-        if obstacles or not whole:
+        if obstacles or not splits:
             self.refuse(value, "; ".join(dict.fromkeys(obstacles)) or "nothing reads it")
             return
         self.note(value)
-        for plan in whole:
+        for plan in splits:
             plan()
         graph.initializers.pop(value.name or "")
 
     def _plan(
-        self, value: ir.Value, node: ir.Node, place: int
+        self, value: ir.Value, node: ir.Node, input_index: int
     ) -> "str | Callable[[], None]":
-        """Return what splits ``value`` where ``node`` reads it, or why that cannot be done."""
-        found = _along(value, node, place)
-        if isinstance(found, str):
-            return found
-        axis, write = found
+        """Return a function that splits ``value`` for ``node``, or the reason against it."""
+        splitting = _splitting_axis(value, node, input_index)
+        if isinstance(splitting, str):
+            return splitting
+        axis, write = splitting
         shape, tensor = fixed_shape(value), value.const_value
         assert shape is not None
         assert tensor is not None
@@ -105,7 +106,7 @@ class SplitLargeWeights(CautiousRewrite):
 
         return split
 
-    def _look_at(self, value: ir.Value) -> None:
+    def _refuse_large_output(self, value: ir.Value) -> None:
         shape, kind = fixed_shape(value), value.dtype
         if not shape or kind is None:
             return
@@ -122,21 +123,30 @@ class SplitLargeWeights(CautiousRewrite):
 Write = Callable[[ir.Node, list[ir.Value], list[int]], None]
 
 
-def _along(value: ir.Value, node: ir.Node, place: int) -> tuple[int, Write] | str:
-    """Return the axis along which ``node`` allows its input to be split, and how to rewrite it."""
+def _splitting_axis(
+    value: ir.Value, node: ir.Node, input_index: int
+) -> tuple[int, Write] | str:
+    """Return the axis to split an input of ``node`` along, and the rewriting function, or a reason."""
     rank = rank_of(value) or 0
-    if is_op(node, "Gather") and place == 0 and rank_of(node.inputs[1]) is not None:
-        return int_attribute(node, "axis", 0) % rank, _look_up
-    if is_op(node, "MatMul") and rank == 2 and (rank_of(node.inputs[1 - place]) or 0) > 1:
-        return (1, _by_columns) if place == 1 else (0, _by_rows)
-    if is_op(node, "Gemm") and place == 1:
+    # Case 1
+    if is_op(node, "Gather") and input_index == 0 and rank_of(node.inputs[1]) is not None:
+        return int_attribute(node, "axis", 0) % rank, _split_gather
+    # Case 2
+    if (
+        is_op(node, "MatMul")
+        and rank == 2
+        and (rank_of(node.inputs[1 - input_index]) or 0) > 1
+    ):
+        return (1, _split_matmul_columns) if input_index == 1 else (0, _split_matmul_rows)
+    # Case 3
+    if is_op(node, "Gemm") and input_index == 1:
         added = node.inputs[2] if len(node.inputs) > 2 else None
         if added is None or constant_of(added, largest=1 << 62) is not None:
-            return (0 if int_attribute(node, "transB", 0) else 1), _gemm
+            return (0 if int_attribute(node, "transB", 0) else 1), _split_gemm
     return f"{node.op_type} {node.name or ''} reads it whole".replace("  ", " ")
 
 
-def _look_up(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
+def _split_gather(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
     before, index = InsertionPoint(node), node.inputs[1]
     assert index is not None
     assert index.dtype is not None
@@ -152,47 +162,47 @@ def _look_up(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
     index = before.op("Where", negative, raised, index, dtype=index.dtype)
     behind = (rank_of(parts[0]) or 1) - 1 - axis
     rank = rank_of(node.inputs[1]) or 0
-    made: ir.Value | None = None
+    result: ir.Value | None = None
     for part, (start, end) in zip(parts, pairwise(bounds), strict=True):
         from_here = before.op("GreaterOrEqual", index, number(start), dtype=_BOOL)
         until = before.op("Less", index, number(end), dtype=_BOOL)
         local = before.op("Sub", index, number(start))
         local = before.op("Where", from_here, local, zero, dtype=index.dtype)
         local = before.op("Where", until, local, zero, dtype=index.dtype)
-        taken = before.op("Gather", part, local, axis=axis)
-        if made is None:
-            made = taken
+        gathered = before.op("Gather", part, local, axis=axis)
+        if result is None:
+            result = gathered
             continue
         if behind:
-            axes = before.whole(*range(rank, rank + behind))
+            axes = before.int64(*range(rank, rank + behind))
             from_here = before.op("Unsqueeze", from_here, axes)
-        made = before.op("Where", from_here, taken, made, dtype=part.dtype)
-    assert made is not None
-    before.replace(made)
+        result = before.op("Where", from_here, gathered, result, dtype=part.dtype)
+    assert result is not None
+    before.replace(result)
 
 
-def _by_columns(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
+def _split_matmul_columns(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
     before = InsertionPoint(node)
-    made = [before.op("MatMul", node.inputs[0], part) for part in parts]
+    products = [before.op("MatMul", node.inputs[0], part) for part in parts]
     rank = rank_of(node.inputs[0]) or 2
-    before.replace(before.op("Concat", *made, axis=rank - 1))
+    before.replace(before.op("Concat", *products, axis=rank - 1))
 
 
-def _by_rows(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
+def _split_matmul_rows(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
     before = InsertionPoint(node)
-    made = [before.op("MatMul", part, node.inputs[1]) for part in parts]
+    products = [before.op("MatMul", part, node.inputs[1]) for part in parts]
     rank = rank_of(node.inputs[1]) or 2
-    before.replace(before.op("Concat", *made, axis=rank - 2))
+    before.replace(before.op("Concat", *products, axis=rank - 2))
 
 
-def _gemm(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
+def _split_gemm(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
     before = InsertionPoint(node)
-    added = node.inputs[2] if len(node.inputs) > 2 else None
-    made = []
+    bias = node.inputs[2] if len(node.inputs) > 2 else None
+    products = []
     for part, (start, end) in zip(parts, pairwise(bounds), strict=True):
         inputs = [node.inputs[0], part]
-        if added is not None:
-            inputs.append(_columns(before, added, start, end, bounds[-1]))
+        if bias is not None:
+            inputs.append(_bias_columns(before, bias, start, end, bounds[-1]))
         copy = ir.Node(
             node.domain,
             "Gemm",
@@ -205,15 +215,15 @@ def _gemm(node: ir.Node, parts: list[ir.Value], bounds: list[int]) -> None:
             node.outputs[0].type,
         )
         before.graph.insert_before(node, copy)
-        made.append(copy.outputs[0])
-    before.replace(before.op("Concat", *made, axis=1))
+        products.append(copy.outputs[0])
+    before.replace(before.op("Concat", *products, axis=1))
 
 
-def _columns(
-    before: InsertionPoint, added: ir.Value, start: int, end: int, width: int
+def _bias_columns(
+    before: InsertionPoint, bias: ir.Value, start: int, end: int, width: int
 ) -> ir.Value:
-    array = constant_of(added, largest=1 << 62)
+    array = constant_of(bias, largest=1 << 62)
     assert array is not None
     if not array.ndim or array.shape[-1] != width or width == 1:
-        return added
+        return bias
     return before.constant(np.ascontiguousarray(array[..., start:end]), "bias")

@@ -1,1 +1,1 @@
-"""How are operators that select rows rewritten so that shapes stay static?"""
+"""How are operators that select rows by a mask, or work on columns, rewritten with static shapes?"""

@@ -1,10 +1,10 @@
-"""What operators do to the columns of long, narrow tensors.
+"""Evaluation of operators column by column, for long and narrow tensors.
 
-A tensor [rows, a, b, …] is an array [a, b, …] of columns: what an operator does to the axes behind
-the first, numpy does to that array.
+A tensor [rows, a, b, …] is a NumPy array [a, b, …] of columns: an operator on the axes after the
+first becomes the same NumPy operation on that array.
 """
 
-__all__ = ["Columns", "Emit", "columns_of", "handles"]
+__all__ = ["Columns", "Emit", "columns_of", "works_on_columns"]
 
 from collections.abc import Callable, Sequence
 from functools import reduce
@@ -16,6 +16,7 @@ import onnx_ir as ir
 
 from gsgen.sdk.passes.framework.base import is_op
 from gsgen.sdk.passes.framework.value_facts import (
+    attribute_values,
     constant_of,
     fixed_shape,
     int_attribute,
@@ -23,50 +24,15 @@ from gsgen.sdk.passes.framework.value_facts import (
 )
 
 Columns = np.ndarray[Any, np.dtype[np.object_]]
-# Writes one operator of columns and returns its result; numbers may stand among the operands.
+# Writes one operator on columns and returns its result; operands are columns or numbers.
 Emit = Callable[[str, Sequence[Any], dict[str, Any]], Any]
-Look = Callable[[ir.Value], Columns]
+ColumnLookup = Callable[[ir.Value], Columns]
 
-_EACH = frozenset(
-    {
-        *(
-            "Abs",
-            "Add",
-            "And",
-            "Cast",
-            "Ceil",
-            "Clip",
-            "Cos",
-            "Div",
-            "Equal",
-            "Exp",
-            "Floor",
-        ),
-        *(
-            "Greater",
-            "GreaterOrEqual",
-            "Less",
-            "LessOrEqual",
-            "Log",
-            "Max",
-            "Min",
-            "Mul",
-            "Neg",
-        ),
-        *(
-            "Not",
-            "Or",
-            "Reciprocal",
-            "Relu",
-            "Sigmoid",
-            "Sin",
-            "Sqrt",
-            "Sub",
-            "Tanh",
-            "Where",
-        ),
-    }
-)
+_ELEMENTWISE = frozenset({
+    "Abs", "Add", "And", "Cast", "Ceil", "Clip", "Cos", "Div", "Equal", "Exp", "Floor",
+    "Greater", "GreaterOrEqual", "Less", "LessOrEqual", "Log", "Max", "Min", "Mul", "Neg",
+    "Not", "Or", "Reciprocal", "Relu", "Sigmoid", "Sin", "Sqrt", "Sub", "Tanh", "Where",
+})  # fmt: skip
 _REDUCTIONS = {
     "ReduceL2": "Add",
     "ReduceMax": "Max",
@@ -76,9 +42,9 @@ _REDUCTIONS = {
 _SHAPERS = ("Expand", "Reshape", "Squeeze", "Unsqueeze")
 
 
-def handles(node: ir.Node, rows: int) -> bool:
-    """Say whether ``node``, which returns ``rows`` rows, works on columns alone."""
-    if is_op(node, *_EACH):
+def works_on_columns(node: ir.Node, rows: int) -> bool:
+    """Return whether ``node``, which returns ``rows`` rows, can be evaluated column by column."""
+    if is_op(node, *_ELEMENTWISE):
         return all(
             value is None or _may_be_operand(value, node, rows) for value in node.inputs
         )
@@ -97,9 +63,11 @@ def handles(node: ir.Node, rows: int) -> bool:
         perm = node.attributes.get("perm")
         return perm is not None and next(iter(perm.as_ints())) == 0
     if is_op(node, "Gather"):
-        return int_attribute(node, "axis", 0) % len(shape) > 0 and _known(node.inputs[1:])
+        return int_attribute(node, "axis", 0) % len(shape) > 0 and _are_constant(
+            node.inputs[1:]
+        )
     if is_op(node, "Slice"):
-        return _cuts(node, len(shape)) is not None
+        return _slices(node, len(shape)) is not None
     if is_op(node, "Split"):
         return (
             int_attribute(node, "axis", 0) % len(shape) > 0
@@ -109,72 +77,80 @@ def handles(node: ir.Node, rows: int) -> bool:
 
 
 def columns_of(
-    node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, look: Look, emit: Emit
+    node: ir.Node,
+    inputs: Sequence[ir.Value | None],
+    rows: int,
+    look: ColumnLookup,
+    emit: Emit,
 ) -> list[Columns]:
-    """Return the columns of each result of ``node``.
+    """Return the columns of each output of ``node``.
 
     Args:
-        node: One that :func:`handles` is true of.
-        inputs: Its arguments, before anything was rewritten.
-        rows: How many rows it works on.
-        look: Gives the columns of a tensor that has as many rows.
+        node: A node for which :func:`works_on_columns` is true.
+        inputs: Its inputs before the rewrite.
+        rows: Number of rows.
+        look: Returns the columns of a tensor with ``rows`` rows.
         emit: Writes an operator.
     """
-    if is_op(node, *_EACH):
-        return [_each(node, inputs, rows, look, emit)]
+    if is_op(node, *_ELEMENTWISE):
+        return [_elementwise(node, inputs, rows, look, emit)]
     first = inputs[0]
     assert first is not None
-    taken, shape = look(first), fixed_shape(node.outputs[0])
+    columns, shape = look(first), fixed_shape(node.outputs[0])
     assert shape is not None
     if is_op(node, *_REDUCTIONS):
-        return [_reduced(node, taken, emit).reshape(shape[1:])]
+        return [_reduce(node, columns, emit).reshape(shape[1:])]
     if is_op(node, "Expand"):
-        return [np.broadcast_to(taken, shape[1:])]
+        return [np.broadcast_to(columns, shape[1:])]
     if is_op(node, *_SHAPERS):
-        return [taken.reshape(shape[1:])]
-    axis = int_attribute(node, "axis", 0) % (taken.ndim + 1) - 1
+        return [columns.reshape(shape[1:])]
+    axis = int_attribute(node, "axis", 0) % (columns.ndim + 1) - 1
     if is_op(node, "Concat"):
         return [
             np.concatenate([look(value) for value in inputs if value is not None], axis)
         ]
     if is_op(node, "Transpose"):
         perm = node.attributes["perm"].as_ints()
-        return [taken.transpose([place - 1 for place in list(perm)[1:]])]
+        return [columns.transpose([axis_number - 1 for axis_number in list(perm)[1:]])]
     if is_op(node, "Gather"):
-        places = constant_of(inputs[1])
-        assert places is not None
+        indices = constant_of(inputs[1])
+        assert indices is not None
         shape = fixed_shape(node.outputs[0])
         assert shape is not None
-        made = np.empty(shape[1:], object)
-        made[...] = np.take(taken, places, axis)  # of one place it is no array
-        return [made]
+        gathered = np.empty(shape[1:], object)
+        gathered[...] = np.take(columns, indices, axis)  # a single index returns no array
+        return [gathered]
     if is_op(node, "Slice"):
-        cuts = _cuts(node, taken.ndim + 1)
-        assert cuts is not None
-        return [taken[cuts]]
+        slices = _slices(node, columns.ndim + 1)
+        assert slices is not None
+        return [columns[slices]]
     sizes = split_sizes(node)
     assert sizes is not None
-    return list(np.split(taken, np.cumsum(sizes)[:-1], axis))
+    return list(np.split(columns, np.cumsum(sizes)[:-1], axis))
 
 
 def _may_be_operand(value: ir.Value, node: ir.Node, rows: int) -> bool:
-    """Say whether ``value`` has a column for each row, or one number for all."""
-    shape, made = fixed_shape(value), fixed_shape(node.outputs[0])
-    if shape is None or made is None:
+    """Return whether ``value`` has ``rows`` rows, is one number, or holds a constant per column."""
+    shape, result_shape = fixed_shape(value), fixed_shape(node.outputs[0])
+    if shape is None or result_shape is None:
         return False
-    if len(shape) == len(made) and shape and shape[0] == rows:
+    if len(shape) == len(result_shape) and shape and shape[0] == rows:
         return True
     if prod(shape) == 1:
         return True
-    # Constant numbers, one for each column.
-    flat = len(shape) < len(made) or shape[0] == 1
+    # Case 3: constant numbers, one for each column.
+    flat = len(shape) < len(result_shape) or shape[0] == 1
     return flat and constant_of(value) is not None
 
 
-def _each(
-    node: ir.Node, inputs: Sequence[ir.Value | None], rows: int, look: Look, emit: Emit
+def _elementwise(
+    node: ir.Node,
+    inputs: Sequence[ir.Value | None],
+    rows: int,
+    look: ColumnLookup,
+    emit: Emit,
 ) -> Columns:
-    """Write an operator that works element by element, once a column."""
+    """Write an elementwise operator once for each column."""
     shape = fixed_shape(node.outputs[0])
     assert shape is not None
     trailing = shape[1:]
@@ -184,74 +160,78 @@ def _each(
         else np.broadcast_to(_operand(value, shape, rows, look), trailing)
         for value in inputs
     ]
-    attributes = {key: one.value for key, one in node.attributes.items()}
-    made = np.empty(trailing, object)
-    for place in np.ndindex(*trailing):
-        operands = [array[place] for array in arrays]
+    attributes = attribute_values(node)
+    results = np.empty(trailing, object)
+    for index in np.ndindex(*trailing):
+        operands = [array[index] for array in arrays]
         if is_op(node, "Max", "Min"):
-            made[place] = reduce(lambda a, b: emit(node.op_type, [a, b], {}), operands)
+            results[index] = reduce(lambda a, b: emit(node.op_type, [a, b], {}), operands)
         else:
-            made[place] = emit(node.op_type, operands, attributes)
-    return made
+            results[index] = emit(node.op_type, operands, attributes)
+    return results
 
 
-def _operand(value: ir.Value, shape: tuple[int, ...], rows: int, look: Look) -> Columns:
-    own = fixed_shape(value)
-    assert own is not None
-    if len(own) == len(shape) and own and own[0] == rows:
+def _operand(
+    value: ir.Value, shape: tuple[int, ...], rows: int, look: ColumnLookup
+) -> Columns:
+    value_shape = fixed_shape(value)
+    assert value_shape is not None
+    if len(value_shape) == len(shape) and value_shape and value_shape[0] == rows:
         return look(value)
     known = constant_of(value)
-    if prod(own) == 1:  # one number; it may vary from frame to frame
+    if prod(value_shape) == 1:  # Case 2: one number, which may vary from frame to frame
         single = np.empty((), object)
         single[()] = value if known is None else known.reshape(-1)[0]
         return single
     assert known is not None
-    trailing = own[1:] if len(own) == len(shape) else own
-    made = np.empty(prod(trailing), object)
-    made[:] = list(known.reshape(-1))
-    return made.reshape(trailing)
+    trailing = value_shape[1:] if len(value_shape) == len(shape) else value_shape
+    numbers = np.empty(prod(trailing), object)
+    numbers[:] = list(known.reshape(-1))
+    return numbers.reshape(trailing)
 
 
-def _reduced(node: ir.Node, taken: Columns, emit: Emit) -> Columns:
-    axes = [axis - 1 for axis in _axes(node, taken.ndim + 1)]
-    others = [axis for axis in range(taken.ndim) if axis not in axes]
-    rows = taken.transpose(others + axes)
-    flat = rows.reshape(prod(rows.shape[: len(others)]), -1)
-    made = np.empty(len(flat), object)
+def _reduce(node: ir.Node, columns: Columns, emit: Emit) -> Columns:
+    axes = [axis - 1 for axis in _axes(node, columns.ndim + 1)]
+    remaining_axes = [axis for axis in range(columns.ndim) if axis not in axes]
+    rows = columns.transpose(remaining_axes + axes)
+    flat = rows.reshape(prod(rows.shape[: len(remaining_axes)]), -1)
+    totals = np.empty(len(flat), object)
     squares = is_op(node, "ReduceL2")
     for index, parts in enumerate(flat):
-        terms = [emit("Mul", [one, one], {}) for one in parts] if squares else list(parts)
+        terms = (
+            [emit("Mul", [part, part], {}) for part in parts] if squares else list(parts)
+        )
         total = reduce(lambda a, b: emit(_REDUCTIONS[node.op_type], [a, b], {}), terms)
-        made[index] = emit("Sqrt", [total], {}) if squares else total
-    return made
+        totals[index] = emit("Sqrt", [total], {}) if squares else total
+    return totals
 
 
 def _axes(node: ir.Node, rank: int) -> list[int]:
-    """Return the axes that a reduction is over; none where that is not known."""
-    given = node.attributes.get("axes")
-    if given is not None:
-        return [axis % rank for axis in given.as_ints()]
+    """Return the reduced axes; an empty list if they are unknown."""
+    attribute = node.attributes.get("axes")
+    if attribute is not None:
+        return [axis % rank for axis in attribute.as_ints()]
     known = constant_of(node.inputs[1]) if len(node.inputs) > 1 else None
     return [] if known is None else [int(axis) % rank for axis in known.reshape(-1)]
 
 
-def _known(values: Sequence[ir.Value | None]) -> bool:
+def _are_constant(values: Sequence[ir.Value | None]) -> bool:
     return all(constant_of(value) is not None for value in values)
 
 
-def _cuts(node: ir.Node, rank: int) -> tuple[slice, ...] | None:
-    """Return what a Slice takes of each axis behind the first; None where it takes of the first."""
-    given = [constant_of(value) for value in node.inputs[1:] if value is not None]
-    if len(given) != len(node.inputs) - 1 or any(array is None for array in given):
+def _slices(node: ir.Node, rank: int) -> tuple[slice, ...] | None:
+    """Return the slices of the axes after the first; None if the first axis is sliced, too."""
+    arguments = [constant_of(value) for value in node.inputs[1:] if value is not None]
+    if len(arguments) != len(node.inputs) - 1 or any(array is None for array in arguments):
         return None
-    begins, ends, axes, steps = (*given, None, None)[:4]
+    begins, ends, axes, steps = (*arguments, None, None)[:4]
     assert begins is not None
     assert ends is not None
     axes = np.arange(len(begins)) if axes is None else axes
     steps = np.ones(len(begins), np.int64) if steps is None else steps
-    cuts = [slice(None)] * (rank - 1)
+    slices = [slice(None)] * (rank - 1)
     for begin, end, axis, step in zip(begins, ends, axes, steps, strict=True):
         if int(axis) % rank == 0 or step < 1:
             return None
-        cuts[int(axis) % rank - 1] = slice(int(begin), int(end), int(step))
-    return tuple(cuts)
+        slices[int(axis) % rank - 1] = slice(int(begin), int(end), int(step))
+    return tuple(slices)

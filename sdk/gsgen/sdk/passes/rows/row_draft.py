@@ -1,4 +1,4 @@
-"""The nodes that masked rows are rewritten to, while it is not yet sure that they all can be."""
+"""Drafted nodes of masked rows; they join the graph once every node can be rewritten."""
 
 __all__ = ["RowDraft"]
 
@@ -7,35 +7,35 @@ from collections.abc import Sequence
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.detached_graph import Detached
+from gsgen.sdk.passes.framework.detached_graph import DetachedGraph
 from gsgen.sdk.passes.framework.value_facts import fixed_shape
 from gsgen.sdk.passes.rows.row_facts import Linear, Mask, Rows
-from gsgen.sdk.passes.rows.row_order import Order, order_of
+from gsgen.sdk.passes.rows.row_order import RowOrder, draft_order
 
 
-class RowDraft(Detached):
-    """Drafts what is common to all masked rows.
+class RowDraft(DetachedGraph):
+    """Drafts masks, row orders and compacted rows.
 
     Attributes:
-        results: Value of the graph → what was drafted to take its place, of the same shape.
-        fed: (node, input, value): what a node that stays is to read in place of a count.
+        results: Value of the graph → its drafted replacement of the same shape.
+        input_replacements: (node, input index, value) for nodes that stay and read a count.
     """
 
     def __init__(self, stem: str) -> None:
         super().__init__(stem)
         self.results: dict[ir.Value, ir.Value] = {}
-        self.fed: list[tuple[ir.Node, int, ir.Value]] = []
-        self._orders: dict[Mask, Order] = {}
+        self.input_replacements: list[tuple[ir.Node, int, ir.Value]] = []
+        self._orders: dict[Mask, RowOrder] = {}
 
-    def order(self, mask: Mask) -> Order:
-        """Return which rows ``mask`` keeps; drafted once."""
-        mask = mask.bare
+    def order(self, mask: Mask) -> RowOrder:
+        """Return the order of the rows that ``mask`` keeps; it is drafted once."""
+        mask = mask.unrepeated
         if mask not in self._orders:
-            self._orders[mask] = order_of(self, self.truth(mask), mask.size)
+            self._orders[mask] = draft_order(self, self.boolean_mask(mask), mask.size)
         return self._orders[mask]
 
-    def truth(self, mask: Mask) -> ir.Value:
-        """Return the mask as booleans, [N]."""
+    def boolean_mask(self, mask: Mask) -> ir.Value:
+        """Return the mask as a boolean vector [N]."""
         root = mask.root
         if root.dtype != ir.DataType.BOOL:
             kind = ir.DataType.BOOL
@@ -43,13 +43,13 @@ class RowDraft(Detached):
         return self.reshaped(root, [mask.size])
 
     def reshaped(self, value: ir.Value, dims: Sequence[int]) -> ir.Value:
-        """Return ``value`` in this shape; itself where that is its shape."""
+        """Return ``value`` reshaped to ``dims``, or itself if it has this shape."""
         if fixed_shape(value) == tuple(dims):
             return value
         return self.op("Reshape", value, self.constant(dims, np.int64), shape=dims)
 
     def compact(self, rows: Rows, fill: np.ndarray | None = None) -> ir.Value:
-        """Draft the K rows of ``rows`` in front, and ``fill`` (or zeros) behind; N rows in all."""
+        """Draft N rows: first the K kept rows, then copies of ``fill`` (default zeros)."""
         order, value, shape = self.order(rows.mask), rows.value, fixed_shape(rows.value)
         assert shape is not None
         assert value.dtype is not None
@@ -57,11 +57,11 @@ class RowDraft(Detached):
         dims = [1] * len(shape)
         dims[rows.axis] = rows.mask.size
         live = self.reshaped(order.live, dims)
-        behind = self.constant(0 if fill is None else fill, value.dtype.numpy())
-        return self.op("Where", live, moved, behind, dtype=value.dtype, shape=shape)
+        filler = self.constant(0 if fill is None else fill, value.dtype.numpy())
+        return self.op("Where", live, moved, filler, dtype=value.dtype, shape=shape)
 
     def number(self, fact: Linear, like: ir.Value) -> ir.Value:
-        """Draft the numbers that ``fact`` stands for, in the dtype of ``like``."""
+        """Draft the numbers that ``fact`` describes, in the dtype of ``like``."""
         if not fact.varies:
             return like
         kind, shape = like.dtype, list(fact.constant.shape)
@@ -71,11 +71,11 @@ class RowDraft(Detached):
         count = self.order(fact.mask).count
         if kind != count.dtype:
             count = self.op("Cast", count, dtype=kind, shape=[1], to=kind.value)
-        made = self.reshaped(count, shape) if fact.constant.size == 1 else count
+        number = self.reshaped(count, shape) if fact.constant.size == 1 else count
         if (fact.factor != 1).any():
-            by = self.constant(fact.factor, kind.numpy())
-            made = self.op("Mul", made, by, shape=shape)
+            factor = self.constant(fact.factor, kind.numpy())
+            number = self.op("Mul", number, factor, shape=shape)
         if fact.constant.any():
-            more = self.constant(fact.constant, kind.numpy())
-            made = self.op("Add", made, more, shape=shape)
-        return made
+            offset = self.constant(fact.constant, kind.numpy())
+            number = self.op("Add", number, offset, shape=shape)
+        return number

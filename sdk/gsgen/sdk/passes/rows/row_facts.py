@@ -1,4 +1,4 @@
-"""What is known of tensors whose number of rows a mask decides."""
+"""Facts about tensors whose number of rows depends on a mask."""
 
 __all__ = ["Blocked", "Fact", "Filler", "Index", "Linear", "Mask", "Rows", "read_mask"]
 
@@ -13,48 +13,48 @@ from gsgen.sdk.passes.framework.value_facts import fixed_shape
 
 
 class Blocked(Exception):
-    """A node stands in the way of a static shape."""
+    """A node prevents a static shape."""
 
-    def __init__(self, node: ir.Node, why: str, masks: frozenset["Mask"]) -> None:
-        super().__init__(why)
-        self.node, self.why, self.masks = node, why, masks
+    def __init__(self, node: ir.Node, reason: str, masks: frozenset["Mask"]) -> None:
+        super().__init__(reason)
+        self.node, self.reason, self.masks = node, reason, masks
 
 
 @dataclass(frozen=True, slots=True)
 class Mask:
-    """A tensor of truth values; K of its elements are true.
+    """A mask tensor; K of its elements are true.
 
     Attributes:
-        root: The tensor, of any numeric dtype: what is not zero is true.
+        root: The tensor, of any numeric dtype; nonzero elements are true.
         dims: Its shape.
-        behind: Sizes along which it is repeated: Expand(Unsqueeze(root), …).
-        within: The mask that kept the rows among which this one chooses.
+        repeats: Sizes of the axes along which it is repeated: Expand(Unsqueeze(root), …).
+        parent: The mask among whose rows this one selects.
     """
 
     root: ir.Value
     dims: tuple[int, ...]
-    behind: tuple[int, ...] = ()
-    within: "Mask | None" = None
+    repeats: tuple[int, ...] = ()
+    parent: "Mask | None" = None
 
     @property
-    def bare(self) -> "Mask":
-        """The mask without repetition: it keeps the same rows."""
-        return Mask(self.root, self.dims, within=self.within)
+    def unrepeated(self) -> "Mask":
+        """The mask without its repetition, which keeps the same rows."""
+        return Mask(self.root, self.dims, parent=self.parent)
 
     @property
     def chain(self) -> "tuple[Mask, ...]":
-        """The mask, and those among whose rows it chooses."""
-        return (self.bare, *(self.within.chain if self.within is not None else ()))
+        """The mask and all masks among whose rows it selects."""
+        return (self.unrepeated, *(self.parent.chain if self.parent is not None else ()))
 
     @property
     def size(self) -> int:
-        """How many elements it has."""
+        """The number of elements."""
         return prod(self.dims)
 
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """Where a mask is true, as NonZero says it.
+    """The indices of the true elements of a mask, as NonZero returns them.
 
     Attributes:
         mask: The mask.
@@ -67,13 +67,13 @@ class Index:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """A tensor with K rows, and the one with all N rows, in place, that it is a part of.
+    """A tensor with K rows, represented by the drafted tensor with all N rows.
 
     Attributes:
-        mask: Which rows it has.
-        value: The tensor of all rows.
-        axis: Along which axis rows lie.
-        flat: The K rows stand flattened in one axis.
+        mask: The mask that selects the K rows.
+        value: The tensor of all N rows.
+        axis: The axis of the rows.
+        flat: Whether the K rows are flattened to one axis.
     """
 
     mask: Mask
@@ -84,13 +84,13 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """Whole numbers that are a + b · K.
+    """Integers of the form a + b · K.
 
     Attributes:
-        mask: What K counts.
+        mask: The mask with K true elements.
         constant: The numbers a, of any shape.
         factor: The numbers b.
-        varies: They are computed from a shape that varies, so they must be computed anew.
+        varies: Whether a varying shape provides them, so that they must be recomputed.
     """
 
     mask: Mask
@@ -101,12 +101,12 @@ class Linear:
 
 @dataclass(frozen=True, slots=True)
 class Filler:
-    """``capacity`` − K equal rows, along the first axis.
+    """``capacity`` − K equal filler rows along the first axis.
 
     Attributes:
-        mask: What K counts.
-        capacity: Rows that it fills up to.
-        row: What one row holds, a constant.
+        mask: The mask with K true elements.
+        capacity: Number of rows, filler included.
+        row: The constant content of a row.
     """
 
     mask: Mask
@@ -118,41 +118,47 @@ Fact = Index | Rows | Linear | Filler
 
 
 def read_mask(value: ir.Value | None) -> Mask | None:
-    """Return the mask that ``value`` is, seen through casts, flattening and repetition."""
-    root = _truth(value)
+    """Return the mask that ``value`` holds, ignoring casts, flattening and repetition."""
+    root = _truth_source(value)
     dims = fixed_shape(root)
     if root is None or dims is None:
         return None
-    maker = root.producer()
-    if maker is None or not is_op(maker, "Expand"):
+    producer = root.producer()
+    if producer is None or not is_op(producer, "Expand"):
         return Mask(root, dims)
-    inner = fixed_shape(maker.inputs[0])
-    raised = maker.inputs[0].producer() if maker.inputs[0] is not None else None
+    inner = fixed_shape(producer.inputs[0])
+    raised = producer.inputs[0].producer() if producer.inputs[0] is not None else None
     if inner is None or raised is None or not is_op(raised, "Unsqueeze"):
         return Mask(root, dims)
-    base = _truth(raised.inputs[0])
-    kept = fixed_shape(base)
-    if base is None or kept is None or inner != (*kept, *[1] * (len(inner) - len(kept))):
+    base = _truth_source(raised.inputs[0])
+    base_shape = fixed_shape(base)
+    if (
+        base is None
+        or base_shape is None
+        or inner != (*base_shape, *[1] * (len(inner) - len(base_shape)))
+    ):
         return Mask(root, dims)
-    same_rank = len(dims) == len(inner) and dims[: len(kept)] == kept
-    return Mask(base, kept, dims[len(kept) :]) if same_rank else Mask(root, dims)
+    same_rank = len(dims) == len(inner) and dims[: len(base_shape)] == base_shape
+    return (
+        Mask(base, base_shape, dims[len(base_shape) :]) if same_rank else Mask(root, dims)
+    )
 
 
-def _truth(value: ir.Value | None) -> ir.Value | None:
-    """Return the tensor that says the same, before casts of booleans and flattening of vectors."""
+def _truth_source(value: ir.Value | None) -> ir.Value | None:
+    """Return the tensor with the same truth values, before casts and reshapes."""
     while value is not None:
-        maker = value.producer()
-        given = maker.inputs[0] if maker is not None and maker.inputs else None
-        if maker is None or given is None or not _says_the_same(maker, given, value):
+        producer = value.producer()
+        source = producer.inputs[0] if producer is not None and producer.inputs else None
+        if producer is None or source is None or not _keeps_truth(producer, source, value):
             return value
-        value = given
+        value = source
     return None
 
 
-def _says_the_same(node: ir.Node, given: ir.Value, made: ir.Value) -> bool:
+def _keeps_truth(node: ir.Node, source: ir.Value, result: ir.Value) -> bool:
     if is_op(node, "Identity"):
         return True
     if is_op(node, "Cast"):
-        return given.dtype == ir.DataType.BOOL
-    same = fixed_shape(given) is not None and fixed_shape(given) == fixed_shape(made)
+        return source.dtype == ir.DataType.BOOL
+    same = fixed_shape(source) is not None and fixed_shape(source) == fixed_shape(result)
     return is_op(node, "Reshape", "Expand") and same

@@ -1,12 +1,12 @@
-"""Where rows come from: the forms in which exporters and people write "the rows of this mask"."""
+"""Recognition of the forms in which exporters and authors select the rows of a mask."""
 
 __all__ = [
-    "compressed",
-    "index_of",
-    "moved_index",
-    "nested_mask",
-    "taken_again",
-    "taken_rows",
+    "compose_masks",
+    "compress_rows",
+    "gather_nested_rows",
+    "gather_rows",
+    "nonzero_index",
+    "transform_index",
 ]
 
 import numpy as np
@@ -23,14 +23,14 @@ from gsgen.sdk.passes.rows.row_draft import RowDraft
 from gsgen.sdk.passes.rows.row_facts import Index, Mask, Rows, read_mask
 
 
-def index_of(node: ir.Node) -> Index | None:
-    """Return what NonZero gives."""
+def nonzero_index(node: ir.Node) -> Index | None:
+    """Return the indices that NonZero computes; None if its input is not a known mask."""
     mask = read_mask(node.inputs[0])
     return None if mask is None or not mask.size else Index(mask, "columns")
 
 
-def nested_mask(rows: Rows, draft: RowDraft) -> Mask | None:
-    """Return the mask of what a mask keeps of the rows that another one kept: both say so."""
+def compose_masks(rows: Rows, draft: RowDraft) -> Mask | None:
+    """Compose two nested masks into one over the original rows."""
     shape = fixed_shape(rows.value)
     if rows.flat or shape != (rows.mask.size,):
         return None
@@ -38,25 +38,25 @@ def nested_mask(rows: Rows, draft: RowDraft) -> Mask | None:
     inner = rows.value
     if inner.dtype != kind:
         inner = draft.op("Cast", inner, dtype=kind, shape=shape, to=kind.value)
-    both = draft.op("And", draft.truth(rows.mask), inner, dtype=kind, shape=shape)
-    return Mask(both, shape, within=rows.mask.bare)
+    both = draft.op("And", draft.boolean_mask(rows.mask), inner, dtype=kind, shape=shape)
+    return Mask(both, shape, parent=rows.mask.unrepeated)
 
 
-def compressed(node: ir.Node, mask: Mask, draft: RowDraft) -> Rows | None:
-    """Return what Compress keeps; a condition shorter than its axis is not understood."""
+def compress_rows(node: ir.Node, mask: Mask, draft: RowDraft) -> Rows | None:
+    """Return the rows that Compress keeps; None if the condition is shorter than its axis."""
     value, shape = node.inputs[0], fixed_shape(node.inputs[0])
-    if value is None or shape is None or len(mask.dims) != 1 or mask.behind:
+    if value is None or shape is None or len(mask.dims) != 1 or mask.repeats:
         return None
     axis = node.attributes.get("axis")
     if axis is None:
         value = draft.reshaped(value, [int(np.prod(shape))])
         return Rows(mask, value, 0) if mask.size == np.prod(shape) else None
-    place = axis.as_int() % len(shape)
-    return Rows(mask, value, place) if mask.size == shape[place] else None
+    row_axis = axis.as_int() % len(shape)
+    return Rows(mask, value, row_axis) if mask.size == shape[row_axis] else None
 
 
-def moved_index(node: ir.Node, index: Index) -> Index | None:
-    """Return the form that ``node`` brings the indices of a mask into."""
+def transform_index(node: ir.Node, index: Index) -> Index | None:
+    """Return the indices of a mask in the form that ``node`` reshapes them to; None if unknown."""
     if is_op(node, "Cast", "Identity") or (is_op(node, "Max") and len(node.inputs) == 1):
         return index
     if is_op(node, "Transpose") and index.form != "flat":
@@ -64,24 +64,32 @@ def moved_index(node: ir.Node, index: Index) -> Index | None:
         if order is not None and list(order.as_ints()) == [0, 1]:
             return index
         return Index(index.mask, "rows" if index.form == "columns" else "columns")
-    if len(index.mask.dims) + len(index.mask.behind) != 1:
+    if len(index.mask.dims) + len(index.mask.repeats) != 1:
         return None
     if is_op(node, "Gather") and index.form != "flat":
-        # Element 0 along the axis whose length is one.
+        # Case 1: element 0 along the axis of size one.
         zero, axis = constant_of(node.inputs[1]), int_attribute(node, "axis", 0) % 2
         picks = zero is not None and zero.ndim == 0 and zero == 0
-        return Index(index.mask, "flat") if picks and _single(index) == axis else None
+        return (
+            Index(index.mask, "flat")
+            if picks and _axis_of_size_one(index) == axis
+            else None
+        )
     if is_op(node, "Slice") and index.form != "flat":
-        # Its only column (or row): torch takes indices apart by axes in this way.
+        # Case 2: the only column (or row): torch separates indices by axes in this way.
         axes = (
             constant_of(node.inputs[3]) if len(node.inputs) > 3 else np.zeros(1, np.int64)
         )
         start = constant_of(node.inputs[1])
-        single = axes is not None and axes.size == 1 and int(axes[0]) % 2 == _single(index)
+        single = (
+            axes is not None
+            and axes.size == 1
+            and int(axes[0]) % 2 == _axis_of_size_one(index)
+        )
         return index if single and start is not None and not start.any() else None
     rank = rank_of(node.outputs[0])
     if is_op(node, "Squeeze", "Reshape", "Expand") and rank == 1:
-        return Index(index.mask, "flat")  # K numbers, whatever they were laid out as
+        return Index(index.mask, "flat")  # Case 3: K numbers of any layout
     if is_op(node, "Unsqueeze") and index.form == "flat":
         axes = constant_of(node.inputs[1]) if len(node.inputs) > 1 else None
         behind = axes is not None and int(axes.reshape(-1)[0]) in (1, -1)
@@ -92,14 +100,14 @@ def moved_index(node: ir.Node, index: Index) -> Index | None:
     return None
 
 
-def _single(index: Index) -> int:
+def _axis_of_size_one(index: Index) -> int:
     return 0 if index.form == "columns" else 1
 
 
-def taken_rows(node: ir.Node, index: Index, draft: RowDraft) -> Rows | None:
-    """Return the rows that Gather or GatherND takes at the places of a mask."""
+def gather_rows(node: ir.Node, index: Index, draft: RowDraft) -> Rows | None:
+    """Return the rows that Gather or GatherND takes at the indices of a mask."""
     value, shape, mask = node.inputs[0], fixed_shape(node.inputs[0]), index.mask
-    if value is None or shape is None or mask.behind or mask.within is not None:
+    if value is None or shape is None or mask.repeats or mask.parent is not None:
         return None
     if is_op(node, "Gather"):
         axis = int_attribute(node, "axis", 0) % len(shape)
@@ -115,9 +123,9 @@ def taken_rows(node: ir.Node, index: Index, draft: RowDraft) -> Rows | None:
     return Rows(mask, draft.reshaped(value, [mask.size, *shape[axes:]]), 0)
 
 
-def taken_again(node: ir.Node, rows: Rows, index: Index) -> Rows | None:
-    """Return the rows that a Gather or GatherND takes of rows that another mask took."""
-    if rows.flat or index.mask.within != rows.mask.bare:
+def gather_nested_rows(node: ir.Node, rows: Rows, index: Index) -> Rows | None:
+    """Return the rows that Gather or GatherND takes among the rows of a parent mask."""
+    if rows.flat or index.mask.parent != rows.mask.unrepeated:
         return None
     rank = rank_of(rows.value) or 1
     if is_op(node, "Gather"):

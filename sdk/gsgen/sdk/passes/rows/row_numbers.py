@@ -1,6 +1,6 @@
-"""Shapes and counts that hang on how many rows a mask keeps."""
+"""Shapes and counts that depend on the number of rows that a mask keeps."""
 
-__all__ = ["count_of", "filled", "linear", "shape_fact"]
+__all__ = ["constant_rows", "linear_numbers", "mask_count", "shape_fact"]
 
 from collections.abc import Sequence
 
@@ -26,53 +26,65 @@ _MOVES = (
 )
 
 
-def count_of(node: ir.Node) -> Linear | None:
-    """Return K where ``node`` sums the whole of a mask of booleans."""
+def mask_count(node: ir.Node) -> Linear | None:
+    """Return K if ``node`` sums all elements of a boolean mask."""
     source = node.inputs[0].producer() if node.inputs[0] is not None else None
-    made = fixed_shape(node.outputs[0])
-    if not is_op(source, "Cast") or node.outputs[0].dtype not in _WHOLE or made is None:
+    result_shape = fixed_shape(node.outputs[0])
+    if (
+        not is_op(source, "Cast")
+        or node.outputs[0].dtype not in _WHOLE
+        or result_shape is None
+    ):
         return None
     mask = read_mask(node.inputs[0])
-    if mask is None or mask.root.dtype != ir.DataType.BOOL or mask.behind:
+    if mask is None or mask.root.dtype != ir.DataType.BOOL or mask.repeats:
         return None
-    given = fixed_shape(node.inputs[0])
-    # Of a mask of more elements than one, a sum that is one number is a sum over all.
-    if given is None or np.prod(made) != 1 or np.prod(given) == 1:
+    mask_shape = fixed_shape(node.inputs[0])
+    # If the mask has more than one element, a sum of one element is a sum over all.
+    if mask_shape is None or np.prod(result_shape) != 1 or np.prod(mask_shape) == 1:
         return None
-    return Linear(mask, np.zeros(made, np.int64), np.ones(made, np.int64), varies=False)
+    return Linear(
+        mask,
+        np.zeros(result_shape, np.int64),
+        np.ones(result_shape, np.int64),
+        varies=False,
+    )
 
 
 def shape_fact(node: ir.Node, fact: Fact) -> Linear | None:
-    """Return the numbers that Shape gives for rows or indices."""
+    """Return the numbers that Shape returns for rows or indices."""
     dims = _dims(fact)
     end = node.attributes.get("end")
     start = int_attribute(node, "start", 0)
-    asked = dims[start : None if end is None else end.as_int()]
-    if not asked:
+    sizes = dims[start : None if end is None else end.as_int()]
+    if not sizes:
         return None
-    constant = np.array([0 if dim is None else dim for dim in asked], np.int64)
-    factor = np.array([int(dim is None) for dim in asked], np.int64)
+    constant = np.array([0 if dim is None else dim for dim in sizes], np.int64)
+    factor = np.array([int(dim is None) for dim in sizes], np.int64)
     return Linear(fact.mask, constant, factor, varies=True)
 
 
 def _dims(fact: Fact) -> list[int | None]:
-    """Return the sizes of a tensor; None stands for K."""
+    """Return the sizes of a tensor, with None in place of K."""
     if isinstance(fact, Rows) and not fact.flat:
         shape: list[int | None] = list(fixed_shape(fact.value) or ())
         shape[fact.axis] = None
         return shape
     if isinstance(fact, Index):
-        axes = len(fact.mask.dims) + len(fact.mask.behind)
+        axes = len(fact.mask.dims) + len(fact.mask.repeats)
         forms: dict[str, list[int | None]]
         forms = {"flat": [None], "rows": [None, axes], "columns": [axes, None]}
-        return [] if fact.mask.behind else forms[fact.form]
+        return [] if fact.mask.repeats else forms[fact.form]
     return []
 
 
-def linear(node: ir.Node, facts: Sequence[Fact | None]) -> Linear | None:
-    """Return what arithmetic on shapes gives."""
+def linear_numbers(node: ir.Node, facts: Sequence[Fact | None]) -> Linear | None:
+    """Return the result of arithmetic on shapes, if it is linear in K."""
     known = [fact for fact in facts if isinstance(fact, Linear)]
-    if len({fact.mask.bare for fact in known}) != 1 or node.outputs[0].dtype not in _WHOLE:
+    if (
+        len({fact.mask.unrepeated for fact in known}) != 1
+        or node.outputs[0].dtype not in _WHOLE
+    ):
         return None
     parts = [_parts(value, fact) for value, fact in zip(node.inputs, facts, strict=True)]
     whole = [part for part in parts if part is not None]
@@ -95,14 +107,14 @@ def linear(node: ir.Node, facts: Sequence[Fact | None]) -> Linear | None:
         joins or (len(known) == 1 and facts[0] is known[0])
     ):
         return None
-    others = [constant for constant, _ in whole[1:]]
-    made = [
-        evaluate(node, [part[k] for part in whole] if joins else [whole[0][k], *others])
+    arguments = [constant for constant, _ in whole[1:]]
+    terms = [
+        evaluate(node, [part[k] for part in whole] if joins else [whole[0][k], *arguments])
         for k in (0, 1)
     ]
-    if made[0] is None or made[1] is None:
+    if terms[0] is None or terms[1] is None:
         return None
-    constant, factor = (array.astype(np.int64) for array in made if array is not None)
+    constant, factor = (array.astype(np.int64) for array in terms if array is not None)
     return Linear(known[0].mask, constant, factor, varies)
 
 
@@ -115,9 +127,9 @@ def _parts(
     return None if known is None else (known, np.zeros_like(known))
 
 
-def filled(node: ir.Node, shape: Linear, draft: RowDraft) -> Rows | Filler | None:
-    """Return rows of a constant: as many as are kept, or as many as are missing."""
-    value = _filler(node)
+def constant_rows(node: ir.Node, shape: Linear, draft: RowDraft) -> Rows | Filler | None:
+    """Return constant rows from ConstantOfShape or Expand: K rows, or a capacity minus K."""
+    value = _constant_of_fill(node)
     sizes, factor = shape.constant, shape.factor
     if value is None or factor.ndim != 1 or value.ndim > len(sizes):
         return None
@@ -139,9 +151,9 @@ def filled(node: ir.Node, shape: Linear, draft: RowDraft) -> Rows | Filler | Non
     return None
 
 
-def _filler(node: ir.Node) -> np.ndarray | None:
+def _constant_of_fill(node: ir.Node) -> np.ndarray | None:
     if is_op(node, "Expand"):
         return constant_of(node.inputs[0])
-    given = node.attributes.get("value")
-    array = np.zeros(1, np.float32) if given is None else given.as_tensor().numpy()
+    attribute = node.attributes.get("value")
+    array = np.zeros(1, np.float32) if attribute is None else attribute.as_tensor().numpy()
     return np.asarray(array).reshape(())

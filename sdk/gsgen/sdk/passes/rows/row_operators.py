@@ -1,9 +1,9 @@
-"""Operators that treat every row by itself, so that they may treat all rows, kept or not.
+"""Operators that work row by row and can therefore process all N rows instead of K.
 
-Each function returns the rows that a node gives, or None where it may mix rows.
+Each function returns the rows that a node computes, or None if it may mix rows.
 """
 
-__all__ = ["axes_of", "moved_rows", "split_rows"]
+__all__ = ["axes_of", "propagate_rows", "split_rows"]
 
 from collections.abc import Callable, Sequence
 from math import prod
@@ -11,8 +11,10 @@ from math import prod
 import numpy as np
 import onnx_ir as ir
 
+from gsgen.contract.spec.onnx_facts import FLOAT_TYPES
 from gsgen.sdk.passes.framework.base import is_op
 from gsgen.sdk.passes.framework.value_facts import (
+    UNBOUNDED_END,
     constant_of,
     fixed_shape,
     int_attribute,
@@ -21,110 +23,53 @@ from gsgen.sdk.passes.framework.value_facts import (
 from gsgen.sdk.passes.rows.row_draft import RowDraft
 from gsgen.sdk.passes.rows.row_facts import Fact, Filler, Index, Linear, Rows
 
-_EACH = frozenset(
-    {
-        *(
-            "Abs",
-            "Acos",
-            "Acosh",
-            "Add",
-            "And",
-            "Asin",
-            "Asinh",
-            "Atan",
-            "Atanh",
-            "Cast",
-            "Ceil",
-        ),
-        *(
-            "Clip",
-            "Cos",
-            "Cosh",
-            "Div",
-            "Elu",
-            "Equal",
-            "Erf",
-            "Exp",
-            "Floor",
-            "Gelu",
-            "Greater",
-        ),
-        *(
-            "GreaterOrEqual",
-            "HardSigmoid",
-            "HardSwish",
-            "Identity",
-            "IsInf",
-            "IsNaN",
-            "LeakyRelu",
-        ),
-        *(
-            "Less",
-            "LessOrEqual",
-            "Log",
-            "Max",
-            "Mean",
-            "Min",
-            "Mish",
-            "Mod",
-            "Mul",
-            "Neg",
-            "Not",
-        ),
-        *(
-            "Or",
-            "Pow",
-            "Reciprocal",
-            "Relu",
-            "Round",
-            "Selu",
-            "Sigmoid",
-            "Sign",
-            "Sin",
-            "Sinh",
-        ),
-        *("Softplus", "Softsign", "Sqrt", "Sub", "Sum", "Tan", "Tanh", "Where", "Xor"),
-    }
+_ELEMENTWISE = frozenset({
+    "Abs", "Acos", "Acosh", "Add", "And", "Asin", "Asinh", "Atan", "Atanh", "Cast", "Ceil",
+    "Clip", "Cos", "Cosh", "Div", "Elu", "Equal", "Erf", "Exp", "Floor", "Gelu", "Greater",
+    "GreaterOrEqual", "HardSigmoid", "HardSwish", "Identity", "IsInf", "IsNaN", "LeakyRelu",
+    "Less", "LessOrEqual", "Log", "Max", "Mean", "Min", "Mish", "Mod", "Mul", "Neg", "Not",
+    "Or", "Pow", "Reciprocal", "Relu", "Round", "Selu", "Sigmoid", "Sign", "Sin", "Sinh",
+    "Softplus", "Softsign", "Sqrt", "Sub", "Sum", "Tan", "Tanh", "Where", "Xor",
+})  # fmt: skip
+_AXIS_OPERATORS = frozenset(
+    {"ArgMax", "ArgMin", "CumSum", "Hardmax", "LogSoftmax", "Softmax"}
 )
-_ALONG = frozenset({"ArgMax", "ArgMin", "CumSum", "Hardmax", "LogSoftmax", "Softmax"})
-_FOREVER = (1 << 31) - 1
-_FLOATS = (ir.DataType.FLOAT, ir.DataType.FLOAT16, ir.DataType.DOUBLE)
 
 Facts = Sequence[Fact | None]
 
 
-def moved_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Return the rows that ``node`` gives, all N of them drafted."""
+def propagate_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
+    """Return the rows that ``node`` computes, drafted for all N rows; None if it may mix rows."""
     if any(isinstance(fact, Rows) and fact.flat for fact in facts):
         return None
-    if node.op_type in _EACH:
-        return _each(node, facts, draft)
+    if node.op_type in _ELEMENTWISE:
+        return _elementwise(node, facts, draft)
     if is_op(node, "Concat"):
-        return _joined(node, facts, draft)
+        return _concat(node, facts, draft)
     if is_op(node, "MatMul", "Gemm"):
-        return _product(node, facts, draft)
+        return _matrix_product(node, facts, draft)
     if is_op(node, "Einsum"):
-        return _summed(node, facts, draft)
+        return _einsum(node, facts, draft)
     rows = facts[0]
     if not isinstance(rows, Rows) or any(isinstance(fact, Rows) for fact in facts[1:]):
         return None
-    found = _OF_ONE.get(node.op_type)
-    return None if found is None else found(node, rows, facts, draft)
+    row_rule = _SINGLE_INPUT_RULES.get(node.op_type)
+    return None if row_rule is None else row_rule(node, rows, facts, draft)
 
 
-def _relay(
+def _draft_for_all_rows(
     node: ir.Node, inputs: Sequence[ir.Value | None], axis: int, rows: Rows, draft: RowDraft
 ) -> Rows | None:
-    """Draft ``node`` on all rows; its result has N where it had K."""
-    shape = _shape_with(node.outputs[0], axis, rows)
+    """Draft ``node`` on all rows; its output has N instead of K rows along ``axis``."""
+    shape = _full_shape(node.outputs[0], axis, rows)
     if shape is None or len(node.outputs) != 1:
         return None
-    (made,) = draft.like(node, inputs)
-    made.shape = ir.Shape(shape)
-    return Rows(rows.mask, made, axis)
+    (result,) = draft.like(node, inputs)
+    result.shape = ir.Shape(shape)
+    return Rows(rows.mask, result, axis)
 
 
-def _shape_with(value: ir.Value, axis: int, rows: Rows) -> list[int] | None:
+def _full_shape(value: ir.Value, axis: int, rows: Rows) -> list[int] | None:
     dims = list(value.shape) if value.shape is not None else None
     if dims is None or not 0 <= axis < len(dims):
         return None
@@ -136,44 +81,44 @@ def _shape_with(value: ir.Value, axis: int, rows: Rows) -> list[int] | None:
     )
 
 
-def _inputs(node: ir.Node, facts: Facts) -> list[ir.Value | None]:
+def _full_inputs(node: ir.Node, facts: Facts) -> list[ir.Value | None]:
     return [
         fact.value if isinstance(fact, Rows) else value
         for value, fact in zip(node.inputs, facts, strict=True)
     ]
 
 
-def _each(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Elementwise operators: rows must meet rows, and what is not rows be the same for all."""
-    given = [fact for fact in facts if isinstance(fact, Rows)]
-    from_behind = {fact.axis - (rank_of(fact.value) or 0) for fact in given}
+def _elementwise(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
+    """Elementwise operators: rows must align with rows; other operands must not vary by row."""
+    row_facts = [fact for fact in facts if isinstance(fact, Rows)]
+    negative_axes = {fact.axis - (rank_of(fact.value) or 0) for fact in row_facts}
     rank = rank_of(node.outputs[0])
     if (
-        len(from_behind) != 1
+        len(negative_axes) != 1
         or rank is None
         or any(isinstance(f, Index | Filler) for f in facts)
     ):
         return None
-    (behind,) = from_behind
-    inputs = _inputs(node, facts)
-    for place, (value, fact) in enumerate(zip(node.inputs, facts, strict=True)):
+    (negative_axis,) = negative_axes
+    inputs = _full_inputs(node, facts)
+    for input_index, (value, fact) in enumerate(zip(node.inputs, facts, strict=True)):
         if isinstance(fact, Linear) and value is not None:
-            inputs[place] = value = draft.number(fact, value)
+            inputs[input_index] = value = draft.number(fact, value)
         if value is None or isinstance(fact, Rows):
             continue
         if value.shape is None:
             return None
-        if len(value.shape) >= -behind and value.shape[behind] != 1:
+        if len(value.shape) >= -negative_axis and value.shape[negative_axis] != 1:
             return None
-    divides = is_op(node, "Div", "Mod") and node.outputs[0].dtype not in _FLOATS
-    if divides:  # a row that is not kept might divide by zero, which stops the runtime
+    divides = is_op(node, "Div", "Mod") and node.outputs[0].dtype not in FLOAT_TYPES
+    if divides:  # a masked row might divide an integer by zero, which stops the runtime
         known = constant_of(node.inputs[1])
         if known is None or not known.all():
             return None
-    return _relay(node, inputs, rank + behind, given[0], draft)
+    return _draft_for_all_rows(node, inputs, rank + negative_axis, row_facts[0], draft)
 
 
-def _joined(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
+def _concat(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
     rows = facts[0]
     if not isinstance(rows, Rows) or not all(isinstance(fact, Rows) for fact in facts):
         return None
@@ -181,23 +126,29 @@ def _joined(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
     same = all(isinstance(fact, Rows) and fact.axis == rows.axis for fact in facts)
     if axis == rows.axis or not same:
         return None
-    return _relay(node, _inputs(node, facts), rows.axis, rows, draft)
+    return _draft_for_all_rows(node, _full_inputs(node, facts), rows.axis, rows, draft)
 
 
-def _product(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Products that contract along other axes than that of the rows."""
-    given = [fact for fact in facts if isinstance(fact, Rows)]
-    if len(given) != sum(fact is not None for fact in facts) or not given:
+def _matrix_product(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
+    """MatMul and Gemm that contract along axes other than that of the rows."""
+    row_facts = [fact for fact in facts if isinstance(fact, Rows)]
+    if len(row_facts) != sum(fact is not None for fact in facts) or not row_facts:
         return None
-    place = _gemm_place(node, facts) if is_op(node, "Gemm") else _matmul_place(node, facts)
+    row_axis = (
+        _gemm_row_axis(node, facts)
+        if is_op(node, "Gemm")
+        else _matmul_row_axis(node, facts)
+    )
     return (
         None
-        if place is None
-        else _relay(node, _inputs(node, facts), place, given[0], draft)
+        if row_axis is None
+        else _draft_for_all_rows(
+            node, _full_inputs(node, facts), row_axis, row_facts[0], draft
+        )
     )
 
 
-def _gemm_place(node: ir.Node, facts: Facts) -> int | None:
+def _gemm_row_axis(node: ir.Node, facts: Facts) -> int | None:
     rows = facts[0]
     added = node.inputs[2] if len(node.inputs) > 2 else None
     same = added is None or rank_of(added) in (0, 1) or (added.shape or [0])[0] == 1
@@ -206,111 +157,130 @@ def _gemm_place(node: ir.Node, facts: Facts) -> int | None:
     return None if int_attribute(node, "transA", 0) else 0
 
 
-def _matmul_place(node: ir.Node, facts: Facts) -> int | None:
-    """Return the rows' axis in a product; stacks of matrices must be stacked by the same rows."""
-    values = _inputs(node, facts)
-    ranks, made = [rank_of(value) for value in values], rank_of(node.outputs[0])
-    if None in ranks or made is None or 1 in ranks:
+def _matmul_row_axis(node: ir.Node, facts: Facts) -> int | None:
+    """Return the rows' axis in the product; batches of matrices must have the same rows' axis."""
+    values = _full_inputs(node, facts)
+    ranks, result_rank = [rank_of(value) for value in values], rank_of(node.outputs[0])
+    if None in ranks or result_rank is None or 1 in ranks:
         rows = facts[0]
-        plain = isinstance(rows, Rows) and facts[1] is None and ranks[1] == 1
+        is_matrix_vector = isinstance(rows, Rows) and facts[1] is None and ranks[1] == 1
         return (
             rows.axis
-            if plain and isinstance(rows, Rows) and rows.axis + 1 < (ranks[0] or 0)
+            if is_matrix_vector
+            and isinstance(rows, Rows)
+            and rows.axis + 1 < (ranks[0] or 0)
             else None
         )
-    behind = {
+    negative_axes = {
         fact.axis - (rank or 0)
         for fact, rank in zip(facts, ranks, strict=True)
         if isinstance(fact, Rows)
     }
-    if len(behind) != 1:
+    if len(negative_axes) != 1:
         return None
-    (axis,) = behind
-    if axis > -3:  # rows of the left matrix, or columns of the right one
+    (axis,) = negative_axes
+    if axis > -3:  # Case 2: rows of the left matrix, or columns of the right one
         side = 0 if axis == -2 else 1
         alone = isinstance(facts[side], Rows) and facts[1 - side] is None
-        return made + axis if alone else None
+        return result_rank + axis if alone else None
     for value, fact in zip(values, facts, strict=True):
         shape = value.shape if value is not None else None
         if fact is None and (shape is None or (len(shape) >= -axis and shape[axis] != 1)):
             return None
-    return made + axis
+    return result_rank + axis
 
 
-def _summed(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Einsum, where the rows have a letter of their own that the result keeps."""
-    given = [fact for fact in facts if isinstance(fact, Rows)]
-    left, arrow, right = (
+def _einsum(node: ir.Node, facts: Facts, draft: RowDraft) -> Rows | None:
+    """Einsum whose rows have a letter of their own, which the output keeps."""
+    row_facts = [fact for fact in facts if isinstance(fact, Rows)]
+    input_terms, arrow, output_term = (
         node.attributes["equation"].as_string().replace(" ", "").partition("->")
     )
-    terms = left.split(",")
-    if not arrow or "." in left + right or len(terms) != len(facts) or not given:
+    terms = input_terms.split(",")
+    if (
+        not arrow
+        or "." in input_terms + output_term
+        or len(terms) != len(facts)
+        or not row_facts
+    ):
         return None
     letters = {
         term[fact.axis]
         for term, fact in zip(terms, facts, strict=True)
         if isinstance(fact, Rows)
     }
-    others = "".join(
+    other_letters = "".join(
         t for t, fact in zip(terms, facts, strict=True) if not isinstance(fact, Rows)
     )
-    if len(letters) != 1 or any(fact is not None and fact not in given for fact in facts):
+    if len(letters) != 1 or any(
+        fact is not None and fact not in row_facts for fact in facts
+    ):
         return None
     (letter,) = letters
-    once = all(term.count(letter) <= 1 for term in terms) and right.count(letter) == 1
-    if not once or letter in others:
+    once = all(term.count(letter) <= 1 for term in terms) and output_term.count(letter) == 1
+    if not once or letter in other_letters:
         return None
-    return _relay(node, _inputs(node, facts), right.index(letter), given[0], draft)
+    return _draft_for_all_rows(
+        node, _full_inputs(node, facts), output_term.index(letter), row_facts[0], draft
+    )
 
 
-# -- Operators of one tensor of rows
+# -- Operators with one tensor of rows
 
 
-def _cut(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Slice along other axes, or along all rows."""
+def _slice(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+    """Slice along other axes, or over all rows."""
     arrays = [constant_of(value) for value in node.inputs[1:]]
     if any(array is None for array in arrays) or len(arrays) < 2:
         return None
-    starts, ends, *rest = [array.reshape(-1) for array in arrays if array is not None]
+    starts, ends, *axes_and_steps = [
+        array.reshape(-1) for array in arrays if array is not None
+    ]
     rank = rank_of(rows.value) or 1
-    axes = rest[0] % rank if rest else np.arange(len(starts))
-    steps = rest[1] if len(rest) > 1 else np.ones(len(starts), np.int64)
+    axes = axes_and_steps[0] % rank if axes_and_steps else np.arange(len(starts))
+    steps = axes_and_steps[1] if len(axes_and_steps) > 1 else np.ones(len(starts), np.int64)
     for axis, start, end, step in zip(axes, starts, ends, steps, strict=True):
-        if axis == rows.axis and not (start == 0 and end >= _FOREVER and step == 1):
+        if axis == rows.axis and not (start == 0 and end >= UNBOUNDED_END and step == 1):
             return None
-    return _relay(node, [rows.value, *node.inputs[1:]], rows.axis, rows, draft)
+    return _draft_for_all_rows(node, [rows.value, *node.inputs[1:]], rows.axis, rows, draft)
 
 
-def _picked(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Gather along another axis."""
+def _gather(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+    """Gather along an axis other than that of the rows."""
     rank = rank_of(rows.value) or 1
     axis, index = int_attribute(node, "axis", 0) % rank, rank_of(node.inputs[1])
     if axis == rows.axis or index is None or facts[1] is not None:
         return None
-    place = rows.axis + (index - 1 if axis < rows.axis else 0)
-    return _relay(node, [rows.value, *node.inputs[1:]], place, rows, draft)
+    row_axis = rows.axis + (index - 1 if axis < rows.axis else 0)
+    return _draft_for_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
 def axes_of(node: ir.Node) -> list[int] | None:
-    """Return the axes of a node that has them as an attribute or as its second input."""
+    """Return the axes of a node, from its attribute or its second input; None if unknown."""
     if "axes" in node.attributes:
         return [int(axis) for axis in node.attributes["axes"].as_ints()]
     known = constant_of(node.inputs[1]) if len(node.inputs) > 1 else None
     return None if known is None else [int(axis) for axis in known.reshape(-1)]
 
 
-def _reduced(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+def _reduce(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
     axes, rank = axes_of(node), rank_of(rows.value) or 1
     if not axes:
         return None
-    places = {axis % rank for axis in axes}
-    if rows.axis in places:
+    reduced_axes = {axis % rank for axis in axes}
+    if rows.axis in reduced_axes:
         return None
-    gone = 0 if int_attribute(node, "keepdims", 1) else sum(p < rows.axis for p in places)
-    return _relay(node, [rows.value, *node.inputs[1:]], rows.axis - gone, rows, draft)
+    removed_axes = (
+        0
+        if int_attribute(node, "keepdims", 1)
+        else sum(p < rows.axis for p in reduced_axes)
+    )
+    return _draft_for_all_rows(
+        node, [rows.value, *node.inputs[1:]], rows.axis - removed_axes, rows, draft
+    )
 
 
-def _along(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+def _along_axis(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
     rank = rank_of(rows.value) or 1
     if is_op(node, "CumSum"):
         known = constant_of(node.inputs[1])
@@ -322,57 +292,57 @@ def _along(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | N
     if axis is None or axis == rows.axis:
         return None
     drops = is_op(node, "ArgMax", "ArgMin") and not int_attribute(node, "keepdims", 1)
-    place = rows.axis - (1 if drops and axis < rows.axis else 0)
-    return _relay(node, [rows.value, *node.inputs[1:]], place, rows, draft)
+    row_axis = rows.axis - (1 if drops and axis < rows.axis else 0)
+    return _draft_for_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
-def _squeezed(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+def _squeeze(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
     axes, rank = axes_of(node), rank_of(rows.value) or 1
     if axes is None or rows.axis in {axis % rank for axis in axes}:
         return None
-    place = rows.axis - sum(axis % rank < rows.axis for axis in axes)
-    return _relay(node, [rows.value, *node.inputs[1:]], place, rows, draft)
+    row_axis = rows.axis - sum(axis % rank < rows.axis for axis in axes)
+    return _draft_for_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
-def _unsqueezed(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+def _unsqueeze(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
     axes, rank = axes_of(node), rank_of(node.outputs[0])
     if axes is None or rank is None:
         return None
     added = {axis % rank for axis in axes}
-    place = [axis for axis in range(rank) if axis not in added][rows.axis]
-    return _relay(node, [rows.value, *node.inputs[1:]], place, rows, draft)
+    row_axis = [axis for axis in range(rank) if axis not in added][rows.axis]
+    return _draft_for_all_rows(node, [rows.value, *node.inputs[1:]], row_axis, rows, draft)
 
 
-def _transposed(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+def _transpose(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
     rank = rank_of(rows.value) or 1
     order = node.attributes.get("perm")
     axes = list(range(rank))[::-1] if order is None else list(order.as_ints())
-    return _relay(node, [rows.value], axes.index(rows.axis), rows, draft)
+    return _draft_for_all_rows(node, [rows.value], axes.index(rows.axis), rows, draft)
 
 
-def _reshaped(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Reshape what follows the rows; or flatten all, which only a scatter may read."""
+def _reshape(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+    """Reshape of the axes after the rows, or of all axes to one, which only ScatterND may read."""
     shape, rank = fixed_shape(rows.value), rank_of(node.outputs[0])
     if shape is None or rank is None or rows.axis != 0:
         return None
-    wanted = _wanted_shape(node, facts)
-    if wanted is None:
+    target = _target_shape(node, facts)
+    if target is None:
         return None
-    if wanted == [-1] and len(shape) > 1:
+    if target == [-1] and len(shape) > 1:
         return Rows(rows.mask, rows.value, 0, flat=True)
-    if not wanted or wanted[0] != -1:
+    if not target or target[0] != -1:
         return None
-    rest = [
-        shape[place] if size == 0 and not int_attribute(node, "allowzero", 0) else size
-        for place, size in enumerate(wanted)
+    row_shape = [
+        shape[axis] if size == 0 and not int_attribute(node, "allowzero", 0) else size
+        for axis, size in enumerate(target)
     ][1:]
-    if prod(rest) != prod(shape[1:]) or min(rest, default=1) < 0:
+    if prod(row_shape) != prod(shape[1:]) or min(row_shape, default=1) < 0:
         return None
-    return Rows(rows.mask, draft.reshaped(rows.value, [rows.mask.size, *rest]), 0)
+    return Rows(rows.mask, draft.reshaped(rows.value, [rows.mask.size, *row_shape]), 0)
 
 
-def _wanted_shape(node: ir.Node, facts: Facts) -> list[int] | None:
-    """Return the target of a Reshape, with −1 where the rows go."""
+def _target_shape(node: ir.Node, facts: Facts) -> list[int] | None:
+    """Return the target shape of a Reshape, with −1 for the rows' axis; None if unknown."""
     target = facts[1] if len(facts) > 1 else None
     if isinstance(target, Linear):
         front = target.factor[:1].tolist() == [1] and target.constant[0] == 0
@@ -386,71 +356,71 @@ def _wanted_shape(node: ir.Node, facts: Facts) -> list[int] | None:
     if sizes[:1] == [0] and not int_attribute(node, "allowzero", 0):
         if -1 in sizes:
             shape = fixed_shape(facts[0].value) if isinstance(facts[0], Rows) else None
-            others = prod(size for size in sizes[1:] if size > 0)
-            if shape is None or 0 in sizes[1:] or not others:
+            known_size = prod(size for size in sizes[1:] if size > 0)
+            if shape is None or 0 in sizes[1:] or not known_size:
                 return None
-            sizes[sizes.index(-1)] = prod(shape[1:]) // others
+            sizes[sizes.index(-1)] = prod(shape[1:]) // known_size
         sizes[0] = -1
     return sizes
 
 
-def _expanded(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
-    """Expand along other axes."""
+def _expand(node: ir.Node, rows: Rows, facts: Facts, draft: RowDraft) -> Rows | None:
+    """Expand along axes other than that of the rows."""
     target, shape = facts[1], fixed_shape(rows.value)
     if not isinstance(target, Linear) or shape is None or target.factor.sum() != 1:
         known = constant_of(node.inputs[1])
         if known is None or shape is None or len(known) > len(shape):
             return None
         sizes = [int(size) for size in known]
-        place = rows.axis - (len(shape) - len(sizes))
-        if place >= 0 and sizes[place] != 1:
+        target_axis = rows.axis - (len(shape) - len(sizes))
+        if target_axis >= 0 and sizes[target_axis] != 1:
             return None
     else:
         sizes = [int(size) for size in target.constant]
-        place = int(np.argmax(target.factor))
+        target_axis = int(np.argmax(target.factor))
         if (
-            sizes[place]
-            or place - len(sizes) != rows.axis - len(shape)
+            sizes[target_axis]
+            or target_axis - len(sizes) != rows.axis - len(shape)
             or (target.factor < 0).any()
         ):
             return None
-        sizes[place] = rows.mask.size
+        sizes[target_axis] = rows.mask.size
     whole = [int(size) for size in np.broadcast_shapes(shape, tuple(sizes))]
     axis = rows.axis + len(whole) - len(shape)
-    made = draft.op("Expand", rows.value, draft.constant(whole, np.int64), shape=whole)
-    return Rows(rows.mask, made, axis)
+    expanded = draft.op("Expand", rows.value, draft.constant(whole, np.int64), shape=whole)
+    return Rows(rows.mask, expanded, axis)
 
 
-_Move = Callable[[ir.Node, Rows, Facts, RowDraft], Rows | None]
-_OF_ONE: dict[str, _Move] = {
-    "Expand": _expanded,
-    "Gather": _picked,
-    "Reshape": _reshaped,
-    "Slice": _cut,
-    "Squeeze": _squeezed,
-    "Transpose": _transposed,
-    "Unsqueeze": _unsqueezed,
-    **dict.fromkeys(_ALONG, _along),
+_RowRule = Callable[[ir.Node, Rows, Facts, RowDraft], Rows | None]
+_SINGLE_INPUT_RULES: dict[str, _RowRule] = {
+    "Expand": _expand,
+    "Gather": _gather,
+    "Reshape": _reshape,
+    "Slice": _slice,
+    "Squeeze": _squeeze,
+    "Transpose": _transpose,
+    "Unsqueeze": _unsqueeze,
+    **dict.fromkeys(_AXIS_OPERATORS, _along_axis),
     **dict.fromkeys(
         (
             *("ReduceL1", "ReduceL2", "ReduceLogSum", "ReduceLogSumExp", "ReduceMax"),
             *("ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum", "ReduceSumSquare"),
         ),
-        _reduced,
+        _reduce,
     ),
 }
 
 
 def split_rows(node: ir.Node, facts: Facts, draft: RowDraft) -> list[Rows] | None:
-    """Return what Split gives along another axis than that of the rows."""
+    """Return the parts of a Split along an axis other than that of the rows."""
     rows = facts[0]
     if not isinstance(rows, Rows) or rows.flat or any(facts[1:]):
         return None
-    shapes = [_shape_with(value, rows.axis, rows) for value in node.outputs]
+    shapes = [_full_shape(value, rows.axis, rows) for value in node.outputs]
     axis = int_attribute(node, "axis", 0) % (rank_of(rows.value) or 1)
     if axis == rows.axis or any(shape is None for shape in shapes):
         return None
-    made = draft.like(node, [rows.value, *node.inputs[1:]])
-    for value, shape in zip(made, shapes, strict=True):
+    parts = draft.like(node, [rows.value, *node.inputs[1:]])
+    for value, shape in zip(parts, shapes, strict=True):
         value.shape = ir.Shape(shape or ())
-    return [Rows(rows.mask, value, rows.axis) for value in made]
+    return [Rows(rows.mask, value, rows.axis) for value in parts]

@@ -1,25 +1,25 @@
-"""Which rows a mask keeps, in order, without a shape that hangs on data."""
+"""The order of the rows that a mask keeps, computed with static shapes."""
 
-__all__ = ["Order", "order_of"]
+__all__ = ["RowOrder", "draft_order"]
 
 from dataclasses import dataclass
 
 import numpy as np
 import onnx_ir as ir
 
-from gsgen.sdk.passes.framework.detached_graph import Detached
+from gsgen.sdk.passes.framework.detached_graph import DetachedGraph
 
 _INT, _BOOL = ir.DataType.INT32, ir.DataType.BOOL
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class RowOrder:
     """The rows that a mask keeps.
 
     Attributes:
-        count: How many, int32 [1].
-        rows: The kept rows' numbers in front, in order, and zeros behind; int32 [N].
-        live: Which of these are kept rows, bool [N].
+        count: Number of kept rows, int32 [1].
+        rows: Indices of the kept rows in ascending order, then zeros; int32 [N].
+        live: True for the first ``count`` elements, bool [N].
     """
 
     count: ir.Value
@@ -27,37 +27,40 @@ class Order:
     live: ir.Value
 
 
-def order_of(draft: Detached, mask: ir.Value, size: int) -> Order:
+def draft_order(draft: DetachedGraph, mask: ir.Value, size: int) -> RowOrder:
     """Draft the order of a mask of ``size`` elements.
 
-    ``c`` being the mask's prefix sum, the j-th kept row is the first i with c[i] > j, which is how
-    many elements of ``c`` are at most j: a binary search, all rows at once, one Gather a bit.
-    Unlike sorting or scattering this runs captured in every WebGPU runtime.
+    Let c be the mask's prefix sum. The j-th kept row is the first i with c[i] > j, so i is the
+    number of elements of c that are at most j. A binary search finds it for all j at once, with
+    one Gather per bit. Unlike a sort or a scatter, every WebGPU runtime captures these operators.
     """
-    ones = draft.op("Cast", mask, dtype=_INT, shape=[size], to=_INT.value)
+    # Step 1: the prefix sum; its last element is the count.
+    flags = draft.op("Cast", mask, dtype=_INT, shape=[size], to=_INT.value)
     axis = draft.constant(0, np.int64)
-    sums = draft.op("CumSum", ones, axis, dtype=_INT, shape=[size])
+    sums = draft.op("CumSum", flags, axis, dtype=_INT, shape=[size])
     last = draft.constant([size - 1], np.int32)
     count = draft.op("Gather", sums, last, dtype=_INT, shape=[1], axis=0)
     number = draft.constant(np.arange(size), np.int32)
     live = draft.op("Less", number, count, dtype=_BOOL, shape=[size])
+    # Step 2: pad the prefix sum to a power of two; the padding compares as larger than any j.
     bits = size.bit_length()
-    behind = (1 << bits) - size
-    filler = draft.constant(np.full(behind, np.iinfo(np.int32).max), np.int32)
-    padded = draft.op("Concat", sums, filler, dtype=_INT, shape=[size + behind], axis=0)
+    padding = (1 << bits) - size
+    filler = draft.constant(np.full(padding, np.iinfo(np.int32).max), np.int32)
+    padded = draft.op("Concat", sums, filler, dtype=_INT, shape=[size + padding], axis=0)
     zero = draft.constant(0, np.int32)
-    found = draft.constant(np.zeros(size), np.int32)
+    kept_rows = draft.constant(np.zeros(size), np.int32)
+    # Step 3: set the bits of i from the highest to the lowest.
     for bit in reversed(range(bits)):
         step = 1 << bit
-        probe = found
+        probe = kept_rows
         if step > 1:
             ahead = draft.constant(step - 1, np.int32)
-            probe = draft.op("Add", found, ahead, dtype=_INT, shape=[size])
-        seen = draft.op("Gather", padded, probe, dtype=_INT, shape=[size], axis=0)
-        below = draft.op("LessOrEqual", seen, number, dtype=_BOOL, shape=[size])
-        by = draft.op(
+            probe = draft.op("Add", kept_rows, ahead, dtype=_INT, shape=[size])
+        prefix = draft.op("Gather", padded, probe, dtype=_INT, shape=[size], axis=0)
+        below = draft.op("LessOrEqual", prefix, number, dtype=_BOOL, shape=[size])
+        advance = draft.op(
             "Where", below, draft.constant(step, np.int32), zero, dtype=_INT, shape=[size]
         )
-        found = draft.op("Add", found, by, dtype=_INT, shape=[size])
-    rows = draft.op("Where", live, found, zero, dtype=_INT, shape=[size])
-    return Order(count, rows, live)
+        kept_rows = draft.op("Add", kept_rows, advance, dtype=_INT, shape=[size])
+    rows = draft.op("Where", live, kept_rows, zero, dtype=_INT, shape=[size])
+    return RowOrder(count, rows, live)

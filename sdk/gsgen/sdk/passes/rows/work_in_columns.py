@@ -1,4 +1,4 @@
-"""Long, narrow tensors as columns."""
+"""Rewrites arithmetic on long, narrow tensors to work column by column."""
 
 __all__ = ["WorkInColumns"]
 
@@ -13,41 +13,47 @@ import onnx_ir as ir
 from gsgen.sdk.passes.framework.base import SAFE_WIDTH, ErrorBudget, Rewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.framework.value_facts import fixed_shape
-from gsgen.sdk.passes.rows.column_rules import Columns, Emit, columns_of, handles
+from gsgen.sdk.passes.rows.column_rules import Columns, Emit, columns_of, works_on_columns
 
-# A launch costs as much as some ten thousand rows; below this, fewer nodes are better.
-_FEWEST_ROWS = 1 << 16
-_WIDEST = 16
-# Nanoseconds an element, measured with ONNX Runtime 1.31 on one core: what counts is how they
-# compare. Joining and splitting narrow rows moves four bytes at a time.
-_PLAIN, _SPREAD, _JOIN, _CUT, _REDUCE, _EXPAND = 1.2, 3.2, 4.0, 2.0, 2.0, 5.5
-_FREE = ("Reshape", "Squeeze", "Unsqueeze")
-_WORTH = 0.85
+# A kernel launch costs as much as some ten thousand rows; below this, fewer nodes are faster.
+_MIN_ROWS = 1 << 16
+_MAX_WIDTH = 16
+# Nanoseconds per element, measured with ONNX Runtime 1.31 on one core; only their ratios matter.
+# Joining and splitting narrow rows moves four bytes at a time.
+_ELEMENTWISE_COST, _BROADCAST_COST, _JOIN_COST, _SPLIT_COST, _REDUCE_COST, _EXPAND_COST = (
+    1.2,
+    3.2,
+    4.0,
+    2.0,
+    2.0,
+    5.5,
+)
+_COPIES = ("Reshape", "Squeeze", "Unsqueeze")
+_MAX_COST_RATIO = 0.85
 
 
 class WorkInColumns(Rewrite):
-    """Compute with the columns of long, narrow tensors, each a tensor of its own.
+    """Compute with the columns of long, narrow tensors, each column as a tensor of its own.
 
-    What makes a covariance from a rotation and a scale works on rows of three, four and nine
-    numbers: it joins them, spreads a factor over each row, sums over the row, and takes parts of it.
-    Of a million rows, each of these steps moves four bytes at a time. The same products and sums of
-    whole columns run at the speed of memory, and most steps vanish::
+    A covariance is computed from a rotation and a scale in rows of three, four and nine numbers:
+    they are joined, multiplied by a broadcast factor, summed and split. With a million rows, each
+    of these steps moves four bytes at a time. The same products and sums of whole columns run at
+    the speed of memory, and most steps vanish::
 
-        ReduceSum(Concat(a, b, c) · spread(s), axis 1)   →   a · s + b · s + c · s
+        ReduceSum(Concat(a, b, c) · broadcast(s), axis 1)   →   a · s + b · s + c · s
 
-    A group of nodes that hang together is rewritten where that is reckoned to take at most 85 % of
-    the time, from costs an element that were measured; and for 65,536 rows and more, because it takes
-    more nodes, each of which costs a launch on a GPU.
+    A group of connected nodes is rewritten if the measured costs per element predict at most 85 %
+    of the time, and from 65,536 rows on: the rewrite adds nodes, and each costs a launch on a GPU.
     """
 
     name: ClassVar[str] = "work-in-columns"
     exactness: ClassVar[ErrorBudget] = ErrorBudget(relative=2e-6)
 
     def rewrite(self, model: ir.Model) -> None:
-        """Rewrite every group of the main graph that is worth it."""
+        """Rewrite every group of the main graph whose predicted cost drops enough."""
         for group in _groups(model.graph):
             planned = _Plan(group)
-            if planned.after() <= _WORTH * planned.before():
+            if planned.cost_after() <= _MAX_COST_RATIO * planned.cost_before():
                 for node in group.nodes:
                     self.note(node)
                 planned.build()
@@ -55,14 +61,14 @@ class WorkInColumns(Rewrite):
 
 @dataclass
 class _Group:
-    """Nodes that work on tensors of the same number of rows, and hang together."""
+    """Connected nodes that work on tensors with the same number of rows."""
 
     rows: int
     nodes: list[ir.Node] = field(default_factory=list)
 
 
 def _groups(graph: ir.Graph) -> Iterator[_Group]:
-    """Yield groups of narrow nodes that depend on an input, each in the order of the graph."""
+    """Yield groups of narrow nodes that depend on an input, each in graph order."""
     varying = {value for value in graph.inputs if value.name not in graph.initializers}
     owner: dict[ir.Value, _Group] = {}
     groups: list[_Group] = []
@@ -73,18 +79,18 @@ def _groups(graph: ir.Graph) -> Iterator[_Group]:
         rows = _rows(node)
         if rows is None:
             continue
-        met = {
+        neighbours = {
             id(owner[v]): owner[v]
             for v in node.inputs
             if v in owner and owner[v].rows == rows
         }
         merged = _Group(rows)
-        for other in met.values():
-            merged.nodes += other.nodes
-            groups.remove(other)
+        for neighbour in neighbours.values():
+            merged.nodes += neighbour.nodes
+            groups.remove(neighbour)
         merged.nodes.append(node)
         groups.append(merged)
-        owner |= {value: merged for one in merged.nodes for value in one.outputs}
+        owner |= {value: merged for member in merged.nodes for value in member.outputs}
     order = {node: index for index, node in enumerate(graph)}
     for group in groups:
         group.nodes.sort(key=order.__getitem__)
@@ -92,47 +98,49 @@ def _groups(graph: ir.Graph) -> Iterator[_Group]:
 
 
 def _rows(node: ir.Node) -> int | None:
-    """Return how many rows ``node`` works on; None where it is not narrow, or of another kind."""
+    """Return the number of rows of ``node``; None if it is not narrow or has no column rule."""
     shapes = [fixed_shape(value) for value in node.outputs]
     rows = {shape[0] if shape else 0 for shape in shapes}
     if None in shapes or len(rows) != 1:
         return None
     (count,) = rows
-    narrow = all(shape and prod(shape[1:]) <= _WIDEST for shape in shapes)
-    return count if count >= _FEWEST_ROWS and narrow and handles(node, count) else None
+    narrow = all(shape and prod(shape[1:]) <= _MAX_WIDTH for shape in shapes)
+    return (
+        count if count >= _MIN_ROWS and narrow and works_on_columns(node, count) else None
+    )
 
 
 class _Plan:
-    """What rewriting a group would cost, and how it is done."""
+    """The predicted cost of rewriting a group, and the rewrite itself."""
 
     def __init__(self, group: _Group) -> None:
         self.rows, self.nodes = group.rows, group.nodes
         inside = set(self.nodes)
         self.inputs = {node: list(node.inputs) for node in self.nodes}
-        self.made = {value for node in self.nodes for value in node.outputs}
-        # What others read has to be put together again.
-        self.read = {
+        self.results = {value for node in self.nodes for value in node.outputs}
+        # Results that nodes outside the group read must be joined again.
+        self.outside_results = {
             value
-            for value in self.made
+            for value in self.results
             if value.is_graph_output()
             or any(user not in inside for user in value.consumers())
         }
 
-    def before(self) -> float:
-        """Nanoseconds a row, as the graph is."""
+    def cost_before(self) -> float:
+        """Return the predicted time of the original nodes, in nanoseconds per row."""
         return sum(_cost(node, self.rows) for node in self.nodes)
 
-    def after(self) -> float:
-        """Nanoseconds a row, in columns."""
-        seen: dict[Hashable, int] = {}
-        cut: set[ir.Value] = set()
+    def cost_after(self) -> float:
+        """Return the predicted time of the column operators, in nanoseconds per row."""
+        numbers: dict[Hashable, int] = {}
+        split_values: set[ir.Value] = set()
 
         def emit(kind: str, operands: Sequence[Any], attributes: dict[str, Any]) -> int:
             key = (kind, tuple(operands), tuple(sorted(attributes.items())))
-            return seen.setdefault(key, len(seen))
+            return numbers.setdefault(key, len(numbers))
 
         def leaf(value: ir.Value) -> Columns:
-            cut.add(value)
+            split_values.add(value)
             shape = fixed_shape(value) or ()
             names = [(value.name, index) for index in range(prod(shape[1:]))]
             array = np.empty(len(names), object)
@@ -140,35 +148,37 @@ class _Plan:
             return array.reshape(shape[1:])
 
         self._run(lambda _: (emit, leaf), lambda *_: None)
-        widths = [_width(value) for value in cut if value.producer() is not None]
-        # A target with narrow bindings joins more than seven columns twice.
-        wide = [_width(value) for value in self.read if _width(value) > 1]
-        joined = [width * (2 if width > SAFE_WIDTH else 1) for width in wide]
+        widths = [_width(value) for value in split_values if value.producer() is not None]
+        # A target with few bindings joins more than seven columns in two steps.
+        joined_widths = [
+            _width(value) for value in self.outside_results if _width(value) > 1
+        ]
+        joined = [width * (2 if width > SAFE_WIDTH else 1) for width in joined_widths]
         return (
-            _PLAIN * len(seen)
-            + _CUT * sum(w for w in widths if w > 1)
-            + _JOIN * sum(joined)
+            _ELEMENTWISE_COST * len(numbers)
+            + _SPLIT_COST * sum(w for w in widths if w > 1)
+            + _JOIN_COST * sum(joined)
         )
 
     def build(self) -> None:
-        """Write the columns, and put together what others read."""
-        seen: dict[Hashable, ir.Value] = {}
+        """Write the column operators, and join the columns of results that others read."""
+        written: dict[Hashable, ir.Value] = {}
 
         def writers(write: InsertionPoint) -> tuple[Emit, Callable[[ir.Value], Columns]]:
             def emit(
                 kind: str, operands: Sequence[Any], attributes: dict[str, Any]
             ) -> ir.Value:
                 key = (kind, tuple(operands), tuple(sorted(attributes.items())))
-                if key not in seen:
-                    seen[key] = _written(write, kind, operands, attributes)
-                return seen[key]
+                if key not in written:
+                    written[key] = _write_operator(write, kind, operands, attributes)
+                return written[key]
 
-            return emit, lambda value: _cut(write, value, self.rows)
+            return emit, lambda value: _split_columns(write, value, self.rows)
 
         def finish(write: InsertionPoint, node: ir.Node, columns: list[Columns]) -> None:
-            for value, made in zip(node.outputs, columns, strict=True):
-                if value in self.read:
-                    whole = _joined(write, made, value, self.rows)
+            for value, value_columns in zip(node.outputs, columns, strict=True):
+                if value in self.outside_results:
+                    whole = _join_columns(write, value_columns, value, self.rows)
                     ir.convenience.replace_all_uses_with(
                         value, whole, replace_graph_outputs=True
                     )
@@ -203,38 +213,40 @@ def _width(value: ir.Value) -> int:
 
 
 def _cost(node: ir.Node, rows: int) -> float:
-    """Return what ``node`` costs as it is, in nanoseconds a row."""
-    made = sum(_width(value) for value in node.outputs)
+    """Return the predicted time of ``node``, in nanoseconds per row."""
+    result_width = sum(_width(value) for value in node.outputs)
     first = node.inputs[0]
-    taken = (
+    input_width = (
         _width(first)
         if first is not None and (fixed_shape(first) or (0,))[0] == rows
         else 1
     )
-    if is_op(node, *_FREE):
+    if is_op(node, *_COPIES):
         return 0.0
     if node.op_type.startswith("Reduce"):
-        return _REDUCE * taken
+        return _REDUCE_COST * input_width
     if is_op(node, "Concat", "Transpose"):
-        return _JOIN * made
+        return _JOIN_COST * result_width
     if is_op(node, "Slice", "Gather", "Split"):
-        return _CUT * made
+        return _SPLIT_COST * result_width
     if is_op(node, "Expand"):
-        return _EXPAND * made
+        return _EXPAND_COST * result_width
     shapes = [fixed_shape(value) for value in node.inputs if value is not None]
     long = [shape for shape in shapes if shape and shape[0] == rows]
-    spread = any(prod(shape[1:]) != made for shape in long)
-    return (_SPREAD if spread else _PLAIN) * made
+    broadcasts = any(prod(shape[1:]) != result_width for shape in long)
+    return (_BROADCAST_COST if broadcasts else _ELEMENTWISE_COST) * result_width
 
 
-def _written(
+def _write_operator(
     write: InsertionPoint, kind: str, operands: Sequence[Any], attributes: dict[str, Any]
 ) -> ir.Value:
     values = [
-        write.constant(np.asarray(one), "number") if isinstance(one, np.generic) else one
-        for one in operands
+        write.constant(np.asarray(operand), "number")
+        if isinstance(operand, np.generic)
+        else operand
+        for operand in operands
     ]
-    tests = kind in (
+    is_boolean = kind in (
         "Equal",
         "Greater",
         "GreaterOrEqual",
@@ -244,7 +256,7 @@ def _written(
         "And",
         "Or",
     )
-    dtype = ir.DataType.BOOL if tests else None
+    dtype = ir.DataType.BOOL if is_boolean else None
     if kind == "Cast":
         dtype = ir.DataType(attributes["to"])
     elif kind == "Where":
@@ -252,10 +264,10 @@ def _written(
     return write.op(kind, *values, dtype=dtype, **attributes)
 
 
-def _cut(write: InsertionPoint, value: ir.Value, rows: int) -> Columns:
-    """Return the columns [rows] of a tensor that is not made here.
+def _split_columns(write: InsertionPoint, value: ir.Value, rows: int) -> Columns:
+    """Return the columns [rows] of a tensor that a node outside the group computes.
 
-    They have one axis: of two axes, ONNX Runtime spreads a single number row by row.
+    Columns have one axis, because ONNX Runtime broadcasts a number over two axes row by row.
     """
     shape = fixed_shape(value)
     assert shape is not None
@@ -264,47 +276,49 @@ def _cut(write: InsertionPoint, value: ir.Value, rows: int) -> Columns:
     flat = (
         value
         if shape == (rows, width)
-        else write.op("Reshape", value, write.whole(rows, width))
+        else write.op("Reshape", value, write.int64(rows, width))
     )
     flat.shape = ir.Shape([rows, width])
-    cut = (
+    parts = (
         [flat]
         if width == 1
-        else write.ops("Split", width, flat, write.whole(*[1] * width), axis=1)
+        else write.ops("Split", width, flat, write.int64(*[1] * width), axis=1)
     )
-    array[:] = [write.op("Reshape", one, write.whole(rows)) for one in cut]
+    array[:] = [write.op("Reshape", part, write.int64(rows)) for part in parts]
     return array.reshape(shape[1:])
 
 
-def _joined(
+def _join_columns(
     write: InsertionPoint, columns: Columns, value: ir.Value, rows: int
 ) -> ir.Value:
-    """Return ``columns`` as a tensor of the shape of ``value``."""
+    """Return ``columns`` joined to a tensor with the shape of ``value``."""
     shape = fixed_shape(value)
     assert shape is not None
-    parts = _rejoined(write, list(columns.reshape(-1)), rows)
+    parts = _restored_parts(write, list(columns.reshape(-1)), rows)
     whole = parts[0] if len(parts) == 1 else write.op("Concat", *parts, axis=1)
-    made = write.op("Reshape", whole, write.whole(*shape))
-    made.type, made.shape = value.type, value.shape
-    return made
+    tensor = write.op("Reshape", whole, write.int64(*shape))
+    tensor.type, tensor.shape = value.type, value.shape
+    return tensor
 
 
-def _rejoined(write: InsertionPoint, columns: list[ir.Value], rows: int) -> list[ir.Value]:
-    """Return tensors [rows, …] that are ``columns`` side by side.
+def _restored_parts(
+    write: InsertionPoint, columns: list[ir.Value], rows: int
+) -> list[ir.Value]:
+    """Return tensors [rows, …] that hold ``columns`` in order.
 
-    What was cut into columns that stand side by side again is put back whole.
+    Columns that are all outputs of one Split, in order, are replaced by the input of the Split.
     """
-    made: list[ir.Value] = []
+    parts: list[ir.Value] = []
     while columns:
-        run, whole = _run_of(columns)
-        made.append(whole or write.op("Reshape", columns[0], write.whole(rows, 1)))
+        run, whole = _split_run(columns)
+        parts.append(whole or write.op("Reshape", columns[0], write.int64(rows, 1)))
         columns = columns[run:]
-    return made
+    return parts
 
 
-def _run_of(columns: list[ir.Value]) -> tuple[int, ir.Value | None]:
-    """Return how many columns from the first on are all that one Split returns, and what it cut."""
-    sources = [_uncut(column) for column in columns]
+def _split_run(columns: list[ir.Value]) -> tuple[int, ir.Value | None]:
+    """Return the number of leading columns that are all outputs of one Split, and its input."""
+    sources = [_reshape_source(column) for column in columns]
     maker = sources[0].producer() if sources[0] is not None else None
     if maker is None or not is_op(maker, "Split"):
         return 1, None
@@ -312,6 +326,6 @@ def _run_of(columns: list[ir.Value]) -> tuple[int, ir.Value | None]:
     return (len(cut), maker.inputs[0]) if sources[: len(cut)] == cut else (1, None)
 
 
-def _uncut(column: ir.Value) -> ir.Value | None:
+def _reshape_source(column: ir.Value) -> ir.Value | None:
     maker = column.producer()
     return maker.inputs[0] if maker is not None and is_op(maker, "Reshape") else None

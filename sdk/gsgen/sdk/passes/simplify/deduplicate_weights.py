@@ -1,4 +1,4 @@
-"""Weights that are held once."""
+"""Merges weights with equal bytes."""
 
 __all__ = ["DeduplicateWeights"]
 
@@ -16,32 +16,32 @@ _CHUNK = 1 << 24
 
 
 class DeduplicateWeights(CautiousRewrite):
-    """Hold every weight once that stands in the graph several times.
+    """Merge weights that occur several times in the graph.
 
-    A tied table, or a constant that an exporter writes anew at each use, is stored, downloaded
-    and uploaded as often as it stands there::
+    A tied table, or a constant that an exporter writes again at each use, is stored, downloaded
+    and uploaded as often as it occurs::
 
         Add(x, ones), Mul(y, ones_1)   →   Add(x, ones), Mul(y, ones)
 
-    Weights are one if dtype, shape and every byte are equal: 0 and −0 are two, and so are NaNs of
-    other bits. Bytes are read only where dtype and shape agree, a part at a time; two weights that
-    refer to the same place of a file beside the model are one without being read.
+    Weights are equal if dtype, shape and every byte are equal: 0 and −0 differ, and so do NaNs with
+    different bits. Bytes are read only if dtype and shape agree, in parts; two weights that refer
+    to the same location in an external file are equal without being read.
     """
 
     name: ClassVar[str] = "share-weights"
 
     def rewrite(self, model: ir.Model) -> None:
-        """Let each weight's readers read its first copy that they can see."""
+        """Let all readers of equal weights read the first copy that their graph can access."""
         graphs = (model.graph, *model.graph.subgraphs())
         weights = [value for graph in graphs for value in graph.initializers.values()]
-        self._often = Counter(_outline(value) for value in weights)
+        self._occurrences = Counter(_outline(value) for value in weights)
         self._digests: dict[Hashable, bytes] = {}
         self._share(model.graph, ChainMap())
 
     def _share(self, graph: ir.Graph, known: "ChainMap[Hashable, ir.Value]") -> None:
-        """Share the weights of ``graph`` and of its subgraphs; ``known`` are those outside."""
+        """Merge weights of ``graph`` and its subgraphs; ``known`` holds those of outer graphs."""
         for name, value in list(graph.initializers.items()):
-            if self._often[_outline(value)] < 2 or not self._may_go(value):
+            if self._occurrences[_outline(value)] < 2 or not self._can_merge(value):
                 continue
             first = known.setdefault(self._content(value), value)
             if first is not value and not value.is_graph_output():
@@ -52,24 +52,24 @@ class DeduplicateWeights(CautiousRewrite):
             for body in _bodies(node):
                 self._share(body, known.new_child())
 
-    def _may_go(self, value: ir.Value) -> bool:
+    def _can_merge(self, value: ir.Value) -> bool:
         tensor = value.const_value
         if tensor is None or tensor.dtype.is_string():
             return False
         if value.is_graph_input():
-            self.refuse(value, "it is an input, too, so another value can be fed")
+            self.refuse(value, "it is also an input, so callers can feed another value")
             return False
         return True
 
     def _content(self, value: ir.Value) -> Hashable:
-        """Return what two weights share exactly if dtype, shape and bytes are equal."""
+        """Return a key that is equal for weights with equal dtype, shape and bytes."""
         tensor = value.const_value
-        place: Hashable = None
+        location: Hashable = None
         if isinstance(tensor, ir.ExternalTensor):
-            place = (tensor.path, tensor.offset, tensor.length)
-        digest = self._digests.get(place) or _digest(tensor)
-        if place is not None:
-            self._digests[place] = digest
+            location = (tensor.path, tensor.offset, tensor.length)
+        digest = self._digests.get(location) or _digest(tensor)
+        if location is not None:
+            self._digests[location] = digest
         return _outline(value), digest
 
 
@@ -94,7 +94,7 @@ def _bodies(node: ir.Node) -> Iterator[ir.Graph]:
 
 
 def _parts(tensor: ir.TensorProtocol | None) -> Iterator[memoryview]:
-    """Yield the bytes of a tensor, 16 MiB at a time; one in a file is mapped, not read at once."""
+    """Yield the bytes of a tensor in parts of 16 MiB; an external tensor is memory-mapped."""
     assert tensor is not None
     flat = np.ascontiguousarray(tensor.numpy()).reshape(-1).view(np.uint8)
     for start in range(0, flat.size, _CHUNK):

@@ -1,4 +1,4 @@
-"""What operators mean by saying nothing."""
+"""Writes out default attributes and inputs that a runtime handles wrongly."""
 
 __all__ = ["MakeDefaultsExplicit"]
 
@@ -14,7 +14,7 @@ _AXES = 3
 
 
 class MakeDefaultsExplicit(NodeRewrite):
-    """Say what an operator leaves to the standard, where a release gets that wrong.
+    """Write out defaults of Conv and Slice that a release handles wrongly.
 
     onnxruntime-web 1.22 fails at the first frame of a Conv without ``dilations``, and of a Slice
     without axes::
@@ -27,12 +27,12 @@ class MakeDefaultsExplicit(NodeRewrite):
     wanted_by: ClassVar[str] = "targets with operator tables"
 
     @classmethod
-    def for_goal(cls, goal: RewriteTarget) -> Self | None:
-        """Return the pass; without tables there is nothing to suit."""
-        return cls() if goal.tables else None
+    def for_target(cls, target: RewriteTarget) -> Self | None:
+        """Return the rewrite if ``target`` has operator tables."""
+        return cls() if target.tables else None
 
     def matches(self, node: ir.Node) -> bool:
-        """Say whether ``node`` leaves out dilations or axes, and they are known."""
+        """Return whether ``node`` omits dilations or axes whose defaults are known."""
         if is_op(node, "Conv"):
             rank = rank_of(node.inputs[0])
             return "dilations" not in node.attributes and rank is not None and rank > 2
@@ -42,7 +42,7 @@ class MakeDefaultsExplicit(NodeRewrite):
         return missing and constant_of(node.inputs[1]) is not None
 
     def replace(self, node: ir.Node) -> None:
-        """Add what was left out."""
+        """Add the omitted dilations or axes."""
         if is_op(node, "Conv"):
             spatial = (rank_of(node.inputs[0]) or 2) - 2
             node.attributes["dilations"] = ir.AttrInt64s("dilations", [1] * spatial)
@@ -51,4 +51,4 @@ class MakeDefaultsExplicit(NodeRewrite):
         assert starts is not None
         if len(node.inputs) == _AXES:
             node.resize_inputs(_AXES + 1)
-        node.replace_input_with(_AXES, InsertionPoint(node).whole(*range(len(starts))))
+        node.replace_input_with(_AXES, InsertionPoint(node).int64(*range(len(starts))))

@@ -1,4 +1,4 @@
-"""Shapes worked out before the first frame."""
+"""Folds arithmetic on shapes to constants."""
 
 __all__ = ["FoldShapes"]
 
@@ -8,20 +8,21 @@ import numpy as np
 import onnx_ir as ir
 from onnx_ir.passes.common import ShapeInferencePass
 
+from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.sdk.passes.framework.base import every_node, is_op
 from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
-from gsgen.sdk.passes.framework.graph_builder import remake, weight
+from gsgen.sdk.passes.framework.graph_builder import replace_value, weight
 from gsgen.sdk.passes.framework.shape_arithmetic import evaluate
 from gsgen.sdk.passes.framework.value_facts import constant_of, fixed_shape, int_attribute
 
-# A shape has a few numbers; a table of row numbers, which no GPU makes, may have many.
+# A shape has a few numbers; a table of row numbers, which no GPU kernel computes, may have many.
 _FEW = 1 << 12
 _MANY = 1 << 24
 _TABLES = ("ConstantOfShape", "Range")
 
 
 class FoldShapes(CautiousRewrite):
-    """Replace arithmetic on shapes by its result, where that is the same at every frame.
+    """Replace arithmetic on shapes by its result if that is the same at every frame.
 
     Range and ConstantOfShape have no WebGPU kernel, and a Reshape to a shape that the frame
     computes cannot be captured. Once sizes are fixed, such chains are constants::
@@ -29,16 +30,15 @@ class FoldShapes(CautiousRewrite):
         Shape → Gather → Concat → Reshape(x, …)   →   Reshape(x, [24, 3])
         Range(0, 1000, 1)                         →   a weight
 
-    Only nodes whose every input is known are folded: whole numbers are computed with, others are
-    moved, compared and cast. Nothing that a frame's values reach is touched, so a guard on data
-    (Clip, Max, an epsilon, a Where) stays, whatever its constant looks like. Tables of more than
-    16,777,216 elements stay, too.
+    Only nodes with constant inputs are folded. Arithmetic is limited to integers; floats are only
+    moved, compared and cast. Nodes that depend on a frame's values stay, so guards on data (Clip,
+    Max, an epsilon, a Where) are never removed. Tables of more than 16,777,216 elements stay, too.
     """
 
     name: ClassVar[str] = "fold-shapes"
 
     def rewrite(self, model: ir.Model) -> None:
-        """Fold until nothing more is known; shapes are inferred in between."""
+        """Fold and infer shapes alternately until nothing changes."""
         while self._sweep(model):
             ShapeInferencePass(check_type=False, strict_mode=False, data_prop=False)(model)
 
@@ -48,14 +48,14 @@ class FoldShapes(CautiousRewrite):
         for node in list(every_node(model)):
             if len(node.outputs) != 1 or node.outputs[0].is_graph_output():
                 continue
-            made = self._value_of(node)
-            if made is not None:
+            folded = self._value_of(node)
+            if folded is not None:
                 self.note(node)
-                _replace(node, made)
+                _replace(node, folded)
         return len(self.changed) > before
 
     def _value_of(self, node: ir.Node) -> np.ndarray | None:
-        if node.domain not in ("", "ai.onnx") or is_op(node, "Constant"):
+        if node.domain not in MAIN_DOMAIN or is_op(node, "Constant"):
             return None
         if is_op(node, "Shape", "Size"):
             return _shape_of(node)
@@ -71,11 +71,11 @@ class FoldShapes(CautiousRewrite):
             return None
         size = _size_of_table(node, inputs)
         if size > _MANY:
-            self.refuse(node, f"{size} elements, wanted {_MANY} at most")
+            self.refuse(node, f"it would have {size} elements, expected {_MANY} at most")
             return None
-        made = evaluate(node, inputs)
+        result = evaluate(node, inputs)
         largest = _MANY if is_op(node, *_TABLES) else _FEW
-        return made if made is not None and made.size <= largest else None
+        return result if result is not None and result.size <= largest else None
 
 
 def _shape_of(node: ir.Node) -> np.ndarray | None:
@@ -83,14 +83,14 @@ def _shape_of(node: ir.Node) -> np.ndarray | None:
     if is_op(node, "Size"):
         dims = fixed_shape(value)
         return None if dims is None else np.asarray(np.prod(dims, dtype=np.int64))
-    asked = _asked(node)
-    if asked is None or not all(isinstance(dim, int) for dim in asked):
+    axes = _shape_axes(node)
+    if axes is None or not all(isinstance(dim, int) for dim in axes):
         return None
-    return np.array(asked, np.int64)
+    return np.array(axes, np.int64)
 
 
-def _asked(node: ir.Node) -> list[int | ir.SymbolicDim] | None:
-    """Return the axes that a Shape returns, each with its size or name."""
+def _shape_axes(node: ir.Node) -> list[int | ir.SymbolicDim] | None:
+    """Return the sizes (or names) of the axes that a Shape node returns."""
     value = node.inputs[0]
     if value is None or value.shape is None:
         return None
@@ -100,22 +100,22 @@ def _asked(node: ir.Node) -> list[int | ir.SymbolicDim] | None:
 
 
 def _part_of_shape(node: ir.Node) -> np.ndarray | None:
-    """Return what Gather or Slice takes from a shape of which it takes known axes alone."""
+    """Return the part of a shape that Gather or Slice takes, if all taken axes are known."""
     source = node.inputs[0] if node.inputs else None
     maker = source.producer() if source is not None else None
     if maker is None or not (is_op(maker, "Shape") and is_op(node, "Gather", "Slice")):
         return None
-    asked = _asked(maker)
-    others = [constant_of(value, _FEW) for value in node.inputs[1:]]
-    if asked is None or any(array is None for array in others):
+    axes = _shape_axes(maker)
+    arguments = [constant_of(value, _FEW) for value in node.inputs[1:]]
+    if axes is None or any(array is None for array in arguments):
         return None
-    sizes = np.array([dim if isinstance(dim, int) else -1 for dim in asked], np.int64)
-    made = evaluate(node, [sizes, *others])
-    return made if made is not None and (made >= 0).all() else None
+    sizes = np.array([dim if isinstance(dim, int) else -1 for dim in axes], np.int64)
+    part = evaluate(node, [sizes, *arguments])
+    return part if part is not None and (part >= 0).all() else None
 
 
 def _size_of_table(node: ir.Node, inputs: list[np.ndarray | None]) -> int:
-    """Return how many elements a table will have, before it is made."""
+    """Return the number of elements that a table will have."""
     numbers = [0.0 if array is None else array.reshape(-1) for array in inputs]
     if is_op(node, "ConstantOfShape", "Expand"):
         return int(np.prod(np.maximum(numbers[-1], 0), dtype=np.float64))
@@ -125,8 +125,8 @@ def _size_of_table(node: ir.Node, inputs: list[np.ndarray | None]) -> int:
     return 0
 
 
-def _replace(node: ir.Node, made: np.ndarray) -> None:
+def _replace(node: ir.Node, folded: np.ndarray) -> None:
     graph, old = node.graph, node.outputs[0]
     assert isinstance(graph, ir.Graph)
-    remake(old, weight(graph, f"{old.name}_folded", np.array(made, order="C")))
+    replace_value(old, weight(graph, f"{old.name}_folded", np.array(folded, order="C")))
     graph.remove(node, safe=True)

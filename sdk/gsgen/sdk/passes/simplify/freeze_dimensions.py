@@ -1,4 +1,4 @@
-"""Symbolic sizes that a user knows."""
+"""Replaces symbolic dimensions by sizes that the user gives."""
 
 __all__ = ["FreezeDimensions"]
 
@@ -14,37 +14,37 @@ from gsgen.sdk.passes.framework.cautious_rewrite import CautiousRewrite
 
 
 class FreezeDimensions(CautiousRewrite):
-    """Give symbolic dimensions the sizes that were asked for, everywhere in the graph.
+    """Give symbolic dimensions the requested sizes, everywhere in the graph.
 
-    A recorded frame has buffers of fixed size, and a reader takes the number of rows from the
-    output's shape. Shapes inside the graph that hang on a frozen name are inferred anew::
+    A captured frame has buffers of fixed size, and a reader takes the number of rows from the
+    output's shape. Shapes inside the graph that depend on a frozen name are inferred again::
 
         pose float[J, 3], rows float[N, 10]   →   with J=24, N=1000   →   pose float[24, 3], …
 
-    For frames whose inputs have these sizes nothing changes; for others the model no longer loads.
+    Nothing changes for inputs with these sizes; the model no longer accepts other sizes.
     """
 
     name: ClassVar[str] = "freeze-dimensions"
-    wanted_by: ClassVar[str] = "whoever names a size: `--size N=1000`"
+    wanted_by: ClassVar[str] = "users who name a size: `--size N=1000`"
 
     def __init__(self, sizes: Mapping[str, int]) -> None:
         super().__init__()
         for name, size in sizes.items():
             if size < 1:
-                raise ConfigInvalid(f"{name}={size}, wanted 1 or more", where="--size")
+                raise ConfigInvalid(f"{name}={size}, expected 1 or more", where="--size")
         self.sizes = dict(sizes)
         self._frozen: set[str] = set()
 
     @classmethod
-    def for_goal(cls, goal: RewriteTarget) -> "FreezeDimensions | None":
-        """Return the pass where sizes are known."""
-        return cls(goal.sizes) if goal.sizes else None
+    def for_target(cls, target: RewriteTarget) -> "FreezeDimensions | None":
+        """Return the rewrite if the target has sizes."""
+        return cls(target.sizes) if target.sizes else None
 
     def rewrite(self, model: ir.Model) -> None:
-        """Replace each name that has a size.
+        """Replace each symbolic dimension that has a size.
 
         Raises:
-            UnknownName: A name is that of no dimension.
+            UnknownName: No dimension has this name.
         """
         names = {dim for value in _values(model) for dim in _symbols(value)}
         ends = {*model.graph.inputs, *model.graph.outputs}
@@ -66,7 +66,7 @@ class FreezeDimensions(CautiousRewrite):
         text = "" if isinstance(dim, int) else dim.value or ""
         if text in self.sizes:
             return self.sizes[text]
-        # An expression such as `20 - N` is inferred again, from sizes that are known now.
+        # An expression such as `20 - N` is inferred again, from the sizes that are now known.
         if self.sizes.keys() & set(_words(text)):
             return ir.SymbolicDim(None)
         return dim

@@ -1,4 +1,4 @@
-"""Casts of casts."""
+"""Merges consecutive Casts."""
 
 __all__ = ["MergeCasts", "holds_all"]
 
@@ -10,13 +10,13 @@ import onnx_ir as ir
 from gsgen.sdk.passes.framework.base import NodeRewrite, is_op
 from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 
-_WIDEST = (ir.DataType.INT64, ir.DataType.UINT64)
+_INTEGERS_OF_64_BITS = (ir.DataType.INT64, ir.DataType.UINT64)
 
 
 class MergeCasts(NodeRewrite):
-    """Cast once where a Cast follows a Cast that lost nothing.
+    """Merge a Cast with a preceding Cast that loses no information.
 
-    Masks and indices are cast to and fro by exporters, and by other passes::
+    Exporters and other passes cast masks and indices back and forth::
 
         Cast<to int32>(Cast<to int64>(x: int32))   →   x
         Cast<to float>(Cast<to int64>(x: bool))    →   Cast<to float>(x)
@@ -25,7 +25,7 @@ class MergeCasts(NodeRewrite):
     name: ClassVar[str] = "merge-casts"
 
     def matches(self, node: ir.Node) -> bool:
-        """Say whether ``node`` casts what was cast without loss."""
+        """Return whether ``node`` casts the output of a lossless Cast to the same numbers."""
         value = node.inputs[0] if is_op(node, "Cast") else None
         inner = value.producer() if value is not None else None
         if (
@@ -44,15 +44,15 @@ class MergeCasts(NodeRewrite):
             or not holds_all(between, first)
         ):
             return False
-        # A number that does not fit is cast in ways that differ between dtypes.
+        # The cast of a number that does not fit differs between dtypes.
         return (
             holds_all(last, first)
             or first == ir.DataType.BOOL
-            or _both_whole(between, last)
+            or _are_integers(between, last)
         )
 
     def replace(self, node: ir.Node) -> None:
-        """Cast what the first Cast took."""
+        """Cast the input of the first Cast."""
         inner = node.inputs[0].producer() if node.inputs[0] is not None else None
         assert inner is not None
         write, x, kind = InsertionPoint(node), inner.inputs[0], node.outputs[0].dtype
@@ -64,16 +64,16 @@ class MergeCasts(NodeRewrite):
         write.replace(write.op("Cast", x, dtype=kind, shape=x.shape, to=int(kind)))
 
 
-def holds_all(wide: ir.DataType, narrow: ir.DataType) -> bool:
-    """Say whether every number of ``narrow`` is one of ``wide``."""
-    if narrow in _WIDEST and wide.is_floating_point():
+def holds_all(container: ir.DataType, contained: ir.DataType) -> bool:
+    """Return whether ``container`` can represent every number of ``contained``."""
+    if contained in _INTEGERS_OF_64_BITS and container.is_floating_point():
         return False  # NumPy calls that safe, although a double holds 53 bits
     try:
-        return bool(np.can_cast(narrow.numpy(), wide.numpy(), casting="safe"))
+        return bool(np.can_cast(contained.numpy(), container.numpy(), casting="safe"))
     except TypeError:  # strings, and dtypes of four bits
         return False
 
 
-def _both_whole(between: ir.DataType, last: ir.DataType) -> bool:
-    """Say whether casting by way of ``between`` cuts the same bits off as casting at once."""
+def _are_integers(between: ir.DataType, last: ir.DataType) -> bool:
+    """Return whether both are integers, so that both ways of casting truncate the same bits."""
     return between.is_integer() and last.is_integer()

@@ -1,4 +1,4 @@
-"""Reshapes of reshapes."""
+"""Merges consecutive Reshape, Squeeze, Unsqueeze and Flatten operators."""
 
 __all__ = ["MergeReshapes"]
 
@@ -14,9 +14,9 @@ _SHAPERS = ("Flatten", "Reshape", "Squeeze", "Unsqueeze")
 
 
 class MergeReshapes(NodeRewrite):
-    """Reshape once where Reshape, Squeeze, Unsqueeze and Flatten follow each other.
+    """Replace consecutive Reshape, Squeeze, Unsqueeze and Flatten by one Reshape.
 
-    None of them moves an element, so the last shape is all that counts::
+    None of them moves an element, so only the last shape counts::
 
         Squeeze(Unsqueeze(Reshape(x, …), …), …)   →   Reshape(x, last shape)
     """
@@ -24,7 +24,7 @@ class MergeReshapes(NodeRewrite):
     name: ClassVar[str] = "merge-reshapes"
 
     def matches(self, node: ir.Node) -> bool:
-        """Say whether ``node`` gives another shape to what was just given one."""
+        """Return whether ``node`` reshapes the output of another reshape to a known shape."""
         if not is_op(node, *_SHAPERS) or node.inputs[0] is None:
             return False
         shape = fixed_shape(node.outputs[0])
@@ -35,7 +35,7 @@ class MergeReshapes(NodeRewrite):
         )
 
     def replace(self, node: ir.Node) -> None:
-        """Give the last shape to what the first took."""
+        """Reshape the input of the first operator to the last shape."""
         write, shape = InsertionPoint(node), fixed_shape(node.outputs[0])
         assert shape is not None
         x = node.inputs[0]
@@ -44,4 +44,4 @@ class MergeReshapes(NodeRewrite):
             assert producer is not None
             x = producer.inputs[0]
         assert x is not None
-        write.replace(write.op("Reshape", x, write.whole(*shape), shape=ir.Shape(shape)))
+        write.replace(write.op("Reshape", x, write.int64(*shape), shape=ir.Shape(shape)))

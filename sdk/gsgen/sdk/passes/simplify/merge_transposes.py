@@ -1,4 +1,4 @@
-"""Transposes of transposes."""
+"""Merges consecutive Transposes."""
 
 __all__ = ["MergeTransposes"]
 
@@ -11,9 +11,9 @@ from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 
 
 class MergeTransposes(NodeRewrite):
-    """Turn once where a Transpose follows a Transpose; not at all where they undo each other.
+    """Merge consecutive Transposes; remove them if they cancel each other.
 
-    Every one of them reads and writes the whole tensor::
+    Each Transpose reads and writes the whole tensor::
 
         Transpose(Transpose(x, p), q)   →   Transpose(x, p[q])
     """
@@ -21,17 +21,19 @@ class MergeTransposes(NodeRewrite):
     name: ClassVar[str] = "merge-transposes"
 
     def matches(self, node: ir.Node) -> bool:
-        """Say whether ``node`` turns what was just turned."""
+        """Return whether ``node`` transposes the output of another Transpose."""
         if not is_op(node, "Transpose") or node.inputs[0] is None:
             return False
-        return is_op(node.inputs[0].producer(), "Transpose") and _perm(node) is not None
+        return (
+            is_op(node.inputs[0].producer(), "Transpose") and _permutation(node) is not None
+        )
 
     def replace(self, node: ir.Node) -> None:
-        """Turn what the first took."""
+        """Transpose the input of the first Transpose by the composed permutation."""
         inner = node.inputs[0].producer() if node.inputs[0] is not None else None
-        outer = _perm(node)
+        outer = _permutation(node)
         assert inner is not None
-        first = _perm(inner)
+        first = _permutation(inner)
         x = inner.inputs[0]
         assert first is not None
         assert outer is not None
@@ -43,9 +45,9 @@ class MergeTransposes(NodeRewrite):
         write.replace(write.op("Transpose", x, perm=perm))
 
 
-def _perm(node: ir.Node) -> list[int] | None:
-    given = node.attributes.get("perm")
-    if given is not None:
-        return list(given.as_ints())
+def _permutation(node: ir.Node) -> list[int] | None:
+    attribute = node.attributes.get("perm")
+    if attribute is not None:
+        return list(attribute.as_ints())
     shape = node.inputs[0].shape if node.inputs[0] is not None else None
     return None if shape is None else list(range(len(shape)))[::-1]
