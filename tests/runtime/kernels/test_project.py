@@ -198,15 +198,16 @@ def test_normals(renderer: Renderer) -> None:
     np.testing.assert_allclose(np.linalg.norm(found[drawn], axis=1), 1, atol=1e-5)
 
 
-def test_a_shader_is_its_file_with_snippets_and_constants() -> None:
+def test_a_shader_is_its_file_with_includes_and_constants() -> None:
     text = source("blend_tiles", COLUMNS=1, QUADS=2, CELLS=2, PICK=False, POLYNOMIAL=False)
     assert "//!" not in text
     assert "struct Frame" in text
     assert "const PICK: bool = false;" in text
     assert "const MAX_ALPHA: f32 = 0.99f;" in text
-    assert "through_0" in text
-    assert "through_1" in text
-    assert "through_2" not in text
+    assert "cell_0" in text
+    assert "cell_1" in text
+    assert "cell_2" not in text
+    assert text.count("struct Frame") == 1
 
 
 def test_harmonics_are_the_contracts(renderer: Renderer) -> None:

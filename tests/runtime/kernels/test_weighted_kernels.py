@@ -12,12 +12,11 @@ from gsgen.runtime.kernels.project.project import (
     project_reference,
 )
 from gsgen.runtime.kernels.project.project_cells import (
-    CELL_REACH,
     box_reference,
     circle_reference,
 )
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.shader import ABSENT, SPLAT_REACH
+from gsgen.runtime.kernels.shared.shader import ABSENT, CELL_REACH, SPLAT_REACH
 from gsgen.runtime.kernels.tiles.blend_wsr import blend_wsr_reference
 from gsgen.runtime.renderer.frame_plan import Plan
 from gsgen.runtime.renderer.renderer import Renderer

@@ -17,8 +17,8 @@ from gsgen.runtime.kernels.project.project import (
 from gsgen.runtime.kernels.raster.draw_meshes import DrawMeshes, seen_reference
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh, mesh_rays, mesh_uniform
 from gsgen.runtime.kernels.shared.kernel import Step, run
-from gsgen.runtime.kernels.shared.shader import source
-from gsgen.runtime.kernels.tiles.blend_tiles import NOWHERE, BlendTiles, blend_reference
+from gsgen.runtime.kernels.shared.shader import NOWHERE, source
+from gsgen.runtime.kernels.tiles.blend_tiles import BlendTiles, blend_reference
 from gsgen.runtime.oracle import meshes
 from gsgen.runtime.oracle import render as oracle
 from gsgen.runtime.renderer.renderer import Renderer
@@ -235,13 +235,22 @@ def test_two_layers_are_the_twins(device: Device, variant: str) -> None:
     assert np.abs(wanted - image).max() > 0.5
 
 
-def test_where_no_layer_is_the_shader_does_not_know_of_any(renderer: Renderer) -> None:
-    for name in ("blend_tiles", "blend_subgroups"):
-        constants = {"COLUMNS": 1, "QUADS": 2, "CELLS": 2, "LANES": 16, "PICK": False}
-        assert "layer" not in source(name, **constants).lower()
-        text = source(name, **constants, LAYERS=2, LAYERED=1, NOWHERE=NOWHERE)
-        assert "depth_1_1" in text
-        assert "//!" not in text
+@pytest.mark.parametrize("subgroups", [False, True])
+def test_without_layers_the_shader_binds_and_computes_nothing_of_them(
+    renderer: Renderer, subgroups: bool
+) -> None:
+    """A pipeline of one bind group is refused where an entry point uses a second one."""
+    other = Device(renderer.device.raw)
+    other.subgroups = subgroups and other.subgroups
+    kernel = BlendTiles(other, pick=False).kernel
+    assert len(kernel.layouts) == 1
+    name = "blend_subgroups" if subgroups else "blend_tiles"
+    constants = {"COLUMNS": 1, "QUADS": 2, "CELLS": 2, "LANES": 16, "PICK": False}
+    assert "layer_0" not in source(name, **constants)
+    text = source(name, **constants, LAYERS=2)
+    assert "layer_1_1" in text
+    assert "layer_2" not in text
+    assert "//!" not in text
 
 
 def test_a_moving_mesh_makes_no_buffer_and_no_bind_group(

@@ -279,9 +279,9 @@ class Plan:
                 self._counts,
                 order,
                 colors,
-                *self._splats,
                 run_pairs,
                 *pairs,
+                *self._splats,
             ),
         )
         add = self._kernels.scan.steps(

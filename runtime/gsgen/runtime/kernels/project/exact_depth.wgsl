@@ -3,17 +3,20 @@
 // Among a million centres many are nearer to each other than the last bit of a float tells. So
 // what roundings lose is kept: it is the dot product of Ogita, Rump and Oishi 2005 ("Accurate sum
 // and dot product"), with Knuth's sum of two numbers and Dekker's product. What is left is about
-// 2⁻⁴⁶ of the distance. Needs `page`.
+// 2⁻⁴⁶ of the distance.
 //
 // WGSL lets compilers take (a + b) − a for b, and round a · b + c once. So numbers that such steps
-// start from are `hidden`: no compiler knows that they are what they are.
+// start from are `hidden`: a XOR with page.zero, whose value no compiler knows, leaves them as
+// they are.
+
+//!include page
 
 fn hidden(x: f32) -> f32 {
-    return bitcast<f32>(bitcast<u32>(x) ^ page.nothing);
+    return bitcast<f32>(bitcast<u32>(x) ^ page.zero);
 }
 
 fn hidden_each(x: vec3f) -> vec3f {
-    return bitcast<vec3f>(bitcast<vec3u>(x) ^ vec3u(page.nothing));
+    return bitcast<vec3f>(bitcast<vec3u>(x) ^ vec3u(page.zero));
 }
 
 // The sum of two numbers, rounded, and what the rounding left.

@@ -1,14 +1,17 @@
-// Where a Gaussian or a cell is in the image, and what is left of its covariance there.
-// Needs frame.wgsl, page.wgsl and panorama.wgsl.
+// Project the centre and the covariance of a Gaussian or a cell into the image.
+
+//!include frame
+//!include page
+//!include panorama
 
 struct Flat {
     mean: vec2f,         // pixels, relative to the frame's origin
-    plain: vec3f,        // 2D covariance xx xy yy, pixels²
-    wide: vec3f,         // with the dilation
+    bare: vec3f,         // 2D covariance xx xy yy, pixels²
+    dilated: vec3f,      // the same with the dilation
     unit: f32,           // a power of two, pixels², in whose units nothing overflows …
-    scaled: vec3f,       // … `wide`, in which it is not rounded either …
+    scaled: vec3f,       // … `dilated`, in which it is not rounded either …
     determinant: f32,    // … and its determinant
-    sound: bool,         // whether it is an ellipse of a finite size
+    is_valid: bool,      // it is an ellipse of a finite size
 }
 
 const LARGEST = 3.4e38;
@@ -31,25 +34,25 @@ fn flatten(at: vec3f, depth: f32, sigma: mat3x3f) -> Flat {
     let turned = transpose(page.linear);
     var jx = frame.focal.x * inverse * (turned[0] - bent.x * turned[2]);
     var jy = frame.focal.y * inverse * (turned[1] - bent.y * turned[2]);
-    var made: Flat;
-    made.mean = frame.focal * slope + frame.center;
+    var flat: Flat;
+    flat.mean = frame.focal * slope + frame.center;
     if (PANORAMA) {
         let sight = sight_around(at, depth);
         jx = frame.focal.x * (turned * sight.jx);
         jy = frame.focal.y * (turned * sight.jy);
-        made.mean = frame.focal * sight.angles + frame.center;
+        flat.mean = frame.focal * sight.angles + frame.center;
         let middle = 0.5 * f32(frame.size.x) - frame.origin.x;
-        made.mean.x = middle + nearest(made.mean.x - middle);
+        flat.mean.x = middle + nearest(flat.mean.x - middle);
     }
     let sx = sigma * jx;
     let sy = sigma * jy;
-    made.plain = vec3f(dot(jx, sx), dot(jx, sy), dot(jy, sy));
-    made.wide = vec3f(made.plain.x + DILATION, made.plain.y, made.plain.z + DILATION);
-    let most = max(made.wide.x, made.wide.z);
-    made.unit = bitcast<f32>(bitcast<u32>(most) & 0x7f800000u);
-    made.scaled = made.wide / made.unit;
-    made.determinant = made.scaled.x * made.scaled.z - made.scaled.y * made.scaled.y;
-    made.sound = made.wide.x > 0.0 && made.wide.z > 0.0 && most <= LARGEST_VARIANCE
-        && made.determinant > 0.0;
-    return made;
+    flat.bare = vec3f(dot(jx, sx), dot(jx, sy), dot(jy, sy));
+    flat.dilated = vec3f(flat.bare.x + DILATION, flat.bare.y, flat.bare.z + DILATION);
+    let most = max(flat.dilated.x, flat.dilated.z);
+    flat.unit = bitcast<f32>(bitcast<u32>(most) & 0x7f800000u);
+    flat.scaled = flat.dilated / flat.unit;
+    flat.determinant = flat.scaled.x * flat.scaled.z - flat.scaled.y * flat.scaled.y;
+    flat.is_valid = flat.dilated.x > 0.0 && flat.dilated.z > 0.0 && most <= LARGEST_VARIANCE
+        && flat.determinant > 0.0;
+    return flat;
 }

@@ -6,13 +6,10 @@
 // says, which has no large numbers in it. A ball has no thinnest direction, nor has a needle that
 // is round; they look at the camera.
 
+//!include page
+
 @group(0) @binding(0) var<storage, read> keys: array<u32>;
 @group(0) @binding(1) var<storage, read_write> normals: array<vec4f>;  // in camera space
-
-@group(1) @binding(0) var<uniform> page: Page;
-@group(1) @binding(1) var<storage, read> rows: array<vec2u>;
-
-//!include page
 
 const ROUND = 1e-5;  // how far from one the ratio of eigenvalues of a ball may be
 
@@ -37,8 +34,8 @@ fn across(s: mat3x3f, axis: vec3f, most: f32) -> vec3f {
     if (!(2.0 * radius > ROUND * most)) {
         return vec3f(0.0);
     }
-    let found = select(vec2f(radius - half, -mixed), vec2f(-mixed, radius + half), half >= 0.0);
-    return normalize(found.x * side + found.y * other);
+    let turned = select(vec2f(radius - half, -mixed), vec2f(-mixed, radius + half), half >= 0.0);
+    return normalize(turned.x * side + turned.y * other);
 }
 
 fn thinnest(covariance: mat3x3f) -> vec3f {
@@ -71,8 +68,8 @@ fn find_normals(@builtin(global_invocation_id) invocation: vec3u) {
     }
     let offset = (read_center(own).position - page.eye) - page.eye_rest;
     let at = page.linear * select(offset, page.forward, is_flat());
-    let found = thinnest(page.linear * read_covariance(own) * transpose(page.linear));
-    let towards = select(found, -found, dot(found, at) > 0.0);
-    let normal = select(-normalize(at), towards, dot(found, found) > 0.5);
+    let axis = thinnest(page.linear * read_covariance(own) * transpose(page.linear));
+    let towards = select(axis, -axis, dot(axis, at) > 0.0);
+    let normal = select(-normalize(at), towards, dot(axis, axis) > 0.5);
     normals[page.base + own] = vec4f(normal, 0.0);
 }

@@ -23,7 +23,13 @@ from gsgen.contract.spec.geometry import symmetric
 from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
-from gsgen.runtime.kernels.shared.shader import DILATION, JACOBIAN_MARGIN, POLE, ROUND, TILE
+from gsgen.runtime.kernels.shared.shader import (
+    DILATION,
+    JACOBIAN_MARGIN,
+    PANORAMA_CONSTANTS,
+    POLE,
+    TILE,
+)
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
@@ -88,7 +94,7 @@ PAGE: Final = _bytes(
         "behind": ("f4", 208),
         "linear_rest": ("(3,4)f4", 224),
         "eye_at": ("3f4", 272),
-        "nothing": ("u4", 284),
+        "zero": ("u4", 284),
         "eye_at_rest": ("3f4", 288),
     },
 )
@@ -214,7 +220,7 @@ class ProjectKernel:
     ) -> None:
         self.kernel = Kernel(
             device,
-            "project",
+            "project_weighted" if weighted else "project",
             "project",
             ("uwwww", "urrr") if weighted else ("uwwwww", "urr"),
             THREADS=_THREADS,
@@ -222,9 +228,8 @@ class ProjectKernel:
             STRIDE=stride,
             NO_HARMONICS=NO_HARMONICS,
             WEIGHTED=weighted,
-            SORTED=not weighted,
             PACKED=packed,
-            **(ROUND if panorama else {}),
+            **(PANORAMA_CONSTANTS if panorama else {}),
         )
 
     def step(

@@ -1,6 +1,6 @@
 """Project cells: say how far away each is, and which tiles it has."""
 
-__all__ = ["CELL_REACH", "ProjectCells", "box_reference", "circle_reference"]
+__all__ = ["ProjectCells", "box_reference", "circle_reference"]
 
 from typing import Any, Final, final
 
@@ -11,10 +11,11 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
-from gsgen.runtime.kernels.shared.shader import LEAST_APART, ROUND, TILE
-
-CELL_REACH: Final = 2.0
-"""Standard deviations beyond which a cell ends (Liu et al. 2025, their code)."""
+from gsgen.runtime.kernels.shared.shader import (
+    MIN_EIGENVALUE_GAP,
+    PANORAMA_CONSTANTS,
+    TILE,
+)
 
 _THREADS: Final = 64
 
@@ -36,8 +37,7 @@ class ProjectCells:
             ("uwwwrww", "ur"),
             THREADS=_THREADS,
             DRAWN=int(Counts.DRAWN),
-            CELL_REACH=CELL_REACH,
-            **(ROUND if panorama else {}),
+            **(PANORAMA_CONSTANTS if panorama else {}),
         )
 
     def step(
@@ -67,7 +67,7 @@ def circle_reference(
         reach: Standard deviations.
     """
     middle = np.trace(covariance, axis1=1, axis2=2) / 2
-    apart = np.sqrt(np.maximum(LEAST_APART, middle**2 - np.linalg.det(covariance)))
+    apart = np.sqrt(np.maximum(MIN_EIGENVALUE_GAP, middle**2 - np.linalg.det(covariance)))
     return np.asarray(np.ceil(reach * np.sqrt(middle + apart)))
 
 

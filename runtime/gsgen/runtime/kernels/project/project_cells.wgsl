@@ -1,27 +1,19 @@
-// Project cells: say how far away each cell of one set is, and how many tiles it has.
+// Project cells: find the depth and the circle of each cell of one set, and count its tiles.
 //
 // One invocation per cell. A cell that is not seen gets the key ABSENT. Comparisons are phrased so
 // that NaN is dropped.
 
-//!include frame
+//!include flatten
+//!include circle
+//!include cell_box
+//!include exact_depth
 
-@group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(2) var<storage, read_write> circles: array<vec4f>;  // middle, radius, how many tiles
 @group(0) @binding(3) var<storage, read_write> spans: array<vec4u>;    // first Gaussian, how many, 1 / divisor, weight of what is behind
 @group(0) @binding(4) var<storage, read> gaussian_keys: array<u32>;
 @group(0) @binding(5) var<storage, read_write> counts: array<atomic<u32>>;
 @group(0) @binding(6) var<storage, read_write> lows: array<u32>;       // the rest of depths, as bits that sort as it does
-
-@group(1) @binding(0) var<uniform> page: Page;
-@group(1) @binding(1) var<storage, read> rows: array<vec2u>;  // of cells: a visibility in the place of an opacity
-
-//!include page
-//!include panorama
-//!include flatten
-//!include circle
-//!include cell_box
-//!include exact_depth
 
 var<private> low: u32;  // what the key of this invocation's cell leaves of its depth
 
@@ -41,26 +33,24 @@ fn cell_key(own: u32, index: u32) -> u32 {
     let depth = exact.x;
     low = order_of(exact.y);
     at.z = select(depth, at.z, PANORAMA);
-    let made = flatten(at, distance, read_covariance(own));
+    let flat = flatten(at, distance, read_covariance(own));
     let is_there = depth > frame.near && depth <= LARGEST;
-    if (!(made.sound && is_there && center.opacity > 0.0 && center.opacity <= LARGEST)) {
+    if (!(flat.is_valid && is_there && center.opacity > 0.0 && center.opacity <= LARGEST)) {
         return ABSENT;
     }
-    let radius = circle(made.scaled, made.determinant, made.unit, CELL_REACH);
+    let radius = circle(flat.scaled, flat.determinant, flat.unit, CELL_REACH);
     var tiles = 0u;
-    var behind = 0u;
-//!repeat COPY COPIES
-    {
-        let box = box_of(made.mean, radius, COPYu);
-        let columns = max(box.z, behind) - max(box.x, behind);
+    var listed = 0u;
+    for (var copy = FIRST_COPY; copy < FIRST_COPY + COPIES; copy++) {
+        let box = box_of(flat.mean, radius, copy);
+        let columns = max(box.z, listed) - max(box.x, listed);
         tiles += columns * (box.w - box.y);
-        behind = max(box.z, behind);
+        listed = max(box.z, listed);
     }
-//!end
     if (tiles == 0u) {
         return ABSENT;
     }
-    circles[index] = vec4f(made.mean, radius, f32(tiles));
+    circles[index] = vec4f(flat.mean, radius, f32(tiles));
     let first = page.first_gaussian + own * page.per_cell;
     spans[index] = vec4u(first, page.per_cell, bitcast<vec2u>(vec2f(page.inverse_divisor, page.behind)));
     count_drawn(first);

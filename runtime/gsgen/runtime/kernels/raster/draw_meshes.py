@@ -14,8 +14,8 @@ from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.gpu.mesh_residency import MeshBuffers
 from gsgen.runtime.kernels.raster.mesh_place import PLACE, TO_LINEAR, TO_SRGB, PlacedMesh
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
-from gsgen.runtime.kernels.shared.shader import TILE, source
-from gsgen.runtime.kernels.tiles.blend_tiles import NOWHERE, Layers
+from gsgen.runtime.kernels.shared.shader import NOWHERE, TILE, source
+from gsgen.runtime.kernels.tiles.blend_tiles import Layers
 from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.runtime.scene.mesh import MeshData
 
@@ -168,7 +168,7 @@ class DrawMeshes:
         )
         outputs = {"lay_colors": ("urrw", "w"), "lay_normals": ("urrw",)}
         self._lay = {
-            entry: Kernel(device, "lay_meshes", entry, groups, NOWHERE=NOWHERE)
+            entry: Kernel(device, "lay_meshes", entry, groups)
             for entry, groups in outputs.items()
         }
 

@@ -9,23 +9,9 @@
 // what grid a rasteriser snaps corners to shows nowhere, and edges may be bent, as panoramas have
 // them. Triangles that share an edge leave no gap: both compare the same two products.
 
-struct Place {
-    linear: mat3x3f,     // local → camera, without the translation
-    upright: mat3x3f,    // the same for normals: the transpose of its inverse
-    eye: vec3f,          // the camera centre in local space, rounded …
-    shaded: u32,         // 1: by a light at the camera
-    eye_rest: vec3f,     // … and what the rounding left
-    conversion: u32,     // of colours: 1 to linear, 2 to sRGB
-    focal: vec2f,        // pixels
-    center: vec2f,       // principal point, pixels
-    size: vec2f,         // of the image, pixels
-    near: f32,
-    is_flat: u32,        // 1: an orthographic camera
-    textured: u32,
-    period: f32,         // of a panorama: pixels that a whole turn has
-}
+//!include mesh_cover
+//!include srgb
 
-@group(0) @binding(0) var<uniform> place: Place;
 @group(0) @binding(1) var<storage, read> rays: array<vec2f>;  // of columns, then of rows: a slope, or sine and cosine of an angle
 @group(0) @binding(2) var<storage, read> vertices: array<f32>;
 @group(0) @binding(3) var<storage, read> faces: array<u32>;
@@ -56,8 +42,6 @@ fn local(vertex: u32) -> vec3f {
 fn offset(at: vec3f) -> vec3f {
     return (at - place.eye) - place.eye_rest;
 }
-
-//!include panorama
 
 // The place of the least of three numbers.
 fn least_of(numbers: vec3f) -> u32 {
@@ -92,8 +76,6 @@ fn triangle(face: u32) -> Corner {
     return made;
 }
 
-//!include mesh_cover
-
 @vertex
 fn corner_of(@builtin(vertex_index) index: u32) -> Corner {
     var made = triangle(index / CORNERS);
@@ -107,8 +89,6 @@ fn linear_of_srgb(color: vec3f) -> vec3f {
     let curved = pow((color + 0.055) / 1.055, vec3f(2.4));
     return select(curved, color / 12.92, color <= vec3f(0.04045));
 }
-
-//!include srgb
 
 fn texel(at: vec2i, size: vec2i) -> vec3f {
     return textureLoad(picture, (at + size) % size, 0).xyz;

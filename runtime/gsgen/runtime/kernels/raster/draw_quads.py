@@ -11,7 +11,7 @@ from jaxtyping import Float
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.raster.draw_meshes import DEPTHS, MeshesStep
 from gsgen.runtime.kernels.shared.counts import PLACES, Counts
-from gsgen.runtime.kernels.shared.shader import ROUND, source
+from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, source
 
 _ROW_BYTES: Final = 256  # what a row of a copied texture has to be a multiple of
 _UNDER: Final = {
@@ -111,7 +111,10 @@ class DrawQuads:
         module = raw.create_shader_module(
             label="draw_quads",
             code=source(
-                "draw_quads", TESTED=tested, **PLACES, **(ROUND if panorama else {})
+                "draw_quads",
+                TESTED=tested,
+                **PLACES,
+                **(PANORAMA_CONSTANTS if panorama else {}),
             ),
         )
         self._pipeline = raw.create_render_pipeline(

@@ -1,6 +1,9 @@
 // What a rasteriser is given, so that it comes to all pixels that a triangle may cover: the triangle
 // a little larger or, where that is not plain, one around a box that has all of it. It may be too
-// large: each pixel's ray decides. Needs panorama.wgsl and `place`.
+// large: each pixel's ray decides.
+
+//!include mesh_place
+//!include panorama
 
 struct Box {
     low: vec2f,   // pixels: the left and the upper edge

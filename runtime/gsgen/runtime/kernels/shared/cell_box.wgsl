@@ -1,8 +1,12 @@
-// Which tiles a cell has: one function for those who count and those who list them.
+// Tiles that a cell touches: one function for the kernel that counts and the one that lists them.
 //
-// The published bounds: whole tiles around a circle. Pixels have whole numbers at their centres.
-// mean: of the circle, in pixels, relative to the frame's origin. The result is the first column
-// and row, and one behind the last of both.
+// The bounds are those of Liu et al. 2025: whole tiles around a circle. Pixel centres have whole
+// numbers.
+
+//!include frame
+
+// Return the first column and row, and one past the last of both.
+// mean: the circle's centre in pixels, relative to the frame's origin.
 
 fn box_of(mean: vec2f, radius: f32, copy: u32) -> vec4u {
     var middle = mean + frame.origin - 0.5;

@@ -1,5 +1,4 @@
-// What all Gaussians of a frame share. Written by project.py's `frame_uniform`.
-// Needs `var<uniform> frame: Frame`.
+// The uniform that all Gaussians of a frame share. `frame_uniform` of project.py writes it.
 
 struct Frame {
     focal: vec2f,        // pixels
@@ -14,7 +13,9 @@ struct Frame {
     background: vec4f,   // red, green, blue; alpha stays that of the splats
 }
 
-// A distance across the image the shorter way around, which in a panorama may cross its edges.
+@group(0) @binding(0) var<uniform> frame: Frame;
+
+// The horizontal distance the shorter way around; in a panorama that may cross the image's edges.
 fn nearest(across: f32) -> f32 {
     if (PANORAMA) {
         return across - frame.period * round(across / frame.period);

@@ -1,5 +1,6 @@
-// What all Gaussians of a page share, and how their rows are read. Written by project.py's
-// `page_uniform`. Needs `rows: array<vec2u>`, which are float32, or PACKED as packing.py says.
+// The uniform that all Gaussians of a page share, and functions that read their rows.
+//
+// `page_uniform` of project.py writes the uniform. Rows are float32, or PACKED by compact_rows.py.
 
 struct Page {
     linear: mat3x3f,      // local → camera, without the translation
@@ -25,20 +26,24 @@ struct Page {
     // For exact depths:
     linear_rest: mat3x3f, // what rounding `linear` left
     eye_at: vec3f,        // where the rounded `eye` is in camera space …
-    nothing: u32,         // 0, which compilers do not know
+    zero: u32,            // 0, which compilers cannot know
     eye_at_rest: vec3f,   // … and what rounding that left
 }
+
+@group(1) @binding(0) var<uniform> page: Page;
+@group(1) @binding(1) var<storage, read> rows: array<vec2u>;
 
 struct Center {
     position: vec3f,
     opacity: f32,
 }
 
+// True for an orthographic camera.
 fn is_flat() -> bool {
     return any(page.forward != vec3f(0.0));
 }
 
-// Two columns are read at once: drivers on CPUs pay by the read, however short.
+// Two columns are read at once: for drivers on CPUs every read costs the same, however short.
 fn columns(index: u32, pair: u32) -> vec2f {
     return bitcast<vec2f>(rows[index * select(5u, 4u, PACKED) + pair]);
 }

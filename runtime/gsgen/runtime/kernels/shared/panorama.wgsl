@@ -1,4 +1,4 @@
-// Panorama: where a direction is on the unrolled sphere, and how that moves with the position.
+// Panorama: longitude and latitude of a direction, and their derivatives by the position.
 //
 // With r² = x² + y² + z² and ρ² = x² + z², longitude is atan2(x, z) and latitude, downwards, is
 // asin(y / r) = atan2(y, ρ), which has all its digits near the poles, too. Their derivatives are
@@ -19,17 +19,17 @@ fn turn_of(y: f32, x: f32) -> f32 {
     let long = max(abs(x), abs(y));
     let t = min(abs(x), abs(y)) / max(long, SMALLEST);
     let s = t * t;
-    var made = 0.002456670394167304 * s - 0.014401118271052837;
-    made = made * s + 0.03978078439831734;
-    made = made * s - 0.07234814018011093;
-    made = made * s + 0.10498920828104019;
-    made = made * s - 0.1416122019290924;
-    made = made * s + 0.19985905289649963;
-    made = made * s - 0.33332598209381104;
-    made = (made * s + 1.0) * t;
-    made = select(made, 1.5707963267948966 - made, abs(y) > abs(x));
-    made = select(made, 3.141592653589793 - made, x < 0.0);
-    return select(made, -made, y < 0.0);
+    var angle = 0.002456670394167304 * s - 0.014401118271052837;
+    angle = angle * s + 0.03978078439831734;
+    angle = angle * s - 0.07234814018011093;
+    angle = angle * s + 0.10498920828104019;
+    angle = angle * s - 0.1416122019290924;
+    angle = angle * s + 0.19985905289649963;
+    angle = angle * s - 0.33332598209381104;
+    angle = (angle * s + 1.0) * t;
+    angle = select(angle, 1.5707963267948966 - angle, abs(y) > abs(x));
+    angle = select(angle, 3.141592653589793 - angle, x < 0.0);
+    return select(angle, -angle, y < 0.0);
 }
 
 const SMALLEST = 1e-37;
@@ -45,9 +45,9 @@ fn sight_around(at: vec3f, distance: f32) -> Sight {
     let unit = at / distance;
     let level = length(unit.xz);
     let heading = select(vec2f(0.0, 1.0), unit.xz / level, level > 0.0);
-    var made: Sight;
-    made.angles = vec2f(turn_of(heading.x, heading.y), turn_of(unit.y, level));
-    made.jx = vec3f(heading.y, 0.0, -heading.x) / (max(level, POLE) * distance);
-    made.jy = vec3f(-heading.x * unit.y, level, -heading.y * unit.y) / distance;
-    return made;
+    var sight: Sight;
+    sight.angles = vec2f(turn_of(heading.x, heading.y), turn_of(unit.y, level));
+    sight.jx = vec3f(heading.y, 0.0, -heading.x) / (max(level, POLE) * distance);
+    sight.jy = vec3f(-heading.x * unit.y, level, -heading.y * unit.y) / distance;
+    return sight;
 }

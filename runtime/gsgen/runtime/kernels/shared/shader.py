@@ -1,4 +1,4 @@
-"""Assemble WGSL: named snippets are included, and constants are written once, here, from Python."""
+"""Assemble WGSL: include whole files, and declare constants of Python in front of them."""
 
 __all__ = ["source"]
 
@@ -9,46 +9,51 @@ from importlib.resources.abc import Traversable
 
 from gsgen.contract.spec import layout
 
-_INCLUDE = re.compile(r"^//!include (\w+)$", re.MULTILINE)
-_REPEAT = re.compile(  # one that has no other inside
+_INCLUDE = re.compile(r"^//!include (\w+)\n", re.MULTILINE)
+_REPEAT = re.compile(  # an innermost one
     r"^//!repeat (\w+) (\w+)\n((?:(?!^//!repeat ).)*?)^//!end\n", re.MULTILINE | re.DOTALL
 )
-_NO_LAYERS = {"LAYERS": 0, "LAYERED": 0}  # not declared where there are none
 
-# What every kernel may use. One truth per fact: the numbers live in gsgen.contract or here.
+# Constants that every kernel may use. Each number has its only home in gsgen.contract or here.
 DILATION = 0.3
 """Variance, in pixels², that is added to every splat (Kerbl et al. 2023)."""
 MAX_ALPHA = 0.99
-"""The most that one splat may cover a pixel (Kerbl et al. 2023)."""
+"""The largest share of a pixel that one splat may cover (Kerbl et al. 2023)."""
 MIN_TRANSMITTANCE = 1e-4
 """A pixel through which less light would pass is finished (Kerbl et al. 2023)."""
+FINISHED = 0.01
+"""A pixel through which less light passes takes no further cell (Liu et al. 2025, their code)."""
 JACOBIAN_MARGIN = 0.3
 """How far outside the image, in half images, the Jacobian follows a centre (as gsplat does)."""
 TILE = 16
 """Edge of a tile, in pixels."""
 ABSENT = 0xFFFFFFFF
 """The sort key of a Gaussian that is not drawn, and the id of a pixel without one."""
+NOWHERE = 3.4e38
+"""The depth of an image layer where it is empty: farther than any splat."""
 SPLAT_REACH = 3.0
 """Standard deviations beyond which a splat of a weighted sum ends (Liu et al. 2025, their code)."""
-LEAST_APART = 0.1
-"""How far apart, in pixels², the eigenvalues of a 2D covariance are taken to be there."""
+CELL_REACH = 2.0
+"""Standard deviations beyond which a cell ends (Liu et al. 2025, their code)."""
+MIN_EIGENVALUE_GAP = 0.1
+"""Lower bound, in pixels⁴, of the squared half difference of a 2D covariance's eigenvalues."""
 POLE = 1e-3
 """The least cosine of a latitude in a panorama's Jacobian."""
-ROUND: dict[str, int | bool] = {"PANORAMA": True, "COPIES": 3}
-"""What a kernel that knows where a splat is in the image is compiled with for a panorama."""
+PANORAMA_CONSTANTS: dict[str, int | bool] = {"PANORAMA": True, "FIRST_COPY": 0, "COPIES": 3}
+"""Constants of kernels that place splats in a panorama: each splat is drawn up to three times."""
 
 
 def source(name: str, **constants: int | float | bool) -> str:
-    """Return the WGSL of kernel ``name``: constants first, then the file with its snippets.
+    """Return the WGSL of shader ``name`` with all files that it includes.
 
-    Two directives stand in lines of their own. ``//!include NAME`` puts another file there.
-    ``//!repeat WORD COUNT`` to ``//!end`` writes what is between them as often as the constant
-    COUNT says, with WORD replaced by 0, 1, 2, …: drivers unroll no loop over registers. One may
-    stand in another.
+    Directives stand in lines of their own. ``//!include NAME`` puts another file there, once in
+    the whole text. ``//!repeat WORD COUNT`` to ``//!end`` writes the lines between them as often
+    as the constant COUNT says, with WORD replaced by 0, 1, 2, …, where a loop over an array was
+    measured to be slower. One may stand in another.
 
     Args:
-        name: Of the file in this package, without ``.wgsl``.
-        constants: Declared in front as ``const NAME``; ints are u32, floats f32.
+        name: Name of the shader's file without ``.wgsl``.
+        constants: Declared in front as ``const NAME``; integers are u32, floats f32.
     """
     shared: dict[str, int | float | bool] = {
         "ABSENT": ABSENT,
@@ -56,43 +61,54 @@ def source(name: str, **constants: int | float | bool) -> str:
         "DILATION": DILATION,
         "MAX_ALPHA": MAX_ALPHA,
         "MIN_TRANSMITTANCE": MIN_TRANSMITTANCE,
+        "FINISHED": FINISHED,
         "POLE": POLE,
         "TILE": TILE,
+        "NOWHERE": NOWHERE,
         "PANORAMA": False,
-        "WEIGHTED": False,
         "PACKED": False,
         "SPLAT_REACH": SPLAT_REACH,
-        "LEAST_APART": LEAST_APART,
+        "CELL_REACH": CELL_REACH,
+        "MIN_EIGENVALUE_GAP": MIN_EIGENVALUE_GAP,
+        "FIRST_COPY": 1,
         "COPIES": 1,
+        "LAYERS": 0,
     }
     known = shared | constants
     lines = [_declaration(key, value) for key, value in known.items()]
-    text, counts = _included(name), _NO_LAYERS | known
+    text = _included(name, {name})
     while (match := _REPEAT.search(text)) is not None:
-        text = text[: match.start()] + _repeated(match, counts) + text[match.end() :]
+        text = text[: match.start()] + _repeated(match, known) + text[match.end() :]
     return "\n".join(lines) + "\n" + text
 
 
-@cache
-def _included(name: str) -> str:
-    """Return the text of a file of this package with what it includes in place."""
-    text = _shader_files()[name].read_text("utf-8")
-    return _INCLUDE.sub(lambda match: _included(match[1]), text)
+def _included(name: str, seen: set[str]) -> str:
+    """Return the text of a shader; includes are replaced by their files, or by nothing if seen."""
+
+    def replacement(match: re.Match[str]) -> str:
+        included = match[1]
+        if included in seen:
+            return ""
+        seen.add(included)
+        return _included(included, seen)
+
+    return _INCLUDE.sub(replacement, _shader_files()[name])
 
 
 @cache
-def _shader_files() -> dict[str, Traversable]:
-    """Return the shader files of all rooms of the kernels, by their names without suffix."""
+def _shader_files() -> dict[str, str]:
+    """Return the texts of all shaders of the kernels' rooms, by file name without suffix."""
     rooms = [room for room in files("gsgen.runtime.kernels").iterdir() if room.is_dir()]
-    shaders = [
+    shaders: list[Traversable] = [
         file for room in rooms for file in room.iterdir() if file.name.endswith(".wgsl")
     ]
-    return {file.name.removesuffix(".wgsl"): file for file in shaders}
+    return {file.name.removesuffix(".wgsl"): file.read_text("utf-8") for file in shaders}
 
 
 def _repeated(match: re.Match[str], constants: dict[str, int | float | bool]) -> str:
     word, count, text = match[1], constants[match[2]], match[3]
-    return "".join(text.replace(word, str(number)) for number in range(int(count)))
+    pattern = re.compile(rf"(?<![A-Z]){word}(?![A-Z])")
+    return "".join(pattern.sub(str(number), text) for number in range(int(count)))
 
 
 def _declaration(name: str, value: int | float | bool) -> str:

@@ -1,4 +1,4 @@
-// Gather keys: sorted splats get other keys than those they were sorted by.
+// Gather keys: replace the sort keys by a second key of each splat, in sorted order.
 
 @group(0) @binding(0) var<storage, read> counts: array<u32>;
 @group(0) @binding(1) var<storage, read> keys: array<u32>;    // by splat

@@ -32,7 +32,7 @@ class OrderTies:
             device,
             "order_ties",
             "order_ties",
-            ("wrrwr" if arranged else "wrrw",),
+            ("wrrwr",),
             THREADS=WALK_THREADS,
             RUN=walk,
             MOST_TIED=MOST_TIED,
@@ -53,6 +53,8 @@ class OrderTies:
             order: The sorted splats.
             origins: Where rows are arranged, where each splat is by the order of the sets.
         """
+        if not origins:
+            origins = (lows,)  # something has to be bound, and is not read
         bind = self.kernel.bind(counts, keys, lows, order, *origins)
         # Not by the counts: what is written by a dispatch cannot say how large it is.
         groups = max(1, -(-capacity // self._block))

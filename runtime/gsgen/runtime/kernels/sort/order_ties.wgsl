@@ -1,66 +1,68 @@
-// Order ties: sorted splats whose keys are the same stand by the rest of their depths.
+// Order ties: put sorted splats of equal keys in the order of the rest of their depths.
 //
-// Of depths that are the same altogether, the one comes first that its set has first; where rows
-// are ARRANGED in memory, a stable sort has left them as they are there. Each invocation looks at
-// RUN sorted splats, and orders every tie that begins among them: by insertion, for it is short.
-// One of more than MOST_TIED is left as it is, and nobody writes there; if it is not in order
-// anyway, that is announced: as UNSORTED where depths are not, as TIED where only sets are not.
+// Splats whose depths are equal altogether come in the order of their sets; where rows are ARRANGED
+// in memory, a stable sort has left them in the order of memory. Each invocation looks at RUN sorted
+// splats, and sorts every tie that begins among them by insertion, which is the fastest for a few.
+// A tie of more than MOST_TIED is left as it is, so that no invocation works for long. If it is not
+// in order, that is announced, and the frame is drawn again in another way: as UNSORTED where depths
+// are out of order, as TIED where only sets are.
 
 @group(0) @binding(0) var<storage, read_write> counts: array<atomic<u32>>;
 @group(0) @binding(1) var<storage, read> keys: array<u32>;
-@group(0) @binding(2) var<storage, read> lows: array<u32>;  // by splat: bits that sort as what a key leaves of a depth
+@group(0) @binding(2) var<storage, read> lows: array<u32>;     // by splat: bits that sort as what a key leaves of a depth
 @group(0) @binding(3) var<storage, read_write> order: array<u32>;
-//!repeat ONCE ARRANGED
-@group(0) @binding(4) var<storage, read> origins: array<u32>;  // by splat: where it is by the order of the sets
-//!end
+@group(0) @binding(4) var<storage, read> origins: array<u32>;  // by splat: its index in the order of the sets, if ARRANGED
 
 fn origin_of(splat: u32) -> u32 {
-//!repeat ONCE ARRANGED
-    return origins[splat];
-//!end
+    if (ARRANGED) {
+        return origins[splat];
+    }
     return splat;
 }
 
-// Announce what is wrong with two neighbours in a tie that is too long.
-fn check(place: u32) {
-    let one = order[place];
-    let next = order[place + 1u];
-    if (lows[one] > lows[next]) {
+// Announce that two neighbours in a tie that is too long are out of order.
+fn check(rank: u32) {
+    let first = order[rank];
+    let second = order[rank + 1u];
+    if (lows[first] > lows[second]) {
         atomicStore(&counts[UNSORTED], 1u);
-    } else if (lows[one] == lows[next] && origin_of(one) > origin_of(next)) {
+    } else if (lows[first] == lows[second] && origin_of(first) > origin_of(second)) {
         atomicStore(&counts[TIED], 1u);
     }
 }
 
 fn order_tie(first: u32, key: u32, visible: u32) {
-    var last = first + 2u;
-    while (last < visible && last - first <= MOST_TIED && keys[last] == key) {
-        last += 1u;
+    // Step 1: find the end of the tie, or that it is too long.
+    var end = first + 2u;
+    while (end < visible && end - first <= MOST_TIED && keys[end] == key) {
+        end += 1u;
     }
-    if (last - first > MOST_TIED) {
+    // Step 2: a tie that is too long is only checked, here for its first MOST_TIED splats.
+    if (end - first > MOST_TIED) {
         for (var i = first; i < first + MOST_TIED; i++) {
             check(i);
         }
         return;
     }
-    for (var i = first + 1u; i < last; i++) {
-        let own = order[i];
-        let low = lows[own];
-        var place = i;
-        while (place > first) {
-            let before = order[place - 1u];
-            let its_low = lows[before];
-            if (its_low < low || (its_low == low && origin_of(before) < origin_of(own))) {
+    // Step 3: sort by insertion.
+    for (var i = first + 1u; i < end; i++) {
+        let splat = order[i];
+        let low = lows[splat];
+        var rank = i;
+        while (rank > first) {
+            let before = order[rank - 1u];
+            let low_before = lows[before];
+            if (low_before < low || (low_before == low && origin_of(before) < origin_of(splat))) {
                 break;
             }
-            order[place] = before;
-            place -= 1u;
+            order[rank] = before;
+            rank -= 1u;
         }
-        order[place] = own;
+        order[rank] = splat;
     }
 }
 
-// Millions of splats are too many for one line of workgroups.
+// Workgroups have two dimensions: millions of splats exceed the limit of one.
 @compute @workgroup_size(THREADS)
 fn order_ties(@builtin(global_invocation_id) invocation: vec3u, @builtin(num_workgroups) groups: vec3u) {
     let visible = atomicLoad(&counts[VISIBLE]);
@@ -83,7 +85,7 @@ fn order_ties(@builtin(global_invocation_id) invocation: vec3u, @builtin(num_wor
             if (key != before) {
                 order_tie(i, key, visible);
             } else if (i >= MOST_TIED && keys[i - MOST_TIED] == key) {
-                check(i);  // the first of the tie are checked where it begins
+                check(i);  // `order_tie` checks the first MOST_TIED
             }
         }
         before = key;

@@ -1,19 +1,17 @@
-// Scan, of many numbers: what goes before and after the scan (scan.wgsl) of the sums of blocks.
+// Scan of many numbers: the kernels before and after the scan (scan.wgsl) of the sums of blocks.
 //
 // `reduce` sums each block of THREADS × RUN numbers; `spread` replaces the numbers of each by the
 // sum of all before them, once the blocks' own sums have been. No workgroup waits for another.
 
-//!include scan_length
+//!include scan_sums
 
-@group(0) @binding(0) var<uniform> scan_of: Scan;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read_write> numbers: array<u32>;
 @group(0) @binding(3) var<storage, read_write> block_sums: array<u32>;
 
 const BLOCK = THREADS * RUN;
 
-var<workgroup> held: array<u32, BLOCK>;
-var<workgroup> sums: array<u32, THREADS>;
+var<workgroup> block: array<u32, BLOCK>;
 
 @compute @workgroup_size(THREADS)
 fn reduce(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
@@ -42,35 +40,31 @@ fn spread(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) loc
     let length = length_for(counts[scan_of.source]);
     let start = group.x * BLOCK;
     for (var k = local.x; k < BLOCK; k += THREADS) {
-        var own = 0u;
+        var number = 0u;
         if (start + k < length) {
-            own = numbers[start + k];
+            number = numbers[start + k];
         }
-        held[k] = own;
+        block[k] = number;
     }
     workgroupBarrier();
     let run = local.x * RUN;
     var sum = 0u;
     for (var k = run; k < run + RUN; k++) {
-        sum = min(sum + held[k], MANY);
+        sum = min(sum + block[k], MANY);
     }
-//!include scan_sums
-    var place = 0u;
+    var before = sum_before(local.x, sum);
     if (start < length) {
-        place = block_sums[group.x];
-    }
-    if (local.x > 0u) {
-        place = min(place + sums[local.x - 1u], MANY);
+        before = min(block_sums[group.x] + before, MANY);
     }
     for (var k = run; k < run + RUN; k++) {
-        let own = held[k];
-        held[k] = place;
-        place = min(place + own, MANY);
+        let number = block[k];
+        block[k] = before;
+        before = min(before + number, MANY);
     }
     workgroupBarrier();
     for (var k = local.x; k < BLOCK; k += THREADS) {
         if (start + k < length) {
-            numbers[start + k] = held[k];
+            numbers[start + k] = block[k];
         }
     }
 }

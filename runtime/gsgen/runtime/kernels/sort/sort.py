@@ -69,7 +69,6 @@ class RadixSort:
             "THREADS": cut.threads,
             "RUN": cut.run,
             "DIGITS": 1 << cut.digit_bits,
-            "FOUR": 4,  # keys that are read at once; a run has whole fours of them
         }
         self._count = Kernel(device, "sort", "count", ("urrrwww",), **constants)
         self._scatter = Kernel(device, "sort", "scatter", ("urrrwww",), **constants)

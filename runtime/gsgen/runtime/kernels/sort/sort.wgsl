@@ -3,19 +3,20 @@
 // `count` and `scatter` cut the keys into blocks of THREADS runs of RUN keys, one run per
 // invocation. Each invocation counts the digits of its own run, in its own column of `counters`,
 // so no two meet and nothing depends on which is first. Between them `scan` (scan.wgsl) turns the
-// histogram of all blocks, digit-major, into first places. No subgroups, no waiting for others.
+// histogram of all blocks, digit-major, into first indices. It uses no subgroups, and no workgroup
+// waits for another.
 
 struct Digit {
     shift: u32,
     bits: u32,
-    source: u32,   // which of the counts says how many keys there are
-    first: u32,    // 1: the values are the keys' own places, and keys that are ABSENT are left out
+    source: u32,   // index of the count that is the number of keys
+    first: u32,    // 1: the values are the keys' own indices, and keys that are ABSENT are left out
 }
 
 @group(0) @binding(0) var<uniform> digit: Digit;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
-@group(0) @binding(2) var<storage, read> keys_in: array<vec4u>;    // four at once: drivers on
-@group(0) @binding(3) var<storage, read> values_in: array<vec4u>;  // CPUs pay by the read
+@group(0) @binding(2) var<storage, read> keys_in: array<vec4u>;    // four at once: for drivers
+@group(0) @binding(3) var<storage, read> values_in: array<vec4u>;  // on CPUs every read costs the same
 @group(0) @binding(4) var<storage, read_write> histogram: array<u32>;
 @group(0) @binding(5) var<storage, read_write> keys_out: array<u32>;
 @group(0) @binding(6) var<storage, read_write> values_out: array<u32>;
@@ -24,23 +25,33 @@ const BLOCK = THREADS * RUN;
 
 var<workgroup> counters: array<u32, DIGITS * THREADS>;
 
+// The counter of a key's digit in the column of an invocation.
+fn counter_of(key: u32, thread: u32) -> u32 {
+    return ((key >> digit.shift) & ((1u << digit.bits) - 1u)) * THREADS + thread;
+}
+
+fn is_sorted(key: u32, i: u32, end: u32) -> bool {
+    return i < end && (digit.first == 0u || key != ABSENT);
+}
+
+fn count_key(key: u32, i: u32, end: u32, thread: u32) {
+    if (is_sorted(key, i, end)) {
+        counters[counter_of(key, thread)] += 1u;
+    }
+}
+
 fn count_run(block: u32, thread: u32, total: u32) {
     for (var d = 0u; d < (1u << digit.bits); d++) {
         counters[d * THREADS + thread] = 0u;
     }
     let start = block * BLOCK + thread * RUN;
     let end = min(start + RUN, total);
-    let mask = (1u << digit.bits) - 1u;
     for (var i = start; i < end; i += 4u) {
         let keys = keys_in[i / 4u];
-//!repeat AT FOUR
-        {
-            let key = keys[AT];
-            if (i + ATu < end && (digit.first == 0u || key != ABSENT)) {
-                counters[((key >> digit.shift) & mask) * THREADS + thread] += 1u;
-            }
-        }
-//!end
+        count_key(keys.x, i, end, thread);
+        count_key(keys.y, i + 1u, end, thread);
+        count_key(keys.z, i + 2u, end, thread);
+        count_key(keys.w, i + 3u, end, thread);
     }
 }
 
@@ -61,44 +72,48 @@ fn count(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) loca
     }
 }
 
+fn scatter_key(key: u32, value: u32, i: u32, end: u32, thread: u32) {
+    if (is_sorted(key, i, end)) {
+        let counter = counter_of(key, thread);
+        let index = counters[counter];
+        counters[counter] = index + 1u;
+        keys_out[index] = key;
+        values_out[index] = value;
+    }
+}
+
 @compute @workgroup_size(THREADS)
 fn scatter(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
     let total = counts[digit.source];
     let blocks = (total + BLOCK - 1u) / BLOCK;
+    // Step 1: count again; that is cheaper than keeping the counters of all runs.
     count_run(group.x, local.x, total);
     workgroupBarrier();
+    // Step 2: turn the counters of each digit into the first index of every run.
     for (var d = local.x; d < (1u << digit.bits); d += THREADS) {
-        var place = 0u;
+        var index = 0u;
         if (group.x < blocks) {
-            place = histogram[d * blocks + group.x];
+            index = histogram[d * blocks + group.x];
         }
         for (var t = 0u; t < THREADS; t++) {
-            let own = counters[d * THREADS + t];
-            counters[d * THREADS + t] = place;
-            place += own;
+            let amount = counters[d * THREADS + t];
+            counters[d * THREADS + t] = index;
+            index += amount;
         }
     }
     workgroupBarrier();
+    // Step 3: write each key of the run where its counter points, in order, so that the sort is stable.
     let start = group.x * BLOCK + local.x * RUN;
     let end = min(start + RUN, total);
-    let mask = (1u << digit.bits) - 1u;
     for (var i = start; i < end; i += 4u) {
         let keys = keys_in[i / 4u];
         var values = vec4u(i, i + 1u, i + 2u, i + 3u);
         if (digit.first == 0u) {
             values = values_in[i / 4u];
         }
-//!repeat AT FOUR
-        {
-            let key = keys[AT];
-            if (i + ATu < end && (digit.first == 0u || key != ABSENT)) {
-                let at = ((key >> digit.shift) & mask) * THREADS + local.x;
-                let place = counters[at];
-                counters[at] = place + 1u;
-                keys_out[place] = key;
-                values_out[place] = values[AT];
-            }
-        }
-//!end
+        scatter_key(keys.x, values.x, i, end, local.x);
+        scatter_key(keys.y, values.y, i + 1u, end, local.x);
+        scatter_key(keys.z, values.z, i + 2u, end, local.x);
+        scatter_key(keys.w, values.w, i + 3u, end, local.x);
     }
 }

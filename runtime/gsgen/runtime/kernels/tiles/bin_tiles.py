@@ -10,10 +10,10 @@ from jaxtyping import Bool, Float
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.shared.counts import PLACES, Counts
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
-from gsgen.runtime.kernels.shared.shader import ROUND, TILE
+from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, TILE
 
 WALK_THREADS: Final = 64
-_BINDINGS = {"bin_tiles": "urrrrrwww", "bin_cells": "urrrwww"}
+_BINDINGS = {"bin_tiles": "urrrwwwrr", "bin_cells": "urrrwww"}
 
 
 @final
@@ -32,7 +32,7 @@ class BinTiles:
     ) -> None:
         shader = "bin_cells" if cells else "bin_tiles"
         constants = {"THREADS": WALK_THREADS, "RUN": walk, **PLACES}
-        constants |= ROUND if panorama else {}
+        constants |= PANORAMA_CONSTANTS if panorama else {}
         self._measure, self._emit = (
             Kernel(device, shader, entry, (_BINDINGS[shader],), **constants)
             for entry in ("measure", "emit")

@@ -1,10 +1,10 @@
 """Blend: composite each tile's splats, front to back."""
 
-__all__ = ["NOWHERE", "BlendTiles", "Layers", "blend_reference", "grain"]
+__all__ = ["BlendTiles", "Layers", "blend_reference", "grain"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -13,11 +13,14 @@ from gsgen.contract.spec import layout
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.project.project import Projected
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
-from gsgen.runtime.kernels.shared.shader import MAX_ALPHA, MIN_TRANSMITTANCE, ROUND, TILE
+from gsgen.runtime.kernels.shared.shader import (
+    MAX_ALPHA,
+    MIN_TRANSMITTANCE,
+    NOWHERE,
+    PANORAMA_CONSTANTS,
+    TILE,
+)
 from gsgen.runtime.kernels.shared.subgroups import lanes
-
-NOWHERE: Final = 3.4e38
-"""The depth of a layer where it has nothing: farther than any splat."""
 
 
 @final
@@ -62,8 +65,8 @@ def grain(
         "LANES": TILE // columns,
         "POLYNOMIAL": device.software,
     }
-    constants |= ROUND if panorama else {}
-    constants |= {"LAYERS": layers, "LAYERED": 1, "NOWHERE": NOWHERE} if layers else {}
+    constants |= PANORAMA_CONSTANTS if panorama else {}
+    constants["LAYERS"] = layers
     return device.software and lanes(device) == TILE // columns, constants
 
 

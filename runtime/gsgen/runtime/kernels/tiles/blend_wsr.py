@@ -1,9 +1,9 @@
 """Blend by weighted sums: composite each tile's cells, front to back, whose Gaussians are summed."""
 
-__all__ = ["FINISHED", "BlendWsr", "blend_wsr_reference"]
+__all__ = ["BlendWsr", "blend_wsr_reference"]
 
 from collections.abc import Sequence
-from typing import Any, Final, final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,11 +12,8 @@ from gsgen.contract.spec import layout
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.project.project import Projected
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
-from gsgen.runtime.kernels.shared.shader import MAX_ALPHA, TILE
+from gsgen.runtime.kernels.shared.shader import FINISHED, MAX_ALPHA, TILE
 from gsgen.runtime.kernels.tiles.blend_tiles import grain
-
-FINISHED: Final = 0.01
-"""A pixel through which less light passes takes no further cell (Liu et al. 2025, their code)."""
 
 
 @final
@@ -39,16 +36,17 @@ class BlendWsr:
         published: bool = False,
         layers: int = 0,
     ) -> None:
+        self._no_depths = device.storage("no layer depths", 16)
         together, constants = grain(device, panorama, layers)
         self.kernel = Kernel(
             device,
             "blend_wsr_subgroups" if together else "blend_wsr",
             "blend",
-            ("urrrrrrw", "w") if layers else ("urrrrrrw",),
+            ("urrrrrrw", "w"),
             PARTS=constants["CELLS"],  # cells are something else here
             PICK=pick,
             PUBLISHED=published,
-            FINISHED=FINISHED,
+            LAYERED=layers > 0,
             **constants,
         )
 
@@ -62,10 +60,10 @@ class BlendWsr:
             resources: What ``blend_wsr.wgsl`` binds, in its order.
             depths: Of the layers, where there are any.
         """
-        binds = [self.kernel.bind(*resources)]
-        if depths is not None:
-            binds.append(self.kernel.bind(depths, group=1))
-        return Step(self.kernel, tuple(binds), (*tiles, 1))
+        if depths is None:
+            depths = self._no_depths
+        binds = (self.kernel.bind(*resources), self.kernel.bind(depths, group=1))
+        return Step(self.kernel, binds, (*tiles, 1))
 
 
 def blend_wsr_reference(

@@ -1,23 +1,17 @@
-// Blend by weighted sums: composite each tile's cells, front to back, whose Gaussians are summed.
+// Blend by weighted sums: composite each tile's cells, front to back; sum the Gaussians of a cell.
 //
-// One workgroup per tile, invocations as in blend_tiles.wgsl. `through` is what light still passes
-// a pixel. Within a cell every Gaussian is weighed by what passed before the cell, `open`, so the
-// order of a cell's Gaussians does not count. Once less than FINISHED is left, further cells are
-// left out, and so is what is behind.
+// One workgroup per tile, invocations as in blend_tiles.wgsl.
 //
-// `total` is Σ w, `behind` Σ w b with b the weight of what is behind, as the Gaussian's set has it.
-// With PICK the image is not of colours: it has Σ w z, the depth where half of the light is gone,
+// With PICK the image has no colours: it has Σ w z, the depth where half of the light is gone,
 // the index of the Gaussian that covered most in that cell, and alpha.
 
-//!include sum_bindings
+//!include sum_tile
 
 @compute @workgroup_size(TILE / COLUMNS, TILE / (4u * QUADS))
 fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_id) local: vec3u) {
-//!include sum_start
+    let range = begin_tile(tile.xy, local.xy);
     for (var pair = range.x; pair < range.y; pair++) {
-        var still = ZERO;
-//!include sum_enter
-        if (!any(still > ZERO)) {
+        if (!any(enter_cell() > ZERO)) {
             break;
         }
         let span = spans[pair_cells[pair]];
@@ -25,13 +19,11 @@ fn blend(@builtin(workgroup_id) tile: vec3u, @builtin(local_invocation_id) local
         for (var id = span.x; id < span.x + span.y; id++) {
             let weight = weights[id];
             let shape = shapes[id];
-            if (!reaches(middle, shape, weight)) {
-                continue;
+            if (reaches_tile(shape, weight)) {
+                add_splat(id, shape, weight, colors[id].xyz, factors);
             }
-            let color = colors[id];
-//!include sum_splat
         }
-//!include sum_leave
+        leave_cell();
     }
-//!include sum_finish
+    end_tile();
 }

@@ -1,0 +1,100 @@
+// Write the splat of a Gaussian whose depth and opacity are known. Comparisons are phrased so that
+// NaN is dropped.
+
+//!include tile_span
+//!include flatten
+//!include circle
+//!include spherical_harmonics
+
+@group(0) @binding(1) var<storage, read_write> keys: array<u32>;
+@group(0) @binding(2) var<storage, read_write> shapes: array<vec4f>;   // mean, conic xx xy
+@group(0) @binding(3) var<storage, read_write> weights: array<vec4f>;  // conic yy, strength, depth, variance yy; WEIGHTED: its circle's radius² at the end
+@group(0) @binding(4) var<storage, read_write> colors: array<vec4f>;   // red, green, blue, and how many tiles
+
+// The offset of a position from the camera centre, in local space.
+fn offset_from_eye(position: vec3f) -> vec3f {
+    return (position - page.eye) - page.eye_rest;
+}
+
+fn is_in_view(position: vec3f, depth: f32) -> bool {
+    let is_inside = all(position >= page.clip_low) && all(position <= page.clip_high);
+    return depth > frame.near && depth <= LARGEST && is_inside;
+}
+
+fn color_of(own: u32, offset: vec3f) -> vec3f {
+    if (page.degree == NO_HARMONICS) {
+        return channels(own, 0u).xyz;
+    }
+    let direction = page.local_to_sh * select(offset, page.forward, is_flat());
+    return harmonics(own, page.degree, direction / length(direction));
+}
+
+// How many tiles an ellipse touches; those that two copies touch count once.
+fn tiles_touched(ellipse: Outline) -> u32 {
+    var tiles = 0u;
+    for (var row = ellipse.rows.x; row < ellipse.rows.y; row++) {
+        var listed = 0u;
+        for (var copy = FIRST_COPY; copy < FIRST_COPY + COPIES; copy++) {
+            let ends = span(ellipse, row, copy);
+            tiles += max(ends.y, listed) - max(ends.x, listed);
+            listed = max(ends.y, listed);
+        }
+    }
+    return tiles;
+}
+
+// Write the splat of row `own` at `index` and return its key, or ABSENT if it is not drawn.
+// at: the centre in camera space; distance: its depth as flatten.wgsl takes it.
+fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, depth: f32, alpha: f32) -> u32 {
+    // Step 1: drop what is transparent.
+    if (!(alpha >= CULL_OPACITY && alpha <= LARGEST)) {
+        return ABSENT;
+    }
+    var opacity = min(alpha, 1.0);
+
+    // Step 2: the ellipse in the image; antialiasing keeps the light of one thinner than a pixel.
+    let flat = flatten(at, distance, read_covariance(own));
+    if (!flat.is_valid) {
+        return ABSENT;
+    }
+    if (page.mip != 0u) {
+        let bare = flat.bare / flat.unit;
+        let product = bare.x * bare.z - bare.y * bare.y;
+        opacity *= sqrt(max(product / flat.determinant, 0.0));
+        if (!(opacity >= CULL_OPACITY)) {
+            return ABSENT;
+        }
+    }
+
+    // Step 3: drop what lies beside the image.
+    let strength = log(opacity / CULL_OPACITY);
+    var half_extent = sqrt(2.0 * strength * flat.dilated.xz);
+    if (PANORAMA) {
+        half_extent.x = LARGEST;  // it may reach over the seam; `span` knows
+    }
+    let first_center = 0.5 - frame.origin;
+    let last_center = vec2f(frame.size) - 0.5 - frame.origin;
+    if (!(all(flat.mean + half_extent >= first_center) && all(flat.mean - half_extent <= last_center))) {
+        return ABSENT;
+    }
+
+    // Step 4: count the tiles, and find the colour.
+    let scaled = flat.scaled;
+    let conic = vec3f(scaled.z, -scaled.y, scaled.x) / flat.determinant / flat.unit;
+    let tiles = tiles_touched(outline(flat.mean, conic, strength, flat.dilated.z));
+    let color = color_of(own, offset_from_eye(position));
+    if (!all(abs(color) <= vec3f(LARGEST)) || tiles == 0u) {
+        return ABSENT;
+    }
+
+    // Step 5: write.
+    var extent = flat.dilated.z;
+    if (WEIGHTED) {
+        let radius = circle(scaled, flat.determinant, flat.unit, SPLAT_REACH);
+        extent = min(radius * radius, LARGEST);
+    }
+    shapes[index] = vec4f(flat.mean, conic.xy);
+    weights[index] = vec4f(conic.z, strength, depth, extent);
+    colors[index] = vec4f(max(color, vec3f(0.0)), f32(tiles));
+    return bitcast<u32>(depth);
+}

@@ -1,0 +1,105 @@
+"""Every shader file is whole: it compiles by itself, included or not."""
+
+import re
+from importlib.resources import files
+
+import pytest
+
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.kernels.project.project import NO_HARMONICS
+from gsgen.runtime.kernels.raster.draw_meshes import AMBIENT
+from gsgen.runtime.kernels.shared.counts import PLACES
+from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, source
+from gsgen.runtime.kernels.sort.order_ties import MOST_TIED
+
+SHADERS = {
+    file.name.removesuffix(".wgsl"): file.read_text("utf-8")
+    for room in files("gsgen.runtime.kernels").iterdir()
+    if room.is_dir()
+    for file in room.iterdir()
+    if file.name.endswith(".wgsl")
+}
+CONSTANTS: dict[str, int | float | bool] = {
+    **PLACES,
+    "THREADS": 8,
+    "RUN": 4,
+    "BLOCK": 32,
+    "SHARE": 1,
+    "DIGITS": 16,
+    "SORT_BLOCK": 32,
+    "WALK_BLOCK": 32,
+    "RANGE_BLOCK": 32,
+    "MOST_TIED": MOST_TIED,
+    "ARRANGED": True,
+    "HALF_APPEARANCE": True,
+    "STRIDE": 2,
+    "NO_HARMONICS": NO_HARMONICS,
+    "WEIGHTED": False,
+    "COLUMNS": 2,
+    "QUADS": 4,
+    "CELLS": 8,
+    "PARTS": 8,
+    "LANES": 8,
+    "POLYNOMIAL": True,
+    "PICK": False,
+    "MASKED": True,
+    "PUBLISHED": False,
+    "LAYERED": True,
+    "LAYERS": 2,
+    "TESTED": True,
+    "CORNERS": 3,
+    "AMBIENT": AMBIENT,
+    "MODE_DEPTH": 1,
+    "MODE_MEDIAN": 2,
+    "MODE_NORMAL": 3,
+    "MODE_ALPHA": 4,
+}
+VARIANTS: dict[str, dict[str, int | float | bool]] = {
+    "usual": {},
+    "panorama": {**PANORAMA_CONSTANTS, "CORNERS": 6},
+    "other branches": {
+        "LAYERS": 0,
+        "LAYERED": False,
+        "PICK": True,
+        "WEIGHTED": True,
+        "PACKED": True,
+        "POLYNOMIAL": False,
+        "ARRANGED": False,
+        "MASKED": False,
+        "HALF_APPEARANCE": False,
+    },
+}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("name", sorted(SHADERS))
+def test_a_shader_compiles_by_itself(device: Device, name: str, variant: str) -> None:
+    """wgpu raises for a name that neither the file nor its includes declare."""
+    if "subgroup" in SHADERS[name] and not device.subgroups:
+        pytest.skip("the device has no subgroups")
+    declared = set(re.findall(r"^const (\w+)", SHADERS[name], re.MULTILINE))
+    constants = {
+        key: value
+        for key, value in (CONSTANTS | VARIANTS[variant]).items()
+        if key not in declared
+    }
+    device.raw.create_shader_module(label=name, code=source(name, **constants))
+
+
+def test_a_shader_that_is_not_whole_does_not_compile(device: Device) -> None:
+    import wgpu
+
+    code = source("scan_sums", THREADS=8).replace("var<workgroup> sums", "// ")
+    with pytest.raises(wgpu.GPUError, match="sums"):
+        device.raw.create_shader_module(code=code)
+
+
+@pytest.mark.parametrize("name", sorted(SHADERS))
+def test_a_shader_opens_with_its_subject_and_then_its_includes(name: str) -> None:
+    """Includes stand above all code, and every one names a file."""
+    assert SHADERS[name].startswith("// ")
+    code = re.search(r"^(?!//|\n|$).", SHADERS[name], re.MULTILINE)
+    assert code is not None
+    includes = list(re.finditer(r"^//!include (\w+)$", SHADERS[name], re.MULTILINE))
+    assert all(include.start() < code.start() for include in includes)
+    assert {include[1] for include in includes} <= set(SHADERS)
