@@ -249,5 +249,5 @@ def test_proportions_are_exact_however_small(logit: float) -> None:
 
 def test_fewer_anchors_need_something_that_says_which(tmp_path: Path) -> None:
     read = read_anchors(write_scaffold(tmp_path, AnchorOptions(united=True)))
-    with pytest.raises(GsgenError, match="nothing says which are not needed"):
+    with pytest.raises(GsgenError, match="no culling selects them"):
         ScaffoldGS(read.cloud, read.nets, selection=Selection(anchors=10))

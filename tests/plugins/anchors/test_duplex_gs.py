@@ -228,7 +228,7 @@ def test_cells_are_those_that_the_method_sums_by(seed: int, tmp_path: Path) -> N
 
 def test_opacities_are_not_weighed_twice(tmp_path: Path) -> None:
     read = read_cells(write_duplex(tmp_path, AnchorOptions(united=True)))
-    with pytest.raises(GsgenError, match=r"(?s)--opacity weighted: .*weighs.*Leave"):
+    with pytest.raises(GsgenError, match=r"(?s)--opacity weighted: .*weights opacities.*Leave"):
         DuplexGS(read, Levels.of(read.anchors), opacity="weighted", blend="wsr")
 
 
@@ -274,7 +274,7 @@ def test_options_of_another_run_are_refused(tmp_path: Path) -> None:
     folder = write_duplex(tmp_path, AnchorOptions(united=True), degree=2)
     cfg = folder / "cfg_args"
     cfg.write_text(cfg.read_text().replace("max_sh_degree=2", "max_sh_degree=3"))
-    with pytest.raises(CheckpointInvalid, match=r"takes 15 .* has 8"):
+    with pytest.raises(CheckpointInvalid, match=r"needs 15 .* has 8"):
         read_cells(folder)
 
 
@@ -397,7 +397,7 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     half = export(generator, path, dtype="float16", target="webgpu", settings=settings)
     assert all(agrees for agrees, _ in judge("duplex_a", path))
     assert half.halved is not None
-    kept = weights_of(path, {one.node for one in half.halved.kept_weights})
+    kept = weights_of(path, {one.node for one in half.halved.retained_weights})
     assert all(size < 4 * LEAST_ELEMENTS for size in kept)  # all large tables are halved
     integers = 1000  # bytes of sizes and indices
     assert stored(path) - sum(kept) <= 0.5 * (stored(made.path) - sum(kept)) + integers
@@ -415,6 +415,6 @@ def test_a_user_is_told_what_was_found_and_how_it_will_be_blended(
     told = capsys.readouterr().err
     assert "9 cells × 5 Gaussians" in told
     assert "visibility of degree 3" in told
-    assert "blended by sorting. --blend wsr keeps the cells" in told
+    assert "needs sorted Gaussians. --blend wsr keeps the cells" in told
     assert made.producer is not None
     assert [one.role for one in made.inputs] == ["view", "projection"]

@@ -1,1 +1,1 @@
-"""Anchor-decoded scenes: Scaffold-GS, Octree-GS, Duplex-GS."""
+"""How are scenes of anchors exported: Scaffold-GS, Octree-GS, Duplex-GS?"""

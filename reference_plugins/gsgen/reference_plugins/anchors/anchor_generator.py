@@ -1,6 +1,6 @@
-"""What Scaffold-GS and its descendants share: anchors decoded for the camera at hand."""
+"""The base class of Scaffold-GS, Octree-GS and Duplex-GS: decodes anchors for a camera."""
 
-__all__ = ["AnchorGenerator", "Decoding"]
+__all__ = ["MIN_SQUARED_DISTANCE", "AnchorGenerator", "Decoding"]
 
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from gsgen.contract.errors import GsgenError
 from gsgen.reference_plugins.anchors.anchor_checkpoint import AnchorCloud, AnchorNets
-from gsgen.reference_plugins.anchors.anchor_heads import AnchorHeads, Asked, Decoded
+from gsgen.reference_plugins.anchors.anchor_heads import AnchorHeads, AnchorViews, Decoded
 from gsgen.reference_plugins.anchors.selection import Selection, culling
 from gsgen.reference_plugins.tensors.baked_constants import Constants
 from gsgen.reference_plugins.tensors.layers import proportion
@@ -19,40 +19,40 @@ from gsgen.reference_plugins.tensors.planes import covariance_planes, stacked
 from gsgen.sdk import Cells, GaussianGenerator, Gaussians, inputs
 from gsgen.sdk.math import camera_centre, keep_rows
 
-_SMALLEST_SQUARE = 1e-12
+MIN_SQUARED_DISTANCE = 1e-12
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Decoding:
-    """The anchors of one frame, and from where they are seen.
+    """The anchors that a frame decodes, with their decoded values.
 
     Attributes:
         camera: World→camera matrix in column order.
-        asked: Direction and distance of each anchor.
-        anchor: Their centres.
-        position: Centres of their Gaussians, x y z after each other.
-        made: What the networks say of them.
-        shown: How much of each anchor is seen, 0 to 1; all where absent.
-        rows: Which anchors they are; all, in order, where absent.
+        views: Direction and distance of each anchor.
+        anchor: Centres of the anchors.
+        position: Centres of the Gaussians, as x y z triples side by side.
+        decoded: Outputs of the networks.
+        visible: Visible share of each anchor, 0 to 1; 1 for all if absent.
+        rows: Row numbers of the anchors; all in order if absent.
     """
 
     camera: Float[Tensor, "4 4"]
-    asked: Asked
+    views: AnchorViews
     anchor: Float[Tensor, "n 3"]
     position: Float[Tensor, "n k3"]
-    made: Decoded
-    shown: Float[Tensor, "n 1"] | None = None
+    decoded: Decoded
+    visible: Float[Tensor, "n 1"] | None = None
     rows: Int[Tensor, " n"] | None = None
 
     def of(self, table: Tensor) -> Tensor:
-        """Return the rows of ``table`` that belong to these anchors."""
+        """Return the rows of ``table`` for the decoded anchors."""
         if self.rows is None:
             return table
         return torch.index_select(table, 0, self.rows)
 
 
-class _Places(nn.Module):
-    """Centres of Gaussians: offsets in units of a scale of the anchor's own."""
+class _Offsets(nn.Module):
+    """Computes the centres of Gaussians from offsets in units of the anchor's scale."""
 
     offset: Tensor
     reach: Tensor
@@ -71,11 +71,11 @@ class _Places(nn.Module):
 
 
 class AnchorGenerator(GaussianGenerator):
-    """N anchors with K Gaussians each; row a K + k is Gaussian k of anchor a.
+    """A generator of N anchors with K Gaussians each; row a K + k is Gaussian k of anchor a.
 
-    Inputs are the view, those of the culling, and the appearance if there is a choice. Where a
-    frame may only decode so many anchors, rows are those of the anchors to be seen, in order, and
-    the count says how many there are.
+    Inputs are the view, those of the culling, and the appearance if there are several. If a frame
+    decodes at most a given number of anchors, the rows are those of the visible anchors in order,
+    and the count is their number.
     """
 
     family = "mlp"
@@ -92,16 +92,16 @@ class AnchorGenerator(GaussianGenerator):
         appearance: int | None = None,
         selection: Selection = Selection(),  # noqa: B008
     ) -> None:
-        """Fold what the camera does not change.
+        """Precompute every tensor that does not depend on the camera.
 
         Args:
             cloud: The anchors.
             nets: Their networks.
-            appearance: Which appearance to keep; an input chooses where absent.
-            selection: Which anchors are decoded.
+            appearance: The only appearance to keep; an input selects one if absent.
+            selection: Culling, and the limit on decoded anchors.
 
         Raises:
-            GsgenError: Only some anchors may be decoded, and nothing says which.
+            GsgenError: The number of decoded anchors is limited, but no anchor is ever hidden.
         """
         super().__init__()
         self.per_anchor = cloud.per_anchor
@@ -110,96 +110,108 @@ class AnchorGenerator(GaussianGenerator):
         choices = self.heads.appearances
         declared += (inputs.appearance_id(choices),) if choices else ()
         self.inputs = (inputs.view(), *declared)
-        self.most = selection.anchors
-        if self.most is not None and self.cull is None and not self.hides:
-            what = f"{self.most} anchors at most, but nothing says which are not needed"
-            hint = "Give --cull frustum, too."
-            raise GsgenError(what, where="--max-anchors", hint=hint)
-        if self.most is not None and self.most >= len(cloud):
-            self.most = None
+        self.max_anchors = selection.anchors
+        if self.max_anchors is not None and self.cull is None and not self.hides_anchors:
+            message = f"at most {self.max_anchors} anchors, but no culling selects them"
+            hint = "Add --cull frustum."
+            raise GsgenError(message, where="--max-anchors", hint=hint)
+        if self.max_anchors is not None and self.max_anchors >= len(cloud):
+            self.max_anchors = None
         self.register_buffer("anchor", cloud.position)
         self.register_buffer("scale", torch.exp(cloud.log_scale[:, 3:]))
-        self.places = Constants(self.placing(cloud), (self.anchor, self.scale))
+        self.placement = Constants(self.placement_module(cloud), (self.anchor, self.scale))
 
-    def placing(self, cloud: AnchorCloud) -> nn.Module:
-        """Return what makes the centres of Gaussians, and what else follows from their offsets."""
-        return _Places(cloud)
+    def placement_module(self, cloud: AnchorCloud) -> nn.Module:
+        """Return the module that computes the centres of Gaussians from anchors and scales."""
+        return _Offsets(cloud)
 
     @property
-    def hides(self) -> bool:
+    def hides_anchors(self) -> bool:
         """Whether the method itself hides anchors from some cameras."""
         return False
 
-    def forward(self, camera: Float[Tensor, "4 4"], *others: Tensor) -> Gaussians:
-        """Decode anchors for ``camera``, the world→camera matrix in column order."""
+    def forward(self, camera: Float[Tensor, "4 4"], *extra_inputs: Tensor) -> Gaussians:
+        """Decode the anchors for ``camera``, the world→camera matrix in column order."""
         centre = camera_centre(camera).reshape(1, 3)
-        shown = self._shown(camera, centre, others)
+        visible = self._combined_share(camera, centre, extra_inputs)
         rows = count = None
-        if self.most is not None and shown is not None:
-            rows, count = keep_rows(shown.reshape(-1), self.most)
-            shown = torch.index_select(shown, 0, rows)
+        if self.max_anchors is not None and visible is not None:
+            rows, count = keep_rows(visible.reshape(-1), self.max_anchors)
+            visible = torch.index_select(visible, 0, rows)
         anchor, base, position = (
-            one if rows is None else torch.index_select(one, 0, rows)
-            for one in (self.anchor, self.scale, self.placed()[0])
+            table if rows is None else torch.index_select(table, 0, rows)
+            for table in (self.anchor, self.scale, self.placements()[0])
         )
-        asked = _asked(anchor, centre, others, self.heads.appearances)
-        made = self.heads(asked, rows)
-        now = Decoding(camera, asked, anchor, position, made, shown, rows)
-        opacity = self.weighed(torch.relu(made.opacity), now)
+        views = _views(anchor, centre, extra_inputs, self.heads.appearances)
+        decoded = self.heads(views, rows)
+        frame = Decoding(
+            camera=camera,
+            views=views,
+            anchor=anchor,
+            position=position,
+            decoded=decoded,
+            visible=visible,
+            rows=rows,
+        )
+        opacity = self.renderer_opacity(torch.relu(decoded.opacity), frame)
         scale = [
             factor * base[:, axis : axis + 1]
-            for axis, factor in enumerate(self.shares(made.scale, rows))
+            for axis, factor in enumerate(self.scale_factors(decoded.scale, rows))
         ]
         return Gaussians(
             position=position.reshape(-1, 3),
-            opacity=(opacity if shown is None else opacity * shown).reshape(-1),
-            covariance=stacked(covariance_planes(scale, made.rotation)),
-            rgb=torch.sigmoid(made.color),
+            opacity=(opacity if visible is None else opacity * visible).reshape(-1),
+            covariance=stacked(covariance_planes(scale, decoded.rotation)),
+            rgb=torch.sigmoid(decoded.color),
             count=None if count is None else count * self.per_anchor,
-            cells=self.cells(now),
+            cells=self.cells(frame),
         )
 
-    def placed(self) -> tuple[Tensor, ...]:
-        """Return what :meth:`placing` makes, of all anchors."""
-        made: tuple[Tensor, ...] = self.places(self.anchor, self.scale)
-        return made
+    def placements(self) -> tuple[Tensor, ...]:
+        """Return the results of :meth:`placement_module` for all anchors."""
+        tensors: tuple[Tensor, ...] = self.placement(self.anchor, self.scale)
+        return tensors
 
-    def shares(
+    def scale_factors(
         self, factors: tuple[Tensor, ...], rows: Int[Tensor, " n"] | None
     ) -> list[Float[Tensor, "n k"]]:
-        """Return how large Gaussians are along each axis, as a share of their anchor's scale."""
+        """Return the Gaussians' scale along each axis as a share of their anchor's scale."""
         return [proportion(factor) for factor in factors]
 
-    def weighed(self, opacity: Float[Tensor, "n k"], now: Decoding) -> Float[Tensor, "n k"]:
-        """Return what a renderer takes as opacity, of what the network says."""
+    def renderer_opacity(
+        self, opacity: Float[Tensor, "n k"], frame: Decoding
+    ) -> Float[Tensor, "n k"]:
+        """Return the opacity for the renderer, given that of the network."""
         return opacity
 
-    def cells(self, now: Decoding) -> Cells | None:
-        """Return the anchors as cells of a weighted sum, where the method blends by one."""
+    def cells(self, frame: Decoding) -> Cells | None:
+        """Return the anchors as cells of a weighted sum; None if the method sorts Gaussians."""
         return None
 
-    def _shown(
-        self, camera: Tensor, centre: Tensor, others: tuple[Tensor, ...]
+    def _combined_share(
+        self, camera: Tensor, centre: Tensor, extra_inputs: tuple[Tensor, ...]
     ) -> Float[Tensor, "n 1"] | None:
-        shown = self.shown(centre)
+        visible = self.visible_share(centre)
         if self.cull is None:
-            return shown
-        seen: Tensor = self.cull(camera, *others[: len(self.cull.takes)])
-        return seen if shown is None else shown * seen
+            return visible
+        in_view: Tensor = self.cull(camera, *extra_inputs[: len(self.cull.takes)])
+        return in_view if visible is None else visible * in_view
 
     @abstractmethod
-    def shown(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"] | None:
-        """Return how much of each anchor is seen from ``centre``, 0 to 1; all where None."""
+    def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"] | None:
+        """Return the visible share of each anchor from ``centre``, 0 to 1; None for all of 1."""
 
 
-def _asked(
+def _views(
     anchor: Float[Tensor, "n 3"],
     centre: Float[Tensor, "1 3"],
-    others: tuple[Tensor, ...],
+    extra_inputs: tuple[Tensor, ...],
     appearances: int,
-) -> Asked:
-    """Return from where anchors are seen; a camera on an anchor gives numbers, too."""
+) -> AnchorViews:
+    """Return directions and distances of the anchors, finite even for a camera on an anchor."""
     offset = anchor - centre
     square = (offset * offset).sum(dim=1, keepdim=True)
-    distance = torch.sqrt(square.clamp(min=_SMALLEST_SQUARE))
-    return Asked(offset / distance, distance, others[-1] if appearances else None)
+    distance = torch.sqrt(square.clamp(min=MIN_SQUARED_DISTANCE))
+    return AnchorViews(
+        offset / distance, distance, extra_inputs[-1] if appearances else None
+    )

@@ -1,11 +1,11 @@
-"""The networks of anchor methods, in a form of constant shape.
+"""Evaluates the networks of anchor methods with constant shapes.
 
 The published code selects anchors in view and Gaussians of positive opacity, so that its shapes
-depend on the camera. Here every anchor is decoded; what would not have been selected gets
+depend on the camera. Here every anchor is decoded, and those not selected get
 opacity zero.
 """
 
-__all__ = ["AnchorHeads", "Asked", "Decoded"]
+__all__ = ["AnchorHeads", "AnchorViews", "Decoded"]
 
 from dataclasses import dataclass
 
@@ -21,10 +21,10 @@ _COVARIANCE = 7
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """What the networks say of N anchors with K Gaussians each.
+    """The outputs of the networks for N anchors with K Gaussians each.
 
     Attributes:
-        opacity: tanh of the first head, [N, K]; of those at most 0 there is nothing to see.
+        opacity: tanh of the opacity head, [N, K]; Gaussians of at most 0 are invisible.
         scale: Three factors of the anchor's scale before the sigmoid, [N, K] each.
         rotation: w, x, y, z, not normalised, [N, K] each.
         color: RGB before the sigmoid, [N K, 3].
@@ -37,13 +37,13 @@ class Decoded:
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """From where N anchors are seen, and in which appearance.
+class AnchorViews:
+    """Direction and distance of N anchors from the camera, and the appearance.
 
     Attributes:
         direction: Unit vectors from the camera, [N, 3].
-        distance: From the camera, [N, 1].
-        appearance_id: Which appearance, where there is a choice.
+        distance: Distances from the camera, [N, 1].
+        appearance_id: Number of the appearance, if there are several.
     """
 
     direction: Float[Tensor, "n 3"]
@@ -52,9 +52,9 @@ class Asked:
 
 
 class _Layers(nn.Module):
-    """Two layers with ReLU between them; the outputs of the second come in equal parts.
+    """Two layers with ReLU between them; the second gives its outputs in equal parts.
 
-    Each part is a product of its own, as columns of one wide product would have to be copied.
+    Each part is a product of its own, because columns of one wide product would need copies.
     """
 
     def __init__(self, hidden: Tensor, mlp: Mlp, per_anchor: int, parts: int = 1) -> None:
@@ -69,34 +69,34 @@ class _Layers(nn.Module):
         )
 
     def forward(self, inputs: Tensor, bias: Tensor | None = None) -> list[Tensor]:
-        """Apply both; ``bias`` takes the place of the first one's."""
+        """Apply both layers; ``bias`` replaces that of the first one."""
         first = self.hidden
-        made = torch.relu(first(inputs) if bias is None else inputs @ first.weight + bias)
-        return [out(made) for out in self.outs]
+        hidden = torch.relu(first(inputs) if bias is None else inputs @ first.weight + bias)
+        return [out(hidden) for out in self.outs]
 
 
 class AnchorHeads(nn.Module):
-    """Decodes features by the direction and the distance from which they are seen.
+    """Decodes features for the direction and the distance of the camera.
 
-    Inputs of the published networks are concatenated as feature, direction, (distance), (level),
-    (appearance). Here one tensor holds the first four for all heads, zeros in a weight taking the
-    place of an input that a head does not have, and the appearance, which is the same for all
-    anchors, is multiplied out beforehand: one row of bias for each training camera.
+    The published networks concatenate feature, direction, (distance), (level), (appearance). Here
+    all heads share one tensor of the first four; a head without one of these inputs has zeros in
+    its weight. The appearance is the same for all anchors, so its product with the weight is
+    computed beforehand: one row of bias for each training camera.
     """
 
     feature: Tensor
     level: Tensor | None
-    looks: Tensor | None
+    appearance_bias: Tensor | None
 
     def __init__(
         self, cloud: AnchorCloud, nets: AnchorNets, appearance: int | None = None
     ) -> None:
-        """Fold what does not change.
+        """Precompute every tensor that does not depend on the camera.
 
         Args:
             cloud: The anchors.
             nets: Their networks.
-            appearance: Which appearance to keep; all where absent.
+            appearance: The only appearance to keep; all if absent.
         """
         super().__init__()
         self.per_anchor = cloud.per_anchor
@@ -112,65 +112,71 @@ class AnchorHeads(nn.Module):
         self.color = self._layers(nets.color)
         bank = nets.bank
         self.bank = _Layers(bank.hidden, bank, 1) if bank is not None else None
-        self.register_buffer("looks", self._looks(nets, appearance))
+        self.register_buffer("appearance_bias", self._appearance_bias(nets, appearance))
 
     @property
     def appearances(self) -> int:
-        """How many appearances there are to choose from; 0 where there is no choice."""
-        looks = self.looks
-        return 0 if looks is None or looks.shape[0] == 1 else int(looks.shape[0])
+        """Number of selectable appearances; 0 if there is at most one."""
+        appearance_bias = self.appearance_bias
+        return (
+            0
+            if appearance_bias is None or appearance_bias.shape[0] == 1
+            else int(appearance_bias.shape[0])
+        )
 
     def _layers(self, mlp: Mlp, parts: int = 1) -> _Layers:
         hidden = [mlp.hidden[:, : self.width + 3]]
-        at = self.width + 3
+        start = self.width + 3
         if self.distance:
-            column = mlp.hidden[:, at : at + 1] if mlp.distance else 0 * mlp.hidden[:, :1]
+            column = (
+                mlp.hidden[:, start : start + 1] if mlp.distance else 0 * mlp.hidden[:, :1]
+            )
             hidden.append(column)
-        at += mlp.distance
+        start += mlp.distance
         if self.level is not None:
-            hidden.append(mlp.hidden[:, at : at + 1])
+            hidden.append(mlp.hidden[:, start : start + 1])
         return _Layers(torch.cat(hidden, dim=1), mlp, self.per_anchor, parts)
 
-    def _looks(self, nets: AnchorNets, appearance: int | None) -> Tensor | None:
-        """Return the colour head's first bias for each appearance, or None without any."""
+    def _appearance_bias(self, nets: AnchorNets, appearance: int | None) -> Tensor | None:
+        """Return the first bias of the colour head for each appearance; None if there is none."""
         if nets.embedding is None:
             return None
         rows = nets.embedding if appearance is None else nets.embedding[appearance][None]
         weight = nets.color.hidden[:, -nets.embedding.shape[1] :]
         return rows @ weight.t() + nets.color.hidden_bias
 
-    def forward(self, asked: Asked, rows: Int[Tensor, " n"] | None = None) -> Decoded:
+    def forward(self, views: AnchorViews, rows: Int[Tensor, " n"] | None = None) -> Decoded:
         """Decode anchors for one camera.
 
         Args:
-            asked: From where each is seen.
-            rows: Which anchors they are; all, in order, where absent.
+            views: Direction and distance of each anchor.
+            rows: Row numbers of the anchors; all in order if absent.
         """
         feature = self.feature
         levels = [] if self.level is None else [self.level]
         if rows is not None:
             feature = torch.index_select(feature, 0, rows)
-            levels = [torch.index_select(one, 0, rows) for one in levels]
-        parts = [self._mixed(feature, levels, asked), asked.direction]
-        parts += [asked.distance] if self.distance else []
+            levels = [torch.index_select(level, 0, rows) for level in levels]
+        parts = [self._mixed(feature, levels, views), views.direction]
+        parts += [views.distance] if self.distance else []
         inputs = torch.cat([*parts, *levels], dim=1)
-        looks = self.looks
-        if looks is not None and asked.appearance_id is not None:
-            looks = torch.index_select(looks, 0, asked.appearance_id)
+        appearance_bias = self.appearance_bias
+        if appearance_bias is not None and views.appearance_id is not None:
+            appearance_bias = torch.index_select(appearance_bias, 0, views.appearance_id)
         (opacity,) = self.opacity(inputs)
         planes = tuple(self.covariance(inputs))
-        (color,) = self.color(inputs, looks)
+        (color,) = self.color(inputs, appearance_bias)
         return Decoded(torch.tanh(opacity), planes[:3], planes[3:], color.reshape(-1, 3))
 
-    def _mixed(self, feature: Tensor, levels: list[Tensor], asked: Asked) -> Tensor:
+    def _mixed(self, feature: Tensor, levels: list[Tensor], views: AnchorViews) -> Tensor:
         """Mix three resolutions of a feature: every fourth number, every second, all.
 
-        A coarse one is laid side by side (a b a b), not stretched (a a b b).
+        The coarse ones are repeated (a b a b), not stretched (a a b b).
         """
         if self.bank is None:
             return feature
-        more = [asked.distance] if self.bank_distance else levels
-        (weight,) = self.bank(torch.cat([asked.direction, *more], dim=1))
+        extra_inputs = [views.distance] if self.bank_distance else levels
+        (weight,) = self.bank(torch.cat([views.direction, *extra_inputs], dim=1))
         share = torch.softmax(weight, dim=1)
         mixed = feature[:, ::4].repeat(1, 4) * share[:, 0:1]
         mixed = mixed + feature[:, ::2].repeat(1, 2) * share[:, 1:2]

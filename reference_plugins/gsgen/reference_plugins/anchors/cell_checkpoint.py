@@ -1,8 +1,8 @@
-"""Checkpoints of Duplex-GS: those of Octree-GS whose anchors are ellipsoidal cells.
+"""Reads checkpoints of Duplex-GS: those of Octree-GS, with ellipsoidal cells as anchors.
 
 The PLY (``scene/gaussian_model.py``: ``save_ply``) has a size and a rotation for each anchor in
-place of scales, and spherical harmonics of how visible the cell is from a direction. The column
-``info`` holds numbers of the whole scene in its first rows.
+place of scales, and spherical harmonics of the cell's visibility from a direction. The column
+``info`` holds numbers of the scene in its first rows.
 """
 
 __all__ = ["CellCheckpoint", "Weighting", "describe_cells", "read_cells"]
@@ -18,6 +18,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.formats import FormatError, ply_properties, read_ply_columns
 from gsgen.reference_plugins.anchors.anchor_checkpoint import (
     AnchorCheckpoint,
@@ -32,7 +33,6 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.folder import find_iteration, required_file, within_run
 from gsgen.reference_plugins.loading.method_detection import refuse_other_method
 
-_MAX_DEGREE = 3
 _COLUMNS = {
     "position": ("x", "y", "z"),
     "level": ("level",),
@@ -49,18 +49,18 @@ _NUMBERED = {
 }
 # Voxel size, distance of level 0, sigma, background weight, transmittance grade.
 _INFO = 5
-_LEAST_BACKGROUND = 0.1
+_MIN_BACKGROUND = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Weighting:
-    """How the method's own renderer weighs Gaussians.
+    """How the renderer of Duplex-GS weights Gaussians.
 
     Attributes:
         sigma: The depth at which a weight falls to 0.
-        background: Weight of the background, after its ReLU and 0.1 more.
-        grade: What opacities are divided by where light is taken away.
-        depth: Weights fall with depth at all.
+        background: Weight of the background: ReLU of the stored number, plus 0.1.
+        grade: Divisor of opacities in the transmittance.
+        depth: Whether weights fall with depth.
     """
 
     sigma: float
@@ -71,12 +71,12 @@ class Weighting:
 
 @dataclass(frozen=True, slots=True)
 class CellCheckpoint:
-    """Everything that inference needs.
+    """The contents of a Duplex-GS checkpoint.
 
     Attributes:
-        anchors: Cells as anchors: their size is both scales of an anchor.
-        visibility: Spherical harmonics of how visible each cell is, before the sigmoid, [N, K].
-        weighting: How the method's renderer weighs Gaussians.
+        anchors: The cells as anchors, with the cell's size as both scales.
+        visibility: SH coefficients of each cell's visibility before the sigmoid, [N, K].
+        weighting: Weights of the method's renderer.
     """
 
     anchors: AnchorCheckpoint
@@ -88,33 +88,37 @@ def read_cells(folder: Path, iteration: int | None = None) -> CellCheckpoint:
     """Read a checkpoint of Duplex-GS.
 
     Args:
-        folder: What training wrote, or what is in it of an iteration.
-        iteration: The last where absent.
+        folder: Folder of the training run or of one iteration, or a file in either.
+        iteration: Number of the iteration; the last if absent.
 
     Raises:
-        CheckpointInvalid: Something is missing, or does not fit the rest.
+        CheckpointInvalid: A file or a tensor is missing or damaged, or contradicts another.
     """
     folder, iteration = within_run(folder, iteration)
-    number, place = find_iteration(folder, iteration)
-    refuse_other_method("duplex-gs", folder, place)
+    number, iteration_folder = find_iteration(folder, iteration)
+    refuse_other_method("duplex-gs", folder, iteration_folder)
     cfg = read_cfg_args(folder, required=True)
-    ply = required_file(place / "point_cloud.ply", "the cells")
-    read = _columns(ply)
-    cloud = _cloud(read)
+    ply = required_file(iteration_folder / "point_cloud.ply", "the cells")
+    columns = _columns(ply)
+    cloud = _cloud(columns)
     require_sizes(cfg, cloud, ply)
-    visibility = torch.cat([read["constant"], read["rest"]], dim=1)
-    wanted = (cfg.integer("max_sh_degree", _degree(visibility, ply)) + 1) ** 2
-    if wanted != visibility.shape[1]:
-        what = (
-            f"max_sh_degree is {cfg.values['max_sh_degree']}, which takes {wanted - 1} "
+    visibility = torch.cat([columns["constant"], columns["rest"]], dim=1)
+    expected = (cfg.integer("max_sh_degree", _degree(visibility, ply)) + 1) ** 2
+    if expected != visibility.shape[1]:
+        message = (
+            f"max_sh_degree is {cfg.values['max_sh_degree']}, which needs {expected - 1} "
             f"properties anchor_shv, but {ply.name} has {visibility.shape[1] - 1}"
         )
-        raise CheckpointInvalid(what, where=str(cfg.path))
+        raise CheckpointInvalid(message, where=str(cfg.path))
     anchors = AnchorCheckpoint(
-        folder, number, cfg, cloud, read_nets(place, cfg, cloud, octree=True)
+        folder=folder,
+        iteration=number,
+        cfg=cfg,
+        cloud=cloud,
+        nets=read_nets(iteration_folder, cfg, cloud, octree=True),
     )
     return CellCheckpoint(
-        anchors, visibility, _weighting(read["info"].reshape(-1), cfg, ply)
+        anchors, visibility, _weighting(columns["info"].reshape(-1), cfg, ply)
     )
 
 
@@ -123,71 +127,73 @@ def _columns(path: Path) -> dict[str, Tensor]:
         names = ply_properties(path)
         groups = {name: numbered(pattern, names) for name, pattern in _NUMBERED.items()}
         if not groups["offset"] or len(groups["offset"]) % 3 or not groups["feature"]:
-            what = (
+            message = (
                 f"{len(groups['offset'])} properties f_offset and {len(groups['feature'])} "
             )
-            what += "f_anchor_feat, expected 3 K and F"
-            raise CheckpointInvalid(what, where=str(path))
-        rest = groups["rest"]
+            message += "f_anchor_feat, expected 3 K and F"
+            raise CheckpointInvalid(message, where=str(path))
+        harmonics = groups["rest"]
         groups = {name: group for name, group in groups.items() if group}
         tables = read_ply_columns(path, _COLUMNS | groups)
     except FormatError as error:
         raise CheckpointInvalid(
             str(error).replace(f"{path}: ", ""), where=str(path)
         ) from error
-    read = {name: torch.from_numpy(table) for name, table in tables.items()}
-    return read if rest else read | {"rest": read["constant"][:, :0]}
+    columns = {name: torch.from_numpy(table) for name, table in tables.items()}
+    return columns if harmonics else columns | {"rest": columns["constant"][:, :0]}
 
 
-def _cloud(read: Mapping[str, Tensor]) -> AnchorCloud:
-    axes = read["offset"].reshape(len(read["offset"]), 3, -1)  # stored axis by axis
+def _cloud(columns: Mapping[str, Tensor]) -> AnchorCloud:
+    axes = columns["offset"].reshape(len(columns["offset"]), 3, -1)  # stored axis by axis
     return AnchorCloud(
-        read["position"],
-        axes.transpose(1, 2).contiguous().clamp(-1.0, 1.0),
-        read["feature"],
-        torch.cat([read["size"], read["size"]], dim=1),
-        read["rotation"],
-        *(read[name].reshape(-1) for name in ("level", "extra_level", "info")),
+        position=columns["position"],
+        offset=axes.transpose(1, 2).contiguous().clamp(-1.0, 1.0),
+        feature=columns["feature"],
+        log_scale=torch.cat([columns["size"], columns["size"]], dim=1),
+        rotation=columns["rotation"],
+        **{name: columns[name].reshape(-1) for name in ("level", "extra_level", "info")},
     )
 
 
 def _degree(visibility: Tensor, path: Path) -> int:
-    squares = {(degree + 1) ** 2: degree for degree in range(_MAX_DEGREE + 1)}
+    squares = {(degree + 1) ** 2: degree for degree in range(MAX_DEGREE + 1)}
     if visibility.shape[1] not in squares:
-        what = f"{visibility.shape[1] - 1} properties anchor_shv, expected 0, 3, 8 or 15"
-        raise CheckpointInvalid(what, where=str(path))
+        message = f"{visibility.shape[1] - 1} properties anchor_shv, expected 0, 3, 8 or 15"
+        raise CheckpointInvalid(message, where=str(path))
     return squares[visibility.shape[1]]
 
 
 def _weighting(info: Tensor, cfg: CfgArgs, path: Path) -> Weighting:
     if len(info) < _INFO:
-        what = f"has {len(info)} cells; info holds {_INFO} numbers in the first rows"
-        raise CheckpointInvalid(what, where=str(path))
-    sigma, background, grade = (_written(float(value)) for value in info[2:_INFO])
+        message = (
+            f"has {len(info)} cells, expected at least {_INFO} for the numbers of info"
+        )
+        raise CheckpointInvalid(message, where=str(path))
+    sigma, background, grade = (_shortest_decimal(float(value)) for value in info[2:_INFO])
     if not (
         sigma > 0 and grade > 0 and all(map(math.isfinite, (sigma, background, grade)))
     ):
-        what = (
-            f"info is {info[:_INFO].tolist()}, expected finite numbers, and sigma and ET_grade "
-            "above 0"
+        message = (
+            f"info is {info[:_INFO].tolist()}, expected finite numbers, "
+            "and sigma and ET_grade above 0"
         )
-        raise CheckpointInvalid(what, where=str(path))
-    weight = _written(max(background, 0.0) + _LEAST_BACKGROUND)
+        raise CheckpointInvalid(message, where=str(path))
+    weight = _shortest_decimal(max(background, 0.0) + _MIN_BACKGROUND)
     return Weighting(sigma, weight, grade, cfg.flag("depth_correct"))
 
 
-def _written(value: float) -> float:
-    """Return a number of float32 as people write it: 0.15, not 0.15000000596."""
+def _shortest_decimal(value: float) -> float:
+    """Return the shortest decimal of a float32 number: 0.15, not 0.15000000596."""
     return float(str(np.float32(value)))
 
 
-def describe_cells(read: CellCheckpoint) -> str:
-    """Say in one line what a checkpoint holds."""
-    how = read.weighting
-    depth = f", which falls to 0 at depth {how.sigma:.4g}" if how.depth else ""
-    text = describe_anchors(read.anchors).replace(" anchors × ", " cells × ")
-    degree = round(read.visibility.shape[1] ** 0.5) - 1
+def describe_cells(checkpoint: CellCheckpoint) -> str:
+    """Return the sizes and weights of a Duplex-GS checkpoint as one line."""
+    weighting = checkpoint.weighting
+    depth = f", which falls to 0 at depth {weighting.sigma:.4g}" if weighting.depth else ""
+    text = describe_anchors(checkpoint.anchors).replace(" anchors × ", " cells × ")
+    degree = round(checkpoint.visibility.shape[1] ** 0.5) - 1
     return (
         f"{text}, visibility of degree {degree}; weighted sum{depth}, background "
-        f"{how.background:.4g}, ET {how.grade:.4g}"
+        f"{weighting.background:.4g}, ET {weighting.grade:.4g}"
     )

@@ -1,12 +1,12 @@
-"""Duplex-GS: ellipsoidal cells whose networks make Gaussians that stay within them.
+"""Duplex-GS: networks decode ellipsoidal cells to Gaussians that stay within them.
 
 Liu et al. 2025, "Duplex-GS: Proxy-Guided Weighted Blending for Real-Time Order-Independent
-Gaussian Splatting". Levels and networks are those of Octree-GS. A Gaussian's scale is bounded by
-(2 − ‖o‖) / 3 of its cell's, o being its offset in units of the cell; the paper's equation 13 says
-1 − ‖o‖, the published code (``gaussian_renderer/__init__.py``) what stands here.
+Gaussian Splatting". Levels and networks are those of Octree-GS. A Gaussian's scale is at most
+(2 − ‖o‖) / 3 of its cell's, where o is its offset in units of the cell, as in the published code
+(``gaussian_renderer/__init__.py``); the paper's equation 13 has 1 − ‖o‖.
 
-The method's renderer sums Gaussians by weights, cell after cell: ``blend="wsr"`` gives it the cells
-and their weights. Without, the model is one for renderers that sort Gaussians.
+The method's renderer blends by a weighted sum, cell after cell: ``blend="wsr"`` exports the cells
+and their weights. Otherwise the model is for renderers that sort Gaussians.
 """
 
 __all__ = ["BLENDS", "OPACITIES", "DuplexGS"]
@@ -29,8 +29,8 @@ from gsgen.reference_plugins.tensors.layers import proportion
 from gsgen.reference_plugins.tensors.planes import covariance_planes, stacked
 from gsgen.sdk import Cells
 
-# Of a quaternion, so that one of zeros does not divide by zero.
-_SMALLEST_SQUARE = 1e-24
+# Lower limit of a quaternion's squared norm, so that zeros do not divide by zero.
+_MIN_SQUARED_NORM = 1e-24
 
 Opacity = Literal["decoded", "weighted"]
 OPACITIES: tuple[Opacity, ...] = ("decoded", "weighted")
@@ -39,7 +39,7 @@ BLENDS: tuple[Blend, ...] = ("alpha", "wsr")
 
 
 class _Bounded(nn.Module):
-    """Centres of Gaussians, offset in units of their cell, and how large they may be."""
+    """Computes the centres of Gaussians, and the largest scale that their cell allows."""
 
     offset: Tensor
 
@@ -59,17 +59,17 @@ class _Bounded(nn.Module):
 
 @final
 class DuplexGS(AnchorGenerator):
-    """N cells with K Gaussians each; row a K + k is Gaussian k of cell a.
+    """A generator of N cells with K Gaussians each; row a K + k is Gaussian k of cell a.
 
-    Opacity is what the network says, or, ``weighted``, what the method's renderer makes of it:
-    multiplied by the cell's visibility from the camera, and by 1 − depth / σ.
+    The opacity is that of the network or, if ``weighted``, that of the method's renderer: times
+    the cell's visibility from the camera, and times 1 − depth / σ.
     """
 
     visibility: Tensor
 
     def __init__(
         self,
-        read: CellCheckpoint,
+        checkpoint: CellCheckpoint,
         levels: Levels,
         *,
         opacity: Opacity = "decoded",
@@ -77,98 +77,104 @@ class DuplexGS(AnchorGenerator):
         appearance: int | None = None,
         selection: Selection = Selection(),  # noqa: B008
     ) -> None:
-        """Fold what the camera does not change.
+        """Precompute every tensor that does not depend on the camera.
 
         Args:
-            read: Cells and networks.
-            levels: How levels follow from distances.
-            opacity: As the network says, or weighted as the method's renderer does.
-            blend: For renderers that sort Gaussians, or for those that sum them cell by cell.
-            appearance: Which appearance to keep; an input chooses where absent.
-            selection: Which cells are decoded.
+            checkpoint: Cells and networks.
+            levels: Levels of detail.
+            opacity: ``decoded`` by the network, or ``weighted`` as in the method's renderer.
+            blend: ``alpha`` for sorted Gaussians, ``wsr`` for a weighted sum cell by cell.
+            appearance: The only appearance to keep; an input selects one if absent.
+            selection: Culling, and the limit on decoded cells.
 
         Raises:
-            GsgenError: Opacities are weighted, and a renderer would weigh them again.
+            GsgenError: Weighted opacities with ``wsr``: the renderer would weight them again.
         """
         if blend == "wsr" and opacity == "weighted":
-            what = "a renderer that sums by weights weighs opacities itself"
-            hint = "Leave --opacity out, or blend by alpha."
-            raise GsgenError(what, where="--opacity weighted", hint=hint)
-        cloud, nets = read.anchors.cloud, read.anchors.nets
+            message = "a renderer of weighted sums weights opacities itself"
+            hint = "Leave out --opacity, or give --blend alpha."
+            raise GsgenError(message, where="--opacity weighted", hint=hint)
+        cloud, nets = checkpoint.anchors.cloud, checkpoint.anchors.nets
         super().__init__(cloud, nets, appearance=appearance, selection=selection)
         self.gate = LevelGate(cloud, levels, half_cell=False)
         self.weighted = opacity == "weighted"
-        how = read.weighting
-        self.sigma = how.sigma if how.depth else None
+        weighting = checkpoint.weighting
+        self.sigma = weighting.sigma if weighting.depth else None
         if blend == "wsr":
-            self.weighted_sum = WeightedSum(how.background, self.sigma, how.grade)
+            self.weighted_sum = WeightedSum(
+                weighting.background, self.sigma, weighting.grade
+            )
         if self.weighted or self.weighted_sum is not None:
-            self.register_buffer("visibility", read.visibility)
+            self.register_buffer("visibility", checkpoint.visibility)
 
-    def placing(self, cloud: AnchorCloud) -> nn.Module:
-        """Return what makes the centres of Gaussians and their bounds; a cell has one size."""
+    def placement_module(self, cloud: AnchorCloud) -> nn.Module:
+        """Return the module that computes the centres and largest scales of Gaussians."""
         return _Bounded(cloud)
 
     @property
-    def hides(self) -> bool:
-        """Whether the method itself hides cells from some cameras: it does."""
+    def hides_anchors(self) -> bool:
+        """True: a distant camera does not see cells of fine levels."""
         return True
 
-    def shown(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
-        """Hide cells finer than their distance asks for; the last level fades in."""
-        seen: Tensor = self.gate(centre)
-        return seen
+    def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
+        """Hide cells that are too fine for their distance; the last level fades in."""
+        visible: Tensor = self.gate(centre)
+        return visible
 
-    def shares(
+    def scale_factors(
         self, factors: tuple[Tensor, ...], rows: Int[Tensor, " n"] | None
     ) -> list[Float[Tensor, "n k"]]:
-        """Keep Gaussians within their cell."""
-        limit = self.placed()[1]
+        """Return the Gaussians' scale factors, limited so that they stay within their cell."""
+        limit = self.placements()[1]
         limit = limit if rows is None else torch.index_select(limit, 0, rows)
         return [torch.minimum(proportion(factor), limit) for factor in factors]
 
-    def weighed(self, opacity: Float[Tensor, "n k"], now: Decoding) -> Float[Tensor, "n k"]:
-        """Weigh opacities, where that was asked for."""
+    def renderer_opacity(
+        self, opacity: Float[Tensor, "n k"], frame: Decoding
+    ) -> Float[Tensor, "n k"]:
+        """Multiply opacities by visibility and depth weight, if they are to be weighted."""
         if not self.weighted:
             return opacity
-        opacity = opacity * self._seen(now)
+        opacity = opacity * self._visibility(frame)
         if self.sigma is None:
             return opacity
-        cells = now.position.reshape(-1, self.per_anchor, 3)
-        depth = (cells * now.camera[:3, 2]).sum(dim=2) + now.camera[3, 2]
+        cells = frame.position.reshape(-1, self.per_anchor, 3)
+        depth = (cells * frame.camera[:3, 2]).sum(dim=2) + frame.camera[3, 2]
         return opacity * (1 - depth / self.sigma).clamp(0.0, 1.0)
 
-    def cells(self, now: Decoding) -> Cells | None:
-        """Return the cells: ellipsoids turned as their Gaussians are on average."""
+    def cells(self, frame: Decoding) -> Cells | None:
+        """Return the cells as ellipsoids, with the mean rotation of their Gaussians."""
         if self.weighted_sum is None:
             return None
-        visibility = self._seen(now)
-        if now.shown is not None:
-            visibility = visibility * (now.shown > 0).to(visibility.dtype)
-        size = now.of(self.scale)
-        planes = covariance_planes([size[:, i : i + 1] for i in range(3)], _turned(now))
-        return Cells(now.anchor, visibility, covariance=stacked(planes))
+        visibility = self._visibility(frame)
+        if frame.visible is not None:
+            visibility = visibility * (frame.visible > 0).to(visibility.dtype)
+        size = frame.of(self.scale)
+        planes = covariance_planes(
+            [size[:, i : i + 1] for i in range(3)], _cell_rotation(frame)
+        )
+        return Cells(frame.anchor, visibility, covariance=stacked(planes))
 
-    def _seen(self, now: Decoding) -> Float[Tensor, "n 1"]:
-        """Return how visible each cell is from where the camera is, 0 to 1."""
-        return torch.sigmoid(_evaluated(now.of(self.visibility), now.asked.direction))
+    def _visibility(self, frame: Decoding) -> Float[Tensor, "n 1"]:
+        """Return the visibility of each cell from the camera, 0 to 1."""
+        return torch.sigmoid(_evaluated(frame.of(self.visibility), frame.views.direction))
 
 
-def _turned(now: Decoding) -> list[Float[Tensor, "n 1"]]:
-    """Return the mean of the quaternions of each cell's Gaussians, weighted by their opacity.
+def _cell_rotation(frame: Decoding) -> list[Float[Tensor, "n 1"]]:
+    """Return the mean quaternion of each cell's Gaussians, weighted by their opacity.
 
-    The published code weighs by opacity and visibility; the latter is one number a cell.
+    The published code also multiplies by the visibility, which is constant within a cell.
     """
-    weight = torch.relu(now.made.opacity)
-    square = torch.stack([part * part for part in now.made.rotation]).sum(dim=0)
-    weight = weight / torch.sqrt(square.clamp(min=_SMALLEST_SQUARE))
-    return [(part * weight).sum(dim=1, keepdim=True) for part in now.made.rotation]
+    weight = torch.relu(frame.decoded.opacity)
+    square = torch.stack([part * part for part in frame.decoded.rotation]).sum(dim=0)
+    weight = weight / torch.sqrt(square.clamp(min=_MIN_SQUARED_NORM))
+    return [(part * weight).sum(dim=1, keepdim=True) for part in frame.decoded.rotation]
 
 
 def _evaluated(
     sh: Float[Tensor, "n k"], direction: Float[Tensor, "n 3"]
 ) -> Float[Tensor, "n 1"]:
-    """Sum one channel of spherical harmonics (degree 0 to 3, signs as in 3DGS)."""
+    """Evaluate one channel of spherical harmonics (degree 0 to 3, signs as in 3DGS)."""
     x, y, z = direction[:, 0:1], direction[:, 1:2], direction[:, 2:3]
     total: Tensor | float = 0.0
     for index, function in zip(range(sh.shape[1]), _basis(x, y, z), strict=False):
@@ -178,7 +184,7 @@ def _evaluated(
 
 
 def _basis(x: Tensor, y: Tensor, z: Tensor) -> Iterator[Tensor | float]:
-    """Yield the real functions in the order of 3DGS (Kerbl et al. 2023, constants of its code)."""
+    """Yield the real SH basis functions in the order of 3DGS (Kerbl et al. 2023, its code)."""
     xx, yy, zz = x * x, y * y, z * z
     yield 0.28209479177387814
     yield -0.4886025119029199 * y

@@ -22,28 +22,25 @@ from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 if TYPE_CHECKING:
     from gsgen.reference_plugins.anchors.duplex_gs import DuplexGS
 
-_HONOURED = {
-    "resolution_scales": ([1.0], "levels are those of images at full resolution"),
-}
 
 OpacityOption = Annotated[
     Literal["decoded", "weighted"],
     typer.Option(
-        help="decoded: as the network says. weighted: times the cell's visibility and its weight "
-        "at that depth, from which the method's renderer starts.",
+        help="decoded: that of the network. weighted: times the cell's visibility and its weight "
+        "at that depth, as in the method's renderer.",
     ),
 ]
 BlendOption = Annotated[
     Literal["alpha", "wsr"],
     typer.Option(
-        help="alpha: for renderers that sort Gaussians. wsr: as the method itself does, a "
-        "weighted sum cell by cell; the model gives the cells, too.",
+        help="alpha: for renderers that sort Gaussians. wsr: the method's own weighted sum, cell "
+        "by cell; the model also emits the cells.",
     ),
 ]
 CullOption = Annotated[
     Literal["none", "frustum"],
     typer.Option(
-        "--cull", help="Hide cells that are surely out of view (adds projection)."
+        "--cull", help="Hide cells whose Gaussians are all out of view (adds projection)."
     ),
 ]
 _PUBLICATION = Publication(
@@ -63,11 +60,11 @@ def build(
     cull: CullOption = "none",
     max_anchors: MaxAnchors = None,
 ) -> "DuplexGS":
-    """Read a checkpoint, say what is in it, and return its generator."""
+    """Read a checkpoint, report its contents, and return its generator."""
     from gsgen.reference_plugins.anchors.anchor_checkpoint import require_appearance
     from gsgen.reference_plugins.anchors.cell_checkpoint import describe_cells, read_cells
     from gsgen.reference_plugins.anchors.duplex_gs import DuplexGS
-    from gsgen.reference_plugins.anchors.octree_gs import Levels
+    from gsgen.reference_plugins.anchors.octree_gs import SUPPORTED_OPTIONS, Levels
     from gsgen.reference_plugins.anchors.selection import Selection
     from gsgen.reference_plugins.loading.provenance import producer_of
 
@@ -79,12 +76,12 @@ def build(
     )
     if blend == "alpha":
         note(
-            "note: the method blends by a weighted sum of cells; this model is blended by "
-            "sorting. --blend wsr keeps the cells"
+            "note: the method blends by a weighted sum of cells; this model needs sorted "
+            "Gaussians. --blend wsr keeps the cells"
         )
-    warn_unsupported(read.anchors.cfg, _HONOURED)
+    warn_unsupported(read.anchors.cfg, SUPPORTED_OPTIONS)
     appearance = require_appearance(read.anchors, appearance_id, "--appearance-id")
-    made = DuplexGS(
+    generator = DuplexGS(
         read,
         levels,
         opacity=opacity,
@@ -92,10 +89,10 @@ def build(
         appearance=appearance,
         selection=Selection(cull, max_anchors),
     )
-    made.producer = producer_of(
+    generator.producer = producer_of(
         _PUBLICATION.code, read.anchors.folder, read.anchors.iteration
     )
-    return made
+    return generator
 
 
 def _recognises(run: Path, iteration: Path) -> bool:

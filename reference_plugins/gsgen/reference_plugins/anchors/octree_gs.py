@@ -1,11 +1,11 @@
-"""Octree-GS: anchors in levels of detail, of which a camera sees those that its distance asks for.
+"""Octree-GS: anchors in levels of detail, which the distance from the camera selects.
 
 Ren et al. 2024, "Octree-GS: Towards Consistent Real-time Rendering with LOD-Structured 3D
-Gaussians": the level that a distance asks for is log(d_max / d) to the base of the fork, plus a
-shift that each anchor learns. Decoding is that of Scaffold-GS.
+Gaussians": the level for a distance d is log(d_max / d) to the base of the fork, plus a learnt
+shift of each anchor. Decoding is that of Scaffold-GS.
 """
 
-__all__ = ["MODES", "LevelGate", "Levels", "OctreeGS"]
+__all__ = ["MODES", "SUPPORTED_OPTIONS", "LevelGate", "Levels", "OctreeGS"]
 
 import math
 from dataclasses import dataclass
@@ -20,30 +20,36 @@ from gsgen.reference_plugins.anchors.anchor_checkpoint import (
     AnchorCloud,
     AnchorNets,
 )
-from gsgen.reference_plugins.anchors.anchor_generator import AnchorGenerator
+from gsgen.reference_plugins.anchors.anchor_generator import (
+    MIN_SQUARED_DISTANCE,
+    AnchorGenerator,
+)
 from gsgen.reference_plugins.anchors.selection import Selection
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.tensors.baked_constants import Constants
 
-# How a level becomes a whole number → by how much it may fall short of that number.
+# Option of the training run → supported value, and the meaning of any other value.
+SUPPORTED_OPTIONS = {
+    "resolution_scales": ([1.0], "levels are those of images at full resolution"),
+}
+# Rounding of levels → how far a level may fall short of the whole number.
 MODES = {"round": 0.5, "floor": 0.0, "ceil": 1.0, "progressive": 1.0}
 
-# The published code keeps a fading level this far from the next one.
-_ALMOST = 0.9999
+# The published code keeps a fading level below the next one by this factor.
+_MAX_FADE = 0.9999
 _ALWAYS = 1e30
 _NEVER = -1.0
-_SMALLEST_SQUARE = 1e-12
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Levels:
-    """How levels follow from distances.
+    """The levels of detail of a checkpoint, and the distances where they change.
 
     Attributes:
-        mode: One of ``MODES``.
-        fork: By how much a level is finer than the one before.
+        mode: Rounding of levels, one of ``MODES``.
+        fork: Ratio of the cell sizes of a level and the next finer one.
         voxel: Edge of a cell of level 0.
-        standard: The distance from which level 0 is right.
+        standard: The distance that belongs to level 0.
         top: The finest level.
     """
 
@@ -54,30 +60,31 @@ class Levels:
     top: int
 
     @classmethod
-    def of(cls, read: AnchorCheckpoint) -> "Levels":
-        """Return what a checkpoint says.
+    def of(cls, checkpoint: AnchorCheckpoint) -> "Levels":
+        """Read the levels of a checkpoint.
 
         Raises:
-            CheckpointInvalid: A number is one that no training writes.
+            CheckpointInvalid: A number is outside its range.
         """
-        cloud, cfg = read.cloud, read.cfg
+        cloud, cfg = checkpoint.cloud, checkpoint.cfg
         assert cloud.level is not None
         assert cloud.info is not None
         if len(cloud) < 2 or not (cloud.info[:2] > 0).all():
-            what = f"info is {cloud.info[:2].tolist()}, expected voxel size and distance, above 0"
-            raise CheckpointInvalid(what, where=str(read.folder))
+            message = f"info is {cloud.info[:2].tolist()}, expected a voxel size and a distance above 0"
+            raise CheckpointInvalid(message, where=str(checkpoint.folder))
         mode = cfg.word("dist2level", "round", MODES)
         fork = cfg.number("fork", 2)
         if fork <= 1:
             raise CheckpointInvalid(
-                f"fork is {fork:g}, expected above 1", where=str(cfg.path)
+                f"fork is {fork:g}, expected a number above 1", where=str(cfg.path)
             )
         top = int(cloud.level.max()) - int(cloud.level.min())
-        return cls(mode, fork, float(cloud.info[0]), float(cloud.info[1]), top)
+        voxel, standard = (float(number) for number in cloud.info[:2])
+        return cls(mode=mode, fork=fork, voxel=voxel, standard=standard, top=top)
 
 
 class _Limits(nn.Module):
-    """What decides about each anchor, of its level and the shift that it learnt."""
+    """Computes the distance limits of each anchor from its level and learnt shift."""
 
     level: Tensor
     extra: Tensor
@@ -108,14 +115,14 @@ class _Limits(nn.Module):
             return middle, square
         start = start + (1 + math.log(levels.standard) / logarithm)
         last = (level >= levels.top).to(square.dtype)
-        return middle, square, start, _ALMOST * first, 1 - (1 - _ALMOST) * last
+        return middle, square, start, _MAX_FADE * first, 1 - (1 - _MAX_FADE) * last
 
 
 class LevelGate(nn.Module):
-    """An anchor of level L is seen where a whole number made of the level asked for reaches L.
+    """Hides anchors whose level is finer than the rounded level of their distance.
 
-    The level that a distance d asks for is log(standard / d) / log(fork) + extra. Solved for d,
-    that is one largest squared distance for each anchor, so a frame takes one comparison.
+    The level of a distance d is log(standard / d) / log(fork) + extra. Solved for d, this is one
+    largest squared distance for each anchor, so a frame needs one comparison.
     """
 
     anchor: Tensor
@@ -123,12 +130,12 @@ class LevelGate(nn.Module):
     def __init__(
         self, cloud: AnchorCloud, levels: Levels, *, half_cell: bool = True
     ) -> None:
-        """Solve for distances.
+        """Compute the largest distance of each anchor.
 
         Args:
             cloud: The anchors, with levels.
-            levels: How levels follow from distances.
-            half_cell: Distances reach to the middle of an anchor's cell, not to its corner.
+            levels: Levels of detail.
+            half_cell: Measure distances to the middle of an anchor's cell, not to its corner.
         """
         super().__init__()
         self.per_level = 1 / math.log(levels.fork)
@@ -137,7 +144,7 @@ class LevelGate(nn.Module):
         self.limits = Constants(limits, (cloud.position,))
 
     def forward(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
-        """Return 0 for anchors finer than their distance asks for; the last level fades in."""
+        """Return 1 for visible anchors and 0 for too fine ones; the last level fades in."""
         middle, furthest, *fading = self.limits(self.anchor)
         offset = middle - centre
         square = (offset * offset).sum(dim=1, keepdim=True)
@@ -145,16 +152,16 @@ class LevelGate(nn.Module):
         if not fading:
             return visible
         start, least, most = fading
-        logarithm = torch.log(square.clamp(min=_SMALLEST_SQUARE))
+        logarithm = torch.log(square.clamp(min=MIN_SQUARED_DISTANCE))
         fraction = start - (0.5 * self.per_level) * logarithm
         bounded = torch.minimum(torch.maximum(fraction, least), most)
-        seen: Tensor = visible * bounded
-        return seen
+        faded: Tensor = visible * bounded
+        return faded
 
 
 @final
 class OctreeGS(AnchorGenerator):
-    """Anchors of which a camera sees those that its distance asks for."""
+    """A generator of anchors in levels of detail."""
 
     def __init__(
         self,
@@ -165,24 +172,24 @@ class OctreeGS(AnchorGenerator):
         appearance: int | None = None,
         selection: Selection = Selection(),  # noqa: B008
     ) -> None:
-        """Fold what the camera does not change.
+        """Precompute every tensor that does not depend on the camera.
 
         Args:
             cloud: The anchors, with levels.
             nets: Their networks.
-            levels: How levels follow from distances.
-            appearance: Which appearance to keep; an input chooses where absent.
-            selection: Which anchors are decoded.
+            levels: Levels of detail.
+            appearance: The only appearance to keep; an input selects one if absent.
+            selection: Culling, and the limit on decoded anchors.
         """
         super().__init__(cloud, nets, appearance=appearance, selection=selection)
         self.gate = LevelGate(cloud, levels)
 
     @property
-    def hides(self) -> bool:
-        """Whether the method itself hides anchors from some cameras: it does."""
+    def hides_anchors(self) -> bool:
+        """True: a distant camera does not see anchors of fine levels."""
         return True
 
-    def shown(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
-        """Hide anchors finer than their distance asks for; the last level fades in."""
-        seen: Tensor = self.gate(centre)
-        return seen
+    def visible_share(self, centre: Float[Tensor, "1 3"]) -> Float[Tensor, "n 1"]:
+        """Hide anchors that are too fine for their distance; the last level fades in."""
+        visible: Tensor = self.gate(centre)
+        return visible

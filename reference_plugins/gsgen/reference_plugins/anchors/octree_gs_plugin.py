@@ -20,9 +20,6 @@ from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 if TYPE_CHECKING:
     from gsgen.reference_plugins.anchors.octree_gs import OctreeGS
 
-_HONOURED = {
-    "resolution_scales": ([1.0], "levels are those of images at full resolution"),
-}
 _PUBLICATION = Publication(
     paper="Ren et al. 2024",
     arxiv="2403.17898",
@@ -38,13 +35,17 @@ def build(
     cull: CullOption = "none",
     max_anchors: MaxAnchors = None,
 ) -> "OctreeGS":
-    """Read a checkpoint, say what is in it, and return its generator."""
+    """Read a checkpoint, report its contents, and return its generator."""
     from gsgen.reference_plugins.anchors.anchor_checkpoint import (
         describe_anchors,
         read_anchors,
         require_appearance,
     )
-    from gsgen.reference_plugins.anchors.octree_gs import Levels, OctreeGS
+    from gsgen.reference_plugins.anchors.octree_gs import (
+        SUPPORTED_OPTIONS,
+        Levels,
+        OctreeGS,
+    )
     from gsgen.reference_plugins.anchors.selection import Selection
     from gsgen.reference_plugins.loading.provenance import producer_of
 
@@ -54,14 +55,14 @@ def build(
         f"{describe_anchors(read)}; {levels.mode} to whole levels, fork {levels.fork:g}",
         read.cfg,
     )
-    warn_unsupported(read.cfg, _HONOURED)
+    warn_unsupported(read.cfg, SUPPORTED_OPTIONS)
     selection = Selection(cull, max_anchors)
     appearance = require_appearance(read, appearance_id, "--appearance-id")
-    made = OctreeGS(
+    generator = OctreeGS(
         read.cloud, read.nets, levels, appearance=appearance, selection=selection
     )
-    made.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
-    return made
+    generator.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
+    return generator
 
 
 def _recognises(run: Path, iteration: Path) -> bool:

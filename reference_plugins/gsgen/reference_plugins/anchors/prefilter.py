@@ -1,8 +1,8 @@
-"""Which anchors the published renderer looks at: those whose own ellipsoid touches the image.
+"""Selects the anchors that the published renderer decodes: those whose ellipsoid is in view.
 
-Scaffold-GS and Octree-GS leave out anchors before they decode any (``prefilter_voxel``; the test
-is that of the rasteriser of 3DGS, ``forward.cu``). An anchor that is left out may have Gaussians
-that reach into view, so a picture with the filter is not quite one without.
+Scaffold-GS and Octree-GS skip anchors before they decode any (``prefilter_voxel``; the test is
+that of the rasteriser of 3DGS, ``forward.cu``). A skipped anchor may have Gaussians that reach into
+view, so pictures with and without the filter differ slightly.
 """
 
 __all__ = ["Prefilter"]
@@ -14,17 +14,16 @@ from torch import Tensor, nn
 from gsgen.reference_plugins.anchors.anchor_checkpoint import AnchorCloud
 from gsgen.reference_plugins.tensors.baked_constants import Constants
 from gsgen.reference_plugins.tensors.planes import planes_of, rotation_columns
+from gsgen.runtime.kernels.shared.shader import DILATION, TILE
 
 _NEAR = 0.2
-_DILATION = 0.3
-_TILE = 16.0
 # The slope beyond which the projection is linearised at the edge of the image.
 _GUARD = 1.3
-_LEAST_SPREAD = 0.1
+_MIN_SPREAD = 0.1
 
 
 class _Axes(nn.Module):
-    """The axes of the anchors' ellipsoids, as long as one standard deviation."""
+    """Computes the axes of the anchors' ellipsoids, one standard deviation long."""
 
     reach: Tensor
     rotation: Tensor
@@ -41,7 +40,7 @@ class _Axes(nn.Module):
 
 
 class Prefilter(nn.Module):
-    """Tests every anchor, for a lens whose axis goes through the middle of the image."""
+    """Tests every anchor against the image, for a lens centred on the image."""
 
     takes = ("projection", "viewport")
 
@@ -58,21 +57,21 @@ class Prefilter(nn.Module):
         proj: Float[Tensor, "4 4"],
         viewport: Float[Tensor, "2"],
     ) -> Float[Tensor, "n 1"]:
-        """Return 1 for an anchor that touches the image and 0 for another.
+        """Return 1 for anchors that touch the image and 0 for others.
 
         Args:
             camera: World→camera, memory order ``column``.
             proj: Camera→clip; only the two focal lengths are read.
             viewport: Width and height of the image in pixels.
         """
-        seen = self.anchor @ camera[:3, :3] + camera[3:4, :3]
-        depth = seen[:, 2:3]
-        slope = seen[:, :2] / depth.clamp(min=_NEAR)
+        position = self.anchor @ camera[:3, :3] + camera[3:4, :3]
+        depth = position[:, 2:3]
+        slope = position[:, :2] / depth.clamp(min=_NEAR)
         focal = torch.cat([proj[0, 0:1], proj[1, 1:2]]).abs().reshape(1, 2)
         pixel = ((slope * focal + 1) * viewport.reshape(1, 2) - 1) * 0.5
         radius = self._radius(slope, depth, focal, viewport, camera[:3, :3])
-        beyond = torch.ceil(viewport.reshape(1, 2) / _TILE) * _TILE
-        # An image without pixels, or a lens that was not set, shows nothing.
+        beyond = torch.ceil(viewport.reshape(1, 2) / TILE) * TILE
+        # An image without pixels, or a focal length of 0, shows no anchor.
         usable = (beyond > 0).float() * (focal > 0).float()
         touches = (pixel + radius >= 1).float() * (pixel - radius < beyond).float() * usable
         return touches[:, 0:1] * touches[:, 1:2] * (depth > _NEAR).float()
@@ -80,7 +79,7 @@ class Prefilter(nn.Module):
     def _radius(
         self, slope: Tensor, depth: Tensor, focal: Tensor, viewport: Tensor, turn: Tensor
     ) -> Tensor:
-        """Return three standard deviations of the ellipse on the image, in whole pixels."""
+        """Return three standard deviations of the projected ellipse, rounded up to pixels."""
         edge = _GUARD / focal.clamp(min=1e-6)
         bent = torch.minimum(torch.maximum(slope, -edge), edge)
         pixels = 0.5 * focal * viewport.reshape(1, 2) / depth.clamp(min=_NEAR)
@@ -88,15 +87,15 @@ class Prefilter(nn.Module):
         across = torch.cat([pixels[:, 0:1], zero, -pixels[:, 0:1] * bent[:, 0:1]], dim=1)
         down = torch.cat([zero, pixels[:, 1:2], -pixels[:, 1:2] * bent[:, 1:2]], dim=1)
         u, v = self._along(across, turn), self._along(down, turn)
-        a = (u * u).sum(dim=1, keepdim=True) + _DILATION
+        a = (u * u).sum(dim=1, keepdim=True) + DILATION
         b = (u * v).sum(dim=1, keepdim=True)
-        c = (v * v).sum(dim=1, keepdim=True) + _DILATION
+        c = (v * v).sum(dim=1, keepdim=True) + DILATION
         middle = 0.5 * (a + c)
-        spread = (middle * middle - (a * c - b * b)).clamp(min=_LEAST_SPREAD)
+        spread = (middle * middle - (a * c - b * b)).clamp(min=_MIN_SPREAD)
         return torch.ceil(3 * torch.sqrt(middle + torch.sqrt(spread)))
 
     def _along(self, direction: Tensor, turn: Tensor) -> Tensor:
-        """Return how far the ellipsoid's axes reach along a direction of camera space."""
+        """Return the length of the ellipsoid's axes along a direction of camera space."""
         local = direction @ turn.transpose(0, 1)
         (root,) = self.axes()
         reach: Tensor = (root * local[:, :, None]).sum(dim=1)

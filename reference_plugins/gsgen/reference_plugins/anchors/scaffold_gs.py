@@ -1,4 +1,4 @@
-"""Scaffold-GS: anchors whose networks make Gaussians for the camera at hand.
+"""Scaffold-GS: networks decode anchors to Gaussians for each camera.
 
 Lu et al. 2024, "Scaffold-GS: Structured 3D Gaussians for View-Adaptive Rendering", section 3.2:
 centres μ_k = x + O_k · l, opacities α = F_α(f, δ, d), the same form for colour, rotation and
@@ -17,8 +17,8 @@ from gsgen.reference_plugins.anchors.anchor_generator import AnchorGenerator
 
 @final
 class ScaffoldGS(AnchorGenerator):
-    """Every anchor is there from everywhere."""
+    """A generator whose anchors are visible from every camera."""
 
-    def shown(self, centre: Float[Tensor, "1 3"]) -> None:
-        """Return None: there is nothing to hide."""
+    def visible_share(self, centre: Float[Tensor, "1 3"]) -> None:
+        """Return None: every anchor is visible."""
         return

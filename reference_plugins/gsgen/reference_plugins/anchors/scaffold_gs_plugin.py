@@ -34,7 +34,7 @@ def build(
     cull: CullOption = "none",
     max_anchors: MaxAnchors = None,
 ) -> "ScaffoldGS":
-    """Read a checkpoint, say what is in it, and return its generator."""
+    """Read a checkpoint, report its contents, and return its generator."""
     from gsgen.reference_plugins.anchors.anchor_checkpoint import (
         describe_anchors,
         read_anchors,
@@ -44,17 +44,19 @@ def build(
     from gsgen.reference_plugins.anchors.selection import Selection
     from gsgen.reference_plugins.loading.provenance import producer_of
 
-    read = read_anchors(checkpoint, iteration)
-    report_checkpoint(describe_anchors(read), read.cfg)
-    if not read.cfg.present:
+    saved = read_anchors(checkpoint, iteration)
+    report_checkpoint(describe_anchors(saved), saved.cfg)
+    if not saved.cfg.present:
         note(
-            f"note: there is no {read.cfg.path}; flags are taken from the networks' shapes"
+            f"note: {saved.cfg.path} is missing; its flags follow from the networks' shapes"
         )
     selection = Selection(cull, max_anchors)
-    appearance = require_appearance(read, appearance_id, "--appearance-id")
-    made = ScaffoldGS(read.cloud, read.nets, appearance=appearance, selection=selection)
-    made.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
-    return made
+    appearance = require_appearance(saved, appearance_id, "--appearance-id")
+    generator = ScaffoldGS(
+        saved.cloud, saved.nets, appearance=appearance, selection=selection
+    )
+    generator.producer = producer_of(_PUBLICATION.code, saved.folder, saved.iteration)
+    return generator
 
 
 def _recognises(run: Path, iteration: Path) -> bool:

@@ -1,4 +1,4 @@
-"""Which anchors a camera needs, and how many of them a frame may decode."""
+"""Culls anchors out of view, and limits the number that a frame decodes."""
 
 __all__ = ["CULLS", "Frustum", "Selection", "culling"]
 
@@ -18,19 +18,18 @@ from gsgen.sdk.math import frustum_mask
 Cull = Literal["none", "frustum", "published"]
 CULLS: tuple[Cull, ...] = ("none", "frustum", "published")
 
-# How far a Gaussian is seen, in standard deviations.
+# Visible radius of a Gaussian in standard deviations.
 _EXTENT = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """What is decoded.
+    """Options that select the decoded anchors.
 
     Attributes:
-        cull: ``none`` hides no anchor for being out of view; ``frustum`` hides those of which no
-            Gaussian can reach into the image; ``published`` those that the published renderer
-            leaves out.
-        anchors: Decode at most this many, those to be seen in their order; all where absent.
+        cull: ``none`` keeps anchors out of view; ``frustum`` hides those whose Gaussians cannot
+            reach into the image; ``published`` those that the published renderer skips.
+        anchors: Largest number of visible anchors to decode, in order; all if absent.
     """
 
     cull: Cull = "none"
@@ -38,7 +37,7 @@ class Selection:
 
 
 class Frustum(nn.Module):
-    """Keeps every anchor of which a Gaussian may reach into the image."""
+    """Keeps every anchor whose Gaussians may reach into the image."""
 
     takes = ("projection",)
 
@@ -56,14 +55,14 @@ class Frustum(nn.Module):
     def forward(
         self, camera: Float[Tensor, "4 4"], proj: Float[Tensor, "4 4"]
     ) -> Float[Tensor, "n 1"]:
-        """Return 1 for anchors that may be seen and 0 for others."""
+        """Return 1 for anchors that may be visible and 0 for others."""
         return frustum_mask(self.anchor, camera, proj, self.reach).reshape(-1, 1)
 
 
 def culling(
     cloud: AnchorCloud, cull: Cull
 ) -> tuple[Frustum | Prefilter | None, tuple[Input, ...]]:
-    """Return the test of a culling, and the inputs that it takes besides the view."""
+    """Return the module that culls anchors, and its inputs besides the view."""
     if cull == "frustum":
         return Frustum(cloud), (inputs.projection(),)
     if cull == "published":

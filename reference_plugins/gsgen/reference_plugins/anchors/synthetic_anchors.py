@@ -1,7 +1,7 @@
-"""Checkpoints of anchor methods, as their training code writes them, with made-up weights.
+"""Writes synthetic checkpoints of anchor methods, in the layout of their training code.
 
-Anchors lie along a torus knot. Most of a network is noise, but the first numbers of a feature
-carry a hue to the colour, and most opacities are high, so that pictures show a coloured knot.
+Anchors lie along a torus knot. Most weights are noise, but the first numbers of a feature determine
+the colour, and most opacities are high, so that pictures show a coloured knot.
 """
 
 __all__ = ["AnchorOptions", "write_duplex", "write_octree", "write_scaffold"]
@@ -23,22 +23,22 @@ _HEADS = {"opacity_mlp": 1, "cov_mlp": 7, "color_mlp": 3}
 _HUES = 3
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AnchorOptions:
-    """What a training run may choose.
+    """Sizes and options of a synthetic anchor checkpoint.
 
     Attributes:
-        anchors: How many.
-        per_anchor: Gaussians of one anchor.
-        width: Length of a feature, at least 4 and a multiple of 4.
-        bank: Features are mixed from three resolutions.
-        distance: Which of opacity, covariance and colour know the distance.
-        level: All networks know the level (Octree-GS).
-        cameras: Training cameras, each with an appearance; 0 for none.
-        appearance: Length of an appearance; 0 for none.
-        united: Networks are in one file of state dicts.
-        iteration: Of the folder.
-        seed: Of all noise.
+        anchors: Number of anchors.
+        per_anchor: Gaussians of an anchor.
+        width: Length of a feature vector, a multiple of 4.
+        bank: Mix features of three resolutions by a feature bank.
+        distance: Whether the distance is an input of the opacity, covariance and colour networks.
+        level: Whether the level is an input of all networks (Octree-GS).
+        cameras: Training cameras, each with an appearance.
+        appearance: Length of an appearance vector; 0 for no appearances.
+        united: Write all networks to one file of state dicts.
+        iteration: Number of the iteration.
+        seed: Seed of all random numbers.
     """
 
     anchors: int = 64
@@ -55,9 +55,9 @@ class AnchorOptions:
 
 
 def write_scaffold(folder: Path, options: AnchorOptions = AnchorOptions()) -> Path:
-    """Write a checkpoint of Scaffold-GS, and return ``folder``."""
+    """Write a synthetic checkpoint of Scaffold-GS, and return ``folder``."""
     rng = np.random.default_rng(options.seed)
-    columns = _place(options) | {
+    columns = _positions(options) | {
         axis: np.zeros(options.anchors) for axis in ("nx", "ny", "nz")
     }
     columns |= _payload(options, rng)
@@ -75,18 +75,18 @@ def write_octree(
     levels: int = 3,
     distance: float = 6.0,
 ) -> Path:
-    """Write a checkpoint of Octree-GS, and return ``folder``.
+    """Write a synthetic checkpoint of Octree-GS, and return ``folder``.
 
     Args:
-        folder: Where.
-        options: What anchor methods share.
-        mode: How a level becomes a whole number: round, floor, ceil or progressive.
-        fork: By how much a level is finer than the one before.
-        levels: How many there are.
-        distance: At which level 0 is right.
+        folder: The folder to write.
+        options: Options of all anchor methods.
+        mode: Rounding of levels: round, floor, ceil or progressive.
+        fork: Ratio of the cell sizes of a level and the next finer one.
+        levels: Number of levels.
+        distance: The distance that belongs to level 0.
     """
     rng = np.random.default_rng(options.seed)
-    columns = _place(options) | _levels(options, levels, rng) | _payload(options, rng)
+    columns = _positions(options) | _levels(options, levels, rng) | _payload(options, rng)
     columns["info"][1] = distance
     _write(folder, options, columns, _cfg(options) | _level_cfg(options, mode, fork))
     return folder
@@ -103,30 +103,30 @@ def write_duplex(
     sigma: float = 9.0,
     depth: bool = True,
 ) -> Path:
-    """Write a checkpoint of Duplex-GS, and return ``folder``.
+    """Write a synthetic checkpoint of Duplex-GS, and return ``folder``.
 
     Args:
-        folder: Where.
-        options: What anchor methods share.
-        mode: How a level becomes a whole number: round, floor, ceil or progressive.
-        fork: By how much a level is finer than the one before.
-        levels: How many there are.
-        degree: Of the spherical harmonics of visibility.
+        folder: The folder to write.
+        options: Options of all anchor methods.
+        mode: Rounding of levels: round, floor, ceil or progressive.
+        fork: Ratio of the cell sizes of a level and the next finer one.
+        levels: Number of levels.
+        degree: SH degree of the visibility.
         sigma: The depth at which weights fall to 0.
-        depth: Whether they fall with depth at all.
+        depth: Whether weights fall with depth.
     """
     rng = np.random.default_rng(options.seed)
     n = options.anchors
-    columns = _place(options) | _levels(options, levels, rng)
+    columns = _positions(options) | _levels(options, levels, rng)
     columns["info"][2:5] = sigma, 0.05, 1.0  # sigma, background weight, transmittance grade
     dropped = ("opacity", "scale_", "rot_")
-    made = _payload(options, rng)
-    columns |= {name: made[name] for name in made if not name.startswith(dropped)}
+    payload = _payload(options, rng)
+    columns |= {name: payload[name] for name in payload if not name.startswith(dropped)}
     columns |= {f"anchor_size_{i}": rng.normal(-2.2, 0.3, n) for i in range(3)}
     columns |= {f"anchor_rot_{i}": rng.normal(0, 1, n) for i in range(4)}
     columns["anchor_shd_0"] = rng.normal(6, 1, n)
-    rest = range((degree + 1) ** 2 - 1)
-    columns |= {f"anchor_shv_{i}": rng.normal(0, 0.5, n) for i in rest}
+    indices = range((degree + 1) ** 2 - 1)
+    columns |= {f"anchor_shv_{i}": rng.normal(0, 0.5, n) for i in indices}
     cfg = _cfg(options) | _level_cfg(options, mode, fork)
     cfg |= {"max_sh_degree": degree, "depth_correct": depth, "add_vi_dist": False}
     _write(folder, options, columns, cfg | {"ET_grade": 2.0, "ET_grade_final": 1.0})
@@ -140,7 +140,7 @@ def _levels(
     level = rng.integers(0, levels, n)
     level[:2] = 0, levels - 1
     info = np.zeros(n)
-    info[:2] = 0.2, 6.0  # voxel size, and the distance at which level 0 is right
+    info[:2] = 0.2, 6.0  # voxel size, and the distance of level 0
     return {"level": level, "extra_level": rng.normal(0, 0.3, n), "info": info}
 
 
@@ -149,7 +149,7 @@ def _level_cfg(options: AnchorOptions, mode: str, fork: int) -> dict[str, object
     return cfg | {"progressive": True, "resolution_scales": [1.0], "base_layer": 5}
 
 
-def _place(options: AnchorOptions) -> dict[str, Float[np.ndarray, " n"]]:
+def _positions(options: AnchorOptions) -> dict[str, Float[np.ndarray, " n"]]:
     knot = torus_knot(options.anchors, degree=0, seed=options.seed)
     return dict(zip("xyz", knot.position.T, strict=True))
 
@@ -157,7 +157,7 @@ def _place(options: AnchorOptions) -> dict[str, Float[np.ndarray, " n"]]:
 def _payload(
     options: AnchorOptions, rng: np.random.Generator
 ) -> dict[str, Float[np.ndarray, " n"]]:
-    """Return offsets, features, scales and rotations; offsets are stored axis by axis."""
+    """Return the columns of offsets (stored axis by axis), features, scales and rotations."""
     n, k = options.anchors, options.per_anchor
     offset = rng.normal(0, 1, (n, k, 3)).transpose(0, 2, 1).reshape(n, 3 * k)
     feature = rng.normal(0, 0.5, (n, options.width))
@@ -167,11 +167,11 @@ def _payload(
         [rng.normal(-3, 0.3, (n, 3)), rng.normal(-2.5, 0.3, (n, 3))], axis=1
     )
     rotation = rng.normal(0, 1, (n, 4))
-    named = {f"f_offset_{i}": offset[:, i] for i in range(3 * k)}
-    named |= {f"f_anchor_feat_{i}": feature[:, i] for i in range(options.width)}
-    named["opacity"] = np.full(n, 0.1)
-    named |= {f"scale_{i}": scale[:, i] for i in range(6)}
-    return named | {f"rot_{i}": rotation[:, i] for i in range(4)}
+    columns = {f"f_offset_{i}": offset[:, i] for i in range(3 * k)}
+    columns |= {f"f_anchor_feat_{i}": feature[:, i] for i in range(options.width)}
+    columns["opacity"] = np.full(n, 0.1)
+    columns |= {f"scale_{i}": scale[:, i] for i in range(6)}
+    return columns | {f"rot_{i}": rotation[:, i] for i in range(4)}
 
 
 def _cfg(options: AnchorOptions) -> dict[str, object]:
@@ -193,42 +193,41 @@ def _write(
     columns: Mapping[str, np.ndarray],
     cfg: Mapping[str, object],
 ) -> None:
-    place = folder / "point_cloud" / f"iteration_{options.iteration}"
+    iteration_folder = folder / "point_cloud" / f"iteration_{options.iteration}"
     write_cfg_args(folder, cfg)
-    write_columns(place / "point_cloud.ply", columns)
-    octree = "level" in columns
-    networks = _networks(options, octree)
+    write_columns(iteration_folder / "point_cloud.ply", columns)
+    networks = _networks(options, octree="level" in columns)
     if options.united:
         united = {
             {"embedding_appearance": "appearance"}.get(name, name): network.state_dict()
             for name, network in networks.items()
         }
-        torch.save(united, place / "checkpoints.pth")
+        torch.save(united, iteration_folder / "checkpoints.pth")
         return
     for name, network in networks.items():
-        _save_script(network, place / f"{name}.pt")
+        _save_script(network, iteration_folder / f"{name}.pt")
 
 
-def _networks(options: AnchorOptions, octree: bool) -> dict[str, nn.Module]:
+def _networks(options: AnchorOptions, *, octree: bool) -> dict[str, nn.Module]:
     generator = torch.Generator().manual_seed(options.seed)
     known = options.width + 3 + options.level
-    made: dict[str, nn.Module] = {}
+    networks: dict[str, nn.Module] = {}
     for index, (name, outputs) in enumerate(_HEADS.items()):
         inputs = known + options.distance[index]
         inputs += options.appearance if name == "color_mlp" else 0
         head = _network(inputs, options.width, outputs * options.per_anchor, generator)
-        _shape(name, head, options.per_anchor)
-        made[name] = head
+        _shape_head(name, head, options.per_anchor)
+        networks[name] = head
     if options.bank:
         inputs = 3 + options.level if octree else 4
-        made["feature_bank_mlp"] = _network(inputs, options.width, 3, generator)
+        networks["feature_bank_mlp"] = _network(inputs, options.width, 3, generator)
     if options.appearance:
-        made["embedding_appearance"] = _Embedding(options, generator)
-    return made
+        networks["embedding_appearance"] = _Embedding(options, generator)
+    return networks
 
 
 class _Embedding(nn.Module):
-    """What the published code wraps an embedding in."""
+    """Wraps an embedding as the published code does."""
 
     def __init__(self, options: AnchorOptions, generator: torch.Generator) -> None:
         super().__init__()
@@ -237,8 +236,8 @@ class _Embedding(nn.Module):
             self.embedding.weight.normal_(generator=generator)
 
     def forward(self, index: Tensor) -> Tensor:
-        made: Tensor = self.embedding(index)
-        return made
+        rows: Tensor = self.embedding(index)
+        return rows
 
 
 def _network(
@@ -252,8 +251,8 @@ def _network(
     return network
 
 
-def _shape(name: str, head: nn.Sequential, per_anchor: int) -> None:
-    """Let hues through to the colour, and raise opacities."""
+def _shape_head(name: str, head: nn.Sequential, per_anchor: int) -> None:
+    """Make the colour follow the hue in the feature, and raise opacities."""
     first, last = head[0], head[2]
     assert isinstance(first, nn.Linear)
     assert isinstance(last, nn.Linear)
@@ -268,7 +267,7 @@ def _shape(name: str, head: nn.Sequential, per_anchor: int) -> None:
 
 
 def _save_script(network: nn.Module, path: Path) -> None:
-    """Save as the published code does, by tracing."""
+    """Save a network as TorchScript by tracing, as the published code does."""
     example: Tensor
     if isinstance(network, nn.Sequential):
         first = network[0]
@@ -277,6 +276,6 @@ def _save_script(network: nn.Module, path: Path) -> None:
     else:
         example = torch.zeros(1, dtype=torch.long)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # tracing is on its way out of torch
+        warnings.simplefilter("ignore")  # torch.jit.trace is deprecated
         traced = torch.jit.trace(network.eval(), example)  # type: ignore[no-untyped-call]
         traced.save(str(path))

@@ -4,7 +4,7 @@
 changes of its skinning weights' logarithms (skhu101/GauHuman, ``nets/``).
 """
 
-__all__ = ["OCTAVES", "SKIP", "PoseNets", "read_pose_nets", "weight_offsets"]
+__all__ = ["SKIP", "PoseNets", "read_pose_nets", "weight_offsets"]
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,11 +16,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.reference_plugins.loading.states import Shape, require_tensors
+from gsgen.reference_plugins.tensors.positional_encoding import (
+    POINT_OCTAVES,
+    encoded_size,
+    positional_encoding,
+)
 
 Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
 
-OCTAVES = 10
-_EMBEDDED = 3 * (2 * OCTAVES + 1)
+_EMBEDDED = encoded_size(3, POINT_OCTAVES)
 # The layer that sees the embedded point once more.
 SKIP = 3
 
@@ -73,11 +77,7 @@ def _width(weight: Any) -> int | None:
 
 def weight_offsets(nets: PoseNets, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n j"]:
     """Return what is added to the logarithms of the skinning weights at ``points``, in float64."""
-    embedded = [points.double()]
-    for octave in range(OCTAVES):
-        angle = points.double() * 2.0**octave
-        embedded += [torch.sin(angle), torch.cos(angle)]
-    first = hidden = torch.cat(embedded, dim=1)
+    first = hidden = positional_encoding(points.double(), POINT_OCTAVES)
     *inner, last = nets.weights
     for index, (weight, bias) in enumerate(inner):
         if index == SKIP:

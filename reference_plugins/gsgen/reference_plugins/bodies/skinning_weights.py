@@ -12,10 +12,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from gsgen.reference_plugins.bodies.pose_networks import OCTAVES, SKIP, PoseNets
+from gsgen.reference_plugins.bodies.pose_networks import SKIP, PoseNets
 from gsgen.reference_plugins.bodies.skinning import multiplied
 from gsgen.reference_plugins.tensors.layers import Dense
 from gsgen.reference_plugins.tensors.planes import planes_of, rotation_columns
+from gsgen.reference_plugins.tensors.positional_encoding import (
+    POINT_OCTAVES,
+    positional_encoding,
+)
 
 # Added to the skinning weights before their logarithm (GauHuman, scene/gaussian_model.py).
 LEAST_WEIGHT = 1e-9
@@ -29,13 +33,7 @@ class _Offsets(nn.Module):
         self.layers = nn.ModuleList(Dense(*layer) for layer in nets.weights)
 
     def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n j"]:
-        parts = [points]
-        for octave in range(OCTAVES):
-            angle = points * 2.0**octave
-            parts.append(torch.cat([torch.sin(angle), torch.cos(angle)], dim=1))
-        while len(parts) > 1:  # no concatenation takes more than four
-            parts = [torch.cat(parts[i : i + 4], dim=1) for i in range(0, len(parts), 4)]
-        first = hidden = parts[0]
+        first = hidden = positional_encoding(points, POINT_OCTAVES)
         *inner, last = self.layers
         for index, layer in enumerate(inner):
             taken = torch.cat([first, hidden], dim=1) if index == SKIP else hidden

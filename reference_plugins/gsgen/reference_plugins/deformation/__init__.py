@@ -1,1 +1,1 @@
-"""Deformed scenes: Deformable 3DGS and HexPlane 4DGS."""
+"""How are deforming scenes exported: Deformable-3D-Gaussians and 4DGaussians?"""

@@ -19,8 +19,8 @@ from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication
 if TYPE_CHECKING:
     from gsgen.reference_plugins.deformation.deformable_3dgs import Deformable3DGS
 
-# What a good graphics card does in a sixtieth of a second, at a tenth of its peak.
-_HEAVY = 60e9
+# Operations of a good graphics card in a sixtieth of a second, at a tenth of its peak.
+_HIGH_OPERATIONS = 60e9
 _PUBLICATION = Publication(
     paper="Yang et al. 2024",
     arxiv="2309.13101",
@@ -36,7 +36,7 @@ def build(
     fps: Fps = None,
     loop: Loop = False,
 ) -> "Deformable3DGS":
-    """Read a checkpoint, say what is in it, and return its generator."""
+    """Read a checkpoint, report its contents, and return its generator."""
     from gsgen.reference_plugins.deformation.deformable_3dgs import Deformable3DGS
     from gsgen.reference_plugins.deformation.deformation_checkpoint import read_deformation
     from gsgen.reference_plugins.loading.provenance import producer_of
@@ -45,13 +45,13 @@ def build(
     read = read_deformation(checkpoint, iteration)
     report_checkpoint(read.describe(), read.cfg)
     if not read.cfg.present:
-        note(f"note: there is no {read.cfg.path}; the kind is taken from the network")
-    if read.operations > _HEAVY:
+        note(f"note: {read.cfg.path} is missing; the network tells its variant")
+    if read.operations > _HIGH_OPERATIONS:
         note(f"warning: {read.operations / 1e9:.0f} GFLOP a frame is slow on most machines")
     time = inputs.time(frames=frames, fps=fps, loop=loop or None)
-    made = Deformable3DGS(read.canonical, read.net, time)
-    made.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
-    return made
+    generator = Deformable3DGS(read.canonical, read.net, time)
+    generator.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
+    return generator
 
 
 def _recognises(run: Path, iteration: Path) -> bool:

@@ -1,8 +1,8 @@
-"""Checkpoints of Deformable-3D-Gaussians: a 3DGS PLY and the network that deforms it.
+"""Reads checkpoints of Deformable-3D-Gaussians: a 3DGS PLY and its deformation network.
 
 ``deform/iteration_N/deform.pth`` is the state dict of ``DeformNetwork``
-(ingra14m/Deformable-3D-Gaussians, ``utils/time_utils.py``). Its kind follows from its tensors;
-``cfg_args`` has to agree.
+(ingra14m/Deformable-3D-Gaussians, ``utils/time_utils.py``). Its variant follows from its tensors,
+and must agree with ``cfg_args``.
 """
 
 __all__ = ["Deformation", "DeformationCheckpoint", "read_deformation"]
@@ -20,29 +20,29 @@ from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.reference_plugins.loading.folder import find_iteration, within_run
 from gsgen.reference_plugins.loading.method_detection import refuse_other_method
 from gsgen.reference_plugins.loading.states import Shape, load_state, require_tensors
+from gsgen.reference_plugins.tensors.positional_encoding import POINT_OCTAVES, encoded_size
 
-OCTAVES = 10
 BLENDER_TIME_OCTAVES = 6
 
-_PLACE = 3 * (2 * OCTAVES + 1)
-_TIME = 2 * OCTAVES + 1
-_BLENDER_TIME = 2 * BLENDER_TIME_OCTAVES + 1
+_POINT_INPUTS = encoded_size(3, POINT_OCTAVES)
+_TIME = encoded_size(1, POINT_OCTAVES)
+_BLENDER_TIME = encoded_size(1, BLENDER_TIME_OCTAVES)
 _LAYER = re.compile(r"linear\.(\d+)\.weight")
 
 Layer = tuple[Tensor, Tensor]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Deformation:
-    """The network.
+    """The layers of the deformation network.
 
     Attributes:
-        layers: Its layers, as (weight, bias); the first takes the embedded point and time.
-        skip: Which layer takes them once more, before what the layers before it gave.
-        time: Two layers that embed time further, for scenes of Blender.
-        warp: The translation, or with six degrees of freedom the axis and the moment of a screw.
-        rotation: What is added to the quaternion.
-        scaling: What is added to the scale.
+        layers: Layers as (weight, bias); the first takes the encoded point and time.
+        skip: Index of the layer that takes these inputs again, before its hidden inputs.
+        time: Two further layers for the encoded time, in scenes of Blender.
+        warp: The translation; with six degrees of freedom the axis and the moment of a screw.
+        rotation: The change of the quaternion, which is added.
+        scaling: The change of the scale, which is added.
     """
 
     layers: tuple[Layer, ...]
@@ -54,20 +54,20 @@ class Deformation:
 
     @property
     def has_six_degrees(self) -> bool:
-        """Whether points move along screws."""
+        """Whether points move by screw motions."""
         return len(self.warp) == 2
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DeformationCheckpoint:
-    """Everything that inference needs.
+    """The contents of a Deformable-3D-Gaussians checkpoint.
 
     Attributes:
-        folder: Of the training run.
-        iteration: Which one.
-        cfg: Its options.
-        canonical: The Gaussians.
-        net: What deforms them.
+        folder: Folder of the training run.
+        iteration: Number of the iteration.
+        cfg: Options of the training run.
+        canonical: The canonical Gaussians.
+        net: The deformation network.
     """
 
     folder: Path
@@ -78,12 +78,12 @@ class DeformationCheckpoint:
 
     @property
     def operations(self) -> int:
-        """Multiplications and additions of one frame."""
+        """Number of multiplications and additions in a frame."""
         weights = [weight.numel() for weight, _ in self.net.layers]
         return 2 * len(self.canonical) * sum(weights)
 
     def describe(self) -> str:
-        """Say in one line what it holds."""
+        """Return the sizes and the variant of the network as one line."""
         kind = "Blender" if self.net.time is not None else "real"
         motion = "screws (6 degrees of freedom)" if self.net.has_six_degrees else "shifts"
         return (
@@ -97,51 +97,59 @@ def read_deformation(folder: Path, iteration: int | None = None) -> DeformationC
     """Read a checkpoint of Deformable-3D-Gaussians.
 
     Args:
-        folder: What training wrote, or what is in it of an iteration.
-        iteration: The last where absent.
+        folder: Folder of the training run or of one iteration, or a file in either.
+        iteration: Number of the iteration; the last if absent.
 
     Raises:
-        CheckpointInvalid: Something is missing, or does not fit the rest.
+        CheckpointInvalid: A file or a tensor is missing or damaged, or contradicts another.
     """
     folder, iteration = within_run(folder, iteration)
-    number, place = find_iteration(folder, iteration)
-    refuse_other_method("deformable-3dgs", folder, place)
+    number, iteration_folder = find_iteration(folder, iteration)
+    refuse_other_method("deformable-3dgs", folder, iteration_folder)
     cfg = read_cfg_args(folder)
-    canonical = read_canonical(place / "point_cloud.ply")
+    canonical = read_canonical(iteration_folder / "point_cloud.ply")
     path = folder / "deform" / f"iteration_{number}" / "deform.pth"
     net = _read_net(path, load_state(path, "the deformation network"))
-    for option, seen in (
+    for option, actual in (
         ("is_blender", net.time is not None),
         ("is_6dof", net.has_six_degrees),
     ):
-        if cfg.flag(option, default=seen) != seen:
-            what = f"{option} is {not seen}, but the network in {path} says {seen}"
-            raise CheckpointInvalid(what, where=str(cfg.path))
-    return DeformationCheckpoint(folder, number, cfg, canonical, net)
+        if cfg.flag(option, default=actual) != actual:
+            message = f"{option} is {not actual}, but the network in {path} has {actual}"
+            raise CheckpointInvalid(message, where=str(cfg.path))
+    return DeformationCheckpoint(
+        folder=folder, iteration=number, cfg=cfg, canonical=canonical, net=net
+    )
 
 
 def _read_net(path: Path, state: Mapping[str, Tensor]) -> Deformation:
     first = state.get("linear.0.weight")
-    found = {int(match[1]) for name in state if (match := _LAYER.fullmatch(name))}
-    if not isinstance(first, Tensor) or first.ndim != 2 or found != set(range(len(found))):
-        what = f"layers linear.N are {sorted(found)}, expected 0 to 7"
-        raise CheckpointInvalid(what, where=str(path))
-    wide, count = first.shape[0], len(found)
+    layers = {int(match[1]) for name in state if (match := _LAYER.fullmatch(name))}
+    if (
+        not isinstance(first, Tensor)
+        or first.ndim != 2
+        or layers != set(range(len(layers)))
+    ):
+        message = f"layers linear.N are {sorted(layers)}, expected 0 to 7"
+        raise CheckpointInvalid(message, where=str(path))
+    width, count = first.shape[0], len(layers)
     skip = count // 2 + 1
     blender = "timenet.0.weight" in state
-    embedded = first.shape[1] if blender else _PLACE + _TIME
-    wanted: dict[str, Shape] = {}
+    embedded = first.shape[1] if blender else _POINT_INPUTS + _TIME
+    expected: dict[str, Shape] = {}
     for layer in range(count):
-        inputs = embedded if layer == 0 else wide + (embedded if layer == skip else 0)
-        wanted |= _linear(f"linear.{layer}", inputs, wide)
+        inputs = embedded if layer == 0 else width + (embedded if layer == skip else 0)
+        expected |= _linear(f"linear.{layer}", inputs, width)
     if blender:
-        wanted |= _linear("timenet.0", _BLENDER_TIME, None)
-        wanted |= _linear("timenet.2", None, embedded - _PLACE)
+        expected |= _linear("timenet.0", _BLENDER_TIME, None)
+        expected |= _linear("timenet.2", None, embedded - _POINT_INPUTS)
     warp = ("branch_w", "branch_v") if "branch_w.weight" in state else ("gaussian_warp",)
     for name in warp:
-        wanted |= _linear(name, wide, 3)
-    wanted |= _linear("gaussian_rotation", wide, 4) | _linear("gaussian_scaling", wide, 3)
-    read = require_tensors(path, state, wanted)
+        expected |= _linear(name, width, 3)
+    expected |= _linear("gaussian_rotation", width, 4) | _linear(
+        "gaussian_scaling", width, 3
+    )
+    read = require_tensors(path, state, expected)
     moves = [_layer(read, name) for name in warp]
     return Deformation(
         layers=tuple(_layer(read, f"linear.{i}") for i in range(count)),

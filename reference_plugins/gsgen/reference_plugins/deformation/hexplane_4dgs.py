@@ -1,8 +1,8 @@
-"""4DGaussians: canonical Gaussians that a hexplane and a small network move.
+"""4DGaussians: a hexplane and a small network deform canonical Gaussians over time.
 
 Wu et al. 2024, "4D Gaussian Splatting for Real-Time Dynamic Scene Rendering": the
 features are those of its spatial-temporal structure encoder, the heads those of its multi-head
-Gaussian deformation decoder. Only time is asked for.
+Gaussian deformation decoder. The only input is the time.
 """
 
 __all__ = ["HexPlane4DGS"]
@@ -29,24 +29,24 @@ from gsgen.sdk import GaussianGenerator, Gaussians, inputs
 
 
 class _Head(nn.Module):
-    """Two layers, for features that went through ReLU already."""
+    """Two layers with ReLU between them, for features that already passed a ReLU."""
 
     def __init__(self, pair: tuple[Layer, Layer]) -> None:
         super().__init__()
         self.first, self.second = Dense(*pair[0]), Dense(*pair[1])
 
     def forward(self, hidden: Tensor) -> Tensor:
-        made: Tensor = self.second(torch.relu(self.first(hidden)))
-        return made
+        result: Tensor = self.second(torch.relu(self.first(hidden)))
+        return result
 
 
 @final
 class HexPlane4DGS(GaussianGenerator):
-    """Gaussians that move with time."""
+    """A generator of Gaussians that a hexplane deforms over time."""
 
     family = "4d"
 
-    still: Tensor | None
+    static_share: Tensor | None
     position: Tensor
     log_scale: Tensor
     rotation: Tensor
@@ -62,14 +62,14 @@ class HexPlane4DGS(GaussianGenerator):
         *,
         bake: Bake = "auto",
     ) -> None:
-        """Bake what time does not change.
+        """Precompute every tensor that does not depend on time.
 
         Args:
-            canonical: The Gaussians at rest.
-            nets: What moves them.
-            flags: Which parts take effect.
-            time: How the input is declared; from 0 to 1 where absent.
-            bake: What of the planes of space is stored; see :class:`HexPlaneField`.
+            canonical: The canonical Gaussians.
+            nets: The hexplane and its networks.
+            flags: The active parts of the networks.
+            time: Declaration of the input; a time from 0 to 1 if absent.
+            bake: Storage of the planes of space; see :class:`HexPlaneField`.
         """
         super().__init__()
         self.rows = len(canonical)
@@ -79,8 +79,8 @@ class HexPlane4DGS(GaussianGenerator):
         self.feature = nn.ModuleList(Dense(*layer) for layer in nets.feature)
         self.heads = nn.ModuleDict({name: _Head(pair) for name, pair in nets.heads.items()})
         self.static = _Head(nets.static) if nets.static is not None else None
-        still = _still(canonical, nets) if nets.voxels is not None else None
-        self.register_buffer("still", still)
+        static_share = _static_share(canonical, nets) if nets.voxels is not None else None
+        self.register_buffer("static_share", static_share)
         self.register_buffer("position", canonical.position)
         self.register_buffer("log_scale", canonical.log_scale)
         self.register_buffer("rotation", canonical.rotation)
@@ -93,39 +93,39 @@ class HexPlane4DGS(GaussianGenerator):
         for index, layer in enumerate(self.feature):
             hidden = layer(torch.relu(hidden) if index else hidden)
         hidden = torch.relu(hidden)
-        share = self.static(hidden) if self.static is not None else self.still
-        scale = torch.exp(self._moved("scales", self.log_scale, hidden, share))
+        share = self.static(hidden) if self.static is not None else self.static_share
+        scale = torch.exp(self._deformed("scales", self.log_scale, hidden, share))
         return Gaussians(
-            position=self._moved("pos", self.position, hidden, share),
+            position=self._deformed("pos", self.position, hidden, share),
             opacity=torch.sigmoid(
-                self._moved("opacity", self.logit_opacity, hidden, share)
+                self._deformed("opacity", self.logit_opacity, hidden, share)
             ),
-            covariance=stacked(covariance_planes(planes_of(scale), self._turned(hidden))),
-            sh=self._moved("shs", self.sh, hidden, share).reshape(self.rows, -1, 3),
+            covariance=stacked(covariance_planes(planes_of(scale), self._rotation(hidden))),
+            sh=self._deformed("shs", self.sh, hidden, share).reshape(self.rows, -1, 3),
         )
 
-    def _moved(
-        self, head: str, rest: Tensor, hidden: Tensor, share: Tensor | None
+    def _deformed(
+        self, head: str, canonical: Tensor, hidden: Tensor, share: Tensor | None
     ) -> Tensor:
-        """Return ``rest``, the part of it that stays and what its head adds."""
+        """Return the masked ``canonical`` values plus the output of their head."""
         if head not in self.heads:
-            return rest
-        kept = rest if share is None else rest * share
-        made: Tensor = kept + self.heads[head](hidden)
-        return made
+            return canonical
+        masked = canonical if share is None else canonical * share
+        moved: Tensor = masked + self.heads[head](hidden)
+        return moved
 
-    def _turned(self, hidden: Tensor) -> list[Tensor]:
-        """Return the rotations as planes; no mask applies to them."""
-        rest = planes_of(self.rotation)
+    def _rotation(self, hidden: Tensor) -> list[Tensor]:
+        """Return the quaternions as planes; masks do not apply to them."""
+        rotation = planes_of(self.rotation)
         if "rotations" not in self.heads:
-            return rest
+            return rotation
         change = planes_of(self.heads["rotations"](hidden))
         if self.apply_rotation:
-            return _product(rest, change)
-        return [a + b for a, b in zip(rest, change, strict=True)]
+            return _quaternion_product(rotation, change)
+        return [a + b for a, b in zip(rotation, change, strict=True)]
 
 
-def _product(a: Sequence[Tensor], b: Sequence[Tensor]) -> list[Tensor]:
+def _quaternion_product(a: Sequence[Tensor], b: Sequence[Tensor]) -> list[Tensor]:
     """Return the Hamilton product of quaternions given as w, x, y, z."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
@@ -137,13 +137,13 @@ def _product(a: Sequence[Tensor], b: Sequence[Tensor]) -> list[Tensor]:
     ]
 
 
-def _still(canonical: Canonical, nets: HexPlaneNets) -> Float[Tensor, "n 1"]:
-    """Look up, trilinearly, how much of each Gaussian stays; outside the voxels nothing does."""
+def _static_share(canonical: Canonical, nets: HexPlaneNets) -> Float[Tensor, "n 1"]:
+    """Interpolate the static share of each Gaussian in the voxels; it is 0 outside."""
     assert nets.voxels is not None
     grid, low, high = nets.voxels
-    place = (canonical.position - low) / (high - low) * 2 - 1
-    at = place.flip(-1)[None, :, None, None]
+    position = (canonical.position - low) / (high - low) * 2 - 1
+    samples = position.flip(-1)[None, :, None, None]
     sampled = torch.nn.functional.grid_sample(
-        grid[None, None], at, mode="bilinear", padding_mode="zeros", align_corners=True
+        grid[None, None], samples, mode="bilinear", padding_mode="zeros", align_corners=True
     )
     return sampled.reshape(-1, 1)

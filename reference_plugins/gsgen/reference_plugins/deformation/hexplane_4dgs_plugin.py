@@ -25,7 +25,7 @@ _Bake = Annotated[
     Literal["auto", "always", "never"],
     typer.Option(
         help="Store the products of the planes of space for each Gaussian (always), the planes "
-        "themselves (never), or what is smaller (auto)."
+        "themselves (never), or the smaller ones (auto)."
     ),
 ]
 _PUBLICATION = Publication(
@@ -44,7 +44,7 @@ def build(
     loop: Loop = False,
     bake: _Bake = "auto",
 ) -> "HexPlane4DGS":
-    """Read a checkpoint, say what is in it, and return its generator."""
+    """Read a checkpoint, report its contents, and return its generator."""
     from gsgen.reference_plugins.deformation.hexplane_4dgs import HexPlane4DGS
     from gsgen.reference_plugins.deformation.hexplane_checkpoint import read_hexplanes
     from gsgen.reference_plugins.loading.provenance import producer_of
@@ -53,11 +53,11 @@ def build(
     read = read_hexplanes(checkpoint, iteration)
     report_checkpoint(read.describe(), read.cfg)
     if read.flags.mask == "empty_voxel":
-        note("warning: empty_voxel is honoured, but was never compared with the original")
+        note("warning: empty_voxel was never compared with the original code")
     time = inputs.time(frames=frames, fps=fps, loop=loop or None)
-    made = HexPlane4DGS(read.canonical, read.nets, read.flags, time, bake=bake)
-    made.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
-    return made
+    generator = HexPlane4DGS(read.canonical, read.nets, read.flags, time, bake=bake)
+    generator.producer = producer_of(_PUBLICATION.code, read.folder, read.iteration)
+    return generator
 
 
 def _recognises(run: Path, iteration: Path) -> bool:

@@ -1,8 +1,8 @@
-"""Checkpoints of 4DGaussians: a 3DGS PLY and, beside it, the network that moves it.
+"""Reads checkpoints of 4DGaussians: a 3DGS PLY, a hexplane and its networks.
 
 ``deformation.pth`` is the state dict of ``deform_network`` (hustvl/4DGaussians,
-``scene/deformation.py``, ``scene/hexplane.py``). Sizes follow from its tensors; which parts take
-effect is said by ``cfg_args`` alone.
+``scene/deformation.py``, ``scene/hexplane.py``). Sizes follow from its tensors; only
+``cfg_args`` tells which parts are active.
 """
 
 __all__ = [
@@ -35,14 +35,14 @@ from gsgen.reference_plugins.loading.states import (
     require_tensors,
 )
 
-# What each head changes, and how many numbers it gives.
+# Head, named after the values that it changes → number of its outputs.
 HEADS = {"pos": 3, "scales": 3, "rotations": 4, "opacity": 1, "shs": 48}
 
 _NET = "deformation_net."
 _GRID = re.compile(r"grid\.grids\.(\d+)\.(\d+)")
 _OUT = re.compile(r"feature_out\.(\d+)\.weight")
 _PLANES = 6
-# Left over from an earlier way to encode time, and computed again where needed.
+# Tensors of an earlier encoding of time; inference does not need them.
 _UNUSED = ("timenet.", "time_poc", "pos_poc", "rotation_scaling_poc", "opacity_poc")
 
 Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
@@ -50,12 +50,12 @@ Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
 
 @dataclass(frozen=True, slots=True)
 class Flags:
-    """Which parts of the network take effect.
+    """The active parts of the networks.
 
     Attributes:
-        active: Heads that do, in the order of ``HEADS``.
-        apply_rotation: The rotation is multiplied on, instead of added.
-        mask: What multiplies the canonical values: ``static_mlp``, ``empty_voxel`` or nothing.
+        active: Names of the active heads, in the order of ``HEADS``.
+        apply_rotation: Multiply the rotation by the change, instead of adding it.
+        mask: Factor of the canonical values: ``static_mlp``, ``empty_voxel`` or empty.
     """
 
     active: tuple[str, ...]
@@ -64,17 +64,17 @@ class Flags:
 
     @classmethod
     def of(cls, cfg: CfgArgs) -> "Flags":
-        """Return what a training run chose; defaults are those of the published code.
+        """Read the flags of a training run, with the defaults of the published code.
 
         Raises:
-            CheckpointInvalid: It chose something that never worked there, or no deformation.
+            CheckpointInvalid: An option that never worked in that code, or no active head.
         """
         if cfg.flag("no_grid"):
             hint = "The published code fails with it, too."
             raise CheckpointInvalid("no_grid is True", where=str(cfg.path), hint=hint)
         if cfg.integer("grid_pe", 0) > 1:
-            what = f"grid_pe is {cfg.values['grid_pe']}, expected 0 or 1"
-            raise CheckpointInvalid(what, where=str(cfg.path))
+            message = f"grid_pe is {cfg.values['grid_pe']}, expected 0 or 1"
+            raise CheckpointInvalid(message, where=str(cfg.path))
         off = {
             "pos": cfg.flag("no_dx"),
             "scales": cfg.flag("no_ds"),
@@ -84,17 +84,17 @@ class Flags:
         }
         active = tuple(head for head in HEADS if not off[head])
         if not active:
-            what = "no_dx, no_ds, no_dr, no_do and no_dshs are all True: nothing moves"
+            message = "no_dx, no_ds, no_dr, no_do and no_dshs are all True: nothing moves"
             hint = "Export the PLY with `gsgen export static`."
-            raise CheckpointInvalid(what, where=str(cfg.path), hint=hint)
+            raise CheckpointInvalid(message, where=str(cfg.path), hint=hint)
         mask = "static_mlp" if cfg.flag("static_mlp") else ""
         mask = mask or ("empty_voxel" if cfg.flag("empty_voxel") else "")
         return cls(active, cfg.flag("apply_rotation"), mask)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HexPlaneNets:
-    """The network.
+    """The hexplane and its networks.
 
     Attributes:
         aabb: Box of the planes; the first row is the upper corner.
@@ -102,8 +102,8 @@ class HexPlaneNets:
             xy xz xt yz yt zt.
         feature: Layers behind the planes, with ReLU between them.
         heads: For each active head two layers, with ReLU before each.
-        static: The same for the mask of static parts, where there is one.
-        voxels: Grid [x, y, z] and its lower and upper corner, where there is one.
+        static: Two layers of the mask of static parts, if there is one.
+        voxels: Voxel grid [x, y, z] with its lower and upper corner, if there is one.
     """
 
     aabb: Float[Tensor, "2 3"]
@@ -114,17 +114,17 @@ class HexPlaneNets:
     voxels: tuple[Tensor, Tensor, Tensor] | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HexPlaneCheckpoint:
-    """Everything that inference needs.
+    """The contents of a 4DGaussians checkpoint.
 
     Attributes:
-        folder: Of the training run.
-        iteration: Which one.
-        cfg: Its options.
-        flags: Which parts take effect.
-        canonical: The Gaussians.
-        nets: What moves them.
+        folder: Folder of the training run.
+        iteration: Number of the iteration.
+        cfg: Options of the training run.
+        flags: The active parts of the networks.
+        canonical: The canonical Gaussians.
+        nets: The hexplane and its networks.
     """
 
     folder: Path
@@ -135,7 +135,7 @@ class HexPlaneCheckpoint:
     nets: HexPlaneNets
 
     def describe(self) -> str:
-        """Say in one line what it holds."""
+        """Return the sizes and the active heads as one line."""
         grids = self.nets.grids
         sizes = ["×".join(map(str, _sizes(planes))) for planes in grids]
         parts = [
@@ -164,48 +164,57 @@ def read_hexplanes(folder: Path, iteration: int | None = None) -> HexPlaneCheckp
     """Read a checkpoint of 4DGaussians.
 
     Args:
-        folder: What training wrote, or what is in it of an iteration.
-        iteration: The last where absent; those of the coarse stage do not count.
+        folder: Folder of the training run or of one iteration, or a file in either.
+        iteration: Number of the iteration; the last of the fine stage if absent.
 
     Raises:
-        CheckpointInvalid: Something is missing, or does not fit the rest.
+        CheckpointInvalid: A file or a tensor is missing or damaged, or contradicts another.
     """
     folder, iteration = within_run(folder, iteration)
-    number, place = find_iteration(folder, iteration)
-    refuse_other_method("hexplane-4dgs", folder, place)
+    number, iteration_folder = find_iteration(folder, iteration)
+    refuse_other_method("hexplane-4dgs", folder, iteration_folder)
     cfg = read_cfg_args(folder, required=True)
     flags = Flags.of(cfg)
-    canonical = read_canonical(place / "point_cloud.ply")
+    canonical = read_canonical(iteration_folder / "point_cloud.ply")
     if "shs" in flags.active and canonical.degree != 3:
-        what = (
-            f"SH of degree {canonical.degree}, but no_dshs is False, which needs degree 3"
+        message = (
+            f"SH of degree {canonical.degree}, but no_dshs is False: expected degree 3"
         )
-        raise CheckpointInvalid(what, where=str(place / "point_cloud.ply"))
-    nets = _read_nets(place / "deformation.pth", flags)
-    return HexPlaneCheckpoint(folder, number, cfg, flags, canonical, nets)
+        raise CheckpointInvalid(message, where=str(iteration_folder / "point_cloud.ply"))
+    nets = _read_nets(iteration_folder / "deformation.pth", flags)
+    return HexPlaneCheckpoint(
+        folder=folder,
+        iteration=number,
+        cfg=cfg,
+        flags=flags,
+        canonical=canonical,
+        nets=nets,
+    )
 
 
 def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
     state = load_state(path, "the deformation network")
     net = entries_below(state, _NET)
     scales, layers = _counts(path, net)
-    wanted = _wanted(path, net, flags, scales, layers)
-    # Heads and masks that are off were saved all the same.
+    expected = _expected_shapes(path, net, flags, scales, layers)
+    # Inactive heads and masks are saved, too.
     idle = [f"{_NET}{head}_deform." for head in HEADS if head not in flags.active]
     idle += [
         f"{_NET}{mask}." for mask in ("static_mlp", "empty_voxel") if mask != flags.mask
     ]
-    read = require_tensors(path, state, {_NET + k: v for k, v in wanted.items()}, (*_UNUSED, *idle))
+    read = require_tensors(
+        path, state, {_NET + k: v for k, v in expected.items()}, (*_UNUSED, *idle)
+    )
     read = entries_below(read, _NET)
     grids = tuple(
         tuple(read[f"grid.grids.{s}.{p}"][0] for p in range(_PLANES)) for s in range(scales)
     )
     _require_sizes(path, grids)
     if (read["grid.aabb"][0] == read["grid.aabb"][1]).any():
-        what = (
+        message = (
             f"{_NET}grid.aabb is {read['grid.aabb'].tolist()}, expected a box with a volume"
         )
-        raise CheckpointInvalid(what, where=str(path))
+        raise CheckpointInvalid(message, where=str(path))
     static = _pair(read, "static_mlp") if flags.mask == "static_mlp" else None
     return HexPlaneNets(
         aabb=read["grid.aabb"],
@@ -218,43 +227,43 @@ def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
 
 
 def _counts(path: Path, net: Mapping[str, Any]) -> tuple[int, int]:
-    """Return how many resolutions and how many layers behind them there are."""
+    """Return the number of resolutions and of layers behind the planes."""
     scales = {int(match[1]) for name in net if (match := _GRID.fullmatch(name))}
     layers = {int(match[1]) for name in net if (match := _OUT.fullmatch(name))}
     if scales != set(range(len(scales))) or not scales or not layers:
-        what = f"{len(scales)} resolutions of planes, {len(layers)} layers behind them"
+        message = f"{len(scales)} resolutions of planes, {len(layers)} layers behind them"
         hint = "Expected deformation_net.grid.grids.S.P and deformation_net.feature_out.L."
-        raise CheckpointInvalid(what, where=str(path), hint=hint)
+        raise CheckpointInvalid(message, where=str(path), hint=hint)
     return len(scales), len(layers)
 
 
-def _wanted(
+def _expected_shapes(
     path: Path, net: Mapping[str, Any], flags: Flags, scales: int, layers: int
 ) -> dict[str, Shape]:
     first = net.get("feature_out.0.weight")
     plane = net.get("grid.grids.0.0")
     if not isinstance(first, Tensor) or not isinstance(plane, Tensor) or plane.ndim != 4:
-        what = "has no deformation_net.feature_out.0.weight or grid.grids.0.0"
-        raise CheckpointInvalid(what, where=str(path))
-    wide, channels = first.shape[0], plane.shape[1]
-    wanted: dict[str, Shape] = {"grid.aabb": (2, 3)}
+        message = "has no deformation_net.feature_out.0.weight or grid.grids.0.0"
+        raise CheckpointInvalid(message, where=str(path))
+    width, channels = first.shape[0], plane.shape[1]
+    expected: dict[str, Shape] = {"grid.aabb": (2, 3)}
     for scale in range(scales):
         for index in range(_PLANES):
-            wanted[f"grid.grids.{scale}.{index}"] = (1, channels, None, None)
+            expected[f"grid.grids.{scale}.{index}"] = (1, channels, None, None)
     for layer in range(layers):
-        wanted |= _linear(
-            f"feature_out.{2 * layer}", channels * scales if layer == 0 else wide, wide
+        expected |= _linear(
+            f"feature_out.{2 * layer}", channels * scales if layer == 0 else width, width
         )
     outs = {f"{head}_deform": HEADS[head] for head in flags.active}
     outs |= {"static_mlp": 1} if flags.mask == "static_mlp" else {}
     for name, out in outs.items():
-        wanted |= _linear(f"{name}.1", wide, wide) | _linear(f"{name}.3", wide, out)
+        expected |= _linear(f"{name}.1", width, width) | _linear(f"{name}.3", width, out)
     if flags.mask == "empty_voxel":
-        wanted["empty_voxel.grid"] = (1, 1, None, None, None)
+        expected["empty_voxel.grid"] = (1, 1, None, None, None)
         for corner in ("xyz_min", "xyz_max"):
             if f"empty_voxel.{corner}" in net:
-                wanted[f"empty_voxel.{corner}"] = (3,)
-    return wanted
+                expected[f"empty_voxel.{corner}"] = (3,)
+    return expected
 
 
 def _linear(name: str, inputs: int, outputs: int) -> dict[str, Shape]:
@@ -270,19 +279,19 @@ def _pair(read: Mapping[str, Tensor], name: str) -> tuple[Layer, Layer]:
 
 
 def _voxels(read: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the grid and its corners, which are those of the planes where none are stored."""
+    """Return the voxel grid and its corners, by default those of the planes."""
     upper, lower = read["grid.aabb"]
     low = read.get("empty_voxel.xyz_min", lower)
     return read["empty_voxel.grid"][0, 0], low, read.get("empty_voxel.xyz_max", upper)
 
 
 def _require_sizes(path: Path, grids: tuple[tuple[Tensor, ...], ...]) -> None:
-    """Demand that six planes agree about the resolution along each axis."""
+    """Raise if the six planes differ in the resolution along an axis."""
     pairs = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
     for scale, planes in enumerate(grids):
         size = _sizes(planes)
         for index, (first, second) in enumerate(pairs):
-            seen, expected = tuple(planes[index].shape[1:]), (size[second], size[first])
-            if seen != expected or min(seen) < 2:
-                what = f"{_NET}grid.grids.{scale}.{index} is {seen}, expected {expected}, 2 or more"
-                raise CheckpointInvalid(what, where=str(path))
+            actual, expected = tuple(planes[index].shape[1:]), (size[second], size[first])
+            if actual != expected or min(actual) < 2:
+                message = f"{_NET}grid.grids.{scale}.{index} is {actual}, expected {expected} with sizes of at least 2"
+                raise CheckpointInvalid(message, where=str(path))

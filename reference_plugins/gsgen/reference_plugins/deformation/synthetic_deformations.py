@@ -1,6 +1,6 @@
-"""Checkpoints of methods that deform Gaussians, as their training code writes them.
+"""Writes synthetic checkpoints of methods that deform Gaussians, as their training code does.
 
-The Gaussians are a torus knot; the networks are noise of a size that moves it visibly.
+The Gaussians are a torus knot; the weights are noise, large enough to move it visibly.
 """
 
 __all__ = ["HexPlaneOptions", "write_deformable", "write_hexplane"]
@@ -22,21 +22,21 @@ from gsgen.reference_plugins.synthetic.run_files import write_cfg_args
 _UNUSED = ("time_poc", "pos_poc", "rotation_scaling_poc", "opacity_poc")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HexPlaneOptions:
-    """What a training run of 4DGaussians may choose.
+    """Sizes and options of a synthetic 4DGaussians checkpoint.
 
     Attributes:
-        count: Gaussians.
-        channels: Of each plane.
+        count: Number of Gaussians.
+        channels: Channels of each plane.
         resolution: Cells along x, y, z and t.
-        multires: Factors of the first three, one for each set of planes.
-        width: Of the network.
-        depth: Of the layers behind the planes; 0 is the same as 1.
-        flags: Options of ``cfg_args`` over their defaults, such as ``no_dshs=False``.
-        degree: Of the spherical harmonics.
-        sway: How far Gaussians move, about, where the knot is three units wide.
-        seed: Of all noise.
+        multires: Factors of the cells along x, y and z, one for each set of planes.
+        width: Width of the network.
+        depth: Number of layers behind the planes; 0 means 1.
+        flags: Options of ``cfg_args`` that differ from the defaults, such as ``no_dshs=False``.
+        degree: SH degree.
+        sway: Approximate movement of Gaussians; the knot is three units wide.
+        seed: Seed of all random numbers.
     """
 
     count: int = 64
@@ -52,8 +52,8 @@ class HexPlaneOptions:
 
 
 def write_hexplane(folder: Path, options: HexPlaneOptions = HexPlaneOptions()) -> Path:
-    """Write a checkpoint of 4DGaussians, and return ``folder``."""
-    place = folder / "point_cloud" / "iteration_30000"
+    """Write a synthetic checkpoint of 4DGaussians, and return ``folder``."""
+    iteration_folder = folder / "point_cloud" / "iteration_30000"
     cfg = {
         "kplanes_config": {
             "grid_dimensions": 2,
@@ -72,19 +72,19 @@ def write_hexplane(folder: Path, options: HexPlaneOptions = HexPlaneOptions()) -
         "bounds": 1.6,
     }
     write_cfg_args(folder, cfg | dict(options.flags))
-    place.mkdir(parents=True, exist_ok=True)
+    iteration_folder.mkdir(parents=True, exist_ok=True)
     write_ply(
-        place / "point_cloud.ply",
+        iteration_folder / "point_cloud.ply",
         torus_knot(options.count, degree=options.degree, seed=options.seed),
     )
-    torch.save(_hexplane_state(options), place / "deformation.pth")
+    torch.save(_hexplane_state(options), iteration_folder / "deformation.pth")
     return folder
 
 
 def _hexplane_state(options: HexPlaneOptions) -> dict[str, Tensor]:
     noise = torch.Generator().manual_seed(options.seed)
     net = "deformation_net."
-    # The knot reaches beyond the box, so that its border is tried, too.
+    # The knot extends beyond the box, so that tests cover its border.
     state = {f"{net}grid.aabb": torch.tensor([[1.2, 0.5, 1.3], [-1.1, -0.5, -1.2]])}
     for scale, factor in enumerate(options.multires):
         sizes = [*(factor * size for size in options.resolution[:3]), options.resolution[3]]
@@ -92,17 +92,17 @@ def _hexplane_state(options: HexPlaneOptions) -> dict[str, Tensor]:
             shape = (1, options.channels, sizes[b], sizes[a])
             cells = 0.8 + 0.4 * torch.randn(shape, generator=noise)
             state[f"{net}grid.grids.{scale}.{index}"] = cells
-    wide = options.width
+    width = options.width
     for layer in range(max(1, options.depth)):
-        inputs = options.channels * len(options.multires) if layer == 0 else wide
-        state |= random_linear(f"{net}feature_out.{2 * layer}", inputs, wide, noise)
+        inputs = options.channels * len(options.multires) if layer == 0 else width
+        state |= random_linear(f"{net}feature_out.{2 * layer}", inputs, width, noise)
     for name, outputs in HEADS.items():
-        state |= random_linear(f"{net}{name}_deform.1", wide, wide, noise)
+        state |= random_linear(f"{net}{name}_deform.1", width, width, noise)
         gain = options.sway if name == "pos" else 0.15
-        state |= random_linear(f"{net}{name}_deform.3", wide, outputs, noise, gain)
+        state |= random_linear(f"{net}{name}_deform.3", width, outputs, noise, gain)
     if options.flags.get("static_mlp"):
-        state |= random_linear(f"{net}static_mlp.1", wide, wide, noise)
-        state |= random_linear(f"{net}static_mlp.3", wide, 1, noise)
+        state |= random_linear(f"{net}static_mlp.1", width, width, noise)
+        state |= random_linear(f"{net}static_mlp.3", width, 1, noise)
     if options.flags.get("empty_voxel"):
         state[f"{net}empty_voxel.grid"] = torch.rand((1, 1, 5, 6, 7), generator=noise)
     return state | {name: torch.ones(4) for name in _UNUSED}
@@ -118,16 +118,16 @@ def write_deformable(
     sway: float = 0.2,
     seed: int = 0,
 ) -> Path:
-    """Write a checkpoint of Deformable-3D-Gaussians, and return ``folder``.
+    """Write a synthetic checkpoint of Deformable-3D-Gaussians, and return ``folder``.
 
     Args:
-        folder: Where.
-        count: Gaussians.
-        blender: Time goes through a network of its own.
-        six_degrees: Points move along screws.
-        width: Of the network; 256 in the published code.
-        sway: How far Gaussians move, about, where the knot is three units wide.
-        seed: Of all noise.
+        folder: The folder to write.
+        count: Number of Gaussians.
+        blender: Encode time by a network of its own.
+        six_degrees: Move points by screw motions.
+        width: Width of the network; 256 in the published code.
+        sway: Approximate movement of Gaussians; the knot is three units wide.
+        seed: Seed of all random numbers.
     """
     noise = torch.Generator().manual_seed(seed)
     embedded = 63 + (30 if blender else 21)
@@ -135,10 +135,7 @@ def write_deformable(
     for layer in range(8):
         inputs = {0: embedded, 5: width + embedded}.get(layer, width)
         state |= random_linear(f"linear.{layer}", inputs, width, noise, 1.5)
-    for layer in (
-        0,
-        5,
-    ):  # neighbours move alike: what changes quickly in space counts for less
+    for layer in (0, 5):  # weaken high frequencies in space, so that neighbours move alike
         state[f"linear.{layer}.weight"][:, 3:63] *= 0.4 ** (torch.arange(60) // 6)
     if blender:
         state |= random_linear("timenet.0", 13, width, noise) | random_linear(
@@ -149,8 +146,8 @@ def write_deformable(
     state |= random_linear("gaussian_rotation", width, 4, noise, 0.2)
     state |= random_linear("gaussian_scaling", width, 3, noise, 0.004)
     write_cfg_args(folder, {"is_blender": blender, "is_6dof": six_degrees, "sh_degree": 3})
-    for place in ("point_cloud/iteration_40000", "deform/iteration_40000"):
-        (folder / place).mkdir(parents=True, exist_ok=True)
+    for subfolder in ("point_cloud/iteration_40000", "deform/iteration_40000"):
+        (folder / subfolder).mkdir(parents=True, exist_ok=True)
     write_ply(
         folder / "point_cloud/iteration_40000/point_cloud.ply", torus_knot(count, seed=seed)
     )
