@@ -24,10 +24,10 @@ from gsgen.contract.spec.severity import Level
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk import GaussianGenerator, export
-from gsgen.sdk.exporting.embed_manifest import finish
+from gsgen.sdk.exporting.embed_manifest import rewrite_and_embed
 from gsgen.sdk.passes.framework.base import RewriteTarget
 from gsgen.sdk.rewriting.model_io import save_model
-from gsgen.sdk.rewriting.rewrite import census
+from gsgen.sdk.rewriting.rewrite import graph_stats
 from support.models.reference_models import Avatar, HexPlane, ScaffoldDecoder
 from support.models.traced import traced
 
@@ -67,7 +67,7 @@ def built(name: str, folder: Path) -> Case:
     save_model(model, before)
     plain = copy.copy(ir.load(before))
     began = time.process_time()
-    finish(model, made.manifest, load_target("core"))
+    rewrite_and_embed(model, made.manifest, load_target("core"))
     say(f"{name}: rewritten in {time.process_time() - began:.1f} s of CPU time")
     save_model(model, after)
     inputs = [torch.from_numpy(np.array(one)) for one in probes[3].inputs.values()]
@@ -172,7 +172,7 @@ def bench_assignment(make: Callable[[], GaussianGenerator], tmp_path: Path) -> N
     for rewrite in (False, True):
         path = tmp_path / f"{rewrite}.onnx"
         export(make(), path, rewrite=rewrite, settings=static)
-        seen = census(path, goal)
+        seen = graph_stats(path, goal)
         say(
             f"{make.__name__}, {'rewritten' if rewrite else 'as torch exports it'}: {seen.nodes} nodes, "
         )

@@ -8,7 +8,7 @@ from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
 from gsgen.contract.validator import validate
 from gsgen.sdk.errors import RewriteFailed
-from gsgen.sdk.exporting.repair import Request, repair
+from gsgen.sdk.exporting.repair import RepairRequest, repair
 from gsgen.sdk.float16.convert_model import write_float16
 from gsgen.sdk.rewriting.atomic_model_files import atomic_write
 
@@ -36,7 +36,9 @@ def test_a_folder_that_is_made_meanwhile_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "known"), [("pose_of_open_size", "J"), ("drift", "none")])
 def test_a_size_for_no_dimension_is_refused(tmp_path: Path, name: str, known: str) -> None:
     with pytest.raises(UnknownName) as caught:
-        repair(find(name).write(tmp_path), tmp_path / "m.onnx", Request(sizes={"Q": 3}))
+        repair(
+            find(name).write(tmp_path), tmp_path / "m.onnx", RepairRequest(sizes={"Q": 3})
+        )
     assert str(caught.value) == f"--size: unknown dimension 'Q'\n  Known: {known}."
     assert not (tmp_path / "m.onnx").exists()
 
@@ -44,7 +46,7 @@ def test_a_size_for_no_dimension_is_refused(tmp_path: Path, name: str, known: st
 def test_small_weights_in_another_file_come_into_the_model(tmp_path: Path) -> None:
     source = find("weights_beside").write(tmp_path)
     target = tmp_path / "elsewhere" / "fixed.onnx"
-    done = repair(source, target, Request(rename=True))
+    done = repair(source, target, RepairRequest(rename=True))
     assert done.after.verdict == "conforms"
     assert [file.name for file in target.parent.iterdir()] == ["fixed.onnx"]
     assert validate(target).findings == ()

@@ -35,7 +35,7 @@ def weights(model: ir.Model) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize(("floats", "beside"), [(64, False), (65, True)])
 def test_small_weights_stay_in_the_model(tmp_path: Path, floats: int, beside: bool) -> None:
     made = model_of(floats)
-    save_model(made, tmp_path / "m.onnx", beside=True)
+    save_model(made, tmp_path / "m.onnx", external_weights=True)
     assert (tmp_path / "m.onnx.data").exists() == beside
     read = ir.load(tmp_path / "m.onnx")
     assert has_external_weights(read) == beside
@@ -47,14 +47,14 @@ def test_small_weights_stay_in_the_model(tmp_path: Path, floats: int, beside: bo
 
 @pytest.mark.parametrize("beside", [False, True])
 def test_saving_leaves_a_model_as_it_was(tmp_path: Path, beside: bool) -> None:
-    save_model(model_of(100), tmp_path / "m.onnx", beside=True)
+    save_model(model_of(100), tmp_path / "m.onnx", external_weights=True)
     read = ir.load(tmp_path / "m.onnx")
     before = [
         value.const_value
         for graph in read.graphs()
         for value in graph.initializers.values()
     ]
-    save_model(read, tmp_path / "again.onnx", beside=beside)
+    save_model(read, tmp_path / "again.onnx", external_weights=beside)
     after = [
         value.const_value
         for graph in read.graphs()
@@ -65,7 +65,7 @@ def test_saving_leaves_a_model_as_it_was(tmp_path: Path, beside: bool) -> None:
 
 
 def test_a_model_that_cannot_be_saved_is_as_it_was_too(tmp_path: Path) -> None:
-    save_model(model_of(100), tmp_path / "m.onnx", beside=True)
+    save_model(model_of(100), tmp_path / "m.onnx", external_weights=True)
     read = ir.load(tmp_path / "m.onnx")
     with pytest.raises(OSError, match="No such file"):
         save_model(read, tmp_path / "no" / "again.onnx")

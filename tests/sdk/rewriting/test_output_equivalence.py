@@ -43,9 +43,9 @@ def test_weights_in_a_file_of_any_name_are_granted_their_memory(tmp_path: Path) 
     assert granted > Limits(memory=1).for_model(array.nbytes).memory
 
 
-@pytest.mark.parametrize(("divisor", "unjudged"), [(0, ("y",)), (2, ())])
+@pytest.mark.parametrize(("divisor", "uncompared"), [(0, ("y",)), (2, ())])
 def test_an_output_without_numbers_is_not_judged(
-    tmp_path: Path, divisor: int, unjudged: tuple[str, ...]
+    tmp_path: Path, divisor: int, uncompared: tuple[str, ...]
 ) -> None:
     text = f"""g (float[2] x) => (float[2] y, float[0, 2] e, float[2] z)
         <float zero = {{0}}, float d = {{{divisor}}}, float[0, 2] none = {{}}>
@@ -55,4 +55,4 @@ def test_an_output_without_numbers_is_not_judged(
     files = tmp_path / "m.onnx", tmp_path / "m.onnx"
     made = compare_files(*files, ["y", "e", "z"], probes, Limits(), BITS, "a pass")
     assert made.differences == ()
-    assert made.unjudged == (*unjudged, "e")
+    assert made.uncompared == (*uncompared, "e")

@@ -30,7 +30,7 @@ from gsgen.sdk.passes.framework.graph_builder import InsertionPoint
 from gsgen.sdk.passes.registry import REWRITES
 from gsgen.sdk.rewriting import rewrite as pipeline
 from gsgen.sdk.rewriting.model_io import save_model
-from gsgen.sdk.rewriting.rewrite import census, rewrite_file, rewrite_graph
+from gsgen.sdk.rewriting.rewrite import graph_stats, rewrite_file, rewrite_graph
 from support.models.small_models import good_rows, save_moving
 from support.passes import HEAD, operators, parsed
 
@@ -224,7 +224,7 @@ def test_passes_that_undo_each_other_are_found_out(monkeypatch) -> None:
     monkeypatch.setattr(Scale, "matches", lambda _, node: is_op(node, "Neg"))
     monkeypatch.setattr(pipeline, "find_rewrites", lambda *_: [Scale()])
     model = parsed("g (float[2] x) => (float[2] y) { y = Neg (x) }")
-    with pytest.raises(RewriteFailed, match="does not settle after 20 rounds of scale"):
+    with pytest.raises(RewriteFailed, match="still changes after 20 rounds of scale"):
         rewrite_graph(model, RewriteTarget.of(WEBGPU))
 
 
@@ -247,7 +247,7 @@ def test_a_model_that_does_not_run_cannot_be_compared(tmp_path: Path) -> None:
     text = "g (float[3] x, int64[1] s) => (float[N] y) { r = Round (x) y = Reshape (r, s) }"
     source = written(tmp_path / "in.onnx", text)
     with pytest.raises(
-        RewriteFailed, match="as it came does not run in ONNX Runtime at probe"
+        RewriteFailed, match="before the rewrite does not run in ONNX Runtime at probe"
     ):
         rewrite_file(source, tmp_path / "out.onnx", WEBGPU)
 
@@ -287,7 +287,7 @@ def test_examples_that_no_release_captures_are_captured_afterwards(
     goal = RewriteTarget.of(CORE, parse(model.metadata_props[MANIFEST_KEY]).manifest)
     rewrite_graph(model, goal)
     save_model(model, tmp_path / "out.onnx")
-    assert census(tmp_path / "out.onnx", goal).uncaptured == ()
+    assert graph_stats(tmp_path / "out.onnx", goal).uncaptured == ()
 
 
 def test_an_input_that_is_an_output_keeps_its_name(tmp_path: Path) -> None:
@@ -330,7 +330,7 @@ def test_every_pass_says_what_it_is() -> None:
         assert one.exactness.describe()
         assert one.wanted_by
         for target in known_targets().values():
-            made = one.for_goal(RewriteTarget.of(target))
+            made = one.for_target(RewriteTarget.of(target))
             assert made is None or made.name == one.name
 
 

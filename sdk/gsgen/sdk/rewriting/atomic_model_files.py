@@ -1,4 +1,4 @@
-"""Put files in their place only when they are whole: what the contract does, for this room, too."""
+"""Atomic writes of model files, re-exported from the contract for the rooms of the SDK."""
 
 __all__ = ["atomic_write", "refuse_folder"]
 

@@ -1,6 +1,6 @@
-"""The part of a graph that no input reaches: runtimes compute it once, when a model is loaded."""
+"""The constant subgraph: nodes that depend on weights alone, which runtimes compute once."""
 
-__all__ = ["ConstantPart", "constant_nodes", "partition_constants"]
+__all__ = ["PartitionedModel", "constant_nodes", "partition_constants"]
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,22 +11,22 @@ _BODIES = (ir.AttributeType.GRAPH, ir.AttributeType.GRAPHS)
 
 
 def constant_nodes(graph: ir.Graph) -> list[ir.Node]:
-    """Return the nodes that follow from weights alone, in the order of the graph.
+    """Return the nodes that depend on weights alone, in the order of the graph.
 
-    Nodes with bodies do not count, as a body may read what it is not given, nor do nodes whose
-    every run differs.
+    Nodes with bodies are excluded, since a body may read values of the outer graph, and so are
+    random operators, whose every run differs.
     """
-    found: list[ir.Node] = []
+    constants: list[ir.Node] = []
     known: set[ir.Value] = set()
     for node in graph:
-        given = [value for value in node.inputs if value is not None]
-        bodies = any(one.type in _BODIES for one in node.attributes.values())
-        if bodies or "Random" in node.op_type or not given:
+        node_inputs = [value for value in node.inputs if value is not None]
+        bodies = any(attribute.type in _BODIES for attribute in node.attributes.values())
+        if bodies or "Random" in node.op_type or not node_inputs:
             continue
-        if all(value in known or _is_weight(value) for value in given):
-            found.append(node)
+        if all(value in known or _is_weight(value) for value in node_inputs):
+            constants.append(node)
             known.update(node.outputs)
-    return found
+    return constants
 
 
 def _is_weight(value: ir.Value) -> bool:
@@ -34,35 +34,35 @@ def _is_weight(value: ir.Value) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class ConstantPart:
-    """A model in two.
+class PartitionedModel:
+    """A model in two parts: its constant subgraph, and the nodes of every frame.
 
     Attributes:
-        once: What follows from weights, without inputs; None where nothing does.
-        rest: The model, whose further inputs are the outputs of ``once``.
-        between: Names of these.
+        constant: The constant subgraph, without inputs; None if it is empty.
+        per_frame: The other nodes; the outputs of ``constant`` are further inputs.
+        boundary: Names of these inputs.
     """
 
-    once: ir.Model | None
-    rest: ir.Model
-    between: tuple[str, ...]
+    constant: ir.Model | None
+    per_frame: ir.Model
+    boundary: tuple[str, ...]
 
 
-def partition_constants(model: ir.Model) -> ConstantPart:
-    """Cut copies of ``model`` apart; it is left as it is."""
-    rest = model.clone()
-    nodes = constant_nodes(rest.graph)
+def partition_constants(model: ir.Model) -> PartitionedModel:
+    """Split a copy of ``model`` into its constant subgraph and the nodes of every frame."""
+    per_frame = model.clone()
+    nodes = constant_nodes(per_frame.graph)
     if not nodes:
-        return ConstantPart(None, rest, ())
-    once = model.clone()
-    between = tuple(value.name or "" for value in _read_outside(rest.graph, nodes))
-    _keep_nodes(once.graph, constant_nodes(once.graph), between)
-    for value in list(_read_outside(rest.graph, nodes)):
-        _feed(rest.graph, value)
-    rest.graph.remove(nodes, safe=True)
-    for one in (once, rest):
-        _drop_weights(one.graph)
-    return ConstantPart(once, rest, between)
+        return PartitionedModel(None, per_frame, ())
+    constant = model.clone()
+    boundary = tuple(value.name or "" for value in _read_outside(per_frame.graph, nodes))
+    _keep_nodes(constant.graph, constant_nodes(constant.graph), boundary)
+    for value in list(_read_outside(per_frame.graph, nodes)):
+        _feed(per_frame.graph, value)
+    per_frame.graph.remove(nodes, safe=True)
+    for part in (constant, per_frame):
+        _drop_weights(part.graph)
+    return PartitionedModel(constant, per_frame, boundary)
 
 
 def _read_outside(graph: ir.Graph, nodes: list[ir.Node]) -> Iterator[ir.Value]:
@@ -75,24 +75,24 @@ def _read_outside(graph: ir.Graph, nodes: list[ir.Node]) -> Iterator[ir.Value]:
 
 
 def _keep_nodes(graph: ir.Graph, nodes: list[ir.Node], outputs: tuple[str, ...]) -> None:
-    kept, wanted = set(nodes), set(outputs)
-    made = {v.name: v for node in nodes for v in node.outputs if v.name in wanted}
+    retained, names = set(nodes), set(outputs)
+    values_by_name = {v.name: v for node in nodes for v in node.outputs if v.name in names}
     graph.inputs.clear()
     graph.outputs.clear()
-    graph.outputs.extend(made[name] for name in outputs)
-    graph.remove([node for node in graph if node not in kept], safe=True)
+    graph.outputs.extend(values_by_name[name] for name in outputs)
+    graph.remove([node for node in graph if node not in retained], safe=True)
 
 
 def _feed(graph: ir.Graph, value: ir.Value) -> None:
-    """Let an input take the place of ``value``, under its name."""
-    given = ir.Value(name=value.name, type=value.type, shape=value.shape)
+    """Replace ``value`` by a graph input of the same name."""
+    graph_input = ir.Value(name=value.name, type=value.type, shape=value.shape)
     value.name = f"{value.name}_computed"
-    graph.inputs.append(given)
+    graph.inputs.append(graph_input)
     for use in list(value.uses()):
-        use.node.replace_input_with(use.idx, given)
+        use.node.replace_input_with(use.idx, graph_input)
     for index, output in enumerate(list(graph.outputs)):
         if output is value:
-            graph.outputs[index] = given
+            graph.outputs[index] = graph_input
 
 
 def _drop_weights(graph: ir.Graph) -> None:

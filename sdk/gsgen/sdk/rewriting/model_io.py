@@ -1,4 +1,4 @@
-"""Save a graph: in one file, or with its weights beside it where one file cannot hold them."""
+"""Save a graph in one file, or with a second file for weights beyond protobuf's limit."""
 
 __all__ = ["has_external_weights", "refuse_overwriting", "save_model", "weight_bytes"]
 
@@ -10,20 +10,19 @@ import onnx_ir as ir
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.model.model_file import ModelFile
+from gsgen.contract.spec.onnx_facts import INLINE_LIMIT
 
-# A protobuf message ends at 2 GiB; weights beyond this go to a file beside the model.
-_INLINE_BYTES = 1_900_000_000
-# Weights up to this size stay in the model even where others go beside it.
+# Weights up to this size stay in the model even if larger ones go to a second file.
 _SMALL_BYTES = 256
 
 
 def weight_bytes(model: ir.Model) -> int:
-    """Return the size of all weights, those of subgraphs included."""
+    """Return the bytes of all weights, including those of subgraphs."""
     return sum(_sizes(model))
 
 
 def has_external_weights(model: ir.Model) -> bool:
-    """Say whether a weight lies in another file than the model."""
+    """Return whether a weight is stored in another file than the model."""
     return any(
         isinstance(value.const_value, ir.ExternalTensor) for value in _weights(model)
     )
@@ -35,39 +34,41 @@ def _weights(model: ir.Model) -> Iterator[ir.Value]:
 
 
 def _sizes(model: ir.Model) -> list[int]:
-    held = (value.const_value for value in _weights(model))
-    return [tensor.nbytes for tensor in held if tensor is not None]
+    tensors = (value.const_value for value in _weights(model))
+    return [tensor.nbytes for tensor in tensors if tensor is not None]
 
 
 def refuse_overwriting(source: ModelFile, path: Path) -> None:
-    """Refuse a place where a copy, or its weights, would take that of the source's weights.
+    """Raise if saving a copy to ``path`` would overwrite the weights of ``source``.
 
-    A model that was renamed still reads the file beside it that bears its old name.
+    A renamed model still reads the weight file with its old name.
 
     Raises:
-        ConfigInvalid: Saving to ``path`` would spoil ``source``.
+        ConfigInvalid: ``path``, or its weight file, is a weight file of ``source``.
     """
     if path.resolve() == source.path.resolve():
         return
     read = {(source.path.parent / ref.location).resolve() for ref in source.external}
-    made = path.resolve(), path.with_name(f"{path.name}.data").resolve()
-    lost = [one.name for one in made if one in read]
-    if lost:
-        what = f"would replace {lost[0]}, which {source.path.name} reads"
-        raise ConfigInvalid(what, where=str(path), hint="Choose another name or folder.")
+    written = path.resolve(), path.with_name(f"{path.name}.data").resolve()
+    overwritten = [target.name for target in written if target in read]
+    if overwritten:
+        message = f"would replace {overwritten[0]}, which {source.path.name} reads"
+        raise ConfigInvalid(message, where=str(path), hint="Choose another name or folder.")
 
 
-def save_model(model: ir.Model, path: Path, *, beside: bool = False) -> None:
+def save_model(model: ir.Model, path: Path, *, external_weights: bool = False) -> None:
     """Write ``model`` to ``path``.
 
     Args:
-        model: What to write; it is left as it is.
-        path: Where to.
-        beside: Weights go to ``path`` with ``.data`` behind it, even if they fit the file; there
-            is no such file where all are small.
+        model: The model to write; it stays unchanged.
+        path: The model file.
+        external_weights: Whether large weights go to a second file, ``path`` with the suffix
+            ``.data``, even if they fit the model file.
     """
     sizes = _sizes(model)
-    if (beside and max(sizes, default=0) > _SMALL_BYTES) or sum(sizes) > _INLINE_BYTES:
+    if (external_weights and max(sizes, default=0) > _SMALL_BYTES) or sum(
+        sizes
+    ) > INLINE_LIMIT:
         name = f"{path.name}.data"
         ir.save(model, path, external_data=name, size_threshold_bytes=_SMALL_BYTES)
         return
@@ -77,12 +78,12 @@ def save_model(model: ir.Model, path: Path, *, beside: bool = False) -> None:
 
 @contextmanager
 def _weights_in_memory(model: ir.Model) -> Iterator[None]:
-    """Hold the numbers of weights in other files, and forget them in the end."""
-    lying = [v for v in _weights(model) if isinstance(v.const_value, ir.ExternalTensor)]
-    tensors = [value.const_value for value in lying]
+    """Load the weights of other files into memory, and release them at the end."""
+    external = [v for v in _weights(model) if isinstance(v.const_value, ir.ExternalTensor)]
+    tensors = [value.const_value for value in external]
     ir.external_data.load_to_model(model)
     try:
         yield
     finally:
-        for value, tensor in zip(lying, tensors, strict=True):
+        for value, tensor in zip(external, tensors, strict=True):
             value.const_value = tensor

@@ -1,4 +1,4 @@
-"""Say whether two files compute the same: run both at the same probes, and compare outputs."""
+"""Compare two model files: run both at the same probes, and measure how far outputs differ."""
 
 __all__ = ["Comparison", "Difference", "compare_files", "probes_of"]
 
@@ -19,7 +19,7 @@ from gsgen.contract.spec.manifest import Input
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.passes.framework.base import ErrorBudget
 
-# How many probes a model without a manifest is run at, and what a size that nobody knows counts as.
+# Number of probes of a model without a manifest, and the value of its unknown sizes.
 _COUNT = 5
 _UNKNOWN_SIZE = 3
 _HIGHEST_INDEX = 2
@@ -33,8 +33,8 @@ class Difference:
     Attributes:
         output: Its name.
         largest: The largest absolute difference.
-        allowed: What was allowed there.
-        probe: Where it was seen.
+        allowed: The allowed difference.
+        probe: Label of the probe with the largest difference.
     """
 
     output: str
@@ -45,23 +45,22 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What became of all outputs.
+    """The differences of all outputs of two models.
 
     Attributes:
         differences: The largest difference of each output that differs.
-        unjudged: Outputs without a finite number at any probe: whatever a rewrite did to them,
-            nothing would have differed.
+        uncompared: Outputs without a finite number at any probe, so that no change can be seen.
     """
 
     differences: tuple[Difference, ...]
-    unjudged: tuple[str, ...]
+    uncompared: tuple[str, ...]
 
 
 def probes_of(subject: InspectedModel, sizes: Mapping[str, int]) -> tuple[Probe, ...]:
-    """Return the inputs to run a model with; those of its manifest where it has one.
+    """Return the inputs to run a model with: the contract's probes if it has a manifest.
 
     Raises:
-        RewriteFailed: An input is no tensor of numbers.
+        RewriteFailed: An input is not a tensor of numbers.
     """
     shapes = {tensor.name: _shape(tensor, sizes) for tensor in subject.graph.inputs}
     dtypes = {tensor.name: _dtype(tensor) for tensor in subject.graph.inputs}
@@ -76,12 +75,12 @@ def probes_of(subject: InspectedModel, sizes: Mapping[str, int]) -> tuple[Probe,
         if any(
             array.shape != shapes[name] for p in probes for name, array in p.inputs.items()
         ):
-            probes = ()  # the manifest is about other inputs than the graph's
+            probes = ()  # the manifest declares other shapes than the graph
     else:
         probes = ()
     if not probes:
         probes = tuple(
-            _blind(shapes, dtypes, index) for index in range(_COUNT if shapes else 1)
+            _sample_probe(shapes, dtypes, index) for index in range(_COUNT if shapes else 1)
         )
     # Optimisations would round differently before and after: kernels alone are compared.
     return tuple(Probe(p.label, p.inputs, p.zeros, optimise=False) for p in probes)
@@ -112,22 +111,22 @@ def _dtype(tensor: Tensor) -> str:
         ) from error
 
 
-def _blind(
+def _sample_probe(
     shapes: Mapping[str, tuple[int, ...]], dtypes: Mapping[str, str], index: int
 ) -> Probe:
-    """Return zeros, then ordinary numbers; whole ones may be indices, so they are small."""
+    """Return a probe of zeros for index 0, else of random numbers; integers are small, as indices are."""
     rng = np.random.default_rng([7, index])
-    made: dict[str, np.ndarray] = {}
+    arrays: dict[str, np.ndarray] = {}
     for name, shape in shapes.items():
         kind = np.dtype(dtypes[name])
         if index == 0:
-            made[name] = np.zeros(shape, kind)
+            arrays[name] = np.zeros(shape, kind)
         elif kind.kind == "f":
-            made[name] = np.asarray(rng.normal(size=shape)).astype(kind)
+            arrays[name] = np.asarray(rng.normal(size=shape)).astype(kind)
         else:
-            made[name] = np.asarray(rng.integers(0, _HIGHEST_INDEX, shape)).astype(kind)
+            arrays[name] = np.asarray(rng.integers(0, _HIGHEST_INDEX, shape)).astype(kind)
     return Probe(
-        "all inputs zero" if index == 0 else f"sample {index}", made, zeros=index == 0
+        "all inputs zero" if index == 0 else f"sample {index}", arrays, zeros=index == 0
     )
 
 
@@ -138,53 +137,62 @@ def compare_files(
     probes: Sequence[Probe],
     limits: Limits,
     allowed: ErrorBudget,
-    blamed: str,
+    passes: str,
 ) -> Comparison:
-    """Run both files, and return how far their outputs differ.
+    """Run two model files at the same probes, and return how far their outputs differ.
 
     Args:
-        before: A model.
-        after: What it was rewritten to.
+        before: The source.
+        after: The rewritten model.
         outputs: Names of the outputs to compare.
-        probes: Inputs.
-        limits: What running one may use.
-        allowed: How far outputs may differ.
-        blamed: What was done, for the error.
+        probes: Inputs to run both models with.
+        limits: Time and memory for running one model.
+        allowed: Allowed differences.
+        passes: Names of the passes that ran, for an error.
 
     Raises:
-        RewriteFailed: One does not run, or they differ by more than is allowed.
+        RewriteFailed: A model does not run, or an output differs by more than allowed.
     """
     with (
         execute(before, outputs, probes, _room(before, limits)) as old,
         execute(after, outputs, probes, _room(after, limits)) as new,
     ):
-        _must_run(old, probes, before.name, "as it came")
-        _must_run(new, probes, blamed, "rewritten")
+        _must_run(old, probes, before.name, "before the rewrite")
+        _must_run(new, probes, passes, "after the rewrite")
         worst: dict[str, Difference] = {}
-        judged: set[str] = set()
+        compared_names: set[str] = set()
         for index, probe in enumerate(probes):
-            a, b = (one.samples[one.runs[index].sample].outputs for one in (old, new))
-            judged |= {name for name, value in a.items() if _says_something(value)}
-            for one in _differences(a, b, probe, allowed):
-                known = worst.get(one.output)
-                if known is None or _excess(one) > _excess(known):
-                    worst[one.output] = one
-    bad = [one for one in worst.values() if not one.largest <= one.allowed]
-    if bad:
+            a, b = (
+                execution.samples[execution.runs[index].sample].outputs
+                for execution in (old, new)
+            )
+            compared_names |= {
+                name for name, value in a.items() if _has_finite_values(value)
+            }
+            for difference in _differences(a, b, probe, allowed):
+                known = worst.get(difference.output)
+                if known is None or _excess(difference) > _excess(known):
+                    worst[difference.output] = difference
+    violations = [
+        difference
+        for difference in worst.values()
+        if not difference.largest <= difference.allowed
+    ]
+    if violations:
         _must_repeat(before, outputs, probes, limits)
-        one = max(bad, key=_excess)
+        difference = max(violations, key=_excess)
         raise RewriteFailed(
-            f"output {one.output!r} differs by {one.largest:.3g} at probe {one.probe!r}, "
-            f"wanted at most {one.allowed:.3g} ({allowed.describe()})",
-            where=blamed,
+            f"output {difference.output!r} differs by {difference.largest:.3g} at probe {difference.probe!r}, "
+            f"expected at most {difference.allowed:.3g} ({allowed.describe()})",
+            where=passes,
             hint="Nothing was written. Leave the pass out with --skip, and please report it.",
         )
-    unjudged = tuple(name for name in outputs if name not in judged)
-    return Comparison(tuple(worst.values()), unjudged)
+    uncompared = tuple(name for name in outputs if name not in compared_names)
+    return Comparison(tuple(worst.values()), uncompared)
 
 
-def _says_something(value: np.ndarray) -> bool:
-    """Say whether there is a number in ``value`` that could have come out otherwise."""
+def _has_finite_values(value: np.ndarray) -> bool:
+    """Return whether an output has a value whose change could be seen."""
     if value.dtype.kind == "f":
         return bool(np.isfinite(value).any())
     return value.size > 0
@@ -194,13 +202,13 @@ def _room(model: Path, limits: Limits) -> Limits:
     return limits.for_model(open_model(model).weight_bytes)
 
 
-def _must_run(run: Execution, probes: Sequence[Probe], where: str, which: str) -> None:
+def _must_run(run: Execution, probes: Sequence[Probe], where: str, version: str) -> None:
     fault = run.fault
     if fault is None:
         return
     probe = "" if fault.probe is None else f" at probe {probes[fault.probe].label!r}"
     raise RewriteFailed(
-        f"the model {which} does not run in ONNX Runtime{probe}: {fault.message}",
+        f"the model {version} does not run in ONNX Runtime{probe}: {fault.message}",
         where=where,
         hint="Outputs cannot be compared, so nothing was written.",
     )
@@ -209,10 +217,10 @@ def _must_run(run: Execution, probes: Sequence[Probe], where: str, which: str) -
 def _must_repeat(
     model: Path, outputs: Sequence[str], probes: Sequence[Probe], limits: Limits
 ) -> None:
-    """Blame a model that gives other outputs each time, not its rewrites."""
+    """Raise if the source itself gives other outputs in a second run with the same inputs."""
     twice = [probe for probe in probes for _ in range(2)]
     with execute(model, outputs, twice, _room(model, limits)) as run:
-        samples = [one.sample for one in run.runs]
+        samples = [run.sample for run in run.runs]
     if samples[::2] != samples[1::2]:
         raise RewriteFailed(
             "the model gives other outputs for the same inputs, so nothing can be compared",
@@ -221,10 +229,14 @@ def _must_repeat(
         )
 
 
-def _excess(one: Difference) -> float:
-    """Return how far a difference goes beyond what is allowed; NaN counts as very far."""
-    within = one.largest <= one.allowed
-    return one.largest / one.allowed if within and one.allowed > 0 else np.inf
+def _excess(difference: Difference) -> float:
+    """Return a difference as a multiple of the allowed one; NaN counts as infinite."""
+    within = difference.largest <= difference.allowed
+    return (
+        difference.largest / difference.allowed
+        if within and difference.allowed > 0
+        else np.inf
+    )
 
 
 def _differences(
@@ -249,7 +261,7 @@ def _differences(
 
 
 def _unpadded(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Return ``new`` without the rows of zeros that it has behind those of ``old``."""
+    """Return ``new`` without the rows of zeros after those of ``old``."""
     if old.ndim != new.ndim or not old.ndim or len(new) <= len(old):
         return new
     return new[: len(old)] if not new[len(old) :].any() else new
@@ -258,23 +270,24 @@ def _unpadded(old: np.ndarray, new: np.ndarray) -> np.ndarray:
 def _error(
     old: np.ndarray, new: np.ndarray, allowed: ErrorBudget
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return the absolute error of every number, and what is allowed for it.
+    """Return the absolute error of every number, and the allowed error.
 
-    The last axis tells fields of a Gaussian apart, so each of its places is held to the largest
-    number that stands there.
+    The last axis holds the fields of a Gaussian, so the relative tolerance of each column refers to
+    the largest number of that column.
     """
     a, b = old.astype(np.float64), new.astype(np.float64)
     finite = np.isfinite(a)
-    same = (
+    equal = (
         (old == new)
         | (np.isnan(a) & np.isnan(b))
         | (~finite if allowed.repairs_nonfinite else False)
     )
     with np.errstate(invalid="ignore"):
-        apart = np.abs(a - b)
+        difference = np.abs(a - b)
     if old.dtype.kind in "iu":
-        apart = np.maximum(apart, 1.0)  # a double may not tell two large ones apart
-    error = np.where(same, 0.0, apart)
+        # Two large integers may be equal as float64.
+        difference = np.maximum(difference, 1.0)
+    error = np.where(equal, 0.0, difference)
     size = np.abs(np.where(finite, a, 0.0))
     room = np.zeros_like(size)
     if old.dtype.kind == "f" and (allowed.relative or allowed.absolute):

@@ -1,15 +1,15 @@
-"""Rewrite a graph for a consumer: small passes, run until nothing changes, and proven by running.
+"""Rewrite a graph for a consumer: run passes until nothing changes, and compare the outputs.
 
-First run the passes that keep every bit, then all of them. After each of the two the model is run
-at the contract's probes and compared with what it was; where it differs by more than the passes
-declare, nothing is written.
+Step 1 runs the passes that keep every bit, step 2 all passes. After each step, the model is run at
+the contract's probes and compared with the model before it. If it differs by more than the passes
+declare, it is not written.
 """
 
 __all__ = [
     "Change",
     "GraphStats",
     "Rewritten",
-    "census",
+    "graph_stats",
     "prepare",
     "rewrite_file",
     "rewrite_graph",
@@ -17,7 +17,7 @@ __all__ = [
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 from operator import or_
 from pathlib import Path
@@ -38,7 +38,9 @@ from gsgen.contract.model.graph import read_graph
 from gsgen.contract.model.inspected_model import inspect_model
 from gsgen.contract.model.model_file import open_model
 from gsgen.contract.model.provider_placement import Placement, placements
+from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.limits import Limits
+from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.spec.operator_tables import FAILURES
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import Target
@@ -48,7 +50,6 @@ from gsgen.contract.validator import validate
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.passes.framework.base import (
     BITS,
-    MAIN_DOMAIN,
     ErrorBudget,
     Rewrite,
     RewriteTarget,
@@ -63,12 +64,12 @@ from gsgen.sdk.rewriting.model_io import (
     save_model,
 )
 from gsgen.sdk.rewriting.output_equivalence import Difference, compare_files, probes_of
-from gsgen.sdk.rewriting.rule_regression import refuse_worse
+from gsgen.sdk.rewriting.rule_regression import refuse_new_violations
 
-# Passes feed each other a few times at most; two that undo each other are a mistake of ours.
+# Passes enable each other a few times at most; more rounds mean that two undo each other.
 _MOST_ROUNDS = 20
 
-# A graph that these do not hold of has no meaning that a rewrite could keep.
+# A graph that breaks these rules has no defined result that a rewrite could preserve.
 _GRAPH_RULES = ("GG015", "GG019")
 
 Progress = Callable[[str], None]
@@ -76,12 +77,12 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What one pass did.
+    """The changes of one pass.
 
     Attributes:
         rewrite: Name of the pass.
-        exactness: How far it may change outputs.
-        nodes: What was rewritten, in order, over all rounds.
+        exactness: The allowed change of outputs.
+        nodes: Names of the rewritten nodes, in order, over all rounds.
     """
 
     rewrite: str
@@ -91,14 +92,13 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class GraphStats:
-    """A graph in numbers.
+    """Counts of a graph's nodes, and the nodes that a target does not capture.
 
     Attributes:
-        nodes: Nodes of the main graph.
+        nodes: Number of nodes of the main graph.
         opset: The operator set.
-        uncaptured: Nodes of the frame that a release of the target is known not to capture, each
-            with what becomes of it.
-        unmeasured: Nodes of which nobody knows.
+        uncaptured: Nodes that a release of the target is known not to capture, with reasons.
+        unmeasured: Nodes for which no measurement exists.
     """
 
     nodes: int
@@ -107,19 +107,19 @@ class GraphStats:
     unmeasured: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Rewritten:
     """A finished rewrite.
 
     Attributes:
-        path: The file; None where none was written.
-        changes: What each pass did; empty where there was nothing to do.
-        before: The graph as it came.
-        after: The graph as it was written.
-        probes: At how many sets of inputs the two were compared.
-        differences: The largest difference of each output; absent where bits are equal.
-        refusals: What passes left as it was, because they could not prove that they may change it.
-        unjudged: Outputs that have no finite number at any probe, so that nothing was compared.
+        path: The file; None if it was not written.
+        changes: The changes of each pass; empty if no pass applied.
+        before: Counts of the source.
+        after: Counts of the result.
+        probes: Number of probes at which the two were compared.
+        differences: The largest difference of each output whose bits changed.
+        refusals: Nodes that passes left unchanged, because they could not prove the change correct.
+        uncompared: Outputs without a finite number at any probe, so that no change can be seen.
     """
 
     path: Path | None
@@ -129,21 +129,20 @@ class Rewritten:
     probes: int
     differences: tuple[Difference, ...]
     refusals: tuple[Refusal, ...] = ()
-    unjudged: tuple[str, ...] = ()
+    uncompared: tuple[str, ...] = ()
 
 
 def rewrite_graph(
     model: ir.Model, goal: RewriteTarget, only: Sequence[str] = (), skip: Sequence[str] = ()
 ) -> list[Change]:
-    """Run the passes that ``goal`` wants on ``model``, in place, until nothing changes.
+    """Run the passes of a target on ``model``, in place, until nothing changes.
 
     Raises:
-        UnknownName: ``only`` or ``skip`` names no pass.
+        UnknownName: ``only`` or ``skip`` has the name of an unknown pass.
     """
-    chosen = find_rewrites(goal, only, skip)
+    rewrites = find_rewrites(goal, only, skip)
     prepare(model)
-    exact = [one for one in chosen if one.exactness.bits]
-    changes = _merged([*_settle(model, exact), *_settle(model, chosen)])
+    changes = _merged([*_settle(model, _exact(rewrites)), *_settle(model, rewrites)])
     if changes:
         tidy(model)
     return changes
@@ -161,90 +160,142 @@ def rewrite_file(
     limits: Limits | None = None,
     progress: Progress = lambda _: None,
 ) -> Rewritten:
-    """Write ``source``, rewritten for ``target``, to ``path``.
+    """Rewrite the model file ``source`` for ``target``, and write the result to ``path``.
 
-    Any ONNX model will do. Without a manifest its probes are made from the shapes and dtypes of its
-    inputs; a symbolic size counts as 3 unless ``sizes`` knows it.
+    A model without a manifest gets probes from the shapes and dtypes of its inputs; a symbolic size
+    counts as 3 unless ``sizes`` has it.
 
     Args:
-        source: The model.
-        path: Where the result goes; None computes and compares it, and writes nothing.
+        source: Any ONNX model.
+        path: The file of the result; if None, the result is compared but not written.
         target: The consumer.
-        only: Passes to run; all that the target wants where empty.
-        skip: Passes not to run.
-        opset: Operator set of the result; the kernels decide where absent.
+        only: Names of the passes to run; all passes of the target if empty.
+        skip: Names of passes not to run.
+        opset: Operator set of the result; chosen by the target's kernels if absent.
         sizes: Symbolic dimension → size.
-        limits: What running the model may use.
-        progress: Called with a few words whenever a new stage begins.
+        limits: Time and memory for running the model.
+        progress: Called with a message when a step begins.
 
     Raises:
-        ModelUnreadable: ``source`` is no model.
-        UnknownName: A name is no pass.
+        ModelUnreadable: ``source`` is not a readable model.
+        UnknownName: A pass is unknown.
         ConfigInvalid: ``opset`` is above that of the model, or ``path`` would replace its weights.
-        RewriteFailed: The model is unsafe or ill-formed, or the result is no valid model, breaks a rule that was kept, or computes
-            something else.
+        RewriteFailed: The model is unsafe or ill-formed, or the result is ill-formed, breaks a rule
+            that ``source`` keeps, or computes something else.
     """
     limits, sizes = limits or Limits(), sizes or {}
     progress("reading the model")
     subject = inspect_model(open_model(source), target, limits)
     settings = Settings(level=Level.STATIC, target=target)
-    judged = validate(source, settings)
-    _refuse_broken(judged)
+    report = validate(source, settings)
+    _refuse_broken(report)
     if path is not None:
         refuse_overwriting(subject.file, path)
     manifest = subject.parsed.manifest if subject.parsed is not None else None
     goal = RewriteTarget.of(target, manifest, opset, sizes)
-    chosen = find_rewrites(goal, only, skip)
-    model = _load(source)
-    _refuse_higher(model, opset)
-    beside = has_external_weights(model)
-    probes = probes_of(subject, sizes)
-    prepare(model)
-    changes: list[Change] = []
-    differences: list[Difference] = []
-    unjudged: tuple[str, ...] = ()
+    rewrites = find_rewrites(goal, only, skip)
+    model = _load(source, opset)
     with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
-        known = source
-        for name, passes in (("exact", _exact(chosen)), ("all", chosen)):
-            progress(f"rewriting: {len(passes)} passes")
-            fresh = _settle(model, passes)
-            if not fresh:
-                continue
-            tidy(model)
-            draft = Path(folder) / f"{name}.onnx"
-            save_model(model, draft, beside=beside)
-            _check_form(draft, fresh)
-            progress(f"comparing outputs at {len(probes)} probes")
-            allowed = reduce(or_, (one.exactness for one in fresh), BITS)
-            outputs = [tensor.name for tensor in subject.graph.outputs]
-            compared = compare_files(
-                known, draft, outputs, probes, limits, allowed, _names(fresh)
-            )
-            differences += compared.differences
-            unjudged = compared.unjudged
-            changes += fresh
-            known = draft
-        progress("judging the result by the rules")
-        if changes and manifest is not None:
-            refuse_worse(judged, validate(known, settings), "rewritten")
-        before, after = census(source, goal), census(known, goal)
+        run = _ComparedRun(
+            model=model,
+            folder=Path(folder),
+            latest=source,
+            outputs=[tensor.name for tensor in subject.graph.outputs],
+            probes=probes_of(subject, sizes),
+            limits=limits,
+            external_weights=has_external_weights(model),
+            progress=progress,
+        )
+        prepare(model)
+        # Step 1: the passes that keep every bit. Step 2: all passes.
+        run.step("exact", _exact(rewrites))
+        run.step("all", rewrites)
+        progress("checking the rules on the result")
+        if run.changes and manifest is not None:
+            refuse_new_violations(report, validate(run.latest, settings), "rewritten")
+        before, after = graph_stats(source, goal), graph_stats(run.latest, goal)
     if path is not None:
         with atomic_write(path) as draft:
-            save_model(model, draft, beside=beside)
+            run.save(draft)
     return Rewritten(
-        path,
-        tuple(_merged(changes)),
-        before,
-        after,
-        len(probes),
-        tuple(differences),
-        tuple(_refusals(chosen)),
-        unjudged,
+        path=path,
+        changes=tuple(_merged(run.changes)),
+        before=before,
+        after=after,
+        probes=len(run.probes),
+        differences=tuple(run.differences),
+        refusals=tuple(_refusals(rewrites)),
+        uncompared=run.uncompared,
     )
 
 
+@dataclass(slots=True, kw_only=True)
+class _ComparedRun:
+    """Runs passes in steps, and compares the outputs after each step with those before it.
+
+    Attributes:
+        model: The graph; passes change it.
+        folder: Folder of the drafts.
+        latest: The file of the latest step.
+        outputs: Names of the outputs to compare.
+        probes: Inputs to compare at.
+        limits: Time and memory for running a draft.
+        external_weights: Whether drafts store weights in a second file.
+        progress: Called with a message when a step begins.
+        changes: The changes of all steps.
+        differences: The differences of all steps.
+        uncompared: Outputs without a finite number in the latest step.
+    """
+
+    model: ir.Model
+    folder: Path
+    latest: Path
+    outputs: Sequence[str]
+    probes: Sequence[Probe]
+    limits: Limits
+    external_weights: bool
+    progress: Progress
+    changes: list[Change] = field(default_factory=list)
+    differences: list[Difference] = field(default_factory=list)
+    uncompared: tuple[str, ...] = ()
+
+    def step(self, name: str, rewrites: Sequence[Rewrite]) -> None:
+        """Run passes until nothing changes, and compare the outputs if they changed the graph.
+
+        Raises:
+            RewriteFailed: The result is ill-formed, or computes something else.
+        """
+        self.progress(f"rewriting: {len(rewrites)} passes")
+        changes = _settle(self.model, rewrites)
+        if not changes:
+            return
+        tidy(self.model)
+        draft = self.folder / f"{name}.onnx"
+        self.save(draft)
+        _check_form(draft, changes)
+        self.progress(f"comparing outputs at {len(self.probes)} probes")
+        allowed = reduce(or_, (change.exactness for change in changes), BITS)
+        comparison = compare_files(
+            self.latest,
+            draft,
+            self.outputs,
+            self.probes,
+            self.limits,
+            allowed,
+            _names(changes),
+        )
+        self.differences += comparison.differences
+        self.uncompared = comparison.uncompared
+        self.changes += changes
+        self.latest = draft
+
+    def save(self, path: Path) -> None:
+        """Write the graph to ``path``."""
+        save_model(self.model, path, external_weights=self.external_weights)
+
+
 def _refuse_broken(report: Report) -> None:
-    """Refuse a model whose weights are not safe to read, or whose graph is none."""
+    """Raise if a model's weights are unsafe to read, or its graph is ill-formed."""
     for finding in report.findings:
         unsafe = finding.rule.startswith("GS") or finding.rule in _GRAPH_RULES
         if unsafe and finding.severity >= Severity.ERROR:
@@ -266,87 +317,96 @@ def _refuse_higher(model: ir.Model, opset: int | None) -> None:
 
 
 def prepare(model: ir.Model) -> None:
-    """Bring ``model`` into the form that passes expect, without changing what it computes.
+    """Normalise ``model`` for passes, without changing its outputs.
 
-    Functions are written out, constants are weights, every node and value has a name of its own,
-    and shapes are inferred.
+    Functions are inlined, constants become weights, every node and value has a unique name, and
+    shapes are inferred.
     """
     InlinePass()(model)
     RemoveUnusedFunctionsPass()(model)  # type: ignore[no-untyped-call]  # of onnx-ir
     LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0)(model)
     for node in model.graph.all_nodes():
         if not node.name and node.outputs:
-            node.name = node.outputs[0].name  # reports name what was changed
+            node.name = node.outputs[0].name  # reports name the changed nodes
     NameFixPass()(model)
     _infer(model)
 
 
 def tidy(model: ir.Model) -> None:
-    """Drop what nothing reads any more."""
+    """Remove nodes and weights without readers."""
     RemoveUnusedNodesPass()(model)
     NameFixPass()(model)
 
 
 def _infer(model: ir.Model) -> None:
-    # Without data propagation: for tables of a million rows it takes minutes, and what it would
-    # find out, the pass fold-shapes does.
+    # Without data propagation: for tables of a million rows it takes minutes, and the pass
+    # fold-shapes finds the same facts.
     ShapeInferencePass(check_type=False, strict_mode=False, data_prop=False)(model)
 
 
-def _refusals(chosen: Sequence[Rewrite]) -> list[Refusal]:
-    """Return what passes left alone when they last ran."""
-    return [r for one in chosen if isinstance(one, CautiousRewrite) for r in one.refusals]
+def _refusals(rewrites: Sequence[Rewrite]) -> list[Refusal]:
+    """Return the nodes that passes left unchanged in their last run, with reasons."""
+    return [
+        r
+        for rewrite in rewrites
+        if isinstance(rewrite, CautiousRewrite)
+        for r in rewrite.refusals
+    ]
 
 
-def _exact(chosen: Sequence[Rewrite]) -> list[Rewrite]:
-    return [one for one in chosen if one.exactness.bits]
+def _exact(rewrites: Sequence[Rewrite]) -> list[Rewrite]:
+    return [rewrite for rewrite in rewrites if rewrite.exactness.bits]
 
 
-def _settle(model: ir.Model, chosen: Sequence[Rewrite]) -> list[Change]:
-    """Run passes in rounds until one changes nothing; return what each did, in order."""
+def _settle(model: ir.Model, rewrites: Sequence[Rewrite]) -> list[Change]:
+    """Run passes in rounds until a round changes nothing, and return their changes in order."""
     changes: list[Change] = []
     for _ in range(_MOST_ROUNDS):
         changed = False
-        for one in chosen:
-            if not one(model).modified:
+        for rewrite in rewrites:
+            if not rewrite(model).modified:
                 continue
             changed = True
-            changes.append(Change(one.name, one.exactness, tuple(one.changed)))
+            changes.append(Change(rewrite.name, rewrite.exactness, tuple(rewrite.changed)))
             RemoveUnusedNodesPass()(model)
             _infer(model)
         if not changed:
             return _merged(changes)
-    undoing = ", ".join(sorted({one.rewrite for one in changes}))
+    undoing = ", ".join(sorted({change.rewrite for change in changes}))
     raise RewriteFailed(
-        f"does not settle after {_MOST_ROUNDS} rounds of {undoing}",
+        f"still changes after {_MOST_ROUNDS} rounds of {undoing}",
         where="rewrite",
         hint="Leave one of them out with --skip, and please report it.",
     )
 
 
 def _merged(changes: Sequence[Change]) -> list[Change]:
-    """Join what the same pass did in several rounds."""
-    made: dict[str, Change] = {}
-    for one in changes:
-        known = made.get(one.rewrite)
-        nodes = (*known.nodes, *one.nodes) if known else one.nodes
-        made[one.rewrite] = Change(one.rewrite, one.exactness, nodes)
-    return list(made.values())
+    """Join the changes of the same pass in several rounds."""
+    merged: dict[str, Change] = {}
+    for change in changes:
+        known = merged.get(change.rewrite)
+        nodes = (*known.nodes, *change.nodes) if known else change.nodes
+        merged[change.rewrite] = Change(change.rewrite, change.exactness, nodes)
+    return list(merged.values())
 
 
 def _names(changes: Sequence[Change]) -> str:
-    return ", ".join(one.rewrite for one in changes)
+    return ", ".join(change.rewrite for change in changes)
 
 
-def _load(source: Path) -> ir.Model:
+def _load(source: Path, opset: int | None) -> ir.Model:
     try:
-        return ir.load(source)
+        model = ir.load(source)
     except Exception as error:  # onnx-ir's errors share no base class
-        raise ModelUnreadable(f"is not a graph: {error}", where=str(source)) from error
+        raise ModelUnreadable(
+            f"is not a readable graph: {error}", where=str(source)
+        ) from error
+    _refuse_higher(model, opset)
+    return model
 
 
 def _check_form(file: Path, changes: Sequence[Change]) -> None:
-    """Let ONNX's own checker judge the file, shapes included."""
+    """Raise if ONNX's own checker rejects the file or its shapes."""
     try:
         onnx.checker.check_model(file, full_check=True)
     except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:
@@ -357,8 +417,8 @@ def _check_form(file: Path, changes: Sequence[Change]) -> None:
         ) from error
 
 
-def census(file: Path, goal: RewriteTarget) -> GraphStats:
-    """Count the nodes of a file, and predict by tables which of them are not captured."""
+def graph_stats(file: Path, goal: RewriteTarget) -> GraphStats:
+    """Count the nodes of a file, and predict from tables which of them are not captured."""
     opened = open_model(file)
     graph = read_graph(opened)
     placed = placements(graph, opened.proto, goal.tables)
@@ -366,16 +426,22 @@ def census(file: Path, goal: RewriteTarget) -> GraphStats:
     return GraphStats(
         len(graph.nodes),
         next((opsets[domain] for domain in MAIN_DOMAIN if domain in opsets), 0),
-        tuple(_told(one) for one in placed if one.cause not in ("", "unknown")),
-        tuple(_told(one) for one in placed if one.cause == "unknown"),
+        tuple(
+            _capture_text(placement)
+            for placement in placed
+            if placement.cause not in ("", "unknown")
+        ),
+        tuple(
+            _capture_text(placement) for placement in placed if placement.cause == "unknown"
+        ),
     )
 
 
-def _told(one: Placement) -> str:
-    """Say which node it is, and why it is not captured."""
-    name = one.node.name or one.node.output[0]
-    fates = sorted(
-        {FAILURES.get(outcome, outcome) for outcome in one.outcomes.values()} - {""}
+def _capture_text(placement: Placement) -> str:
+    """Return a node's name and operator, and the reason why it is not captured."""
+    name = placement.node.name or placement.node.output[0]
+    reasons = sorted(
+        {FAILURES.get(outcome, outcome) for outcome in placement.outcomes.values()} - {""}
     )
-    why = ", ".join(fates) or one.cause
-    return f"{name} ({one.node.op_type} {one.dtype}): {why}"
+    reason = ", ".join(reasons) or placement.cause
+    return f"{name} ({placement.node.op_type} {placement.dtype}): {reason}"

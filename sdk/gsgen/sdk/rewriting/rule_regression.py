@@ -1,32 +1,33 @@
-"""Refuse a changed model that breaks a rule which the model kept."""
+"""Raise if a changed model breaks a rule that its source keeps."""
 
-__all__ = ["refuse_worse"]
+__all__ = ["refuse_new_violations"]
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.report import Report
 
 
-def refuse_worse(before: Report, after: Report, how: str) -> None:
-    """Refuse a result that breaks a rule the model kept.
+def refuse_new_violations(before: Report, after: Report, operation: str) -> None:
+    """Raise if the result breaks a rule that the source keeps.
 
     Args:
-        before: The report of the model.
-        after: The report of the result.
-        how: What was done to it: ``repaired``.
+        before: The report on the source.
+        after: The report on the result.
+        operation: The participle for an error, such as ``repaired``.
 
     Raises:
-        GsgenError: It does.
+        GsgenError: The result breaks such a rule.
     """
 
     def errors(report: Report) -> set[str]:
         return {f.rule for f in report.findings if f.severity is Severity.ERROR}
 
-    # A repair lets rules be judged that could not be before; what they find is no damage.
-    judged = {o.rule.id for o in before.outcomes if o.status in ("pass", "fail")}
-    fresh = (errors(after) - errors(before)) & judged
+    # Rules that could not be evaluated on the source may find faults that it had before.
+    evaluated = {o.rule.id for o in before.outcomes if o.status in ("pass", "fail")}
+    fresh = (errors(after) - errors(before)) & evaluated
     if fresh:
         listed = ", ".join(sorted(fresh))
         raise GsgenError(
-            f"the {how} model would break {listed}, which it kept", where=before.path
+            f"the {operation} model would break {listed}, which the source keeps",
+            where=before.path,
         )
