@@ -73,10 +73,10 @@ def test_it_runs_in_webgpu_and_no_replay_is_stale(case: Case) -> None:
 
 
 def test_the_manifest_says_which_weights_it_was_made_of(case: Case) -> None:
-    place = shared(f"data/checkpoints/{case.name}/ckpt")
+    folder = shared(f"data/checkpoints/{case.name}/ckpt")
     files = [
         path
-        for path in place.rglob("iteration_*/*")
+        for path in folder.rglob("iteration_*/*")
         if path.suffix in (".ply", ".pt", ".pth")
     ]
     contents = b"".join(path.read_bytes() for path in sorted(files))
@@ -93,14 +93,14 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     live = case.name == "hexplane_dnerf"  # once is enough: arithmetic is the same
     settings = Settings(level=Level.LIVE if live else Level.STATIC)
     path = tmp_path / "half.onnx"
-    made = export(case.generator, path, dtype="float16", target="webgpu", settings=settings)
+    exported = export(case.generator, path, dtype="float16", target="webgpu", settings=settings)
     if live:
-        assert_captured(made.report)
+        assert_captured(exported.report)
     assert all(agrees for agrees, _ in judge(case.name, path))
-    assert made.halved is not None
-    kept = weights_of(path, {one.node for one in made.halved.kept_weights})
-    assert all(size < 4 * LEAST_ELEMENTS for size in kept)  # all large tables are halved
-    assert stored(path) - sum(kept) <= 0.52 * (stored(case.made.path) - sum(kept))
+    assert exported.halved is not None
+    retained = weights_of(path, {weight.node for weight in exported.halved.retained_weights})
+    assert all(size < 4 * LEAST_ELEMENTS for size in retained)  # all large tables are halved
+    assert stored(path) - sum(retained) <= 0.52 * (stored(case.made.path) - sum(retained))
 
 
 def test_the_file_holds_weights_and_little_else(case: Case) -> None:
@@ -119,20 +119,20 @@ def test_nothing_in_the_graph_keeps_it_from_being_captured(case: Case) -> None:
 
 
 def test_a_user_exports_for_a_viewer_and_is_told_what_was_found(tmp_path: Path) -> None:
-    chosen = AnchorOptions(anchors=20, cameras=3, appearance=4, bank=True, iteration=40000)
-    run = write_octree(tmp_path / "run", chosen, mode="progressive")
+    options = AnchorOptions(anchors=20, cameras=3, appearance=4, bank=True, iteration=40000)
+    run = write_octree(tmp_path / "run", options, mode="progressive")
     words = ["export", "octree-gs", "--checkpoint", str(run), "--appearance-id", "1"]
     words += ["-o", str(tmp_path / "tree.onnx"), "--target", "visionary"]
     words += ["--dtype", "float16", "--level", "static"]
     ran = CliRunner().invoke(build([find_commands()["export"]]), words)
     assert ran.exit_code == 0, ran.output
-    for said in (
+    for text in (
         "iteration 40000",
         "20 anchors × 5 Gaussians",
         "feature bank",
         "progressive",
     ):
-        assert said in ran.stderr
+        assert text in ran.stderr
     assert "3 appearances of 4" in ran.stderr
     settings = Settings(level=Level.STATIC, target=load_target("visionary"))
     assert validate(tmp_path / "tree.onnx", settings).verdict == "conforms"
@@ -160,8 +160,8 @@ def test_a_mistake_is_explained(tmp_path: Path) -> None:
 
 
 def test_an_appearance_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    chosen = AnchorOptions(anchors=3, cameras=2, appearance=4, united=True)
-    write_scaffold(tmp_path / "two", chosen)
+    options = AnchorOptions(anchors=3, cameras=2, appearance=4, united=True)
+    write_scaffold(tmp_path / "two", options)
     with pytest.raises(CheckpointInvalid, match="2 is not one of the 2 training cameras"):
         scaffold_gs_plugin.build(tmp_path / "two", appearance_id=2)
     write_scaffold(tmp_path / "none", AnchorOptions(anchors=3, united=True))
@@ -178,4 +178,4 @@ def test_a_flag_that_is_not_honoured_is_warned_of(
     assert "warning" not in capsys.readouterr().err
     (tmp_path / "cfg_args").write_text(text.replace("[1.0]", "[2.0]"))
     octree_gs_plugin.build(tmp_path)
-    assert "warning: resolution_scales=[2.0] is not honoured" in capsys.readouterr().err
+    assert "warning: resolution_scales=[2.0] is not supported" in capsys.readouterr().err

@@ -52,7 +52,7 @@ def sigmoid(x: np.ndarray) -> np.ndarray:
 
 def ask(net: Mlp, inputs: np.ndarray) -> np.ndarray:
     weights = (net.hidden, net.hidden_bias, net.out, net.out_bias)
-    a, b, c, d = (one.double().numpy() for one in weights)
+    a, b, c, d = (weight.double().numpy() for weight in weights)
     return np.maximum(inputs @ a.T + b, 0) @ c.T + d
 
 
@@ -67,19 +67,19 @@ def oracle(read: CellCheckpoint, view: np.ndarray, *, weighted: bool) -> Wanted:
     d = np.linalg.norm(v, axis=1, keepdims=True)
     v = v / d
     level = cloud.level.double().numpy()
-    asked = np.log(cloud.info[1].item() / d[:, 0]) / np.log(cfg.values["fork"])
-    asked = asked + cloud.extra_level.double().numpy()
+    level_of_distance = np.log(cloud.info[1].item() / d[:, 0]) / np.log(cfg.values["fork"])
+    level_of_distance = level_of_distance + cloud.extra_level.double().numpy()
     top, fade = level.max() - level.min(), np.ones(n)
     if cfg.values["dist2level"] == "progressive":
-        shifted = asked + 1
+        shifted = level_of_distance + 1
         clamped = shifted.clip(0.9999, top + 0.9999)
         whole = np.floor(clamped)
         fade = np.where(level == whole, clamped - whole, 1.0)
     else:
-        shifted = asked + (0.5 if cfg.values["dist2level"] == "round" else 0)
+        shifted = level_of_distance + (0.5 if cfg.values["dist2level"] == "round" else 0)
         whole = {"round": np.round, "floor": np.floor, "ceil": np.ceil}[
             cfg.values["dist2level"]
-        ](asked).clip(0, top)
+        ](level_of_distance).clip(0, top)
     doubtful = np.abs(shifted - shifted.round()) < 1e-4
 
     def head(net: Mlp) -> np.ndarray:
@@ -102,13 +102,13 @@ def oracle(read: CellCheckpoint, view: np.ndarray, *, weighted: bool) -> Wanted:
         if read.weighting.depth:
             depth = position @ matrix[:3, 2] + matrix[3, 2]
             opacity = opacity * (1 - depth / read.weighting.sigma).clip(0, 1)
-    kept = ((opacity > 0) & (level <= whole)[:, None]).ravel()
+    retained = ((opacity > 0) & (level <= whole)[:, None]).ravel()
     return Wanted(
-        kept,
-        position.reshape(-1, 3)[kept],
-        opacity.ravel()[kept],
-        covariance_upper(scale.reshape(-1, 3)[kept], shape[:, :, 3:].reshape(-1, 4)[kept]),
-        sigmoid(head(nets.color)).reshape(-1, 3)[kept],
+        retained,
+        position.reshape(-1, 3)[retained],
+        opacity.ravel()[retained],
+        covariance_upper(scale.reshape(-1, 3)[retained], shape[:, :, 3:].reshape(-1, 4)[retained]),
+        sigmoid(head(nets.color)).reshape(-1, 3)[retained],
         np.repeat(doubtful, k),
     )
 
@@ -126,39 +126,39 @@ def test_cells_are_decoded_as_the_method_does(seed: int, mode: str, tmp_path: Pa
         united=True,
         seed=seed,
     )
-    chosen = {"degree": int(rng.integers(0, 4)), "depth": bool(rng.integers(0, 2))}
+    settings = {"degree": int(rng.integers(0, 4)), "depth": bool(rng.integers(0, 2))}
     fork = int(rng.integers(2, 5))
-    read = read_cells(write_duplex(tmp_path, options, mode=mode, fork=fork, **chosen))  # type: ignore[arg-type]
+    read = read_cells(write_duplex(tmp_path, options, mode=mode, fork=fork, **settings))  # type: ignore[arg-type]
     levels = Levels.of(read.anchors)
     hidden = 0
     for distance in (1.5, 6.0, 30.0):
         view = camera(rng, distance)
         for weighted in (False, True):
             opacity = "weighted" if weighted else "decoded"
-            wanted = oracle(read, view, weighted=weighted)
-            hidden += int((~wanted.kept).sum())
-            if wanted.kept.any():
-                assert_like(*eager(DuplexGS(read, levels, opacity=opacity), view), wanted)  # type: ignore[arg-type]
+            expected = oracle(read, view, weighted=weighted)
+            hidden += int((~expected.kept).sum())
+            if expected.kept.any():
+                assert_like(*eager(DuplexGS(read, levels, opacity=opacity), view), expected)  # type: ignore[arg-type]
     assert hidden, "nothing was ever hidden, so levels were not tried"
 
 
 def test_visibility_and_background_are_those_of_the_published_code() -> None:
     golden = np.load(shared("data/checkpoints/duplex_a/golden.npz"))
     read = read_cells(shared("data/checkpoints/duplex_a/ckpt"))
-    how = read.weighting
-    assert how.sigma == pytest.approx(golden["meta_sigma"][0])
-    assert how.background == pytest.approx(golden["meta_wbg"][0])
-    assert how.grade == pytest.approx(golden["meta_ET"])
-    assert how.depth == golden["meta_depth_correct"]
+    weighting = read.weighting
+    assert weighting.sigma == pytest.approx(golden["meta_sigma"][0])
+    assert weighting.background == pytest.approx(golden["meta_wbg"][0])
+    assert weighting.grade == pytest.approx(golden["meta_ET"])
+    assert weighting.depth == golden["meta_depth_correct"]
     generator = DuplexGS(read, Levels.of(read.anchors), opacity="weighted")
     for index in range(3):
         view = golden["in_world_view_transform"][index]
         rows, _ = eager(generator, view)
-        there = np.repeat(golden[f"out{index}_anchor_mask"], 5)
+        visible = np.repeat(golden[f"out{index}_anchor_mask"], 5)
         depth = golden[f"out{index}_means3D"] @ view[:3, 2] + view[3, 2]
-        wanted = np.maximum(golden[f"out{index}_opacities"], 0) * golden[f"out{index}_vi"]
-        wanted = wanted[:, 0] * (1 - depth / how.sigma).clip(0, 1)
-        np.testing.assert_allclose(rows[there, 3], wanted, atol=1e-6)
+        expected = np.maximum(golden[f"out{index}_opacities"], 0) * golden[f"out{index}_vi"]
+        expected = expected[:, 0] * (1 - depth / weighting.sigma).clip(0, 1)
+        np.testing.assert_allclose(rows[visible, 3], expected, atol=1e-6)
 
 
 # ===== Cells
@@ -204,24 +204,24 @@ def test_cells_are_those_that_the_method_sums_by(seed: int, tmp_path: Path) -> N
     read = read_cells(write_duplex(tmp_path, options, degree=seed + 1, depth=seed != 1))
     levels = Levels.of(read.anchors)
     generator = DuplexGS(read, levels, blend="wsr")
-    how, said = read.weighting, generator.weighted_sum
-    assert said is not None
-    assert (said.background, said.opacity_divisor) == (how.background, how.grade)
-    assert said.depth_range == (how.sigma if how.depth else None)
+    weighting, declared_sum = read.weighting, generator.weighted_sum
+    assert declared_sum is not None
+    assert (declared_sum.background, declared_sum.opacity_divisor) == (weighting.background, weighting.grade)
+    assert declared_sum.depth_range == (weighting.sigma if weighting.depth else None)
     for distance in (1.5, 6.0, 30.0):
         view = camera(rng, distance)
-        wanted = oracle(read, view, weighted=False)
+        expected = oracle(read, view, weighted=False)
         with torch.no_grad():
-            made = generator(torch.from_numpy(view))
+            outputs = generator(torch.from_numpy(view))
         cells = torch.cat(
-            [made.cells.position, made.cells.visibility, made.cells.covariance], dim=1
+            [outputs.cells.position, outputs.cells.visibility, outputs.cells.covariance], dim=1
         ).numpy()
-        every = cell_oracle(read, view)
-        shown = generator.gate(torch.linalg.inv(torch.from_numpy(view))[3:, :3]).numpy() > 0
-        every[:, 3] *= shown[:, 0]
-        np.testing.assert_allclose(cells, every, rtol=2e-5, atol=2e-6)
+        complete = cell_oracle(read, view)
+        visible = generator.gate(torch.linalg.inv(torch.from_numpy(view))[3:, :3]).numpy() > 0
+        complete[:, 3] *= visible[:, 0]
+        np.testing.assert_allclose(cells, complete, rtol=2e-5, atol=2e-6)
         rows, colors = eager(generator, view)
-        assert_like(rows, colors, wanted)
+        assert_like(rows, colors, expected)
         hidden = np.repeat(cells[:, 3] == 0, options.per_anchor)
         assert (rows[hidden, 3] == 0).all()
 
@@ -238,13 +238,13 @@ def test_of_some_cells_the_same_is_said_as_of_all(tmp_path: Path) -> None:
     few = DuplexGS(read, levels, blend="wsr", selection=Selection("none", 29))
     all_ = DuplexGS(read, levels, blend="wsr")
     with torch.no_grad():
-        made, every = few(torch.from_numpy(view)), all_(torch.from_numpy(view))
-    live = int(made.count) // read.anchors.cloud.per_anchor
-    kept = every.cells.visibility.ravel() > 0
+        outputs, complete = few(torch.from_numpy(view)), all_(torch.from_numpy(view))
+    live = int(outputs.count) // read.anchors.cloud.per_anchor
+    retained = complete.cells.visibility.ravel() > 0
     assert 0 < live < 30
     for field in ("position", "visibility", "covariance"):
-        some, all_of_them = (getattr(one.cells, field) for one in (made, every))
-        torch.testing.assert_close(some[:live], all_of_them[kept])
+        limited, all_of_them = (getattr(result.cells, field) for result in (outputs, complete))
+        torch.testing.assert_close(limited[:live], all_of_them[retained])
     packed = PackedGenerator(few, Packed(torch.float32, 29 * 5))
     with torch.no_grad():
         _, _, _, cells = packed(torch.from_numpy(view))
@@ -255,16 +255,16 @@ def test_of_some_cells_the_same_is_said_as_of_all(tmp_path: Path) -> None:
 def test_only_so_many_cells_are_decoded_where_asked(tmp_path: Path) -> None:
     read = read_cells(write_duplex(tmp_path, AnchorOptions(anchors=30, united=True)))
     levels, view = Levels.of(read.anchors), camera(np.random.default_rng(0), 20.0)
-    chosen = {"opacity": "weighted", "selection": Selection("none", 29)}
-    few, all_ = DuplexGS(read, levels, **chosen), DuplexGS(read, levels, opacity="weighted")  # type: ignore[arg-type]
+    settings = {"opacity": "weighted", "selection": Selection("none", 29)}
+    few, all_ = DuplexGS(read, levels, **settings), DuplexGS(read, levels, opacity="weighted")  # type: ignore[arg-type]
     with torch.no_grad():
-        made, every = few(torch.from_numpy(view)), all_(torch.from_numpy(view))
-    count = int(made.count)
-    shown = (all_.gate(torch.linalg.inv(torch.from_numpy(view))[3:, :3]) > 0).ravel()
-    kept = shown.repeat_interleave(read.anchors.cloud.per_anchor)
-    assert 0 < count < len(every.opacity)
-    torch.testing.assert_close(made.opacity[:count], every.opacity[kept])
-    torch.testing.assert_close(made.covariance[:count], every.covariance[kept])
+        outputs, complete = few(torch.from_numpy(view)), all_(torch.from_numpy(view))
+    count = int(outputs.count)
+    visible = (all_.gate(torch.linalg.inv(torch.from_numpy(view))[3:, :3]) > 0).ravel()
+    retained = visible.repeat_interleave(read.anchors.cloud.per_anchor)
+    assert 0 < count < len(complete.opacity)
+    torch.testing.assert_close(outputs.opacity[:count], complete.opacity[retained])
+    torch.testing.assert_close(outputs.covariance[:count], complete.covariance[retained])
 
 
 # ===== Trouble
@@ -297,19 +297,19 @@ def summed(tmp_path_factory: pytest.TempPathFactory) -> Exported:
     return export(generator, path, target="webgpu", settings=Settings(level=Level.LIVE))
 
 
-def golden_cells(made: np.ndarray, target: dict[str, np.ndarray], margin: float) -> None:
+def golden_cells(outputs: np.ndarray, target: dict[str, np.ndarray], margin: float) -> None:
     """Compare packed cells with what the method's own code gave its rasteriser."""
-    there = target["cell_mask"]
-    cells = made.astype(np.float64)
+    visible = target["cell_mask"]
+    cells = outputs.astype(np.float64)
     assert np.isfinite(cells).all()
-    assert (cells[~there, 3] == 0).all()
+    assert (cells[~visible, 3] == 0).all()
     covariance = acceptance().kernel_cov6(target["cell_scale"], target["cell_rot"])
-    for part, wanted, allowed in (
+    for part, expected, allowed in (
         (slice(0, 3), target["cell_xyz"], 2e-5),
         (slice(3, 4), target["vi"], 2e-5),
         (slice(4, 10), covariance, 5e-5),
     ):
-        error = np.abs(cells[there, part] - wanted).max() / np.abs(wanted).max()
+        error = np.abs(cells[visible, part] - expected).max() / np.abs(expected).max()
         assert error <= allowed * margin, (part, error)
 
 
@@ -343,11 +343,11 @@ def test_cells_are_declared_with_their_weights(summed: Exported) -> None:
     declared = summed.manifest
     assert declared.blend == "wsr"
     assert declared.outputs.cells == CellsOutput("cells", 5, "float32")
-    said = declared.weighted_sum
-    assert said is not None
-    assert said.depth_range == pytest.approx(golden["meta_sigma"][0])
-    assert said.background == pytest.approx(golden["meta_wbg"][0])
-    assert said.opacity_divisor == pytest.approx(golden["meta_ET"])
+    declared_sum = declared.weighted_sum
+    assert declared_sum is not None
+    assert declared_sum.depth_range == pytest.approx(golden["meta_sigma"][0])
+    assert declared_sum.background == pytest.approx(golden["meta_wbg"][0])
+    assert declared_sum.opacity_divisor == pytest.approx(golden["meta_ET"])
 
 
 @pytest.mark.parametrize("number", [0, 1])
@@ -359,9 +359,9 @@ def test_the_model_is_drawn_as_the_method_draws_it(
     source = GeneratorSource(summed.path)
     source.update(seen_by, {})
     scene = Scene([source.splats(None, None)])
-    seen = published.render(scene, seen_by, background=BACKDROP)
+    picture = published.render(scene, seen_by, background=BACKDROP)
     source.close()
-    assert np.abs(seen.rgba[..., :3] - image).max() <= 5e-5
+    assert np.abs(picture.rgba[..., :3] - image).max() <= 5e-5
 
 
 @pytest.fixture(scope="module")
@@ -397,10 +397,10 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     half = export(generator, path, dtype="float16", target="webgpu", settings=settings)
     assert all(agrees for agrees, _ in judge("duplex_a", path))
     assert half.halved is not None
-    kept = weights_of(path, {one.node for one in half.halved.retained_weights})
-    assert all(size < 4 * LEAST_ELEMENTS for size in kept)  # all large tables are halved
+    retained = weights_of(path, {weight.node for weight in half.halved.retained_weights})
+    assert all(size < 4 * LEAST_ELEMENTS for size in retained)  # all large tables are halved
     integers = 1000  # bytes of sizes and indices
-    assert stored(path) - sum(kept) <= 0.5 * (stored(made.path) - sum(kept)) + integers
+    assert stored(path) - sum(retained) <= 0.5 * (stored(made.path) - sum(retained)) + integers
 
 
 def test_it_runs_in_webgpu_and_no_replay_is_stale(made: Exported) -> None:
@@ -411,10 +411,10 @@ def test_a_user_is_told_what_was_found_and_how_it_will_be_blended(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = write_duplex(tmp_path, AnchorOptions(anchors=9, iteration=40000))
-    made = duplex_gs_plugin.build(folder, opacity="weighted", cull="frustum", max_anchors=5)
-    told = capsys.readouterr().err
-    assert "9 cells × 5 Gaussians" in told
-    assert "visibility of degree 3" in told
-    assert "needs sorted Gaussians. --blend wsr keeps the cells" in told
-    assert made.producer is not None
-    assert [one.role for one in made.inputs] == ["view", "projection"]
+    generator = duplex_gs_plugin.build(folder, opacity="weighted", cull="frustum", max_anchors=5)
+    message = capsys.readouterr().err
+    assert "9 cells × 5 Gaussians" in message
+    assert "visibility of degree 3" in message
+    assert "needs sorted Gaussians. --blend wsr keeps the cells" in message
+    assert generator.producer is not None
+    assert [declared.role for declared in generator.inputs] == ["view", "projection"]

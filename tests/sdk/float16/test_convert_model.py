@@ -17,9 +17,9 @@ from gsgen.contract.validator import validate
 from gsgen.sdk.commands.float16 import float16
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.float16.convert_model import write_float16
-from gsgen.sdk.float16.instrumented_model import HalfModel
+from gsgen.sdk.float16.instrumented_model import InstrumentedModel
 from gsgen.sdk.float16.sensitivity_search import max_quantizable
-from gsgen.sdk.float16.to_float16 import Boundary, ToFloat16, key_of
+from gsgen.sdk.float16.to_float16 import Boundary, ToFloat16, node_key
 from gsgen.sdk.float16.weight_tables import half_table
 from support.commands import gsgen
 from support.models.small_models import manifest_of, model, save, weight
@@ -84,7 +84,7 @@ def test_colours_go_and_positions_stay(tmp_path: Path) -> None:
     """Around 500 units from the origin float16 is half a unit coarse; a colour is not there."""
     source = saved(tmp_path, cloud(origin=500))
     made = write_float16(source, tmp_path / "half.onnx")
-    kept = {one.node: one.why for one in made.kept}
+    kept = {one.node: one.reason for one in made.retained}
     assert {"moved", "position"} <= kept.keys()  # far is computed once, in float32
     assert kept["moved"] == "position"
     assert not {"hidden", "raw", "color", "opacity", "active"} & kept.keys()
@@ -130,7 +130,7 @@ def test_what_overflows_stays(tmp_path: Path) -> None:
     proto = cloud()
     changed = model(text, *[w for w in proto.graph.initializer if w.name in _WEIGHTS])
     made = write_float16(saved(tmp_path, changed), None)
-    assert {"q", "w"} & {one.node for one in made.kept if one.why == "opacity"}
+    assert {"q", "w"} & {one.node for one in made.retained if one.reason == "opacity"}
     assert made.path is None
 
 
@@ -151,10 +151,10 @@ def test_tolerances_decide(tmp_path: Path) -> None:
     source = saved(tmp_path, cloud())
     strict = write_float16(source, None, tolerances=Tolerances(1e-3, 1e-3, 1e-5, 1e-5))
     loose = write_float16(source, None, tolerances=Tolerances(1, 1, 1, 1))
-    assert len(loose.kept) < len(strict.kept)
-    assert {one.why for one in loose.kept} <= {
+    assert len(loose.retained) < len(strict.retained)
+    assert {one.reason for one in loose.retained} <= {
         "a guard that float16 makes zero",
-        "what a guard guards",
+        "between a guard and its division",
         "saves Casts",
     }
 
@@ -167,7 +167,7 @@ def test_what_decides_stays(tmp_path: Path) -> None:
     )
     weights = [w for w in cloud().graph.initializer if w.name in _WEIGHTS]
     made = write_float16(saved(tmp_path, model(text, *weights)), None)
-    assert {one.node: one.why for one in made.kept}["shown"] == "it decides"
+    assert {one.node: one.reason for one in made.retained}["shown"] == "it decides"
 
 
 def test_outputs_that_float16_cannot_hold_are_refused(tmp_path: Path) -> None:
@@ -210,7 +210,7 @@ def test_every_choice_of_nodes_gives_a_sound_model(keep: set[str], outputs: bool
     casts = [node for node in model_.graph if node.op_type == "Cast"]
     at_end = (outputs and "y" in keep) or (not outputs and "y" not in keep)
     assert len(casts) == wanted + at_end
-    by_name = {key_of(node): node for node in model_.graph}
+    by_name = {node_key(node): node for node in model_.graph}
     for name in keep - {"y"}:
         assert by_name[name].outputs[0].dtype == ir.DataType.FLOAT
     for name in set("abcd") - keep:
@@ -290,7 +290,7 @@ def test_bodies_stay_and_what_they_read_is_cast_for_them() -> None:
 
 
 def test_the_measuring_model_rounds_as_float16_does() -> None:
-    half = HalfModel(parsed(CHAIN))
+    half = InstrumentedModel(parsed(CHAIN))
     assert half.units == tuple("abcdy")
     x = np.array([0.5, -3, 2], np.float32)
     w = np.array([0.1, 0.2, 0.3], np.float32)
@@ -307,7 +307,7 @@ def test_the_measuring_model_rounds_as_float16_does() -> None:
 
 
 def test_the_measuring_model_flushes_what_a_gpu_may_and_overflows() -> None:
-    half = HalfModel(
+    half = InstrumentedModel(
         parsed("g (float[3] x) => (float[3] y) <float one = {1}> { y = Mul (x, one) }")
     )
     x = np.array([3e-5, 7e-5, 1e5], np.float32)
@@ -329,7 +329,7 @@ def test_the_search_gives_up_only_what_fits(costs: list[float], budget: int) -> 
     found = max_quantizable(range(len(costs)), measure, budget=budget)
     quantized = sum(costs[unit] for unit in found.quantized)
     assert quantized <= 1
-    kept = [unit for group in found.kept for unit in group.units]
+    kept = [unit for group in found.retained for unit in group.units]
     assert sorted([*kept, *found.quantized]) == list(range(len(costs)))
     if budget >= 300:
         spare = [costs[unit] for unit in kept]
@@ -403,8 +403,8 @@ def test_tables_that_are_read_once_are_stored_in_float16_unless_that_shows(
     source = saved(tmp_path, model(TABLES, *weights))
     path = tmp_path / "half.onnx"
     made = write_float16(source, path, outputs=False)
-    assert [one.node for one in made.kept_weights] == ["far"]
-    assert made.kept_weights[0].why == "position"
+    assert [one.node for one in made.retained_weights] == ["far"]
+    assert made.retained_weights[0].reason == "position"
     stored = {one.name: one.data_type for one in onnx.load(path).graph.initializer}
     half = {name for name, kind in stored.items() if kind == onnx.TensorProto.FLOAT16}
     assert {"near", "paint", "logit"} <= half
@@ -453,5 +453,5 @@ def test_a_table_of_sizes_is_float16_where_even_steps_would_show(tmp_path: Path)
     assert half_table(arrays["size"].astype(np.float32)).step is not None
     stored = {one.name: one.data_type for one in onnx.load(path).graph.initializer}
     assert stored["size"] == onnx.TensorProto.FLOAT16
-    assert "size" not in {one.node for one in made.kept_weights}
+    assert "size" not in {one.node for one in made.retained_weights}
     assert made.parity.holds

@@ -1,12 +1,12 @@
-"""Convert a model from image to image to float16, and keep in float32 what would show: measured.
+"""Convert a post-process model to float16, except for nodes and weights whose rounding is visible.
 
 WebGPU adds up in the dtype of its operands: a convolution of a few hundred float16 numbers is off
-by several times what float16 rounds, and a deep network carries that on. So whatever adds many
-numbers stays float32; of the rest, what can be rounded unseen is measured. All weights and both
-images are float16 wherever possible: they are what is stored, and handed over.
+by several times the rounding of float16, and a deep network amplifies that. So operators that add
+many numbers stay float32; a search measures which of the other nodes can be rounded. Weights and
+both images, which are stored and transferred, become float16 wherever possible.
 """
 
-__all__ = ["HalvedImage", "halve_image"]
+__all__ = ["Float16ImageResult", "image_to_float16"]
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
@@ -15,65 +15,71 @@ import numpy as np
 import onnx_ir as ir
 
 from gsgen.contract.probing.probes import Probe
-from gsgen.sdk.float16.instrumented_model import HalfModel
+from gsgen.sdk.float16.instrumented_model import InstrumentedModel
 from gsgen.sdk.float16.sensitivity_search import max_quantizable
-from gsgen.sdk.float16.to_float16 import FLOAT, HALF, ToFloat16, halves, key_of
+from gsgen.sdk.float16.to_float16 import (
+    FLOAT,
+    HALF,
+    ToFloat16,
+    can_compute_in_float16,
+    node_key,
+)
 from gsgen.sdk.passes.framework.base import is_op, opset_of
 from gsgen.sdk.passes.framework.graph_builder import free_name
 from gsgen.sdk.rewriting.constant_subgraph import constant_nodes
 from gsgen.sdk.rewriting.rewrite import prepare, tidy
 
-# These add up more numbers than float16 can.
+# Operators that add too many numbers for float16.
 _SUMS = (
     *("Conv", "ConvTranspose", "MatMul", "Gemm", "Einsum", "Softmax", "LpNormalization"),
     *("InstanceNormalization", "LayerNormalization", "BatchNormalization", "CumSum"),
     *("ReduceSum", "ReduceMean", "ReduceL2", "ReduceSumSquare", "GlobalAveragePool"),
 )
-# What may be off for being computed in float16, as a share of the largest value: a quarter of what
-# two devices may differ by (rule GB011).
+# Tolerance of computing in float16, as a share of the largest value: a quarter of the difference
+# that rule GB011 allows between two devices.
 _ROUNDING = 5e-4
-# The same for weights, as a share of what the model as a whole may be off by.
+# Tolerance of storing weights in float16, as a share of the tolerance of the whole model.
 _SHARE_OF_WEIGHTS = 0.5
 _BUDGET = 24
 
 
 @dataclass(frozen=True, slots=True)
-class HalvedImage:
-    """What became float16.
+class Float16ImageResult:
+    """Counts of the nodes and weights of a post-process model that became float16.
 
     Attributes:
-        computed: How many nodes compute in it.
-        kept: How many could, and do not.
-        stored: How many weights are stored in it.
-        kept_weights: Names of those that are not.
+        computed: Number of nodes that compute in float16.
+        retained: Number of nodes that could, but compute in float32.
+        stored: Number of weights that are stored in float16.
+        retained_weights: Names of the weights that are stored in float32.
     """
 
     computed: int
-    kept: int
+    retained: int
     stored: int
-    kept_weights: tuple[str, ...]
+    retained_weights: tuple[str, ...]
 
 
-def halve_image(
+def image_to_float16(
     model: ir.Model,
     image: str,
     probes: Sequence[Probe],
     allowed: float,
     progress: Callable[[str], None],
-) -> HalvedImage:
-    """Convert ``model``, which is changed, and say what became float16.
+) -> Float16ImageResult:
+    """Convert a post-process model to float16 in place.
 
     Args:
-        model: Takes and gives float32 images.
+        model: A model with float32 images.
         image: Name of the input that becomes float16.
-        probes: Where to measure, with images that float16 holds.
-        allowed: What the result may be off by, as a share of its largest value.
-        progress: Called with a few words whenever a new stage begins.
+        probes: Inputs to measure at, with images that float16 can hold.
+        allowed: Tolerance of the result, as a share of its largest value.
+        progress: Called with a message when a step begins.
     """
     prepare(model)
     measure = _Measure(model, probes)
     opset, once = opset_of(model), set(constant_nodes(model.graph))
-    nodes = [n for n in model.graph if n not in once and halves(n, opset)]
+    nodes = [n for n in model.graph if n not in once and can_compute_in_float16(n, opset)]
     progress(f"measuring which of {len(measure.weights)} weights may be float16")
     tables = max_quantizable(
         range(len(measure.weights)),
@@ -85,73 +91,73 @@ def halve_image(
     measure.rebase()
     progress(f"measuring which of {len(nodes)} nodes may round to float16")
     free = [k for k, node in enumerate(nodes) if not is_op(node, *_SUMS)]
-    found = max_quantizable(free, measure.of_nodes, budget=_BUDGET, allowed=_ROUNDING)
-    computed = {key_of(nodes[k]) for k in found.quantized}
-    keep = {key_of(node) for node in nodes} - computed
+    search = max_quantizable(free, measure.of_nodes, budget=_BUDGET, allowed=_ROUNDING)
+    computed = {node_key(nodes[k]) for k in search.quantized}
+    keep = {node_key(node) for node in nodes} - computed
     stored = {measure.weights[k] for k in tables.quantized}
     _halve_input(model.graph, image)
     ToFloat16(keep, outputs=True, stored=stored)(model)
     tidy(model)
-    lost = tuple(name for name in measure.weights if name not in stored)
-    return HalvedImage(len(computed), len(keep), len(stored), lost)
+    retained_weights = tuple(name for name in measure.weights if name not in stored)
+    return Float16ImageResult(len(computed), len(keep), len(stored), retained_weights)
 
 
 class _Measure:
-    """Measures what rounding does to the image that comes out."""
+    """Measures how far rounding changes the output image."""
 
     def __init__(self, model: ir.Model, probes: Sequence[Probe]) -> None:
-        self._model, self._probes = HalfModel(model), probes
+        self._model, self._probes = InstrumentedModel(model), probes
         self.weights, self.stored = self._model.weights, frozenset[int]()
         self.rebase()
 
     def rebase(self) -> None:
-        """Compare with the weights as they are stored now from here on."""
-        self._wanted = [self._made(one, (), self.stored) for one in self._probes]
+        """Take the outputs with the weights stored so far as the new reference."""
+        self._wanted = [self._made(probe, (), self.stored) for probe in self._probes]
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
-        """Return the largest error of storing these, as a share of the largest value of all."""
-        largest = max(float(np.abs(one).max()) for one in self._wanted)
+        """Return the largest error of storing these weights, as a share of the largest value of all images."""
+        largest = max(float(np.abs(image).max()) for image in self._wanted)
         return self._error((), stored, largest), "image"
 
-    def of_nodes(self, chosen: Collection[int]) -> tuple[float, str]:
-        """Return the same of computing these in float16, image by image as devices are compared."""
-        return self._error(chosen, self.stored), "image"
+    def of_nodes(self, selected: Collection[int]) -> tuple[float, str]:
+        """Return the largest error of computing these nodes in float16, as a share of each image's maximum."""
+        return self._error(selected, self.stored), "image"
 
     def _error(
-        self, chosen: Collection[int], stored: Collection[int], largest: float = 0.0
+        self, selected: Collection[int], stored: Collection[int], largest: float = 0.0
     ) -> float:
         worst = 0.0
-        for probe, wanted in zip(self._probes, self._wanted, strict=True):
-            error = np.abs(self._made(probe, chosen, stored) - wanted).max()
-            error = error / max(largest or float(np.abs(wanted).max()), 1e-6)
+        for probe, expected in zip(self._probes, self._wanted, strict=True):
+            error = np.abs(self._made(probe, selected, stored) - expected).max()
+            error = error / max(largest or float(np.abs(expected).max()), 1e-6)
             worst = max(worst, float(error) if error <= np.inf else np.inf)
         return worst
 
     def _made(
-        self, probe: Probe, chosen: Collection[int], stored: Collection[int]
+        self, probe: Probe, selected: Collection[int], stored: Collection[int]
     ) -> np.ndarray:
         flags = np.zeros(len(self._model.units), np.bool_)
         tables = np.zeros(len(self.weights), np.bool_)
-        flags[list(chosen)], tables[list(stored)] = True, True
-        given = {
+        flags[list(selected)], tables[list(stored)] = True, True
+        inputs = {
             name: value.astype(np.float32) if value.dtype == np.float16 else value
             for name, value in probe.inputs.items()
         }
-        (made,) = self._model.run(given, flags, tables).values()
-        return made.astype(np.float64)
+        (image,) = self._model.run(inputs, flags, tables).values()
+        return image.astype(np.float64)
 
 
 def _halve_input(graph: ir.Graph, name: str) -> None:
-    """Take float16 where ``name`` was float32; the graph reads it as float32."""
-    value = next(one for one in graph.inputs if one.name == name)
+    """Make an input float16, and cast it to float32 for the graph."""
+    value = next(graph_input for graph_input in graph.inputs if graph_input.name == name)
     node = ir.node("Cast", [value], attributes={"to": FLOAT.value})
-    made = node.outputs[0]
-    made.name = node.name = free_name(graph, f"{name}_as_float32")
-    made.type, made.shape = ir.TensorType(FLOAT), value.shape
+    widened = node.outputs[0]
+    widened.name = node.name = free_name(graph, f"{name}_as_float32")
+    widened.type, widened.shape = ir.TensorType(FLOAT), value.shape
     readers = list(value.uses())
     for use in readers:
         if use.node is not node:
-            use.node.replace_input_with(use.idx, made)
+            use.node.replace_input_with(use.idx, widened)
     value.type = ir.TensorType(HALF)
     front = next(iter(graph), None)
     if front is None:

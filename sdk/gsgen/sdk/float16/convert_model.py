@@ -1,14 +1,14 @@
-"""Convert a model to float16, and keep in float32 what would show: measured, not listed by name.
+"""Convert a generator to float16, except for nodes and tables whose rounding exceeds the tolerance.
 
-Every node is rounded on its own and in groups, at the contract's probes, and the outputs are
-compared with those of float32 in the contract's units: positions in standard deviations of their
-Gaussian, covariances relative to their trace, opacity absolutely, appearance from 64 directions.
-Tables are stored in 16 bits a number, whatever computes with them, unless even that would show.
+A search rounds nodes alone and in groups, at the contract's probes, and compares the outputs with
+those of float32 in the contract's units: positions in standard deviations of their Gaussian,
+covariances relative to their trace, opacity absolutely, appearance from 64 directions. Tables of
+weights are stored in 16 bits a number, also for float32 nodes, if their rounding is small enough.
 """
 
-__all__ = ["Float16Result", "half_manifest", "to_float16", "write_float16"]
+__all__ = ["Float16Result", "float16_manifest", "to_float16", "write_float16"]
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,14 +24,19 @@ from gsgen.contract.spec.targets import load_target
 from gsgen.sdk.errors import RewriteFailed
 from gsgen.sdk.float16.error_measure import ErrorProbe
 from gsgen.sdk.float16.precision_policy import (
-    Kept,
+    RetainedFloat32,
     choose_tables,
     epsilon_guards,
-    explain,
     merge_islands,
+    retained_nodes,
 )
 from gsgen.sdk.float16.sensitivity_search import max_quantizable
-from gsgen.sdk.float16.to_float16 import Boundary, ToFloat16, halves, key_of
+from gsgen.sdk.float16.to_float16 import (
+    Boundary,
+    ToFloat16,
+    can_compute_in_float16,
+    node_key,
+)
 from gsgen.sdk.parity import Parity
 from gsgen.sdk.passes.framework.base import opset_of
 from gsgen.sdk.passes.repairs import PadColor
@@ -47,36 +52,37 @@ from gsgen.sdk.rewriting.output_equivalence import probes_of
 from gsgen.sdk.rewriting.rewrite import prepare, tidy
 
 _BUDGET = 200
-# How much of what is allowed may be used up by storing weights, whatever is computed with them.
+# Share of the tolerance for storing weights in 16 bits: if nodes are searched, too, and if not.
 _SHARE_OF_WEIGHTS, _SHARE_WITHOUT_NODES = 0.5, 0.6
-# How much of the tolerance the search may use, from one attempt to the next: what the real kernels
-# add to the measured rounding is seen only at the end.
+# Share of the tolerance for the search, from one attempt to the next: the error that real kernels
+# add to the measured rounding is known only at the end.
 _SHARES = (1.0, 0.5, 0.25)
 
 Progress = Callable[[str], None]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Float16Result:
     """A finished conversion.
 
     Attributes:
-        path: The file; None where none was written.
-        halved: How many nodes compute in float16.
-        kept: Which do not, although they could.
-        casts: How many Casts stand between.
-        parity: The final model against the one it came from, field by field.
-        bytes_before: Of weights.
-        bytes_after: Of weights.
-        outputs_before: Bytes of outputs a frame.
-        outputs_after: Bytes of outputs a frame.
-        measured: How many choices were measured.
-        kept_weights: Which tables are stored in float32, and the field that would show 16 bits.
+        path: The file; None if it was not written.
+        halved: Number of nodes that compute in float16.
+        retained: Nodes that could, but compute in float32.
+        casts: Number of Casts between float16 and float32 nodes.
+        parity: The final model compared with the source, field by field.
+        bytes_before: Bytes of weights in the source.
+        bytes_after: Bytes of weights in the result.
+        outputs_before: Bytes of outputs a frame in the source.
+        outputs_after: Bytes of outputs a frame in the result.
+        measured: Number of measured choices of nodes and tables.
+        retained_weights: Tables that are stored in float32, with the field that 16 bits would
+            change.
     """
 
     path: Path | None
     halved: int
-    kept: tuple[Kept, ...]
+    retained: tuple[RetainedFloat32, ...]
     casts: int
     parity: Parity
     bytes_before: int
@@ -84,7 +90,7 @@ class Float16Result:
     outputs_before: int
     outputs_after: int
     measured: int
-    kept_weights: tuple[Kept, ...] = ()
+    retained_weights: tuple[RetainedFloat32, ...] = ()
 
 
 def write_float16(
@@ -97,22 +103,22 @@ def write_float16(
     limits: Limits | None = None,
     progress: Progress = lambda _: None,
 ) -> Float16Result:
-    """Write ``source`` in float16 to ``path``.
+    """Convert the model file ``source`` to float16, and write the result to ``path``.
 
     Args:
         source: A Gaussian Generator with a manifest, in float32.
-        path: Where the result goes; None measures, and writes nothing.
+        path: The file of the result; if None, the result is measured but not written.
         outputs: Whether the outputs become float16, too.
-        tolerances: What may differ; what the manifest declares, or the contract's own, where absent.
-        budget: How many choices of nodes may be measured.
-        limits: What running the result may use.
-        progress: Called with a few words whenever a new stage begins.
+        tolerances: Allowed errors; the manifest's, or the contract's defaults, if absent.
+        budget: Largest number of choices of nodes to measure.
+        limits: Time and memory for running the result.
+        progress: Called with a message when a step begins.
 
     Raises:
-        ModelUnreadable: ``source`` is no model.
+        ModelUnreadable: ``source`` is not a readable model.
         ConfigInvalid: ``path`` would replace the weights of ``source``.
-        RewriteFailed: It has no manifest, is float16 already, has SH whose float16 rows
-            would not fill words, or no choice keeps the tolerances.
+        RewriteFailed: The model has no manifest, is float16 already, has SH whose float16 rows
+            do not fill words, or every choice exceeds the tolerances.
     """
     limits = limits or Limits()
     subject = inspect_model(open_model(source), load_target("core"), limits)
@@ -127,10 +133,10 @@ def write_float16(
             "`gsgen fix`.",
         )
     model = ir.load(source)
-    beside = has_external_weights(model)
+    external_weights = has_external_weights(model)
     prepare(model)
     probes = probes_of(subject, {})
-    converted, made = to_float16(
+    converted, result = to_float16(
         model,
         manifest,
         probes,
@@ -142,8 +148,8 @@ def write_float16(
     )
     if path is not None:
         with atomic_write(path) as draft:
-            save_model(converted, draft, beside=beside)
-    return replace(made, path=path)
+            save_model(converted, draft, external_weights=external_weights)
+    return replace(result, path=path)
 
 
 def to_float16(
@@ -159,26 +165,33 @@ def to_float16(
     limits: Limits | None = None,
     progress: Progress = lambda _: None,
 ) -> tuple[ir.Model, Float16Result]:
-    """Return ``model`` converted, and how; see :func:`write_float16`.
+    """Return a float16 copy of ``model``, and the result of the search; see :func:`write_float16`.
 
-    Without ``arithmetic``, weights are stored in 16 bits and outputs are float16, and every node
-    computes in float32 as before. ``roundings``: how often what storing outputs rounds may be
-    added to the tolerances.
+    Args:
+        model: A prepared graph in float32.
+        manifest: Its manifest.
+        probes: Inputs to measure at.
+        outputs: Whether the outputs become float16, too.
+        tolerances: Allowed errors; the manifest's, or the contract's defaults, if absent.
+        arithmetic: Whether nodes compute in float16. If not, every node computes in float32, and
+            only weights and outputs are stored in 16 bits.
+        roundings: How often the rounding of stored outputs is added to the tolerances.
+        budget: Largest number of choices of nodes to measure.
+        limits: Time and memory for running the result.
+        progress: Called with a message when a step begins.
 
     Raises:
-        RewriteFailed: No choice of nodes keeps the tolerances.
+        RewriteFailed: Every choice of nodes exceeds the tolerances.
     """
-    allowed = tolerances or manifest.tolerances or Tolerances()
     if outputs:
         _refuse_half_words(model, manifest)
     progress("running the model in float32")
-    measure = ErrorProbe(model, manifest, probes, allowed, outputs, roundings)
-    before, frame = weight_bytes(model), measure.frame_bytes
-    opset = opset_of(model)
-    once = set(constant_nodes(model.graph))
-    nodes = [n for n in model.graph if n not in once and halves(n, opset)]
-    boundary = Boundary(model.graph, opset)
-    if not nodes and not measure.weights:
+    allowed = tolerances or manifest.tolerances or Tolerances()
+    measure = ErrorProbe(
+        model, manifest, probes, allowed, half_outputs=outputs, roundings=roundings
+    )
+    search = _Search(model, measure, arithmetic=arithmetic, budget=budget)
+    if not search.nodes and not measure.weights:
         raise RewriteFailed("computes nothing in float32", where="model")
     if not measure.rounded.holds:
         raise RewriteFailed(
@@ -187,61 +200,121 @@ def to_float16(
             hint="Keep them float32 (`gsgen float16 --keep-outputs`), or move the scene closer to "
             "its origin.",
         )
-    guarded = epsilon_guards(nodes, opset)
-    spent, result = 0, None
     for share in _SHARES:
-        # Tables come first: they are what is stored, loaded and sent.
-        progress(f"measuring which of {len(measure.weights)} weights may be float16")
-        portion = share * (_SHARE_OF_WEIGHTS if arithmetic else _SHARE_WITHOUT_NODES)
-        tables = choose_tables(measure, budget, portion)
-        stored = {measure.weights[k] for k in tables.quantized}
-        progress(f"measuring which of {len(nodes)} nodes may round to float16")
-        measure.stored = tables.quantized
-        free = [k for k, n in enumerate(nodes) if arithmetic and n not in guarded]
-        found = max_quantizable(free, measure, budget=budget, allowed=share)
-        spent += tables.measured + found.measured
-        kept = explain(nodes, guarded, found.kept)
-        if not arithmetic:
-            kept = [Kept(key_of(node), "weights alone are halved") for node in nodes]
-        kept += merge_islands(boundary, nodes, kept)
-        casts = boundary.casts({one.node for one in kept})
-        trial = model.clone()
-        plain = {measure.weights[k] for k in measure.model.plain}
-        _convert(trial, manifest, {one.node for one in kept}, stored, plain, outputs)
+        choice = search.choose(share, progress)
+        converted = model.clone()
+        _convert(converted, manifest, choice, outputs=outputs)
         progress("comparing the float16 model with the float32 one")
-        parity = measure.of_model(trial, limits or Limits())
+        parity = measure.of_model(converted, limits or Limits())
         if parity.holds:
-            weights = [
-                Kept(measure.weights[k], group.field, group.excess)
-                for group in tables.kept
-                for k in group.units
-            ]
-            result = (trial, kept, weights, casts, parity)
             break
-    if result is None:
+    else:
         raise RewriteFailed(
             f"its float16 kernels differ by more than rounding: {parity.describe()}",
             where="model",
             hint="Raise the tolerances in the manifest, or leave the model in float32.",
         )
-    trial, kept, weights, casts, parity = result
-    return trial, Float16Result(
-        None,
-        len(nodes) - len(kept),
-        tuple(kept),
-        casts,
-        parity,
-        before,
-        weight_bytes(trial),
-        frame,
-        frame // 2 if outputs else frame,
-        spent,
-        tuple(weights),
+    frame = measure.frame_bytes
+    return converted, Float16Result(
+        path=None,
+        halved=len(search.nodes) - len(choice.retained),
+        retained=choice.retained,
+        casts=search.boundary.casts(choice.retained_names),
+        parity=parity,
+        bytes_before=weight_bytes(model),
+        bytes_after=weight_bytes(converted),
+        outputs_before=frame,
+        outputs_after=frame // 2 if outputs else frame,
+        measured=search.measured,
+        retained_weights=choice.retained_weights,
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Choice:
+    """The nodes that compute in float32, and the tables that are stored in 16 bits.
+
+    Attributes:
+        retained: Nodes that compute in float32, with reasons.
+        retained_weights: Tables that are stored in float32, with reasons.
+        stored: Names of the tables that are stored in 16 bits a number.
+        unstepped: Names of those that are stored as float16, not in even steps.
+    """
+
+    retained: tuple[RetainedFloat32, ...]
+    retained_weights: tuple[RetainedFloat32, ...]
+    stored: frozenset[str]
+    unstepped: frozenset[str]
+
+    @property
+    def retained_names(self) -> set[str]:
+        """Names of the nodes that compute in float32."""
+        return {entry.node for entry in self.retained}
+
+
+class _Search:
+    """Searches for nodes and tables that can be rounded to float16 together.
+
+    Attributes:
+        nodes: The nodes that can compute in float16.
+        boundary: Counts the Casts of a choice.
+        measured: Number of measured choices so far.
+    """
+
+    def __init__(
+        self, model: ir.Model, measure: ErrorProbe, *, arithmetic: bool, budget: int
+    ) -> None:
+        opset, constants = opset_of(model), set(constant_nodes(model.graph))
+        self.nodes = [
+            node
+            for node in model.graph
+            if node not in constants and can_compute_in_float16(node, opset)
+        ]
+        self.boundary = Boundary(model.graph, opset)
+        self.measured = 0
+        self._measure, self._budget, self._arithmetic = measure, budget, arithmetic
+        self._guards = epsilon_guards(self.nodes, opset)
+
+    def choose(self, share: float, progress: Progress) -> _Choice:
+        """Choose tables, then nodes, whose error is at most ``share`` of the tolerance."""
+        measure, nodes = self._measure, self.nodes
+        # Tables come first: their size decides the size of the file and of the download.
+        progress(f"measuring which of {len(measure.weights)} weights may be float16")
+        portion = share * (_SHARE_OF_WEIGHTS if self._arithmetic else _SHARE_WITHOUT_NODES)
+        tables = choose_tables(measure, self._budget, portion)
+        progress(f"measuring which of {len(nodes)} nodes may round to float16")
+        measure.stored = tables.quantized
+        free = [
+            index
+            for index, node in enumerate(nodes)
+            if self._arithmetic and node not in self._guards
+        ]
+        node_search = max_quantizable(free, measure, budget=self._budget, allowed=share)
+        self.measured += tables.measured + node_search.measured
+        if self._arithmetic:
+            retained = retained_nodes(nodes, self._guards, node_search.retained)
+        else:
+            retained = [
+                RetainedFloat32(node_key(node), "weights alone are halved")
+                for node in nodes
+            ]
+        retained += merge_islands(self.boundary, nodes, retained)
+        return _Choice(
+            retained=tuple(retained),
+            retained_weights=tuple(
+                RetainedFloat32(measure.weights[index], group.field, group.excess)
+                for group in tables.retained
+                for index in group.units
+            ),
+            stored=frozenset(measure.weights[index] for index in tables.quantized),
+            unstepped=frozenset(
+                measure.weights[index] for index in measure.model.unstepped
+            ),
+        )
+
+
 def _refuse_half_words(model: ir.Model, manifest: GeneratorManifest) -> None:
-    """Refuse SH whose float16 rows would end within a word (rule GO015); RGB gets a channel more."""
+    """Refuse SH whose float16 rows would not fill words (rule GO015); RGB gets a fourth channel."""
     color = manifest.outputs.appearance
     if color is None or color.space != "sh":
         return
@@ -253,33 +326,34 @@ def _refuse_half_words(model: ir.Model, manifest: GeneratorManifest) -> None:
             f"has {channels} channels of SH, whose float16 rows do not fill words of 4 bytes "
             "(rule GO015)",
             where=f"output {color.name}",
-            hint="Keep outputs float32 (`gsgen float16 --keep-outputs`), or export anew with "
-            "`--dtype float16`, which fills SH up.",
+            hint="Keep outputs float32 (`gsgen float16 --keep-outputs`), or export with "
+            "`--dtype float16`, which pads the SH.",
         )
 
 
 def _convert(
-    model: ir.Model,
-    manifest: GeneratorManifest,
-    keep: Collection[str],
-    stored: Collection[str],
-    plain: Collection[str],
-    outputs: bool,
+    model: ir.Model, manifest: GeneratorManifest, choice: _Choice, *, outputs: bool
 ) -> None:
-    ToFloat16(keep, outputs=outputs, stored=stored, plain=plain)(model)
+    """Convert ``model`` in place, and embed the manifest of the result."""
+    ToFloat16(
+        choice.retained_names,
+        outputs=outputs,
+        stored=choice.stored,
+        unstepped=choice.unstepped,
+    )(model)
     declared = manifest.outputs
     assert declared.gaussians is not None
     assert declared.appearance is not None
     if outputs:
         if declared.appearance.space == "rgb":
             PadColor(declared.appearance.name)(model)
-        text = dumps(half_manifest(manifest), indent=None)
+        text = dumps(float16_manifest(manifest), indent=None)
         model.metadata_props[MANIFEST_KEY] = text
     tidy(model)
 
 
-def half_manifest(manifest: GeneratorManifest) -> GeneratorManifest:
-    """Return what a manifest says once all outputs but the count are float16."""
+def float16_manifest(manifest: GeneratorManifest) -> GeneratorManifest:
+    """Return the manifest of a model whose outputs, except for the count, are float16."""
     declared = manifest.outputs
     assert declared.gaussians is not None
     cells = declared.cells and replace(declared.cells, dtype="float16")

@@ -1,4 +1,4 @@
-"""How much it shows, in the contract's units, that numbers of a model are float16."""
+"""Measures the output error caused by rounding nodes and tables to float16, in the contract's units."""
 
 __all__ = ["ErrorProbe"]
 
@@ -15,12 +15,12 @@ from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import GeneratorManifest, Tolerances
 from gsgen.sdk.errors import RewriteFailed
-from gsgen.sdk.float16.instrumented_model import HalfModel
+from gsgen.sdk.float16.instrumented_model import InstrumentedModel
 from gsgen.sdk.parity import FieldParity, ModelOutput, Parity, Reference, compare
 from gsgen.sdk.rewriting.model_io import has_external_weights, save_model
 
 _LEAST_ROOM = 1e-3
-# A number that has no divisor with that of the probes searched at, so that times differ.
+# Number of further probes: coprime to the number of the search's probes, so that times differ.
 _UNSEEN = 12
 
 
@@ -28,18 +28,18 @@ class ErrorProbe:
     """Measures the error of rounding some nodes of a model, in the contract's units.
 
     Args:
-        model: Float32 throughout.
-        manifest: Says which outputs are compared, and how.
-        probes: Inputs that choices are measured at.
-        tolerances: What may differ.
-        outputs: Whether the outputs are stored in float16, too.
-        roundings: How often what storing them rounds may be added to the tolerances.
+        model: A graph in float32.
+        manifest: Names the outputs to compare.
+        probes: Inputs to measure at.
+        tolerances: Allowed errors.
+        half_outputs: Whether the outputs are stored in float16, too.
+        roundings: How often the rounding of stored outputs is added to the tolerances.
 
     Attributes:
         weights: Name of each table that can be stored in 16 bits a number.
-        sizes: Numbers in each of them.
-        stored: Which of them are, in all that is measured from now on.
-        rounded: What storing the outputs changes by itself.
+        sizes: Count of numbers in each table.
+        stored: Indices of the tables that are stored in 16 bits in the next measurements.
+        rounded: The error of storing the outputs alone.
 
     Raises:
         RewriteFailed: The outputs are float16 already, or some are not declared.
@@ -51,7 +51,8 @@ class ErrorProbe:
         manifest: GeneratorManifest,
         probes: Sequence[Probe],
         tolerances: Tolerances,
-        outputs: bool,
+        *,
+        half_outputs: bool,
         roundings: int,
     ) -> None:
         self.roundings = roundings
@@ -66,98 +67,103 @@ class ErrorProbe:
             *([declared.cells.name] if declared.cells is not None else []),
         )
         self.space, self.tolerances = declared.appearance.space, tolerances
-        self.probes, self.storage = probes, np.float16 if outputs else np.float32
-        self.model = HalfModel(model)
+        self.probes, self.storage = probes, np.float16 if half_outputs else np.float32
+        self.model = InstrumentedModel(model)
         self.weights, self.sizes = self.model.weights, self.model.sizes
         self.stored: Collection[int] = ()
         self._references = [self._reference(probe) for probe in probes]
         self._unseen = [self._reference(probe) for probe in _unseen(manifest, probes)]
         self.rounded = self.parity(frozenset())
-        self._stored = {one.field: _excess(one) for one in self.rounded.fields}
+        self._stored = {field.field: _excess(field) for field in self.rounded.fields}
 
     @property
     def frame_bytes(self) -> int:
         """Bytes of float32 rows that a frame gives."""
-        made = self.model.run(
+        outputs = self.model.run(
             self.probes[0].inputs, np.zeros(len(self.model.units), np.bool_)
         )
-        return sum(made[name].nbytes for name in self.names if made[name].dtype.kind == "f")
+        return sum(
+            outputs[name].nbytes for name in self.names if outputs[name].dtype.kind == "f"
+        )
 
     def _reference(self, probe: Probe) -> Reference:
         nothing = np.zeros(len(self.model.units), np.bool_)
-        made = self._read(self.model.run(probe.inputs, nothing))
-        if made.rows.dtype != np.float32:
-            what = f"is {made.rows.dtype} already"
-            raise RewriteFailed(what, where=f"output {self.names[0]}")
-        cells = None if made.cells is None else layout.decode_cells(made.cells)
-        rows = layout.decode(made.rows, made.color, self.space)
-        return Reference(probe, rows, made.count, cells)
+        output = self._read(self.model.run(probe.inputs, nothing))
+        if output.rows.dtype != np.float32:
+            message = f"is {output.rows.dtype} already"
+            raise RewriteFailed(message, where=f"output {self.names[0]}")
+        cells = None if output.cells is None else layout.decode_cells(output.cells)
+        rows = layout.decode(output.rows, output.color, self.space)
+        return Reference(probe, rows, output.count, cells)
 
-    def _read(self, made: Mapping[str, np.ndarray]) -> ModelOutput:
-        rows, color, count, *cells = (made[name] for name in self.names)
+    def _read(self, outputs: Mapping[str, np.ndarray]) -> ModelOutput:
+        rows, color, count, *cells = (outputs[name] for name in self.names)
         return ModelOutput(rows, color, int(np.ravel(count)[0]), *cells)
 
-    def _stored_as(self, one: ModelOutput) -> ModelOutput:
-        """Return the same as the outputs will hold it."""
+    def _stored_as(self, output: ModelOutput) -> ModelOutput:
+        """Return the output in the dtype in which it will be stored."""
         with np.errstate(over="ignore"):
-            cells = None if one.cells is None else one.cells.astype(self.storage)
-            rows, color = one.rows.astype(self.storage), one.color.astype(self.storage)
-            return ModelOutput(rows, color, one.count, cells)
+            cells = None if output.cells is None else output.cells.astype(self.storage)
+            rows, color = (
+                output.rows.astype(self.storage),
+                output.color.astype(self.storage),
+            )
+            return ModelOutput(rows, color, output.count, cells)
 
-    def parity(self, chosen: Collection[int]) -> Parity:
-        """Compare the outputs with the ``chosen`` units rounded, and stored as they will be."""
+    def parity(self, selected: Collection[int]) -> Parity:
+        """Round the selected units, and compare the stored outputs with those of float32."""
         flags = np.zeros(len(self.model.units), np.bool_)
-        flags[list(chosen)] = True
+        flags[list(selected)] = True
         stored = np.zeros(len(self.weights), np.bool_)
         stored[list(self.stored)] = True
         runs = (self.model.run(probe.inputs, flags, stored) for probe in self.probes)
-        made = [self._stored_as(self._read(one)) for one in runs]
-        return self._compared(self._references, made)
+        outputs = [self._stored_as(self._read(run)) for run in runs]
+        return self._compared(self._references, outputs)
 
     def _compared(
-        self, references: Sequence[Reference], made: Sequence[ModelOutput]
+        self, references: Sequence[Reference], outputs: Sequence[ModelOutput]
     ) -> Parity:
-        return compare(references, made, self.tolerances, roundings=self.roundings)
+        return compare(references, outputs, self.tolerances, roundings=self.roundings)
 
-    def __call__(self, chosen: Collection[int]) -> tuple[float, str]:
-        """Return how much of the room that storage leaves is used up, and in which field."""
-        used = {one.field: self._used(one) for one in self.parity(chosen).fields}
+    def __call__(self, selected: Collection[int]) -> tuple[float, str]:
+        """Return the largest share of the tolerance that rounding these units uses, and its field."""
+        used = {field.field: self._used(field) for field in self.parity(selected).fields}
         worst = max(used, key=lambda field: used[field], default="")
         return used.get(worst, 0.0), worst
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
-        """Return the same of storing these tables in float16, with nothing computed in it."""
+        """Return the share of the tolerance that storing these tables in 16 bits uses, and its field."""
         self.stored = stored
         return self(())
 
     def _used(self, field: FieldParity) -> float:
-        """Return the share of a field's tolerance that is used, storage in float16 left out."""
+        """Return the used share of a field's tolerance, without the part for storing the outputs."""
         base = self._stored.get(field.field, 0.0)
         return float((_excess(field) - base) / max(1 - base, _LEAST_ROOM))
 
     def of_model(self, model: ir.Model, limits: Limits) -> Parity:
-        """Run a converted model in ONNX Runtime, at probes that the search did not see, too."""
+        """Compare a converted model with float32, at probes that the search did not use, too."""
         references = [*self._references, *self._unseen]
-        probes = [one.probe for one in references]
+        probes = [reference.probe for reference in references]
         with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
             file = Path(folder) / "float16.onnx"
-            save_model(model, file, beside=has_external_weights(model))
-            size = sum(one.stat().st_size for one in Path(folder).iterdir())
+            save_model(model, file, external_weights=has_external_weights(model))
+            size = sum(path.stat().st_size for path in Path(folder).iterdir())
             with execute(file, self.names, probes, limits.for_model(size)) as execution:
                 if execution.fault is not None:
                     raise RewriteFailed(
                         f"ONNX Runtime cannot run the result: {execution.fault.message}",
                         where="float16",
                     )
-                made = [
+                outputs = [
                     self._read(execution.samples[run.sample].outputs)
                     for run in execution.runs
                 ]
-                return self._compared(references, made)
+                return self._compared(references, outputs)
 
 
 def _unseen(manifest: GeneratorManifest, probes: Sequence[Probe]) -> tuple[Probe, ...]:
-    """Return probes of other cameras, times and poses than those that nodes were chosen at."""
+    """Return probes with other cameras, times and poses than those of the search."""
     inputs = probes[0].inputs
     shapes = {name: array.shape for name, array in inputs.items()}
     dtypes = {name: array.dtype.name for name, array in inputs.items()}

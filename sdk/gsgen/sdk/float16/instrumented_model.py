@@ -1,6 +1,6 @@
-"""A model that can compute any of its nodes as if in float16, chosen anew at every run."""
+"""A model that rounds selected nodes and tables to float16, with another selection in every run."""
 
-__all__ = ["FLAGS", "GUARD_ELEMENTS", "LARGEST", "HalfModel", "tables"]
+__all__ = ["FLAGS", "GUARD_ELEMENTS", "InstrumentedModel", "tables"]
 
 import tempfile
 from collections.abc import Collection, Mapping, Sequence
@@ -12,7 +12,14 @@ import numpy as np
 import onnx_ir as ir
 from jaxtyping import Bool
 
-from gsgen.sdk.float16.to_float16 import FLOAT, HALF, halves, key_of, places_of
+from gsgen.contract.spec.units import FLOAT16_MAX, FLOAT16_SMALLEST_NORMAL
+from gsgen.sdk.float16.to_float16 import (
+    FLOAT,
+    HALF,
+    can_compute_in_float16,
+    convertible_indices,
+    node_key,
+)
 from gsgen.sdk.float16.weight_tables import HalfTable, half_table
 from gsgen.sdk.passes.framework.base import is_op, opset_of
 from gsgen.sdk.passes.framework.graph_builder import new_node, weight
@@ -20,11 +27,9 @@ from gsgen.sdk.rewriting.constant_subgraph import partition_constants
 from gsgen.sdk.rewriting.model_io import save_model
 
 FLAGS = "computed_in_float16"
-# A constant of more elements is a table, where an element that becomes zero is no guard.
+# A constant with more elements is a table: an element that becomes zero does not guard a division.
 GUARD_ELEMENTS = 16
-LARGEST = 65504.0
-_NORMAL = np.float32(2.0**-14)
-# These hand numbers on as they are, so what a GPU does to subnormal ones does not matter yet.
+# Operators that only move numbers: a GPU flushes subnormal numbers where it computes with them.
 _MOVES = (
     *(
         "Cast",
@@ -41,98 +46,98 @@ _MOVES = (
 )
 
 
-class HalfModel:
-    """Runs a model with some nodes rounded as float16 rounds; one session serves every choice.
+class InstrumentedModel:
+    """Runs a model with selected nodes rounded to float16; one session serves every selection.
 
-    A chosen node reads float32 numbers that were rounded to float16, and its result is rounded,
-    too: an error that a device may go beyond only where it also adds up in float16. What is beyond
-    65,504 is infinite. Where a node computes with a number below 2⁻¹⁴, that is zero, since a GPU may
-    flush it.
+    A selected node reads float32 numbers that were rounded to float16, and its result is rounded,
+    too. A device exceeds this error only if it also adds up in float16. Numbers beyond 65,504
+    become infinite. Numbers below 2⁻¹⁴ become zero where a node computes with them, since a GPU may
+    flush them.
 
-    What follows from weights alone is computed once, in float32, wherever the rest runs; its nodes
-    cannot be chosen. But any table of weights can be stored in 16 bits a number, whatever reads it.
+    Nodes that depend on weights alone are computed once, in float32, and cannot be selected. Any
+    table of weights can be stored in 16 bits a number.
 
     Attributes:
-        units: Name of each node that can be chosen, in the order of the graph.
+        units: Name of each node that can be selected, in the order of the graph.
         weights: Name of each table that can be stored in 16 bits a number
             (:func:`gsgen.sdk.float16.weight_tables.half_table`).
-        sizes: Numbers in each of them.
-        plain: Which of them are stored as float16 even where steps are closer.
+        sizes: Count of numbers in each table.
+        unstepped: Indices of the tables that are stored as float16, also where even steps are closer.
     """
 
     def __init__(self, model: ir.Model) -> None:
         part = partition_constants(model)
-        copy = part.rest
+        copy = part.per_frame
         opset = opset_of(copy)
-        nodes = [node for node in copy.graph if halves(node, opset)]
-        self.units = tuple(key_of(node) for node in nodes)
-        self._tables = {one.name or "": _array(one) for one in tables(model.graph)}
+        nodes = [node for node in copy.graph if can_compute_in_float16(node, opset)]
+        self.units = tuple(node_key(node) for node in nodes)
+        self._tables = {table.name or "": _array(table) for table in tables(model.graph)}
         self._halves: dict[str, HalfTable] = {}
-        self.plain: frozenset[int] = frozenset()
+        self.unstepped: frozenset[int] = frozenset()
         self.weights = tuple(self._tables)
         self.sizes = tuple(array.size for array in self._tables.values())
         self._names = [value.name or "" for value in copy.graph.outputs]
-        self._between, self._remembered = list(part.between), _Remembered(b"", {})
+        self._between, self._cached = list(part.boundary), _CachedConstants(b"", {})
         _feed_tables(copy, self.weights)
         _instrument(copy, nodes, opset)
         self._session, self._once = _session(copy), None
-        if part.once is not None:
-            _feed_tables(part.once, self.weights)
-            self._once = _session(part.once)
+        if part.constant is not None:
+            _feed_tables(part.constant, self.weights)
+            self._once = _session(part.constant)
 
     def run(
         self,
         inputs: Mapping[str, np.ndarray],
-        chosen: Bool[np.ndarray, " n"],
+        selected: Bool[np.ndarray, " n"],
         stored: Bool[np.ndarray, " w"] | None = None,
     ) -> dict[str, np.ndarray]:
-        """Return the outputs, in float32, with the ``chosen`` units and ``stored`` tables rounded."""
+        """Return the outputs, in float32, with the selected units and stored tables rounded."""
         if stored is None:
             stored = np.zeros(len(self.weights), np.bool_)
-        fed = {**inputs, **self._constants(stored), FLAGS: chosen}
-        return _run(self._session, self._names, fed)
+        session_inputs = {**inputs, **self._constants(stored), FLAGS: selected}
+        return _run(self._session, self._names, session_inputs)
 
     def _halved(self, name: str) -> HalfTable:
-        """Return a table as 16 bits a number hold it."""
+        """Return a table stored in 16 bits a number."""
         if name not in self._halves:
-            in_steps = self.weights.index(name) not in self.plain
+            in_steps = self.weights.index(name) not in self.unstepped
             self._halves[name] = half_table(self._tables[name], in_steps=in_steps)
         return self._halves[name]
 
     def is_in_steps(self, table: int) -> bool:
-        """Say whether a table is stored in steps, and not as float16."""
+        """Return whether a table is stored in even steps rather than as float16."""
         return self._halved(self.weights[table]).step is not None
 
-    def store_plainly(self, tables: Collection[int]) -> None:
-        """Store these tables as float16, and the others in whichever form is closer."""
-        for table in self.plain ^ frozenset(tables):
+    def store_unstepped(self, tables: Collection[int]) -> None:
+        """Store these tables as float16, and the others in the form that is closer."""
+        for table in self.unstepped ^ frozenset(tables):
             self._halves.pop(self.weights[table], None)
-        self.plain, self._remembered = frozenset(tables), _Remembered(b"", {})
+        self.unstepped, self._cached = frozenset(tables), _CachedConstants(b"", {})
 
     def _constants(self, stored: Bool[np.ndarray, " w"]) -> Mapping[str, np.ndarray]:
-        """Return tables and what follows from them; those of the last choice are remembered."""
+        """Return the tables and the results of constant nodes; those of the last selection are cached."""
         key = stored.tobytes()
-        if key != self._remembered.key or not self._remembered.arrays:
-            made = {
+        if key != self._cached.key or not self._cached.arrays:
+            arrays = {
                 name: self._halved(name).decoded if half else array
                 for (name, array), half in zip(self._tables.items(), stored, strict=True)
             }
             if self._once is not None:
-                made |= _run(self._once, self._between, made)
-            self._remembered = _Remembered(key, made)
-        return self._remembered.arrays
+                arrays |= _run(self._once, self._between, arrays)
+            self._cached = _CachedConstants(key, arrays)
+        return self._cached.arrays
 
 
 @dataclass(frozen=True, slots=True)
-class _Remembered:
-    """Tables and what follows from them, of one choice."""
+class _CachedConstants:
+    """The tables and the results of constant nodes for one selection of stored tables."""
 
     key: bytes
     arrays: Mapping[str, np.ndarray]
 
 
 def tables(graph: ir.Graph) -> list[ir.Value]:
-    """Return the float32 weights that are no guards, and fit float16's range."""
+    """Return the float32 weights that fit the range of float16 and have too many elements for a guard."""
     return [value for value in graph.initializers.values() if _is_table(value)]
 
 
@@ -141,7 +146,7 @@ def _is_table(value: ir.Value) -> bool:
         return False
     if value.const_value.size <= GUARD_ELEMENTS:
         return False
-    return bool(np.abs(_array(value)).max(initial=0) <= LARGEST)
+    return bool(np.abs(_array(value)).max(initial=0) <= FLOAT16_MAX)
 
 
 def _array(value: ir.Value) -> np.ndarray:
@@ -150,16 +155,16 @@ def _array(value: ir.Value) -> np.ndarray:
 
 
 def _run(
-    session: Any, names: list[str], given: Mapping[str, np.ndarray]
+    session: Any, names: list[str], arrays: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    taken = {one.name for one in session.get_inputs()}
-    fed = {name: value for name, value in given.items() if name in taken}
-    made: Sequence[np.ndarray] = session.run(names, fed)
-    return dict(zip(names, made, strict=True))
+    input_names = {tensor.name for tensor in session.get_inputs()}
+    inputs = {name: value for name, value in arrays.items() if name in input_names}
+    outputs: Sequence[np.ndarray] = session.run(names, inputs)
+    return dict(zip(names, outputs, strict=True))
 
 
 def _feed_tables(model: ir.Model, names: Sequence[str]) -> None:
-    """Make inputs of tables, so that a run can have them rounded."""
+    """Turn tables into inputs, so that each run can round them."""
     for name in names:
         value = model.graph.initializers.pop(name, None)
         if value is not None:
@@ -172,7 +177,7 @@ def _session(model: ir.Model) -> Any:
 
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4
-    # Optimisation would take the pairs of Casts away that do the rounding.
+    # Optimisation would remove the pairs of Casts that round.
     level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
     options.graph_optimization_level = level
     with tempfile.TemporaryDirectory(prefix="gsgen-") as folder:
@@ -192,13 +197,13 @@ def _instrument(model: ir.Model, nodes: Sequence[ir.Node], opset: int) -> None:
     )
     graph.inputs.append(flags)
     zero = weight(graph, "float16_zero", np.zeros((), np.float32))
-    tiny = weight(graph, "float16_tiny", np.asarray(_NORMAL))
+    tiny = weight(graph, "float16_tiny", np.asarray(FLOAT16_SMALLEST_NORMAL, np.float32))
     for number, node in enumerate(nodes):
-        inputs, outputs = places_of(node, opset)
-        place = weight(graph, f"float16_unit_{number}", np.asarray(number))
+        inputs, outputs = convertible_indices(node, opset)
+        unit = weight(graph, f"float16_unit_{number}", np.asarray(number))
         flag = new_node(
             "Gather",
-            [flags, place],
+            [flags, unit],
             f"float16_flag_{number}",
             dtype=ir.DataType.BOOL,
             axis=0,
@@ -225,14 +230,14 @@ def _round_output(
     value.name = f"float16_raw_{number}_{index}"
     behind = _rounded(value, f"float16_out_{number}_{index}")
     behind.append(_chosen(flag, behind[-1].outputs[0], value))
-    made = behind[-1].outputs[0]
-    made.name, made.shape = name, value.shape
+    result = behind[-1].outputs[0]
+    result.name, result.shape = name, value.shape
     graph.insert_after(node, behind)
     for use in readers:
-        use.node.replace_input_with(use.idx, made)
-    for place, output in enumerate(graph.outputs):
+        use.node.replace_input_with(use.idx, result)
+    for position, output in enumerate(graph.outputs):
         if output is value:
-            graph.outputs[place] = made
+            graph.outputs[position] = result
 
 
 def _rounded(value: ir.Value, name: str) -> list[ir.Node]:
@@ -246,10 +251,10 @@ def _flushed(value: ir.Value, tiny: ir.Value, zero: ir.Value) -> list[ir.Node]:
     small = new_node(
         "Less", [size.outputs[0], tiny], f"{value.name}_small", dtype=ir.DataType.BOOL
     )
-    kept = new_node(
+    result = new_node(
         "Where", [small.outputs[0], zero, value], f"{value.name}_flushed", dtype=FLOAT
     )
-    return [size, small, kept]
+    return [size, small, result]
 
 
 def _chosen(flag: ir.Node, rounded: ir.Value, value: ir.Value) -> ir.Node:

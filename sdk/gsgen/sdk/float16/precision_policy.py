@@ -1,6 +1,12 @@
-"""What of a model stays float32: tables and nodes whose rounding shows, guards, and islands."""
+"""Decides which tables and nodes stay float32: costly ones, guards, and islands between them."""
 
-__all__ = ["Kept", "choose_tables", "epsilon_guards", "explain", "merge_islands"]
+__all__ = [
+    "RetainedFloat32",
+    "choose_tables",
+    "epsilon_guards",
+    "merge_islands",
+    "retained_nodes",
+]
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,15 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import onnx_ir as ir
 
+from gsgen.contract.spec.units import FLOAT16_MAX, FLOAT16_SMALLEST_NORMAL
 from gsgen.sdk.float16.error_measure import ErrorProbe
-from gsgen.sdk.float16.instrumented_model import GUARD_ELEMENTS, LARGEST
+from gsgen.sdk.float16.instrumented_model import GUARD_ELEMENTS
 from gsgen.sdk.float16.sensitivity_search import Search, Sensitivity, max_quantizable
-from gsgen.sdk.float16.to_float16 import FLOAT, Boundary, key_of, places_of
+from gsgen.sdk.float16.to_float16 import FLOAT, Boundary, convertible_indices, node_key
 from gsgen.sdk.float16.weight_tables import LEAST_ELEMENTS
 from gsgen.sdk.passes.framework.base import is_op
-from gsgen.sdk.passes.framework.graph_builder import known_array
+from gsgen.sdk.passes.framework.graph_builder import constant_array
 
-_NORMAL = 2.0**-14
+# Operators between a guard and the division that it protects.
 _BEHIND_GUARDS = (
     *("Sqrt", "Reciprocal", "Pow", "Cast", "Expand", "Reshape", "Squeeze", "Unsqueeze"),
     *("Transpose", "Identity", "Slice", "Gather", "Where", "Clip", "Max", "Min"),
@@ -24,124 +31,148 @@ _BEHIND_GUARDS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
-    """A node that stays float32.
+class RetainedFloat32:
+    """A node or table that stays float32, with the reason.
 
     Attributes:
-        node: Its name, which is that of its first result.
-        why: The field that would show it, a guard, a decision, or a neighbour that saves Casts.
-        excess: How much of what is allowed, beyond the rounding of outputs, its group alone would
-            use up; 0 where that is not the reason.
+        node: Its name; for a node, the name of its first result.
+        reason: The field whose error is too large, a guard, a decision, or "saves Casts".
+        excess: The share of the tolerance, beyond the rounding of outputs, that its group alone
+            would use; 0 for other reasons.
     """
 
     node: str
-    why: str
+    reason: str
     excess: float = 0.0
 
 
 def choose_tables(measure: ErrorProbe, budget: int, allowed: float) -> Search:
-    """Find tables to store in 16 bits: large ones first, since small ones hardly matter.
+    """Find tables to store in 16 bits a number: large tables first, since they save the most.
 
-    A table whose even steps would show is tried as float16, which rounds small numbers less.
+    A table whose even steps are too coarse is tried as float16, which rounds small numbers less.
+
+    Args:
+        measure: Measures the error of stored tables.
+        budget: Largest number of measurements.
+        allowed: Largest share of the tolerance.
     """
-    measure.model.store_plainly(())
+    # Step 1: large tables, each in the form that is closer.
+    measure.model.store_unstepped(())
     large = [k for k, size in enumerate(measure.sizes) if size >= LEAST_ELEMENTS]
     first = max_quantizable(large, measure.of_weights, budget=budget, allowed=allowed)
-    again = [k for one in first.kept for k in one.units if measure.model.is_in_steps(k)]
-    measure.model.store_plainly(again)
-    plain = max_quantizable(
-        again,
-        lambda more: measure.of_weights([*first.quantized, *more]),
+    stepped = [
+        k for group in first.retained for k in group.units if measure.model.is_in_steps(k)
+    ]
+    # Step 2: large tables that were too coarse in even steps, as float16.
+    measure.model.store_unstepped(stepped)
+    unstepped = max_quantizable(
+        stepped,
+        lambda added: measure.of_weights([*first.quantized, *added]),
         budget=budget - first.measured,
         allowed=allowed,
     )
-    stored = first.quantized | plain.quantized
+    stored = first.quantized | unstepped.quantized
     kept = (
-        replace(one, units=tuple(k for k in one.units if k not in stored))
-        for one in first.kept
+        replace(group, units=tuple(k for k in group.units if k not in stored))
+        for group in first.retained
     )
-    measured = first.measured + plain.measured
+    measured = first.measured + unstepped.measured
+    # Step 3: small tables.
     small = [k for k, size in enumerate(measure.sizes) if size < LEAST_ELEMENTS]
     second = max_quantizable(
         small,
-        lambda more: measure.of_weights([*stored, *more]),
+        lambda added: measure.of_weights([*stored, *added]),
         budget=budget - measured,
         allowed=allowed,
     )
     return Search(
         stored | second.quantized,
-        (*(one for one in kept if one.units), *second.kept),
+        (*(group for group in kept if group.units), *second.retained),
         measured + second.measured,
     )
 
 
 def epsilon_guards(nodes: Sequence[ir.Node], opset: int) -> dict[ir.Node, str]:
-    """Return nodes that are kept from float16 whatever the probes show.
+    """Return nodes that must stay float32 even if the probes show no error, with the reasons.
 
-    An epsilon that becomes zero guards nothing, and what it guards may only be zero in a frame that
-    no probe has; so all that follows it stays, up to the division. And a comparison turns a small
-    error into a large one, at some time between the probes.
+    Case 1: a comparison turns a small error into a large one, at a time between the probes.
+    Case 2: a constant beyond 65,504 becomes infinite.
+    Case 3: an epsilon that becomes zero no longer protects a division, whose divisor may be zero
+    only in a frame without a probe.
+    Case 4: the operators between such an epsilon and the division.
     """
-    found: dict[ir.Node, str] = {}
+    reasons: dict[ir.Node, str] = {}
     front: list[ir.Node] = []
     for node in nodes:
-        if not places_of(node, opset)[1]:
-            found[node] = "it decides"
+        if not convertible_indices(node, opset)[1]:
+            reasons[node] = "it decides"  # Case 1
         for value in node.inputs:
             array = (
-                known_array(value) if value is not None and value.dtype == FLOAT else None
+                constant_array(value)
+                if value is not None and value.dtype == FLOAT
+                else None
             )
             if array is None:
                 continue
             size = np.abs(array[np.isfinite(array)])
-            if (size > LARGEST).any():
-                found[node] = "a constant beyond 65,504"
-            elif array.size <= GUARD_ELEMENTS and ((size > 0) & (size < _NORMAL)).any():
-                found[node] = "a guard that float16 makes zero"
+            if (size > FLOAT16_MAX).any():
+                reasons[node] = "a constant beyond 65,504"  # Case 2
+            elif (
+                array.size <= GUARD_ELEMENTS
+                and ((size > 0) & (size < FLOAT16_SMALLEST_NORMAL)).any()
+            ):
+                reasons[node] = "a guard that float16 makes zero"  # Case 3
                 front.append(node)
     while front:
         for reader in (use.node for v in front.pop().outputs for use in v.uses()):
             ends = is_op(reader, "Div", "Mul")
-            if reader in found or not (ends or is_op(reader, *_BEHIND_GUARDS)):
+            if reader in reasons or not (ends or is_op(reader, *_BEHIND_GUARDS)):
                 continue
-            found[reader] = "what a guard guards"
+            reasons[reader] = "between a guard and its division"  # Case 4
             if not ends:
                 front.append(reader)
-    return found
+    return reasons
 
 
-def explain(
+def retained_nodes(
     nodes: Sequence[ir.Node], guarded: Mapping[ir.Node, str], costly: Sequence[Sensitivity]
-) -> list[Kept]:
-    """Say why nodes stay float32: what was known beforehand, and what was measured."""
+) -> list[RetainedFloat32]:
+    """Return the nodes that stay float32: guards, and groups whose measured error is too large."""
     able = set(nodes)
-    kept = [Kept(key_of(node), why) for node, why in guarded.items() if node in able]
+    retained = [
+        RetainedFloat32(node_key(node), reason)
+        for node, reason in guarded.items()
+        if node in able
+    ]
     for group in costly:
-        kept += [Kept(key_of(nodes[k]), group.field, group.excess) for k in group.units]
-    return kept
+        retained += [
+            RetainedFloat32(node_key(nodes[k]), group.field, group.excess)
+            for k in group.units
+        ]
+    return retained
 
 
 def merge_islands(
-    boundary: Boundary, nodes: Sequence[ir.Node], kept: Sequence[Kept]
-) -> list[Kept]:
-    """Return nodes among the kept ones that need fewer Casts if they are kept, too."""
-    keep = {one.node for one in kept}
-    added: list[Kept] = []
+    boundary: Boundary, nodes: Sequence[ir.Node], retained: Sequence[RetainedFloat32]
+) -> list[RetainedFloat32]:
+    """Return further nodes to retain in float32, because that saves Casts."""
+    keep = {entry.node for entry in retained}
+    added: list[RetainedFloat32] = []
     while True:
         fresh = [
             node
             for node in nodes
-            if key_of(node) not in keep
+            if node_key(node) not in keep
             and _borders(node, keep)
             and boundary.saved(node, keep) > 0
         ]
         if not fresh:
             return added
-        keep.add(key_of(fresh[0]))
-        added.append(Kept(key_of(fresh[0]), "saves Casts"))
+        keep.add(node_key(fresh[0]))
+        added.append(RetainedFloat32(node_key(fresh[0]), "saves Casts"))
 
 
 def _borders(node: ir.Node, keep: Collection[str]) -> bool:
     near = [value.producer() for value in node.inputs if value is not None]
     near += [use.node for value in node.outputs for use in value.uses()]
-    return any(one is not None and key_of(one) in keep for one in near)
+    return any(neighbour is not None and node_key(neighbour) in keep for neighbour in near)

@@ -1,22 +1,22 @@
-"""Which of many parts can be given up together: search by measuring, within a budget."""
+"""Search for many units that can be quantized together, within a budget of measurements."""
 
 __all__ = ["Search", "Sensitivity", "max_quantizable"]
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
-# A part that uses up no more than this share of what is allowed need not be looked into.
+# A group that uses at most this share of the tolerance is not split further.
 _HARMLESS = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
-    """What giving up some units, and no others, costs.
+    """The error of quantizing some units, and no others.
 
     Attributes:
-        units: Their numbers, neighbours in the graph.
-        excess: The error over what is allowed.
-        field: Where the error is largest.
+        units: Indices of the units, neighbours in the graph.
+        excess: The error as a share of the tolerance.
+        field: The field with the largest error.
     """
 
     units: tuple[int, ...]
@@ -26,16 +26,16 @@ class Sensitivity:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What was found.
+    """The result of a search.
 
     Attributes:
-        quantized: Numbers of the units that can all be given up at once.
-        kept: The others, each group with what it would have cost alone.
-        measured: How many choices were measured.
+        quantized: Indices of the units that can be quantized together.
+        retained: The other units, in groups, each with its error if quantized alone.
+        measured: Number of measured choices.
     """
 
     quantized: frozenset[int]
-    kept: tuple[Sensitivity, ...]
+    retained: tuple[Sensitivity, ...]
     measured: int
 
 
@@ -45,17 +45,20 @@ Measure = Callable[[Collection[int]], tuple[float, str]]
 def max_quantizable(
     units: Sequence[int], measure: Measure, *, budget: int = 200, allowed: float = 1.0
 ) -> Search:
-    """Find many units that can be given up together with an excess of at most ``allowed``.
+    """Find many units that can be quantized together with an error of at most ``allowed``.
 
-    First groups of neighbours are measured alone and halved, the most costly first, until each is a
-    single unit or costs next to nothing. Then they are given up in the order of their cost: as many
-    as possible at once (found by bisection), and of the rest every one that still fits.
+    Step 1: all units together.
+    Step 2: groups of neighbours are measured alone and halved, the most costly first, until each
+    is a single unit or costs next to nothing.
+    Step 3: as many groups as possible are quantized at once, in the order of their cost, by
+    bisection.
+    Step 4: each of the other groups is added if the error stays small enough.
 
     Args:
-        units: Numbers of the units, neighbours in the graph side by side.
-        measure: Returns the excess of giving up these units, and the field it is seen in.
-        budget: How many choices may be measured; the last stage ends early beyond it.
-        allowed: The largest excess of the result.
+        units: Indices of the units, in the order of the graph.
+        measure: Returns the error of quantizing these units, and the field with that error.
+        budget: Largest number of measurements; step 4 ends early beyond it.
+        allowed: The largest error of the result, as a share of the tolerance.
     """
     count = 0
 
@@ -93,20 +96,21 @@ def _fill(
     budget: int,
 ) -> Search:
     low, high = 0, sum(group.excess <= allowed for group in groups)
-    while low < high:  # the first `low` groups fit, by what was measured
+    # Step 3: the first `low` groups together were measured to fit.
+    while low < high:
         middle = (low + high + 1) // 2
         if costs(_joined(groups[:middle]))[0] <= allowed:
             low = middle
         else:
             high = middle - 1
-    given, kept = list(groups[:low]), []
+    quantized, retained = list(groups[:low]), []
     for group in groups[low:]:
         fits = group.excess <= allowed and counted() < budget
-        if fits and costs(_joined([*given, group]))[0] <= allowed:
-            given.append(group)
+        if fits and costs(_joined([*quantized, group]))[0] <= allowed:
+            quantized.append(group)
         else:
-            kept.append(group)
-    return Search(frozenset(_joined(given)), tuple(kept), counted())
+            retained.append(group)
+    return Search(frozenset(_joined(quantized)), tuple(retained), counted())
 
 
 def _joined(groups: Sequence[Sensitivity]) -> list[int]:
