@@ -13,7 +13,13 @@ from gsgen.sdk.exporting import verification
 from gsgen.sdk.exporting.eager_reference import Reference, run_eager
 from gsgen.sdk.exporting.parity_diagnosis import Suspects
 from gsgen.sdk.exporting.verification import _nudged, check_parity
-from gsgen.sdk.parity import ModelOutput, Parity, compare, fibonacci_directions, same
+from gsgen.sdk.parity import (
+    ModelOutput,
+    Parity,
+    compare,
+    fibonacci_directions,
+    references_equal,
+)
 from support.models.generators import Drift
 
 
@@ -110,12 +116,12 @@ def test_two_runs_are_the_same_to_the_bit_or_within_a_tolerance() -> None:
     points = np.arange(9.0).reshape(3, 3)
     points[0, 0] = np.nan
     known = reference(points)
-    assert same(known, reference(points.copy()))
-    assert not same(known, reference(points * (1 + 1e-6)))
-    assert same(known, reference(points * (1 + 1e-6)), 1e-5)
-    assert not same(known, reference(points * (1 + 1e-4)), 1e-5)
-    assert not same(known, reference(points, count=2))
-    assert not same(known, reference(np.concatenate([points, points])), 1e-5)
+    assert references_equal(known, reference(points.copy()))
+    assert not references_equal(known, reference(points * (1 + 1e-6)))
+    assert references_equal(known, reference(points * (1 + 1e-6)), 1e-5)
+    assert not references_equal(known, reference(points * (1 + 1e-4)), 1e-5)
+    assert not references_equal(known, reference(points, count=2))
+    assert not references_equal(known, reference(np.concatenate([points, points])), 1e-5)
 
 
 # ---- Rows that jump at a threshold -------------------------------------------------------------
@@ -146,7 +152,7 @@ def test_a_few_rows_may_be_as_torch_has_them_a_hair_away(
     near = {0: [culled(n, []), culled(n, gone[:1]), culled(n, gone[1:] or gone)]}
     parity = compare([known], outputs, Tolerances(), neighbours=near)
     assert parity.holds is holds
-    assert parity.jumped == (len(gone) if holds else 0)
+    assert parity.rows_at_threshold == (len(gone) if holds else 0)
     assert ("at a threshold" in parity.describe()) is holds
 
 
@@ -198,9 +204,9 @@ def test_a_model_that_jumps_a_little_sooner_than_torch_agrees_with_it(monkeypatc
     suspects = Suspects(module, references[0].probe, (), True)
     monkeypatch.setattr(verification, "_run", lambda *_: outputs)
     parity = check_parity(Path("m.onnx"), manifest, references, suspects, lambda _: None)
-    assert parity.jumped == 1
+    assert parity.rows_at_threshold == 1
     outputs[0].rows[8, 3] += 0.1
-    monkeypatch.setattr(verification, "explain", lambda *_: ("", "hint"))
+    monkeypatch.setattr(verification, "diagnose", lambda *_: ("", "hint"))
     with pytest.raises(ParityFailed, match="opacity of Gaussian 8 is off"):
         check_parity(Path("m.onnx"), manifest, references, suspects, lambda _: None)
 
@@ -262,9 +268,9 @@ def test_cells_that_are_missing_are_a_failure() -> None:
     known = with_cells(np.full(100, 0.5))
     made = ModelOutput(*layout.encode(known.gaussians), known.count)
     assert not compare([known], [made], Tolerances()).holds
-    assert same(known, with_cells(np.full(100, 0.5)))
-    assert not same(known, with_cells(np.full(100, 0.6)))
-    assert not same(known, replace(known, cells=None))
+    assert references_equal(known, with_cells(np.full(100, 0.5)))
+    assert not references_equal(known, with_cells(np.full(100, 0.6)))
+    assert not references_equal(known, replace(known, cells=None))
 
 
 def test_cells_without_a_live_row_are_not_compared() -> None:

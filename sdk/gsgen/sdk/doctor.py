@@ -1,22 +1,22 @@
-"""What `gsgen doctor` asks of the SDK's surroundings."""
+"""Checks of `gsgen doctor`: packages and the WebGPU adapter that the SDK needs."""
 
 __all__ = ["checks"]
 
 from collections.abc import Iterator
 
-from gsgen.contract.tools.doctor import Check, package
+from gsgen.contract.tools.doctor import Check, check_package
 from gsgen.contract.validation.level_backend import LevelUnavailable
 
 _LIVE = "level live"
 
 
 def checks() -> Iterator[Check]:
-    """Yield the state of what exporting, and running models in WebGPU, need."""
+    """Yield the state of the packages for exporting, and of those for running models in WebGPU."""
     remedy = "pip install 'gsgen[sdk]'"
     for name in ("torch", "onnxscript", "onnx-ir"):
-        yield package(name, remedy, purpose="export from torch")
-    yield package("scipy", remedy, purpose="sizes of bare point clouds")
-    yield package("onnxruntime-ep-webgpu", "pip install 'gsgen[live]'", purpose=_LIVE)
+        yield check_package(name, remedy, purpose="export from torch")
+    yield check_package("scipy", remedy, purpose="sizes of bare point clouds")
+    yield check_package("onnxruntime-ep-webgpu", "pip install 'gsgen[live]'", purpose=_LIVE)
     yield _adapter()
 
 
@@ -25,9 +25,21 @@ def _adapter() -> Check:
     from gsgen.sdk.live.level import survey
 
     try:
-        found = survey()
+        survey_result = survey()
     except LevelUnavailable as error:
-        return Check("webgpu", "missing", error.message, error.hint, _LIVE)
+        return Check(
+            name="webgpu",
+            state="missing",
+            detail=error.message,
+            remedy=error.hint,
+            purpose=_LIVE,
+        )
     except RuntimeError as error:
-        return Check("webgpu", "broken", str(error), "pip install -U onnxruntime", _LIVE)
-    return Check("webgpu", "ok", found["adapter"], purpose=_LIVE)
+        return Check(
+            name="webgpu",
+            state="broken",
+            detail=str(error),
+            remedy="pip install -U onnxruntime",
+            purpose=_LIVE,
+        )
+    return Check(name="webgpu", state="ok", detail=survey_result["adapter"], purpose=_LIVE)

@@ -1,4 +1,4 @@
-"""What can stop an export."""
+"""Exceptions raised when a model cannot be exported or rewritten."""
 
 __all__ = [
     "ExportFailed",
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class GeneratorInvalid(GsgenError):
-    """A generator declares or returns something that the contract does not know."""
+    """A generator declares or returns something that the contract does not allow."""
 
 
 class ExportFailed(GsgenError):
@@ -29,7 +29,7 @@ class ParityFailed(GsgenError):
     """The exported model computes something else than the torch module.
 
     Attributes:
-        parity: How far the two differ; None where the model did not run.
+        parity: The differences; None if the model did not run.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class ExportRejected(GsgenError):
     """The exported model breaks a rule of the contract.
 
     Attributes:
-        report: What the validator found.
+        report: The validator's report.
     """
 
     def __init__(
@@ -59,4 +59,4 @@ class ExportRejected(GsgenError):
 
 
 class RewriteFailed(GsgenError):
-    """A rewritten model would not be what it was; nothing was written."""
+    """A model cannot be rewritten, or the result would compute something else."""

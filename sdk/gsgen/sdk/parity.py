@@ -1,9 +1,9 @@
 """Compare an exported model with the torch module it came from, each field in its own unit.
 
 Positions are compared in standard deviations of their Gaussian, covariances relative to their
-trace, opacity absolutely, and appearance as the colour seen from 64 directions. On top of each
-tolerance comes the rounding of the storage dtype, which no export can avoid. Cells are compared
-as Gaussians are, visibility as opacity; where a cell lies matters only if something of it is seen.
+trace, opacity absolutely, and appearance as the colour seen from 64 directions. The rounding of
+the storage dtype, which no export can avoid, is added to each tolerance. Cells are compared like
+Gaussians, and their visibility like opacity; the shape of a cell matters only if it is visible.
 """
 
 __all__ = [
@@ -13,7 +13,7 @@ __all__ = [
     "Reference",
     "compare",
     "fibonacci_directions",
-    "same",
+    "references_equal",
 ]
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,13 +30,13 @@ from gsgen.contract.spec.spherical_harmonics import basis, degree_of, largest_su
 
 DIRECTIONS = 64
 
-# Kernels of another library round differently in every step; this many units in the last place
-# of float32 is what a long chain of them may add up to.
+# Kernels of another library round differently in every step; a long chain of them may add up to
+# this many units in the last place of float32.
 _ULPS = 16
 _EPSILON = {"float32": 2.0**-24, "float16": 2.0**-11}
 _SUBNORMAL = {"float32": 2.0**-149, "float16": 2.0**-24}
 _CHUNK = 8192
-# How many rows of a probe may be as for inputs a hair away; one always may.
+# Largest share of a probe's rows that may match neighbouring inputs instead; one row always may.
 _JUMPING_SHARE = 1e-4
 # Below this size, numbers of a run are compared absolutely.
 _TYPICAL = 1e-2
@@ -44,13 +44,13 @@ _TYPICAL = 1e-2
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """What a model should give for one probe, unpacked: in an export, what eager torch gave.
+    """The expected outputs of a model for one probe, unpacked; in an export, those of eager torch.
 
     Attributes:
         probe: The inputs.
-        gaussians: The Gaussians, before packing and casting where torch gave them.
-        count: How many rows are live.
-        cells: The cells that they lie in, each with as many of them as the others.
+        gaussians: The Gaussians; those of torch are neither packed nor cast.
+        count: Number of live rows.
+        cells: The cells of the Gaussians, all with the same number of them.
     """
 
     probe: Probe
@@ -60,7 +60,7 @@ class Reference:
 
     @property
     def live_cells(self) -> int:
-        """How many cells have a live row."""
+        """The number of cells with a live row."""
         if self.cells is None or not len(self.cells):
             return 0
         return -(-self.count // (len(self.gaussians) // len(self.cells)))
@@ -68,13 +68,13 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class ModelOutput:
-    """What a model emitted for one probe.
+    """The outputs of a model for one probe.
 
     Attributes:
         rows: Packed Gaussians, [N, 10].
         color: SH or RGB, [N, C].
-        count: How many rows are live.
-        cells: Packed cells, [N / K, 10], where the model has some.
+        count: Number of live rows.
+        cells: Packed cells, [N / K, 10]; None if the model has no cells.
     """
 
     rows: np.ndarray
@@ -83,17 +83,17 @@ class ModelOutput:
     cells: np.ndarray | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FieldParity:
-    """The largest disagreement in one field.
+    """The largest error in one field.
 
     Attributes:
         field: ``position``, ``covariance``, ``opacity`` or ``appearance``; for cells
             ``cell position``, ``cell covariance`` or ``cell visibility``.
         error: The largest error, in the field's unit.
-        excess: The error over what is allowed; above 1 is a failure.
-        probe: Label of the probe where it was seen.
-        row: The Gaussian, or the cell.
+        excess: The error divided by the tolerance; above 1, the comparison fails.
+        probe: Label of the probe with this error.
+        row: Index of the Gaussian, or of the cell.
     """
 
     field: str
@@ -105,31 +105,34 @@ class FieldParity:
 
 @dataclass(frozen=True, slots=True)
 class Parity:
-    """The result of a comparison: the worst of each field, over all probes.
+    """The result of a comparison: the largest error of each field, over all probes.
 
     Attributes:
         fields: One entry a field.
-        probes: How many probes were compared.
-        jumped: Rows that were not as they should, but as for inputs a hair away.
+        probes: Number of compared probes.
+        rows_at_threshold: Number of rows that match the expected rows of slightly changed inputs
+            instead.
     """
 
     fields: tuple[FieldParity, ...]
     probes: int
-    jumped: int = 0
+    rows_at_threshold: int = 0
 
     @property
     def holds(self) -> bool:
-        """Whether every field agrees within its tolerance; NaN does not."""
+        """Whether every field agrees within its tolerance; NaN counts as a failure."""
         return all(field.excess <= 1 for field in self.fields)
 
     def describe(self) -> str:
-        """Say the largest error of each field."""
+        """Return the largest error of each field as one line of text."""
         parts = [
             f"{f.field} {f.error:.2g} ({100 * f.excess:.3g} % of allowed)"
             for f in self.fields
         ]
-        if self.jumped:
-            parts.append(f"{self.jumped} rows at a threshold as just beside it")
+        if self.rows_at_threshold:
+            parts.append(
+                f"{self.rows_at_threshold} rows at a threshold match slightly changed inputs"
+            )
         return ", ".join(parts)
 
 
@@ -141,37 +144,37 @@ def compare(
     roundings: int = 1,
     neighbours: Mapping[int, Sequence[Reference]] | None = None,
 ) -> Parity:
-    """Compare what a model emitted with what it should emit for the same probes.
+    """Compare a model's outputs with the expected ones for the same probes.
 
     Args:
-        references: What it should.
-        outputs: What it emitted at each probe.
+        references: The expected outputs for each probe.
+        outputs: The model's outputs for each probe.
         tolerances: Allowed errors.
-        roundings: How often values were rounded to the storage dtype: twice, where the
-            references were, too.
-        neighbours: Number of a probe → what it should be for inputs a hair away. A few rows may
-            be as there instead: those that jump at a threshold, such as the border of a frustum,
-            jump for one kernel a little sooner than for another.
+        roundings: How often values were rounded to the storage dtype: twice, if the references
+            were, too.
+        neighbours: Index of a probe → the expected outputs for slightly changed inputs. A few rows
+            may match these instead: at a threshold, such as the border of a frustum, one kernel
+            jumps a little sooner than another.
     """
     worst: dict[str, FieldParity] = {}
     jumped = 0
-    for index, (reference, made) in enumerate(zip(references, outputs, strict=True)):
+    for index, (reference, output) in enumerate(zip(references, outputs, strict=True)):
         if reference.probe.zeros and not _all_finite(reference):
-            continue  # a fault of the module itself, which rule GI009 reports
+            continue  # the module's own fault, which rule GI009 reports
         near = (neighbours or {}).get(index, ())
-        fields, excused = _compare_probe(reference, made, tolerances, roundings, near)
+        fields, excused = _compare_probe(reference, output, tolerances, roundings, near)
         if excused > max(1, _JUMPING_SHARE * reference.count):
-            fields, excused = _compare_probe(reference, made, tolerances, roundings, ())
+            fields, excused = _compare_probe(reference, output, tolerances, roundings, ())
         jumped += excused
-        for one in fields:
-            known = worst.get(one.field)
-            if known is None or not one.excess <= known.excess:
-                worst[one.field] = one
+        for field in fields:
+            known = worst.get(field.field)
+            if known is None or not field.excess <= known.excess:
+                worst[field.field] = field
     return Parity(tuple(worst.values()), len(references), jumped)
 
 
-def same(a: Reference, b: Reference, tolerance: float = 0.0) -> bool:
-    """Say whether two runs gave the same bits, or numbers within a relative tolerance."""
+def references_equal(a: Reference, b: Reference, tolerance: float = 0.0) -> bool:
+    """Return whether two results have the same bits, or agree within a relative tolerance."""
     pairs = [
         (getattr(a.gaussians, name), getattr(b.gaussians, name))
         for name in ("position", "opacity", "covariance", "sh", "rgb")
@@ -200,49 +203,65 @@ def _all_finite(reference: Reference) -> bool:
 
 def _compare_probe(
     reference: Reference,
-    made: ModelOutput,
+    output: ModelOutput,
     tolerances: Tolerances,
     roundings: int,
     near: Sequence[Reference],
 ) -> tuple[list[FieldParity], int]:
-    """Return the worst of each field, part by part, and how many rows were as in ``near``."""
+    """Return the largest errors of each field, and the number of rows that match ``near`` instead."""
     label, n = reference.probe.label, reference.count
-    if made.count != n:
-        return [FieldParity("count", abs(made.count - n), np.inf, label, 0)], 0
-    if (made.cells is None) != (reference.cells is None):
-        return [FieldParity("cells", 1.0, np.inf, label, 0)], 0
-    near = [one for one in near if one.count == n and len(one.gaussians) >= n]
-    found: list[FieldParity] = []
+    if output.count != n:
+        return [_failure("count", abs(output.count - n), label)], 0
+    if (output.cells is None) != (reference.cells is None):
+        return [_failure("cells", 1.0, label)], 0
+    near = [
+        neighbour
+        for neighbour in near
+        if neighbour.count == n and len(neighbour.gaussians) >= n
+    ]
+    measured_fields: list[FieldParity] = []
     excused = 0
     for fields, total in ((_fields, n), (_cell_fields, reference.live_cells)):
         for start in range(0, total, _CHUNK):
             part = slice(start, min(start + _CHUNK, total))
-            measured = partial(_ratios, fields, part, made, tolerances, roundings)
+            measured = partial(_ratios, fields, part, output, tolerances, roundings)
             worst, jumped = _worst(reference, near, part, measured)
-            found += worst
+            measured_fields += worst
             excused += jumped
-    return found, excused
+    return measured_fields, excused
+
+
+def _failure(field: str, error: float, probe: str) -> FieldParity:
+    return FieldParity(field=field, error=error, excess=np.inf, probe=probe, row=0)
 
 
 def _worst(
     reference: Reference, near: Sequence[Reference], part: slice, measured: "_Measure"
 ) -> tuple[list[FieldParity], int]:
-    """Return the worst row of each field of a part, and how many were as in ``near``."""
-    found = []
+    """Return the largest errors of a part's rows, and the number of rows that match ``near`` instead."""
+    worst_fields = []
     jumps = np.zeros(part.stop - part.start, bool)
     for name, (error, ratio) in measured(reference).items():
         beyond = ~(ratio <= 1)
-        for one in near if beyond.any() else ():
-            other = measured(one)[name]
-            as_there = beyond & (other[1] <= 1)
+        for neighbour in near if beyond.any() else ():
+            neighbour_error = measured(neighbour)[name]
+            as_there = beyond & (neighbour_error[1] <= 1)
             error, ratio = (
-                np.where(as_there, b, a) for a, b in zip((error, ratio), other, strict=True)
+                np.where(as_there, b, a)
+                for a, b in zip((error, ratio), neighbour_error, strict=True)
             )
             jumps |= as_there
         row = int(np.argmax(ratio))
-        worst = (float(error[row]), float(ratio[row]))
-        found.append(FieldParity(name, *worst, reference.probe.label, part.start + row))
-    return found, int(np.count_nonzero(jumps))
+        worst_fields.append(
+            FieldParity(
+                field=name,
+                error=float(error[row]),
+                excess=float(ratio[row]),
+                probe=reference.probe.label,
+                row=part.start + row,
+            )
+        )
+    return worst_fields, int(np.count_nonzero(jumps))
 
 
 _Measure = Callable[[Reference], dict[str, tuple[np.ndarray, np.ndarray]]]
@@ -251,14 +270,14 @@ _Measure = Callable[[Reference], dict[str, tuple[np.ndarray, np.ndarray]]]
 def _ratios(
     fields: "_Fields",
     part: slice,
-    made: ModelOutput,
+    output: ModelOutput,
     tolerances: Tolerances,
     roundings: int,
     reference: Reference,
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return each field's error, and the error over what is allowed; NaN counts as infinite."""
+    """Return each field's error, and the error divided by its tolerance; NaN counts as infinite."""
     measured = {}
-    for name, error, allowed in fields(reference, part, made, tolerances, roundings):
+    for name, error, allowed in fields(reference, part, output, tolerances, roundings):
         ratio = error / allowed
         ratio[np.isnan(ratio)] = np.inf
         measured[name] = (error, ratio)
@@ -274,47 +293,47 @@ _Fields = Callable[[Reference, slice, ModelOutput, Tolerances, int], Iterator[Me
 def _fields(
     reference: Reference,
     part: slice,
-    made: ModelOutput,
+    output: ModelOutput,
     tolerances: Tolerances,
     roundings: int,
 ) -> Iterator[Measured]:
-    """Yield each field's error and allowance, row by row."""
-    wanted = reference.gaussians
-    seen = made.rows[part].astype(np.float64)
-    dtype = made.rows.dtype.name
-    ellipsoids = (wanted.position[part], wanted.covariance[part])
-    yield from _placed(ellipsoids, seen, dtype, tolerances, roundings)
+    """Yield each field's error and tolerance, row by row."""
+    expected = reference.gaussians
+    rows = output.rows[part].astype(np.float64)
+    dtype = output.rows.dtype.name
+    ellipsoids = (expected.position[part], expected.covariance[part])
+    yield from _ellipsoids(ellipsoids, rows, dtype, tolerances, roundings)
     rounding = roundings * _rounding(dtype)
-    error = np.abs(seen[:, layout.OPACITY] - wanted.opacity[part])
+    error = np.abs(rows[:, layout.OPACITY] - expected.opacity[part])
     yield "opacity", error, np.full(len(error), tolerances.opacity + rounding)
-    color = made.color[part].astype(np.float64)
-    yield _appearance(wanted, part, color, rounding, tolerances)
+    color = output.color[part].astype(np.float64)
+    yield _appearance(expected, part, color, rounding, tolerances)
 
 
 def _cell_fields(
     reference: Reference,
     part: slice,
-    made: ModelOutput,
+    output: ModelOutput,
     tolerances: Tolerances,
     roundings: int,
 ) -> Iterator[Measured]:
-    """Yield the same of cells."""
-    wanted = reference.cells
-    assert wanted is not None
-    assert made.cells is not None
-    seen = made.cells[part].astype(np.float64)
-    dtype = made.cells.dtype.name
-    shown = _shown(reference)[part] | ~np.isfinite(seen).all(axis=1)
-    ellipsoids = (wanted.position[part], wanted.covariance[part])
-    for name, error, allowed in _placed(ellipsoids, seen, dtype, tolerances, roundings):
-        yield f"cell {name}", np.where(shown, error, 0.0), allowed
-    error = np.abs(seen[:, layout.VISIBILITY] - wanted.visibility[part])
+    """Yield the errors and tolerances of cells, cell by cell."""
+    expected = reference.cells
+    assert expected is not None
+    assert output.cells is not None
+    rows = output.cells[part].astype(np.float64)
+    dtype = output.cells.dtype.name
+    is_visible = _visible_cells(reference)[part] | ~np.isfinite(rows).all(axis=1)
+    ellipsoids = (expected.position[part], expected.covariance[part])
+    for name, error, allowed in _ellipsoids(ellipsoids, rows, dtype, tolerances, roundings):
+        yield f"cell {name}", np.where(is_visible, error, 0.0), allowed
+    error = np.abs(rows[:, layout.VISIBILITY] - expected.visibility[part])
     allowed = np.full(len(error), tolerances.opacity + roundings * _rounding(dtype))
     yield "cell visibility", error, allowed
 
 
-def _shown(reference: Reference) -> Bool[np.ndarray, " c"]:
-    """Return which cells are seen, and have a Gaussian that is."""
+def _visible_cells(reference: Reference) -> Bool[np.ndarray, " c"]:
+    """Return which cells are visible and contain a visible Gaussian."""
     assert reference.cells is not None
     opacity = reference.gaussians.opacity
     live = np.where(np.arange(len(opacity)) < reference.count, opacity, 0.0)
@@ -322,49 +341,49 @@ def _shown(reference: Reference) -> Bool[np.ndarray, " c"]:
     return np.asarray(most * reference.cells.visibility >= layout.CULL_OPACITY)
 
 
-def _placed(
-    wanted: tuple[np.ndarray, np.ndarray],
-    seen: Float[np.ndarray, "n 10"],
+def _ellipsoids(
+    expected: tuple[np.ndarray, np.ndarray],
+    rows: Float[np.ndarray, "n 10"],
     dtype: str,
     tolerances: Tolerances,
     roundings: int,
 ) -> Iterator[Measured]:
-    """Yield the errors of where ellipsoids lie and of what shape they have."""
-    position, covariance = wanted
+    """Yield the errors and tolerances of the positions and covariances of ellipsoids."""
+    position, covariance = expected
     rounding = roundings * _rounding(dtype)
     tiny = 2 * roundings * _SUBNORMAL[dtype]
     trace = np.maximum(covariance[:, [0, 3, 5]].sum(axis=1), 1e-30)
     sigma = np.sqrt(trace / 3)
 
-    error = np.abs(seen[:, layout.POSITION] - position).max(axis=1)
+    error = np.abs(rows[:, layout.POSITION] - position).max(axis=1)
     scale = np.abs(position).max(axis=1)
     yield "position", error / sigma, tolerances.position + (rounding * scale + tiny) / sigma
 
-    error = np.abs(seen[:, layout.COVARIANCE] - covariance).max(axis=1) / trace
+    error = np.abs(rows[:, layout.COVARIANCE] - covariance).max(axis=1) / trace
     yield "covariance", error, tolerances.covariance + rounding + tiny / trace
 
 
 def _appearance(
-    wanted: layout.DecodedGaussians,
+    expected: layout.DecodedGaussians,
     part: slice,
-    seen: np.ndarray,
+    color: np.ndarray,
     rounding: float,
     tolerances: Tolerances,
 ) -> Measured:
-    if wanted.rgb is not None:
-        rgb = wanted.rgb[part]
+    if expected.rgb is not None:
+        rgb = expected.rgb[part]
         allowed = tolerances.appearance + rounding * np.abs(rgb).max(axis=1)
-        return "appearance", np.abs(seen[:, :3] - rgb).max(axis=1), allowed
-    assert wanted.sh is not None
-    sh = wanted.sh[part]
+        return "appearance", np.abs(color[:, :3] - rgb).max(axis=1), allowed
+    assert expected.sh is not None
+    sh = expected.sh[part]
     weights = basis(fibonacci_directions(DIRECTIONS), degree_of(sh.shape[1]))
-    error = largest_sum(weights, seen.reshape(sh.shape) - sh)
+    error = largest_sum(weights, color.reshape(sh.shape) - sh)
     largest = largest_sum(np.abs(weights), np.abs(sh))
     return "appearance", error, tolerances.appearance + rounding * largest
 
 
 def _rounding(dtype: str) -> float:
-    """Return the relative error that storage and float32 kernels may add."""
+    """Return the relative error that storage and float32 kernels may add to a number."""
     return _EPSILON[dtype] + _ULPS * _EPSILON["float32"]
 
 
