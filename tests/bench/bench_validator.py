@@ -19,7 +19,8 @@ from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.formats import PackedRows
-from gsgen.reference_plugins.static.static import from_content, write_scene
+from gsgen.reference_plugins.static.static import from_content
+from support.models.static_scenes import write_scene
 
 MEBIBYTE = 1 << 20
 MILLION = 1_000_000

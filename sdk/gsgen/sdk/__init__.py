@@ -1,11 +1,11 @@
-"""Wrap a torch module, export it, and know that what was exported is right.
+"""Wrap a torch module, export it, and verify that the exported model is correct.
 
 The names below are loaded when first used, so that ``import gsgen.sdk`` does not import torch.
 """
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract._lazy import attributes
+from gsgen.contract._lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from gsgen.sdk import math
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     )
     from gsgen.sdk.exporting.exporter import Exported, export
     from gsgen.sdk.exporting.post_process_exporter import export_post_process
+    from gsgen.sdk.plugins.plugin import Plugin
 
 __all__ = [
     "Cells",
@@ -32,6 +33,7 @@ __all__ = [
     "Gaussians",
     "GeneratorInvalid",
     "ParityFailed",
+    "Plugin",
     "PostProcess",
     "export",
     "export_post_process",
@@ -49,6 +51,7 @@ _HOME = {
     "Gaussians": "authoring.generator",
     "GeneratorInvalid": "errors",
     "ParityFailed": "errors",
+    "Plugin": "plugins.plugin",
     "PostProcess": "authoring.post_process",
     "export": "exporting.exporter",
     "export_post_process": "exporting.post_process_exporter",
@@ -58,4 +61,4 @@ _HOME = {
 }
 
 
-__getattr__ = attributes(__name__, _HOME)
+__getattr__ = lazy_getattr(__name__, _HOME)

@@ -12,7 +12,7 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.targets import Target, load_target
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
-from gsgen.sdk.plugins.plugin import Plugin
+from gsgen.sdk import Plugin
 
 
 def hello() -> None:

@@ -11,9 +11,10 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.formats import PackedRows, PointCloud, open_splats, write_ply
-from gsgen.reference_plugins.static.static import from_content, neighbour_scale, write_scene
+from gsgen.reference_plugins.static.static import from_content, neighbour_scale
 from gsgen.reference_plugins.synthetic import torus_knot
 from support.commands import gsgen, gsgen_here, shared
+from support.models.static_scenes import write_scene
 
 
 def emitted(path: Path) -> dict[str, np.ndarray]:
@@ -133,7 +134,7 @@ def test_packed_rows_pass_through_bit_for_bit(tmp_path: Path, channels: int) -> 
 
 def test_channels_that_mean_nothing_are_refused() -> None:
     rows = PackedRows(np.zeros((2, 10), np.float32), np.zeros((2, 5), np.float32))
-    with pytest.raises(GsgenError, match="5 channels, wanted"):
+    with pytest.raises(GsgenError, match="5 channels, expected"):
         from_content(rows)
 
 

@@ -117,7 +117,7 @@ def test_a_capacity_that_splits_a_cell_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("weights", "keep", "said"),
     [
-        (None, True, "nothing says how to weigh"),
+        (None, True, "weighted_sum is not set"),
         (WEIGHTS, False, "forward returns no cells"),
     ],
 )
@@ -223,6 +223,9 @@ def test_cells_of_both_devices_are_compared(
         cpu = {name: np.array(frame[name]) for name in frame}
     gpu = {name: value.copy() for name, value in cpu.items()}
     gpu["cells"][cell, column] += by
-    live = Live(subject, "a", (), True, None, (Frame(Probe("p", {}), cpu, gpu, None),))
+    frame = Frame(Probe("p", {}), cpu, gpu, None)
+    live = Live(
+        subject=subject, adapter="a", nodes=(), accepted=True, stop=None, frames=(frame,)
+    )
     found = [place for place, _, _ in disagreements(live)]
     assert found == ([f"field {field}"] if field else [])

@@ -74,7 +74,7 @@ class NamedInputs(Cloud):
         (
             lambda: Cloud(-3.0),
             "Gaussians.scale",
-            "is negative in 7 of 7 rows, down to -3; wanted standard deviations",
+            "is negative in 7 of 7 rows, down to -3; expected standard deviations",
             "torch.exp",
         ),
     ],

@@ -106,7 +106,7 @@ def test_it_is_captured_and_replayed_live(rewritten: Rewritten, half: bool) -> N
     assert path is not None
     if half:
         made = write_float16(path, path.with_name("half.onnx"))
-        assert made.halved > len(made.kept)
+        assert made.halved > len(made.retained)
         assert made.path is not None
         path = made.path
     report = validate(path, Settings(level=Level.LIVE, target=WEBGPU))

@@ -22,10 +22,10 @@ from gsgen.contract.spec.severity import Level
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
-from gsgen.sdk.exporting.embed_manifest import finish
+from gsgen.sdk.exporting.embed_manifest import rewrite_and_embed
 from gsgen.sdk.passes.framework.base import RewriteTarget
 from gsgen.sdk.rewriting.model_io import save_model
-from gsgen.sdk.rewriting.rewrite import GraphStats, census, rewrite_graph
+from gsgen.sdk.rewriting.rewrite import GraphStats, graph_stats, rewrite_graph
 from support.models.captured import assert_captured
 from support.models.reference_models import (
     Avatar,
@@ -52,7 +52,7 @@ def plain(name: str, folder: Path) -> Path:
     if name != "denoiser":
         make, rows, degree = GENERATORS[name]
         made = traced(make(), name, rows, degree)
-        finish(made.model, made.manifest, load_target("core"), rewrite=False)
+        rewrite_and_embed(made.model, made.manifest, load_target("core"), rewrite=False)
         save_model(made.model, path)
         return path
     image, step = torch.rand(1, 3, 8, 8), torch.tensor([200], dtype=torch.int32)
@@ -96,7 +96,7 @@ def rewritten(tmp_path_factory) -> dict[str, Case]:
         model = ir.load(first)
         rewrite_graph(model, goal)
         save_model(model, path)
-        cases[name] = Case(path, census(first, goal), census(path, goal))
+        cases[name] = Case(path, graph_stats(first, goal), graph_stats(path, goal))
     return cases
 
 

@@ -167,10 +167,12 @@ def test_what_torch_cannot_export_is_reported_with_its_line(folder: Path) -> Non
 
 
 def test_how_far_a_model_is_off_stands_in_the_report() -> None:
-    worst = FieldParity("position", math.inf, math.inf, "time=1", 3)
+    worst = FieldParity(
+        field="position", error=math.inf, excess=math.inf, probe="time=1", row=3
+    )
     error = ParityFailed("off", where="m.onnx", parity=Parity((worst,), 13))
-    outcome = Outcome(False, parity=error.parity, error=error)
-    write_report(Path("r.json"), ExportRequest(Path("m.onnx")), "dots:Dots", outcome)
+    outcome = Outcome(written=False, parity=error.parity, error=error)
+    write_report(Path("r.json"), ExportRequest(output=Path("m.onnx")), "dots:Dots", outcome)
     told = json.loads(Path("r.json").read_text())
     assert told["error"]["kind"] == "ParityFailed"
     assert told["parity"] == {
@@ -217,7 +219,7 @@ def test_targets_of_every_sort_give_a_generator(target: str, arguments: list[str
         (["pack.scenes.Dots"], UnknownName, "Write pack.scenes:Dots"),
         (["sttic"], UnknownName, "Did you mean 'static'?"),
         (["scene.ply"], UnknownName, "gsgen export static scene.ply"),
-        (["dots:number"], GeneratorInvalid, "gives int, wanted a GaussianGenerator"),
+        (["dots:number"], GeneratorInvalid, "returns int, expected a GaussianGenerator"),
         (["dots:plain"], GeneratorInvalid, "gsgen.sdk.wrap"),
         (["dots:Dots", "--arg", "m=3"], UnknownName, "unknown argument 'm'"),
         (["dots:Dots", "--arg", "n"], ConfigInvalid, "'n' has no '='"),

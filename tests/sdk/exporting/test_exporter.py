@@ -25,7 +25,7 @@ from gsgen.sdk import (
     inputs,
 )
 from gsgen.sdk.passes.framework.base import RewriteTarget
-from gsgen.sdk.rewriting.rewrite import census
+from gsgen.sdk.rewriting.rewrite import graph_stats
 from support.models.generators import Drift, Growing, Lit, Skinned
 
 Exported = Callable[..., Path]
@@ -78,7 +78,7 @@ def test_an_export_is_captured_by_every_release_that_is_known(
     path = exported(make)
     goal = RewriteTarget.of(load_target("core"))
     assert "onnxruntime-web 1.22.0 (JSEP)" in {table.runtime for table in goal.tables}
-    assert census(path, goal).uncaptured == ()
+    assert graph_stats(path, goal).uncaptured == ()
     joins = [node for node in onnx.load(path).graph.node if node.op_type == "Concat"]
     assert max(len(node.input) for node in joins) <= 7
 
@@ -246,7 +246,7 @@ def test_the_same_name_twice_is_refused(tmp_path: Path) -> None:
     class Twice(Drift):
         inputs = (inputs.time(), inputs.time())
 
-    with pytest.raises(GeneratorInvalid, match="'time' stands twice"):
+    with pytest.raises(GeneratorInvalid, match="two inputs are named 'time'"):
         export(Twice(), tmp_path / "m.onnx")
 
 

@@ -13,7 +13,7 @@ from gsgen.contract.spec.manifest_io import loads
 from gsgen.contract.spec.targets import load_target
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
-from gsgen.sdk.exporting.repair import Request, repair
+from gsgen.sdk.exporting.repair import RepairRequest, repair
 from support.commands import gsgen, gsgen_here
 
 
@@ -67,10 +67,10 @@ def test_padding_a_colour_adds_a_channel_of_ones(tmp_path: Path) -> None:
 
 def test_the_order_of_sh_is_changed_on_request_only(tmp_path: Path) -> None:
     source = find("sh_channel_major").write(tmp_path)
-    with pytest.raises(GsgenError, match="nothing that has one right answer"):
+    with pytest.raises(GsgenError, match="has no fault with one right answer"):
         repair(source, tmp_path / "fixed.onnx")
     assert not (tmp_path / "fixed.onnx").exists()
-    done = repair(source, tmp_path / "fixed.onnx", Request(channel_major=True))
+    done = repair(source, tmp_path / "fixed.onnx", RepairRequest(channel_major=True))
     assert done.after.findings == ()
     (old,) = (v for v in emitted(source).values() if v.ndim == 2 and v.shape[1] == 48)
     (new,) = (
@@ -86,7 +86,7 @@ def test_the_order_of_sh_is_changed_on_request_only(tmp_path: Path) -> None:
 def test_renaming_makes_a_viewer_find_the_outputs(tmp_path: Path) -> None:
     source = find("visionary_output_name").write(tmp_path)
     settings = Settings(target=load_target("visionary"))
-    done = repair(source, tmp_path / "fixed.onnx", Request(rename=True), settings)
+    done = repair(source, tmp_path / "fixed.onnx", RepairRequest(rename=True), settings)
     assert done.after.verdict == "conforms"
     text = open_model(tmp_path / "fixed.onnx").manifest_text
     assert text is not None
@@ -103,13 +103,13 @@ def test_a_symbol_gets_the_size_that_is_given(tmp_path: Path) -> None:
     }
     assert symbols
     sizes = dict.fromkeys(symbols, emitted(source)["gaussians"].shape[0])
-    done = repair(source, tmp_path / "fixed.onnx", Request(sizes=sizes))
+    done = repair(source, tmp_path / "fixed.onnx", RepairRequest(sizes=sizes))
     assert done.after.findings == ()
 
 
 def test_a_model_without_manifest_needs_one(tmp_path: Path) -> None:
     source = find("no_manifest").write(tmp_path)
-    with pytest.raises(GsgenError, match="carries no manifest"):
+    with pytest.raises(GsgenError, match="has no manifest"):
         repair(source, tmp_path / "fixed.onnx")
     derived = gsgen("inspect", source, "--emit-manifest")
     (tmp_path / "manifest.json").write_text(derived.out)
@@ -131,9 +131,9 @@ def test_a_model_without_manifest_needs_one(tmp_path: Path) -> None:
     [
         (("--size", "N"), 2, "--size: 'N' is not SYMBOL=SIZE"),
         (("--pin", "N=-3"), 2, "--pin: 'N=-3' is not SYMBOL=SIZE"),
-        (("--dry-run",), 1, "nothing that has one right answer is broken"),
+        (("--dry-run",), 1, "has no fault with one right answer"),
         (("--manifest", "none.json"), 2, "none.json: cannot be read"),
-        ((), 1, "nothing that has one right answer is broken"),
+        ((), 1, "has no fault with one right answer"),
     ],
 )
 def test_what_cannot_be_done_is_said(

@@ -2,16 +2,16 @@
 
 import pytest
 
-from gsgen.sdk.exporting.sh_degrees import taken_degree
+from gsgen.sdk.exporting.sh_degrees import stored_degree
 
 
 @pytest.mark.parametrize("degree", range(4))
 @pytest.mark.parametrize("half", [False, True])
 def test_rows_fill_words_and_nothing_is_said_of_what_stays(degree: int, half: bool) -> None:
-    taken, why = taken_degree(degree, half=half)
+    taken, why = stored_degree(degree, half=half)
     size = 2 if half else 4
     assert 3 * size * (taken + 1) ** 2 % 4 == 0
     fewest = next(d for d in range(degree, 4) if 3 * size * (d + 1) ** 2 % 4 == 0)
     assert taken == fewest
     assert bool(why) == (taken != degree)
-    assert taken_degree(degree, half=half, target="visionary")[0] == 3
+    assert stored_degree(degree, half=half, target="visionary")[0] == 3

@@ -11,7 +11,7 @@ from torch import Tensor
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk import GaussianGenerator, Gaussians, export, inputs
-from gsgen.sdk.exporting.sh_padding import filled_harmonics
+from gsgen.sdk.exporting.sh_padding import padded_harmonics
 
 
 class Glowing(GaussianGenerator):
@@ -44,7 +44,7 @@ def test_harmonics_are_filled_up_with_zeros_where_they_have_to_be(
 ) -> None:
     for degree, wanted in enumerate(written):
         generator = Glowing(degree)
-        with filled_harmonics(generator, half=half, target=target) as told:
+        with padded_harmonics(generator, half=half, target=target) as told:
             for _ in range(2):
                 made = generator(torch.zeros(1)).sh
         kept = (degree + 1) ** 2

@@ -10,7 +10,7 @@ from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec.manifest import GeneratorManifest, GeneratorOutputs
 from gsgen.sdk import ExportFailed, GeneratorInvalid, ParityFailed, export
 from gsgen.sdk.exporting.eager_reference import run_eager
-from gsgen.sdk.exporting.parity_diagnosis import Suspects, explain
+from gsgen.sdk.exporting.parity_diagnosis import Suspects, diagnose
 from gsgen.sdk.exporting.trace_hazards import Watch
 from gsgen.sdk.parity import ModelOutput
 from support.models import hazards
@@ -129,12 +129,12 @@ def explained(
     module = module.eval()
     references = [run_eager(module, probe) for probe in PROBES]
     suspects = Suspects(module, PROBES[0], (), rewritten)
-    return explain(suspects, MANIFEST, references, run)
+    return diagnose(suspects, MANIFEST, references, run)
 
 
 def test_an_input_that_lost_its_effect_is_named() -> None:
     reason, hint = explained(Drift(), frozen=True)
-    assert reason == "; time changes nothing in the model"
+    assert reason == "; time has no effect in the model"
     assert "outside of torch" in hint
     assert explained(Drift()) == ("", hint)
 

@@ -15,10 +15,11 @@ from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 from gsgen.formats import open_splats, write_ply
-from gsgen.reference_plugins.static.static import from_content, write_scene
+from gsgen.reference_plugins.static.static import from_content
 from gsgen.reference_plugins.synthetic import torus_knot
 from gsgen.sdk.live.fixtures import live_fixtures
 from support.models.generators import Drift, Growing, Lit, Skinned
+from support.models.static_scenes import write_scene
 
 LIVE = Settings(level=Level.LIVE)
 RULES = [rule for rule in installed_rules().rules.values() if rule.level is Level.LIVE]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.sdk.plugins.plugin_template import scaffold
+from gsgen.sdk.plugins.plugin_template import write_plugin_package
 from support.commands import ROOT, gsgen
 
 
@@ -78,11 +78,11 @@ def test_every_template_is_used() -> None:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("My_Method", "Such as 'my-method'"),
-        ("a--b", "Such as 'a-b'"),
-        ("../evil", "Such as 'evil'"),
-        ("3d", "Such as 'd'"),
-        ("", "Such as 'my-method'"),
+        ("My_Method", "For example 'my-method'"),
+        ("a--b", "For example 'a-b'"),
+        ("../evil", "For example 'evil'"),
+        ("3d", "For example 'd'"),
+        ("", "For example 'my-method'"),
         ("class", "'class' is a keyword"),
         ("torch", "can be imported already"),
         ("json", "can be imported already"),
@@ -94,20 +94,20 @@ def test_names_that_cannot_be_used_are_refused(
     tmp_path: Path, name: str, words: str
 ) -> None:
     with pytest.raises(ConfigInvalid) as caught:
-        scaffold(name, tmp_path)
+        write_plugin_package(name, tmp_path)
     assert words in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
-    scaffold("mine", tmp_path)  # an empty folder is no loss
+    write_plugin_package("mine", tmp_path)  # an empty folder is no loss
     kept = tmp_path / "mine" / "README.md"
     kept.write_text("changed")
-    with pytest.raises(ConfigInvalid, match="stands there already"):
-        scaffold("mine", tmp_path)
+    with pytest.raises(ConfigInvalid, match="exists already"):
+        write_plugin_package("mine", tmp_path)
     assert kept.read_text() == "changed"
     (tmp_path / "file").touch()
     with pytest.raises(ConfigInvalid, match="cannot be written"):
-        scaffold("other", tmp_path / "file")
+        write_plugin_package("other", tmp_path / "file")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "mine"]

@@ -10,7 +10,7 @@ from gsgen.contract.spec.manifest import Bounds, GeneratorManifest
 from gsgen.sdk import GaussianGenerator
 from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
 from gsgen.sdk.exporting.exporter import _manifest, _probes
-from gsgen.sdk.exporting.tracing import trace
+from gsgen.sdk.exporting.tracing import trace_generator
 
 
 @dataclass(frozen=True)
@@ -31,4 +31,4 @@ def traced(
     manifest = _manifest(generator.eval(), name, "float32", degree, rows, bounds)
     probes = _probes(manifest)
     module = PackedGenerator(generator, Packed(torch.float32, rows))
-    return Traced(trace(module, probes[1], manifest, 18), module, manifest, probes)
+    return Traced(trace_generator(module, probes[1], manifest, 18), module, manifest, probes)

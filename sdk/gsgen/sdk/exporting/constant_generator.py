@@ -1,32 +1,230 @@
-"""Write rows that never change as a generator: the static scene, without torch.
+"""Export a scene that does not change as a generator without inputs; torch is not needed.
 
-The graph is weights and nothing else; each output ends on Mul by one, so that capture and
-replay have a kernel to record.
+The graph holds weights alone. Each output ends on a Mul by one, so that capture and replay have a
+kernel to record.
 """
 
-__all__ = ["write_constant"]
+__all__ = [
+    "ConstantRows",
+    "ConstantSource",
+    "ExportedConstant",
+    "constant_manifest",
+    "export_constant",
+    "write_constant",
+]
 
 import os
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
+from typing import ClassVar, Literal
 
 import numpy as np
 import onnx
 from jaxtyping import Float
 from onnx import ModelProto, NodeProto, numpy_helper
 
+from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import execute
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec import layout
-from gsgen.contract.spec.manifest import GeneratorManifest
+from gsgen.contract.spec.manifest import (
+    AppearanceOutput,
+    Bounds,
+    CountOutput,
+    GaussiansOutput,
+    GeneratorManifest,
+    GeneratorOutputs,
+    Producer,
+    Space,
+    Tolerances,
+)
 from gsgen.contract.spec.manifest_io import dumps
+from gsgen.contract.spec.onnx_facts import INLINE_LIMIT
+from gsgen.contract.spec.spherical_harmonics import degree_of
+from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
+from gsgen.sdk.exporting.pipeline import (
+    OPSET,
+    Dtype,
+    ExportResult,
+    Progress,
+    silent,
+    write_export,
+)
+from gsgen.sdk.rewriting.atomic_model_files import refuse_folder
 
-_OPSET = 18
 _IR_VERSION = 8
-# A protobuf message ends at 2 GiB; weights beyond this go to a file beside the model.
-_INLINE_BYTES = 1_900_000_000
+_BOUNDS_MARGIN = 1e-3
+_OUTPUT_NAMES = {"sh": "color_sh", "rgb": "color_rgb"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConstantRows:
+    """Packed Gaussians of a scene that does not change.
+
+    Attributes:
+        rows: Packed Gaussians, float32 or float16 [N, 10].
+        appearance: SH or RGB, float32 or float16 [N, C].
+        space: Whether ``appearance`` holds SH or RGB.
+        description: The origin of the rows, such as "500 splats of SH degree 3".
+        color_space: Color space of the appearance.
+        antialias: The antialiasing that the scene was trained with.
+        notes: Changes that the user should know of, a sentence each.
+        passes_through: Whether the rows are the user's own, written even if they break rules.
+    """
+
+    rows: Float[np.ndarray, "n 10"]
+    appearance: Float[np.ndarray, "n c"]
+    space: Literal["sh", "rgb"]
+    description: str
+    color_space: Literal["srgb", "linear"] = "srgb"
+    antialias: Literal["classic", "mip"] = "classic"
+    notes: tuple[str, ...] = ()
+    passes_through: bool = False
+
+    @property
+    def degree(self) -> int | None:
+        """The SH degree, or None for RGB."""
+        return degree_of(self.appearance.shape[1] // 3) if self.space == "sh" else None
+
+    @property
+    def dtype(self) -> Dtype:
+        """The dtype of the packed Gaussians."""
+        return "float16" if self.rows.dtype == np.float16 else "float32"
+
+
+class ConstantSource(ABC):
+    """A scene that does not change, and that can be packed in either dtype.
+
+    Attributes:
+        family: The manifest's word for the kind of generator.
+    """
+
+    family: ClassVar[str | None] = None
+
+    @abstractmethod
+    def pack(self, dtype: Dtype | None, target: str) -> ConstantRows:
+        """Return the scene's packed rows.
+
+        Args:
+            dtype: The dtype of the rows; the source's own if absent.
+            target: Name of the consumer, which may read one SH degree alone.
+        """
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportedConstant(ExportResult):
+    """A finished export of a scene that does not change.
+
+    Attributes:
+        manifest: The embedded manifest.
+        rows: The exported rows.
+    """
+
+    manifest: GeneratorManifest
+    rows: ConstantRows
+
+    @property
+    def dtype(self) -> Dtype:
+        """The dtype of the packed Gaussians."""
+        return self.rows.dtype
+
+    @property
+    def contents(self) -> str:
+        """The origin of the rows and their dtype."""
+        return f"{self.rows.description}, {self.rows.dtype}"
+
+
+def export_constant(
+    source: ConstantSource,
+    path: str | os.PathLike[str],
+    *,
+    name: str | None = None,
+    dtype: Dtype | None = None,
+    capacity: int | None = None,
+    opset: int = OPSET,
+    target: str = "core",
+    settings: Settings | None = None,
+    progress: Progress = silent,
+) -> ExportedConstant:
+    """Write ``source`` as a generator that emits the same rows, bit for bit, at every frame.
+
+    Args:
+        source: The scene.
+        path: The model file; it is replaced only by a model that passed every check.
+        name: Name in the manifest; the file's stem if absent.
+        dtype: The dtype of the outputs; the source's own if absent.
+        capacity: Rows of the outputs; rows after those of the scene are zero. As many as the
+            scene has if absent.
+        opset: ONNX operator set.
+        target: The consumer to validate for. The graph needs no rewrites.
+        settings: Level, limits and severities of the validation.
+        progress: Called with a message when a step begins.
+
+    Raises:
+        ConfigInvalid: The capacity is smaller than the number of rows.
+        ParityFailed: ONNX Runtime does not return the same bits.
+        ExportRejected: The model breaks a rule; the error carries the report.
+    """
+    path = Path(path)
+    refuse_folder(path)
+    progress("packing the rows")
+    packed = source.pack(dtype, target)
+    manifest = constant_manifest(
+        packed, name or path.stem, family=source.family, capacity=capacity
+    )
+    assert manifest.outputs.gaussians is not None
+    outputs = _outputs(packed.rows, packed.appearance, manifest, len(packed.rows))
+    _, report = write_export(
+        path,
+        lambda draft: _save(_model(outputs, manifest, opset), draft),
+        lambda draft: _check(draft, outputs),
+        target=target,
+        settings=settings,
+        progress=progress,
+        must_conform=not packed.passes_through,
+    )
+    return ExportedConstant(
+        path=path, report=report, notes=packed.notes, manifest=manifest, rows=packed
+    )
+
+
+def constant_manifest(
+    packed: ConstantRows, name: str, *, family: str | None, capacity: int | None = None
+) -> GeneratorManifest:
+    """Return the manifest of a generator that emits ``packed``.
+
+    Raises:
+        ConfigInvalid: The capacity is smaller than the number of rows.
+    """
+    count = len(packed.rows)
+    total = count if capacity is None else capacity
+    if total < count:
+        raise ConfigInvalid(
+            f"{total} is less than the {count} rows",
+            where="--capacity",
+            hint=f"Give {count} or more, or leave it out.",
+        )
+    return GeneratorManifest(
+        name=name,
+        family=family,
+        producer=Producer(f"gsgen {version('gsgen')}"),
+        outputs=GeneratorOutputs(
+            GaussiansOutput("gaussians", total, packed.dtype),
+            AppearanceOutput(
+                _OUTPUT_NAMES[packed.space], packed.space, packed.degree, packed.color_space
+            ),
+            CountOutput("num_points"),
+        ),
+        space=Space(),
+        bounds=Bounds.around(packed.rows[:, layout.POSITION], _BOUNDS_MARGIN),
+        antialias=packed.antialias,
+        tolerances=Tolerances(),
+    )
 
 
 def write_constant(
@@ -36,25 +234,25 @@ def write_constant(
     path: Path,
     *,
     count: int | None = None,
-    opset: int = _OPSET,
+    opset: int = OPSET,
 ) -> None:
     """Write a generator that emits ``rows`` and ``appearance``, bit for bit, at every frame.
 
     Args:
-        rows: Packed Gaussians, float32 or float16.
+        rows: Packed Gaussians, float32 or float16. Zeros are added up to the manifest's capacity.
         appearance: SH or RGB, float32 or float16.
         manifest: Names the outputs; embedded.
-        path: Where the model goes; write to :func:`gsgen.sdk.rewriting.atomic_model_files.atomic_write` another.
-        count: How many of the first rows are live; all where absent.
+        path: The model file. Write to the draft of
+            :func:`gsgen.sdk.rewriting.atomic_model_files.atomic_write` to replace a model.
+        count: Number of live rows, the first ones; all if absent.
         opset: ONNX operator set.
 
     Raises:
         GeneratorInvalid: The arrays do not fit each other or the manifest.
-        ParityFailed: ONNX Runtime does not give back the same bits.
+        ParityFailed: ONNX Runtime does not return the same bits.
     """
     outputs = _outputs(rows, appearance, manifest, len(rows) if count is None else count)
-    model = _model(outputs, manifest, opset)
-    _save(model, path)
+    _save(_model(outputs, manifest, opset), path)
     _check(path, outputs)
 
 
@@ -67,18 +265,27 @@ def _outputs(
             "names no gaussians, appearance or count", where="manifest.outputs"
         )
     if declared.cells is not None:
-        what = "declares cells, and rows that never change are written without"
-        raise GeneratorInvalid(what, where="manifest.outputs")
+        message = "declares cells, but constant rows are written without cells"
+        raise GeneratorInvalid(message, where="manifest.outputs")
     if rows.ndim != 2 or rows.shape[1] != layout.ROW or len(rows) != len(appearance):
-        seen = f"shapes are {list(rows.shape)} and {list(appearance.shape)}"
-        raise GeneratorInvalid(f"{seen}, wanted [N, {layout.ROW}] and [N, C]", where="rows")
+        shapes = f"shapes are {list(rows.shape)} and {list(appearance.shape)}"
+        raise GeneratorInvalid(
+            f"{shapes}, expected [N, {layout.ROW}] and [N, C]", where="rows"
+        )
     if not 0 <= count <= len(rows):
         raise GeneratorInvalid(f"{count} is not within 0 to {len(rows)}", where="count")
     return {
-        declared.gaussians.name: rows,
-        declared.appearance.name: appearance,
+        declared.gaussians.name: _padded(rows, declared.gaussians.capacity),
+        declared.appearance.name: _padded(appearance, declared.gaussians.capacity),
         declared.count.name: np.array([count], np.int32),
     }
+
+
+def _padded(rows: np.ndarray, total: int) -> np.ndarray:
+    if total <= len(rows):
+        return rows
+    padding = np.zeros((total - len(rows), rows.shape[1]), rows.dtype)
+    return np.concatenate([rows, padding])
 
 
 def _model(
@@ -90,13 +297,15 @@ def _model(
     graph = model.graph
     graph.name = "static"
     for name, value in outputs.items():
-        weight, one = f"{name}_weight", f"{name}_one"
+        weight, unit = f"{name}_weight", f"{name}_one"
         graph.initializer.append(
             numpy_helper.from_array(np.ascontiguousarray(value), weight)
         )
-        graph.initializer.append(numpy_helper.from_array(np.ones((), value.dtype), one))
+        graph.initializer.append(numpy_helper.from_array(np.ones((), value.dtype), unit))
         graph.node.append(
-            NodeProto(op_type="Mul", name=f"{name}_end", input=[weight, one], output=[name])
+            NodeProto(
+                op_type="Mul", name=f"{name}_end", input=[weight, unit], output=[name]
+            )
         )
         declared = graph.output.add(name=name).type.tensor_type
         declared.elem_type = graph.initializer[-1].data_type
@@ -107,7 +316,7 @@ def _model(
 
 def _save(model: ModelProto, path: Path) -> None:
     size = sum(len(tensor.raw_data) for tensor in model.graph.initializer)
-    if size <= _INLINE_BYTES:
+    if size <= INLINE_LIMIT:
         path.write_bytes(model.SerializeToString())
         return
     onnx.save_model(
@@ -116,21 +325,21 @@ def _save(model: ModelProto, path: Path) -> None:
 
 
 def _check(path: Path, outputs: dict[str, np.ndarray]) -> None:
-    """Run the model once and compare bits."""
+    """Run the model once and compare the bits of its outputs."""
     limits = Limits().for_model(sum(value.nbytes for value in outputs.values()))
     with execute(path, list(outputs), [Probe("no inputs", {})], limits) as execution:
         if execution.fault is not None:
-            what = f"ONNX Runtime cannot run the model: {execution.fault.message}"
-            raise ParityFailed(what, where=path.name)
-        for name, wanted in outputs.items():
-            seen = execution.samples[0].outputs[name]
-            if seen.shape != wanted.shape or seen.dtype != wanted.dtype:
-                what = f"output is {seen.dtype} {list(seen.shape)}"
-                raise ParityFailed(what, where=f"{path.name}, {name}")
-            if not _same(seen, wanted):
-                raise ParityFailed("output has other values", where=f"{path.name}, {name}")
-
-
-def _same(a: np.ndarray, b: np.ndarray) -> bool:
-    """Say whether two arrays hold the same numbers; NaN equals NaN, its payload is no number."""
-    return bool(np.array_equal(a, b, equal_nan=a.dtype.kind == "f"))
+            message = f"ONNX Runtime cannot run the model: {execution.fault.message}"
+            raise ParityFailed(message, where=path.name)
+        for name, expected in outputs.items():
+            actual = execution.samples[0].outputs[name]
+            where = f"{path.name}, {name}"
+            if actual.shape != expected.shape or actual.dtype != expected.dtype:
+                shapes = f"{actual.dtype} {list(actual.shape)}"
+                message = (
+                    f"output is {shapes}, expected {expected.dtype} {list(expected.shape)}"
+                )
+                raise ParityFailed(message, where=where)
+            # NaN equals NaN: its payload does not change what is drawn.
+            if not np.array_equal(actual, expected, equal_nan=actual.dtype.kind == "f"):
+                raise ParityFailed("output has other values than the rows", where=where)

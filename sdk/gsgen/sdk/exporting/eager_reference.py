@@ -1,11 +1,12 @@
 """Run a generator in eager torch, as the reference that an exported model is compared with."""
 
-__all__ = ["Reference", "measure_bounds", "run_eager", "run_watched"]
+__all__ = ["Reference", "call_module", "measure_bounds", "run_eager", "run_watched"]
+
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from gsgen.contract.errors import GsgenError
 from gsgen.contract.probing.probes import Probe
@@ -15,12 +16,12 @@ from gsgen.contract.spec.manifest import Bounds
 from gsgen.sdk.authoring.cells import Cells
 from gsgen.sdk.authoring.generator import GaussianGenerator, Gaussians
 from gsgen.sdk.errors import GeneratorInvalid
-from gsgen.sdk.exporting.source_lines import line_of
+from gsgen.sdk.exporting.source_lines import user_line_of
 from gsgen.sdk.exporting.trace_hazards import Watch
 from gsgen.sdk.parity import Reference
 
-# Bounds are widened by this share of their size, so that times and poses between the probes
-# stay inside too.
+# Bounds are widened by this share of their size, so that Gaussians stay inside them at times and
+# poses between the probes, too.
 _MARGIN = 0.02
 
 
@@ -28,88 +29,95 @@ def run_eager(generator: GaussianGenerator, probe: Probe) -> Reference:
     """Run ``generator`` once, without gradients.
 
     Raises:
-        GeneratorInvalid: ``forward`` raised, or returned something else than Gaussians.
+        GeneratorInvalid: ``forward`` raised, or did not return Gaussians.
     """
-    return _reference(generator, probe, _call(generator, _tensors(probe)))
+    return _reference(generator, probe, call_module(generator, _tensors(probe)))
 
 
 def run_watched(generator: GaussianGenerator, probe: Probe) -> tuple[Reference, Watch]:
-    """Run ``generator`` like :func:`run_eager`, and note what tracing could not follow.
+    """Run ``generator`` like :func:`run_eager`, and record operations that tracing cannot follow.
 
     Raises:
-        GeneratorInvalid: As there.
+        GeneratorInvalid: ``forward`` raised, or did not return Gaussians.
     """
     tensors = _tensors(probe)
     with Watch(generator, tensors) as watch:
-        made = _call(generator, tensors)
-    return _reference(generator, probe, made), watch
+        output = call_module(generator, tensors)
+    return _reference(generator, probe, output), watch
 
 
 def _tensors(probe: Probe) -> list[Tensor]:
     return [torch.from_numpy(np.array(value)) for value in probe.inputs.values()]
 
 
-def _call(generator: GaussianGenerator, tensors: list[Tensor]) -> Any:
+def call_module(module: nn.Module, tensors: list[Tensor]) -> Any:
+    """Call ``module`` without gradients, and return its result.
+
+    Raises:
+        GeneratorInvalid: ``forward`` raised; the error names the line of the user's code.
+    """
     try:
         with torch.no_grad():
-            return generator(*tensors)
+            return module(*tensors)
     except GsgenError:
         raise
     except Exception as error:  # the user's code may raise anything
-        what = f"forward raised {type(error).__name__}: {error}"
-        where = line_of(error) or type(generator).__name__
-        raise GeneratorInvalid(what, where=where) from error
+        message = f"forward raised {type(error).__name__}: {error}"
+        where = user_line_of(error) or type(module).__name__
+        raise GeneratorInvalid(message, where=where) from error
 
 
-def _reference(generator: GaussianGenerator, probe: Probe, made: Any) -> Reference:
-    if not isinstance(made, Gaussians):
-        what = f"forward returned {type(made).__name__}, wanted gsgen.sdk.Gaussians"
-        raise GeneratorInvalid(what, where=type(generator).__name__)
-    n = made.position.shape[0]
-    count = n if made.count is None else int(np.clip(int(made.count.reshape(-1)[0]), 0, n))
-    if made.scale is not None and not probe.zeros:
-        _refuse_negative(_wide(made.scale[:count]))
-    cells = None if made.cells is None else _unpacked_cells(made.cells)
-    return Reference(probe, _unpacked(made), count, cells)
+def _reference(generator: GaussianGenerator, probe: Probe, output: Any) -> Reference:
+    if not isinstance(output, Gaussians):
+        message = f"forward returned {type(output).__name__}, expected gsgen.sdk.Gaussians"
+        raise GeneratorInvalid(message, where=type(generator).__name__)
+    n = output.position.shape[0]
+    count = (
+        n if output.count is None else int(np.clip(int(output.count.reshape(-1)[0]), 0, n))
+    )
+    if output.scale is not None and not probe.zeros:
+        _refuse_negative(_wide(output.scale[:count]))
+    cells = None if output.cells is None else _unpacked_cells(output.cells)
+    return Reference(probe, _unpacked(output), count, cells)
 
 
 def _refuse_negative(scale: np.ndarray) -> None:
     """Refuse scales that are mostly negative: logarithms, squared, would pass as huge Gaussians.
 
-    Single ones are let be: methods that add an offset to a scale (Deformable-3D-Gaussians) have
-    them, and draw their squares.
+    Single negative scales are accepted: methods that add an offset to a scale
+    (Deformable-3D-Gaussians) have them, and draw their squares.
     """
     wrong = int((scale < 0).all(axis=1).sum())
     if wrong > len(scale) / 2:
         raise GeneratorInvalid(
             f"is negative in {wrong:,} of {len(scale):,} rows, down to {scale.min():g}; "
-            "wanted standard deviations",
+            "expected standard deviations",
             where="Gaussians.scale",
-            hint="Take torch.exp of logarithms, which 3DGS stores; or abs, if signs mean nothing.",
+            hint="3DGS stores logarithms: take torch.exp of them; or take abs, if signs have no meaning.",
         )
 
 
-def _unpacked(made: Gaussians) -> layout.DecodedGaussians:
+def _unpacked(gaussians: Gaussians) -> layout.DecodedGaussians:
     return layout.DecodedGaussians(
-        position=_wide(made.position),
-        opacity=_wide(made.opacity).reshape(-1),
-        covariance=_covariance(made),
-        sh=None if made.sh is None else _wide(made.sh),
-        rgb=None if made.rgb is None else _wide(made.rgb),
+        position=_wide(gaussians.position),
+        opacity=_wide(gaussians.opacity).reshape(-1),
+        covariance=_covariance(gaussians),
+        sh=None if gaussians.sh is None else _wide(gaussians.sh),
+        rgb=None if gaussians.rgb is None else _wide(gaussians.rgb),
     )
 
 
-def _unpacked_cells(made: Cells) -> layout.Cells:
-    visibility = _wide(made.visibility).reshape(-1)
-    return layout.Cells(_wide(made.position), visibility, _covariance(made))
+def _unpacked_cells(cells: Cells) -> layout.Cells:
+    visibility = _wide(cells.visibility).reshape(-1)
+    return layout.Cells(_wide(cells.position), visibility, _covariance(cells))
 
 
-def _covariance(made: Gaussians | Cells) -> np.ndarray:
-    if made.covariance is not None:
-        return _wide(made.covariance)
-    assert made.scale is not None
-    assert made.rotation is not None
-    return covariance_upper(_wide(made.scale), _wide(made.rotation))
+def _covariance(ellipsoids: Gaussians | Cells) -> np.ndarray:
+    if ellipsoids.covariance is not None:
+        return _wide(ellipsoids.covariance)
+    assert ellipsoids.scale is not None
+    assert ellipsoids.rotation is not None
+    return covariance_upper(_wide(ellipsoids.scale), _wide(ellipsoids.rotation))
 
 
 def _wide(tensor: Tensor) -> np.ndarray:
@@ -120,7 +128,7 @@ def measure_bounds(references: list[Reference]) -> Bounds:
     """Return the box around all visible centres of ``references``, slightly widened.
 
     Raises:
-        GeneratorInvalid: No centre is finite and visible, so there is nothing to bound.
+        GeneratorInvalid: No centre is finite and visible.
     """
     centres = [
         r.gaussians.position[: r.count][_visible(r)]

@@ -1,6 +1,6 @@
-"""Last steps on an exported graph: the rewrites that every runtime needs, and the manifest inside."""
+"""Rewrite a traced graph for its target, and embed the manifest."""
 
-__all__ = ["finish"]
+__all__ = ["rewrite_and_embed"]
 
 import onnx_ir as ir
 from onnx_ir.passes.common import NameFixPass
@@ -13,24 +13,24 @@ from gsgen.sdk.passes.framework.base import RewriteTarget, opset_of
 from gsgen.sdk.rewriting.rewrite import Change, rewrite_graph
 
 
-def finish(
+def rewrite_and_embed(
     model: ir.Model, manifest: Manifest, target: Target, *, rewrite: bool = True
 ) -> list[Change]:
-    """Rewrite ``model`` for ``target``, and embed ``manifest``; say what was rewritten.
+    """Rewrite ``model`` for ``target``, embed ``manifest``, and return the rewrites.
 
     Args:
         model: An exported graph; it is changed.
-        manifest: What it is.
+        manifest: The manifest to embed.
         target: The consumer; ``core`` means all that are known.
-        rewrite: Whether to rewrite; without, the graph stays as torch wrote it.
+        rewrite: Whether to rewrite; if False, the graph stays as torch exported it.
     """
-    NameFixPass()(
-        model
-    )  # the exporter may call a tensor `view` although an input is called so
-    # The operator set is the one that was asked for when the graph was made.
+    # The exporter may call a tensor `view` although an input has that name.
+    NameFixPass()(model)
+    # The graph was traced at the requested operator set, so the passes keep it.
     goal = RewriteTarget.of(target, manifest, opset_of(model))
     changes = rewrite_graph(model, goal) if rewrite else []
-    model.metadata_props.clear()  # the exporter's notes name files of the author's machine
+    # The exporter's metadata names files of the author's machine.
+    model.metadata_props.clear()
     for node in model.graph.all_nodes():
         node.metadata_props.clear()
     for value in (*model.graph.inputs, *model.graph.outputs):

@@ -1,12 +1,9 @@
-"""Export a generator: trace it, finish the graph, validate the file, compare it with torch.
+"""Export a generator: run it in eager torch, trace and rewrite it, then verify and validate the file."""
 
-The file appears at its place only if all of that succeeded.
-"""
-
-__all__ = ["Exported", "Progress", "export"]
+__all__ = ["Exported", "export"]
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -29,7 +26,6 @@ from gsgen.contract.spec.manifest import (
 )
 from gsgen.contract.spec.roles import ROLES
 from gsgen.contract.spec.targets import load_target
-from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.authoring.generator import GaussianGenerator
 from gsgen.sdk.authoring.module_checks import validate_module
@@ -41,7 +37,7 @@ from gsgen.sdk.authoring.packed_module import (
     GAUSSIANS,
     Packed,
     PackedGenerator,
-    refuse_parts,
+    check_whole_cells,
 )
 from gsgen.sdk.errors import GeneratorInvalid
 from gsgen.sdk.exporting.eager_reference import (
@@ -50,69 +46,82 @@ from gsgen.sdk.exporting.eager_reference import (
     run_eager,
     run_watched,
 )
-from gsgen.sdk.exporting.embed_manifest import finish
+from gsgen.sdk.exporting.embed_manifest import rewrite_and_embed
 from gsgen.sdk.exporting.parity_diagnosis import Suspects
-from gsgen.sdk.exporting.sh_padding import filled_harmonics
+from gsgen.sdk.exporting.pipeline import (
+    OPSET,
+    Dtype,
+    ExportResult,
+    Progress,
+    silent,
+    write_export,
+)
+from gsgen.sdk.exporting.sh_padding import padded_harmonics
 from gsgen.sdk.exporting.trace_hazards import Watch
-from gsgen.sdk.exporting.tracing import trace
-from gsgen.sdk.exporting.verification import check_contract, check_memory, check_parity
-from gsgen.sdk.float16.convert_model import Float16Result, half_manifest, to_float16
+from gsgen.sdk.exporting.tracing import trace_generator
+from gsgen.sdk.exporting.verification import check_memory, check_parity
+from gsgen.sdk.float16.convert_model import Float16Result, float16_manifest, to_float16
 from gsgen.sdk.parity import Parity
-from gsgen.sdk.rewriting.atomic_model_files import atomic_write, refuse_folder
+from gsgen.sdk.rewriting.atomic_model_files import refuse_folder
 from gsgen.sdk.rewriting.model_io import save_model
-from gsgen.sdk.rewriting.rewrite import Change, prepare
+from gsgen.sdk.rewriting.rewrite import prepare
 
-Dtype = Literal["float32", "float16"]
-Progress = Callable[[str], None]
-
-OPSET = 18
-# Where cameras stand in probes of our own, as a share of the distance of the contract's.
+# Distances of the cameras of the SDK's own probes, as a share of those of the contract's probes.
 _DISTANCES = {"close": 0.2, "far": 8.0}
 _TOLERANCES = Tolerances()
-# What may be off where weights are float16; see _HALF_ROUNDINGS for what storing outputs adds. It is
-# measured at few probes: at others, covariances were seen to be off by four times as much.
+# Tolerances of the search for weights that may be float16; _HALF_ROUNDINGS adds the rounding of
+# stored outputs. The search measures few probes: at others, covariances were four times as far off.
 _HALF_CHOICE = Tolerances(position=1e-2, covariance=1e-3, opacity=1e-4, appearance=5e-4)
-# How often it rounds as much as storing the outputs does.
+# How often the rounding of stored outputs is added to the tolerances.
 _HALF_ROUNDINGS = 3
-# The same at all probes, also those that the choice was not made at.
+# Tolerances of the final comparison, at all probes, including those that the search did not use.
 _HALF_SLACK = Tolerances(position=2e-2, covariance=8e-3, opacity=1e-3, appearance=1e-3)
-# Choices that may be measured while exporting, and at how many probes; the command `gsgen float16`
-# takes more time. The model that results is compared at all of them.
+# Measurements and probes of the search during an export; the command `gsgen float16` takes more.
 _HALF_BUDGET, _HALF_PROBES = 24, 4
 
 
-def _silent(_: str) -> None:
-    return
-
-
-@dataclass(frozen=True, slots=True)
-class Exported:
-    """A finished export.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exported(ExportResult):
+    """A finished export of a generator.
 
     Attributes:
-        path: The file.
-        manifest: What was embedded.
-        parity: How closely it agrees with eager torch.
-        report: What the validator says; it conforms.
-        changes: What the rewrites did to the graph.
-        halved: What became float16, where outputs did.
-        notes: What else a user may want to know of it.
+        manifest: The embedded manifest.
+        parity: How closely the model agrees with eager torch.
+        halved: Which nodes and weights became float16; None if the outputs are float32.
     """
 
-    path: Path
     manifest: GeneratorManifest
     parity: Parity
-    report: Report
-    changes: tuple[Change, ...] = ()
     halved: Float16Result | None = None
-    notes: tuple[str, ...] = ()
+
+    @property
+    def dtype(self) -> Dtype:
+        """The dtype of the packed Gaussians."""
+        assert self.manifest.outputs.gaussians is not None
+        return self.manifest.outputs.gaussians.dtype
 
     @property
     def contents(self) -> str:
-        """What the model gives, in a few words."""
-        gaussians = self.manifest.outputs.gaussians
-        assert gaussians is not None
-        return f"{gaussians.capacity:,} rows, {gaussians.dtype}"
+        """The number of rows and their dtype."""
+        assert self.manifest.outputs.gaussians is not None
+        return f"{self.manifest.outputs.gaussians.capacity:,} rows, {self.dtype}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Options:
+    """Options of :func:`export`."""
+
+    name: str
+    dtype: Dtype
+    capacity: int | None
+    opset: int
+    target: str
+    rewrite: bool
+
+    @property
+    def searches_float16(self) -> bool:
+        """Whether a search decides which weights become float16, once the graph is rewritten."""
+        return self.dtype == "float16" and self.rewrite
 
 
 def export(
@@ -126,27 +135,29 @@ def export(
     target: str = "core",
     rewrite: bool = True,
     settings: Settings | None = None,
-    progress: Progress = _silent,
+    progress: Progress = silent,
 ) -> Exported:
     """Write ``generator`` as an ONNX Gaussian Generator that conforms and agrees with torch.
 
     Args:
         generator: The module; it is put into evaluation mode and moved to the CPU.
-        path: Where the model goes; it is replaced only by a model that passed every check.
-        name: What people call it; the file's stem where absent.
-        dtype: Of all outputs but the count; float16 stores weights in 16 bits, too, wherever that
-            does not show; arithmetic stays float32 (:mod:`gsgen.sdk.float16.convert_model`).
-        capacity: Rows of the outputs; as many as there are Gaussians where absent.
-        opset: ONNX operator set, 18 being the one that every runtime has kernels for.
+        path: The model file; it is replaced only by a model that passed every check.
+        name: Name in the manifest; the file's stem if absent.
+        dtype: The dtype of all outputs but the count. float16 stores weights in 16 bits, too, if
+            the error is below the tolerance; arithmetic stays float32
+            (:mod:`gsgen.sdk.float16.convert_model`).
+        capacity: Rows of the outputs; as many as there are Gaussians if absent.
+        opset: ONNX operator set; every runtime has kernels for 18.
         target: The consumer to rewrite and validate for.
-        rewrite: Rewrite the graph so that it is captured; without, it stays as torch wrote it.
-        settings: Limits and severities of that validation.
-        progress: Called with a few words whenever a new stage begins.
+        rewrite: Whether to rewrite the graph so that it is captured; if False, it stays as torch
+            exported it.
+        settings: Level, limits and severities of the validation.
+        progress: Called with a message when a step begins.
 
     Raises:
-        GeneratorInvalid: The module declares or returns something the contract does not know.
+        GeneratorInvalid: The module declares or returns something that the contract does not allow.
         ExportFailed: Torch could not export it.
-        RewriteFailed: It cannot be halved.
+        RewriteFailed: It cannot be converted to float16.
         ParityFailed: The model computes something else than the module.
         ExportRejected: The model breaks a rule; the error carries the report.
     """
@@ -154,50 +165,50 @@ def export(
     refuse_folder(path)
     validate_module(generator)
     generator = generator.eval().cpu()
-    wanted = _Wanted(name or path.stem, dtype, capacity, opset, target, rewrite)
-    with filled_harmonics(generator, half=dtype == "float16", target=target) as notes:
-        made = _export(generator, path, wanted, settings, progress)
-        return replace(made, notes=tuple(notes))
-
-
-@dataclass(frozen=True, slots=True)
-class _Wanted:
-    """Options of :func:`export`."""
-
-    name: str
-    dtype: Dtype
-    capacity: int | None
-    opset: int
-    target: str
-    rewrite: bool
+    options = _Options(
+        name=name or path.stem,
+        dtype=dtype,
+        capacity=capacity,
+        opset=opset,
+        target=target,
+        rewrite=rewrite,
+    )
+    with padded_harmonics(generator, half=dtype == "float16", target=target) as notes:
+        exported = _export(generator, path, options, settings, progress)
+        return replace(exported, notes=tuple(notes))
 
 
 def _export(
     generator: GaussianGenerator,
     path: Path,
-    wanted: _Wanted,
+    options: _Options,
     settings: Settings | None,
     progress: Progress,
 ) -> Exported:
+    # Steps 1 and 2: eager reference and hazards.
     progress("running the module in eager torch")
-    # Halving is left to the rewrite, which measures what has to stay float32.
-    halves = wanted.dtype == "float16" and wanted.rewrite
-    traced: Dtype = "float32" if halves else wanted.dtype
-    described = _describe(generator, wanted.name, traced, wanted.capacity)
+    searches = options.searches_float16
+    # The search needs a float32 graph, whose rounding it can measure.
+    traced_dtype: Dtype = "float32" if searches else options.dtype
+    described = _describe(generator, options.name, traced_dtype, options.capacity)
     manifest, references = described.manifest, described.references
     gaussians = manifest.outputs.gaussians
     assert gaussians is not None
-    packed = PackedGenerator(generator, Packed(getattr(torch, traced), gaussians.capacity))
+    # Step 3: tracing.
+    storage = Packed(getattr(torch, traced_dtype), gaussians.capacity)
     progress("tracing the graph")
     example, hazards = described.example, described.watch.hazards
-    model = trace(packed, example, manifest, wanted.opset, hazards)
+    packed = PackedGenerator(generator, storage)
+    model = trace_generator(packed, example, manifest, options.opset, hazards)
+    # Steps 4 and 5: rewriting and manifest.
     progress("rewriting the graph")
-    changes = finish(model, manifest, load_target(wanted.target), rewrite=wanted.rewrite)
+    target = load_target(options.target)
+    changes = rewrite_and_embed(model, manifest, target, rewrite=options.rewrite)
     halved = None
-    if halves:
+    if searches:
         prepare(model)
-        every = max(1, len(references) // _HALF_PROBES)
-        probes = [one.probe for one in references[::every]][:_HALF_PROBES]
+        stride = max(1, len(references) // _HALF_PROBES)
+        probes = [reference.probe for reference in references[::stride]][:_HALF_PROBES]
         model, halved = to_float16(
             model,
             manifest,
@@ -208,26 +219,44 @@ def _export(
             budget=_HALF_BUDGET,
             progress=progress,
         )
-        manifest = half_manifest(manifest)
-    with atomic_write(path) as draft:
-        save_model(model, draft)
-        suspects = Suspects(generator, example, hazards, wanted.rewrite)
-        slack = (_HALF_SLACK, _HALF_ROUNDINGS) if halves else (None, 1)
+        manifest = float16_manifest(manifest)
+    suspects = Suspects(generator, example, hazards, options.rewrite)
+
+    # Step 6: verification.
+    def verify(draft: Path) -> Parity:
+        slack = (_HALF_SLACK, _HALF_ROUNDINGS) if searches else (None, 1)
         parity = check_parity(draft, manifest, references, suspects, progress, *slack)
         check_memory(generator, described.watch, references)
-        report = check_contract(draft, path, wanted.target, settings, progress)
-    return Exported(path, manifest, parity, report, tuple(changes), halved)
+        return parity
+
+    # Steps 7 and 8: validation and atomic write.
+    parity, report = write_export(
+        path,
+        lambda draft: save_model(model, draft),
+        verify,
+        target=options.target,
+        settings=settings,
+        progress=progress,
+    )
+    return Exported(
+        path=path,
+        manifest=manifest,
+        parity=parity,
+        report=report,
+        changes=tuple(changes),
+        halved=halved,
+    )
 
 
 @dataclass(frozen=True, slots=True)
-class _Described:
-    """What a module declares and does.
+class _Description:
+    """A module's declarations, and the results of its runs in eager torch.
 
     Attributes:
-        manifest: As it will be embedded.
-        references: What eager torch gives: at the contract's probes, and far from them.
+        manifest: The manifest to embed.
+        references: Results at the contract's probes, and at probes far from them.
         example: The inputs to trace with.
-        watch: What was seen in the first run.
+        watch: The hazards of the first run.
     """
 
     manifest: GeneratorManifest
@@ -238,36 +267,37 @@ class _Described:
 
 def _describe(
     generator: GaussianGenerator, name: str, dtype: Dtype, capacity: int | None
-) -> _Described:
-    """Build the manifest from what the module declares and what it emits."""
+) -> _Description:
+    """Build the manifest from the module's declarations and its outputs."""
     _check_inputs(generator)
+    # The bounds are not known yet, so the first probes lie around the default bounds.
     draft = _manifest(generator, name, dtype, None, 1, None)
-    one, *others = _probes(draft)
-    start, watch = run_watched(generator, one)
+    first_probe, *later_probes = _probes(draft)
+    start, watch = run_watched(generator, first_probe)
     _check_cells(generator, start)
-    first = [start, *(run_eager(generator, probe) for probe in others)]
-    made = start.gaussians
-    rows = capacity if capacity is not None else len(made)
-    if rows < len(made):
+    first_runs = [start, *(run_eager(generator, probe) for probe in later_probes)]
+    gaussians = start.gaussians
+    rows = capacity if capacity is not None else len(gaussians)
+    if rows < len(gaussians):
         raise GeneratorInvalid(
-            f"capacity {rows} is less than the {len(made)} Gaussians",
+            f"capacity {rows} is less than the {len(gaussians)} Gaussians",
             where="capacity",
-            hint=f"Give {len(made)} or more.",
+            hint=f"Give {len(gaussians)} or more.",
         )
-    bounds = measure_bounds(first)
-    draft = _manifest(generator, name, dtype, made.degree, rows, bounds)
+    bounds = measure_bounds(first_runs)
+    draft = _manifest(generator, name, dtype, gaussians.degree, rows, bounds)
     if start.cells is not None:
-        per_cell = len(made) // len(start.cells)
-        refuse_parts(rows, per_cell)
+        per_cell = len(gaussians) // len(start.cells)
+        check_whole_cells(rows, per_cell)
         cells = CellsOutput(CELLS, per_cell, dtype)
         draft = replace(draft, outputs=replace(draft.outputs, cells=cells))
     if not generator.inputs:
-        return _Described(draft, first, one, watch)
-    # Cameras orbit the bounds, so probes are laid out again around the measured ones.
+        return _Description(draft, first_runs, first_probe, watch)
+    # Cameras orbit the bounds, so probes are placed a second time, around the measured bounds.
     references = [run_eager(generator, probe) for probe in _probes(draft)]
-    manifest = replace(draft, bounds=measure_bounds(first + references))
+    manifest = replace(draft, bounds=measure_bounds(first_runs + references))
     far = [run_eager(generator, probe) for probe in _far_probes(manifest)]
-    return _Described(manifest, [*references, *far], references[1].probe, watch)
+    return _Description(manifest, [*references, *far], references[1].probe, watch)
 
 
 def _check_inputs(generator: GaussianGenerator) -> None:
@@ -276,23 +306,24 @@ def _check_inputs(generator: GaussianGenerator) -> None:
     for entry in generator.inputs:
         if names.count(entry.name) > 1:
             hint = "Give each input a name of its own."
-            raise GeneratorInvalid(f"{entry.name!r} stands twice", where=where, hint=hint)
+            raise GeneratorInvalid(
+                f"two inputs are named {entry.name!r}", where=where, hint=hint
+            )
         if entry.shape is None:
-            hint = "Make inputs with the functions of gsgen.sdk.authoring.inputs."
+            hint = "Make inputs with the functions of gsgen.sdk.inputs."
             raise GeneratorInvalid(f"{entry.name!r} has no shape", where=where, hint=hint)
 
 
-def _check_cells(generator: GaussianGenerator, made: Reference) -> None:
-    if (made.cells is None) == (generator.weighted_sum is None):
+def _check_cells(generator: GaussianGenerator, reference: Reference) -> None:
+    if (reference.cells is None) == (generator.weighted_sum is None):
         return
-    where = type(generator).__name__
-    if made.cells is None:
-        what = "weighted_sum is set, but forward returns no cells to sum by"
+    if reference.cells is None:
+        message = "weighted_sum is set, but forward returns no cells"
         hint = "Return Gaussians(…, cells=Cells(…)), or leave weighted_sum out."
     else:
-        what = "forward returns cells, but nothing says how to weigh what is in them"
+        message = "forward returns cells, but weighted_sum is not set"
         hint = "Set weighted_sum = WeightedSum(background=…)."
-    raise GeneratorInvalid(what, where=where, hint=hint)
+    raise GeneratorInvalid(message, where=type(generator).__name__, hint=hint)
 
 
 def _manifest(
@@ -335,9 +366,9 @@ def _probes(
 
 
 def _far_probes(manifest: GeneratorManifest) -> Iterator[Probe]:
-    """Yield probes far from those a model is traced with and judged by.
+    """Yield probes far from the contract's: cameras inside the scene and far outside of it.
 
-    Cameras stand within the scene and far outside of it, and all else is sampled anew.
+    All other inputs are sampled with another seed.
     """
     assert manifest.bounds is not None
     for seed, (label, scale) in enumerate(_DISTANCES.items(), start=1):

@@ -1,6 +1,6 @@
-"""Say why an export went wrong: which input lost its effect, and which lines may be the cause."""
+"""Explain why an exported model differs from torch: lost inputs, and lines that may be the cause."""
 
-__all__ = ["Suspects", "explain"]
+__all__ = ["Suspects", "diagnose"]
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,33 +12,33 @@ from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.authoring.generator import GaussianGenerator
 from gsgen.sdk.exporting.eager_reference import run_eager
 from gsgen.sdk.exporting.trace_hazards import Hazard
-from gsgen.sdk.parity import ModelOutput, Reference, same
+from gsgen.sdk.parity import ModelOutput, Reference, references_equal
 
 Run = Callable[[list[Probe]], list[ModelOutput]]
 _MOST = 3
 
 _RANDOM = (
     "forward gives another result for the same inputs: it draws random numbers, reads a clock, "
-    "or keeps something between frames."
+    "or keeps state between frames."
 )
-_PLAIN = (
-    "The graph was not rewritten, and runtimes compute some of what torch writes otherwise: "
+_NOT_REWRITTEN = (
+    "The graph was not rewritten, and runtimes compute some of torch's operators differently: "
     "export with rewrites."
 )
 _UNKNOWN = (
-    "Nothing in forward was seen to leave torch. Look for values that are computed from inputs "
-    "outside of torch; if there are none, a kernel differs: please report it."
+    "No operation of forward was seen to leave torch. Look for values that are computed from "
+    "inputs outside of torch; without such a value, a kernel differs: please report it."
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Suspects:
-    """What may be why an exported model computes something else.
+    """The possible causes of a difference between an exported model and torch.
 
     Attributes:
         generator: The module.
         traced: The inputs that it was traced with.
-        hazards: What was seen while it ran.
+        hazards: Operations in it that tracing cannot follow.
         rewritten: Whether the graph was rewritten.
     """
 
@@ -48,35 +48,37 @@ class Suspects:
     rewritten: bool
 
 
-def explain(
+def diagnose(
     suspects: Suspects, manifest: GeneratorManifest, references: list[Reference], run: Run
 ) -> tuple[str, str]:
-    """Return what goes on behind a difference, as a part of a sentence, and how to mend it.
+    """Return the reason for a difference, as a part of a sentence, and a hint.
 
     Args:
-        suspects: What is known.
-        manifest: What the model declares.
-        references: What eager torch gave.
+        suspects: The possible causes.
+        manifest: The model's manifest.
+        references: Results of eager torch.
         run: Runs the exported model.
     """
-    lost = _lost_inputs(suspects, manifest, references, run)
-    reason = f"; {' and '.join(lost)} changes nothing in the model" if lost else ""
-    return reason, _mend(suspects, references)
+    lost_roles = _lost_inputs(suspects, manifest, references, run)
+    reason = (
+        f"; {' and '.join(lost_roles)} has no effect in the model" if lost_roles else ""
+    )
+    return reason, _hint(suspects, references)
 
 
-def _mend(suspects: Suspects, references: list[Reference]) -> str:
+def _hint(suspects: Suspects, references: list[Reference]) -> str:
     if suspects.hazards:
-        return "\n  ".join(str(one) for one in suspects.hazards[:_MOST])
-    again = run_eager(suspects.generator, references[-1].probe)
-    if not same(references[-1], again):
+        return "\n  ".join(str(hazard) for hazard in suspects.hazards[:_MOST])
+    second_run = run_eager(suspects.generator, references[-1].probe)
+    if not references_equal(references[-1], second_run):
         return _RANDOM
-    return _UNKNOWN if suspects.rewritten else _PLAIN
+    return _UNKNOWN if suspects.rewritten else _NOT_REWRITTEN
 
 
 def _lost_inputs(
     suspects: Suspects, manifest: GeneratorManifest, references: list[Reference], run: Run
 ) -> list[str]:
-    """Return the roles that change something in torch and nothing in the model."""
+    """Return the roles whose inputs have an effect in torch but not in the model."""
     base, far = suspects.traced, references[-1].probe
     varied = [
         (role, probe)
@@ -86,12 +88,15 @@ def _lost_inputs(
     if not varied:
         return []
     probes = [base, *(probe for _, probe in varied)]
-    made = run(probes)
-    known = [run_eager(suspects.generator, probe) for probe in probes]
+    outputs_of_runs = run(probes)
+    expected = [run_eager(suspects.generator, probe) for probe in probes]
     return [
         role
-        for (role, _), outputs, reference in zip(varied, made[1:], known[1:], strict=True)
-        if _equal(made[0], outputs) and not same(known[0], reference)
+        for (role, _), outputs, reference in zip(
+            varied, outputs_of_runs[1:], expected[1:], strict=True
+        )
+        if _equal(outputs_of_runs[0], outputs)
+        and not references_equal(expected[0], reference)
     ]
 
 

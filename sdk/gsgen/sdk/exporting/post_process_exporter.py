@@ -1,24 +1,21 @@
-"""Export a post-process model: trace it, finish the graph, compare it with torch, validate it.
-
-The file appears at its place only if all of that succeeded.
-"""
+"""Export a post-process model: run it in eager torch, trace and rewrite it, verify and validate it."""
 
 __all__ = ["ExportedImage", "export_post_process"]
 
 import copy
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
+import onnx_ir as ir
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gsgen.contract.errors import GsgenError
 from gsgen.contract.probing.probes import Probe, default_probes
 from gsgen.contract.spec.manifest import (
     ImageOutput,
@@ -29,59 +26,61 @@ from gsgen.contract.spec.manifest import (
 )
 from gsgen.contract.spec.roles import POST_PROCESS, ROLES
 from gsgen.contract.spec.targets import load_target
-from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.settings import Settings
 from gsgen.sdk.authoring.module_checks import validate_module
 from gsgen.sdk.authoring.post_process import PostProcess
 from gsgen.sdk.errors import GeneratorInvalid, ParityFailed
-from gsgen.sdk.exporting.embed_manifest import finish
-from gsgen.sdk.exporting.source_lines import line_of
-from gsgen.sdk.exporting.tracing import Named, trace_module
-from gsgen.sdk.exporting.verification import check_contract, run_exported
-from gsgen.sdk.float16.convert_image_model import HalvedImage, halve_image
+from gsgen.sdk.exporting.eager_reference import call_module
+from gsgen.sdk.exporting.embed_manifest import rewrite_and_embed
+from gsgen.sdk.exporting.pipeline import (
+    OPSET,
+    Dtype,
+    ExportResult,
+    Progress,
+    silent,
+    write_export,
+)
+from gsgen.sdk.exporting.tracing import TensorNames, trace_module
+from gsgen.sdk.exporting.verification import run_exported
+from gsgen.sdk.float16.convert_image_model import Float16ImageResult, image_to_float16
 from gsgen.sdk.parity import FieldParity, Parity
-from gsgen.sdk.rewriting.atomic_model_files import atomic_write
+from gsgen.sdk.rewriting.atomic_model_files import refuse_folder
 from gsgen.sdk.rewriting.model_io import save_model
-from gsgen.sdk.rewriting.rewrite import Change
 
 OUTPUT = "result"
-_PROBES = 4
+# Sets of inputs for each image size that is compared, and for the search for float16 nodes.
+_RUNS_PER_SIZE = 4
 _HALF_PROBES = 3
 _CHANNELS = (3, 4)
-# Sizes at which a model of open size is traced, and at which it is compared.
-_TRACED, _OTHER = (64, 64), (48, 80)
+# Height and width: models of any size are traced at the first, and compared at both.
+_TRACED_SIZE, _SECOND_SIZE = (64, 64), (48, 80)
 
 
-def _silent(_: str) -> None:
-    return
-
-
-@dataclass(frozen=True, slots=True)
-class ExportedImage:
-    """A finished export.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportedImage(ExportResult):
+    """A finished export of a post-process model.
 
     Attributes:
-        path: The file.
-        manifest: What was embedded.
-        parity: How closely it agrees with eager torch, in shares of the output's range.
-        report: What the validator says; it conforms.
-        changes: What the rewrites did to the graph.
-        halved: What became float16, where images did.
+        manifest: The embedded manifest.
+        parity: How closely the model agrees with eager torch, as a share of the output's range.
+        halved: Which nodes and weights became float16; None if the images are float32.
     """
 
-    path: Path
     manifest: PostProcessManifest
     parity: Parity
-    report: Report
-    changes: tuple[Change, ...] = ()
-    halved: HalvedImage | None = None
+    halved: Float16ImageResult | None = None
+
+    @property
+    def dtype(self) -> Dtype:
+        """The dtype of the images."""
+        return self.manifest.outputs.image.dtype
 
     @property
     def contents(self) -> str:
-        """What the model gives, in a few words."""
+        """The size of the image and its dtype."""
         shape = _image(self.manifest.inputs).shape
         size = "any size" if shape is None else f"{shape[2]} × {shape[3]} (height × width)"
-        return f"an image of {size}, {self.manifest.outputs.image.dtype}"
+        return f"an image of {size}, {self.dtype}"
 
 
 def export_post_process(
@@ -89,69 +88,87 @@ def export_post_process(
     path: str | os.PathLike[str],
     *,
     name: str | None = None,
-    dtype: Literal["float32", "float16"] = "float32",
-    opset: int = 18,
+    dtype: Dtype = "float32",
+    opset: int = OPSET,
     target: str = "core",
     rewrite: bool = True,
     settings: Settings | None = None,
-    progress: Callable[[str], None] = _silent,
+    progress: Progress = silent,
 ) -> ExportedImage:
     """Write ``model`` as an ONNX post-process model that conforms and agrees with torch.
 
     Args:
         model: The module; it is put into evaluation mode and moved to the CPU.
-        path: Where the model goes; it is replaced only by a model that passed every check.
-        name: What people call it; the file's stem where absent.
-        dtype: Of the images that come in and go out; float16 halves weights, too, and what of the
-            arithmetic does not show (:mod:`gsgen.sdk.float16.convert_image_model`).
-        opset: ONNX operator set, 18 being the one that every runtime has kernels for.
+        path: The model file; it is replaced only by a model that passed every check.
+        name: Name in the manifest; the file's stem if absent.
+        dtype: The dtype of the input and output images. float16 converts weights and arithmetic,
+            too, if the error is below the tolerance
+            (:mod:`gsgen.sdk.float16.convert_image_model`).
+        opset: ONNX operator set; every runtime has kernels for 18.
         target: The consumer to rewrite and validate for.
-        rewrite: Rewrite the graph so that it is captured; without, it stays as torch wrote it.
-        settings: Limits and severities of that validation.
-        progress: Called with a few words whenever a new stage begins.
+        rewrite: Whether to rewrite the graph so that it is captured; if False, it stays as torch
+            exported it.
+        settings: Level, limits and severities of the validation.
+        progress: Called with a message when a step begins.
 
     Raises:
-        GeneratorInvalid: The module declares or returns something the contract does not know.
+        GeneratorInvalid: The module declares or returns something that the contract does not allow.
         ExportFailed: Torch could not export it.
         ParityFailed: The model computes something else than the module.
         ExportRejected: The model breaks a rule; the error carries the report.
     """
     path = Path(path)
+    refuse_folder(path)
     validate_module(model)
     model = model.eval().cpu()
+    # Step 1: eager reference.
     _check_inputs(model)
     manifest = _manifest(model, name or path.stem, dtype)
-    sizes = (_TRACED, _OTHER) if _image(model.inputs).shape is None else (_TRACED,)
-    shapes = [(1, model.channels, *size) for size in sizes]
-    probes = [probe for shape in shapes for probe in _probes(manifest, dtype, shape)]
+    probes = list(_probes_of_sizes(model, manifest, dtype))
     progress("running the module in eager torch")
-    wanted = [_run_eager(model, probe) for probe in probes]
+    expected = [_run_eager(model, probe) for probe in probes]
+    # Step 3: tracing, in float32 if a search decides which nodes become float16.
     progress("tracing the graph")
-    # Halving is left to the rewrite, which measures what has to stay float32.
-    halves = dtype == "float16" and rewrite
-    plain = not halves and dtype == "float16"
-    module = _Positional(copy.deepcopy(model).half() if plain else model)
-    named = Named(tuple(probes[1].inputs), (OUTPUT,), _open_axes(model.inputs))
-    example = _widened(probes[1]) if halves else probes[1]
-    graph = trace_module(module, example, named, opset, where=type(model).__name__)
+    searches = dtype == "float16" and rewrite
+    half = dtype == "float16" and not rewrite
+    example = _widened(probes[1]) if searches else probes[1]
+    graph = _trace(model, example, opset, half=half)
+    # Steps 4 and 5: rewriting and manifest.
     progress("rewriting the graph")
-    changes = finish(graph, manifest, load_target(target), rewrite=rewrite)
+    changes = rewrite_and_embed(graph, manifest, load_target(target), rewrite=rewrite)
     allowed = model.half_tolerance if dtype == "float16" else model.tolerance
     halved = None
-    if halves:
-        name = _image(model.inputs).name
-        sound = [
-            probe
-            for probe, image in zip(probes, wanted, strict=True)
-            if np.isfinite(image).all()
-        ]
-        halved = halve_image(graph, name, sound[:_HALF_PROBES], allowed, progress)
-    with atomic_write(path) as draft:
-        save_model(graph, draft)
-        progress(f"comparing with eager torch at {len(probes)} probes")
-        parity = _check_parity(draft, manifest, probes, wanted, allowed)
-        report = check_contract(draft, path, target, settings, progress)
-    return ExportedImage(path, manifest, parity, report, tuple(changes), halved)
+    if searches:
+        pairs = zip(probes, expected, strict=True)
+        finite = [probe for probe, image in pairs if np.isfinite(image).all()]
+        image_name = _image(model.inputs).name
+        halved = image_to_float16(
+            graph, image_name, finite[:_HALF_PROBES], allowed, progress
+        )
+    # Steps 6 to 8: verification, validation and atomic write.
+    parity, report = write_export(
+        path,
+        lambda draft: save_model(graph, draft),
+        lambda draft: _check_parity(draft, manifest, probes, expected, allowed, progress),
+        target=target,
+        settings=settings,
+        progress=progress,
+    )
+    return ExportedImage(
+        path=path,
+        manifest=manifest,
+        parity=parity,
+        report=report,
+        changes=tuple(changes),
+        halved=halved,
+    )
+
+
+def _trace(model: PostProcess, example: Probe, opset: int, *, half: bool) -> ir.Model:
+    """Trace ``model``, or with ``half`` a copy of it in float16."""
+    module = _Positional(copy.deepcopy(model).half() if half else model)
+    names = TensorNames(tuple(example.inputs), (OUTPUT,), _open_axes(model.inputs))
+    return trace_module(module, example, names, opset, where=type(model).__name__)
 
 
 def _widened(probe: Probe) -> Probe:
@@ -164,21 +181,21 @@ def _widened(probe: Probe) -> Probe:
 
 
 class _Positional(nn.Module):
-    """A model whose arguments have no names, whatever its author calls them."""
+    """A model whose arguments have no names, so that the exporter takes those of the manifest."""
 
     def __init__(self, model: nn.Module) -> None:
         super().__init__()
         self.model = model
 
     def forward(self, *inputs: Tensor) -> Tensor:
-        made: Tensor = self.model(*inputs)
-        return made
+        image: Tensor = self.model(*inputs)
+        return image
 
 
 def _image(inputs: Any) -> Input:
-    """Return the entry of the image."""
-    found: Input = next(entry for entry in inputs if entry.role == "image")
-    return found
+    """Return the manifest's entry of the image."""
+    image: Input = next(entry for entry in inputs if entry.role == "image")
+    return image
 
 
 def _check_inputs(model: PostProcess) -> None:
@@ -186,24 +203,26 @@ def _check_inputs(model: PostProcess) -> None:
     names = [entry.name for entry in model.inputs]
     images = [entry.name for entry in model.inputs if entry.role == "image"]
     if len(images) != 1:
-        hint = "Give one gsgen.sdk.authoring.inputs.image()."
-        raise GeneratorInvalid(f"{len(images)} images, wanted one", where=where, hint=hint)
+        hint = "Give one gsgen.sdk.inputs.image()."
+        raise GeneratorInvalid(
+            f"{len(images)} images, expected one", where=where, hint=hint
+        )
     image = _image(model.inputs)
     if image.range is not None and image.range != model.image_range:
-        what = f"{image.name!r} has the range {image.range}, but image_range is {model.image_range}"
+        message = f"{image.name!r} has the range {image.range}, but image_range is {model.image_range}"
         hint = "Give inputs.image() the same range."
-        raise GeneratorInvalid(what, where=where, hint=hint)
+        raise GeneratorInvalid(message, where=where, hint=hint)
     for entry in model.inputs:
         if names.count(entry.name) > 1 or entry.name == OUTPUT:
-            what = f"{entry.name!r} stands twice, or is the name of the result"
+            message = f"{entry.name!r} is the name of two inputs, or of the result"
             raise GeneratorInvalid(
-                what, where=where, hint="Give each input a name of its own."
+                message, where=where, hint="Give each input a name of its own."
             )
         if POST_PROCESS not in ROLES[entry.role].kinds:
-            what = f"{entry.name!r} has the role {entry.role}, which a post-process model has not"
-            raise GeneratorInvalid(what, where=where)
+            message = f"{entry.name!r} has the role {entry.role}, which post-process models do not have"
+            raise GeneratorInvalid(message, where=where)
         if entry.shape is None and entry.role != "image":
-            hint = "Make inputs with the functions of gsgen.sdk.authoring.inputs."
+            hint = "Make inputs with the functions of gsgen.sdk.inputs."
             raise GeneratorInvalid(f"{entry.name!r} has no shape", where=where, hint=hint)
 
 
@@ -219,6 +238,15 @@ def _manifest(model: PostProcess, name: str, dtype: Any) -> PostProcessManifest:
     )
 
 
+def _probes_of_sizes(
+    model: PostProcess, manifest: PostProcessManifest, dtype: Dtype
+) -> Iterator[Probe]:
+    """Yield the probes of each image size that is compared: two sizes for models of any size."""
+    any_size = _image(model.inputs).shape is None
+    for size in (_TRACED_SIZE, _SECOND_SIZE) if any_size else (_TRACED_SIZE,):
+        yield from _probes(manifest, dtype, (1, model.channels, *size))
+
+
 def _probes(
     manifest: PostProcessManifest, dtype: str, open_shape: tuple[int, ...]
 ) -> tuple[Probe, ...]:
@@ -227,7 +255,7 @@ def _probes(
         entry.name: dtype if entry.role == "image" else "float32"
         for entry in manifest.inputs
     }
-    return default_probes(manifest, shapes, dtypes, count=_PROBES)
+    return default_probes(manifest, shapes, dtypes, count=_RUNS_PER_SIZE)
 
 
 def _open_axes(inputs: Any) -> tuple[dict[int, Any], ...] | None:
@@ -239,58 +267,59 @@ def _open_axes(inputs: Any) -> tuple[dict[int, Any], ...] | None:
 
 
 def _run_eager(model: PostProcess, probe: Probe) -> Float[np.ndarray, "1 c h w"]:
-    """Run the module in float32, whatever it will be exported as."""
+    """Run the module in float32, also if it will be exported as float16."""
     tensors = [torch.from_numpy(np.array(value)).float() for value in probe.inputs.values()]
-    try:
-        with torch.no_grad():
-            made = model(*tensors)
-    except GsgenError:
-        raise
-    except Exception as error:  # the user's code may raise anything
-        what = f"forward raised {type(error).__name__}: {error}"
-        where = line_of(error) or type(model).__name__
-        raise GeneratorInvalid(what, where=where) from error
+    image = call_module(model, tensors)
     height, width = probe.inputs[_image(model.inputs).name].shape[2:]
-    fits = isinstance(made, torch.Tensor) and made.ndim == 4
-    if not fits or made.shape[1] not in _CHANNELS or made.shape[2:] != (height, width):
-        seen = list(made.shape) if isinstance(made, torch.Tensor) else type(made).__name__
-        what = f"forward returned {seen}, wanted [1, 3 or 4, {height}, {width}]"
-        raise GeneratorInvalid(what, where=type(model).__name__)
-    return np.asarray(made.to(torch.float64).numpy())
+    fits = isinstance(image, torch.Tensor) and image.ndim == 4
+    if not fits or image.shape[1] not in _CHANNELS or image.shape[2:] != (height, width):
+        is_tensor = isinstance(image, torch.Tensor)
+        actual = list(image.shape) if is_tensor else type(image).__name__
+        message = f"forward returned {actual}, expected [1, 3 or 4, {height}, {width}]"
+        raise GeneratorInvalid(message, where=type(model).__name__)
+    return np.asarray(image.to(torch.float64).numpy())
 
 
 def _check_parity(
     path: Path,
     manifest: PostProcessManifest,
     probes: list[Probe],
-    wanted: list[np.ndarray],
+    expected: list[np.ndarray],
     allowed: float,
+    progress: Progress,
 ) -> Parity:
+    progress(f"comparing with eager torch at {len(probes)} probes")
     low, high = manifest.outputs.image.range
-    made = [one[OUTPUT] for one in run_exported(path, (OUTPUT,), probes)]
-    compared = list(_compared(made, wanted, probes, abs(high - low), allowed))
-    worst = max(compared, key=lambda one: one.excess)
+    images = [outputs[OUTPUT] for outputs in run_exported(path, (OUTPUT,), probes)]
+    compared = list(_compared(images, expected, probes, abs(high - low), allowed))
+    worst = max(compared, key=lambda field: field.excess)
     parity = Parity((worst,), len(probes))
     if not parity.holds:
-        what = (
+        message = (
             f"the image is off by {worst.error:.3g} of its range at probe {worst.probe!r}, "
-            f"{worst.excess:.3g} times what is allowed"
+            f"{worst.excess:.3g} times the tolerance"
         )
-        raise ParityFailed(what, where=path.name, parity=parity)
+        raise ParityFailed(message, where=path.name, parity=parity)
     return parity
 
 
 def _compared(
-    made: list[np.ndarray],
-    wanted: list[np.ndarray],
+    images: list[np.ndarray],
+    expected_images: list[np.ndarray],
     probes: list[Probe],
     span: float,
     allowed: float,
 ) -> Iterator[FieldParity]:
-    for seen, expected, probe in zip(made, wanted, probes, strict=True):
+    for actual, expected, probe in zip(images, expected_images, probes, strict=True):
         if probe.zeros and not np.isfinite(expected).all():
-            continue  # a fault of the module itself, which rule GI009 reports
-        error = np.abs(seen.astype(np.float64) - expected) / span
+            continue  # the module's own fault, which rule GI009 reports
+        error = np.abs(actual.astype(np.float64) - expected) / span
         error[np.isnan(error)] = np.inf
-        at, largest = int(np.argmax(error)), float(error.max())
-        yield FieldParity("image", largest, largest / allowed, probe.label, at)
+        largest = float(error.max())
+        yield FieldParity(
+            field="image",
+            error=largest,
+            excess=largest / allowed,
+            probe=probe.label,
+            row=int(np.argmax(error)),
+        )

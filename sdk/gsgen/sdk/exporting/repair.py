@@ -1,6 +1,6 @@
-"""Repair a model: only what has one right answer, each repair validated and listed."""
+"""Repair a model: only faults with one right answer, each repair validated and listed."""
 
-__all__ = ["Repair", "Repaired", "Request", "repair"]
+__all__ = ["Repair", "RepairRequest", "RepairResult", "repair"]
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -40,18 +40,18 @@ from gsgen.sdk.rewriting.model_io import (
     refuse_overwriting,
     save_model,
 )
-from gsgen.sdk.rewriting.rule_regression import refuse_worse
+from gsgen.sdk.rewriting.rule_regression import refuse_new_violations
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
-    """What cannot be known from the model, and what is only done if it is asked for.
+class RepairRequest:
+    """Facts that the model does not contain, and repairs that are made only on request.
 
     Attributes:
         sizes: Symbolic dimension → its size.
-        manifest: The manifest to embed; the model's own where absent.
-        rename: Give the outputs the names that viewers look for.
-        channel_major: The SH stand channel by channel and are to be reordered.
+        manifest: The manifest to embed; the model's own if absent.
+        rename: Whether to give the outputs the names that viewers look for.
+        channel_major: Whether the SH are stored channel by channel, so that they are reordered.
     """
 
     sizes: Mapping[str, int] = field(default_factory=dict)
@@ -62,20 +62,20 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Repair:
-    """One change, and the rule that asked for it."""
+    """One change, and the id of the rule that requires it."""
 
-    what: str
+    description: str
     rule: str
 
 
 @dataclass(frozen=True, slots=True)
-class Repaired:
-    """The result.
+class RepairResult:
+    """The repairs of a model, and its reports before and after them.
 
     Attributes:
-        repairs: What was changed, in order.
-        before: The report of the model as it came.
-        after: The report of the model as it was written.
+        repairs: The changes, in order.
+        before: The report on the source.
+        after: The report on the repaired model.
     """
 
     repairs: tuple[Repair, ...]
@@ -86,24 +86,24 @@ class Repaired:
 def repair(
     source: Path,
     target: Path | None,
-    request: Request | None = None,
+    request: RepairRequest | None = None,
     settings: Settings | None = None,
-) -> Repaired:
-    """Write a repaired copy of ``source`` to ``target``; nothing ambiguous is guessed.
+) -> RepairResult:
+    """Write a repaired copy of ``source`` to ``target``, without guessing anything ambiguous.
 
     Args:
         source: The model.
-        target: Where the copy goes; None repairs and judges it, and writes nothing.
-        request: What cannot be known from the model.
-        settings: How the two are judged.
+        target: The copy's path; if None, the copy is repaired and validated, but not written.
+        request: Facts that the model does not contain, and optional repairs.
+        settings: Settings of both validations.
 
     Raises:
-        ModelUnreadable: ``source`` is no model.
+        ModelUnreadable: ``source`` is not a readable model.
         ConfigInvalid: ``target`` would replace the weights of ``source``.
-        UnknownName: A size is given for no dimension of its inputs and outputs.
-        GsgenError: There is nothing to repair, or the result would break a rule that was kept.
+        UnknownName: A size names a dimension that its inputs and outputs do not have.
+        GsgenError: There is nothing to repair, or the result breaks a rule that ``source`` keeps.
     """
-    request, settings = request or Request(), settings or Settings()
+    request, settings = request or RepairRequest(), settings or Settings()
     before = validate(source, settings)
     subject = inspect_model(open_model(source), settings.target, settings.limits)
     if target is not None:
@@ -112,28 +112,28 @@ def repair(
     manifest = request.manifest or _own_manifest(subject)
     steps, manifest = _steps(subject, manifest, broken, request)
     if request.manifest is not None:
-        steps.append((Repair("embedded the manifest given", "GM001"), _nothing))
+        steps.append((Repair("embedded the given manifest", "GM001"), _keep))
     if not steps:
-        raise GsgenError("nothing that has one right answer is broken", where=str(source))
+        raise GsgenError("has no fault with one right answer", where=str(source))
     model = ir.load(source)
     _check_symbols(model, request.sizes)
-    beside = has_external_weights(model)
+    external_weights = has_external_weights(model)
     for _, change in steps:
         change(model)
     NameFixPass()(model)
     model.metadata_props[MANIFEST_KEY] = dumps(manifest, indent=None)
     with _draft(target, source) as draft:
-        save_model(model, draft, beside=beside)
+        save_model(model, draft, external_weights=external_weights)
         after = validate(draft, settings)
-        refuse_worse(before, after, "repaired")
-    return Repaired(
+        refuse_new_violations(before, after, "repaired")
+    return RepairResult(
         tuple(step for step, _ in steps), before, replace(after, path=str(target or source))
     )
 
 
 @contextmanager
 def _draft(target: Path | None, source: Path) -> Iterator[Path]:
-    """Yield where the copy is written to be judged; without ``target`` it goes no further."""
+    """Yield the path of the draft to validate; without ``target``, it is deleted afterwards."""
     if target is not None:
         with atomic_write(target) as draft:
             yield draft
@@ -154,14 +154,14 @@ Change = Callable[[ir.Model], passes.PassResult | None]
 Steps = list[tuple[Repair, Change]]
 
 
-def _nothing(_: ir.Model) -> None:
+def _keep(_: ir.Model) -> None:
     return
 
 
 def _own_manifest(subject: InspectedModel) -> GeneratorManifest:
     if subject.parsed is None:
         raise GsgenError(
-            "carries no manifest, so its outputs' meaning would be guessed",
+            "has no manifest, so the meaning of its outputs is unknown",
             where=str(subject.file.path),
             hint="Derive one with `gsgen inspect MODEL --emit-manifest`, check it, and give it "
             "with --manifest FILE.",
@@ -169,15 +169,18 @@ def _own_manifest(subject: InspectedModel) -> GeneratorManifest:
     if not isinstance(subject.manifest, GeneratorManifest):
         hint = "See `gsgen validate --level static`."
         raise GsgenError(
-            "is no Gaussian Generator", where=str(subject.file.path), hint=hint
+            "is not a Gaussian Generator", where=str(subject.file.path), hint=hint
         )
     return subject.manifest
 
 
 def _steps(
-    subject: InspectedModel, manifest: GeneratorManifest, broken: set[str], request: Request
+    subject: InspectedModel,
+    manifest: GeneratorManifest,
+    broken: set[str],
+    request: RepairRequest,
 ) -> tuple[Steps, GeneratorManifest]:
-    """Return the changes to make, in order, and the manifest that fits the result."""
+    """Return the changes to make, in order, and the manifest of the result."""
     steps: Steps = []
     outputs = manifest.outputs
     rows, color, count = outputs.gaussians, outputs.appearance, outputs.count
@@ -193,17 +196,17 @@ def _steps(
             (Repair(f"{count.name} is cast to int32 [1]", "GO011"), CastCount(count.name))
         )
     if color is not None and color.space == "rgb" and "GO015" in broken:
-        what = f"{color.name} is padded to four channels"
-        steps.append((Repair(what, "GO015"), PadColor(color.name)))
+        description = f"{color.name} is padded to four channels"
+        steps.append((Repair(description, "GO015"), PadColor(color.name)))
     if color is not None and request.channel_major:
-        what = f"{color.name} is reordered to coefficient-major"
-        steps.append((Repair(what, "GV014"), ReorderHarmonics(color.name)))
+        description = f"{color.name} is reordered to coefficient-major"
+        steps.append((Repair(description, "GV014"), ReorderHarmonics(color.name)))
     if rows and color and count and broken & {"GV002", "GV018"}:
         silence = SilencePadding((rows.name, color.name), count.name)
         steps.append((Repair("rows behind the count are zero", "GV018"), silence))
     if rows and color and count and request.rename:
-        wanted = APPEARANCE_SH if color.space == "sh" else APPEARANCE_RGB
-        names = {rows.name: GAUSSIANS, color.name: wanted, count.name: COUNT}
+        color_name = APPEARANCE_SH if color.space == "sh" else APPEARANCE_RGB
+        names = {rows.name: GAUSSIANS, color.name: color_name, count.name: COUNT}
         changed = ", ".join(f"{old} → {new}" for old, new in names.items() if old != new)
         if changed:
             steps.append(
@@ -212,7 +215,7 @@ def _steps(
             outputs = replace(
                 outputs,
                 gaussians=replace(rows, name=GAUSSIANS),
-                appearance=replace(color, name=wanted),
+                appearance=replace(color, name=color_name),
                 count=replace(count, name=COUNT),
             )
     return steps, replace(manifest, outputs=outputs)

@@ -1,29 +1,29 @@
-"""Which degrees of spherical harmonics consumers take."""
+"""The SH degree to store: packed rows must fill words, and some consumers read one degree alone."""
 
-__all__ = ["ONE_DEGREE", "taken_degree"]
+__all__ = ["REQUIRED_DEGREES", "stored_degree"]
 
 from collections.abc import Mapping
 from typing import Final
 
-ONE_DEGREE: Final[Mapping[str, int]] = {"visionary": 3}
+REQUIRED_DEGREES: Final[Mapping[str, int]] = {"visionary": 3}
 """Consumers that read rows of one width alone (rule TV104)."""
 
 
-def taken_degree(degree: int, *, half: bool, target: str = "core") -> tuple[int, str]:
-    """Return the degree to write, and why in words; nothing where it is that of the harmonics.
+def stored_degree(degree: int, *, half: bool, target: str = "core") -> tuple[int, str]:
+    """Return the SH degree to store, and the reason if it differs from ``degree``.
 
-    Rows of float16 have to fill words of four bytes (rule GO015), which those of degree 0 and 2
-    do not; and some consumers read one degree alone. Coefficients of 0 show nothing.
+    Rows of float16 must fill words of four bytes (rule GO015), which degrees 0 and 2 do not. Some
+    consumers read one degree alone. The added coefficients are zero.
 
     Args:
-        degree: Of the harmonics.
-        half: Rows are float16.
-        target: The consumer.
+        degree: The SH degree of the scene.
+        half: Whether rows are float16.
+        target: Name of the consumer.
     """
-    if target in ONE_DEGREE:
-        taken, why = ONE_DEGREE[target], f"{target} reads no other"
+    if target in REQUIRED_DEGREES:
+        stored, reason = REQUIRED_DEGREES[target], f"{target} reads no other"
     else:
-        taken, why = degree + (half and degree % 2 == 0), "rows fill words"
-    if taken == degree:
+        stored, reason = degree + (half and degree % 2 == 0), "rows fill words"
+    if stored == degree:
         return degree, ""
-    return taken, f"SH of degree {degree} are written as degree {taken}: {why}"
+    return stored, f"SH of degree {degree} are written as degree {stored}: {reason}"

@@ -1,6 +1,6 @@
-"""Spherical harmonics of a degree that consumers take: what a checkpoint lacks is 0."""
+"""Pad a generator's spherical harmonics with zeros, up to the degree that its consumer reads."""
 
-__all__ = ["filled_harmonics"]
+__all__ = ["padded_harmonics"]
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,41 +11,40 @@ import torch
 
 from gsgen.contract.spec.spherical_harmonics import coefficients, degree_of
 from gsgen.sdk.authoring.generator import GaussianGenerator, Gaussians
-from gsgen.sdk.exporting.sh_degrees import taken_degree
+from gsgen.sdk.exporting.sh_degrees import stored_degree
 
 
 @contextmanager
-def filled_harmonics(
+def padded_harmonics(
     generator: GaussianGenerator, *, half: bool, target: str
 ) -> Iterator[list[str]]:
-    """Let ``generator`` give spherical harmonics of a degree that is taken, for a while.
-
-    Which one that is, :func:`gsgen.sdk.exporting.sh_degrees.taken_degree` says.
+    """Let ``generator`` return SH of :func:`~gsgen.sdk.exporting.sh_degrees.stored_degree`.
 
     Args:
-        generator: Within the context it returns such harmonics.
-        half: Outputs are float16.
-        target: The consumer.
+        generator: Within the context, its ``forward`` returns padded SH.
+        half: Whether the outputs are float16.
+        target: Name of the consumer.
 
     Yields:
-        What was done, in words; nothing while nothing is.
+        Notes on the padding; the list stays empty if the SH need none.
     """
-    told: list[str] = []
+    notes: list[str] = []
 
-    def fill(_module: Any, _given: Any, made: Any) -> Any:
-        if not isinstance(made, Gaussians) or made.sh is None:
-            return made
-        degree = degree_of(made.sh.shape[1])
-        wanted, why = taken_degree(degree, half=half, target=target)
-        if wanted == degree:
-            return made
-        if not told:
-            told.append(why)
-        missing = coefficients(wanted) - made.sh.shape[1]
-        return replace(made, sh=torch.nn.functional.pad(made.sh, (0, 0, 0, missing)))
+    def pad(_module: Any, _arguments: Any, output: Any) -> Any:
+        if not isinstance(output, Gaussians) or output.sh is None:
+            return output
+        degree = degree_of(output.sh.shape[1])
+        stored, note = stored_degree(degree, half=half, target=target)
+        if stored == degree:
+            return output
+        if not notes:
+            notes.append(note)
+        missing = coefficients(stored) - output.sh.shape[1]
+        padded = torch.nn.functional.pad(output.sh, (0, 0, 0, missing))
+        return replace(output, sh=padded)
 
-    hook = generator.register_forward_hook(fill)
+    hook = generator.register_forward_hook(pad)
     try:
-        yield told
+        yield notes
     finally:
         hook.remove()

@@ -1,6 +1,6 @@
-"""Find the line of the user's code that something happened in."""
+"""Find the line of the user's code that raised an error or that runs now."""
 
-__all__ = ["line_here", "line_of"]
+__all__ = ["current_user_line", "user_line_of"]
 
 import linecache
 import sys
@@ -11,34 +11,33 @@ from functools import cache
 from pathlib import Path
 from types import FrameType
 
-_OURS = Path(__file__).parents[1]
+_SDK_FOLDER = Path(__file__).parents[1]
 _STANDARD = Path(sysconfig.get_path("stdlib"))
 _PACKAGES = ("site-packages", "dist-packages")
-# Packages whose frames stand between a user's line and what happened in it.
+# Packages that a user's line calls, so that their frames lie inside of its frame.
 _BETWEEN = frozenset(
     ("beartype", "jaxtyping", "numpy", "onnx", "onnx_ir", "onnxscript", "scipy", "torch")
 )
 
 
-def line_of(error: BaseException) -> str:
-    """Return ``file:line (code)`` of the innermost frame of the user's that ``error`` left.
+def user_line_of(error: BaseException) -> str:
+    """Return ``file:line (code)`` of the innermost frame of the user's code in a traceback.
 
-    A frame is the user's if it is neither ours nor the standard library's nor torch's; empty where
-    there is none.
+    Frames of the SDK, of the standard library and of torch are skipped. Empty if all frames are.
     """
-    if isinstance(error, SyntaxError) and error.filename and is_users(error.filename):
+    if isinstance(error, SyntaxError) and error.filename and is_user_file(error.filename):
         return f"{Path(error.filename).name}:{error.lineno}"
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        if is_users(frame.filename):
+        if is_user_file(frame.filename):
             return f"{Path(frame.filename).name}:{frame.lineno} ({frame.line})"
     return ""
 
 
-def line_here() -> str:
-    """Return ``file:line (code)`` of the innermost frame of the user's that runs now."""
+def current_user_line() -> str:
+    """Return ``file:line (code)`` of the innermost frame of the user's code that runs now."""
     for frame in _frames():
         name = frame.f_code.co_filename
-        if is_users(name):
+        if is_user_file(name):
             code = linecache.getline(name, frame.f_lineno).strip()
             return f"{Path(name).name}:{frame.f_lineno} ({code})"
     return ""
@@ -52,12 +51,12 @@ def _frames() -> Iterator[FrameType]:
 
 
 @cache
-def is_users(filename: str) -> bool:
-    """Say whether a source file is the user's."""
+def is_user_file(filename: str) -> bool:
+    """Return whether a source file is the user's."""
     path = Path(filename)
-    if not path.is_file() or path.is_relative_to(_OURS):
+    if not path.is_file() or path.is_relative_to(_SDK_FOLDER):
         return False
-    found = [path.parts.index(name) for name in _PACKAGES if name in path.parts]
-    if found:
-        return path.parts[max(found) + 1] not in _BETWEEN
+    package_indices = [path.parts.index(name) for name in _PACKAGES if name in path.parts]
+    if package_indices:
+        return path.parts[max(package_indices) + 1] not in _BETWEEN
     return not path.is_relative_to(_STANDARD)

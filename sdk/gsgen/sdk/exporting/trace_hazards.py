@@ -1,10 +1,10 @@
-"""Watch a module run, and note what tracing cannot follow: each with its line, and a cure.
+"""Watch a module run, and record the operations that tracing cannot follow, each with a hint.
 
 Tracing records torch functions. A value of an input that leaves torch (a Python number, a numpy
-array, a branch) is either refused, or stays what it was in the traced frame. So are attributes
-that forward sets for the frames to come, and random numbers.
+array, a branch) is either refused, or keeps its value of the traced frame. The same holds for
+attributes that forward sets for later frames, and for random numbers.
 
-None of this alone makes an export wrong, so a hazard is told only where something else fails.
+A hazard alone does not make an export wrong, so it is reported only if another check fails.
 """
 
 __all__ = ["Hazard", "Watch"]
@@ -19,17 +19,17 @@ from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 from torch.utils._pytree import tree_leaves
 
-from gsgen.sdk.exporting.source_lines import line_here
+from gsgen.sdk.exporting.source_lines import current_user_line
 
 Kind = Literal["branch", "data", "number", "numpy", "random", "rebuilt", "shape", "state"]
 
-_CURES: dict[Kind, tuple[str, str]] = {
+_DESCRIPTIONS_AND_HINTS: dict[Kind, tuple[str, str]] = {
     "branch": (
         "Python branches on a tensor",
-        "torch.where(condition, a, b) chooses anew in every frame.",
+        "torch.where(condition, a, b) chooses in every frame.",
     ),
     "data": (
-        "`.data` cuts a tensor off from what is traced",
+        "`.data` hides a tensor from tracing",
         "Use the tensor itself, or .detach().",
     ),
     "number": (
@@ -78,52 +78,54 @@ _TAINT = "_gsgen_of_an_input"
 
 @dataclass(frozen=True, slots=True)
 class Hazard:
-    """Something that tracing cannot follow.
+    """An operation that tracing cannot follow.
 
     Attributes:
-        kind: What sort of thing.
-        where: ``file:line (code)``; the attribute's name stands in front where one is set.
+        kind: The kind of operation.
+        where: ``file:line (code)``; where an attribute is set, its name stands in front.
     """
 
     kind: Kind
     where: str
 
     @property
-    def what(self) -> str:
-        """What happens there, in a few words."""
-        return _CURES[self.kind][0]
+    def description(self) -> str:
+        """A short description of the operation."""
+        return _DESCRIPTIONS_AND_HINTS[self.kind][0]
 
     @property
     def hint(self) -> str:
-        """What to write instead."""
-        return _CURES[self.kind][1]
+        """The code to write in its place."""
+        return _DESCRIPTIONS_AND_HINTS[self.kind][1]
 
     def __str__(self) -> str:
-        return f"{self.where}: {self.what}. {self.hint}"
+        return f"{self.where}: {self.description}. {self.hint}"
 
 
 class Watch(TorchFunctionMode):
-    """Note hazards while a module runs.
+    """Records hazards while a module runs.
 
-    Such as::
+    For example::
 
         with Watch(module, tensors) as watch:
             module(*tensors)
         watch.hazards
 
     Attributes:
-        hazards: What was seen, in order, each line once.
+        hazards: The hazards, in order, each line once.
     """
 
     def __init__(self, module: nn.Module, inputs: list[Tensor]) -> None:
         super().__init__()
         self.hazards: list[Hazard] = []
         self._module = module
-        self._owned = {id(one): one for one in (*module.parameters(), *module.buffers())}
+        self._owned = {
+            id(tensor): tensor for tensor in (*module.parameters(), *module.buffers())
+        }
         self._undo: list[Callable[[], None]] = []
         self._saved: set[tuple[int, str]] = set()
-        for one in inputs:
-            setattr(one, _TAINT, True)
+        for tensor in inputs:
+            setattr(tensor, _TAINT, True)
 
     def __enter__(self) -> Self:
         self._plain_setattr: Any = nn.Module.__setattr__
@@ -146,28 +148,28 @@ class Watch(TorchFunctionMode):
         return bool(self._undo)
 
     def undo(self) -> None:
-        """Put back every attribute and buffer as it was before the run."""
+        """Restore every attribute and buffer to its value before the run."""
         for step in reversed(self._undo):
             step()
 
     def __torch_function__(
         self, func: Any, types: Any, args: Any = (), kwargs: Any = None
     ) -> Any:
-        """Call ``func``, note what it is, and follow what it makes of inputs."""
+        """Call ``func``, record its hazards, and mark results that depend on inputs."""
         kwargs = kwargs or {}
         name = getattr(func, "__name__", "")
-        leaves = [one for one in tree_leaves((args, kwargs)) if isinstance(one, Tensor)]
-        tainted = any(hasattr(one, _TAINT) for one in leaves)
-        self._inspect(func, name, args, tainted)
-        made = func(*args, **kwargs)
+        leaves = [leaf for leaf in tree_leaves((args, kwargs)) if isinstance(leaf, Tensor)]
+        tainted = any(hasattr(leaf, _TAINT) for leaf in leaves)
+        self._inspect(func, name, args, tainted=tainted)
+        result = func(*args, **kwargs)
         if tainted:
             changed = [args[0]] if name == "__setitem__" else []
-            for one in (*tree_leaves(made), *changed):
-                if isinstance(one, Tensor):
-                    setattr(one, _TAINT, True)
-        return made
+            for leaf in (*tree_leaves(result), *changed):
+                if isinstance(leaf, Tensor):
+                    setattr(leaf, _TAINT, True)
+        return result
 
-    def _inspect(self, func: Any, name: str, args: Any, tainted: bool) -> None:
+    def _inspect(self, func: Any, name: str, args: Any, *, tainted: bool) -> None:
         if name in _RANDOM:
             self._note("random")
         if self._is_in_place(name) and args and id(args[0]) in self._owned:
@@ -186,17 +188,21 @@ class Watch(TorchFunctionMode):
 
     @staticmethod
     def _is_in_place(name: str) -> bool:
-        own = name.endswith("_") and not name.endswith("__")
-        special = name.startswith("__i") and name not in (
+        ends_in_underscore = name.endswith("_") and not name.endswith("__")
+        is_operator = name.startswith("__i") and name not in (
             "__index__",
             "__int__",
             "__invert__",
         )
-        return own or special or name == "__setitem__"
+        return ends_in_underscore or is_operator or name == "__setitem__"
 
     def _note(self, kind: Kind, prefix: str = "") -> None:
-        line = line_here()
-        known = [one for one in self.hazards if one.kind == kind and line in one.where]
+        line = current_user_line()
+        known = [
+            hazard
+            for hazard in self.hazards
+            if hazard.kind == kind and line in hazard.where
+        ]
         if line and not known:
             self.hazards.append(Hazard(kind, f"{prefix}{line}"))
 
@@ -207,7 +213,7 @@ class Watch(TorchFunctionMode):
             self._undo.append(lambda: _copy(tensor, before))
 
     def _setattr(self) -> Callable[[nn.Module, str, Any], None]:
-        plain: Callable[[nn.Module, str, Any], None] = self._plain_setattr
+        original_setattr: Callable[[nn.Module, str, Any], None] = self._plain_setattr
 
         def note(module: nn.Module, name: str, value: Any) -> None:
             self._note("state", f"{type(module).__name__}.{name}, ")
@@ -222,14 +228,14 @@ class Watch(TorchFunctionMode):
                     self._undo.append(lambda: module.__dict__.update({name: before}))
                 else:
                     self._undo.append(lambda: _forget(module, name))
-            plain(module, name, value)
+            original_setattr(module, name, value)
 
         return note
 
 
 def _is_mask(index: Any) -> bool:
     parts = index if isinstance(index, tuple) else (index,)
-    return any(isinstance(one, Tensor) and one.dtype == torch.bool for one in parts)
+    return any(isinstance(part, Tensor) and part.dtype == torch.bool for part in parts)
 
 
 def _copy(tensor: Tensor, before: Tensor) -> None:

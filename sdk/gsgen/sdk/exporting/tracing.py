@@ -1,6 +1,6 @@
-"""Turn a packed generator into an ONNX graph, with torch's own exporter."""
+"""Trace a torch module into an ONNX graph, with torch's own exporter."""
 
-__all__ = ["Named", "trace", "trace_module"]
+__all__ = ["TensorNames", "trace_generator", "trace_module"]
 
 import logging
 import warnings
@@ -19,48 +19,48 @@ from gsgen.contract.probing.probes import Probe
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.authoring.packed_module import PackedGenerator, output_names
 from gsgen.sdk.errors import ExportFailed, GeneratorInvalid
-from gsgen.sdk.exporting.source_lines import line_of
+from gsgen.sdk.exporting.source_lines import user_line_of
 from gsgen.sdk.exporting.trace_hazards import Hazard
 
 _MOST = 3
-_MEND = (
-    "Shapes must not depend on data: use masks and torch.where instead of boolean indexing, and "
+_HINT = (
+    "Shapes must not depend on data: use masks and torch.where, not boolean indexing, and "
     "keep `.item()`, numpy and Python branches on tensors out of forward."
 )
 
 
-def trace(
+def trace_generator(
     packed: PackedGenerator,
     example: Probe,
     manifest: GeneratorManifest,
     opset: int,
     hazards: Sequence[Hazard] = (),
 ) -> ir.Model:
-    """Export ``packed`` with ``torch.onnx.export(dynamo=True)`` and return the graph.
+    """Trace a packed generator, and return the graph.
 
     Args:
         packed: The module.
-        example: The inputs that it is traced with.
+        example: The inputs to trace it with.
         manifest: Names the outputs.
         opset: ONNX operator set.
-        hazards: What was seen while it ran, to explain a refusal.
+        hazards: Operations that tracing cannot follow, to explain an error.
 
     Raises:
         ExportFailed: The exporter refused the module; the message names the line of its code.
     """
-    named = Named(tuple(example.inputs), output_names(manifest))
+    names = TensorNames(tuple(example.inputs), output_names(manifest))
     where = type(packed.generator).__name__
-    return trace_module(packed, example, named, opset, where=where, hazards=hazards)
+    return trace_module(packed, example, names, opset, where=where, hazards=hazards)
 
 
 @dataclass(frozen=True, slots=True)
-class Named:
-    """What the tensors of a graph are called.
+class TensorNames:
+    """The names of a graph's inputs, outputs and open sizes.
 
     Attributes:
         inputs: In the order of the module's arguments.
-        outputs: In the order of what it returns.
-        dynamic: For each argument, axis → the name of its size; all sizes are fixed where absent.
+        outputs: In the order of its results.
+        dynamic: For each argument, axis → the name of its size; all sizes are fixed if absent.
     """
 
     inputs: tuple[str, ...]
@@ -71,21 +71,21 @@ class Named:
 def trace_module(
     module: nn.Module,
     example: Probe,
-    named: Named,
+    names: TensorNames,
     opset: int,
     *,
     where: str,
     hazards: Sequence[Hazard] = (),
 ) -> ir.Model:
-    """Export any module with ``torch.onnx.export(dynamo=True)`` and return the graph.
+    """Trace any module with ``torch.onnx.export(dynamo=True)``, and return the graph.
 
     Args:
-        module: What to export.
-        example: The inputs that it is traced with.
-        named: Names of inputs and outputs.
+        module: The module to trace.
+        example: The inputs to trace it with.
+        names: Names of inputs and outputs.
         opset: ONNX operator set.
-        where: What the module is called in an error.
-        hazards: What was seen while it ran, to explain a refusal.
+        where: The module's name in an error.
+        hazards: Operations that tracing cannot follow, to explain an error.
 
     Raises:
         ExportFailed: The exporter refused the module; the message names the line of its code.
@@ -99,10 +99,10 @@ def trace_module(
                 module,
                 arguments,
                 dynamo=True,
-                input_names=list(named.inputs),
-                output_names=list(named.outputs),
+                input_names=list(names.inputs),
+                output_names=list(names.outputs),
                 opset_version=opset,
-                dynamic_shapes=named.dynamic and (named.dynamic,),
+                dynamic_shapes=names.dynamic and (names.dynamic,),
                 verbose=False,
             )
     except GeneratorInvalid:
@@ -110,16 +110,18 @@ def trace_module(
     except Exception as error:  # the exporter's errors share no base class
         raise _explained(where, error, hazards) from error
     assert program is not None
-    made = program.model.opset_imports.get("", opset)
-    if made != opset:  # torch leaves it at that, with a note in its log
-        what = f"torch cannot convert the graph to operator set {opset}; it has {made}"
-        raise ExportFailed(what, where="opset", hint=f"Export at operator set {made}.")
+    exported_opset = program.model.opset_imports.get("", opset)
+    if exported_opset != opset:  # torch only logs that it could not convert the graph
+        message = f"torch cannot convert the graph to operator set {opset}; it has {exported_opset}"
+        raise ExportFailed(
+            message, where="opset", hint=f"Export at operator set {exported_opset}."
+        )
     return program.model
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep torch's notes on operators, failed attempts and graphs to itself."""
+    """Suppress torch's messages on operators, failed attempts and graphs."""
     level = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
@@ -132,21 +134,23 @@ def _quiet() -> Iterator[None]:
 
 
 def _explained(name: str, error: BaseException, hazards: Sequence[Hazard]) -> ExportFailed:
-    """Say what torch says first, in which line of the user's, and what to write instead."""
+    """Return an error with torch's reason, the line of the user's code, and a hint."""
     root: BaseException = error
     while root.__cause__ is not None:
         root = root.__cause__
     reason = next(
         (line for line in str(root).splitlines() if line.strip()), type(root).__name__
     )
-    what = f"{type(root).__name__}: {reason.strip()[:300]}"
-    line = line_of(root)
-    likely = [one for one in hazards if line and line in one.where] or list(hazards)
+    message = f"{type(root).__name__}: {reason.strip()[:300]}"
+    line = user_line_of(root)
+    likely = [hazard for hazard in hazards if line and line in hazard.where] or list(
+        hazards
+    )
     if not likely:
-        return ExportFailed(what, where=line or name, hint=_MEND)
+        return ExportFailed(message, where=line or name, hint=_HINT)
     first = likely[0]
     return ExportFailed(
-        f"{first.what}, and torch cannot export it ({what})",
+        f"{first.description}, and torch cannot export it ({message})",
         where=line or first.where,
-        hint="\n  ".join([first.hint, *(str(one) for one in likely[1:_MOST])]),
+        hint="\n  ".join([first.hint, *(str(hazard) for hazard in likely[1:_MOST])]),
     )

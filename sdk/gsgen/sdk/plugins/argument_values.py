@@ -1,4 +1,4 @@
-"""Words of a command line as values of a type; nothing is evaluated."""
+"""Convert texts of the command line to values of a declared type, without evaluating code."""
 
 __all__ = ["convert", "name_of"]
 
@@ -19,23 +19,23 @@ def convert(text: str, annotation: Any, where: str) -> Any:
     """Return ``text`` as a value of ``annotation``.
 
     Args:
-        text: What the user typed.
+        text: The text that the user typed.
         annotation: ``str``, ``int``, ``float``, ``bool``, ``Path``, an Enum, a Literal, a union or
-            a list or tuple of those (separated by commas), or anything that takes no value.
-        where: What to blame in an error, such as ``--arg side``.
+            a list or tuple of those (separated by commas).
+        where: The option to name in an error, such as ``--arg side``.
 
     Raises:
-        ConfigInvalid: It is not one.
+        ConfigInvalid: The text is not a value of that type, or the type has no text form.
     """
     try:
         return _converted(text, annotation)
     except ValueError as error:
-        wanted = f"{text!r} is not {_described(annotation)}"
-        raise ConfigInvalid(wanted, where=where) from error
+        message = f"{text!r} is not {_described(annotation)}"
+        raise ConfigInvalid(message, where=where) from error
     except TypeError as error:
-        what = f"{name_of(annotation)} cannot be written on a command line"
-        hint = "Give the parameter a default, or write a factory that takes words."
-        raise ConfigInvalid(what, where=where, hint=hint) from error
+        message = f"{name_of(annotation)} cannot be written on a command line"
+        hint = "Give the parameter a default, or write a factory that takes texts."
+        raise ConfigInvalid(message, where=where, hint=hint) from error
 
 
 def _converted(text: str, annotation: Any) -> Any:
@@ -49,8 +49,8 @@ def _converted(text: str, annotation: Any) -> Any:
     if origin in _SEQUENCES or annotation in _SEQUENCES:
         return _sequence(text, origin or annotation, get_args(annotation))
     if isinstance(annotation, type) and issubclass(annotation, enum.Enum):
-        by_value = {str(one.value): one for one in annotation}
-        return _chosen(text, by_value | {one.name: one for one in annotation})
+        by_value = {str(member.value): member for member in annotation}
+        return _chosen(text, by_value | {member.name: member for member in annotation})
     simple: dict[Any, Callable[[str], Any]] = {
         Any: str,
         Path: Path,
@@ -67,8 +67,8 @@ def _converted(text: str, annotation: Any) -> Any:
 
 
 def _first_that_fits(text: str, members: Sequence[Any]) -> Any:
-    """Try each member of a union, text last: everything is text."""
-    for member in sorted(members, key=lambda one: one in (str, Path, Any)):
+    """Try each member of a union; text comes last, since every value is a text."""
+    for member in sorted(members, key=lambda member_type: member_type in (str, Path, Any)):
         try:
             return _converted(text, member)
         except (TypeError, ValueError):
@@ -82,8 +82,11 @@ def _sequence(text: str, kind: Any, members: Sequence[Any]) -> Any:
     if fixed and len(words) != len(members):
         raise ValueError
     types_of = members if fixed else [members[0] if members else str] * len(words)
-    made = [_converted(word, one) for word, one in zip(words, types_of, strict=True)]
-    return tuple(made) if kind is tuple else made
+    values = [
+        _converted(word, element_type)
+        for word, element_type in zip(words, types_of, strict=True)
+    ]
+    return tuple(values) if kind is tuple else values
 
 
 def _chosen(text: str, known: dict[str, Any]) -> Any:
@@ -104,16 +107,16 @@ def _nothing(text: str) -> None:
 
 
 def _described(annotation: Any) -> str:
-    """Return what a value of a type is, for people."""
+    """Return a phrase for the values of a type, such as ``a whole number``."""
     origin = get_origin(annotation)
     if origin is Annotated:
         return _described(get_args(annotation)[0])
     if origin is Literal:
         return f"one of {', '.join(str(value) for value in get_args(annotation))}"
     if origin in (Union, types.UnionType):
-        return " or ".join(_described(one) for one in get_args(annotation))
+        return " or ".join(_described(member) for member in get_args(annotation))
     if isinstance(annotation, type) and issubclass(annotation, enum.Enum):
-        return f"one of {', '.join(str(one.value) for one in annotation)}"
+        return f"one of {', '.join(str(member.value) for member in annotation)}"
     words: dict[Any, str] = {
         bool: "true or false",
         float: "a number",
@@ -126,6 +129,6 @@ def _described(annotation: Any) -> str:
 
 
 def name_of(annotation: Any) -> str:
-    """Return how people write a type."""
-    plain = isinstance(annotation, type) and get_origin(annotation) is None
-    return annotation.__name__ if plain else str(annotation).replace("typing.", "")
+    """Return a type as it is written in an annotation."""
+    is_class = isinstance(annotation, type) and get_origin(annotation) is None
+    return annotation.__name__ if is_class else str(annotation).replace("typing.", "")

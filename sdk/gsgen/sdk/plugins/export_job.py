@@ -1,9 +1,9 @@
-"""What `gsgen export` does once it knows what to export: do it, and say how it went."""
+"""Run `gsgen export`: build the module or scene, export it, and print the result."""
 
 __all__ = ["run_export"]
 
 from collections.abc import Callable
-from importlib.util import find_spec
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -12,26 +12,22 @@ from gsgen.contract.commands.progress import clear, progress
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 
 if TYPE_CHECKING:
-    from gsgen.sdk.exporting.exporter import Exported
-    from gsgen.sdk.exporting.post_process_exporter import ExportedImage
+    from gsgen.sdk.exporting.pipeline import ExportResult
     from gsgen.sdk.plugins.export_options import ExportRequest
 
 
 def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) -> None:
-    """Build a generator and export it; show what the validator found.
+    """Build a module or scene, export it, and print the validator's findings.
 
     Args:
-        build: Makes the generator.
-        request: Where it goes, and how.
-        source: What was asked for: a plugin's name or ``module:factory``.
+        build: Returns the module or scene.
+        request: The options of the export.
+        source: The plugin's name, or ``module:factory``.
 
     Raises:
-        typer.Exit: With code 1, where the module cannot be exported as a model that conforms.
-        GsgenError: Torch is not installed, or an option cannot be meant.
+        typer.Exit: With code 1, if it cannot be exported as a model that conforms.
+        GsgenError: Torch is not installed, or an option or input file is invalid.
     """
-    if find_spec("torch") is None:
-        what = "`gsgen export` needs torch, which is not installed"
-        raise GsgenError(what, hint="pip install 'gsgen[sdk]'")
     from gsgen.sdk.errors import (
         ExportFailed,
         ExportRejected,
@@ -43,74 +39,84 @@ def run_export(build: Callable[[], Any], request: "ExportRequest", source: str) 
 
     faults = (ExportFailed, ExportRejected, GeneratorInvalid, ParityFailed, RewriteFailed)
     try:
-        made = _export(build, request)
+        result = _export(build, request)
     except faults as error:
         clear()
         if request.report is not None:
-            report = error.report if isinstance(error, ExportRejected) else None
-            parity = error.parity if isinstance(error, ParityFailed) else None
-            outcome = Outcome(False, report, parity, error=error)
-            write_report(request.report, request, source, outcome)
+            outcome = Outcome(
+                written=False,
+                report=error.report if isinstance(error, ExportRejected) else None,
+                parity=error.parity if isinstance(error, ParityFailed) else None,
+                error=error,
+            )
+            reported = replace(request, dtype=request.dtype or "float32")
+            write_report(request.report, reported, source, outcome)
         _show_failure(error)
         typer.echo(f"gsgen: {request.output} was not written", err=True)
         raise typer.Exit(1) from error
     clear()
+    for note in result.notes:
+        typer.echo(f"note: {note}", err=True)
     if request.report is not None:
-        outcome = Outcome(True, made.report, made.parity, made.changes)
-        write_report(request.report, request, source, outcome)
-    _show(made)
+        outcome = Outcome(
+            written=True, report=result.report, parity=result.parity, changes=result.changes
+        )
+        reported = replace(request, dtype=result.dtype)
+        write_report(request.report, reported, source, outcome)
+    _show(result)
 
 
-def _export(
-    build: Callable[[], Any], request: "ExportRequest"
-) -> "Exported | ExportedImage":
+def _export(build: Callable[[], Any], request: "ExportRequest") -> "ExportResult":
+    """Check the options, build, and export through the pipeline of the module's kind."""
     from gsgen.contract.spec.severity import Level
     from gsgen.contract.spec.targets import load_target
     from gsgen.contract.validation.settings import Settings
+    from gsgen.sdk.exporting.constant_generator import ConstantSource, export_constant
+
+    # Options are checked before a slow step begins.
+    settings = Settings(level=Level.parse(request.level, "--level"))
+    load_target(request.target)
+    progress("building the generator")
+    module = _built(build)
+    options: dict[str, Any] = {
+        "name": request.name,
+        "opset": request.opset,
+        "target": request.target,
+        "settings": settings,
+        "progress": progress,
+    }
+    # Case 1: a scene that does not change; torch may be absent.
+    if isinstance(module, ConstantSource):
+        return export_constant(
+            module,
+            request.output,
+            dtype=request.dtype,
+            capacity=request.capacity,
+            **options,
+        )
     from gsgen.sdk.authoring.post_process import PostProcess
     from gsgen.sdk.exporting.exporter import export
     from gsgen.sdk.exporting.post_process_exporter import export_post_process
 
-    # Options are judged before anything slow begins.
-    settings = Settings(level=Level.parse(request.level, "--level"))
-    load_target(request.target)
-    progress("building the generator")
-    made = build()
-    if isinstance(made, PostProcess):
+    options |= {"dtype": request.dtype or "float32", "rewrite": request.rewrite}
+    # Case 2: a model from image to image.
+    if isinstance(module, PostProcess):
         if request.capacity is not None:
-            what = "a post-process model has an image, and no rows"
-            raise ConfigInvalid(what, where="--capacity", hint="Leave the option out.")
-        return export_post_process(
-            made,
-            request.output,
-            name=request.name,
-            dtype=request.dtype,
-            opset=request.opset,
-            target=request.target,
-            rewrite=request.rewrite,
-            settings=settings,
-            progress=progress,
-        )
-    exported = export(
-        made,
-        request.output,
-        name=request.name,
-        dtype=request.dtype,
-        capacity=request.capacity,
-        opset=request.opset,
-        target=request.target,
-        rewrite=request.rewrite,
-        settings=settings,
-        progress=progress,
-    )
-    for note in exported.notes:
-        _note(f"note: {note}")
-    return exported
+            message = "a post-process model returns an image, which has no rows"
+            raise ConfigInvalid(message, where="--capacity", hint="Leave the option out.")
+        return export_post_process(module, request.output, **options)
+    # Case 3: a generator.
+    return export(module, request.output, capacity=request.capacity, **options)
 
 
-def _note(text: str) -> None:
-    clear()
-    typer.echo(text, err=True)
+def _built(build: Callable[[], Any]) -> Any:
+    from gsgen.sdk.plugins.factory import require_torch
+
+    try:
+        return build()
+    except ModuleNotFoundError:
+        require_torch()
+        raise
 
 
 def _show_failure(error: GsgenError) -> None:
@@ -124,24 +130,33 @@ def _show_failure(error: GsgenError) -> None:
         typer.echo(f"gsgen: {error}", err=True)
 
 
-def _show(made: "Exported | ExportedImage") -> None:
+def _show(result: "ExportResult") -> None:
     from gsgen.contract.commands.output import show
     from gsgen.contract.reporters.text import render
+    from gsgen.contract.spec.units import format_bytes
 
-    if made.report.findings or any(not level.ran for level in made.report.levels):
-        show(render(made.report))
-    kib = made.path.stat().st_size / 1024
-    size = f"{kib:.1f} KiB" if kib < 1024 else f"{kib / 1024:.1f} MiB"
-    ran = [level.level.word for level in made.report.levels if level.ran]
-    skipped = [level.level.word for level in made.report.levels if not level.ran]
-    lacking = f", {' and '.join(skipped)} skipped" if skipped else ""
-    typer.echo(
-        f"{made.path}: {made.contents}, {size}; conforms at level {ran[-1]}{lacking}"
-    )
-    if made.changes:
-        listed = ", ".join(f"{one.rewrite} ({len(one.nodes)})" for one in made.changes)
-        typer.echo(f"rewritten: {listed}")
-    typer.echo(
-        f"agrees with torch at {made.parity.probes} "
-        f"{'probe' if made.parity.probes == 1 else 'probes'}: {made.parity.describe()}"
-    )
+    report = result.report
+    if report.findings or any(not level.ran for level in report.levels):
+        show(render(report))
+    size = format_bytes(result.path.stat().st_size)
+    typer.echo(f"{result.path}: {result.contents}, {size}; {_verdict(result)}")
+    if result.changes:
+        rewrites = ", ".join(
+            f"{change.rewrite} ({len(change.nodes)})" for change in result.changes
+        )
+        typer.echo(f"rewritten: {rewrites}")
+    if result.parity is not None:
+        probes = "probe" if result.parity.probes == 1 else "probes"
+        typer.echo(
+            f"agrees with torch at {result.parity.probes} {probes}: {result.parity.describe()}"
+        )
+
+
+def _verdict(result: "ExportResult") -> str:
+    report = result.report
+    if report.verdict != "conforms":
+        return "does NOT conform; the rows were passed through unchanged"
+    ran = [level.level.word for level in report.levels if level.ran]
+    skipped = [level.level.word for level in report.levels if not level.ran]
+    suffix = f", {' and '.join(skipped)} skipped" if skipped else ""
+    return f"conforms at level {ran[-1]}{suffix}"

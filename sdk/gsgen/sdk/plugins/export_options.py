@@ -1,4 +1,4 @@
-"""What every `gsgen export` can be told, whatever makes the generator."""
+"""The options of every `gsgen export`, for torch modules, post-process models and constant scenes."""
 
 __all__ = ["OPSETS", "Build", "ExportRequest", "with_common_options"]
 
@@ -10,50 +10,53 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gsgen.contract.process.atomic_files import refuse_model
+from gsgen.contract.process.atomic_files import refuse_itself, refuse_model
+from gsgen.sdk.exporting.pipeline import OPSET
 
 if TYPE_CHECKING:
     from gsgen.sdk.authoring.generator import GaussianGenerator
     from gsgen.sdk.authoring.post_process import PostProcess
+    from gsgen.sdk.exporting.constant_generator import ConstantSource
 
-# Returns the module to export; called with the options that its signature declares.
-Build = Callable[..., "GaussianGenerator | PostProcess"]
+# Returns the module or scene to export; called with the options that its signature declares.
+Build = Callable[..., "GaussianGenerator | PostProcess | ConstantSource"]
 
-# Operator sets that torch exports to, and that runtimes know.
+# The lowest and the highest operator set that torch exports and runtimes know.
 OPSETS = (16, 23)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ExportRequest:
-    """Where a model goes and how it is written.
+    """The options of one export.
 
     Attributes:
-        output: The file.
-        name: What people call it; the file's stem where absent.
-        dtype: Of the outputs, and in float16 of weights, too.
-        capacity: Rows of the outputs; as many as there are Gaussians where absent.
+        output: The model file.
+        name: Name in the manifest; the file's stem if absent.
+        dtype: The dtype of the outputs, and with float16 of weights, too; the source's own if
+            absent.
+        capacity: Rows of the outputs; as many as there are Gaussians if absent.
         opset: ONNX operator set.
-        target: The consumer to write and to validate for.
-        level: How far to validate.
-        rewrite: Rewrite the graph for runtimes.
-        report: Where to say, as JSON, what was done and found; nowhere if absent.
+        target: The consumer to rewrite and validate for.
+        level: The last level of the validation.
+        rewrite: Whether to rewrite the graph for runtimes.
+        report: The file for a JSON report on the export; not written if absent.
     """
 
     output: Path
     name: str | None = None
-    dtype: Literal["float32", "float16"] = "float32"
+    dtype: Literal["float32", "float16"] | None = None
     capacity: int | None = None
-    opset: int = 18
+    opset: int = OPSET
     target: str = "core"
     level: str = "behaviour"
     rewrite: bool = True
     report: Path | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a model's place for the report.
+        """Refuse a report that would overwrite a model.
 
         Raises:
-            ConfigInvalid: The report would replace a model.
+            ConfigInvalid: The report's path is that of a model.
         """
         if self.report is not None:
             refuse_model(self.report, [self.output])
@@ -68,11 +71,13 @@ def _request(
         str | None, typer.Option(help="Name in the manifest.", show_default="the file's")
     ] = None,
     dtype: Annotated[
-        Literal["float32", "float16"],
+        Literal["float32", "float16"] | None,
         typer.Option(
-            help="Of the outputs; float16 halves weights, too, where that is unseen."
+            help="Dtype of the outputs; float16 stores weights in 16 bits, too, where the error is "
+            "small.",
+            show_default="float32, or that of packed rows",
         ),
-    ] = "float32",
+    ] = None,
     capacity: Annotated[
         int | None,
         typer.Option(help="Rows of the outputs.", show_default="as many as needed", min=1),
@@ -84,7 +89,7 @@ def _request(
             min=OPSETS[0],
             max=OPSETS[1],
         ),
-    ] = 18,
+    ] = OPSET,
     target: Annotated[
         str,
         typer.Option(
@@ -94,7 +99,7 @@ def _request(
     level: Annotated[
         str,
         typer.Option(
-            help="How far to validate: static, values, behaviour, live or render."
+            help="Last level to validate: static, values, behaviour, live or render."
         ),
     ] = "behaviour",
     no_rewrite: Annotated[
@@ -102,11 +107,19 @@ def _request(
     ] = False,
     report: Annotated[
         Path | None,
-        typer.Option(help="Write what was done and found to this file, as JSON."),
+        typer.Option(help="Write a report on the export to this file, as JSON."),
     ] = None,
 ) -> ExportRequest:
     return ExportRequest(
-        output, name, dtype, capacity, opset, target, level, not no_rewrite, report
+        output=output,
+        name=name,
+        dtype=dtype,
+        capacity=capacity,
+        opset=opset,
+        target=target,
+        level=level,
+        rewrite=not no_rewrite,
+        report=report,
     )
 
 
@@ -116,30 +129,34 @@ _COMMON = inspect.signature(_request).parameters
 def with_common_options(
     build: Callable[..., Any], run: Callable[[Callable[[], Any], ExportRequest], None]
 ) -> Callable[..., None]:
-    """Return a typer function that takes what ``build`` takes, and every common option.
+    """Return a typer function with the parameters of ``build`` and every common option.
 
     Args:
-        build: Makes the generator; its parameters become arguments and options.
+        build: Returns the module or scene to export; its parameters become arguments and options.
         run: Called with ``build``, its arguments bound, and the request.
 
     Raises:
-        TypeError: ``build`` declares a parameter that is a common option's.
+        TypeError: A parameter of ``build`` has the name of a common option.
     """
-    own = inspect.signature(build).parameters
-    taken = sorted(set(own) & set(_COMMON))
-    if taken:
-        raise TypeError(f"every export has the option {taken[0]!r}; give it another name")
+    parameters = inspect.signature(build).parameters
+    conflicts = sorted(set(parameters) & set(_COMMON))
+    if conflicts:
+        raise TypeError(
+            f"every export has the option {conflicts[0]!r}; give it another name"
+        )
 
-    def command(**given: Any) -> None:
-        request = _request(**{key: given.pop(key) for key in _COMMON})
-        run(lambda: build(**given), request)
+    def command(**values: Any) -> None:
+        request = _request(**{key: values.pop(key) for key in _COMMON})
+        sources = [value for value in values.values() if isinstance(value, Path)]
+        refuse_itself(request.output, sources)
+        run(lambda: build(**values), request)
 
     merged = [
         parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        for parameter in (*own.values(), *_COMMON.values())
+        for parameter in (*parameters.values(), *_COMMON.values())
     ]
-    # typer reads both.
+    # typer reads the signature and the annotations.
     command.__signature__ = inspect.Signature(merged)  # type: ignore[attr-defined]
-    command.__annotations__ = {one.name: one.annotation for one in merged}
+    command.__annotations__ = {entry.name: entry.annotation for entry in merged}
     command.__doc__ = build.__doc__
     return command

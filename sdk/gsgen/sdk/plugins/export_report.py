@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 _SCHEMA = "gsgen-export/1"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What came of an export.
+    """The result of an export, or the error that stopped it.
 
     Attributes:
-        written: A model stands in its place.
-        report: What the validator found, if it came so far.
-        parity: How closely the model agrees with torch, if it was compared.
-        changes: What rewrites did to the graph.
-        error: Why there is no model.
+        written: Whether the model file was written.
+        report: The validator's report, if the model was validated.
+        parity: How closely the model agrees with torch, if the two were compared.
+        changes: The rewrites of the graph.
+        error: The error that stopped the export.
     """
 
     written: bool
@@ -42,13 +42,13 @@ class Outcome:
 
 
 def write_report(path: Path, request: ExportRequest, source: str, outcome: Outcome) -> None:
-    """Write what was asked for and what came of it.
+    """Write the options of an export and its outcome to a JSON file.
 
     Args:
-        path: The file.
-        request: What was asked for.
-        source: What was exported: a plugin's name or ``module:factory``.
-        outcome: What came of it.
+        path: The JSON file.
+        request: The options.
+        source: The plugin's name, or ``module:factory``.
+        outcome: The result or the error.
 
     Raises:
         ConfigInvalid: The file cannot be written.
@@ -57,11 +57,12 @@ def write_report(path: Path, request: ExportRequest, source: str, outcome: Outco
         "schema": _SCHEMA,
         "tool": f"gsgen {version('gsgen')}",
         "source": source,
-        "options": {key: _plain(value) for key, value in asdict(request).items()},
+        "options": {key: _json_value(value) for key, value in asdict(request).items()},
         "written": outcome.written,
         "error": _error(outcome.error) if outcome.error else None,
         "rewrites": [
-            {"name": one.rewrite, "nodes": list(one.nodes)} for one in outcome.changes
+            {"name": change.rewrite, "nodes": list(change.nodes)}
+            for change in outcome.changes
         ],
         "parity": _parity(outcome.parity) if outcome.parity else None,
         "validation": to_dict(outcome.report) if outcome.report else None,
@@ -81,19 +82,23 @@ def _error(error: GsgenError) -> dict[str, Any]:
 def _parity(parity: "Parity") -> dict[str, Any]:
     fields = [
         {
-            "field": one.field,
-            "error": _plain(one.error),
-            "share_of_allowed": _plain(one.excess),
-            "probe": one.probe,
-            "row": one.row,
+            "field": field.field,
+            "error": _json_value(field.error),
+            "share_of_allowed": _json_value(field.excess),
+            "probe": field.probe,
+            "row": field.row,
         }
-        for one in parity.fields
+        for field in parity.fields
     ]
-    return {"probes": parity.probes, "rows_at_a_threshold": parity.jumped, "fields": fields}
+    return {
+        "probes": parity.probes,
+        "rows_at_a_threshold": parity.rows_at_threshold,
+        "fields": fields,
+    }
 
 
-def _plain(value: Any) -> Any:
-    """Return a value as JSON has it: paths as text, and no number that is none."""
+def _json_value(value: Any) -> Any:
+    """Convert to JSON types: paths become strings, NaN and infinity become null."""
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, float) and not math.isfinite(value):

@@ -1,6 +1,6 @@
-"""Find what `gsgen export module:factory` names, and call it with what `--arg` gives."""
+"""Import the factory of `gsgen export module:factory`, and call it with the values of `--arg`."""
 
-__all__ = ["Factory", "is_target", "load_factory"]
+__all__ = ["Factory", "is_target", "load_factory", "require_torch"]
 
 import importlib
 import inspect
@@ -9,11 +9,12 @@ import typing
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
-from gsgen.sdk.exporting.source_lines import line_of
+from gsgen.sdk.exporting.source_lines import user_line_of
 from gsgen.sdk.plugins.argument_values import convert, name_of
 
 _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
@@ -21,10 +22,10 @@ _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 @dataclass(frozen=True, slots=True)
 class Factory:
-    """Something that gives a generator when it is called.
+    """A callable that returns a generator, or a finished generator.
 
     Attributes:
-        target: ``module:name``, as it was asked for.
+        target: ``module:name``, as the user typed it.
         make: The class, function or finished generator.
     """
 
@@ -33,64 +34,70 @@ class Factory:
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:
-        """What it takes; nothing if it is a finished generator."""
+        """The parameters of the callable; empty for a finished generator."""
         if not _is_factory(self.make):
             return {}
         try:
-            found = inspect.signature(self.make).parameters
+            parameters = inspect.signature(self.make).parameters
         except ValueError:  # a class of an extension module has no signature
             return {}
-        return dict(found)
+        return dict(parameters)
 
     def arguments(self, entries: Sequence[str]) -> dict[str, Any]:
-        """Return the keyword arguments that ``KEY=VALUE`` words mean, typed as declared.
+        """Convert ``KEY=VALUE`` entries to keyword arguments of the declared types.
 
         Raises:
-            ConfigInvalid: A word is malformed, names nothing, or cannot be of the type declared.
+            ConfigInvalid: An entry is malformed, has an unknown key, or a value of another type.
         """
-        made: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for entry in entries:
             key, sign, text = entry.partition("=")
             if not sign:
                 hint = "Write it as --arg side=24."
                 raise ConfigInvalid(f"{entry!r} has no '='", where="--arg", hint=hint)
-            made[key] = convert(text, self._type_of(key), f"--arg {key}")
-        missing = [one for one in self._needed() if one not in made]
+            values[key] = convert(text, self._type_of(key), f"--arg {key}")
+        missing = [name for name in self._needed() if name not in values]
         if missing:
             hint = " ".join(f"--arg {name}=…" for name in missing)
-            what = f"{self.target} needs {', '.join(missing)}"
-            raise ConfigInvalid(what, where="--arg", hint=f"Add {hint}")
-        return made
+            message = f"{self.target} needs {', '.join(missing)}"
+            raise ConfigInvalid(message, where="--arg", hint=f"Add {hint}")
+        return values
 
     def build(self, arguments: dict[str, Any]) -> Any:
-        """Call it and return a generator.
+        """Call the factory and return its generator.
 
         Raises:
-            GsgenError: It raised, or it returned something else.
+            GsgenError: It raised, or did not return a generator.
         """
         if not _is_factory(self.make):
             return self.make
         try:
-            made = self.make(**arguments)
+            module = self.make(**arguments)
         except GsgenError:
             raise
         except Exception as error:  # the user's code may raise anything
             raise _raised(error, self.target) from error
-        return _checked(made, self.target)
+        return _checked(module, self.target)
 
     def _needed(self) -> Iterator[str]:
-        for name, one in self.parameters.items():
-            if one.default is one.empty and one.kind not in _VARIADIC:
+        for name, parameter in self.parameters.items():
+            if parameter.default is parameter.empty and parameter.kind not in _VARIADIC:
                 yield name
 
     def _type_of(self, key: str) -> Any:
         known = self.parameters
-        variadic = [one for one in known.values() if one.kind == one.VAR_KEYWORD]
-        named = {name for name, one in known.items() if one.kind not in _VARIADIC}
-        if key not in named:
+        variadic = [
+            parameter
+            for parameter in known.values()
+            if parameter.kind == parameter.VAR_KEYWORD
+        ]
+        names = {
+            name for name, parameter in known.items() if parameter.kind not in _VARIADIC
+        }
+        if key not in names:
             if variadic and key.isidentifier():
                 return str
-            raise UnknownName.among("argument", key, named, f"--arg, {self.target}")
+            raise UnknownName.among("argument", key, names, f"--arg, {self.target}")
         hints = _hints(self.make)
         if key in hints:
             return hints[key]
@@ -99,7 +106,7 @@ class Factory:
 
 
 def _is_factory(value: Any) -> bool:
-    """Say whether ``value`` is to be called; a finished module is callable, but not for that."""
+    """Return whether ``value`` must be called; a finished module is callable, but is exported itself."""
     import torch
 
     return callable(value) and not isinstance(value, torch.nn.Module)
@@ -118,34 +125,48 @@ def _hints(make: Any) -> dict[str, Any]:
 
 
 def is_target(word: str) -> bool:
-    """Say whether ``word`` can only be meant as ``module:factory``."""
+    """Return whether a word of the command line has the form ``module:factory``."""
     return ":" in word and not word.startswith("-")
 
 
+def require_torch() -> None:
+    """Raise if torch is not installed.
+
+    Raises:
+        GsgenError: Torch is not installed.
+    """
+    if find_spec("torch") is None:
+        message = "`gsgen export` needs torch, which is not installed"
+        raise GsgenError(message, hint="pip install 'gsgen[sdk]'")
+
+
 def load_factory(target: str, folder: Path | None = None) -> Factory:
-    """Import what ``target`` names; modules of ``folder`` come first.
+    """Import a factory by name; modules of ``folder`` take precedence.
 
     Args:
         target: ``package.module:factory``, or ``file.py:factory``.
-        folder: The current folder where absent.
+        folder: The folder to search first; the current folder if absent.
 
     Raises:
-        UnknownName: There is no such module, or nothing of that name in it.
-        ConfigInvalid: It is not written so.
-        GsgenError: The module raised while it was imported.
+        UnknownName: The module does not exist, or has no such name.
+        ConfigInvalid: The target has another form.
+        GsgenError: Torch is not installed, or the module raised while it was imported.
     """
-    place = folder or Path.cwd()
+    require_torch()
+    search_folder = folder or Path.cwd()
     module_name, _, path = target.partition(":")
     if not module_name or not path:
         hint = "Write it as package.module:factory, such as wave_sheet:Wave."
-        raise ConfigInvalid(f"{target!r} is no target", where="TARGET", hint=hint)
+        raise ConfigInvalid(f"{target!r} is not a valid target", where="TARGET", hint=hint)
     if not module_name.endswith(".py") and (module_name[0] == "." or "/" in module_name):
         hint = f"Write {module_name}.py:{path}, or package.module:{path} with dots."
-        raise ConfigInvalid(f"{module_name!r} is no module", where="TARGET", hint=hint)
+        raise ConfigInvalid(
+            f"{module_name!r} is not the name of a module", where="TARGET", hint=hint
+        )
     if module_name.endswith(".py"):
-        file = (place / module_name).resolve()
-        place, module_name = file.parent, file.stem
-    module = _import(module_name, place)
+        file = (search_folder / module_name).resolve()
+        search_folder, module_name = file.parent, file.stem
+    module = _import(module_name, search_folder)
     value: Any = module
     for name in path.split("."):
         if not hasattr(value, name):
@@ -156,9 +177,9 @@ def load_factory(target: str, folder: Path | None = None) -> Factory:
     return Factory(target, _checked(value, target))
 
 
-def _import(name: str, place: Path) -> Any:
-    if str(place) not in sys.path:
-        sys.path.insert(0, str(place))
+def _import(name: str, search_folder: Path) -> Any:
+    if str(search_folder) not in sys.path:
+        sys.path.insert(0, str(search_folder))
     importlib.invalidate_caches()
     try:
         return importlib.import_module(name)
@@ -166,44 +187,44 @@ def _import(name: str, place: Path) -> Any:
         if error.name is not None and (
             name == error.name or name.startswith(f"{error.name}.")
         ):
-            raise _no_module(name, error.name, place) from error
+            raise _no_module(name, error.name, search_folder) from error
         raise _raised(error, name) from error
     except Exception as error:  # the user's code may raise anything
         raise _raised(error, name) from error
 
 
-def _no_module(name: str, absent: str, place: Path) -> UnknownName:
-    """Say which module of ``place`` may have been meant."""
-    parent = place.joinpath(*absent.split(".")[:-1])
+def _no_module(name: str, absent: str, search_folder: Path) -> UnknownName:
+    """Return an error that suggests a module of ``search_folder``."""
+    parent = search_folder.joinpath(*absent.split(".")[:-1])
     prefix = absent.rpartition(".")[0]
-    found = [path.stem for path in parent.glob("*.py") if path.stem != "__init__"]
-    found += [path.name for path in parent.glob("*/") if path.name.isidentifier()]
-    known = [f"{prefix}.{one}" if prefix else one for one in found]
+    stems = [path.stem for path in parent.glob("*.py") if path.stem != "__init__"]
+    stems += [path.name for path in parent.glob("*/") if path.name.isidentifier()]
+    known = [f"{prefix}.{stem}" if prefix else stem for stem in stems]
     close = get_close_matches(absent, known, n=1, cutoff=0.5)
     hint = (
         f"Did you mean {close[0]!r}?"
         if close
-        else f"Looked in {place} and in what is installed."
+        else f"Searched {search_folder} and the installed packages."
     )
     return UnknownName(f"unknown module {absent!r}", where=f"TARGET {name}", hint=hint)
 
 
 def _candidates(holder: Any) -> list[str]:
-    """Return what in a module gives generators, or may."""
+    """Return the names in a module that are generators, or callables that may return one."""
     import torch
 
-    own = getattr(holder, "__name__", None)
+    module_name = getattr(holder, "__name__", None)
     return [
         name
         for name, value in vars(holder).items()
         if not name.startswith("_")
         and (isinstance(value, torch.nn.Module) or callable(value))
-        and getattr(value, "__module__", own) == own
+        and getattr(value, "__module__", module_name) == module_name
     ]
 
 
-def _checked(made: Any, target: str) -> Any:
-    """Return ``made`` if it is a generator."""
+def _checked(module: Any, target: str) -> Any:
+    """Return ``module`` if it is a generator or a post-process model, else raise."""
     import torch
 
     from gsgen.sdk.authoring.generator import GaussianGenerator
@@ -211,19 +232,19 @@ def _checked(made: Any, target: str) -> Any:
     from gsgen.sdk.authoring.post_process import PostProcess
     from gsgen.sdk.errors import GeneratorInvalid
 
-    if isinstance(made, GaussianGenerator | PostProcess):
-        validate_module(made)
-        return made
+    if isinstance(module, GaussianGenerator | PostProcess):
+        validate_module(module)
+        return module
     hint = "Return an instance of a subclass of gsgen.sdk.GaussianGenerator."
-    if isinstance(made, torch.nn.Module):
+    if isinstance(module, torch.nn.Module):
         hint = "Wrap it: gsgen.sdk.wrap(module, inputs=…, outputs=…)."
-    what = f"gives {name_of(type(made))}, wanted a GaussianGenerator"
-    raise GeneratorInvalid(what, where=target, hint=hint)
+    message = f"returns {name_of(type(module))}, expected a GaussianGenerator"
+    raise GeneratorInvalid(message, where=target, hint=hint)
 
 
 def _raised(error: Exception, where: str) -> GsgenError:
-    """Say what the user's code raised, and in which of its lines."""
-    said = error.msg if isinstance(error, SyntaxError) else str(error)
-    line = line_of(error)
-    place = f"{where}, {line}" if line else where
-    return GsgenError(f"{type(error).__name__}: {said}", where=place)
+    """Return an error that carries the user's exception and the line that raised it."""
+    reason = error.msg if isinstance(error, SyntaxError) else str(error)
+    line = user_line_of(error)
+    location = f"{where}, {line}" if line else where
+    return GsgenError(f"{type(error).__name__}: {reason}", where=location)

@@ -1,6 +1,6 @@
-"""Write the package of a plugin: everything that a method needs to be exported, with its tests."""
+"""Write the package of a new plugin, with an example method and its tests."""
 
-__all__ = ["Scaffold", "scaffold"]
+__all__ = ["PluginPackage", "write_plugin_package"]
 
 import keyword
 import os
@@ -20,7 +20,7 @@ from gsgen.sdk.plugins.plugin import find_plugins
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
-# Template → where it goes; @package@ stands for the import name.
+# Template → path in the package; @package@ stands for the import name.
 _FILES = {
     "pyproject.toml.in": "pyproject.toml",
     "README.md.in": "README.md",
@@ -37,13 +37,13 @@ _FILES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Scaffold:
-    """A package that was written.
+class PluginPackage:
+    """The package of a plugin, as it was written.
 
     Attributes:
-        folder: Where it lies.
-        package: What Python imports.
-        files: All files, relative to the folder, in the order of a listing.
+        folder: The folder of the package.
+        package: Its import name.
+        files: All files, relative to the folder, sorted.
     """
 
     folder: Path
@@ -51,73 +51,74 @@ class Scaffold:
     files: tuple[Path, ...]
 
 
-def scaffold(name: str, into: Path) -> Scaffold:
+def write_plugin_package(name: str, into: Path) -> PluginPackage:
     """Write the package ``name`` into a folder of that name in ``into``.
 
     Raises:
-        ConfigInvalid: The name cannot be used, something stands there already, or the folder
-            cannot be written.
+        ConfigInvalid: The name cannot be used, or the folder is not empty or cannot be written.
     """
     _check_name(name)
     folder, package = into / name, name.replace("-", "_")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         hint = "Choose another name, or another folder with --into."
-        raise ConfigInvalid("stands there already", where=str(folder), hint=hint)
-    words = {
+        raise ConfigInvalid("exists already", where=str(folder), hint=hint)
+    replacements = {
         "name": name,
         "package": package,
         "class": "".join(part.capitalize() for part in name.split("-")),
         "title": name.replace("-", " ").capitalize(),
         "gsgen": version("gsgen"),
     }
-    made = {
-        _filled(where, words): _template(source, words) for source, where in _FILES.items()
+    texts = {
+        _filled(where, replacements): _template(source, replacements)
+        for source, where in _FILES.items()
     }
     try:
-        _write(folder, made)
+        _write(folder, texts)
     except OSError as error:
         raise ConfigInvalid(
             f"cannot be written: {error.strerror}", where=str(folder)
         ) from error
-    return Scaffold(folder, package, tuple(Path(where) for where in sorted(made)))
+    return PluginPackage(folder, package, tuple(Path(where) for where in sorted(texts)))
 
 
 def _check_name(name: str) -> None:
     if not _NAME.fullmatch(name):
-        plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
-        like = re.sub("[^a-z0-9]+", "-", plain.lower()).strip("-0123456789")
-        hint = f"Such as {like!r}." if _NAME.fullmatch(like) else "Such as 'my-method'."
-        what = f"{name!r} is not of lower-case letters, digits and single hyphens"
-        raise ConfigInvalid(what, where="NAME", hint=hint)
+        ascii_name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+        suggestion = re.sub("[^a-z0-9]+", "-", ascii_name.lower()).strip("-0123456789")
+        example = suggestion if _NAME.fullmatch(suggestion) else "my-method"
+        hint = f"For example {example!r}."
+        message = f"{name!r} has other characters than lower-case letters, digits and single hyphens"
+        raise ConfigInvalid(message, where="NAME", hint=hint)
     package = name.replace("-", "_")
-    taken = ""
+    conflict = ""
     if keyword.iskeyword(package) or keyword.issoftkeyword(package):
-        taken = "a keyword of Python"
+        conflict = "a keyword of Python"
     elif package in sys.stdlib_module_names or find_spec(package) is not None:
-        taken = "a module that can be imported already"
+        conflict = "a module that can be imported already"
     elif name in find_plugins():
-        taken = "a plugin that is installed"
-    if taken:
-        hint = f"Such as 'my-{name}'."
-        raise ConfigInvalid(f"{name!r} is {taken}", where="NAME", hint=hint)
+        conflict = "a plugin that is installed"
+    if conflict:
+        hint = f"For example 'my-{name}'."
+        raise ConfigInvalid(f"{name!r} is {conflict}", where="NAME", hint=hint)
 
 
-def _template(source: str, words: dict[str, str]) -> str:
+def _template(source: str, replacements: dict[str, str]) -> str:
     text = files("gsgen.sdk").joinpath("templates", "plugin", source).read_text("utf-8")
-    return _filled(text, words)
+    return _filled(text, replacements)
 
 
-def _filled(text: str, words: dict[str, str]) -> str:
-    """Return ``text`` with every @word@ replaced; one that is not known is a fault of ours."""
-    return re.sub("@([a-z]+)@", lambda match: words[match[1]], text)
+def _filled(text: str, replacements: dict[str, str]) -> str:
+    """Return ``text`` with every @word@ replaced; an unknown word raises KeyError."""
+    return re.sub("@([a-z]+)@", lambda match: replacements[match[1]], text)
 
 
-def _write(folder: Path, made: dict[str, str]) -> None:
-    """Write all files into a folder beside the place, and move it there when it is whole."""
+def _write(folder: Path, texts: dict[str, str]) -> None:
+    """Write all files into a temporary folder, and rename it when it is complete."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     draft = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
     try:
-        for where, text in made.items():
+        for where, text in texts.items():
             path = draft / where
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, "utf-8")
@@ -129,7 +130,7 @@ def _write(folder: Path, made: dict[str, str]) -> None:
 
 
 def _umask() -> int:
-    """Return the process's mask, which can only be read by setting it."""
+    """Return the process's file mode mask, which can only be read by setting it."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

@@ -1,0 +1,136 @@
+"""The last steps of every export: save a draft, verify it, validate it, and move it into place."""
+
+__all__ = [
+    "OPSET",
+    "Dtype",
+    "ExportResult",
+    "Progress",
+    "check_contract",
+    "silent",
+    "write_export",
+]
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, TypeVar
+
+from gsgen.contract.process.atomic_files import atomic_write
+
+if TYPE_CHECKING:
+    from gsgen.contract.validation.report import Report
+    from gsgen.contract.validation.settings import Settings
+    from gsgen.sdk.parity import Parity
+    from gsgen.sdk.rewriting.rewrite import Change
+
+Dtype = Literal["float32", "float16"]
+Progress = Callable[[str], None]
+_Verified = TypeVar("_Verified")
+
+# The operator set of exported models unless another is requested: every runtime has its kernels.
+OPSET = 18
+
+
+def silent(_: str) -> None:
+    """Ignore a progress message."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportResult(ABC):
+    """A finished export.
+
+    Attributes:
+        path: The model file.
+        report: The validator's report on it.
+        parity: How closely it agrees with eager torch; None if no torch module was exported.
+        changes: The rewrites of the graph.
+        notes: Further facts for the user, a sentence each.
+    """
+
+    path: Path
+    report: "Report"
+    parity: "Parity | None" = None
+    changes: "tuple[Change, ...]" = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    @abstractmethod
+    def dtype(self) -> Dtype:
+        """The dtype of the outputs."""
+
+    @property
+    @abstractmethod
+    def contents(self) -> str:
+        """A short description of the model's outputs."""
+
+
+def write_export(
+    path: Path,
+    save: Callable[[Path], None],
+    verify: Callable[[Path], _Verified],
+    *,
+    target: str,
+    settings: "Settings | None",
+    progress: Progress,
+    must_conform: bool = True,
+) -> "tuple[_Verified, Report]":
+    """Save, verify and validate a draft, and move it to ``path`` if all of that succeeds.
+
+    Args:
+        path: The model file.
+        save: Writes the model to the draft's path.
+        verify: Compares the draft with its reference; raises if the two differ.
+        target: Name of the consumer to validate for.
+        settings: Level, limits and severities of the validation.
+        progress: Called with a message when a step begins.
+        must_conform: Whether a model that breaks a rule is rejected.
+
+    Returns:
+        The result of ``verify``, and the validator's report.
+
+    Raises:
+        ParityFailed: ``verify`` found a difference.
+        ExportRejected: The model breaks a rule; the error carries the report.
+    """
+    with atomic_write(path) as draft:
+        save(draft)
+        verified = verify(draft)
+        report = check_contract(
+            draft, path, target, settings, progress, must_conform=must_conform
+        )
+    return verified, report
+
+
+def check_contract(
+    draft: Path,
+    path: Path,
+    target: str,
+    settings: "Settings | None",
+    progress: Progress,
+    *,
+    must_conform: bool = True,
+) -> "Report":
+    """Validate ``draft``, and return the report as one on ``path``.
+
+    Raises:
+        ExportRejected: The model breaks a rule and ``must_conform``; the error carries the report.
+    """
+    from gsgen.contract.spec.severity import Level, Severity
+    from gsgen.contract.spec.targets import load_target
+    from gsgen.contract.validation.settings import Settings
+    from gsgen.contract.validator import validate
+    from gsgen.sdk.errors import ExportRejected
+
+    base = settings or Settings(level=Level.BEHAVIOUR)
+    settings = replace(base, target=load_target(target))
+    report = replace(validate(draft, settings, progress=progress), path=str(path))
+    if must_conform and report.verdict != "conforms":
+        errors = [f for f in report.findings if f.severity >= Severity.ERROR]
+        message = "; ".join(
+            f"{finding.rule} {finding.where}: {finding.message}"
+            for finding in errors or report.findings
+        )
+        hint = (errors or report.findings)[0].hint if report.findings else ""
+        raise ExportRejected(message, report, where=path.name, hint=hint)
+    return report
