@@ -18,9 +18,10 @@ from pathlib import Path
 
 from docs_parts import commands, contract, corpus, manifest, passes, report, rules, runs
 
-from gsgen.contract.reporters.document import SCHEMA_FILE, schema
+from gsgen.contract.reporters.document import schema
 from gsgen.contract.reporters.rule_pages import index, page
 from gsgen.contract.spec.manifest_io import schemas
+from gsgen.contract.validation.report import REPORT_SCHEMA_FILE
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -83,7 +84,7 @@ def generated() -> dict[Path, str]:
         for rewrite in passes.REWRITES
     }
     pages[DOCS / "passes" / "index.md"] = passes.index()
-    published = schemas() | {SCHEMA_FILE: schema()}
+    published = schemas() | {REPORT_SCHEMA_FILE: schema()}
     for name, document in published.items():
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         pages[DOCS / "spec" / "schemas" / name] = text

@@ -138,8 +138,8 @@ def test_doctor_says_what_is_missing(fresh: Path, tmp_path: Path) -> None:
     ran = run(fresh / "gsgen", "doctor", cwd=tmp_path)
     assert ran.returncode == 0, ran.stdout
     assert "missing torch" in " ".join(ran.stdout.split())
-    assert "mend: pip install 'gsgen[sdk]'" in ran.stdout
-    assert "mend: pip install 'gsgen[runtime]'" in ran.stdout
+    assert "hint: pip install 'gsgen[sdk]'" in ran.stdout
+    assert "hint: pip install 'gsgen[runtime]'" in ran.stdout
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,14 @@ from gsgen.runtime import doctor
 def installed(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
     def package(name: str, remedy: str, *, purpose: str = "") -> Check:
         if name in names:
-            return Check(name, "ok", "1.0", "", purpose)
-        return Check(name, "missing", "not installed", remedy, purpose)
+            return Check(name=name, state="ok", detail="1.0", remedy="", purpose=purpose)
+        return Check(
+            name=name,
+            state="missing",
+            detail="not installed",
+            remedy=remedy,
+            purpose=purpose,
+        )
 
     monkeypatch.setattr(doctor, "package", package)
 

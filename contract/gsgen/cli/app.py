@@ -1,4 +1,4 @@
-"""Assemble the commands of every installed room into one program."""
+"""Build the program from the commands of all installed packages."""
 
 __all__ = ["build", "main"]
 
@@ -12,50 +12,49 @@ from typing import Annotated, Any, Never
 import typer
 from typer.core import TyperGroup
 
-from gsgen.contract._extensions import Command, escaped, find_commands
-from gsgen.contract.errors import GsgenError, UnknownName
-from gsgen.contract.process.interrupts import INTERRUPTED, ending_at_interrupts
+from gsgen.contract._extensions import Command, escape_markup, find_commands
+from gsgen.contract.errors import ExitCode, GsgenError, UnknownName
+from gsgen.contract.process.interrupts import ending_at_interrupts
 
-_USAGE = 2
-_INTERNAL = 3
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)  # of a disk
+# Errors of a full or read-only disk.
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
 
 def main() -> None:
-    """Run the program on the process's arguments, and exit with the contract's codes."""
+    """Run the program on the process's arguments, and exit with an :class:`~gsgen.contract.errors.ExitCode`."""
     try:
         with ending_at_interrupts() as interrupts:
             _run()
     except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
+        sys.exit(ExitCode.INTERRUPTED)
     except SystemExit:
-        if interrupts.seen.is_set():  # a window's loop takes Ctrl-C as a wish to close
-            sys.exit(INTERRUPTED)
+        if interrupts.requested.is_set():  # a window's event loop closes it on Ctrl-C
+            sys.exit(ExitCode.INTERRUPTED)
         raise
 
 
 def _run() -> None:
-    gc.set_threshold(50_000)  # imports make many objects and hardly any garbage
+    gc.set_threshold(50_000)  # imports create many objects and hardly any garbage
     arguments = sys.argv[1:]
     commands = find_commands()
     if arguments[:1] == ["help"] and "help" not in commands:
         arguments = [*arguments[1:], "--help"]
-    named = next((word for word in arguments if not word.startswith("-")), None)
-    if named is not None and named not in commands:
-        _fail(UnknownName.among("command", named, commands))
-    wanted = [commands[named]] if named else list(commands.values())
+    command_name = next((word for word in arguments if not word.startswith("-")), None)
+    if command_name is not None and command_name not in commands:
+        _fail(UnknownName.among("command", command_name, commands))
+    selected = [commands[command_name]] if command_name else list(commands.values())
     try:
         try:
-            build(wanted)(arguments)
+            build(selected)(arguments)
         finally:
-            sys.stdout.flush()  # what cannot be written is told while somebody can
+            sys.stdout.flush()  # a failed write must be reported before the interpreter exits
     except GsgenError as error:
         _fail(error)
-    except BrokenPipeError:  # the reader of our output went away: `gsgen rules | head`
+    except BrokenPipeError:  # the reader closed the pipe: `gsgen rules | head`
         sys.stderr.close()
-        sys.exit(_USAGE)
+        sys.exit(ExitCode.USAGE)
     except OSError as error:
-        if error.errno not in _FULL:
+        if error.errno not in _DISK_FULL:
             _crash()
         _fail_unwritten(error)
     except Exception:  # a crash is neither a verdict nor a wrong option
@@ -67,10 +66,10 @@ def _fail_unwritten(error: OSError) -> Never:
         sys.stdout.flush()
     except OSError:
         with suppress(OSError):
-            sys.stdout.close()  # or it would be tried again at the very end
-    what = f"output, or a temporary file, cannot be written: {error.strerror}"
+            sys.stdout.close()  # else the interpreter flushes it again at exit
+    message = f"output, or a temporary file, cannot be written: {error.strerror}"
     hint = "Make room where it goes; the environment variable TMPDIR names another folder."
-    _fail(GsgenError(what, where=str(error.filename or ""), hint=hint))
+    _fail(GsgenError(message, where=str(error.filename or ""), hint=hint))
 
 
 def _crash() -> Never:
@@ -78,7 +77,7 @@ def _crash() -> Never:
 
     typer.echo(traceback.format_exc(), err=True)
     typer.echo("gsgen: internal error: this is a fault of gsgen, not yours", err=True)
-    sys.exit(_INTERNAL)
+    sys.exit(ExitCode.INTERNAL)
 
 
 def _fail(error: GsgenError) -> Never:
@@ -87,7 +86,7 @@ def _fail(error: GsgenError) -> Never:
 
 
 def build(commands: list[Command]) -> typer.Typer:
-    """Return an app with ``commands``; only those are imported, so that start-up stays short."""
+    """Return an app with ``commands``; only those are imported, which keeps start-up fast."""
     app = typer.Typer(
         name="gsgen",
         cls=_Sorted,
@@ -109,7 +108,7 @@ def build(commands: list[Command]) -> typer.Typer:
 
 
 class _Sorted(TyperGroup):
-    """A group whose help lists its commands by name, groups among them."""
+    """A command group whose help lists commands and groups by name."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of all commands."""
@@ -120,12 +119,15 @@ def _epilog(commands: list[Command]) -> str | None:
     missing = [command for command in commands if command.missing]
     if not missing:
         return None
-    lines = [f"{one.name} needs {one.requirement}: {one.remedy}" for one in missing]
-    return escaped("Not installed here: " + "; ".join(lines))
+    lines = [
+        f"{command.name} needs {command.requirement}: {command.remedy}"
+        for command in missing
+    ]
+    return escape_markup("Not installed here: " + "; ".join(lines))
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"gsgen {version('gsgen')}")
         raise typer.Exit
 

@@ -5,7 +5,7 @@ The names below need pytest (``pip install 'gsgen[conformance]'``) and are loade
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract._lazy import attributes
+from gsgen.contract._lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from gsgen.conformance.pytest.generator import GeneratorConformance
@@ -20,4 +20,4 @@ _HOME = {
     "parametrize_with_rules": "pytest.testing",
 }
 
-__getattr__ = attributes(__name__, _HOME)
+__getattr__ = lazy_getattr(__name__, _HOME)

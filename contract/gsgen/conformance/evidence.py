@@ -69,7 +69,7 @@ class Dumps:
             ConfigInvalid: ``folder`` is one.
         """
         if self.folder.exists() and not self.folder.is_dir():
-            raise ConfigInvalid("is a file, wanted a folder", where=str(self.folder))
+            raise ConfigInvalid("is a file, expected a folder", where=str(self.folder))
 
 
 def gather(

@@ -68,7 +68,7 @@ def read_expected(path: Path, registry: Registry) -> tuple[ExpectedFailure, ...]
     _refuse_strange_keys(data, (_TABLE,), where)
     tables = data.get(_TABLE, [])
     if not (isinstance(tables, list) and all(isinstance(one, dict) for one in tables)):
-        raise ConfigInvalid(f"{tables!r}, wanted tables [[{_TABLE}]]", where=where)
+        raise ConfigInvalid(f"{tables!r}, expected tables [[{_TABLE}]]", where=where)
     return tuple(
         _entry(table, f"{where}, {_TABLE} {number}", where, registry)
         for number, table in enumerate(tables, start=1)
@@ -81,7 +81,7 @@ def _entry(
     _refuse_strange_keys(table, _KEYS, place)
     for key, value in table.items():
         if not (isinstance(value, str) and value.strip()):
-            raise ConfigInvalid(f"{key} is {value!r}, wanted a text", where=place)
+            raise ConfigInvalid(f"{key} is {value!r}, expected a text", where=place)
     for key in ("rule", "reason"):
         if key not in table:
             raise ConfigInvalid(f"has no {key}", where=place)

@@ -3,16 +3,14 @@
 __all__ = ["needed_by"]
 
 from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.gates import MODEL_RUNS
 from gsgen.contract.validation.rule import Registry, Rule
-
-# Without this one, the engine runs no model.
-_RUNS = "GV025"
 
 
 def needed_by(rule: Rule, registry: Registry) -> Registry:
     """Return ``rule`` with all that must hold before it can be judged, in catalogue order."""
     wanted: set[str] = set()
-    queue = [rule.id, *(() if rule.level == Level.STATIC else (_RUNS,))]
+    queue = [rule.id, *(() if rule.level == Level.STATIC else (MODEL_RUNS,))]
     while queue:
         name = queue.pop()
         if name not in wanted and name in registry.rules:

@@ -61,9 +61,11 @@ class Replay:
     def findings(self, rule: Rule, probe: int) -> tuple[Finding, ...]:
         """Return what ``rule`` finds when it sees a probe alone."""
         alone = Registry.of([replace(rule, needs=())])
-        board = ResultCollector(alone, self.settings, self.subject.kind)
+        board = ResultCollector(
+            registry=alone, settings=self.settings, kind=self.subject.kind
+        )
         for seen, start in self._seen(rule, probe):
-            board.judge(rule, seen, self.probes[probe].label, start)
+            board.check(rule, seen, self.probes[probe].label, start)
         board.settle(alone.rules.values())
         return board.findings()
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from gsgen.conformance.cases import Case, CaseStatus
 from gsgen.conformance.run import ModelRun
+from gsgen.contract.errors import ExitCode
 from gsgen.contract.reporters.json_report import to_dict
 from gsgen.contract.reporters.text import Line
 from gsgen.contract.validation.report import Unreadable
@@ -29,15 +30,15 @@ _STYLE: dict[CaseStatus, str] = {
 }
 
 
-def exit_code(entries: Sequence[Entry]) -> int:
+def exit_code(entries: Sequence[Entry]) -> ExitCode:
     """Return what `gsgen validate` would: 3 for a crash, 4 for no model, 1 for a failure, else 0."""
     runs = [entry for entry in entries if isinstance(entry, ModelRun)]
     seen = {case.status for run in runs for case in run.cases}
     if "crashed" in seen:
-        return 3
+        return ExitCode.INTERNAL
     if len(runs) < len(entries):
-        return 4
-    return 1 if "failed" in seen else 0
+        return ExitCode.UNREADABLE
+    return ExitCode.FAILURE if "failed" in seen else ExitCode.SUCCESS
 
 
 def lines_of(run: ModelRun) -> list[Line]:

@@ -1,11 +1,11 @@
-"""The contract of Gaussian Generators: manifest, packed layout, rules, and the judge.
+"""The contract of Gaussian Generators: manifest, packed layout, rules and validator.
 
-The names below are loaded when first used, so that ``import gsgen.contract`` costs nothing.
+The names below are loaded on first use, so that ``import gsgen.contract`` is fast.
 """
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract._lazy import attributes
+from gsgen.contract._lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from gsgen.contract.errors import GsgenError
@@ -68,4 +68,4 @@ _HOME = {
 }
 
 
-__getattr__ = attributes(__name__, _HOME)
+__getattr__ = lazy_getattr(__name__, _HOME)

@@ -1,6 +1,6 @@
-"""What other packages register with us: entry points, read once a process."""
+"""Entry points of all installed packages, read once per process."""
 
-__all__ = ["registered"]
+__all__ = ["registered_entry_points"]
 
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -12,7 +12,7 @@ def _all() -> tuple[EntryPoint, ...]:
     return tuple(point for group in groups.groups for point in groups.select(group=group))
 
 
-def registered(group: str) -> list[EntryPoint]:
-    """Return the entry points of ``group``, by name."""
-    found = [point for point in _all() if point.group == group]
-    return sorted(found, key=lambda point: point.name)
+def registered_entry_points(group: str) -> list[EntryPoint]:
+    """Return the entry points of ``group``, sorted by name."""
+    points = [point for point in _all() if point.group == group]
+    return sorted(points, key=lambda point: point.name)

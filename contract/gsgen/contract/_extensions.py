@@ -1,10 +1,10 @@
-"""Find commands: each room registers its own under the entry point group ``gsgen.commands``.
+"""Find the commands that packages register under the entry point group ``gsgen.commands``.
 
-An entry point names a typer function or a :class:`typer.Typer`. If it needs an extra, it says so
-in square brackets, as entry points do: ``export = "gsgen.sdk.commands.export:app [sdk]"``.
+An entry point names a typer function or a :class:`typer.Typer`. An extra that it needs stands in
+square brackets: ``export = "gsgen.sdk.commands.export:app [sdk]"``.
 """
 
-__all__ = ["Command", "escaped", "find_commands"]
+__all__ = ["Command", "escape_markup", "find_commands"]
 
 import re
 from collections.abc import Callable
@@ -14,22 +14,21 @@ from typing import Annotated, Any
 
 import typer
 
-from gsgen.contract._entry_points import registered
+from gsgen.contract._entry_points import registered_entry_points
+from gsgen.contract.errors import ExitCode
 
 _GROUP = "gsgen.commands"
-_USAGE = 2
-_INTERNAL = 3
 _REQUIREMENT = re.compile(r"^([A-Za-z0-9._-]+).*extra\s*==\s*['\"]([^'\"]+)['\"]")
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command that may or may not be usable here.
+    """An installed command, whose dependencies may be missing.
 
     Attributes:
-        name: What people type.
-        point: Where its code is.
-        missing: Distributions it needs that are not installed.
+        name: The word that users type after ``gsgen``.
+        point: The entry point of its code.
+        missing: Required distributions that are not installed.
     """
 
     name: str
@@ -44,34 +43,34 @@ class Command:
 
     @property
     def remedy(self) -> str:
-        """What to type to be able to use it."""
+        """The shell command that installs the missing distributions."""
         return f"pip install '{self.requirement}'"
 
     @property
     def context(self) -> dict[str, Any]:
-        """Settings of the command's context: one that cannot run takes any options."""
+        """Context settings of the command: one with missing dependencies accepts any options."""
         return {"ignore_unknown_options": True} if self.missing else {}
 
     def load(self) -> Callable[..., Any] | typer.Typer:
-        """Import the command, or return one that says what it lacks."""
+        """Import the command, or return one that reports its missing dependencies."""
         if self.missing:
             absent = ", ".join(self.missing)
             return _refusing(
                 f"Not installed: {self.remedy}",
                 f"`gsgen {self.name}` needs {absent}, which is not installed: {self.remedy}",
-                _USAGE,
+                ExitCode.USAGE,
             )
         try:
             loaded: Callable[..., Any] | typer.Typer = self.point.load()
         except Exception as error:  # a third party's code may fail in any way
             reason = f"{type(error).__name__}: {error}"
-            what = f"`gsgen {self.name}` ({self.point.value}) cannot be loaded: {reason}"
-            return _refusing(f"Broken: {reason}", what, _INTERNAL)
+            message = f"`gsgen {self.name}` ({self.point.value}) cannot be loaded: {reason}"
+            return _refusing(f"Broken: {reason}", message, ExitCode.INTERNAL)
         return loaded
 
 
-def _refusing(summary: str, reason: str, code: int) -> Callable[..., Any]:
-    """Return a command that takes any arguments and only says why it cannot run."""
+def _refusing(summary: str, reason: str, code: ExitCode) -> Callable[..., Any]:
+    """Return a command that takes any arguments and fails with ``reason``."""
 
     def refuse(
         words: Annotated[list[str] | None, typer.Argument(hidden=True)] = None,
@@ -79,25 +78,25 @@ def _refusing(summary: str, reason: str, code: int) -> Callable[..., Any]:
         typer.echo(f"gsgen: {reason}", err=True)
         raise typer.Exit(code)
 
-    refuse.__doc__ = escaped(summary)
+    refuse.__doc__ = escape_markup(summary)
     return refuse
 
 
-def escaped(text: str) -> str:
-    """Return ``text`` so that help pages show its square brackets, which rich takes as markup."""
+def escape_markup(text: str) -> str:
+    """Escape square brackets for help pages, where rich reads them as markup."""
     return text.replace("[", r"\[")
 
 
 def find_commands(group: str = _GROUP) -> dict[str, Command]:
-    """Return every command registered under an entry point group, by name."""
+    """Return the commands of an entry point group, by name."""
     return {
         point.name: Command(point.name, point, _missing(point))
-        for point in registered(group)
+        for point in registered_entry_points(group)
     }
 
 
 def _missing(point: EntryPoint) -> tuple[str, ...]:
-    """Return the distributions that the entry point's extras ask for and that are absent."""
+    """Return the distributions that the entry point's extras require and that are not installed."""
     required = (point.dist.requires or []) if point.dist and point.extras else []
     absent = []
     for line in required:

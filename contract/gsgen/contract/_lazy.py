@@ -1,13 +1,13 @@
-"""Packages whose names are loaded when first used, so that importing the package costs nothing."""
+"""Lazy imports: the names of a package are loaded on first use, which keeps start-up fast."""
 
-__all__ = ["attributes"]
+__all__ = ["lazy_getattr"]
 
 import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
 
 
-def attributes(package: str, home: Mapping[str, str]) -> Callable[[str], object]:
+def lazy_getattr(package: str, home: Mapping[str, str]) -> Callable[[str], object]:
     """Return a module ``__getattr__`` (PEP 562) for ``package``.
 
     Args:

@@ -1,7 +1,31 @@
-"""What stops us: every error a user can meet carries where, what and how to mend it."""
+"""Exceptions raised for invalid user input, and the exit codes that commands end with.
+
+All of them derive from :class:`GsgenError`, so a caller needs one ``except`` clause::
+
+    GsgenError                        exit code 2
+    ├── ConfigInvalid                 an option or a settings file
+    │   └── UnknownName               a rule, target, role or plugin
+    ├── InputUnreadable               a file or folder: exit code 4
+    │   ├── ModelUnreadable           an ONNX model
+    │   └── CheckpointInvalid         a trained model, in gsgen.reference_plugins
+    ├── ManifestInvalid               a manifest
+    ├── LayoutMismatch                arrays that should be packed rows
+    ├── LevelUnavailable              a validation level, in gsgen.contract.rule
+    ├── RecordingRefused              test vectors or reference images
+    ├── FormatError                   a splat file, in gsgen.formats, with a subclass per cause
+    ├── GeneratorInvalid, ExportFailed, ParityFailed, ExportRejected, RewriteFailed
+    │                                 an export or a rewrite, in gsgen.sdk
+    ├── ProviderUnavailable, SessionClosed, FrameGone, InputInvalid, SizeUnknown, RunFailed
+    │                                 a bound session, in gsgen.sdk.binding
+    └── DeviceUnavailable, DisplayUnavailable, CapacityExceeded, SceneInvalid, SceneUnreadable
+                                      drawing, in gsgen.runtime
+
+Every other exception that leaves a public function is a fault of gsgen.
+"""
 
 __all__ = [
     "ConfigInvalid",
+    "ExitCode",
     "GsgenError",
     "InputUnreadable",
     "LayoutMismatch",
@@ -11,22 +35,44 @@ __all__ = [
 ]
 
 from collections.abc import Iterable
+from enum import IntEnum
 from typing import ClassVar
 
 _MOST_LISTED = 12
 
 
-class GsgenError(Exception):
-    """The base of all errors that are the input's fault, never ours.
+class ExitCode(IntEnum):
+    """The exit codes of every gsgen command.
 
     Attributes:
-        message: What was wrong, with the offending value.
-        where: The file, tensor, row or option it was found in.
-        hint: The next thing to do or type; empty if there is nothing to say.
-        exit_code: What a command ends with that the error stops.
+        SUCCESS: The command did its work, and the model conforms where it was checked.
+        FAILURE: The command ran to its end with a negative result: a model breaks a rule, two
+            models differ, an export was rejected.
+        USAGE: An option, a settings file or the environment is wrong; nothing was decided.
+        INTERNAL: A rule or gsgen itself crashed: a fault of gsgen, not of the input.
+        UNREADABLE: An input file cannot be read.
+        INTERRUPTED: The user pressed Ctrl-C (128 + SIGINT, as shells report it).
     """
 
-    exit_code: ClassVar[int] = 2
+    SUCCESS = 0
+    FAILURE = 1
+    USAGE = 2
+    INTERNAL = 3
+    UNREADABLE = 4
+    INTERRUPTED = 130
+
+
+class GsgenError(Exception):
+    """Base class of all errors that invalid input causes.
+
+    Attributes:
+        message: The fault, with the offending value and the expected one.
+        where: The file, tensor, row or option that holds the fault.
+        hint: The next thing to do or type; empty if there is none.
+        exit_code: The exit code of a command that the error ends.
+    """
+
+    exit_code: ClassVar[int] = ExitCode.USAGE
 
     def __init__(self, message: str, *, where: str = "", hint: str = "") -> None:
         self.message = message
@@ -40,13 +86,13 @@ class GsgenError(Exception):
 
 
 class InputUnreadable(GsgenError):
-    """A file or folder is missing, damaged, or holds something else than is read (exit code 4)."""
+    """A file or folder is missing, damaged, or of another kind than expected (exit code 4)."""
 
-    exit_code: ClassVar[int] = 4
+    exit_code: ClassVar[int] = ExitCode.UNREADABLE
 
 
 class ModelUnreadable(InputUnreadable):
-    """The file is not an ONNX model that can be judged at all."""
+    """The file is not an ONNX model, so no rule can be checked."""
 
 
 class ManifestInvalid(GsgenError):
@@ -54,7 +100,7 @@ class ManifestInvalid(GsgenError):
 
 
 class ConfigInvalid(GsgenError):
-    """An option or a configuration file says something that cannot be meant."""
+    """An option or a settings file holds an invalid value."""
 
 
 class LayoutMismatch(GsgenError):
@@ -62,20 +108,22 @@ class LayoutMismatch(GsgenError):
 
 
 class UnknownName(ConfigInvalid):
-    """A rule, target, role or plugin of that name does not exist."""
+    """No rule, target, role or plugin has the given name."""
 
     @classmethod
     def among(
         cls, noun: str, name: str, known: Iterable[str], where: str = ""
     ) -> "UnknownName":
-        """Say that ``name`` is unknown, and which known name it may have meant."""
-        from difflib import get_close_matches  # only trouble needs it, and start-up counts
+        """Return the error for an unknown ``name``, with the nearest known name as its hint."""
+        from difflib import (
+            get_close_matches,  # imported on failure only: start-up time counts
+        )
 
         names = sorted(known)
         close = get_close_matches(name, names, n=1, cutoff=0.5)
         short = len(names) <= _MOST_LISTED
-        all = (
+        listed = (
             f"Known: {', '.join(names) or 'none'}." if short else f"{len(names)} are known."
         )
-        hint = f"Did you mean {close[0]!r}?" if close else all
+        hint = f"Did you mean {close[0]!r}?" if close else listed
         return cls(f"unknown {noun} {name!r}", where=where, hint=hint)

@@ -1,4 +1,4 @@
-"""The validator's public door: validate a model by every installed rule."""
+"""Public function to validate a model by every installed rule."""
 
 __all__ = ["validate"]
 
@@ -18,13 +18,13 @@ def validate(
     registry: Registry | None = None,
     progress: Progress = silent,
 ) -> Report:
-    """Validate the model at ``path`` and return the report; nothing is printed.
+    """Validate the model at ``path`` by every installed rule and return the report.
 
     Args:
         path: An ONNX file.
-        settings: Level, target, limits and severities; the defaults where absent.
-        registry: The rules to check; all installed rules where absent.
-        progress: Called with a few words whenever a new stage begins.
+        settings: Level, target, limits and severities.
+        registry: The rules to check; by default, all installed rules.
+        progress: Called with a short text at the start of each stage.
 
     Raises:
         ModelUnreadable: The file is not an ONNX model.

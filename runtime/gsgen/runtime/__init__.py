@@ -10,7 +10,7 @@ The names below are loaded when first used.
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract._lazy import attributes
+from gsgen.contract._lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from gsgen.runtime.camera_files import CameraFile, open_cameras
@@ -77,4 +77,4 @@ _HOME = {
     "view": "viewer.window",
 }
 
-__getattr__ = attributes(__name__, _HOME)
+__getattr__ = lazy_getattr(__name__, _HOME)

@@ -52,8 +52,8 @@ def test_figures_are_those_of_the_film(
         pytest.skip("this device has no timestamps")
     sources = [open_source(path) for path in scenes]
     film = FrameSequence(sources, viewpoint(None, 48, 32), frames=4, renderer=renderer)
-    said: list[str] = []
-    cost = measure(film, said.append)
+    message: list[str] = []
+    cost = measure(film, message.append)
     drawn = [film.draw(number) for number in range(4)]
     assert (cost.frames, cost.size, cost.gaussians, cost.capacity) == (
         4,
@@ -73,7 +73,7 @@ def test_figures_are_those_of_the_film(
     assert sum(cost.stages.values()) > 0
     for span in (cost.wall, cost.cpu, cost.submit, *cost.inference.values()):
         assert 0 < span.p50 <= span.p95
-    assert said == ["warming up", "drawing 4 frames", "measuring stages"]
+    assert message == ["warming up", "drawing 4 frames", "measuring stages"]
     for source in sources:
         source.close()
 
@@ -96,11 +96,11 @@ def test_what_the_rasteriser_draws_is_a_stage(
 
 
 def test_the_table(scenes: list[Path], tmp_path: Path) -> None:
-    done = gsgen("bench-render", *scenes, *SMALL, "-o", tmp_path / "new" / "cost.json")
-    assert done.code == 0, done.err
+    finished = gsgen("bench-render", *scenes, *SMALL, "-o", tmp_path / "new" / "cost.json")
+    assert finished.code == 0, finished.err
     for words in ("wall", "CPU, all threads", "inference, drift.onnx", "blend, ", "p95 ms",
                   "3 frames of 48×32", "205 Gaussians", "56 bytes each"):  # fmt: skip
-        assert words in done.out
+        assert words in finished.out
     read = json.loads((tmp_path / "new" / "cost.json").read_text())
     assert list(read["stages"]) == STAGES
     assert read["scenes"] == [str(path) for path in scenes]

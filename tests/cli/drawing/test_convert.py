@@ -44,10 +44,10 @@ def test_programs_read_json(source, tmp_path):
     ran = gsgen_here("convert", source, target, "--format", "splat", "--json")
     assert ran.code == 0, ran.err
     assert target.is_file()
-    told = json.loads(ran.out)
-    assert told["degree"] == [2, 0]
-    assert told["lost"] == ["harmonics above degree 0"]
-    assert {one["name"] for one in told["differences"]} >= {"position", "opacity"}
+    document = json.loads(ran.out)
+    assert document["degree"] == [2, 0]
+    assert document["lost"] == ["harmonics above degree 0"]
+    assert {entry["name"] for entry in document["differences"]} >= {"position", "opacity"}
 
 
 def test_a_frame_of_a_generator_becomes_splats(tmp_path):
@@ -59,7 +59,7 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "message"),
     [
         (("a.sog",), 2, "a.sog: SOG is only read\n  Let it end in .ply, .compressed.ply, "),
         (("a",), 2, "a: ends in no known suffix\n"),
@@ -85,19 +85,21 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
         ),
     ],
 )
-def test_what_cannot_be_done_is_said_with_a_code(source, tmp_path, words, code, said):
+def test_what_cannot_be_done_is_said_with_a_code(source, tmp_path, words, code, message):
     ran = gsgen_here("convert", source, *words, cwd=tmp_path)
     assert ran.code == code
-    assert ran.err.startswith(f"gsgen: {said}")
+    assert ran.err.startswith(f"gsgen: {message}")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_source_that_cannot_be_read_exits_4(tmp_path):
-    bad = tmp_path / "bad.ply"
-    bad.write_bytes(b"ply\nnonsense\nend_header\n")
-    ran = gsgen("convert", bad, tmp_path / "a.spz")
+    invalid = tmp_path / "bad.ply"
+    invalid.write_bytes(b"ply\nnonsense\nend_header\n")
+    ran = gsgen("convert", invalid, tmp_path / "a.spz")
     assert ran.code == 4
-    assert ran.err.startswith(f"gsgen: {bad}: header line 2: 'nonsense'\nwanted format, ")
+    assert ran.err.startswith(
+        f"gsgen: {invalid}: header line 2: 'nonsense'\nexpected format, "
+    )
 
 
 @pytest.fixture
@@ -113,7 +115,7 @@ def trained(tmp_path: Path) -> Path:
     return file
 
 
-SAID = "2 of 50 rows cannot be drawn and are left out; row 7 is the first, where x is nan"
+TEXT = "2 of 50 rows cannot be drawn and are left out; row 7 is the first, where x is nan"
 
 
 def test_rows_that_cannot_be_drawn_are_left_out_where_asked(trained: Path) -> None:
@@ -125,10 +127,10 @@ def test_rows_that_cannot_be_drawn_are_left_out_where_asked(trained: Path) -> No
     assert not target.exists()
     ran = gsgen_here("convert", trained, target, "--drop-invalid")
     assert ran.code == 0, ran.err
-    assert ran.err == f"note: {trained}: {SAID}\n"
+    assert ran.err == f"note: {trained}: {TEXT}\n"
     assert ran.out.splitlines()[0].startswith(f"{target}: 48 splats")
     ran = gsgen_here("convert", trained, target, "--drop-invalid", "--json")
-    assert json.loads(ran.out)["notes"] == [f"{trained}: {SAID}"]
+    assert json.loads(ran.out)["notes"] == [f"{trained}: {TEXT}"]
     assert len(open_splats(target)) == 48
     assert gsgen_here("convert", target, trained.with_name("again.spz")).err == ""
 
@@ -143,7 +145,7 @@ def test_a_few_rows_do_not_keep_a_scene_from_being_used(
     }[command]
     ran = gsgen_here(*words)
     assert ran.code == 0, ran.err
-    assert f"note: {trained}: {SAID}" in ran.err
+    assert f"note: {trained}: {TEXT}" in ran.err
     assert "48" in (ran.out if command == "render" else ran.err)
 
 

@@ -47,9 +47,9 @@ def test_a_lost_device_ends_a_command(command: str, frame: int) -> None:
     with lost_at(frame):
         ran = gsgen_here(*DRAWING[command])
     assert ran.code == 2, ran.err
-    said = ran.err[ran.err.index("gsgen:") :].splitlines()
-    assert said[0].startswith("gsgen: the graphics device was lost: ")
-    assert "smaller image" in said[1]
+    message = ran.err[ran.err.index("gsgen:") :].splitlines()
+    assert message[0].startswith("gsgen: the graphics device was lost: ")
+    assert "smaller image" in message[1]
     assert not list(Path().glob("out.*"))
 
 
@@ -88,7 +88,9 @@ def test_a_level_that_a_device_fails_at_is_skipped_with_the_reason(
     with device:
         ran = gsgen_here("validate", model, "--level", "render", "--format", "json")
     assert ran.code == 0, ran.err
-    (level,) = (one for one in json.loads(ran.out)["levels"] if one["level"] == "render")
+    (level,) = (
+        entry for entry in json.loads(ran.out)["levels"] if entry["level"] == "render"
+    )
     assert level["status"] == "skipped"
     assert reason in level["reason"]
 

@@ -14,10 +14,10 @@ from support.commands import gsgen, gsgen_here
 def test_the_command_and_the_library_find_the_same(nan: Path, dim: Path) -> None:
     ran = gsgen_here("validate", nan, dim, "--format", "json")
     for document, path in zip(json.loads(ran.out)["reports"], (nan, dim), strict=True):
-        made = to_dict(validate(path))
-        assert document["findings"] == made["findings"]
+        result = to_dict(validate(path))
+        assert document["findings"] == result["findings"]
         for part in ("tool", "subject", "verdict", "counts", "causes", "tolerances"):
-            assert document[part] == made[part]
+            assert document[part] == result[part]
 
 
 def test_code_scanning_reads_sarif(nan: Path) -> None:
@@ -91,18 +91,18 @@ def test_a_baseline_forgives_what_it_lists_and_no_more(
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [(None, "cannot be read"), ("{", "is not JSON"), ("{}", "is not a report")],
 )
 def test_a_baseline_that_is_none_exits_2(
-    good: Path, tmp_path: Path, text: str | None, said: str
+    good: Path, tmp_path: Path, text: str | None, message: str
 ) -> None:
     baseline = tmp_path / "baseline.json"
     if text is not None:
         baseline.write_text(text)
     ran = gsgen_here("validate", good, "--baseline", baseline)
     assert ran.code == 2
-    assert f"gsgen: {baseline}: {said}" in ran.err
+    assert f"gsgen: {baseline}: {message}" in ran.err
     assert "Traceback" not in ran.err
 
 

@@ -56,10 +56,10 @@ def places(file: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, st
     """Files by the words that stand for them."""
     folder = tmp_path_factory.mktemp("places")
     names = {"MODEL": "drift", "POST": "post_process", "BODY": "avatar"}
-    made = {word: str(find(name).write(folder)) for word, name in names.items()}
+    result = {word: str(find(name).write(folder)) for word, name in names.items()}
     opened = driven("float[J,3] pose", Input("pose", "pose"), "shift = ReduceMean (pose)")
     opened.write(folder / "open.onnx")
-    return made | {"FILE": str(file), "OPEN": str(folder / "open.onnx")}
+    return result | {"FILE": str(file), "OPEN": str(folder / "open.onnx")}
 
 
 def film(renderer: Renderer, path: Path, **options: object) -> tuple[FrameSequence, Source]:
@@ -71,10 +71,10 @@ def film(renderer: Renderer, path: Path, **options: object) -> tuple[FrameSequen
 
 def test_a_picture(file: Path, tmp_path: Path) -> None:
     out = tmp_path / "deep" / "out.png"
-    done = gsgen("render", str(file), "-o", str(out), *SMALL)
-    assert done.code == 0, done.err
-    assert "48×32" in done.out
-    assert "of 200 Gaussians drawn" in done.out
+    finished = gsgen("render", str(file), "-o", str(out), *SMALL)
+    assert finished.code == 0, finished.err
+    assert "48×32" in finished.out
+    assert "of 200 Gaussians drawn" in finished.out
     with Image.open(out) as image:
         assert (image.size, image.mode) == ((48, 32), "RGBA")
         pixels = np.asarray(image)
@@ -85,50 +85,56 @@ def test_a_picture(file: Path, tmp_path: Path) -> None:
 def test_json_and_floats(file: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.npy"
     _, printed, _ = ran(str(file), "-o", str(out), *SMALL, "--json")
-    said = json.loads(printed)
-    assert (said["width"], said["height"], said["gaussians"]) == (48, 32, 200)
-    made = np.load(out)
-    assert (made.shape, made.dtype) == ((32, 48, 4), np.float32)
-    assert made[..., 3].min() < 0.01  # nothing is behind
+    message = json.loads(printed)
+    assert (message["width"], message["height"], message["gaussians"]) == (48, 32, 200)
+    result = np.load(out)
+    assert (result.shape, result.dtype) == ((32, 48, 4), np.float32)
+    assert result[..., 3].min() < 0.01  # nothing is behind
 
 
 def ran(*words: str) -> tuple[int, str, str]:
     """Run the command in this process; return its exit code, and what it says where."""
     app = typer.Typer()
     app.command()(render)
-    done = CliRunner().invoke(app, list(words))
-    if isinstance(done.exception, GsgenError):  # which the program turns into exit code 2
-        return 2, done.stdout, str(done.exception)
-    assert done.exception is None or isinstance(done.exception, SystemExit)
-    return done.exit_code, done.stdout, done.stderr
+    finished = CliRunner().invoke(app, list(words))
+    if isinstance(
+        finished.exception, GsgenError
+    ):  # which the program turns into exit code 2
+        return 2, finished.stdout, str(finished.exception)
+    assert finished.exception is None or isinstance(finished.exception, SystemExit)
+    return finished.exit_code, finished.stdout, finished.stderr
 
 
 def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
-    done = gsgen("render", "nowhere.ply", "-o", "a.png", cwd=tmp_path)
-    assert done.code == 4
-    assert done.err == "gsgen: nowhere.ply: cannot be read: No such file or directory\n"
-    done = gsgen("render", find("drift").write(tmp_path), "-o", "a.png", "--time", "7")
-    assert done.code == 2
-    assert "drift.onnx, frame 0, input time: is 7, wanted 0 … 1" in done.err
-    assert "Traceback" not in done.err
+    finished = gsgen("render", "nowhere.ply", "-o", "a.png", cwd=tmp_path)
+    assert finished.code == 4
+    assert finished.err == "gsgen: nowhere.ply: cannot be read: No such file or directory\n"
+    finished = gsgen("render", find("drift").write(tmp_path), "-o", "a.png", "--time", "7")
+    assert finished.code == 2
+    assert "drift.onnx, frame 0, input time: is 7, expected 0 … 1" in finished.err
+    assert "Traceback" not in finished.err
     assert not list(tmp_path.glob("a.*"))
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "message"),
     [
         (("nowhere.onnx",), 4, "nowhere.onnx"),
         (("FILE", "-o", "a.xyz"), 2, "suffix that means nothing here: .xyz\n  Known: .png"),
         (("FILE", "--frames", "2"), 2, "is one picture, but there are 2"),
         (("FILE", "--time", "0.5"), 2, "--time: no scene has a time"),
-        (("FILE", "--background", "puce"), 2, "'puce' is no colour"),
+        (("FILE", "--background", "puce"), 2, "'puce' is not a colour"),
         (("FILE", "--fov", "180"), 2, "--fov: 180.0 degrees"),
-        (("FILE", "--turn", "nan"), 2, "--turn: is nan, wanted degrees"),
+        (("FILE", "--turn", "nan"), 2, "--turn: is nan, expected degrees"),
         (("MODEL", "--post", "nowhere.onnx"), 4, "nowhere.onnx"),
-        (("MODEL", "--post", "MODEL"), 2, "is a gaussian-generator, wanted a post-process"),
+        (
+            ("MODEL", "--post", "MODEL"),
+            2,
+            "is a gaussian-generator, expected a post-process",
+        ),
         (("MODEL", "--post", "POST", "--mode", "alpha", "--input", "x=1"), 2, "input 'x'"),
         (("MODEL", "--post", "POST", "--mode", "depth"), 2, "works on colours, but depth"),
-        (("POST",), 2, "wanted a gaussian-generator\n  It works on images: `--post`"),
+        (("POST",), 2, "expected a gaussian-generator\n  It works on images: `--post`"),
         (("MODEL", "--size", "J=2"), 2, "--size: unknown open dimension 'J'"),
         (("MODEL", "--size", "J"), 2, "--size: 'J' is not SYMBOL=SIZE, such as J=24"),
         (("OPEN",), 2, "Give one: `--size J=24`"),
@@ -156,28 +162,28 @@ def test_mistakes(
     monkeypatch: pytest.MonkeyPatch,
     words: tuple[str, ...],
     code: int,
-    said: str,
+    message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    given = [places.get(word, word) for word in words]
-    got, _, err = ran(*given, *(() if "-o" in words else ("-o", "a.png")))
-    assert said in err
+    inputs = [places.get(word, word) for word in words]
+    got, _, err = ran(*inputs, *(() if "-o" in words else ("-o", "a.png")))
+    assert message in err
     assert got == code
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("color", ["2,0,0", "0,0,nan", "0,0,0,-1", "1,1"])
 def test_a_background_is_within_its_range(tmp_path: Path, color: str) -> None:
-    with pytest.raises(ConfigInvalid, match="is no colour"):
+    with pytest.raises(ConfigInvalid, match="is not a colour"):
         render([tmp_path / "any.ply"], tmp_path / "a.png", background=color)
 
 
 def test_a_generator_is_run_for_every_frame(
     renderer: Renderer, moving: Path, tmp_path: Path
 ) -> None:
-    made, source = film(renderer, moving, frames=3)
+    result, source = film(renderer, moving, frames=3)
     watched: list[int] = []
-    made.write(tmp_path / "frames", None, watched.append)
+    result.write(tmp_path / "frames", None, watched.append)
     names = sorted(path.name for path in (tmp_path / "frames").iterdir())
     assert names == ["frame_0000.png", "frame_0001.png", "frame_0002.png"]
     assert watched == [1, 2, 3]
@@ -187,44 +193,44 @@ def test_a_generator_is_run_for_every_frame(
 
 
 def test_time_by_itself_and_through_its_range(renderer: Renderer, moving: Path) -> None:
-    still, source = film(renderer, moving, time=1.0, camera=FRONT)
-    whole, other = film(renderer, moving, frames=2, camera=FRONT)
+    unmoving, source = film(renderer, moving, time=1.0, camera=FRONT)
+    whole, second = film(renderer, moving, frames=2, camera=FRONT)
     declared = source.time
     assert declared is not None
     loops = bool(declared.loop)
-    at_end, half = still.draw(0).rgba, whole.draw(1).rgba
+    at_end, half = unmoving.draw(0).rgba, whole.draw(1).rgba
     assert np.array_equal(at_end, half) != loops
     source.close()
-    other.close()
+    second.close()
 
 
 def test_an_orbit_turns_where_nothing_has_a_time(renderer: Renderer, file: Path) -> None:
     turning, _ = film(renderer, file, frames=4)
     views = [turning.draw(number).rgba for number in range(4)]
     assert not np.array_equal(views[0], views[2])
-    still, _ = film(renderer, file, frames=2, turn=0.0)
-    assert np.array_equal(still.draw(0).rgba, still.draw(1).rgba)
+    unmoving, _ = film(renderer, file, frames=2, turn=0.0)
+    assert np.array_equal(unmoving.draw(0).rgba, unmoving.draw(1).rgba)
 
 
 def test_a_film_has_every_frame(renderer: Renderer, file: Path, tmp_path: Path) -> None:
-    made, _ = film(renderer, file, frames=3)
-    made.write(tmp_path / "film.gif", fps=10)
+    result, _ = film(renderer, file, frames=3)
+    result.write(tmp_path / "film.gif", fps=10)
     with Image.open(tmp_path / "film.gif") as image:
         assert image.n_frames == 3
         assert image.info["duration"] == 100
-    made.write(tmp_path / "film.npy", None)
+    result.write(tmp_path / "film.npy", None)
     assert np.load(tmp_path / "film.npy").shape == (3, 32, 48, 4)
-    made.write(tmp_path / "film.mp4", fps=10)
+    result.write(tmp_path / "film.mp4", fps=10)
     assert (tmp_path / "film.mp4").read_bytes()[4:12] == b"ftypisom"
 
 
 @pytest.mark.parametrize("mode", ["depth", "median-depth", "normal", "alpha"])
 def test_modes(renderer: Renderer, file: Path, mode: str) -> None:
     source = open_source(file)
-    made = FrameSequence(
+    result = FrameSequence(
         [source], viewpoint(None, width=48, height=32), mode, renderer=renderer
     )
-    frame = made.draw(0)
+    frame = result.draw(0)
     floats, picture = array_of(frame, mode), picture_of(frame, mode)
     assert floats.shape[:2] == picture.shape[:2] == (32, 48)
     assert picture.dtype == np.uint8
@@ -239,8 +245,8 @@ def test_modes(renderer: Renderer, file: Path, mode: str) -> None:
 
 def test_several_scenes_are_one(renderer: Renderer, file: Path, moving: Path) -> None:
     both = [open_source(file), open_source(moving)]
-    made = FrameSequence(both, viewpoint(None, width=48, height=32), renderer=renderer)
-    drawn = made.draw(0)
+    result = FrameSequence(both, viewpoint(None, width=48, height=32), renderer=renderer)
+    drawn = result.draw(0)
     assert drawn.visible > 200
     both[1].color_space = "linear"
     with pytest.raises(ConfigInvalid, match="cannot be blended"):
@@ -250,17 +256,17 @@ def test_several_scenes_are_one(renderer: Renderer, file: Path, moving: Path) ->
 
 def test_inputs_are_fed_frame_by_frame(renderer: Renderer, places: dict[str, str]) -> None:
     poses = np.random.default_rng(0).uniform(-0.4, 0.4, (3, 4, 3))
-    made, source = film(
+    result, source = film(
         renderer, Path(places["BODY"]), tracks=[Track("pose", poses, "x")], camera=FRONT
     )
-    assert made.frames == 3
-    shown = [made.draw(number).rgba for number in range(3)]
-    again, other = film(
+    assert result.frames == 3
+    visible = [result.draw(number).rgba for number in range(3)]
+    second_run, second = film(
         renderer, Path(places["BODY"]), tracks=[Track("pose", poses[2], "x")], camera=FRONT
     )
-    assert again.frames == 1
-    assert np.array_equal(again.draw(0).rgba, shown[2])
-    assert not np.array_equal(shown[0], shown[2])
+    assert second_run.frames == 1
+    assert np.array_equal(second_run.draw(0).rgba, visible[2])
+    assert not np.array_equal(visible[0], visible[2])
     longer, third = film(
         renderer,
         Path(places["BODY"]),
@@ -268,17 +274,17 @@ def test_inputs_are_fed_frame_by_frame(renderer: Renderer, places: dict[str, str
         frames=4,
         camera=FRONT,
     )
-    assert np.array_equal(longer.draw(3).rgba, shown[0])  # poses begin anew
-    for one in (source, other, third):
-        one.close()
+    assert np.array_equal(longer.draw(3).rgba, visible[0])  # poses begin anew
+    for entry in (source, second, third):
+        entry.close()
 
 
 def test_a_film_on_disk_is_what_its_frames_are_one_by_one(
     renderer: Renderer, moving: Path, tmp_path: Path
 ) -> None:
-    made, source = film(renderer, moving, frames=4)
-    made.write(tmp_path / "film.npy", None)
-    alone = [made.draw(number).rgba for number in range(4)]
+    result, source = film(renderer, moving, frames=4)
+    result.write(tmp_path / "film.npy", None)
+    alone = [result.draw(number).rgba for number in range(4)]
     assert np.array_equal(np.load(tmp_path / "film.npy"), alone)
     source.close()
 
@@ -286,13 +292,13 @@ def test_a_film_on_disk_is_what_its_frames_are_one_by_one(
 def test_an_orbit_goes_around_what_the_whole_film_shows(
     renderer: Renderer, moving: Path
 ) -> None:
-    made, source = film(renderer, moving, frames=5)
+    result, source = film(renderer, moving, frames=5)
     center, reach = source.extent()
-    seen = []
+    visited = []
     for number in range(5):
-        made.draw(number)
-        seen.append(source.data.rows[:, :3])
-    assert np.abs(np.concatenate(seen) - center).max() <= 1.05 * reach
+        result.draw(number)
+        visited.append(source.data.rows[:, :3])
+    assert np.abs(np.concatenate(visited) - center).max() <= 1.05 * reach
     source.close()
     alone = open_source(moving)
     assert alone.extent()[1] < reach
@@ -302,8 +308,8 @@ def test_an_orbit_goes_around_what_the_whole_film_shows(
 def test_an_orbit_turns_where_the_time_stands_still(
     renderer: Renderer, moving: Path
 ) -> None:
-    made, source = film(renderer, moving, frames=4, time=0.5)
-    views = [made.draw(number).rgba for number in range(4)]
+    result, source = film(renderer, moving, frames=4, time=0.5)
+    views = [result.draw(number).rgba for number in range(4)]
     assert not np.array_equal(views[0], views[2])
     source.close()
 
@@ -311,12 +317,12 @@ def test_an_orbit_turns_where_the_time_stands_still(
 def test_frame_numbers_count_where_there_is_no_time(
     renderer: Renderer, tmp_path: Path
 ) -> None:
-    made, source = film(
+    result, source = film(
         renderer, find("frame_table").write(tmp_path), frames=9, camera=FRONT
     )
-    shown = [made.draw(number).rgba for number in range(9)]
-    assert not np.array_equal(shown[0], shown[1])
-    assert np.array_equal(shown[0], shown[8])  # there are eight
+    visible = [result.draw(number).rgba for number in range(9)]
+    assert not np.array_equal(visible[0], visible[1])
+    assert np.array_equal(visible[0], visible[8])  # there are eight
     source.close()
 
 
@@ -324,13 +330,15 @@ def test_everything_at_once(places: dict[str, str], tmp_path: Path) -> None:
     np.save(tmp_path / "walk.npy", np.random.default_rng(0).uniform(-0.4, 0.4, (3, 4, 3)))
     words = ("--pose", "walk.npy", "--input", "root_translation=0.1,0,0", *SMALL)
     out = Path("new", "folder")
-    done = gsgen(
+    finished = gsgen(
         "render", places["BODY"], places["FILE"], "-o", out, *words, "--post", places["POST"],
         "--post", places["POST"], "--background", "white", "--json", cwd=tmp_path,
     )  # fmt: skip
-    assert done.code == 0, done.err
-    assert json.loads(done.out)["frames"] == 3
-    pictures = [np.asarray(Image.open(one)) for one in sorted((tmp_path / out).iterdir())]
+    assert finished.code == 0, finished.err
+    assert json.loads(finished.out)["frames"] == 3
+    pictures = [
+        np.asarray(Image.open(entry)) for entry in sorted((tmp_path / out).iterdir())
+    ]
     assert len(pictures) == 3
     assert not np.array_equal(pictures[0], pictures[1])
     assert pictures[0][..., :3].max() == 64  # white, twice half as bright
@@ -339,19 +347,19 @@ def test_everything_at_once(places: dict[str, str], tmp_path: Path) -> None:
 def test_an_orbit_goes_around_a_moving_model_where_it_stands(
     renderer: Renderer, moving: Path
 ) -> None:
-    place = np.eye(4)
-    place[:3, 3] = 5, 0, -2
-    plain, source = film(renderer, moving, frames=3)
-    placed = PlacedSource(open_source(moving), place)
+    location = np.eye(4)
+    location[:3, 3] = 5, 0, -2
+    reference, source = film(renderer, moving, frames=3)
+    placed = PlacedSource(open_source(moving), location)
     FrameSequence(
         [placed], viewpoint(None, width=48, height=32), frames=3, renderer=renderer
     )
-    (center, reach), (wanted, as_far) = placed.extent(), source.extent()
-    np.testing.assert_allclose(center, wanted + place[:3, 3])
+    (center, reach), (expected, as_far) = placed.extent(), source.extent()
+    np.testing.assert_allclose(center, expected + location[:3, 3])
     assert reach == as_far
-    assert plain.frames == 3
-    for one in (placed, source):
-        one.close()
+    assert reference.frames == 3
+    for entry in (placed, source):
+        entry.close()
 
 
 def test_an_orbit_leaves_out_what_cannot_be_seen(tmp_path: Path) -> None:
@@ -370,7 +378,7 @@ def test_an_orbit_leaves_out_what_cannot_be_seen(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("film.gif", "transparent or not"),
         ("film.mp4", ".mp4 has no transparency"),
@@ -379,7 +387,7 @@ def test_an_orbit_leaves_out_what_cannot_be_seen(tmp_path: Path) -> None:
     ],
 )
 def test_what_becomes_of_transparency_is_said(
-    file: Path, tmp_path: Path, name: str, said: str
+    file: Path, tmp_path: Path, name: str, message: str
 ) -> None:
     frames = "3" if name.startswith("film") else "1"
     ran = gsgen_here(
@@ -387,8 +395,8 @@ def test_what_becomes_of_transparency_is_said(
         "--frames", frames, "--width", "48", "--height", "32",
     )  # fmt: skip
     assert ran.code == 0, ran.err
-    assert said in ran.err
-    assert bool(ran.err) is bool(said)
+    assert message in ran.err
+    assert bool(ran.err) is bool(message)
     if name.endswith((".gif", ".png")):
         with Image.open(tmp_path / name) as image:
             alpha = np.asarray(image.convert("RGBA"))[..., 3]
@@ -400,14 +408,14 @@ def test_both_forms_of_weighted_sums_are_drawn(tmp_path: Path) -> None:
     source, behind = open_source(model), (0.9, 0.6, 0.3, 1.0)
     scene = Scene([source.splats(None, None)])
     source.close()
-    seen = viewpoint(FRONT, width=48, height=32).camera(source, 0, 0.0)
-    made = {}
+    visited = viewpoint(FRONT, width=48, height=32).camera(source, 0, 0.0)
+    result = {}
     for form in ("contract", "published"):
-        made[form] = tmp_path / f"{form}.npy"
+        result[form] = tmp_path / f"{form}.npy"
         words = (
             str(model),
             "-o",
-            str(made[form]),
+            str(result[form]),
             "--wsr",
             form,
             "--camera",
@@ -415,10 +423,10 @@ def test_both_forms_of_weighted_sums_are_drawn(tmp_path: Path) -> None:
             *SMALL,
         )
         assert ran(*words, "--background", "0.9,0.6,0.3")[0] == 0
-        wanted = oracle.render(
-            scene, seen, background=behind, published=form == "published"
+        expected = oracle.render(
+            scene, visited, background=behind, published=form == "published"
         )
         np.testing.assert_allclose(
-            np.load(made[form])[..., :3], wanted.rgba[..., :3], atol=2e-5
+            np.load(result[form])[..., :3], expected.rgba[..., :3], atol=2e-5
         )
-    assert not np.allclose(*(np.load(one) for one in made.values()), atol=1e-2)
+    assert not np.allclose(*(np.load(entry) for entry in result.values()), atol=1e-2)

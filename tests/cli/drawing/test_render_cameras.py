@@ -14,17 +14,17 @@ from support.commands import Ran, gsgen
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A cloud, and cameras of an Instant-NGP file with a bent lens."""
-    made = tmp_path_factory.mktemp("cameras")
+    result = tmp_path_factory.mktemp("cameras")
     rng = np.random.default_rng(0)
     colors = np.full((300, 3), 200, np.uint8)
-    np.savez(made / "cloud.npz", points=rng.normal(size=(300, 3)), colors=colors)
+    np.savez(result / "cloud.npz", points=rng.normal(size=(300, 3)), colors=colors)
     frames = [
         {"file_path": f"images/{name}.jpg", "transform_matrix": to_world(z)}
         for name, z in (("near", 4.0), ("far", 9.0))
     ]
     shared = {"camera_angle_x": 1.0, "w": 40, "h": 30, "k1": 0.05}
-    (made / "transforms.json").write_text(json.dumps(shared | {"frames": frames}))
-    return made
+    (result / "transforms.json").write_text(json.dumps(shared | {"frames": frames}))
+    return result
 
 
 def to_world(z: float) -> list[list[float]]:
@@ -43,11 +43,11 @@ def picture(folder: Path) -> np.ndarray:
 
 
 def test_a_camera_is_picked_by_the_name_of_its_picture(folder: Path) -> None:
-    done = drawn(folder, "--camera", "transforms.json#near")
-    assert done.code == 0, done.err
+    finished = drawn(folder, "--camera", "transforms.json#near")
+    assert finished.code == 0, finished.err
     assert (
         "note: transforms.json: the lens distortion of 2 of 2 frames is left out"
-        in done.err
+        in finished.err
     )
     image = picture(folder)
     assert image.shape == (30, 40, 3)
@@ -59,8 +59,8 @@ def test_a_camera_is_picked_by_the_name_of_its_picture(folder: Path) -> None:
 
 
 def test_a_panorama_is_twice_as_wide_as_high(folder: Path) -> None:
-    done = drawn(folder, "--panorama", "--width", "64")
-    assert done.code == 0, done.err
+    finished = drawn(folder, "--panorama", "--width", "64")
+    assert finished.code == 0, finished.err
     image = picture(folder)
     assert image.shape == (32, 64, 3)
     assert (
@@ -72,8 +72,8 @@ def test_a_panorama_in_a_jpeg_says_so_to_viewers(folder: Path) -> None:
     words = ("--panorama", "--width", "64", "-o", "around.jpg")
     assert gsgen("render", "cloud.npz", *words, cwd=folder).code == 0
     with Image.open(folder / "around.jpg") as image:
-        told = fromstring(image.info["xmp"])[0][0].attrib
+        document = fromstring(image.info["xmp"])[0][0].attrib
     term = "{http://ns.google.com/photos/1.0/panorama/}"
-    assert told[f"{term}ProjectionType"] == "equirectangular"
-    assert told[f"{term}FullPanoWidthPixels"] == "64"
-    assert told[f"{term}FullPanoHeightPixels"] == "32"
+    assert document[f"{term}ProjectionType"] == "equirectangular"
+    assert document[f"{term}FullPanoWidthPixels"] == "64"
+    assert document[f"{term}FullPanoHeightPixels"] == "32"

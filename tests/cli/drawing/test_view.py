@@ -27,10 +27,10 @@ def drift(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Viewer, str, tuple[int, int]]]:
     """What windows would have been opened with."""
-    made: list[tuple[Viewer, str, tuple[int, int]]] = []
+    result: list[tuple[Viewer, str, tuple[int, int]]] = []
     monkeypatch.setattr(window, "require_display", lambda: None)
-    monkeypatch.setattr(window, "open_window", lambda *words: made.append(words))
-    return made
+    monkeypatch.setattr(window, "open_window", lambda *words: result.append(words))
+    return result
 
 
 def ran(*words: str) -> Any:
@@ -44,11 +44,11 @@ def test_without_a_screen_it_says_what_draws_the_same(
 ) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    done = gsgen("view", str(drift))
-    assert done.code == 2
-    assert "no window can be opened here" in done.err
-    assert f"gsgen render {drift} -o view.png" in done.err
-    assert "Traceback" not in done.err
+    finished = gsgen("view", str(drift))
+    assert finished.code == 2
+    assert "no window can be opened here" in finished.err
+    assert f"gsgen render {drift} -o view.png" in finished.err
+    assert "Traceback" not in finished.err
 
 
 def test_options_reach_the_viewer(
@@ -63,12 +63,12 @@ def test_options_reach_the_viewer(
         "SurfaceRenderer",
         lambda **words: painted.update(words) or SurfaceRenderer(),
     )
-    done = ran(
+    finished = ran(
         str(drift), "--width", "300", "--height", "200", "--mode", "depth",
         "--frames", "7", "--fps", "5", "--camera", "look-at:0,0,-4,0,0,0",
         "--pictures", str(tmp_path), "--sh-degree", "1", "--rasteriser", "quads", "--compact",
     )  # fmt: skip
-    assert done.exit_code == 0, done.output
+    assert finished.exit_code == 0, finished.output
     (viewer, title, size) = opened[0]
     assert (title, size) == ("drift.onnx - gsgen", (300, 200))
     assert (viewer.mode, viewer.stage.frames, viewer.stage.fps) == ("depth", 7, 5)
@@ -86,7 +86,7 @@ def test_a_time_stands_still(
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "message"),
     [
         (("nothing.ply",), 4, "nothing.ply"),
         (("DRIFT", "--camera", "upside-down"), 2, "--camera"),
@@ -100,14 +100,14 @@ def test_mistakes_are_named(
     opened: list[tuple[Viewer, str, tuple[int, int]]],
     words: tuple[str, ...],
     code: int,
-    said: str,
+    message: str,
 ) -> None:
-    done = ran(*(str(drift) if word == "DRIFT" else word for word in words))
-    if isinstance(done.exception, GsgenError):
-        assert (code, said in str(done.exception)) == (2, True)
+    finished = ran(*(str(drift) if word == "DRIFT" else word for word in words))
+    if isinstance(finished.exception, GsgenError):
+        assert (code, message in str(finished.exception)) == (2, True)
     else:
-        assert done.exit_code == code, done.output
-        assert said in done.output + done.stderr
+        assert finished.exit_code == code, finished.output
+        assert message in finished.output + finished.stderr
     assert not opened
 
 

@@ -50,10 +50,10 @@ def test_a_file_that_cannot_be_read_is_4(
     words: tuple[str, ...], suffix: str, file: str
 ) -> None:
     Path(f"text{suffix}").write_text("this is nothing of the sort")
-    named = f"{file}{suffix}"
-    ran = gsgen_here(*(named if word == "MODEL" else word for word in words))
+    by_name = f"{file}{suffix}"
+    ran = gsgen_here(*(by_name if word == "MODEL" else word for word in words))
     assert ran.code == 4, ran.err
-    assert named in ran.err
+    assert by_name in ran.err
     assert not list(Path.cwd().glob("out.*"))
 
 

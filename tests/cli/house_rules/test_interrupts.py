@@ -32,10 +32,10 @@ def interrupted(*words: str | Path) -> tuple[int, str]:
                 assert time.monotonic() < end, "it never computed"
                 time.sleep(0.05)
             running.send_signal(signal.SIGINT)
-            said = running.communicate(timeout=LONG)[1]
+            message = running.communicate(timeout=LONG)[1]
         finally:
             running.kill()
-    return running.returncode, said
+    return running.returncode, message
 
 
 def _of_a_thread(process: int) -> float:
@@ -53,11 +53,11 @@ def _of_a_thread(process: int) -> float:
 def test_a_model_that_never_ends_is_ended(tmp_path: Path, after: float) -> None:
     model = endless(tmp_path, after)
     film = tmp_path / "film.gif"
-    code, said = interrupted("render", model, "-o", film, "--frames", "3", "--width", "32",
+    code, message = interrupted("render", model, "-o", film, "--frames", "3", "--width", "32",
                              "--height", "32")  # fmt: skip
-    assert code == 130, said
-    assert "Traceback" not in said
-    assert "onnxruntime" not in said
+    assert code == 130, message
+    assert "Traceback" not in message
+    assert "onnxruntime" not in message
     assert [path.name for path in tmp_path.iterdir()] == [model.name]
 
 
@@ -83,14 +83,14 @@ def test_a_thread_that_never_ends_does_not_keep_the_process() -> None:
 
 
 def test_a_loop_that_takes_the_interrupt_for_itself_does_not_hide_it() -> None:
-    taken: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, _: taken.append(number))
+    used: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: used.append(number))
     try:
         with ending_at_interrupts(10_000) as interrupts:
             os.kill(os.getpid(), signal.SIGINT)
     finally:
         signal.signal(signal.SIGINT, before)
-    assert taken == [signal.SIGINT]
+    assert used == [signal.SIGINT]
     assert interrupts.requested.is_set()
 
 

@@ -41,7 +41,7 @@ def test_no_report_and_no_model_replaces_what_is_read(
     before = {path: path.read_bytes() for path in Path().iterdir()}
     ran = gsgen_here(*(str(logits) if word == "MODEL" else word for word in words))
     assert ran.code == 2
-    assert "and would be lost" in ran.err or "is no model" in ran.err
+    assert "would be overwritten" in ran.err or "the output is not a model" in ran.err
     assert {path: path.read_bytes() for path in Path().iterdir()} == before
 
 
@@ -49,14 +49,14 @@ def test_a_report_is_no_model(logits: Path) -> None:
     ran = gsgen_here("validate", logits, "-o", "copy.onnx")
     assert ran.code == 2
     assert ran.err == (
-        "gsgen: copy.onnx: ends in .onnx, and what is written there is no model\n"
+        "gsgen: copy.onnx: ends in .onnx, but the output is not a model\n"
         "  Name another file, such as copy.txt.\n"
     )
 
 
 def test_a_file_is_no_folder_for_dumps(logits: Path) -> None:
     ran = gsgen_here("conformance", logits, "--dump", logits)
-    assert (ran.code, ran.err) == (2, f"gsgen: {logits}: is a file, wanted a folder\n")
+    assert (ran.code, ran.err) == (2, f"gsgen: {logits}: is a file, expected a folder\n")
 
 
 @pytest.mark.parametrize("command", ["validate", "conformance"])
@@ -71,12 +71,12 @@ def test_json_is_an_option_of_every_command_that_reports(
 
 def test_numbers_are_numbers_in_json(logits: Path, good: Path) -> None:
     ran = gsgen_here("diff", good, good, "--json")
-    assert {one["largest"] for one in json.loads(ran.out)["outputs"]} == {0.0}
+    assert {entry["largest"] for entry in json.loads(ran.out)["outputs"]} == {0.0}
 
 
 def test_a_model_without_inputs_has_one_vector(logits: Path) -> None:
     ran = gsgen_here("vectors", logits, "--count", "2")
-    assert (ran.code, "2 vectors, and the model has 1 probe\n" in ran.err) == (2, True)
+    assert (ran.code, "2 vectors, but the model has only 1 probe\n" in ran.err) == (2, True)
     model = find("still_rgb").write(Path())
     assert gsgen_here("vectors", model).code == 0
     assert [path.name for path in Path("still_rgb-vectors").glob("test*")] == [
@@ -86,7 +86,7 @@ def test_a_model_without_inputs_has_one_vector(logits: Path) -> None:
 
 def test_several_rules_are_explained() -> None:
     ran = gsgen_here("explain", "GV003", "rows-finite")
-    assert ran.out.count("\n## How to mend it") == 2
+    assert ran.out.count("\n## How to repair it") == 2
 
 
 @pytest.mark.parametrize("words", [("help",), ("help", "validate")])
@@ -110,7 +110,7 @@ def test_python_m_gsgen_is_gsgen() -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "seen"),
+    ("content", "visited"),
     [
         (b"# Models\n\nare \xc3\xa4 here\n", "text"),
         (b"\x10\x00\x00\x00\x00\x00\x00\x00{}        ", "weights in safetensors"),
@@ -118,12 +118,14 @@ def test_python_m_gsgen_is_gsgen() -> None:
         (b"\x80\x05\x95\x00\x00", "a pickle"),
     ],
 )
-def test_a_file_of_another_kind_is_named(content: bytes, seen: str, tmp_path: Path) -> None:
+def test_a_file_of_another_kind_is_named(
+    content: bytes, visited: str, tmp_path: Path
+) -> None:
     path = tmp_path / "some.onnx"
     path.write_bytes(content)
     ran = gsgen_here("validate", path)
     assert ran.code == 4
-    assert f"some.onnx: is not an ONNX model but {seen}" in ran.err
+    assert f"some.onnx: is not an ONNX model but {visited}" in ran.err
 
 
 def test_the_rule_that_was_meant_is_in_the_cure(logits: Path) -> None:
@@ -144,7 +146,7 @@ def test_a_folder_of_models_says_what_it_holds(logits: Path) -> None:
     ran = gsgen_here("validate", Path())
     assert (ran.code, ran.err) == (
         4,
-        "gsgen: .: is a folder, wanted an ONNX file\n"
+        "gsgen: .: is a folder, expected an ONNX file\n"
         "  It holds 1: name opacity_is_logits.onnx, or ./*.onnx.\n",
     )
 
@@ -163,18 +165,22 @@ def test_what_is_to_be_typed_can_be_pasted(logits: Path, tmp_path: Path) -> None
     model = find("still_rgb").write(folder)
     ran = gsgen_here("vectors", model, cwd=tmp_path)
     assert f"`gsgen validate '{folder}/still_rgb-vectors/model.onnx'` runs them" in ran.out
-    bare = find("no_manifest").write(folder)
-    assert f"`gsgen inspect '{bare}' --emit-manifest`" in gsgen_here("vectors", bare).err
+    unlabelled = find("no_manifest").write(folder)
+    assert (
+        f"`gsgen inspect '{unlabelled}' --emit-manifest`"
+        in gsgen_here("vectors", unlabelled).err
+    )
 
 
 def test_rules_are_found_by_family_and_word() -> None:
-    every = gsgen_here("rules").out
+    all_entries = gsgen_here("rules").out
     cells = json.loads(gsgen_here("rules", "GV03", "cells", "--json").out)
-    assert {"GV030", "GV031", "GO020"} <= {one["id"] for one in cells}
+    assert {"GV030", "GV031", "GO020"} <= {entry["id"] for entry in cells}
     assert all(
-        one["id"].startswith("GV03") or "cells" in f"{one['slug']} {one['what']}".lower()
-        for one in cells
+        entry["id"].startswith("GV03")
+        or "cells" in f"{entry['slug']} {entry['statement']}".lower()
+        for entry in cells
     )
-    assert len(gsgen_here("rules", "gv").out) < len(every) / 2
+    assert len(gsgen_here("rules", "gv").out) < len(all_entries) / 2
     ran = gsgen_here("rules", "opacty-range")
     assert (ran.code, "Did you mean 'opacity-range'?" in ran.err) == (2, True)

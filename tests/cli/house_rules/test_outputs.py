@@ -63,10 +63,10 @@ def trouble(name: str, output: str) -> tuple[int, list[str]]:
 
 @pytest.mark.parametrize("name", WRITING)
 def test_a_place_that_cannot_be_written_to_is_one_line(name: str) -> None:
-    code, (said,) = trouble(name, "file/out")
+    code, (message,) = trouble(name, "file/out")
     assert code == WRITING[name][3]
-    assert said.startswith("gsgen: file/out")
-    assert "cannot be written" in said
+    assert message.startswith("gsgen: file/out")
+    assert "cannot be written" in message
 
 
 @pytest.mark.parametrize(
@@ -74,22 +74,24 @@ def test_a_place_that_cannot_be_written_to_is_one_line(name: str) -> None:
 )
 def test_a_folder_is_no_file(name: str) -> None:
     Path(f"out{WRITING[name][1]}").mkdir()
-    code, (said,) = trouble(name, "out")
+    code, (message,) = trouble(name, "out")
     assert code == WRITING[name][3]
-    assert said.startswith(f"gsgen: out{WRITING[name][1]}: ")
+    assert message.startswith(f"gsgen: out{WRITING[name][1]}: ")
     assert not list(Path(f"out{WRITING[name][1]}").iterdir())
 
 
-@pytest.mark.parametrize("name", [one for one in WRITING if one.startswith(("ren", "exp"))])
+@pytest.mark.parametrize(
+    "name", [entry for entry in WRITING if entry.startswith(("ren", "exp"))]
+)
 def test_a_full_disk_is_one_line_and_leaves_nothing(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     full = SimpleNamespace(TemporaryDirectory=FullDisk)
     monkeypatch.setattr("gsgen.contract.process.atomic_files.tempfile", full)
-    code, (said,) = trouble(name, "out")
+    code, (message,) = trouble(name, "out")
     assert code == 2
-    assert said.startswith("gsgen: out")
-    assert "cannot be written: " in said
+    assert message.startswith("gsgen: out")
+    assert "cannot be written: " in message
     assert _left() == ["MODEL", "cloud.npz"]
 
 
@@ -102,37 +104,39 @@ def test_a_disk_that_takes_no_large_file(name: str) -> None:
         "resource.setrlimit(resource.RLIMIT_FSIZE, (60, 60)); main()"
     )
     words = [sys.executable, "-c", limited, *before, f"out{suffix}", *after]
-    done = subprocess.run(words, capture_output=True, text=True)
-    assert done.returncode == code, done.stderr
-    assert "cannot be written: " in done.stderr
-    assert "Traceback" not in done.stderr
+    finished = subprocess.run(words, capture_output=True, text=True)
+    assert finished.returncode == code, finished.stderr
+    assert "cannot be written: " in finished.stderr
+    assert "Traceback" not in finished.stderr
     assert _left() == ["MODEL", "cloud.npz"]
 
 
 def _left() -> list[str]:
-    found = (path.name for path in Path().rglob("*") if path.name not in ("out", "file"))
-    return sorted(found)
+    result = (path.name for path in Path().rglob("*") if path.name not in ("out", "file"))
+    return sorted(result)
 
 
 @pytest.mark.parametrize("name", ["validate", "export", "render pictures", "convert"])
 def test_folders_on_the_way_are_made(name: str) -> None:
-    code, said = trouble(name, "new/and/deep")
-    assert (code, said) == (0, [])
+    code, message = trouble(name, "new/and/deep")
+    assert (code, message) == (0, [])
     assert Path(f"new/and/deep{WRITING[name][1]}").exists()
 
 
 @pytest.mark.parametrize("words", [("rules",), ("--help",)])
 def test_a_full_disk_behind_stdout_is_one_line(words: tuple[str, ...]) -> None:
     with Path("/dev/full").open("wb") as full:
-        done = subprocess.run(
+        finished = subprocess.run(
             [sys.executable, "-m", "gsgen.cli", *words],
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,
         )
-    assert done.returncode == 2
-    assert done.stderr.startswith("gsgen: output, or a temporary file, cannot be written: ")
-    assert len(done.stderr.splitlines()) == 2
+    assert finished.returncode == 2
+    assert finished.stderr.startswith(
+        "gsgen: output, or a temporary file, cannot be written: "
+    )
+    assert len(finished.stderr.splitlines()) == 2
 
 
 def test_a_device_stays_what_it_is(tmp_path: Path) -> None:
@@ -158,24 +162,24 @@ def test_a_report_to_stdout_by_a_name_of_it_takes_nobodys_place(
     words = [sys.executable, "-c", code, name]
     before = os.lstat("/dev/stdout").st_ino
     if kind == "a pipe":
-        said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+        message = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     else:
         with Path("said").open("w") as file:
             subprocess.run(words, stdout=file, check=True)
-        said = Path("said").read_text()
-    assert said == "a report"
+        message = Path("said").read_text()
+    assert message == "a report"
     assert os.lstat("/dev/stdout").st_ino == before
 
 
 def test_a_report_to_a_device_leaves_it_there() -> None:
-    done = subprocess.run(
+    finished = subprocess.run(
         [sys.executable, "-m", "gsgen.cli", "validate", "MODEL", "--level", "static",
          "-o", "/dev/null"],
         capture_output=True,
         text=True,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == ""
+    assert finished.returncode == 0, finished.stderr
+    assert finished.stdout == ""
     assert not Path("/dev/null").is_file()
 
 

@@ -44,10 +44,10 @@ def nested(depth: int) -> bytes:
     """A graph in a graph in a graph, written by hand: protobuf itself refuses to."""
 
     def field(number: int, body: bytes) -> bytes:
-        size, rest = b"", len(body)
-        while rest > 0x7F:
-            size, rest = size + bytes([rest & 0x7F | 0x80]), rest >> 7
-        return bytes([number << 3 | 2]) + size + bytes([rest]) + body
+        size, remaining = b"", len(body)
+        while remaining > 0x7F:
+            size, remaining = size + bytes([remaining & 0x7F | 0x80]), remaining >> 7
+        return bytes([number << 3 | 2]) + size + bytes([remaining]) + body
 
     graph = field(2, b"innermost")
     for _ in range(depth):

@@ -9,14 +9,16 @@ HEAVY = {"torch", "onnxscript", "onnx_ir", "wgpu", "scipy"}
 
 
 def imported(*words: str, whole: bool = False) -> set[str]:
-    done = subprocess.run(
+    finished = subprocess.run(
         [sys.executable, "-X", "importtime", "-m", "gsgen.cli", *words],
         capture_output=True,
         text=True,
         env=os.environ | {"COLUMNS": "200"},
     )
-    assert done.returncode == 0, done.stderr[-2000:]
-    lines = [line for line in done.stderr.splitlines() if line.startswith("import time:")]
+    assert finished.returncode == 0, finished.stderr[-2000:]
+    lines = [
+        line for line in finished.stderr.splitlines() if line.startswith("import time:")
+    ]
     names = {line.rpartition("|")[2].strip() for line in lines}
     return names if whole else {name.partition(".")[0] for name in names}
 

@@ -26,7 +26,7 @@ def test_values_that_differ_are_counted_and_placed(tmp_path: Path) -> None:
     sketch.weighing(center=moved).write(b)
     ran = gsgen_here("diff", a, b)
     assert ran.code == 1
-    assert "output  gaussians: up to 0.25 apart, 1 rows differ" in ran.out
+    assert "output  gaussians: differ by up to 0.25, in 1 rows" in ran.out
     assert "output  appearance: equal bits" in ran.out
     assert gsgen_here("diff", a, b, "--tolerance", "0.3").code == 0
 
@@ -37,10 +37,10 @@ def test_a_channel_that_fills_words_is_no_difference(tmp_path: Path) -> None:
     a, b = tmp_path / "a.onnx", tmp_path / "b.onnx"
     sketch.write(a)
     colors = sketch.weights["colors"]
-    wide = np.concatenate([colors + np.float32(0.25), np.ones_like(colors[:, :1])], axis=1)
-    sketch.weighing(colors=wide).reworded(",3] color", ",4] color").write(b)
+    width = np.concatenate([colors + np.float32(0.25), np.ones_like(colors[:, :1])], axis=1)
+    sketch.weighing(colors=width).reworded(",3] color", ",4] color").write(b)
     ran = gsgen_here("diff", a, b)
-    assert f"output  appearance: up to 0.25 apart, {len(colors)} rows differ" in ran.out
+    assert f"output  appearance: differ by up to 0.25, in {len(colors)} rows" in ran.out
 
 
 def test_what_is_declared_and_how_it_is_built_are_compared(tmp_path: Path) -> None:
@@ -84,5 +84,5 @@ def test_cells_are_compared_as_rows_are(tmp_path: Path) -> None:
     ).write(b)
     ran = gsgen_here("diff", a, b)
     assert ran.code == 1
-    assert "output  cells: up to 0.25 apart, 1 rows differ" in ran.out
+    assert "output  cells: differ by up to 0.25, in 1 rows" in ran.out
     assert "output  gaussians: equal bits" in ran.out

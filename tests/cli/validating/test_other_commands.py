@@ -26,7 +26,7 @@ def test_explain_takes_ids_and_names_in_any_case() -> None:
     by_id, by_name = gsgen_here("explain", "gv003"), gsgen_here("explain", "opacity-range")
     assert by_id.out == by_name.out
     assert "## Why" in by_id.out
-    assert "## How to mend it" in by_id.out
+    assert "## How to repair it" in by_id.out
     wrong = gsgen("explain", "GV03")
     assert wrong.code == 2
     assert "Did you mean 'GV003'?" in wrong.err
@@ -40,8 +40,8 @@ def test_rules_as_json_is_the_catalogue() -> None:
 def test_published_rule_pages_are_current(tmp_path: Path) -> None:
     assert gsgen("rules", "--pages", tmp_path).code == 0
     fresh = {path.name: path.read_text() for path in tmp_path.iterdir()}
-    kept = {path.name: path.read_text() for path in (ROOT / "docs/rules").iterdir()}
-    assert fresh == kept, "run: gsgen rules --pages docs/rules"
+    retained = {path.name: path.read_text() for path in (ROOT / "docs/rules").iterdir()}
+    assert fresh == retained, "run: gsgen rules --pages docs/rules"
 
 
 def test_inspect_shows_what_a_model_says(good: Path) -> None:
@@ -90,7 +90,7 @@ def test_doctor_finds_the_software_driver_that_tests_need() -> None:
     assert ran.code == 0
 
 
-def test_doctor_says_how_to_mend(tmp_path: Path) -> None:
+def test_doctor_names_the_command_that_repairs(tmp_path: Path) -> None:
     ran = gsgen(
         "doctor",
         env={"VK_DRIVER_FILES": str(tmp_path / "none.json"), "WGPU_BACKEND": "Vulkan"},
@@ -163,8 +163,8 @@ def test_export_static_takes_the_options_of_every_export(tmp_path: Path) -> None
         cwd=tmp_path,
     )
     assert ran.code == 0, ran.err
-    told = json.loads((tmp_path / "r.json").read_text())
-    assert (told["schema"], told["source"]) == ("gsgen-export/1", "static")
-    assert (told["written"], told["options"]["opset"]) == (True, 17)
-    assert told["validation"]["target"].startswith("visionary")
+    document = json.loads((tmp_path / "r.json").read_text())
+    assert (document["schema"], document["source"]) == ("gsgen-export/1", "static")
+    assert (document["written"], document["options"]["opset"]) == (True, 17)
+    assert document["validation"]["target"].startswith("visionary")
     assert onnx.load(tmp_path / "m.onnx").opset_import[0].version == 17

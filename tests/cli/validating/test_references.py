@@ -38,8 +38,8 @@ def renderer() -> Renderer:
 
 @pytest.fixture(scope="module")
 def quads(renderer: Renderer) -> Renderer | None:
-    there = renderer.device.blends_floats
-    return Renderer(renderer.device, rasteriser="quads") if there else None
+    offset = renderer.device.blends_floats
+    return Renderer(renderer.device, rasteriser="quads") if offset else None
 
 
 @pytest.fixture(autouse=True)
@@ -63,8 +63,8 @@ def declared(path: Path) -> GeneratorManifest:
 def judged(path: Path) -> tuple[str, list[str]]:
     """Return what became of the rule, and what it found."""
     report = validate(path, RENDER)
-    found = [one.message for one in report.findings if one.rule == "GB021"]
-    return report.outcome("GB021").status, found
+    result = [entry.message for entry in report.findings if entry.rule == "GB021"]
+    return report.outcome("GB021").status, result
 
 
 def test_pictures_are_drawn_again_until_a_weight_changes(tmp_path: Path) -> None:
@@ -76,19 +76,19 @@ def test_pictures_are_drawn_again_until_a_weight_changes(tmp_path: Path) -> None
     assert f"gsgen validate {copy} --level render" in ran.out
     assert source.read_bytes() == before
     folder = copy.with_name("drift-references")
-    assert sorted(one.name for one in folder.iterdir()) == ["0.png", "1.png", "2.png"]
+    assert sorted(entry.name for entry in folder.iterdir()) == ["0.png", "1.png", "2.png"]
     images = declared(copy).reference_images
-    assert len({one.inputs for one in images}) == 3
-    for one in images:
-        with Image.open(copy.parent / one.path) as picture:
+    assert len({entry.inputs for entry in images}) == 3
+    for entry in images:
+        with Image.open(copy.parent / entry.path) as picture:
             assert (picture.width, picture.mode) == (WIDTH, "RGB")
             assert np.asarray(picture).max() > 40
     assert judged(copy) == ("pass", [])
 
     model = onnx.load(copy)
-    (weight,) = (one for one in model.graph.initializer if one.name == "center")
-    made = onnx.numpy_helper.to_array(weight) + np.float32(0.05)
-    weight.CopyFrom(onnx.numpy_helper.from_array(made, "center"))
+    (weight,) = (entry for entry in model.graph.initializer if entry.name == "center")
+    result = onnx.numpy_helper.to_array(weight) + np.float32(0.05)
+    weight.CopyFrom(onnx.numpy_helper.from_array(result, "center"))
     onnx.save(model, copy)
     words = ("validate", copy, "--level", "render", "--fail-on", "warning")
     ran = gsgen_here(*words)
@@ -97,14 +97,14 @@ def test_pictures_are_drawn_again_until_a_weight_changes(tmp_path: Path) -> None
     assert "dB" in ran.out
 
     # What was meant to change is recorded anew, in place.
-    again = ("references", copy, "-o", copy, "--width", str(WIDTH), "--count", "1")
-    refused = gsgen_here(*again)
+    second_run = ("references", copy, "-o", copy, "--width", str(WIDTH), "--count", "1")
+    refused = gsgen_here(*second_run)
     assert refused.code == 2
     assert "holds 0.png already" in refused.err
-    ran = gsgen_here(*again, "--force", "--json")
+    ran = gsgen_here(*second_run, "--force", "--json")
     assert ran.code == 0, ran.err
     assert len(json.loads(ran.out)["reference_images"]) == 1
-    assert [one.name for one in folder.iterdir()] == ["0.png"]
+    assert [entry.name for entry in folder.iterdir()] == ["0.png"]
 
 
 @pytest.mark.parametrize("name", ["camera_and_proj", "weighted_sum", "nothing_live"])
@@ -112,9 +112,9 @@ def test_models_of_all_kinds_keep_their_promise(
     name: str, renderer: Renderer, tmp_path: Path
 ) -> None:
     source, copy = find(name).write(tmp_path), tmp_path / "copy.onnx"
-    made = record_references(source, copy, count=1, width=WIDTH, renderer=renderer)
-    assert made.images == declared(copy).reference_images
-    assert bool(made.empty) is (name == "nothing_live")
+    result = record_references(source, copy, count=1, width=WIDTH, renderer=renderer)
+    assert result.images == declared(copy).reference_images
+    assert bool(result.empty) is (name == "nothing_live")
     assert judged(copy) == ("pass", [])
 
 
@@ -123,7 +123,7 @@ def test_an_old_manifest_is_lifted_to_the_version_that_knows_of_pictures(
 ) -> None:
     source = find("still_sh3").write(tmp_path)
     model = onnx.load(source)
-    (entry,) = (one for one in model.metadata_props if one.key == MANIFEST_KEY)
+    (entry,) = (entry for entry in model.metadata_props if entry.key == MANIFEST_KEY)
     document = json.loads(entry.value) | {"contract": "1.0"}
     entry.value = json.dumps(document)
     onnx.save(model, source)
@@ -134,7 +134,7 @@ def test_an_old_manifest_is_lifted_to_the_version_that_knows_of_pictures(
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("no_manifest", "has no manifest"),
         ("count_is_int64", "breaks GO011"),
@@ -142,24 +142,24 @@ def test_an_old_manifest_is_lifted_to_the_version_that_knows_of_pictures(
     ],
 )
 def test_what_cannot_be_promised_is_refused_and_leaves_nothing(
-    name: str, said: str, renderer: Renderer, tmp_path: Path
+    name: str, message: str, renderer: Renderer, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    with pytest.raises(RecordingRefused, match=said):
+    with pytest.raises(RecordingRefused, match=message):
         record_references(find(name).write(tmp_path), out / "m.onnx", renderer=renderer)
     assert not out.exists()
 
 
 def test_wrong_numbers(renderer: Renderer, tmp_path: Path) -> None:
     source = find("drift").write(tmp_path)
-    with pytest.raises(ConfigInvalid, match="17 pictures, wanted from 1 to 8"):
+    with pytest.raises(ConfigInvalid, match="17 pictures, expected from 1 to 8"):
         record_references(source, tmp_path / "a.onnx", count=17, renderer=renderer)
     few = replace(RENDER, seed=3)
-    made = record_references(
+    result = record_references(
         source, tmp_path / "a.onnx", count=8, width=16, settings=few, renderer=renderer
     )
-    assert len(made.images) == 8
-    report = validate(made.model, few)
+    assert len(result.images) == 8
+    report = validate(result.model, few)
     assert report.outcome("GB021").status == "pass"
     for words in (("--count", "0"), ("--width", "5000"), ("--psnr", "0")):
         assert gsgen_here("references", source, "-o", tmp_path / "b.onnx", *words).code == 2
@@ -170,9 +170,9 @@ def test_cameras_are_those_that_were_asked_for(renderer: Renderer, tmp_path: Pat
     near = record_references(
         source, copy, camera="look-at:0,0,-3,0,0,0", count=2, width=WIDTH, renderer=renderer
     )
-    for one in near.images:
-        np.testing.assert_allclose(np.array(one.view)[:, 3], [0, 0, 3], atol=1e-12)
-        assert one.center == (WIDTH / 2, 27)
+    for entry in near.images:
+        np.testing.assert_allclose(np.array(entry.view)[:, 3], [0, 0, 3], atol=1e-12)
+        assert entry.center == (WIDTH / 2, 27)
     (tmp_path / "round.json").write_text(
         Camera.panorama((0, 0, 0), (0, 0, 1), width=64, height=32).to_json()
     )

@@ -9,14 +9,14 @@ from support.commands import gsgen
 
 
 def test_a_model_is_rewritten_and_validates_for_the_viewer(tmp_path: Path) -> None:
-    path, made = find("largest_of_two_on_jsep").write(tmp_path), tmp_path / "made.onnx"
+    path, result = find("largest_of_two_on_jsep").write(tmp_path), tmp_path / "made.onnx"
     before = gsgen("validate", path, "--target", "visionary", "--level", "static")
     assert "GG006" in before.out
-    ran = gsgen("rewrite", path, "-o", made, "--target", "visionary")
+    ran = gsgen("rewrite", path, "-o", result, "--target", "visionary")
     assert ran.code == 0, ran.err
     assert "select-extremes: 1× " in ran.out
     assert ran.err == ""
-    after = gsgen("validate", made, "--target", "visionary", "--level", "static")
+    after = gsgen("validate", result, "--target", "visionary", "--level", "static")
     assert "GG006" not in after.out
 
 
@@ -25,13 +25,13 @@ def test_a_mistake_is_told_without_a_traceback(tmp_path: Path) -> None:
     ran = gsgen("rewrite", path, "-o", tmp_path / "o.onnx", "--pass", "chunk-conat")
     assert ran.code == 2
     assert "Did you mean 'chunk-concat'?" in ran.err
-    gone = gsgen("rewrite", tmp_path / "gone.onnx", "--dry-run")
-    assert gone.code == 4
-    assert "Traceback" not in ran.err + gone.err
+    resolved = gsgen("rewrite", tmp_path / "gone.onnx", "--dry-run")
+    assert resolved.code == 4
+    assert "Traceback" not in ran.err + resolved.err
 
 
 def test_rewriting_needs_no_torch() -> None:
     """A model from elsewhere is rewritten at once: torch alone would take seconds to load."""
     code = "import gsgen.sdk.rewriting.rewrite, sys; print('torch' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stdout.strip() == "False", done.stderr
+    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert finished.stdout.strip() == "False", finished.stderr

@@ -25,51 +25,53 @@ from gsgen.contract.validator import validate
 from support.commands import gsgen, gsgen_here
 
 
-def written(folder: Path, name: str, **said: object) -> Path:
-    """Write a fixture; ``said`` is what it declares besides."""
+def written(folder: Path, name: str, **declared: object) -> Path:
+    """Write a fixture; ``declared`` replaces fields of its manifest."""
     sketch: ModelSpec = find(name).draw()
     path = folder / f"{name}.onnx"
-    (sketch.declaring(**said) if said else sketch).write(path)
+    (sketch.declaring(**declared) if declared else sketch).write(path)
     return path
 
 
 def told_of_vectors(path: Path, **settings: object) -> list[str]:
     report = validate(path, Settings(**settings))
     assert report.outcome("GM012").status in ("pass", "fail")
-    return [one.message for one in report.findings if one.rule == "GM012"]
+    return [entry.message for entry in report.findings if entry.rule == "GM012"]
 
 
 def test_written_vectors_are_reproduced_until_a_weight_changes(tmp_path: Path) -> None:
     source = written(tmp_path, "drift")
     ran = gsgen("vectors", "drift.onnx", "--count", "4", cwd=tmp_path)
     assert ran.code == 0, ran.err
-    made = tmp_path / "drift-vectors"
+    result = tmp_path / "drift-vectors"
     assert "drift-vectors/test_data_set_0: all inputs zero\n" in ran.out
-    assert sorted(path.name for path in made.iterdir()) == [
+    assert sorted(path.name for path in result.iterdir()) == [
         "model.onnx",
         *(f"test_data_set_{index}" for index in range(4)),
     ]
     assert source.read_bytes() == written(tmp_path, "drift").read_bytes()
 
-    good = gsgen("validate", made / "model.onnx", "--format", "json")
+    good = gsgen("validate", result / "model.onnx", "--format", "json")
     assert good.code == 0
     report = json.loads(good.out)
     assert report["findings"] == []
-    statuses = {one["id"]: one["status"] for one in report["rules"]}
+    statuses = {entry["id"]: entry["status"] for entry in report["rules"]}
     assert statuses["GM012"] == "pass"
 
-    model = onnx.load(made / "model.onnx")
-    (speed,) = [one for one in model.graph.initializer if one.name == "speed"]
+    model = onnx.load(result / "model.onnx")
+    (speed,) = [entry for entry in model.graph.initializer if entry.name == "speed"]
     changed = onnx.numpy_helper.to_array(speed).copy()
     changed[3, 1] += 1e-3
     speed.CopyFrom(onnx.numpy_helper.from_array(changed, "speed"))
     onnx.save(model, tmp_path / "changed.onnx")
-    bad = gsgen("validate", "changed.onnx", cwd=tmp_path)
-    assert bad.out.count("GM012 warning (possible) test-vectors-reproduce") == 1
-    assert bad.out.count("    manifest test_vectors") == 3
-    assert "manifest test_vectors.0" not in bad.out  # while time is zero, speed is not felt
+    invalid = gsgen("validate", "changed.onnx", cwd=tmp_path)
+    assert invalid.out.count("GM012 warning (possible) test-vectors-reproduce") == 1
+    assert invalid.out.count("    manifest test_vectors") == 3
+    assert (
+        "manifest test_vectors.0" not in invalid.out
+    )  # while time is zero, speed is not felt
     for index in (1, 2, 3):
-        assert f"manifest test_vectors.{index}: sha256" in bad.out
+        assert f"manifest test_vectors.{index}: sha256" in invalid.out
 
 
 class _Backend:
@@ -83,7 +85,7 @@ class _Backend:
 
     def prepare(self, model: onnx.ModelProto, device: str) -> SimpleNamespace:
         session = onnxruntime.InferenceSession(model.SerializeToString())
-        names = [one.name for one in session.get_inputs()]
+        names = [entry.name for entry in session.get_inputs()]
         return SimpleNamespace(
             run=lambda values: session.run(None, dict(zip(names, values, strict=True)))
         )
@@ -93,10 +95,10 @@ class _Backend:
 def test_onnx_s_own_runner_reads_and_reproduces_them(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = record_vectors(written(tmp_path, name), tmp_path / "out", count=1)
-    assert len(made.vectors) == 1
+    result = record_vectors(written(tmp_path, name), tmp_path / "out", count=1)
+    assert len(result.vectors) == 1
     monkeypatch.setattr(onnx_runner, "load_model_tests", lambda **_: [])  # of operators
-    runner, folder = onnx_runner.LevelBackend(_Backend()), str(tmp_path / "out")
+    runner, folder = onnx_runner.Runner(_Backend()), str(tmp_path / "out")
     case = SimpleNamespace(name="test_it", model_name="it", model_dir=folder, url=None)
     case.rtol = case.atol = 0
     runner._add_model_test(case, "Real")
@@ -112,9 +114,9 @@ def test_onnx_s_own_runner_reads_and_reproduces_them(
 
 def test_another_seed_is_kept_and_probed(tmp_path: Path) -> None:
     model = tmp_path / "copy.onnx"
-    made = record_vectors(written(tmp_path, "avatar"), tmp_path / "out", model, seed=9)
-    assert made.model == model
-    assert {one.seed for one in made.vectors} == {9}
+    result = record_vectors(written(tmp_path, "avatar"), tmp_path / "out", model, seed=9)
+    assert result.model == model
+    assert {entry.seed for entry in result.vectors} == {9}
     assert not (tmp_path / "out" / "model.onnx").exists()
     assert told_of_vectors(model) == []
     assert told_of_vectors(model, seed=9) == []
@@ -128,20 +130,20 @@ def test_another_seed_is_kept_and_probed(tmp_path: Path) -> None:
 def test_vectors_that_cannot_be_run_are_named(tmp_path: Path) -> None:
     many = tuple(Vector("no inputs", "0" * 64, seed) for seed in range(1, 7))
     messages = " ".join(told_of_vectors(written(tmp_path, "still_sh0", test_vectors=many)))
-    assert f"seed {MOST_SEEDS + 1}; wanted {MOST_SEEDS} other seeds at most" in messages
+    assert f"seed {MOST_SEEDS + 1}; expected {MOST_SEEDS} other seeds at most" in messages
     stranger = (Vector("noon", "0" * 64, 3),)
-    told = told_of_vectors(written(tmp_path, "drift", test_vectors=stranger))
-    assert "no probe 'noon' with seed 3" in told[0]
+    document = told_of_vectors(written(tmp_path, "drift", test_vectors=stranger))
+    assert "no probe 'noon' with seed 3" in document[0]
 
 
 def test_external_weights_and_foreign_fields_come_along(tmp_path: Path) -> None:
     sketch = find("weights_beside").draw()
     studio = sketch.rewritten(lambda document: document.update({"x-studio": {"take": 3}}))
     studio.write(tmp_path / "m.onnx")
-    made = record_vectors(tmp_path / "m.onnx", tmp_path / "out", count=1)
-    text = open_model(made.model).manifest_text
+    result = record_vectors(tmp_path / "m.onnx", tmp_path / "out", count=1)
+    text = open_model(result.model).manifest_text
     assert json.loads(text or "")["x-studio"] == {"take": 3}
-    assert told_of_vectors(made.model) == []
+    assert told_of_vectors(result.model) == []
 
 
 def test_a_copy_is_whole_or_not_at_all(
@@ -149,12 +151,12 @@ def test_a_copy_is_whole_or_not_at_all(
 ) -> None:
     """Weights in a folder of their own are written beside their place, as the model is."""
     sketch = find("weights_beside").draw()
-    (kept,) = sketch.beside.values()
+    (retained,) = sketch.beside.values()
     where = {
-        name: replace(one, location="w/c.bin") for name, one in sketch.external.items()
+        name: replace(entry, location="w/c.bin") for name, entry in sketch.external.items()
     }
     (tmp_path / "w").mkdir()
-    moved = replace(sketch, external=where, beside={"w/c.bin": kept})
+    moved = replace(sketch, external=where, beside={"w/c.bin": retained})
     moved.write(tmp_path / "m.onnx")
     target = tmp_path / "there" / "m.onnx"
     record_vectors(tmp_path / "m.onnx", tmp_path / "out", target, count=1)
@@ -174,47 +176,47 @@ def test_a_copy_is_whole_or_not_at_all(
 
 def test_what_cannot_be_promised_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    for name, told in (
+    for name, document in (
         ("no_manifest", "has no manifest"),
         ("count_is_int64", "breaks GO011 at output num_points"),
-        ("seeded_random", "gives other outputs when it is run again"),
+        ("seeded_random", "gives other outputs in a second run"),
     ):
-        with pytest.raises(RecordingRefused, match=told) as caught:
+        with pytest.raises(RecordingRefused, match=document) as caught:
             record_vectors(find(name).write(tmp_path), out, count=1)
         assert f"{name}.onnx" in caught.value.where
         assert not out.exists()
-    with pytest.raises(ConfigInvalid, match="10 vectors, and the model has 9 probes"):
+    with pytest.raises(ConfigInvalid, match="10 vectors, but the model has only 9 probes"):
         record_vectors(written(tmp_path, "drift"), out, count=10)
 
 
 def test_what_only_bears_the_name_of_a_vector_goes_and_links_lose_nothing(
     tmp_path: Path,
 ) -> None:
-    source, out, kept = written(tmp_path, "drift"), tmp_path / "out", tmp_path / "kept"
-    kept.mkdir()
+    source, out, retained = written(tmp_path, "drift"), tmp_path / "out", tmp_path / "kept"
+    retained.mkdir()
     out.mkdir()
-    (kept / "mine").touch()
+    (retained / "mine").touch()
     (out / "test_data_set_0").touch()
-    (out / "test_data_set_1").symlink_to(kept)
-    with pytest.raises(ConfigInvalid, match="wanted 1 or more"):
+    (out / "test_data_set_1").symlink_to(retained)
+    with pytest.raises(ConfigInvalid, match="expected 1 or more"):
         record_vectors(source, out, count=0, force=True)
     record_vectors(source, out, count=1, force=True)
     assert sorted(path.name for path in out.iterdir()) == ["model.onnx", "test_data_set_0"]
     assert (out / "test_data_set_0" / "output_0.pb").exists()
-    assert (kept / "mine").exists()
+    assert (retained / "mine").exists()
 
 
 def test_standing_vectors_are_replaced_only_by_force(tmp_path: Path) -> None:
     source = written(tmp_path, "drift")
     record_vectors(source, tmp_path / "out", count=3)
-    again = gsgen_here("vectors", source, "--into", tmp_path / "out")
-    assert again.code == 2
-    assert "holds test_data_set_0 already" in again.err
+    second_run = gsgen_here("vectors", source, "--into", tmp_path / "out")
+    assert second_run.code == 2
+    assert "holds test_data_set_0 already" in second_run.err
     forced = gsgen_here(
         "vectors", source, "--into", tmp_path / "out", "--count", "1", "--force", "--json"
     )
-    (one,) = json.loads(forced.out)["vectors"]
-    assert one["inputs"] == "all inputs zero"
+    (entry,) = json.loads(forced.out)["vectors"]
+    assert entry["inputs"] == "all inputs zero"
     sets = sorted(path.name for path in (tmp_path / "out").glob("test_data_set_*"))
     assert sets == ["test_data_set_0"]
     assert gsgen_here("vectors", tmp_path / "none.onnx").code == 4
@@ -225,9 +227,9 @@ def test_the_manifest_is_the_only_thing_that_changes(tmp_path: Path) -> None:
     record_vectors(source, tmp_path, tmp_path / "new.onnx", count=1)
     before, after = onnx.load(source), onnx.load(tmp_path / "new.onnx")
     for model in (before, after):
-        kept = [one for one in model.metadata_props if one.key != MANIFEST_KEY]
+        retained = [entry for entry in model.metadata_props if entry.key != MANIFEST_KEY]
         del model.metadata_props[:]
-        model.metadata_props.extend(kept)
+        model.metadata_props.extend(retained)
     assert before == after
     x = {"time": np.float32([0.5])}
     first = onnxruntime.InferenceSession(source).run(None, x)

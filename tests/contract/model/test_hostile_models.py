@@ -40,7 +40,7 @@ def test_a_length_of_thousands_of_digits_is_more_than_any_file_has(tmp_path, len
     path = with_colors_at(tmp_path / "a.onnx", location="colors.bin", length=length)
     message = finding_of(path, "GS001").message
     assert message.endswith(
-        "has 60 bytes (weight 'colors'); wanted at least 9223372036854775807"
+        "has 60 bytes (weight 'colors'); expected at least 9223372036854775807"
     )
 
 
@@ -132,8 +132,8 @@ def test_a_function_that_calls_itself_is_a_fault():
     [
         ([1, 3, "H", "W", 1 << 31], None, "inputs of a frame: 201326592 MiB in float64"),
         ([1, 3, "H", "W"], [1, 3, 1 << 20, 1 << 20], "inputs of a frame: 25165824 MiB"),
-        ([1] * 74, None, "input image: 74 axes; wanted 64 axes at most"),
-        (None, [1] * 65, "input image: 65 axes in the manifest; wanted 64 axes at most"),
+        ([1] * 74, None, "input image: 74 axes; expected 64 axes at most"),
+        (None, [1] * 65, "input image: 65 axes in the manifest; expected 64 axes at most"),
     ],
 )
 def test_an_input_that_no_probe_can_hold_is_a_finding(tmp_path, dims, shape, actual):

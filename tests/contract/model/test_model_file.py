@@ -76,7 +76,7 @@ def test_where_a_key_repeats_the_last_one_holds(tmp_path):
 @pytest.mark.parametrize(
     ("content", "text"),
     [
-        (b"", "is empty (0 bytes), wanted an ONNX model"),
+        (b"", "is empty (0 bytes), expected an ONNX model"),
         (b"PK\x03\x04" + bytes(40), "is not an ONNX model but a zip archive"),
         (b"ply\nformat ascii 1.0\n", "is not an ONNX model but a PLY point cloud: turn it"),
         (b"\x80\x02}q\x00.", "is not an ONNX model but a pickle"),
@@ -104,7 +104,7 @@ def test_a_file_of_another_kind_is_named_as_such(tmp_path, content, text):
     [
         ("absent.onnx", "cannot be read: No such file or directory"),
         ("a" * 300, "cannot be read: File name too long"),
-        (".", "is a folder, wanted an ONNX file"),
+        (".", "is a folder, expected an ONNX file"),
     ],
 )
 def test_what_is_not_there_is_said_to_be_so(tmp_path, name, text):
@@ -115,14 +115,14 @@ def test_what_is_not_there_is_said_to_be_so(tmp_path, name, text):
 def test_a_pipe_is_refused_without_waiting_for_a_writer(tmp_path):
     pipe = tmp_path / "pipe.onnx"
     os.mkfifo(pipe)
-    assert refusal(pipe) == "is not a regular file, wanted an ONNX file"
+    assert refusal(pipe) == "is not a regular file, expected an ONNX file"
     with pytest.raises(ModelUnreadable):
         write_manifest(pipe, manifest_of(1), tmp_path / "b.onnx")
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no devices on this system")
 def test_a_device_is_refused():
-    assert refusal(Path("/dev/zero")) == "is not a regular file, wanted an ONNX file"
+    assert refusal(Path("/dev/zero")) == "is not a regular file, expected an ONNX file"
 
 
 def opens(path: Path, content: bytes) -> bool:
@@ -163,7 +163,7 @@ def test_a_name_that_is_no_text_is_refused(tmp_path):
     content = SMALL.SerializeToString()
     path = tmp_path / "a.onnx"
     path.write_bytes(content.replace(b"\x0a\x01x", b"\x0a\x01\xff"))
-    assert refusal(path) == f"has a name that is no text (b'\\xff'){AGAIN}"
+    assert refusal(path) == f"has a name that is not valid UTF-8 (b'\\xff'){AGAIN}"
 
 
 def external(name, location="weights.bin", **entries):

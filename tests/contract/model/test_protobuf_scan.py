@@ -221,15 +221,15 @@ def test_fields_of_every_wire_type_are_found_where_they_are():
 @pytest.mark.parametrize(
     ("data", "text"),
     [
-        (b"\x12\x05hi", "byte 0: field 2 needs 3 more bytes than there are"),
-        (b"\x08\x01\x1d\0", "byte 2: field 3 needs 3 more bytes than there are"),
-        (b"\x21\0", "byte 0: field 4 needs 7 more bytes than there are"),
+        (b"\x12\x05hi", "byte 0: field 2 needs 3 more bytes than the message has"),
+        (b"\x08\x01\x1d\0", "byte 2: field 3 needs 3 more bytes than the message has"),
+        (b"\x21\0", "byte 0: field 4 needs 7 more bytes than the message has"),
         (b"\x0b", "byte 0: wire type 3 is not used by ONNX"),
         (b"\x0f", "byte 0: wire type 7 is not used by ONNX"),
         (b"\x00\x01", "byte 0: field number 0"),
         (
             b"\x12" + b"\xff" * 9 + b"\x01",
-            "byte 0: field 2 needs 18446744073709551615 more bytes than there are",
+            "byte 0: field 2 needs 18446744073709551615 more bytes than the message has",
         ),
     ],
 )

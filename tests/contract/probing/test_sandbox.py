@@ -131,7 +131,7 @@ def fault_of(path, outputs, probes, limits=Limits()):  # noqa: B008 - it is froz
 def test_an_output_that_is_no_numeric_tensor_is_a_fault_with_its_name(folder, text, actual):
     path = save(folder / "a.onnx", model(text))
     fault, execution = fault_of(path, ["y"], [probe(x=np.ones(1, np.float32))])
-    assert fault == Fault("run", f"output 'y' is {actual}, wanted a numeric tensor", 0)
+    assert fault == Fault("run", f"output 'y' is {actual}, expected a numeric tensor", 0)
     assert execution.runs == ()
 
 
@@ -337,7 +337,7 @@ def test_a_limit_above_what_the_system_knows_is_no_limit(folder):
 def test_limits_are_above_zero(seconds, memory, actual):
     with pytest.raises(ConfigInvalid) as caught:
         Limits(seconds, memory)
-    assert str(caught.value) == f"limits: {actual}, wanted more than 0 of each"
+    assert str(caught.value) == f"limits: {actual}, expected more than 0 of each"
 
 
 def test_weights_are_allowed_on_top_of_the_limit():

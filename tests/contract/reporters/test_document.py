@@ -19,7 +19,7 @@ SAMPLE = fixtures()[::7]
 UNREADABLE = Unreadable("a.onnx", ModelUnreadable("is empty", where="a.onnx"))
 
 
-@pytest.mark.parametrize("fixture", SAMPLE, ids=lambda one: one.name)
+@pytest.mark.parametrize("fixture", SAMPLE, ids=lambda finding: finding.name)
 def test_reports_of_the_corpus_follow_the_schema(fixture, tmp_path):
     report = validate(fixture.write(tmp_path), fixture.settings)
     document = json.loads(to_json([report]))
@@ -53,13 +53,17 @@ def test_causes_tell_which_rules_were_not_judged_because_of_what(reports):
     document = to_dict(reports["foreign"])
     by_rule = {cause["rule"]: cause for cause in document["causes"]}
     assert by_rule["GO005"]["blocked"] == ["GO008"]
-    (finding,) = (one for one in document["findings"] if one["rule"] == "GO005")
+    (finding,) = (finding for finding in document["findings"] if finding["rule"] == "GO005")
     assert by_rule["GO005"]["findings"] == [finding["fingerprint"]]
     blocked = [id for cause in by_rule.values() for id in cause["blocked"]]
-    because = [one["id"] for one in document["rules"] if "because" in one.get("reason", "")]
+    because = [
+        finding["id"]
+        for finding in document["rules"]
+        if "because" in finding.get("reason", "")
+    ]
     assert sorted(blocked) == sorted(because)
 
 
 def test_a_report_says_which_rules_it_was_judged_by(reports):
-    said = {to_dict(report)["tool"]["rules_digest"] for report in reports.values()}
-    assert said == {rules_digest(one.rule for one in reports["good"].outcomes)}
+    text = {to_dict(report)["tool"]["rules_digest"] for report in reports.values()}
+    assert text == {rules_digest(finding.rule for finding in reports["good"].outcomes)}

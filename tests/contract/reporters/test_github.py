@@ -33,7 +33,7 @@ def test_an_annotation_names_its_file_and_says_how_to_mend(reports):
     command, properties, message = read(to_github([reports["broken"]]).splitlines()[0])
     assert command == "error"
     assert properties == {"file": "broken.onnx", "title": f"{first.rule} {first.slug}"}
-    assert message == f"{first.where}: {first.message}\nmend: {first.hint}"
+    assert message == f"{first.where}: {first.message}\nhint: {first.hint}"
 
 
 def test_severities_become_commands_and_a_guess_is_no_error(reports):
@@ -49,15 +49,15 @@ def test_severities_become_commands_and_a_guess_is_no_error(reports):
 
 def test_what_is_waived_or_known_is_not_annotated(reports):
     first, second, *_ = reports["broken"].findings
-    found = (replace(first, known=True), replace(second, waived=True))
-    made = to_github([replace(reports["broken"], findings=found, baseline="b.json")])
-    assert "::" not in made
+    findings = (replace(first, known=True), replace(second, waived=True))
+    text = to_github([replace(reports["broken"], findings=findings, baseline="b.json")])
+    assert "::" not in text
 
 
 def test_trouble_is_annotated(reports):
-    outcome, *rest = reports["good"].outcomes
+    outcome, *remaining = reports["good"].outcomes
     crashed = replace(outcome, status="crashed", reason="Traceback:\n  ValueError: x")
-    report = replace(reports["good"], outcomes=(crashed, *rest))
+    report = replace(reports["good"], outcomes=(crashed, *remaining))
     error = ModelUnreadable("is empty", where="a.onnx", hint="Write it again.")
     lines = to_github([report, Unreadable("a.onnx", error)]).splitlines()
     assert read(lines[0])[1]["title"] == f"{outcome.rule.id} crashed"

@@ -54,11 +54,11 @@ def test_counts_add_up(reports):
     for report in reports.values():
         document = to_dict(report)
         assert sum(document["counts"]["rules"].values()) == len(document["rules"])
-        found = [one for one in document["findings"] if not one["waived"]]
-        waived = len(document["findings"]) - len(found)
+        findings = [finding for finding in document["findings"] if not finding["waived"]]
+        waived = len(document["findings"]) - len(findings)
         assert (document["counts"]["waived"], document["counts"]["known"]) == (waived, 0)
         for severity in ("error", "warning", "info"):
-            count = sum(finding["severity"] == severity for finding in found)
+            count = sum(finding["severity"] == severity for finding in findings)
             assert document["counts"][severity] == count
 
 

@@ -34,9 +34,13 @@ def test_what_makes_a_model_invalid_fails_and_the_rest_is_output(reports):
     report = reports["broken"]
     cases = cases_of(report)
     failed = {id for id, case in cases.items() if case.find("failure") is not None}
-    assert failed == {one.rule for one in report.findings if report.fails_by(one)}
-    said = {id for id, case in cases.items() if case.find("system-out") is not None}
-    assert said == {one.rule for one in report.findings if not report.fails_by(one)}
+    assert failed == {
+        finding.rule for finding in report.findings if report.fails_by(finding)
+    }
+    text = {id for id, case in cases.items() if case.find("system-out") is not None}
+    assert text == {
+        finding.rule for finding in report.findings if not report.fails_by(finding)
+    }
     waived = "error (waived: Row 9 is mended in the next export.): output gaussians"
     assert cases["GV005"].findtext("system-out").startswith(waived)
     assert cases["GV018"].findtext("system-out").startswith("error (waived: ignored): ")
@@ -54,9 +58,9 @@ def test_what_was_not_judged_is_skipped_with_its_reason(reports):
 
 
 def test_a_crashed_rule_is_an_error(reports):
-    outcome, *rest = reports["good"].outcomes
+    outcome, *remaining = reports["good"].outcomes
     crashed = replace(outcome, status="crashed", reason="Traceback:\n  ValueError: \x00")
-    cases = cases_of(replace(reports["good"], outcomes=(crashed, *rest)))
+    cases = cases_of(replace(reports["good"], outcomes=(crashed, *remaining)))
     error = cases[outcome.rule.id].find("error")
     assert error.get("message") == r"  ValueError: \x00"
     assert error.text == "Traceback:\n  ValueError: \\x00"

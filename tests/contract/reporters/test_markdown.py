@@ -32,9 +32,9 @@ def test_several_models_begin_with_a_table(reports):
 
 
 def test_a_crashed_rule_is_named(reports):
-    outcome, *rest = reports["good"].outcomes
+    outcome, *remaining = reports["good"].outcomes
     crashed = replace(outcome, status="crashed", reason="Traceback:\n  ValueError: x")
-    page = to_markdown([replace(reports["good"], outcomes=(crashed, *rest))])
+    page = to_markdown([replace(reports["good"], outcomes=(crashed, *remaining))])
     assert page.startswith("### 💥 `good.onnx`")
     assert f"**{outcome.rule.id}** crashed, a fault of the rule: ` " in page
 

@@ -33,7 +33,7 @@ Something holds.
 
 Because.
 
-## How to mend it
+## How to repair it
 
 Make it so.
 """
@@ -41,7 +41,7 @@ Make it so.
 INDEX = """\
 # Rules
 
-3 rules, each with a page of its own.
+3 rules, one page each.
 
 
 ## Values (GV)
@@ -71,8 +71,8 @@ def test_a_page_leaves_out_what_the_rule_does_not_declare():
 
 
 def test_a_page_tells_where_the_rule_was_seen_to_break_something():
-    seen = replace(SECOND, evidence="In a viewer.")
-    assert page(seen, REGISTRY) == f"{PAGE}\n## Evidence\n\nIn a viewer.\n"
+    with_evidence = replace(SECOND, evidence="In a viewer.")
+    assert page(with_evidence, REGISTRY) == f"{PAGE}\n## Evidence\n\nIn a viewer.\n"
 
 
 def test_only_our_own_rules_have_a_page_of_ours():
@@ -98,8 +98,8 @@ def test_every_rule_has_a_page(rule):
 
 
 def test_a_rule_as_data_is_plain():
-    made = json.loads(json.dumps(to_dict(SECOND)))
-    assert made == {
+    data = json.loads(json.dumps(to_dict(SECOND)))
+    assert data == {
         "id": "GV902",
         "slug": "made-up-gv902",
         "severity": "warning",

@@ -49,23 +49,23 @@ def test_rules_are_described_by_their_declarations(reports):
 def test_a_result_says_what_and_where_and_stays_the_same_result(reports):
     report = reports["broken"]
     run = run_of(report)
-    result = next(one for one in run["results"] if one["ruleId"] == "GV003")
-    finding = next(one for one in report.findings if one.rule == "GV003")
+    result = next(finding for finding in run["results"] if finding["ruleId"] == "GV003")
+    finding = next(finding for finding in report.findings if finding.rule == "GV003")
     assert run["tool"]["driver"]["rules"][result["ruleIndex"]]["id"] == "GV003"
     assert result["message"]["text"] == f"{finding.where}: {finding.message}"
     assert result["partialFingerprints"] == {"gsgen/1": finding.fingerprint}
-    (place,) = result["locations"]
-    assert place["physicalLocation"]["artifactLocation"] == {
+    (location,) = result["locations"]
+    assert location["physicalLocation"]["artifactLocation"] == {
         "uri": "broken.onnx",
         "index": 0,
     }
-    (logical,) = place["logicalLocations"]
+    (logical,) = location["logicalLocations"]
     assert logical["fullyQualifiedName"] == "output gaussians, opacity"
 
 
 def test_severities_become_levels(reports):
     results = run_of(reports["broken"])["results"]
-    levels = {one["ruleId"]: one["level"] for one in results}
+    levels = {finding["ruleId"]: finding["level"] for finding in results}
     assert (levels["GV003"], levels["GV006"]) == ("error", "warning")
 
 
@@ -78,9 +78,9 @@ def test_a_guess_is_no_error(reports):
 
 def test_what_is_waived_is_suppressed_with_its_reason(reports):
     suppressed = {
-        one["ruleId"]: one["suppressions"][0]["justification"]
-        for one in run_of(reports["broken"])["results"]
-        if one["suppressions"]
+        finding["ruleId"]: finding["suppressions"][0]["justification"]
+        for finding in run_of(reports["broken"])["results"]
+        if finding["suppressions"]
     }
     assert suppressed == {
         "GV005": "Row 9 is mended in the next export.",
@@ -90,13 +90,15 @@ def test_what_is_waived_is_suppressed_with_its_reason(reports):
 
 def test_with_a_baseline_results_are_new_or_unchanged(reports):
     report = reports["broken"]
-    first, *rest = report.findings
-    found = (replace(first, known=True), *rest)
+    first, *remaining = report.findings
+    findings = (replace(first, known=True), *remaining)
     states = [
-        one["baselineState"]
-        for one in run_of(replace(report, findings=found, baseline="b.json"))["results"]
+        finding["baselineState"]
+        for finding in run_of(replace(report, findings=findings, baseline="b.json"))[
+            "results"
+        ]
     ]
-    assert states == ["unchanged"] + ["new"] * len(rest)
+    assert states == ["unchanged"] + ["new"] * len(remaining)
     assert "baselineState" not in run_of(report)["results"][0]
 
 
@@ -104,22 +106,24 @@ def test_several_models_are_artifacts_of_one_run(reports):
     run = run_of(UNREADABLE, reports["good"], reports["broken"])
     uris = [artifact["location"]["uri"] for artifact in run["artifacts"]]
     assert uris == ["a%20b.onnx", "good.onnx", "broken.onnx"]
-    places = {
-        one["locations"][0]["physicalLocation"]["artifactLocation"]["index"]
-        for one in run["results"]
+    locations = {
+        finding["locations"][0]["physicalLocation"]["artifactLocation"]["index"]
+        for finding in run["results"]
     }
-    assert places == {2}
+    assert locations == {2}
 
 
 def test_what_could_not_be_judged_makes_the_run_unsuccessful(reports):
     (invocation,) = run_of(reports["broken"])["invocations"]
     assert invocation["executionSuccessful"]
-    outcome, *rest = reports["good"].outcomes
+    outcome, *remaining = reports["good"].outcomes
     crashed = replace(outcome, status="crashed", reason="Traceback:\n  ValueError: x")
-    report = replace(reports["good"], outcomes=(crashed, *rest))
+    report = replace(reports["good"], outcomes=(crashed, *remaining))
     (invocation,) = run_of(report, UNREADABLE)["invocations"]
     assert not invocation["executionSuccessful"]
-    texts = [one["message"]["text"] for one in invocation["toolExecutionNotifications"]]
+    texts = [
+        finding["message"]["text"] for finding in invocation["toolExecutionNotifications"]
+    ]
     assert texts == [
         f"{outcome.rule.id} crashed: Traceback:\n  ValueError: x",
         "a b.onnx: is empty",

@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 
 from gsgen.contract.errors import ModelUnreadable
-from gsgen.contract.reporters.summary import plural, printable, several, verdict
+from gsgen.contract.reporters.summary import plural, printable, summary_line, verdict_line
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.report import Unreadable
 
@@ -11,15 +11,21 @@ UNREADABLE = Unreadable("a.onnx", ModelUnreadable("is empty"))
 
 
 def crashed(report):
-    first, *rest = report.outcomes
-    return replace(report, outcomes=(replace(first, status="crashed", reason="x"), *rest))
+    first, *remaining = report.outcomes
+    return replace(
+        report, outcomes=(replace(first, status="crashed", reason="x"), *remaining)
+    )
 
 
 def test_a_verdict_counts_what_does_not_count(reports):
-    first, second, *rest = reports["broken"].findings
-    found = (replace(first, known=True), replace(second, severity=Severity.INFO), *rest)
-    said = verdict(replace(reports["broken"], findings=found, baseline="b.json"))
-    assert said == (
+    first, second, *remaining = reports["broken"].findings
+    findings = (
+        replace(first, known=True),
+        replace(second, severity=Severity.INFO),
+        *remaining,
+    )
+    text = verdict_line(replace(reports["broken"], findings=findings, baseline="b.json"))
+    assert text == (
         "conforms: 29 rules hold; 1 warning; 1 info; ignored: GV018; 1 waived; "
         "1 known from b.json; 2 not applicable"
     )
@@ -27,16 +33,16 @@ def test_a_verdict_counts_what_does_not_count(reports):
 
 def test_several_models_are_counted_by_verdict(reports):
     good, broken = reports["good"], reports["broken"]
-    assert several([good]) == "1 model: 1 conforms"
-    assert several([good, good, broken]) == "3 models: 2 conform, 1 invalid"
-    said = several([crashed(good), UNREADABLE, crashed(good)])
-    assert said == "3 models: 2 without verdict, 1 unreadable"
-    assert several([]) == "0 models: nothing judged"
+    assert summary_line([good]) == "1 model: 1 conforms"
+    assert summary_line([good, good, broken]) == "3 models: 2 conform, 1 invalid"
+    text = summary_line([crashed(good), UNREADABLE, crashed(good)])
+    assert text == "3 models: 2 without verdict, 1 unreadable"
+    assert summary_line([]) == "0 models: no model validated"
 
 
-@pytest.mark.parametrize(("count", "said"), [(0, "0 rules"), (1, "1 rule"), (2, "2 rules")])
-def test_nouns_have_plurals(count, said):
-    assert plural(count, "rule") == said
+@pytest.mark.parametrize(("count", "text"), [(0, "0 rules"), (1, "1 rule"), (2, "2 rules")])
+def test_nouns_have_plurals(count, text):
+    assert plural(count, "rule") == text
 
 
 def test_control_characters_are_written_out():

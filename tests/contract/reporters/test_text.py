@@ -62,15 +62,15 @@ def test_a_crashed_rule_is_shown_with_its_traceback(reports):
         report.outcomes[0], status="crashed", reason="Traceback:\n  ValueError: x"
     )
     text = text_of(replace(report, outcomes=(crashed, *report.outcomes[1:])))
-    shown = f"  {crashed.rule.id} crashed: this is a fault of the rule\n    Traceback:\n      Val"
-    assert shown in text
+    heading = f"  {crashed.rule.id} crashed: this is a fault of the rule\n    Traceback:\n      Val"
+    assert heading in text
     assert text.splitlines()[-1].startswith("a rule crashed, no verdict: ")
 
 
 def test_the_last_line_counts_in_the_plural_where_there_are_several(reports):
     (finding, *_) = reports["broken"].findings
-    found = [replace(finding, severity=severity, waived=False) for severity in Severity]
-    report = replace(reports["broken"], findings=(*found, found[-1], found[0]))
+    findings = [replace(finding, severity=severity, waived=False) for severity in Severity]
+    report = replace(reports["broken"], findings=(*findings, findings[-1], findings[0]))
     assert "2 errors; 1 warning; 2 info;" in text_of(report).splitlines()[-1]
 
 
@@ -94,29 +94,29 @@ def test_what_a_model_is_called_cannot_steer_the_terminal(reports):
 def test_a_finding_is_followed_by_what_could_not_be_judged_because_of_it(reports):
     lines = text_of(reports["foreign"]).splitlines()
     after = lines[lines.index("  GO005 error appearance-declared") :]
-    assert after[3] == "    so 1 rule could not be judged: GO008"
+    assert after[3] == "    so 1 rule could not be checked: GO008"
 
 
 @pytest.mark.parametrize("most", [10, 11])
 def test_many_rules_that_could_not_be_judged_are_counted(reports, monkeypatch, most):
     monkeypatch.setattr("gsgen.contract.reporters.text._MOST_BLOCKED", most)
     report = reports["foreign"]
-    short = "so 11 rules could not be judged, which `gsgen validate -v` lists\n"
+    short = "so 11 rules could not be checked, which `gsgen validate -v` lists\n"
     assert (short in text_of(report)) == (most < 11)
-    assert "so 11 rules could not be judged: GV001, " in text_of(report, verbose=True)
+    assert "so 11 rules could not be checked: GV001, " in text_of(report, verbose=True)
 
 
 def test_causes_that_are_no_finding_are_named_all_the_same(reports):
     report = replace(reports["foreign"], findings=())
     lines = text_of(report).splitlines()
-    at = lines.index("  GO005 fail: appearance-declared")
-    assert lines[at + 1] == "    so 1 rule could not be judged: GO008"
+    index = lines.index("  GO005 fail: appearance-declared")
+    assert lines[index + 1] == "    so 1 rule could not be checked: GO008"
 
 
 def test_what_is_known_is_shown_only_where_all_is(reports):
-    first, *rest = reports["broken"].findings
-    found = (replace(first, known=True), *rest)
-    report = replace(reports["broken"], findings=found, baseline="old.json")
+    first, *remaining = reports["broken"].findings
+    findings = (replace(first, known=True), *remaining)
+    report = replace(reports["broken"], findings=findings, baseline="old.json")
     assert f"{first.rule} error" not in text_of(report)
     assert "1 known from old.json" in text_of(report).splitlines()[-1]
     assert f"  {first.rule} error {first.slug} (known)\n" in text_of(report, verbose=True)
@@ -125,23 +125,25 @@ def test_what_is_known_is_shown_only_where_all_is(reports):
 def test_places_that_are_not_listed_are_spoken_of(reports):
     first, *_ = reports["broken"].findings
     report = replace(reports["broken"], findings=(replace(first, truncated=True),))
-    expected = "    with what was found at further places, which are not listed\n"
+    expected = "    and violations at further locations, which are not listed\n"
     assert expected in text_of(report)
 
 
-@pytest.mark.parametrize(("places", "shown"), [(1, 1), (5, 5), (6, 4), (40, 4)])
-def test_findings_of_a_kind_share_their_head_and_cure(reports, places, shown):
+@pytest.mark.parametrize(("total", "heading"), [(1, 1), (5, 5), (6, 4), (40, 4)])
+def test_findings_of_a_kind_share_their_head_and_cure(reports, total, heading):
     first, *_ = reports["broken"].findings
-    found = tuple(replace(first, where=Location(f"tensor t{i}")) for i in range(places))
-    other = replace(first, hint="Something else.")
-    report = replace(reports["broken"], findings=(*found, other))
+    findings = tuple(replace(first, where=Location(f"tensor t{i}")) for i in range(total))
+    third = replace(first, hint="Something else.")
+    report = replace(reports["broken"], findings=(*findings, third))
     text = text_of(report)
     assert text.count(f"  {first.rule} error {first.slug}\n") == 2
     assert text.count(f"    hint: {first.hint[:40]}") == 1
-    assert text.count("    tensor t") == shown
-    more = f"    and at {places - shown} more places, which `gsgen validate -v` lists\n"
-    assert (more in text) == (shown < places)
-    assert text_of(report, verbose=True).count("    tensor t") == places
+    assert text.count("    tensor t") == heading
+    suffix = (
+        f"    and at {total - heading} more locations, which `gsgen validate -v` lists\n"
+    )
+    assert (suffix in text) == (heading < total)
+    assert text_of(report, verbose=True).count("    tensor t") == total
 
 
 def test_quiet_is_a_line_a_model(reports):

@@ -5,7 +5,7 @@ from types import ModuleType
 import pytest
 
 from gsgen.contract.rules import catalogue as installed
-from gsgen.contract.rules.catalogue import catalogue, installed_rules
+from gsgen.contract.rules.catalogue import builtin_rules, installed_rules
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.validation.outcomes import ResultCollector
 from gsgen.contract.validation.rule import Registry
@@ -16,21 +16,21 @@ FAMILIES = ["GM", "GI", "GO", "GG", "GV", "GB", "GL", "GS", "TV", "GW"]
 
 
 def test_the_catalogue_goes_family_by_family_in_order_of_ids():
-    rules = catalogue()
+    rules = builtin_rules()
     assert len(rules) > 50
     order = [(FAMILIES.index(rule.family), rule.id) for rule in rules]
     assert order == sorted(order)
 
 
 def test_every_rule_has_an_id_and_a_name_of_its_own():
-    rules = catalogue()
+    rules = builtin_rules()
     assert len({rule.id for rule in rules}) == len(rules)
     assert len({rule.slug for rule in rules}) == len(rules)
     assert Registry.of(rules)
 
 
 def test_every_rule_applies_to_a_kind_and_its_first_sentence_is_one():
-    for rule in catalogue():
+    for rule in builtin_rules():
         assert rule.kinds
         assert set(rule.kinds) <= set(KINDS)
         assert rule.statement.endswith("."), rule.id
@@ -44,20 +44,20 @@ def plugin(monkeypatch):
     def register(name, module=None, **content):
         point = EntryPoint(name, module or f"acme_{len(points)}", "gsgen.rules")
         if module is None:
-            made = ModuleType(point.value)
-            vars(made).update(content)
-            monkeypatch.setitem(sys.modules, point.value, made)
+            plugin_module = ModuleType(point.value)
+            vars(plugin_module).update(content)
+            monkeypatch.setitem(sys.modules, point.value, plugin_module)
         points.append(point)
 
-    monkeypatch.setattr(installed, "registered", lambda group: points)
+    monkeypatch.setattr(installed, "registered_entry_points", lambda group: points)
     installed_rules.cache_clear()
     yield register
     installed_rules.cache_clear()
 
 
 def foreign():
-    own = {rule.id for rule in catalogue()}
-    return [rule for rule in installed_rules().rules.values() if rule.id not in own]
+    own_ids = {rule.id for rule in builtin_rules()}
+    return [rule for rule in installed_rules().rules.values() if rule.id not in own_ids]
 
 
 def test_without_plugins_our_own_rules_are_all(plugin):
@@ -90,9 +90,9 @@ def test_a_plugin_that_does_not_load_is_a_rule_that_crashes(plugin, name, id):
     (rule,) = foreign()
     assert rule.id == id
     assert rule.kinds == KINDS
-    board = ResultCollector(installed_rules(), Settings(), "")
+    board = ResultCollector(registry=installed_rules(), settings=Settings(), kind="")
     assert board.is_ready(rule)
-    assert not board.judge(rule, None)
+    assert not board.check(rule, None)
     reason = board.outcomes[rule.id].reason.splitlines()[-1]
     assert reason == (
         f"ImportError: rules {name} = absent_module_of_acme do not load: "

@@ -13,10 +13,10 @@ from gsgen.contract.rules.values import cells as rules
 from gsgen.contract.spec.manifest import CellsOutput, GaussiansOutput
 from gsgen.contract.validation.rule import Rule
 
-FEW, EACH = 40, 3
+FEW, PER_CELL = 40, 3
 NAMES = SimpleNamespace(
-    declared_gaussians=GaussiansOutput("gaussians", FEW * EACH),
-    declared_cells=CellsOutput("cells", EACH),
+    declared_gaussians=GaussiansOutput("gaussians", FEW * PER_CELL),
+    declared_cells=CellsOutput("cells", PER_CELL),
 )
 ODD = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1.0, -0.5, 1.5, 65504.0, 1e-6)
 DTYPES = pytest.mark.parametrize("dtype", [np.float32, np.float16])
@@ -30,30 +30,30 @@ def emission(seed: int, dtype: type) -> ModelOutputs:
     rng = np.random.default_rng(seed)
     axes = rng.normal(size=(FEW, 3, 3)) * rng.uniform(0.05, 0.5, (FEW, 1, 3))
     full = axes @ axes.transpose(0, 2, 1)
-    made = np.zeros((FEW, 10))
-    made[:, :3] = rng.uniform(-2, 2, (FEW, 3))
-    made[:, 3] = rng.uniform(0, 1, FEW) * (rng.random(FEW) < 0.8)
-    made[:, 4:] = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-    made[rng.random(FEW) < 0.1, 5] *= 9
-    rows = np.zeros((FEW * EACH, 10))
+    cell_rows = np.zeros((FEW, 10))
+    cell_rows[:, :3] = rng.uniform(-2, 2, (FEW, 3))
+    cell_rows[:, 3] = rng.uniform(0, 1, FEW) * (rng.random(FEW) < 0.8)
+    cell_rows[:, 4:] = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    cell_rows[rng.random(FEW) < 0.1, 5] *= 9
+    rows = np.zeros((FEW * PER_CELL, 10))
     size = np.sqrt(full.trace(axis1=1, axis2=2))[:, None, None]
-    near = made[:, None, :3] + size * rng.normal(0, 0.9, (FEW, EACH, 3))
-    rows[:, :3], rows[:, 3] = near.reshape(-1, 3), rng.uniform(-0.2, 1, FEW * EACH)
-    for table, share in ((made, 0.2), (rows, 0.1)):
+    near = cell_rows[:, None, :3] + size * rng.normal(0, 0.9, (FEW, PER_CELL, 3))
+    rows[:, :3], rows[:, 3] = near.reshape(-1, 3), rng.uniform(-0.2, 1, FEW * PER_CELL)
+    for table, share in ((cell_rows, 0.2), (rows, 0.1)):
         for row in np.flatnonzero(rng.random(len(table)) < share):
             table[row, rng.integers(0, 10)] = rng.choice(ODD)
-    count = int(rng.integers(0, FEW * EACH + 1))
+    count = int(rng.integers(0, FEW * PER_CELL + 1))
     with np.errstate(over="ignore"):
-        packed, cells = rows.astype(dtype), made.astype(dtype)
+        packed, cells = rows.astype(dtype), cell_rows.astype(dtype)
     subject = cast(InspectedModel, NAMES)
     return ModelOutputs("p", False, {}, packed, None, count, None, subject, cells)
 
 
-def broken(rule: Rule, given: ModelOutputs) -> set[int]:
+def broken(rule: Rule, outputs: ModelOutputs) -> set[int]:
     with np.errstate(all="ignore"):  # as the engine does
-        (breach,) = rule.check(given)
-    assert breach.bad is not None
-    return {int(row) for row in np.flatnonzero(breach.bad)}
+        (breach,) = rule.check(outputs)
+    assert breach.invalid_rows is not None
+    return {int(row) for row in np.flatnonzero(breach.invalid_rows)}
 
 
 def finite(row: Row, half: bool) -> bool:
@@ -69,39 +69,39 @@ def smallest(row: Row) -> float:
 @SEEDS
 @DTYPES
 def test_cells_are_judged_one_by_one(seed: int, dtype: type) -> None:
-    given = emission(seed, dtype)
-    assert given.cells is not None
+    outputs = emission(seed, dtype)
+    assert outputs.cells is not None
     half = dtype is np.float16
     slack, floor = (2.0**-10, 3 * 2.0**-25) if half else (1e-5, 0.0)
-    wanted: dict[str, set[int]] = {name: set() for name in ("26", "27", "28", "30")}
-    for cell, row in enumerate(given.cells.astype(np.float64).tolist()):
+    expected: dict[str, set[int]] = {name: set() for name in ("26", "27", "28", "30")}
+    for cell, row in enumerate(outputs.cells.astype(np.float64).tolist()):
         if not finite(row, half):
-            wanted["26"].add(cell)
+            expected["26"].add(cell)
         elif not -1e-3 <= row[3] <= 1.001:
-            wanted["27"].add(cell)
+            expected["27"].add(cell)
         if finite(row, half) and row[3] > 0:
             size = abs(row[4]) + abs(row[7]) + abs(row[9])
             if smallest(row) < -slack * size - floor:
-                wanted["28"].add(cell)
-        if cell * EACH >= given.count and math.isfinite(row[3]) and row[3] != 0:
-            wanted["30"].add(cell)
-    assert broken(rules.cells_finite, given) == wanted["26"]
-    assert broken(rules.visibility_range, given) == wanted["27"]
-    assert broken(rules.cell_covariance_psd, given) == wanted["28"]
-    assert broken(rules.empty_cells_inert, given) == wanted["30"]
+                expected["28"].add(cell)
+        if cell * PER_CELL >= outputs.count and math.isfinite(row[3]) and row[3] != 0:
+            expected["30"].add(cell)
+    assert broken(rules.cells_finite, outputs) == expected["26"]
+    assert broken(rules.visibility_range, outputs) == expected["27"]
+    assert broken(rules.cell_covariance_psd, outputs) == expected["28"]
+    assert broken(rules.empty_cells_inert, outputs) == expected["30"]
 
 
 @SEEDS
 @DTYPES
 def test_rows_are_judged_by_the_cell_that_they_belong_to(seed: int, dtype: type) -> None:
-    given = emission(seed, dtype)
-    assert given.cells is not None
-    assert given.gaussians is not None
+    outputs = emission(seed, dtype)
+    assert outputs.cells is not None
+    assert outputs.gaussians is not None
     hidden, far = set(), set()
-    cells = given.cells.astype(np.float64).tolist()
-    for number, row in enumerate(given.gaussians.astype(np.float64).tolist()):
-        cell = cells[number // EACH]
-        if number >= given.count:
+    cells = outputs.cells.astype(np.float64).tolist()
+    for number, row in enumerate(outputs.gaussians.astype(np.float64).tolist()):
+        cell = cells[number // PER_CELL]
+        if number >= outputs.count:
             continue
         if cell[3] == 0 and math.isfinite(row[3]) and row[3] != 0:
             hidden.add(number)
@@ -112,12 +112,12 @@ def test_rows_are_judged_by_the_cell_that_they_belong_to(seed: int, dtype: type)
                 reach += 2.0**-10 * sum(map(abs, cell[:3]))
             if math.dist(row[:3], cell[:3]) > reach:
                 far.add(number)
-    assert broken(rules.hidden_cells_inert, given) == hidden
-    assert broken(rules.rows_near_their_cell, given) == far
+    assert broken(rules.hidden_cells_inert, outputs) == hidden
+    assert broken(rules.rows_near_their_cell, outputs) == far
 
 
 def test_the_made_up_cells_break_every_rule() -> None:
-    given = [emission(seed, np.float32) for seed in range(6)]
+    outputs = [emission(seed, np.float32) for seed in range(6)]
     for rule in (
         rules.cells_finite,
         rules.visibility_range,
@@ -126,4 +126,4 @@ def test_the_made_up_cells_break_every_rule() -> None:
         rules.empty_cells_inert,
         rules.rows_near_their_cell,
     ):
-        assert any(broken(rule, one) for one in given), rule.id
+        assert any(broken(rule, outputs_of_seed) for outputs_of_seed in outputs), rule.id

@@ -7,7 +7,7 @@ import pytest
 
 from gsgen.conformance.fixtures import Fixture, find, fixtures
 from gsgen.contract.errors import UnknownName
-from gsgen.contract.rules.catalogue import catalogue, installed_rules
+from gsgen.contract.rules.catalogue import builtin_rules, installed_rules
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.rule import Rule
 
@@ -15,11 +15,11 @@ CORPUS = fixtures()
 GOOD = [fixture for fixture in CORPUS if not fixture.rule]
 BROKEN = [fixture for fixture in CORPUS if fixture.rule]
 
-each_rule = pytest.mark.parametrize("rule", catalogue(), ids=lambda rule: rule.id)
-each_fixture = pytest.mark.parametrize("fixture", CORPUS, ids=lambda one: one.name)
-each_good = pytest.mark.parametrize("fixture", GOOD, ids=lambda one: one.name)
+each_rule = pytest.mark.parametrize("rule", builtin_rules(), ids=lambda rule: rule.id)
+each_fixture = pytest.mark.parametrize("fixture", CORPUS, ids=lambda fixture: fixture.name)
+each_good = pytest.mark.parametrize("fixture", GOOD, ids=lambda fixture: fixture.name)
 each_broken = pytest.mark.parametrize(
-    "fixture", BROKEN, ids=lambda one: f"{one.rule}-{one.name}"
+    "fixture", BROKEN, ids=lambda fixture: f"{fixture.rule}-{fixture.name}"
 )
 
 

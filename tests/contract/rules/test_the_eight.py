@@ -31,11 +31,11 @@ class Case:
 
     Attributes:
         draw: Draws the model.
-        found: Rule → its name, who says so, and the facts that its place or message must contain.
+        findings: Rule → its name, who says so, and the facts that its place or message must contain.
     """
 
     draw: Callable[[], ModelSpec]
-    found: Mapping[str, tuple[str, str, tuple[str, ...]]]
+    findings: Mapping[str, tuple[str, str, tuple[str, ...]]]
 
 
 def good() -> ModelSpec:
@@ -69,8 +69,10 @@ def half_rgb_of_3() -> ModelSpec:
 
 
 def mixed_precision() -> ModelSpec:
-    wide = good().weights["colors"].astype(np.float32)
-    return good().reworded("float16[256,48]", "float[256,48]").weighing(colors=wide)
+    float32_colors = good().weights["colors"].astype(np.float32)
+    return (
+        good().reworded("float16[256,48]", "float[256,48]").weighing(colors=float32_colors)
+    )
 
 
 def no_count() -> ModelSpec:
@@ -86,9 +88,9 @@ def count_of_int64() -> ModelSpec:
 
 def symbolic_rows() -> ModelSpec:
     """As many rows as are kept: the number is only known once the model has run."""
-    kept = "Compress <axis = 0> ({}, wanted)"
-    cut = good().reworded("Identity (rows)", kept.format("rows"))
-    cut = cut.reworded("Identity (colors)", kept.format("colors"))
+    compress = "Compress <axis = 0> ({}, wanted)"
+    cut = good().reworded("Identity (rows)", compress.format("rows"))
+    cut = cut.reworded("Identity (colors)", compress.format("colors"))
     open_ended = cut.reworded("[256,10]", "[N,10]").reworded("[256,48]", "[N,48]")
     return open_ended.weighing(wanted=np.ones(ROWS, np.bool_))
 
@@ -162,7 +164,7 @@ CASES = {
             "GO009": (
                 "output-dtypes-match",
                 "visionary@1.0.1",  # to the contract alone it is a warning
-                ("output color", "float32", "wanted float16, as gaussians"),
+                ("output color", "float32", "expected float16, as gaussians"),
             )
         },
     ),
@@ -176,7 +178,7 @@ CASES = {
             "GO011": (
                 "count-is-int32",
                 "contract",
-                ("output num_points", "int64 [1]", "wanted int32 [1]"),
+                ("output num_points", "int64 [1]", "expected int32 [1]"),
             )
         },
     ),
@@ -218,10 +220,10 @@ def test_checker_and_runtime_accept_it(case: Case) -> None:
 def test_the_validator_names_each_fault_and_no_other(case: Case, tmp_path: Path) -> None:
     report = judged(case.draw(), tmp_path)
     assert report.verdict == "invalid"
-    assert {one.rule for one in report.findings} == set(case.found)
-    assert len(report.findings) == len(case.found)
+    assert {finding.rule for finding in report.findings} == set(case.findings)
+    assert len(report.findings) == len(case.findings)
     for finding in report.findings:
-        slug, source, facts = case.found[finding.rule]
+        slug, source, facts = case.findings[finding.rule]
         assert (finding.slug, finding.source) == (slug, source)
         assert finding.severity.word == "error"
         assert finding.certainty == "confirmed"

@@ -39,8 +39,10 @@ def rows_of(packed: np.ndarray, color: np.ndarray | None = None, count: int = 1)
 def bad_rows(rule: Rule, rows: Rows) -> set[int]:
     """Return which rows break ``rule``, at any place."""
     with np.errstate(all="ignore"):  # as the engine does
-        breaches = [breach for breach in rule.check(rows) if breach.bad is not None]
-    return {int(row) for breach in breaches for row in np.flatnonzero(breach.bad)}
+        breaches = [
+            breach for breach in rule.check(rows) if breach.invalid_rows is not None
+        ]
+    return {int(row) for breach in breaches for row in np.flatnonzero(breach.invalid_rows)}
 
 
 def finite(row: Row) -> bool:
@@ -140,7 +142,7 @@ def test_a_rule_complains_of_the_rows_that_its_oracle_rejects(
     packed, color, count = emission
     rule, rejects = ORACLES[id]
     half = packed.dtype == np.float16
-    wanted = {
+    expected = {
         index
         for index, (row, shade) in enumerate(
             zip(packed.astype(float).tolist(), color.astype(float).tolist(), strict=True)
@@ -148,7 +150,7 @@ def test_a_rule_complains_of_the_rows_that_its_oracle_rejects(
         if rejects(row, shade, index < count, half)
     }
     assert rule.id == id
-    assert bad_rows(rule, rows_of(packed, color, count)) == wanted
+    assert bad_rows(rule, rows_of(packed, color, count)) == expected
 
 
 def symmetric(upper: np.ndarray) -> np.ndarray:
@@ -172,13 +174,13 @@ def check_psd(upper: np.ndarray) -> None:
     trace = np.abs(diagonal).sum(axis=1)
     floor = FLOOR[upper.dtype.type]
     margin = np.linalg.eigvalsh(matrices)[:, 0] + slack * trace + floor
-    ours = (diagonal >= 0).all(axis=1)  # a negative variance is GV005's
-    wanted = set(np.flatnonzero(ours & (margin < 0)).tolist())
+    checked = (diagonal >= 0).all(axis=1)  # a negative variance is GV005's
+    expected = set(np.flatnonzero(checked & (margin < 0)).tolist())
     close = np.abs(margin) <= 1e-7 * np.abs(matrices).max(axis=(1, 2))
-    found = bad_rows(
+    invalid = bad_rows(
         covariance.covariance_psd, rows_of(packed_with(upper), None, len(upper))
     )
-    assert found ^ wanted <= set(np.flatnonzero(close).tolist())
+    assert invalid ^ expected <= set(np.flatnonzero(close).tolist())
 
 
 def uppers(matrices: np.ndarray, dtype: Any) -> np.ndarray:
@@ -191,9 +193,9 @@ def uppers(matrices: np.ndarray, dtype: Any) -> np.ndarray:
 @given(seed=st.integers(0, 2**32 - 1), scale=st.integers(-12, 12))
 @settings(max_examples=150)
 def test_symmetric_matrices_are_judged_as_by_eigvalsh(dtype: Any, seed: int, scale: int):
-    made = np.random.default_rng(seed).normal(size=(64, 3, 3))
-    kept = made + made.transpose(0, 2, 1) + 3 * np.eye(3)
-    check_psd(uppers(10.0**scale * kept, dtype))
+    matrices = np.random.default_rng(seed).normal(size=(64, 3, 3))
+    symmetric_matrices = matrices + matrices.transpose(0, 2, 1) + 3 * np.eye(3)
+    check_psd(uppers(10.0**scale * symmetric_matrices, dtype))
 
 
 @pytest.mark.parametrize("dtype", DTYPES.values(), ids=lambda dtype: dtype.__name__)
@@ -261,10 +263,10 @@ def test_three_channels_without_a_manifest_may_be_sh(
     guessed: bool, certainty: str, tmp_path: Path
 ):
     scene = still(degree=0).altered("colors", np.s_[0], -0.4)
-    bare = replace(scene, manifest=None if guessed else scene.manifest)
+    unlabelled = replace(scene, manifest=None if guessed else scene.manifest)
     rgb = AppearanceOutput("color", "rgb")
-    told = bare if guessed else bare.declaring_outputs(appearance=rgb)
-    told.write(tmp_path / "m.onnx")
+    model = unlabelled if guessed else unlabelled.declaring_outputs(appearance=rgb)
+    model.write(tmp_path / "m.onnx")
     report = validate(tmp_path / "m.onnx")
-    (found,) = (one for one in report.findings if one.rule == "GV012")
-    assert found.certainty == certainty
+    (invalid,) = (finding for finding in report.findings if finding.rule == "GV012")
+    assert invalid.certainty == certainty

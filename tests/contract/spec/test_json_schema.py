@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from gsgen.contract.reporters.document import SCHEMA_FILE
 from gsgen.contract.reporters.document import schema as report_schema
 from gsgen.contract.spec.json_schema import DIALECT, from_json, schema_of, to_json
 from gsgen.contract.spec.manifest_io import loads, parse, schema_name, schemas
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.schema_text import Hint
+from gsgen.contract.validation.report import REPORT_SCHEMA_FILE
 from support.models.manifests import JSON, manifests
 
 ROOT = Path(__file__).parents[3]
@@ -45,7 +45,7 @@ def test_schemas_of_older_versions_stay_as_they_were_published(folder):
 
 
 def test_the_published_schemas_are_those_of_the_dataclasses():
-    documents = {**schemas(), SCHEMA_FILE: report_schema()}
+    documents = {**schemas(), REPORT_SCHEMA_FILE: report_schema()}
     assert {file.name for file in PUBLISHED.iterdir()} == {*documents, *OLDER}
     for name, document in documents.items():
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"

@@ -141,9 +141,9 @@ def test_complaints_come_in_order_of_their_place():
         ("", "a JSON document (Expecting value"),
         ("{", "a JSON document (Expecting property name"),
         ('{"contract": "1.0",}', "a JSON document ("),
-        (text()[:-1] + ', "x-a": NaN}', "a JSON document (NaN is no finite number)"),
-        (text()[:-1] + ', "x-a": -Infinity}', "a JSON document (-Infinity is no finite"),
-        (text()[:-1] + ', "x-a": 1e999}', "a JSON document (1e999 is no finite number)"),
+        (text()[:-1] + ', "x-a": NaN}', "a JSON document (NaN is not a finite number)"),
+        (text()[:-1] + ', "x-a": -Infinity}', "a JSON document (-Infinity is not a finite"),
+        (text()[:-1] + ', "x-a": 1e999}', "a JSON document (1e999 is not a finite number)"),
         (text()[:-1] + f', "x-a": {10**400}}}', "a JSON document (1000000"),
         (text()[:-1] + ', "x-a": ' + "9" * 5000 + "}", "a JSON document (9999999"),
         (text(name="\ud800"), "a JSON document ('utf-8' codec can't encode"),
@@ -220,7 +220,7 @@ def test_writing_a_wrong_value_says_what_is_wrong():
     with pytest.raises(ManifestInvalid) as caught:
         dumps(made)
     assert str(caught.value) == (
-        "manifest: outputs.gaussians.capacity: 0, wanted "
+        "manifest: outputs.gaussians.capacity: 0, expected "
         "Rows of the tensor, padding included. (minimum 1)"
     )
 
@@ -229,7 +229,7 @@ def test_writing_a_wrong_value_says_what_is_wrong():
 def test_what_is_not_finite_cannot_be_written(value):
     clock = Input("t", "time", range=(0.0, value))
     made = GeneratorManifest(name="a", inputs=(clock,), outputs=GeneratorOutputs())
-    with pytest.raises(ManifestInvalid, match="is no finite number"):
+    with pytest.raises(ManifestInvalid, match="is not a finite number"):
         dumps(made)
 
 
@@ -237,8 +237,8 @@ def test_reading_a_wrong_text_lists_every_complaint():
     with pytest.raises(ManifestInvalid) as caught:
         loads(text(blend="add", antialias="none"))
     assert str(caught.value) == (
-        "manifest: antialias: none, wanted one of classic, mip; "
-        "blend: add, wanted one of alpha, wsr"
+        "manifest: antialias: none, expected one of classic, mip; "
+        "blend: add, expected one of alpha, wsr"
     )
 
 

@@ -108,7 +108,7 @@ def test_a_count_of_coefficients_has_a_degree(count, degree):
 @pytest.mark.parametrize("count", [0, 2, 3, 15, 17, 25, -1])
 def test_other_counts_have_no_degree(count):
     with pytest.raises(
-        ValueError, match=rf"^{count} is no number of SH .*\(1, 4, 9, 16\)$"
+        ValueError, match=rf"^{count} is not a number of SH .*\(1, 4, 9, 16\)$"
     ):
         degree_of(count)
 

@@ -116,7 +116,7 @@ def registered(monkeypatch):
     def register(name):
         point = EntryPoint("acme", f"{__name__}:{name}", "gsgen.targets")
         monkeypatch.setattr(EntryPoint, "load", lambda self: globals()[name])
-        monkeypatch.setattr(targets, "registered", lambda group: [point])
+        monkeypatch.setattr(targets, "registered_entry_points", lambda group: [point])
 
     known_targets.cache_clear()
     yield register
@@ -133,7 +133,7 @@ def test_a_third_party_can_add_a_target(registered, name):
     ("name", "said"),
     [
         ("absent", "does not load: KeyError('absent')"),
-        ("make_nothing", "gives None, wanted a Target"),
+        ("make_nothing", "returns None, expected a Target"),
     ],
 )
 def test_a_third_partys_target_that_does_not_load_is_named(registered, name, said):

@@ -12,7 +12,7 @@ from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.spec.layout import encode
 from gsgen.contract.spec.manifest import AppearanceOutput
 from gsgen.contract.spec.spherical_harmonics import evaluate
-from gsgen.contract.validation.agreement import apart, comparable
+from gsgen.contract.validation.agreement import comparable_parts, field_errors
 from gsgen.contract.validation.report import Tolerance
 
 FIELDS = ("position", "covariance", "opacity", "appearance")
@@ -39,10 +39,12 @@ def oracle(
 ) -> list[float]:
     """Return the error of each row."""
     errors = []
-    for x, y, p, q in zip(*(one.astype(np.float64) for one in (a, b, c, d)), strict=True):
+    for x, y, p, q in zip(
+        *(error.astype(np.float64) for error in (a, b, c, d)), strict=True
+    ):
         trace = x[4] + x[7] + x[9]
         sh = p.reshape(-1, 3) - q.reshape(-1, 3)
-        seen = (
+        visited = (
             max(abs(v) for v in (p - q)[:3])
             if degree is None
             else max(
@@ -52,14 +54,14 @@ def oracle(
                 for axis in AXES
             )
         )
-        one = {
+        error = {
             "opacity": abs(x[3] - y[3]),
             "position": max(abs(x[:3] - y[:3])) / (trace / 3) ** 0.5,
             "covariance": max(abs(x[4:] - y[4:])) / trace,
-            "appearance": seen,
+            "appearance": visited,
         }
         drawn = max(x[3], y[3]) >= 1 / 255 or field == "opacity"
-        errors.append(one[field] if drawn else 0.0)
+        errors.append(error[field] if drawn else 0.0)
     return errors
 
 
@@ -70,24 +72,28 @@ def test_the_worst_row_is_the_oracle_s(field: str, degree: int | None) -> None:
     a, c = encode(cloud(30, degree), np.float32)
     b, d = a.copy(), c.copy()
     part = {"position": np.s_[:, :3], "opacity": np.s_[:, 3], "covariance": np.s_[:, 4:]}
-    changed, place = (d, np.s_[:]) if field == "appearance" else (b, part[field])
-    changed[place] += rng.uniform(0.01, 0.1, changed[place].shape)
+    changed, columns = (d, np.s_[:]) if field == "appearance" else (b, part[field])
+    changed[columns] += rng.uniform(0.01, 0.1, changed[columns].shape)
     a[4, 3] = b[4, 3] = 0 if field != "opacity" else a[4, 3]  # not drawn, not compared
-    found = list(apart(emission(a, c, degree), emission(b, d, degree), tolerances(1e-3)))
-    assert [one.tolerance.field for one in found] == [field]
-    wanted = oracle(a, b, c, d, degree, field)
-    assert found[0].error == pytest.approx(max(wanted), rel=1e-6)
-    assert found[0].row == int(np.argmax(wanted))
+    errors = list(
+        field_errors(emission(a, c, degree), emission(b, d, degree), tolerances(1e-3))
+    )
+    assert [error.tolerance.field for error in errors] == [field]
+    expected = oracle(a, b, c, d, degree, field)
+    assert errors[0].error == pytest.approx(max(expected), rel=1e-6)
+    assert errors[0].row == int(np.argmax(expected))
     assert not list(
-        apart(emission(a, c, degree), emission(b, d, degree), tolerances(max(wanted)))
+        field_errors(
+            emission(a, c, degree), emission(b, d, degree), tolerances(max(expected))
+        )
     )
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32])
 def test_one_rounding_of_storage_is_no_difference(dtype: type) -> None:
     a, c = encode(cloud(500, 3), dtype)
-    b, d = (np.nextafter(one, dtype(np.inf)) for one in (a, c))
-    assert not list(apart(emission(a, c, 3), emission(b, d, 3), tolerances(0.0)))
+    b, d = (np.nextafter(error, dtype(np.inf)) for error in (a, c))
+    assert not list(field_errors(emission(a, c, 3), emission(b, d, 3), tolerances(0.0)))
 
 
 @pytest.mark.filterwarnings("ignore:invalid value")  # the engine judges so
@@ -99,7 +105,9 @@ def test_what_is_not_finite_counts_where_it_is_on_one_side(
     a, c = encode(cloud(9, degree), np.float32)
     a[1, 0], a[2, 4], c[5, 0], c[6, 1] = np.nan, np.inf, np.inf, np.nan
     b, d = a.copy(), c.copy()
-    assert not list(apart(emission(a, c, degree), emission(b, d, degree), tolerances(0)))
+    assert not list(
+        field_errors(emission(a, c, degree), emission(b, d, degree), tolerances(0))
+    )
     changed, column = {
         "position": (b, 1),
         "opacity": (b, 3),
@@ -108,22 +116,30 @@ def test_what_is_not_finite_counts_where_it_is_on_one_side(
     }[field]
     for value in (np.inf, np.nan, changed[3, column] + 2):
         changed[3, column] = value
-        found = list(apart(emission(a, c, degree), emission(b, d, degree), tolerances(0.5)))
-        assert [(one.tolerance.field, one.row) for one in found] == [(field, 3)]
+        errors = list(
+            field_errors(emission(a, c, degree), emission(b, d, degree), tolerances(0.5))
+        )
+        assert [(error.tolerance.field, error.row) for error in errors] == [(field, 3)]
 
 
 def test_other_sizes_are_not_compared() -> None:
     a, c = encode(cloud(5, 1), np.float32)
-    assert comparable(emission(a, c, 1), emission(a[:4], c[:4], 1)) == (False, False, False)
-    assert comparable(emission(a, c[:, :7], 1), emission(a, c[:, :7], 1)) == (
+    assert comparable_parts(emission(a, c, 1), emission(a[:4], c[:4], 1)) == (
+        False,
+        False,
+        False,
+    )
+    assert comparable_parts(emission(a, c[:, :7], 1), emission(a, c[:, :7], 1)) == (
         True,
         False,
         False,
     )
-    assert comparable(emission(a, c, 1), emission(a, c, 1)) == (True, True, False)
-    assert not list(apart(emission(a, c, 1), emission(a[:4], c[:4], 1), tolerances(0)))
+    assert comparable_parts(emission(a, c, 1), emission(a, c, 1)) == (True, True, False)
+    assert not list(
+        field_errors(emission(a, c, 1), emission(a[:4], c[:4], 1), tolerances(0))
+    )
     none = emission(a[:0], c[:0], 1)
-    assert not list(apart(none, none, tolerances(0)))
+    assert not list(field_errors(none, none, tolerances(0)))
 
 
 # ---- Cells -------------------------------------------------------------------------------------
@@ -138,9 +154,9 @@ def in_cells(cells: np.ndarray, count: int = 3) -> ModelOutputs:
 
 
 def four_cells() -> np.ndarray:
-    made = encode(cloud(4, None, seed=3))[0]
-    made[2, 3] = 0
-    return made
+    rows = encode(cloud(4, None, seed=3))[0]
+    rows[2, 3] = 0
+    return rows
 
 
 @pytest.mark.parametrize(
@@ -160,24 +176,28 @@ def four_cells() -> np.ndarray:
 def test_cells_are_compared_in_the_units_of_rows(
     cell: int, column: int, by: float, field: str
 ) -> None:
-    known, other = four_cells(), four_cells()
-    other[cell, column] += by
-    found = list(apart(in_cells(known), in_cells(other), tolerances(1e-4)))
-    assert [(one.tolerance.field, one.row, one.of_cells) for one in found] == (
+    known, changed = four_cells(), four_cells()
+    changed[cell, column] += by
+    errors = list(field_errors(in_cells(known), in_cells(changed), tolerances(1e-4)))
+    assert [(error.tolerance.field, error.row, error.of_cells) for error in errors] == (
         [(field, cell, True)] if field else []
     )
     trace = known[cell, [4, 7, 9]].sum()
     unit = {"position": (trace / 3) ** 0.5, "covariance": trace}.get(field, 1.0)
-    if found and np.isfinite(by):
-        assert found[0].error == pytest.approx(by / unit, rel=1e-3)
+    if errors and np.isfinite(by):
+        assert errors[0].error == pytest.approx(by / unit, rel=1e-3)
 
 
 def test_cells_of_another_number_cannot_be_compared() -> None:
-    assert comparable(in_cells(four_cells()), in_cells(four_cells())) == (True, True, True)
+    assert comparable_parts(in_cells(four_cells()), in_cells(four_cells())) == (
+        True,
+        True,
+        True,
+    )
     for cells in (four_cells()[:2], None):
-        other = in_cells(four_cells())
+        fewer = in_cells(four_cells())
         changed = ModelOutputs(
-            *("p", False, {}, other.gaussians, other.appearance, 12, None, NAMES, cells)
+            *("p", False, {}, fewer.gaussians, fewer.appearance, 12, None, NAMES, cells)
         )
-        assert comparable(other, changed) == (True, True, False)
-        assert not list(apart(other, changed, tolerances(0.0)))
+        assert comparable_parts(fewer, changed) == (True, True, False)
+        assert not list(field_errors(fewer, changed, tolerances(0.0)))

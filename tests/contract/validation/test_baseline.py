@@ -8,11 +8,17 @@ from gsgen.contract.reporters.json_report import to_dict, to_json
 from gsgen.contract.reporters.text import render
 from gsgen.contract.validation.baseline import Baseline, read_baseline
 from gsgen.contract.validation.finding import Location
-from gsgen.contract.validation.report import Gone
+from gsgen.contract.validation.report import ResolvedFinding
 
 
 def gone(name):
-    return Gone("GV003", "opacity-range", name, Location("output g"), "")
+    return ResolvedFinding(
+        rule="GV003",
+        slug="opacity-range",
+        fingerprint=name,
+        where=Location("output g"),
+        message="",
+    )
 
 
 @pytest.fixture
@@ -27,27 +33,31 @@ def saved(tmp_path):
 
 def test_what_the_baseline_lists_does_not_fail_again(reports, saved):
     path = saved(reports["broken"])
-    report = read_baseline(path).applied(reports["broken"])
+    report = read_baseline(path).apply(reports["broken"])
     assert report.verdict == "conforms"
     assert report.baseline == str(path)
-    assert all(one.known or one.waived for one in report.findings)
+    assert all(finding.known or finding.waived for finding in report.findings)
     assert to_dict(report)["counts"]["known"] == 3
 
 
 def test_what_is_new_fails(reports, saved):
     baseline = read_baseline(saved(reports["broken"]))
-    first, *rest = reports["broken"].findings
+    first, *remaining = reports["broken"].findings
     moved = replace(first, where=Location("output other"))
-    report = baseline.applied(replace(reports["broken"], findings=(moved, *rest)))
+    report = baseline.apply(replace(reports["broken"], findings=(moved, *remaining)))
     assert report.verdict == "invalid"
-    assert [one.known for one in report.findings if not one.waived] == [False, True, True]
+    assert [finding.known for finding in report.findings if not finding.waived] == [
+        False,
+        True,
+        True,
+    ]
 
 
 def test_more_rows_of_the_same_are_known(reports, saved):
     baseline = read_baseline(saved(reports["broken"]))
     first, *_ = reports["broken"].findings
     worse = replace(first, count=9, total=10, message="9 of 10 rows")
-    report = baseline.applied(replace(reports["broken"], findings=(worse,)))
+    report = baseline.apply(replace(reports["broken"], findings=(worse,)))
     assert report.findings[0].known
 
 
@@ -55,7 +65,7 @@ def test_a_guess_that_is_proven_is_new(reports, saved):
     first, *_ = reports["broken"].findings
     guess = replace(first, certainty="possible")
     baseline = read_baseline(saved(replace(reports["broken"], findings=(guess,))))
-    report = baseline.applied(replace(reports["broken"], findings=(first,)))
+    report = baseline.apply(replace(reports["broken"], findings=(first,)))
     assert not report.findings[0].known
 
 
@@ -63,35 +73,35 @@ def test_the_models_of_a_baseline_are_told_apart(reports, saved):
     baseline = read_baseline(saved(*reports.values()))
     assert set(baseline.known) == {"good.onnx", "broken.onnx", "foreign.onnx"}
     renamed = replace(reports["broken"], path="good.onnx")
-    assert baseline.applied(renamed).verdict == "invalid"
+    assert baseline.apply(renamed).verdict == "invalid"
     elsewhere = replace(reports["broken"], path="/ci/models/broken.onnx")
-    assert baseline.applied(elsewhere).verdict == "conforms"
+    assert baseline.apply(elsewhere).verdict == "conforms"
 
 
 def test_a_baseline_of_one_model_holds_whatever_it_is_called_now(reports, saved):
     renamed = replace(reports["broken"], path="v2.onnx")
-    assert read_baseline(saved(reports["broken"])).applied(renamed).verdict == "conforms"
+    assert read_baseline(saved(reports["broken"])).apply(renamed).verdict == "conforms"
 
 
 def test_a_model_that_the_baseline_does_not_list_has_no_known_findings():
-    one, other = ({name: gone(name)} for name in "xy")
-    baseline = Baseline("b.json", {"a.onnx": one, "b.onnx": other})
-    assert baseline.of("c.onnx") == {}
-    assert baseline.of("folder/a.onnx") == one
+    finding, second_model = ({name: gone(name)} for name in "xy")
+    baseline = Baseline("b.json", {"a.onnx": finding, "b.onnx": second_model})
+    assert baseline.known_findings("c.onnx") == {}
+    assert baseline.known_findings("folder/a.onnx") == finding
 
 
 def test_what_is_gone_is_listed_with_its_place_and_in_the_verdict(reports, saved):
     broken = reports["broken"]
     path = saved(broken)
-    first, *rest = broken.findings
-    report = read_baseline(path).applied(replace(broken, findings=tuple(rest)))
-    (listed,) = report.gone
+    first, *remaining = broken.findings
+    report = read_baseline(path).apply(replace(broken, findings=tuple(remaining)))
+    (listed,) = report.resolved
     assert (listed.rule, listed.where) == (first.rule, first.where)
     assert (listed.message, listed.fingerprint) == (first.message, first.fingerprint)
     text = [line.text for line in render(report)]
-    at = text.index(f"  {first.rule} gone: {first.slug}")
-    assert text[at + 1].startswith(f"    {first.where}: ")
-    assert f"; 1 gone since {path}" in text[-1]
+    line_number = text.index(f"  {first.rule} resolved: {first.slug}")
+    assert text[line_number + 1].startswith(f"    {first.where}: ")
+    assert f"; 1 resolved since {path}" in text[-1]
     (entry,) = to_dict(report)["gone"]
     assert entry["rule"] == first.rule
     assert entry["where"]["subject"] == first.where.subject
@@ -99,8 +109,8 @@ def test_what_is_gone_is_listed_with_its_place_and_in_the_verdict(reports, saved
 
 
 def test_nothing_is_gone_where_nothing_changed(reports, saved):
-    report = read_baseline(saved(reports["broken"])).applied(reports["broken"])
-    assert report.gone == ()
+    report = read_baseline(saved(reports["broken"])).apply(reports["broken"])
+    assert report.resolved == ()
     assert to_dict(report)["gone"] == []
     assert "gone" not in to_dict(reports["broken"])
     assert not any(" gone" in line.text for line in render(report))
@@ -108,42 +118,44 @@ def test_nothing_is_gone_where_nothing_changed(reports, saved):
 
 def test_what_was_not_judged_this_time_is_not_gone(reports, saved):
     broken = reports["broken"]
-    first, *rest = broken.findings
+    first, *remaining = broken.findings
     skipped = tuple(
-        replace(one, status="skipped", reason="no time")
-        if one.rule.id == first.rule
-        else one
-        for one in broken.outcomes
+        replace(finding, status="skipped", reason="no time")
+        if finding.rule.id == first.rule
+        else finding
+        for finding in broken.outcomes
     )
-    later = replace(broken, findings=tuple(rest), outcomes=skipped)
-    assert read_baseline(saved(broken)).applied(later).gone == ()
+    later = replace(broken, findings=tuple(remaining), outcomes=skipped)
+    assert read_baseline(saved(broken)).apply(later).resolved == ()
 
 
 def test_what_is_waived_now_is_not_gone(reports, saved):
     broken = reports["broken"]
-    waived = tuple(replace(one, waived=True) for one in broken.findings)
-    report = read_baseline(saved(broken)).applied(replace(broken, findings=waived))
-    assert report.gone == ()
+    waived = tuple(replace(finding, waived=True) for finding in broken.findings)
+    report = read_baseline(saved(broken)).apply(replace(broken, findings=waived))
+    assert report.resolved == ()
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "is not JSON: Expecting value"),
         ("[" * 100_000, "is not JSON: "),
-        ("[]", "is not a report: no schema; wanted 'gsgen-report/1'"),
+        ("[]", "is not a report: no schema; expected schema 'gsgen-report/1'"),
         ('{"version": "2.1.0"}', "is not a report: no schema"),
         ('{"schema": "gsgen-report/2"}', "is not a report: schema 'gsgen-report/2'"),
         ('{"schema": "gsgen-report/1", "reports": 3}', "is not a report: "),
     ],
 )
-def test_what_is_no_report_is_refused_with_the_command_that_makes_one(tmp_path, text, said):
+def test_what_is_no_report_is_refused_with_the_command_that_makes_one(
+    tmp_path, text, message
+):
     path = tmp_path / "b.json"
     path.write_text(text)
     with pytest.raises(ConfigInvalid) as caught:
         read_baseline(path)
     assert str(caught.value).startswith(f"{path}")
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "gsgen validate MODEL --format json" in str(caught.value)
 
 

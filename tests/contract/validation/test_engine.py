@@ -50,15 +50,17 @@ def statuses(report):
 
 
 def levels(report):
-    return {one.level: (one.ran, one.reason) for one in report.levels}
+    return {finding.level: (finding.ran, finding.reason) for finding in report.levels}
 
 
 def test_a_good_model_conforms_and_every_rule_is_accounted_for(good):
     report = validate(good)
     assert (report.verdict, report.findings) == ("conforms", ())
     assert list(statuses(report)) == list(installed_rules().rules)
-    asked = [one.status for one in report.outcomes if one.rule.level <= report.level]
-    assert set(asked) == {"pass", "not-applicable"}
+    checked_statuses = [
+        finding.status for finding in report.outcomes if finding.rule.level <= report.level
+    ]
+    assert set(checked_statuses) == {"pass", "not-applicable"}
     assert (report.path, report.size) == (str(good), good.stat().st_size)
     assert (report.kind, report.name, report.contract) == (
         "gaussian-generator",
@@ -97,7 +99,7 @@ def test_a_static_run_does_not_run_the_model(good):
     for outcome in report.outcomes:
         if outcome.rule.level > Level.STATIC:
             assert outcome.status == "skipped"
-            assert outcome.reason == f"level {outcome.rule.level.word} was not asked for"
+            assert outcome.reason == f"level {outcome.rule.level.word} was not requested"
 
 
 def test_a_run_for_values_does_not_compare_runs(good):
@@ -205,9 +207,9 @@ def test_what_is_only_possible_never_fails(good):
 
 
 def test_progress_is_told_in_a_few_words(good):
-    told = []
-    validate(good, progress=told.append)
-    assert told == [
+    texts = []
+    validate(good, progress=texts.append)
+    assert texts == [
         "reading good.onnx",
         "running 22 probes in ONNX Runtime",
         "checking values",
@@ -253,8 +255,8 @@ def test_a_model_that_runs_out_of_time_is_a_finding(tmp_path):
     report = validate(path, Settings(limits=Limits(seconds=1)))
     assert report.outcome("GS004").status == "fail"
     assert report.outcome("GV025").reason == "because GS004 does not hold"
-    (finding,) = (one for one in report.findings if one.rule == "GS004")
-    assert finding.message.startswith("still running after 1 s; wanted at most 1 s and ")
+    (finding,) = (finding for finding in report.findings if finding.rule == "GS004")
+    assert finding.message.startswith("still running after 1 s; expected at most 1 s and ")
 
 
 def test_the_same_output_at_every_probe_is_looked_at_once(tmp_path):
@@ -302,8 +304,8 @@ def test_a_manifest_of_enormous_numbers_stops_nothing(tmp_path):
 def test_no_damage_to_a_file_makes_a_rule_crash(tmp_path_factory, edits):
     path = tmp_path_factory.getbasetemp() / "damaged.onnx"
     content = bytearray(save_moving(path, good_rows(2)).read_bytes())
-    for at, value in edits:
-        content[at % len(content)] = value
+    for offset, value in edits:
+        content[offset % len(content)] = value
     path.write_bytes(content)
     try:
         report = validate(path, ALL[Level.STATIC])
@@ -331,8 +333,8 @@ def no_time_for_extras(monkeypatch):
     """Let every extra probe be one that no time was left for, as on a slow machine."""
 
     @contextmanager
-    def shortened(path, names, probes, limits, *rest, **options):
-        with execute(path, names, probes, limits, *rest, **options) as execution:
+    def shortened(path, names, probes, limits, *arguments, **options):
+        with execute(path, names, probes, limits, *arguments, **options) as execution:
             runs = tuple(
                 replace(run, sample=-1, error="") if probes[run.probe].extra else run
                 for run in execution.runs
@@ -349,9 +351,9 @@ def test_a_rule_whose_probes_did_not_run_is_skipped_and_not_passed(
     outcome = report.outcome("GB013")
     assert outcome.status == "skipped"
     assert "of its probes did not run, 'time=0 with zero time' first: " in outcome.reason
-    assert outcome.reason.endswith("50% of the 120 s were gone (see --timeout)")
+    assert outcome.reason.endswith("50% of the 120 s were used up (see --timeout)")
     assert report.outcome("GB010").status == "skipped"
-    assert report.outcome("GI010").reason == "because GB013 was not judged"
+    assert report.outcome("GI010").reason == "because GB013 was not checked"
     assert report.outcome("GB001").status == "pass"  # needs no extra probe
     assert "  GB013 skipped: edges-finite" in [line.text for line in render(report)]
     assert report.verdict == "conforms"
@@ -370,9 +372,9 @@ def test_only_the_child_is_granted_memory_for_weights(tmp_path, monkeypatch):
     granted = []
 
     @contextmanager
-    def noted(path, names, probes, limits, *rest, **options):
+    def noted(path, names, probes, limits, *arguments, **options):
         granted.append(limits.memory)
-        with execute(path, names, probes, limits, *rest, **options) as execution:
+        with execute(path, names, probes, limits, *arguments, **options) as execution:
             yield execution
 
     monkeypatch.setattr(engine, "execute", noted)
@@ -387,7 +389,7 @@ def test_a_weight_beyond_the_limit_is_a_finding_however_large_its_file_is(tmp_pa
     path = find("huge_weight").write(tmp_path)
     report = validate(path, Settings(level=Level.STATIC))
     assert report.outcome("GS002").status == "fail"
-    (finding,) = (one for one in report.findings if one.rule == "GS002")
-    assert finding.message.endswith("wanted 2048 MiB at most")
+    (finding,) = (finding for finding in report.findings if finding.rule == "GS002")
+    assert finding.message.endswith("expected 2048 MiB at most")
     raised = Settings(level=Level.STATIC, limits=Limits(memory=4 << 30))
     assert validate(path, raised).outcome("GS002").status == "pass"

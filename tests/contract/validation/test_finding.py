@@ -59,9 +59,16 @@ def test_an_error_says_where_what_and_what_next(fields, text):
     assert str(GsgenError("9 rows", **fields)) == text
 
 
-FOUND = Finding(
-    *("GV003", "opacity-range", Severity.ERROR, Location("output g", "opacity")),
-    *("2 of 4 rows", "Mend it.", 2, 4, (Example("1.5", 3, "time=0"),)),
+FINDING = Finding(
+    rule="GV003",
+    slug="opacity-range",
+    severity=Severity.ERROR,
+    where=Location("output g", "opacity"),
+    message="2 of 4 rows",
+    hint="Repair it.",
+    count=2,
+    total=4,
+    examples=(Example("1.5", 3, "time=0"),),
 )
 
 
@@ -74,7 +81,9 @@ FOUND = Finding(
     ],
 )
 def test_a_fingerprint_does_not_change_with_numbers_and_settings(change):
-    assert replace(FOUND, **change).fingerprint == FOUND.fingerprint == "b83b67613a63b931"
+    assert (
+        replace(FINDING, **change).fingerprint == FINDING.fingerprint == "b83b67613a63b931"
+    )
 
 
 @pytest.mark.parametrize(
@@ -88,16 +97,16 @@ def test_a_fingerprint_does_not_change_with_numbers_and_settings(change):
     ],
 )
 def test_another_fault_has_another_fingerprint(change):
-    assert replace(FOUND, **change).fingerprint != FOUND.fingerprint
+    assert replace(FINDING, **change).fingerprint != FINDING.fingerprint
 
 
 def test_places_that_read_alike_have_their_own_fingerprints():
-    joined = replace(FOUND, where=Location("output g, opacity"))
-    assert str(joined.where) == str(FOUND.where)
-    assert joined.fingerprint != FOUND.fingerprint
+    joined = replace(FINDING, where=Location("output g, opacity"))
+    assert str(joined.where) == str(FINDING.where)
+    assert joined.fingerprint != FINDING.fingerprint
 
 
 @pytest.mark.parametrize(("waived", "known"), [(True, False), (False, True)])
 def test_what_is_waived_or_known_does_not_count(waived, known):
-    assert FOUND.counts
-    assert not replace(FOUND, waived=waived, known=known).counts
+    assert FINDING.counts
+    assert not replace(FINDING, waived=waived, known=known).counts

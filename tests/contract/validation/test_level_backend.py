@@ -4,7 +4,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from gsgen.contract.rules.catalogue import catalogue
+from gsgen.contract.rules.catalogue import builtin_rules
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.level_backend import (
@@ -33,36 +33,38 @@ def told(context):
 
 def judged(path, prepare, *rules, level=Level.LIVE) -> Report:
     runner = LevelBackend(Level.LIVE, "doing it live", contextmanager(prepare))
-    registry = Registry.of([*catalogue(), *rules], [runner])
+    registry = Registry.of([*builtin_rules(), *rules], [runner])
     return validate(path, Settings(level=level), registry=registry)
 
 
 def of_level(report, level=Level.LIVE):
-    return next(one for one in report.levels if one.level is level)
+    return next(outcome for outcome in report.levels if outcome.level is level)
 
 
 def test_rules_of_the_level_are_judged_with_what_was_prepared(good):
-    seen = []
+    arguments = []
 
     def prepare(trial):
-        seen.append(len(trial.execution.runs))
-        yield LevelContext(CONTEXT, items=3, environment={"device": "made up"}, seconds=100)
-        seen.append("closed")
+        arguments.append(len(trial.execution.runs))
+        yield LevelContext(
+            context=CONTEXT, items=3, environment={"device": "made up"}, seconds=100
+        )
+        arguments.append("closed")
 
     needing = made_up("acme/AC001", over="live", needs=("acme/AC002",))
     report = judged(good, prepare, needing, made_up("acme/AC002", told, over="live"))
-    assert (seen[0] > 8, seen[1:]) == (True, ["closed"])
+    assert (arguments[0] > 8, arguments[1:]) == (True, ["closed"])
     assert of_level(report).ran
     assert report.outcome("acme/AC001").reason == "because acme/AC002 does not hold"
     assert report.outcome("acme/AC002").items == 3
-    assert report.findings[0].message == f"{CONTEXT}; wanted something else"
+    assert report.findings[0].message == f"{CONTEXT}; expected something else"
     assert report.environment["device"] == "made up"
     assert report.runtime_seconds > 100
 
 
 def test_a_rule_that_cannot_be_judged_here_is_skipped_with_its_reason(good):
     def prepare(trial):
-        yield LevelContext(CONTEXT, unjudged={"acme/AC001": "no such unit"})
+        yield LevelContext(context=CONTEXT, skipped={"acme/AC001": "no such unit"})
 
     rules = [made_up(f"acme/AC00{k}", told, over="live", needs=()) for k in (1, 2)]
     report = judged(good, prepare, *rules)
@@ -108,7 +110,7 @@ def test_a_level_that_was_not_asked_for_is_not_prepared(good):
     report = judged(
         good, prepare, made_up("acme/AC001", over="live"), level=Level.BEHAVIOUR
     )
-    assert report.outcome("acme/AC001").reason == "level live was not asked for"
+    assert report.outcome("acme/AC001").reason == "level live was not requested"
 
 
 def test_a_model_that_does_not_run_is_not_run_live(tmp_path):
@@ -130,5 +132,5 @@ def test_a_level_has_one_runner():
     runner = LevelBackend(
         Level.LIVE, "doing it live", contextmanager(lambda trial: iter(()))
     )
-    with pytest.raises(ValueError, match="level live has two runners"):
+    with pytest.raises(ValueError, match="level live has two backends"):
         Registry.of([], [runner, runner])

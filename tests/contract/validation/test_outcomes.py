@@ -16,15 +16,17 @@ TARGET = Target("acme", "2", "A test.", (13, 20), 10, frozenset(), {"rows": 5})
 
 
 def board(*rules, kind="gaussian-generator", **settings):
-    return ResultCollector(Registry.of(rules), Settings(**settings), kind)
+    return ResultCollector(
+        registry=Registry.of(rules), settings=Settings(**settings), kind=kind
+    )
 
 
-def judge(made, *rules):
+def judge(results, *rules):
     for rule in rules:
-        if made.is_ready(rule):
-            made.judge(rule, None)
-            made.settle([rule], items=3)
-    return made
+        if results.is_ready(rule):
+            results.check(rule, None)
+            results.settle([rule], items=3)
+    return results
 
 
 def test_a_rule_that_finds_nothing_passes():
@@ -36,26 +38,26 @@ def test_a_rule_that_finds_nothing_passes():
 
 def test_a_rule_that_finds_something_fails_with_a_finding():
     rule = made_up("GV901", breaking, severity=Severity.WARNING)
-    made = judge(board(rule), rule)
-    assert made.outcomes["GV901"].status == "fail"
-    (finding,) = made.findings()
+    results = judge(board(rule), rule)
+    assert results.outcomes["GV901"].status == "fail"
+    (finding,) = results.findings()
     assert (finding.rule, finding.slug) == ("GV901", "made-up-gv901")
     assert finding.severity == Severity.WARNING
     assert finding.where == Location("output g")
-    assert finding.message == "nine; wanted ten"
+    assert finding.message == "nine; expected ten"
     assert finding.hint == "Make it so."
     assert (finding.count, finding.total, finding.certainty) == (1, 1, "confirmed")
     assert (finding.source, finding.waived) == ("contract", False)
 
 
 def test_a_rule_that_raises_is_crashed_and_says_where():
-    rule, other = made_up("GV901", crashing), made_up("GV902")
-    made = judge(board(rule, other), rule, other)
-    crashed = made.outcomes["GV901"]
+    rule, other_rule = made_up("GV901", crashing), made_up("GV902")
+    results = judge(board(rule, other_rule), rule, other_rule)
+    crashed = results.outcomes["GV901"]
     assert crashed.status == "crashed"
     assert crashed.reason.endswith("ZeroDivisionError: no luck")
     assert "in crashing" in crashed.reason
-    assert made.outcomes["GV902"].status == "pass"
+    assert results.outcomes["GV902"].status == "pass"
 
 
 def test_what_a_rule_found_before_it_crashed_is_kept():
@@ -64,46 +66,48 @@ def test_what_a_rule_found_before_it_crashed_is_kept():
         yield from crashing(subject)
 
     rule = made_up("GV901", both)
-    made = judge(board(rule), rule)
-    assert made.outcomes["GV901"].status == "crashed"
-    assert len(made.findings()) == 1
+    results = judge(board(rule), rule)
+    assert results.outcomes["GV901"].status == "crashed"
+    assert len(results.findings()) == 1
 
 
 def test_rules_that_need_a_broken_one_are_not_judged_and_name_it():
     first = made_up("GV901", breaking)
     second, third = made_up("GV902", needs=("GV901",)), made_up("GV903", needs=("GV902",))
-    made = judge(board(first, second, third), first, second, third)
+    results = judge(board(first, second, third), first, second, third)
     text = "because GV901 does not hold"
     for rule in (second, third):
-        outcome = Outcome(rule, "not-applicable", text, blocked_by="GV901")
-        assert made.outcomes[rule.id] == outcome
+        outcome = Outcome(
+            rule=rule, status="not-applicable", reason=text, blocked_by="GV901"
+        )
+        assert results.outcomes[rule.id] == outcome
 
 
 @pytest.mark.parametrize("status", ["crashed", "skipped"])
 def test_what_crashed_or_was_skipped_blocks_as_well(status):
     first, second = made_up("GV901", crashing), made_up("GV902", needs=("GV901",))
-    made = board(first, second)
+    results = board(first, second)
     if status == "skipped":
-        made.skip([first], "no time")
+        results.skip([first], "no time")
     else:
-        judge(made, first)
-    assert not made.is_ready(second)
-    assert made.outcomes["GV902"].blocked_by == "GV901"
+        judge(results, first)
+    assert not results.is_ready(second)
+    assert results.outcomes["GV902"].blocked_by == "GV901"
 
 
 def test_what_was_not_judged_blocks_as_well():
     first, second = made_up("GV901"), made_up("GV902", needs=("GV901",))
-    made = board(first, second)
-    assert made.ready([second]) == []
-    assert made.outcomes["GV902"].blocked_by == "GV901"
+    results = board(first, second)
+    assert results.ready([second]) == []
+    assert results.outcomes["GV902"].blocked_by == "GV901"
 
 
 def test_what_does_not_apply_blocks_nothing():
     first = made_up("GV901", breaking, target="another")
     second = made_up("GV902", needs=("GV901",))
-    made = judge(board(first, second), first, second)
-    assert made.outcomes["GV901"].status == "not-applicable"
-    assert made.outcomes["GV902"].status == "pass"
+    results = judge(board(first, second), first, second)
+    assert results.outcomes["GV901"].status == "not-applicable"
+    assert results.outcomes["GV902"].status == "pass"
 
 
 @pytest.mark.parametrize(
@@ -120,20 +124,22 @@ def test_what_does_not_apply_blocks_nothing():
 )
 def test_a_rule_applies_to_its_target_limit_and_kind(options, kind, reason):
     rule = made_up("GV901", **options)
-    made = board(rule, kind=kind, target=TARGET)
-    assert made.ready([rule]) == ([] if reason else [rule])
-    assert made.outcomes == (
-        {"GV901": Outcome(rule, "not-applicable", reason)} if reason else {}
+    results = board(rule, kind=kind, target=TARGET)
+    assert results.ready([rule]) == ([] if reason else [rule])
+    assert results.outcomes == (
+        {"GV901": Outcome(rule=rule, status="not-applicable", reason=reason)}
+        if reason
+        else {}
     )
 
 
 def test_a_rule_is_judged_once():
     rule = made_up("GV901")
-    made = judge(board(rule), rule)
-    assert not made.is_ready(rule)
-    made.skip([rule], "too late")
-    made.settle([rule], items=99)
-    assert made.outcomes["GV901"].items == 3
+    results = judge(board(rule), rule)
+    assert not results.is_ready(rule)
+    results.skip([rule], "too late")
+    results.settle([rule], items=99)
+    assert results.outcomes["GV901"].items == 3
 
 
 def test_breaches_at_one_place_are_one_finding():
@@ -143,8 +149,8 @@ def test_breaches_at_one_place_are_one_finding():
         yield Violation.at("output a", "x", "y")
 
     rule = made_up("GV901", many)
-    found = judge(board(rule), rule).findings()
-    assert [(one.where.subject, one.count) for one in found] == [
+    findings = judge(board(rule), rule).findings()
+    assert [(finding.where.subject, finding.count) for finding in findings] == [
         ("output a", 2),
         ("output b", 1),
     ]
@@ -157,10 +163,10 @@ def test_more_than_twenty_places_are_counted_with_the_first():
                 yield Violation.at(f"output {index}", "x", "y")
 
     rule = made_up("GV901", many)
-    found = judge(board(rule), rule).findings()
-    assert len(found) == 20
-    assert [one.count for one in found] == [12] + [2] * 19
-    assert [one.truncated for one in found] == [True] + [False] * 19
+    findings = judge(board(rule), rule).findings()
+    assert len(findings) == 20
+    assert [finding.count for finding in findings] == [12] + [2] * 19
+    assert [finding.truncated for finding in findings] == [True] + [False] * 19
 
 
 def test_findings_come_worst_first_then_in_order_of_the_catalogue():
@@ -169,8 +175,8 @@ def test_findings_come_worst_first_then_in_order_of_the_catalogue():
         made_up(f"GV90{index}", breaking, severity=severity)
         for index, severity in enumerate(severities)
     ]
-    found = judge(board(*rules), *rules).findings()
-    assert [one.rule for one in found] == ["GV901", "GV903", "GV902", "GV900"]
+    findings = judge(board(*rules), *rules).findings()
+    assert [finding.rule for finding in findings] == ["GV901", "GV903", "GV902", "GV900"]
 
 
 def test_an_ignored_rule_is_found_but_waived():
@@ -181,8 +187,8 @@ def test_an_ignored_rule_is_found_but_waived():
 
 def test_severities_from_the_settings_hold():
     rule = made_up("GV901", breaking)
-    made = judge(board(rule, severities={"GV901": Severity.INFO}), rule)
-    assert made.findings()[0].severity == Severity.INFO
+    results = judge(board(rule, severities={"GV901": Severity.INFO}), rule)
+    assert results.findings()[0].severity == Severity.INFO
 
 
 @pytest.mark.parametrize("options", [{"target": "acme"}, {"limit": "rows"}])
@@ -201,16 +207,18 @@ def test_a_severity_that_a_target_sets_comes_from_it():
 
 def test_rows_of_several_probes_add_up():
     def odd(chunk):
-        bad = chunk % 2 == 1
-        yield Violation.rows(Location("output g"), bad, chunk, "even", judged=len(bad))
+        invalid = chunk % 2 == 1
+        yield Violation.rows(
+            Location("output g"), invalid, chunk, "even", checked=len(invalid)
+        )
 
     rule = made_up("GV901", odd, over="rows")
-    made = board(rule)
+    results = board(rule)
     for probe in ("a", "b"):
         for start in (0, 4):
-            assert made.judge(rule, np.arange(start, start + 4), probe, start)
-    made.settle([rule])
-    (finding,) = made.findings()
+            assert results.check(rule, np.arange(start, start + 4), probe, start)
+    results.settle([rule])
+    (finding,) = results.findings()
     assert (finding.count, finding.total) == (8, 16)
     assert [(e.row, e.probe) for e in finding.examples] == [
         (1, "a"),

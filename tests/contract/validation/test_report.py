@@ -12,12 +12,21 @@ RULE = made_up("GV901")
 
 
 def finding(severity=Severity.ERROR, **changes):
-    made = Finding("GV901", "s", severity, Location("output g"), "nine", "hint", 1, 1)
-    return replace(made, **changes)
+    summary = Finding(
+        rule="GV901",
+        slug="s",
+        severity=severity,
+        where=Location("output g"),
+        message="nine",
+        hint="hint",
+        count=1,
+        total=1,
+    )
+    return replace(summary, **changes)
 
 
 def report(*findings, statuses=("pass",), fail_on=Severity.ERROR):
-    outcomes = tuple(Outcome(RULE, status) for status in statuses)
+    outcomes = tuple(Outcome(rule=RULE, status=status) for status in statuses)
     return Report(
         path="a.onnx",
         size=1,
@@ -54,45 +63,45 @@ def test_what_is_waived_known_or_only_possible_never_fails(changes):
 
 @pytest.mark.parametrize("findings", [(), (finding(),)])
 def test_a_crashed_rule_leaves_no_verdict(findings):
-    made = report(*findings, statuses=("pass", "crashed", "fail"))
-    assert made.verdict == "internal-error"
+    summary = report(*findings, statuses=("pass", "crashed", "fail"))
+    assert summary.verdict == "internal-error"
 
 
 def test_counts_leave_out_what_is_waived_or_known():
-    made = report(
+    summary = report(
         finding(), finding(waived=True), finding(known=True), finding(Severity.INFO)
     )
-    assert [made.count(severity) for severity in Severity] == [1, 0, 1]
+    assert [summary.count(severity) for severity in Severity] == [1, 0, 1]
 
 
 def test_every_status_is_counted():
-    made = report(statuses=("pass", "pass", "skipped", "fail"))
-    assert made.statuses == {"pass": 2, "skipped": 1, "fail": 1}
-    assert made.statuses["crashed"] == 0
+    summary = report(statuses=("pass", "pass", "skipped", "fail"))
+    assert summary.statuses == {"pass": 2, "skipped": 1, "fail": 1}
+    assert summary.statuses["crashed"] == 0
 
 
 def test_an_outcome_is_found_by_its_rule():
-    made = report()
-    assert made.outcome("GV901") is made.outcomes[0]
+    summary = report()
+    assert summary.outcome("GV901") is summary.outcomes[0]
     with pytest.raises(KeyError, match="GV902"):
-        made.outcome("GV902")
+        summary.outcome("GV902")
 
 
 def test_causes_are_rules_that_keep_others_from_being_judged():
     names = ("GV901", "GV902", "GV903", "GV904")
     first, second, third, fourth = (made_up(name) for name in names)
-    root = Outcome(second, "fail")
+    root = Outcome(rule=second, status="fail")
     blocked = [
-        Outcome(one, "not-applicable", "because", blocked_by="GV902")
-        for one in (first, fourth)
+        Outcome(rule=outcome, status="not-applicable", reason="because", blocked_by="GV902")
+        for outcome in (first, fourth)
     ]
-    outcomes = (blocked[0], root, Outcome(third, "pass"), blocked[1])
-    made = replace(report(), outcomes=outcomes)
-    assert made.causes == (Cause(root, (first, fourth)),)
+    outcomes = (blocked[0], root, Outcome(rule=third, status="pass"), blocked[1])
+    summary = replace(report(), outcomes=outcomes)
+    assert summary.causes == (Cause(root, (first, fourth)),)
     assert report().causes == ()
 
 
-GOOD, BAD, CRASHED = report(), report(finding()), report(statuses=("crashed",))
+GOOD, INVALID, CRASHED = report(), report(finding()), report(statuses=("crashed",))
 
 
 @pytest.mark.parametrize(
@@ -100,9 +109,9 @@ GOOD, BAD, CRASHED = report(), report(finding()), report(statuses=("crashed",))
     [
         ([], 0),
         ([GOOD, GOOD], 0),
-        ([GOOD, BAD], 1),
+        ([GOOD, INVALID], 1),
         ([CRASHED, GOOD], 3),
-        ([BAD, CRASHED], 3),
+        ([INVALID, CRASHED], 3),
     ],
 )
 def test_the_exit_code_is_that_of_the_worst_report(reports, code):

@@ -9,7 +9,7 @@ from support.reports.rules import made_up
 
 
 def declared(
-    id="GV999", slug="always-so", doc="It is so.\n\nWhy:\n  x\n\nMend:\n  y", **options
+    id="GV999", slug="always-so", doc="It is so.\n\nWhy:\n  x\n\nHint:\n  y", **options
 ):
     def check(_):
         return iter(())
@@ -35,7 +35,7 @@ def test_a_rule_takes_its_text_from_its_docstring():
         """
 
     assert always_so.statement == "It is so, whatever happens."
-    assert always_so.why == "Because nothing else would do."
+    assert always_so.rationale == "Because nothing else would do."
     assert always_so.hint == "Make it so."
     assert (always_so.id, always_so.slug, always_so.family) == ("GV999", "always-so", "GV")
     assert (always_so.severity, always_so.fixture) == (Severity.WARNING, "broken")
@@ -45,9 +45,9 @@ def test_a_rule_takes_its_text_from_its_docstring():
 
 
 def test_a_rule_may_say_where_it_was_seen_to_break_something():
-    doc = "It is so.\n\nWhy:\n  x\n\nMend:\n  y\n\nEvidence:\n  Seen\n  in a viewer.\n"
-    made = declared(doc=doc)
-    assert (made.hint, made.evidence) == ("y", "Seen in a viewer.")
+    doc = "It is so.\n\nWhy:\n  x\n\nHint:\n  y\n\nEvidence:\n  Seen\n  in a viewer.\n"
+    declaration = declared(doc=doc)
+    assert (declaration.hint, declaration.evidence) == ("y", "Seen in a viewer.")
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_an_id_is_two_letters_and_three_digits_with_a_name_in_front(id):
 )
 def test_another_id_is_refused(id):
     with pytest.raises(
-        ValueError, match="wanted an id like GV003 and a slug like opacity-range"
+        ValueError, match="expected an id like GV003 and a slug like opacity-range"
     ):
         declared(id)
 
@@ -86,7 +86,7 @@ def test_another_id_is_refused(id):
 )
 def test_another_slug_is_refused(slug):
     with pytest.raises(
-        ValueError, match="wanted an id like GV003 and a slug like opacity-range"
+        ValueError, match="expected an id like GV003 and a slug like opacity-range"
     ):
         declared(slug=slug)
 
@@ -98,16 +98,17 @@ def test_another_slug_is_refused(slug):
         "",
         "It is so.",
         "It is so.\n\nWhy:\n  x",
-        "It is so.\n\nMend:\n  y",
-        "It is so.\n\nMend:\n  y\n\nWhy:\n  x",
-        "\nWhy:\n  x\n\nMend:\n  y",
-        "It is so.\n\nWhy:\n\nMend:\n  y",
-        "It is so.\n\nWhy:\n  x\n\nMend:\n",
+        "It is so.\n\nHint:\n  y",
+        "It is so.\n\nHint:\n  y\n\nWhy:\n  x",
+        "\nWhy:\n  x\n\nHint:\n  y",
+        "It is so.\n\nWhy:\n\nHint:\n  y",
+        "It is so.\n\nWhy:\n  x\n\nHint:\n",
     ],
 )
 def test_a_rule_without_sentence_reason_or_remedy_is_refused(doc):
     with pytest.raises(
-        ValueError, match=r"^GV999: the docstring needs a sentence, a `Why:` and"
+        ValueError,
+        match=r"^GV999: the docstring lacks a part: expected a statement, a `Why:` and",
     ):
         declared(doc=doc)
 
@@ -115,7 +116,7 @@ def test_a_rule_without_sentence_reason_or_remedy_is_refused(doc):
 def test_a_module_has_the_rules_it_declares_in_order():
     module = ModuleType("acme")
     module.b, module.a, module.number = made_up("GV902"), made_up("GV901"), 3
-    assert [one.id for one in rules_in(module)] == ["GV902", "GV901"]
+    assert [entry.id for entry in rules_in(module)] == ["GV902", "GV901"]
 
 
 def test_a_registry_has_every_id_once():

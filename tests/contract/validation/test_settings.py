@@ -77,7 +77,7 @@ def test_what_a_file_ignores_comes_on_top(read):
 
 
 @pytest.mark.parametrize(
-    ("text", "error", "said"),
+    ("text", "error", "message"),
     [
         (
             "[validte]\n",
@@ -161,10 +161,12 @@ def test_what_a_file_ignores_comes_on_top(read):
         ),
     ],
 )
-def test_what_cannot_be_meant_is_an_error_with_its_place(read, tmp_path, text, error, said):
+def test_what_cannot_be_meant_is_an_error_with_its_place(
+    read, tmp_path, text, error, message
+):
     with pytest.raises(error) as caught:
         read(text)
-    assert str(caught.value).startswith(f"{tmp_path / 'gsgen.toml'}{said}")
+    assert str(caught.value).startswith(f"{tmp_path / 'gsgen.toml'}{message}")
 
 
 def test_a_time_that_is_no_number_is_refused(read):
@@ -249,15 +251,21 @@ def test_a_file_can_waive_findings_with_a_reason(read, tmp_path):
     )
     where, next_year = "output gaussians, opacity", date(2027, 1, 1)
     assert settings.waivers == (
-        Waiver("GV004", "Dust, on purpose."),
-        Waiver("GV003", "Until the next export.", where, "garden*.onnx", next_year),
-        Waiver("GV005", "Known.", until=date(2027, 1, 2)),
+        Waiver(rule="GV004", reason="Dust, on purpose."),
+        Waiver(
+            rule="GV003",
+            reason="Until the next export.",
+            where=where,
+            model="garden*.onnx",
+            until=next_year,
+        ),
+        Waiver(rule="GV005", reason="Known.", until=date(2027, 1, 2)),
     )
     assert settings.source == str(tmp_path / "gsgen.toml")
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ('rule = "GV004"', ", waive.0: 'reason' is a required property"),
         ('reason = "x"', ", waive.0: 'rule' is a required property"),
@@ -272,7 +280,7 @@ def test_a_file_can_waive_findings_with_a_reason(read, tmp_path):
         ),
         (
             'rule = "GV004"\nreason = "x"\nuntil = "soon"',
-            ", waive.0.until: 'soon' is no day; wanted one like 2027-01-01",
+            ", waive.0.until: 'soon' is not a date: expected one like 2027-01-01",
         ),
         (
             'rule = "GV004"\nreason = "x"\nuntil = 2027-01-01T00:00:00',
@@ -284,10 +292,10 @@ def test_a_file_can_waive_findings_with_a_reason(read, tmp_path):
         ),
     ],
 )
-def test_a_waiver_that_cannot_be_meant_is_an_error(read, tmp_path, text, said):
+def test_a_waiver_that_cannot_be_meant_is_an_error(read, tmp_path, text, message):
     with pytest.raises(ConfigInvalid) as caught:
         read(f"[[waive]]\n{text}\n")
-    assert str(caught.value).startswith(f"{tmp_path / 'gsgen.toml'}{said}")
+    assert str(caught.value).startswith(f"{tmp_path / 'gsgen.toml'}{message}")
 
 
 @pytest.mark.parametrize("text", ["waive = 3", "waive = [3]", "[waive]\nrule = 1"])

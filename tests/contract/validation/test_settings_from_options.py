@@ -19,12 +19,12 @@ def test_words_win_over_the_file_of_the_current_folder(
     assert make_settings(REGISTRY).source == "defaults"
     text = '[validate]\ntarget = "webgpu"\nlevel = "static"\nfail_on = "warning"\n'
     Path("gsgen.toml").write_text(text)
-    found = make_settings(REGISTRY, level="values")
-    assert (found.target.name, found.source) == ("webgpu", "gsgen.toml")
-    assert (found.level, found.fail_on) == (Level.VALUES, Severity.WARNING)
+    settings = make_settings(REGISTRY, level="values")
+    assert (settings.target.name, settings.source) == ("webgpu", "gsgen.toml")
+    assert (settings.level, settings.fail_on) == (Level.VALUES, Severity.WARNING)
     Path("other.toml").write_text('[validate]\ntarget = "visionary"\n')
-    other = make_settings(REGISTRY, config=Path("other.toml"))
-    assert (other.target.name, other.level) == ("visionary", Level.BEHAVIOUR)
+    unchanged = make_settings(REGISTRY, config=Path("other.toml"))
+    assert (unchanged.target.name, unchanged.level) == ("visionary", Level.BEHAVIOUR)
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ def test_words_win_over_the_file_of_the_current_folder(
         ({"ignore": ["GV003,GV03"]}, "--ignore: unknown rule 'GV03'"),
         ({"severity": ["GV003"]}, "--severity: 'GV003' has no '='"),
         ({"severity": ["GV003=bad"], "prefix": "--gsgen-"}, "--gsgen-severity: unknown"),
-        ({"timeout": 0.0}, "wanted more than 0"),
+        ({"timeout": 0.0}, "expected more than 0"),
         ({"config": Path("none.toml")}, "none.toml: cannot be read"),
     ],
 )
@@ -50,7 +50,7 @@ def test_a_wrong_word_names_itself(words: dict[str, str], message: str) -> None:
 
 
 def test_every_word_counts() -> None:
-    made = make_settings(
+    settings = make_settings(
         REGISTRY,
         ignore=["GV003,mostly-visible", "gm001"],
         severity=["GV005=info"],
@@ -59,7 +59,7 @@ def test_every_word_counts() -> None:
         strict=True,
         seed=4,
     )
-    assert made.ignore >= {"GV003", "GV004", "GM001"}
-    assert dict(made.severities) == {"GV005": Severity.INFO}
-    assert (made.limits.seconds, made.limits.memory) == (3.5, 70 << 20)
-    assert (made.strict, made.seed) == (True, 4)
+    assert settings.ignore >= {"GV003", "GV004", "GM001"}
+    assert dict(settings.severities) == {"GV005": Severity.INFO}
+    assert (settings.limits.seconds, settings.limits.memory) == (3.5, 70 << 20)
+    assert (settings.strict, settings.seed) == (True, 4)

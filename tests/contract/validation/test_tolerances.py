@@ -16,8 +16,11 @@ STATIC = Settings(level=Level.STATIC)
 
 
 def tolerances(path):
-    found = validate(path, STATIC).tolerances
-    return {one.field: (one.value, one.source) for one in found}
+    tolerances_found = validate(path, STATIC).tolerances
+    return {
+        tolerance.field: (tolerance.value, tolerance.source)
+        for tolerance in tolerances_found
+    }
 
 
 @pytest.fixture
@@ -47,14 +50,19 @@ def test_what_the_manifest_does_not_say_is_the_default(declaring):
 
 
 def test_what_the_manifest_says_holds_even_where_it_says_the_default(declaring):
-    found = tolerances(declaring({"tolerances": {"opacity": 0.1, "position": 1e-3}}))
-    assert found["opacity"] == (0.1, "manifest")
-    assert found["position"] == (1e-3, "manifest")
-    assert found["covariance"] == (1e-3, "default")
+    tolerances_found = tolerances(
+        declaring({"tolerances": {"opacity": 0.1, "position": 1e-3}})
+    )
+    assert tolerances_found["opacity"] == (0.1, "manifest")
+    assert tolerances_found["position"] == (1e-3, "manifest")
+    assert tolerances_found["covariance"] == (1e-3, "default")
 
 
 def test_units_come_from_the_manifest_s_own_declaration(declaring):
-    units = {one.field: one.unit for one in validate(declaring({}), STATIC).tolerances}
+    units = {
+        tolerance.field: tolerance.unit
+        for tolerance in validate(declaring({}), STATIC).tolerances
+    }
     assert units["position"] == "in standard deviations of the Gaussian"
     assert units["opacity"] == "absolute"
 
@@ -75,12 +83,13 @@ def test_the_configuration_wins_over_the_manifest(declaring, tmp_path):
     file = tmp_path / "gsgen.toml"
     file.write_text("[tolerances]\nopacity = 0.5\n")
     settings = replace(read_config(file, installed_rules()), level=Level.STATIC)
-    found = {
-        one.field: (one.value, one.source) for one in validate(path, settings).tolerances
+    tolerances_found = {
+        tolerance.field: (tolerance.value, tolerance.source)
+        for tolerance in validate(path, settings).tolerances
     }
-    assert found["opacity"] == (0.5, "config")
-    assert found["position"] == (0.2, "manifest")
-    assert found["covariance"] == (1e-3, "default")
+    assert tolerances_found["opacity"] == (0.5, "config")
+    assert tolerances_found["position"] == (0.2, "manifest")
+    assert tolerances_found["covariance"] == (1e-3, "default")
 
 
 @pytest.mark.parametrize(
@@ -97,7 +106,11 @@ def test_a_tolerance_that_cannot_be_meant_is_refused(tmp_path, text, message):
 def told_of_the_optimiser(path, **settings):
     report = validate(path, Settings(**settings))
     assert report.outcome("GB010").status in ("pass", "fail")
-    return [f"{one.where}: {one.message}" for one in report.findings if one.rule == "GB010"]
+    return [
+        f"{tolerance.where}: {tolerance.message}"
+        for tolerance in report.findings
+        if tolerance.rule == "GB010"
+    ]
 
 
 def test_rules_that_compare_take_their_numbers_from_there(tmp_path):
@@ -106,11 +119,11 @@ def test_rules_that_compare_take_their_numbers_from_there(tmp_path):
     (message,) = told_of_the_optimiser(tmp_path / "m.onnx")
     assert message.startswith("output gaussians, position: row ")
     unit = "in standard deviations of the Gaussian"
-    assert f"wanted 0.001 at most, {unit} (the contract's own)" in message
+    assert f"expected 0.001 at most, {unit} (the contract's own)" in message
     (message,) = told_of_the_optimiser(tmp_path / "m.onnx", tolerances={"position": 0.5})
-    assert f"wanted 0.5 at most, {unit} (by the configuration)" in message
+    assert f"expected 0.5 at most, {unit} (by the configuration)" in message
     assert not told_of_the_optimiser(tmp_path / "m.onnx", tolerances={"position": 1e3})
     sketch.declaring(tolerances=Tolerances(position=0.25)).write(tmp_path / "m.onnx")
     (message,) = told_of_the_optimiser(tmp_path / "m.onnx")
-    assert "wanted 0.25 at most" in message
+    assert "expected 0.25 at most" in message
     assert "(by the manifest)" in message

@@ -6,13 +6,20 @@ import pytest
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Finding, Location
 from gsgen.contract.validation.settings import Settings
-from gsgen.contract.validation.waivers import Waiver, waive
+from gsgen.contract.validation.waivers import Waiver, apply_waivers
 from gsgen.contract.validator import validate
 from support.models.small_models import good_rows, save_moving
 
 TODAY = date(2026, 6, 1)
 FINDING = Finding(
-    "GV003", "s", Severity.ERROR, Location("output g", "opacity"), "nine", "hint", 1, 1
+    rule="GV003",
+    slug="s",
+    severity=Severity.ERROR,
+    where=Location("output g", "opacity"),
+    message="nine",
+    hint="hint",
+    count=1,
+    total=1,
 )
 
 
@@ -29,10 +36,10 @@ FINDING = Finding(
     ],
 )
 def test_a_waiver_covers_findings_of_its_rule_at_its_place(rule, where, covers):
-    waiver = Waiver(rule, "Known.", where=where)
-    (found,) = waive([FINDING], [waiver], TODAY)
+    waiver = Waiver(rule=rule, reason="Known.", where=where)
+    (finding,) = apply_waivers([FINDING], [waiver], TODAY)
     assert waiver.covers(FINDING) is covers
-    assert (found.waived, found.waiver) == (covers, "Known." if covers else "")
+    assert (finding.waived, finding.waiver) == (covers, "Known." if covers else "")
 
 
 @pytest.mark.parametrize(
@@ -40,8 +47,10 @@ def test_a_waiver_covers_findings_of_its_rule_at_its_place(rule, where, covers):
     [(None, True), (date(2026, 6, 1), True), (date(2026, 5, 31), False)],
 )
 def test_a_waiver_holds_on_its_last_day_and_not_after(until, holds):
-    (found,) = waive([FINDING], [Waiver("GV003", "Known.", until=until)], TODAY)
-    assert found.waived is holds
+    (finding,) = apply_waivers(
+        [FINDING], [Waiver(rule="GV003", reason="Known.", until=until)], TODAY
+    )
+    assert finding.waived is holds
 
 
 @pytest.mark.parametrize(
@@ -57,7 +66,7 @@ def test_a_waiver_holds_on_its_last_day_and_not_after(until, holds):
     ],
 )
 def test_a_waiver_speaks_of_all_models_or_of_those_it_names(model, speaks):
-    settings = Settings(waivers=(Waiver("GV003", "Known.", model=model),))
+    settings = Settings(waivers=(Waiver(rule="GV003", reason="Known.", model=model),))
     assert bool(settings.for_model(Path("m/a.onnx")).waivers) is speaks
 
 
@@ -76,37 +85,41 @@ def judge(tmp_path):
 
 
 def rules_of(report):
-    return [(one.rule, one.waived) for one in report.findings]
+    return [(finding.rule, finding.waived) for finding in report.findings]
 
 
 def test_a_waived_finding_does_not_fail(judge):
     assert judge().verdict == "invalid"
-    report = judge(Waiver("GV003", "Known."))
+    report = judge(Waiver(rule="GV003", reason="Known."))
     assert report.verdict == "conforms"
     assert rules_of(report) == [("GV003", True)]
 
 
 def test_a_waiver_that_waives_nothing_is_a_finding(judge):
-    report = judge(Waiver("GV003", "Known.", where="output gaussian"))
+    report = judge(Waiver(rule="GV003", reason="Known.", where="output gaussian"))
     assert rules_of(report) == [("GV003", False), ("GW001", False)]
     assert report.findings[1].where == Location("waiver of GV003 at output gaussian")
-    assert report.findings[1].message.startswith("nothing to waive; wanted ")
+    assert report.findings[1].message.startswith("no matching finding; expected ")
 
 
 def test_a_waiver_that_has_ended_is_a_finding_and_waives_nothing(judge):
-    report = judge(Waiver("GV003", "Known.", until=date(2026, 5, 31)))
+    report = judge(Waiver(rule="GV003", reason="Known.", until=date(2026, 5, 31)))
     assert rules_of(report) == [("GV003", False), ("GW001", False)]
-    assert report.findings[1].message.startswith("ended on 2026-05-31; wanted ")
+    assert report.findings[1].message.startswith("expired on 2026-05-31; expected ")
 
 
 def test_a_waiver_of_what_was_not_judged_is_left_alone(judge):
-    report = judge(Waiver("GV003", "Known."), level=Level.STATIC)
+    report = judge(Waiver(rule="GV003", reason="Known."), level=Level.STATIC)
     assert report.outcome("GV003").status == "skipped"
     assert rules_of(report) == []
     assert report.outcome("GW001").status == "pass"
 
 
 def test_what_reviews_waivers_can_be_waived(judge):
-    unneeded = Waiver("GV004", "For later.")
-    report = judge(Waiver("GV003", "Known."), unneeded, Waiver("GW001", "I know."))
+    unneeded = Waiver(rule="GV004", reason="For later.")
+    report = judge(
+        Waiver(rule="GV003", reason="Known."),
+        unneeded,
+        Waiver(rule="GW001", reason="I know."),
+    )
     assert rules_of(report) == [("GV003", True), ("GW001", True)]

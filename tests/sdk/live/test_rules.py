@@ -81,15 +81,15 @@ def test_what_is_wrong_is_said_in_words(broken):
     assert said["GB014"] == (
         "graph: This session cannot use the graph capture feature as requested by the user as "
         "the model has control flow nodes which can't be supported by WebGpuExecutionProvider; "
-        "wanted a session that captures"
+        "expected a session that captures"
     )
     assert said["GB015"] == (
         "node Round (Round): runs in CPUExecutionProvider; "
-        "wanted a kernel in the WebGPU provider"
+        "expected a kernel in the WebGPU provider"
     )
     assert said["GB016"] == (
         "output gaussians: repeats frame 0 in all 6 replays; made by ReduceSum (node ReduceSum); "
-        "wanted what the plain session gives"
+        "expected what the plain session gives"
     )
     assert said["GB017"].startswith("graph: stopped in frame 0 (plain session): ")
     assert "Too many storage buffers in shader" in said["GB017"]

@@ -26,8 +26,8 @@ _CHOSEN = (
 
 # One that is needed, and one that has ended.
 _WAIVERS = (
-    Waiver("GV005", "Row 9 is mended in the next export.", model="broken.onnx"),
-    Waiver("GM001", "Not ours.", model="foreign.onnx", until=date(2026, 5, 31)),
+    Waiver(rule="GV005", reason="Row 9 is mended in the next export.", model="broken.onnx"),
+    Waiver(rule="GM001", reason="Not ours.", model="foreign.onnx", until=date(2026, 5, 31)),
 )
 
 

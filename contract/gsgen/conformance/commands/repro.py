@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.contract.commands.options import Config, Memory, Seed, TargetName, Timeout
+from gsgen.contract.errors import ExitCode
 
 if TYPE_CHECKING:
     from gsgen.conformance.reproduction import Reproduction
 
-_UNREADABLE = 4
 _FIELDS = ("x", "y", "z", "opacity", "xx", "xy", "xz", "yy", "yz", "zz")
 _COLOR_SHOWN = 6
 
@@ -55,11 +55,11 @@ def repro(
         found = reproduce(model, wanted, settings, probe=probe, dump=dump)
     except ModelUnreadable as error:
         typer.echo(f"gsgen: {error}", err=True)
-        raise typer.Exit(_UNREADABLE) from error
+        raise typer.Exit(ExitCode.UNREADABLE) from error
     _show(model, found)
     if dump is not None and dump.is_file():
         typer.echo(f"  inputs and outputs: {dump}")
-    raise typer.Exit(1 if found.findings else 0)
+    raise typer.Exit(ExitCode.FAILURE if found.findings else ExitCode.SUCCESS)
 
 
 def _show(model: Path, found: "Reproduction") -> None:

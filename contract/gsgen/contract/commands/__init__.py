@@ -1,1 +1,1 @@
-"""The commands that come with the contract, one module each."""
+"""Which commands come with the contract? One module per command."""

@@ -1,4 +1,4 @@
-"""`gsgen diff`: how two models differ."""
+"""`gsgen diff`: compare two models."""
 
 __all__ = ["diff"]
 
@@ -10,58 +10,59 @@ from typing import Annotated
 
 import typer
 
-from gsgen.contract.errors import ModelUnreadable
-
-_UNREADABLE = 4
+from gsgen.contract.errors import ExitCode
 
 
 def diff(
     first: Annotated[Path, typer.Argument(help="An ONNX file.", show_default=False)],
-    second: Annotated[Path, typer.Argument(help="Another.", show_default=False)],
+    second: Annotated[
+        Path, typer.Argument(help="The ONNX file to compare with.", show_default=False)
+    ],
     tolerance: Annotated[
         float,
-        typer.Option(help="Largest difference of outputs that counts as none.", min=0.0),
+        typer.Option(
+            help="Largest absolute difference of outputs that counts as equal.", min=0.0
+        ),
     ] = 0.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
-    """Show how two models differ: what they declare, their graphs, and what they emit.
+    """Compare the declarations, the graphs and the outputs of two models.
 
-    Exits 0 if they do not, 1 if they do, 4 if a file is no model.
+    Exits 0 if they are equal, 1 if they differ, 4 if a file is not an ONNX model.
     """
     from gsgen.contract.tools.model_diff import compare_models
 
-    try:
-        facts, outputs, reason = compare_models(first, second)
-    except ModelUnreadable as error:
-        typer.echo(f"gsgen: {error}", err=True)
-        raise typer.Exit(_UNREADABLE) from error
-    apart = [one for one in outputs if one.largest > tolerance]
+    facts, outputs, reason = compare_models(first, second)
+    differing = [output for output in outputs if output.largest > tolerance]
+    code = ExitCode.FAILURE if facts or differing or reason else ExitCode.SUCCESS
     if as_json:
-        made = {
-            "facts": [asdict(one) for one in facts],
-            "outputs": [asdict(one) | {"largest": _finite(one.largest)} for one in outputs],
+        document = {
+            "facts": [asdict(fact) for fact in facts],
+            "outputs": [
+                asdict(output) | {"largest": _finite(output.largest)} for output in outputs
+            ],
             "not_compared": reason or None,
         }
-        typer.echo(json.dumps(made, indent=2, ensure_ascii=False))
-        raise typer.Exit(int(bool(facts or apart or reason)))
+        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+        raise typer.Exit(code)
     for fact in facts:
         typer.echo(f"{fact.kind}  {fact.what}: {fact.first} → {fact.second}")
-    for one in outputs:
+    for output in outputs:
         same = (
             "equal bits"
-            if one.largest == 0
+            if output.largest == 0
             else (
-                f"up to {one.largest:.3g} apart, {one.rows:,} rows differ (worst: {one.probe})"
+                f"differ by up to {output.largest:.3g}, in {output.rows:,} rows (worst: {output.probe})"
             )
         )
-        typer.echo(f"output  {one.role}: {same}")
+        typer.echo(f"output  {output.role}: {same}")
     if reason:
         typer.echo(f"outputs were not compared: {reason}")
-    if not facts and not apart and not reason:
+    if code == ExitCode.SUCCESS:
         typer.echo("no difference")
-    raise typer.Exit(int(bool(facts or apart or reason)))
+    raise typer.Exit(code)
 
 
 def _finite(number: float) -> float | None:
-    """Return a number as JSON has it: null where it has none, as for shapes that differ."""
+    """Return ``number``, or None if it is infinite, as where shapes differ: JSON has no infinity."""
     return number if math.isfinite(number) else None

@@ -1,4 +1,4 @@
-"""`gsgen doctor`: what works here, what is missing, and the command that mends it."""
+"""`gsgen doctor`: check the installation, and name the command that repairs it."""
 
 __all__ = ["doctor"]
 
@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.contract._entry_points import registered
+from gsgen.contract._entry_points import registered_entry_points
+from gsgen.contract.errors import ExitCode
 
 if TYPE_CHECKING:
     from gsgen.contract.tools.doctor import Check
@@ -21,20 +22,26 @@ _STYLE = {"ok": "green", "missing": "yellow", "broken": "bold red"}
 def doctor(
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
-    """Show versions, drivers and adapters, and how to mend what is missing.
+    """Show versions, drivers and adapters, and how to install missing parts.
 
     Exits 1 if something that is installed does not work.
     """
     from gsgen.contract.commands.output import show
     from gsgen.contract.reporters.text import Line
 
-    found = {point.name: _ask(point) for point in _rooms()}
-    broken = any(check.state == "broken" for checks in found.values() for check in checks)
+    checks_by_room = {point.name: _ask(point) for point in _rooms()}
+    broken = any(
+        check.state == "broken" for checks in checks_by_room.values() for check in checks
+    )
+    code = ExitCode.FAILURE if broken else ExitCode.SUCCESS
     if as_json:
-        made = {room: [asdict(check) for check in checks] for room, checks in found.items()}
-        typer.echo(json.dumps(made, indent=2))
-        raise typer.Exit(int(broken))
-    for room, checks in found.items():
+        document = {
+            room: [asdict(check) for check in checks]
+            for room, checks in checks_by_room.items()
+        }
+        typer.echo(json.dumps(document, indent=2))
+        raise typer.Exit(code)
+    for room, checks in checks_by_room.items():
         show([Line(room, "bold")])
         for check in checks:
             purpose = f"  ({check.purpose})" if check.purpose else ""
@@ -42,17 +49,17 @@ def doctor(
             show([Line(text, _STYLE[check.state])])
             if check.remedy:
                 show([Line(f"          hint: {check.remedy}")])
-    raise typer.Exit(int(broken))
+    raise typer.Exit(code)
 
 
 def _rooms() -> list[EntryPoint]:
-    """Return what each room registered, ours first."""
+    """Return the registered checks of every package, those of gsgen first."""
 
     def rank(point: EntryPoint) -> tuple[int, str]:
-        ours = point.name in _ORDER
-        return (_ORDER.index(point.name) if ours else len(_ORDER), point.name)
+        is_known = point.name in _ORDER
+        return (_ORDER.index(point.name) if is_known else len(_ORDER), point.name)
 
-    return sorted(registered("gsgen.doctor"), key=rank)
+    return sorted(registered_entry_points("gsgen.doctor"), key=rank)
 
 
 def _ask(point: EntryPoint) -> "list[Check]":
@@ -61,4 +68,8 @@ def _ask(point: EntryPoint) -> "list[Check]":
     try:
         return list(point.load()())
     except Exception as error:  # a check must not take the others down
-        return [Check(point.name, "broken", f"{type(error).__name__}: {error}")]
+        return [
+            Check(
+                name=point.name, state="broken", detail=f"{type(error).__name__}: {error}"
+            )
+        ]

@@ -1,4 +1,4 @@
-"""`gsgen explain`: what a rule wants, why, and how to mend a model that breaks it."""
+"""`gsgen explain`: print the pages of rules."""
 
 __all__ = ["explain"]
 
@@ -17,10 +17,10 @@ def explain(
         ),
     ],
 ) -> None:
-    """Say what RULE wants, why, and how to mend a model that breaks it."""
+    """Explain what RULE requires, why, and how to repair a model that breaks it."""
     from gsgen.contract.reporters.rule_pages import page
     from gsgen.contract.rules.catalogue import installed_rules
 
     registry = installed_rules()
-    found = [registry.find(name) for name in rules]
-    typer.echo("\n".join(page(one, registry) for one in found))
+    entries = [registry.find(name) for name in rules]
+    typer.echo("\n".join(page(entry, registry) for entry in entries))

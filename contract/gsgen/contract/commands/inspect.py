@@ -1,4 +1,4 @@
-"""`gsgen inspect`: show what a model says of itself, or derive the manifest it lacks."""
+"""`gsgen inspect`: show the declarations of a model, or derive a missing manifest."""
 
 __all__ = ["inspect"]
 
@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gsgen.contract.errors import ModelUnreadable
+from gsgen.contract.errors import ConfigInvalid, ExitCode
 
 if TYPE_CHECKING:
     from gsgen.contract.model.inspected_model import InspectedModel
-
-_UNREADABLE = 4
 
 
 def inspect(
@@ -43,8 +41,7 @@ def inspect(
         typer.echo(json.dumps(_schema(schema), indent=2, ensure_ascii=False))
         return
     if model is None:
-        typer.echo("gsgen: name a model, or a kind with --schema", err=True)
-        raise typer.Exit(2)
+        raise ConfigInvalid("no model and no --schema: expected one of them")
     subject = _read(model)
     if emit_manifest:
         _emit(subject)
@@ -70,11 +67,7 @@ def _read(model: Path) -> "InspectedModel":
     from gsgen.contract.process.limits import Limits
     from gsgen.contract.spec.targets import load_target
 
-    try:
-        return inspect_model(open_model(model), load_target("core"), Limits())
-    except ModelUnreadable as error:
-        typer.echo(f"gsgen: {error}", err=True)
-        raise typer.Exit(_UNREADABLE) from error
+    return inspect_model(open_model(model), load_target("core"), Limits())
 
 
 def _emit(subject: "InspectedModel") -> None:
@@ -85,7 +78,7 @@ def _emit(subject: "InspectedModel") -> None:
         typer.echo(
             "this manifest is invalid: see `gsgen validate --level static`", err=True
         )
-        raise typer.Exit(1)
+        raise typer.Exit(ExitCode.FAILURE)
     manifest = subject.manifest
     assert manifest is not None
     typer.echo(dumps(manifest))

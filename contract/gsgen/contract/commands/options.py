@@ -1,4 +1,4 @@
-"""Options that several commands have: written once, so that they mean and say the same."""
+"""Options that several commands share, with one name, default and help text each."""
 
 __all__ = [
     "AsJson",
@@ -26,7 +26,7 @@ LevelName = Annotated[
 TargetName = Annotated[
     str | None,
     typer.Option(
-        help="Consumer to judge for: core, webgpu, visionary, gsgen.",
+        help="Consumer to validate for: core, webgpu, visionary, gsgen.",
         show_default="core",
     ),
 ]
@@ -41,20 +41,18 @@ AsJson = Annotated[
 ]
 Config = Annotated[
     Path | None,
-    typer.Option(
-        help="Configuration file.", show_default="./gsgen.toml, where there is one"
-    ),
+    typer.Option(help="Configuration file.", show_default="./gsgen.toml, if it exists"),
 ]
 Timeout = Annotated[
     float | None,
     typer.Option(
-        help="Seconds that running a model may take.", show_default="120", min=0.1
+        help="Time limit for all runs of a model, in seconds.", show_default="120", min=0.1
     ),
 ]
 Memory = Annotated[
     int | None,
     typer.Option(
-        help="MiB of memory that running a model may take.", show_default="2048", min=64
+        help="Memory limit for running a model, in MiB.", show_default="2048", min=64
     ),
 ]
 Seed = Annotated[int | None, typer.Option(help="Seed of the probe set.", min=0)]

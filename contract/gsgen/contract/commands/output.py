@@ -1,4 +1,4 @@
-"""Where commands write: styled on a terminal, plain elsewhere, whole files or none."""
+"""Print reports, styled on a terminal, and write complete files only."""
 
 __all__ = ["append_text", "show", "write_text"]
 
@@ -16,7 +16,7 @@ from gsgen.contract.reporters.text import Line
 
 
 def show(lines: Iterable[Line]) -> None:
-    """Print lines to stdout, in colour where stdout is a terminal that wants it."""
+    """Print lines to stdout, in colour on a terminal unless NO_COLOR is set."""
     if not sys.stdout.isatty() or "NO_COLOR" in os.environ:
         for line in lines:
             typer.echo(line.text)
@@ -30,7 +30,7 @@ def show(lines: Iterable[Line]) -> None:
 
 
 def append_text(path: Path, text: str) -> None:
-    """Add to the end of a file that others write, too.
+    """Append to a file that other programs may write to as well.
 
     Raises:
         ConfigInvalid: The file cannot be written.
@@ -45,9 +45,9 @@ def append_text(path: Path, text: str) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file beside its place and rename it, so that a failure leaves what was there.
+    """Write a temporary file and rename it, so that a failure keeps the previous file.
 
-    What is no file, /dev/stdout for example, is written to as it is.
+    A device such as /dev/stdout is written to directly.
 
     Raises:
         ConfigInvalid: The file cannot be written.

@@ -1,4 +1,4 @@
-"""What a long command shows while it works: one line on stderr, where someone is watching."""
+"""Progress of a long command: one line on stderr, on terminals only."""
 
 __all__ = ["clear", "progress"]
 
@@ -10,12 +10,12 @@ _LINE = "\r\x1b[2K"
 
 
 def progress(words: str) -> None:
-    """Show what is being done, in place of what was shown before."""
+    """Replace the progress line by ``words``."""
     if sys.stderr.isatty():
         typer.echo(f"{_LINE}{words} …", err=True, nl=False)
 
 
 def clear() -> None:
-    """Remove the line before results are printed."""
+    """Erase the progress line."""
     if sys.stderr.isatty():
         typer.echo(_LINE, err=True, nl=False)

@@ -1,4 +1,4 @@
-"""`gsgen rules`: list the catalogue."""
+"""`gsgen rules`: list the installed rules."""
 
 __all__ = ["rules"]
 
@@ -19,60 +19,60 @@ def rules(
         list[str] | None,
         typer.Argument(
             metavar="[WORD]...",
-            help="Only rules of an id that begins so (GV), or with this word in name or text.",
+            help="Only rules whose id starts with WORD (GV), or whose name or text contains it.",
             show_default="all",
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
     pages: Annotated[
         Path | None,
-        typer.Option("--pages", help="Write one Markdown page a rule into this folder."),
+        typer.Option("--pages", help="Write one Markdown page per rule into this folder."),
     ] = None,
 ) -> None:
-    """List every rule: id, severity, level, name and what must hold.
+    """List every rule: id, severity, level, name and statement.
 
-    Exits 2 if no rule has a given word.
+    Exits 2 if no rule matches a WORD.
     """
     from gsgen.contract.commands.output import write_text
     from gsgen.contract.reporters.rule_pages import index, page, to_dict
     from gsgen.contract.rules.catalogue import installed_rules
 
     registry = installed_rules()
-    chosen = _chosen(registry, words) if words else list(registry.rules.values())
+    selected = _selected(registry, words) if words else list(registry.rules.values())
     if pages is not None:
-        for one in registry.rules.values():
-            write_text(pages / f"{one.id.replace('/', '-')}.md", page(one, registry))
+        for rule in registry.rules.values():
+            write_text(pages / f"{rule.id.replace('/', '-')}.md", page(rule, registry))
         write_text(pages / "index.md", index(registry))
         typer.echo(f"{len(registry.rules)} pages in {pages}")
         return
     if as_json:
-        made = [to_dict(one) for one in chosen]
-        typer.echo(json.dumps(made, indent=2, ensure_ascii=False))
+        document = [to_dict(rule) for rule in selected]
+        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
         return
-    for one in chosen:
-        head = f"{one.id}  {one.severity.word:<7}  {one.level.word:<9}  {one.slug}"
-        typer.echo(f"{head}\n    {one.statement}")
+    for rule in selected:
+        head = f"{rule.id}  {rule.severity.word:<7}  {rule.level.word:<9}  {rule.slug}"
+        typer.echo(f"{head}\n    {rule.statement}")
 
 
-def _chosen(registry: "Registry", words: list[str]) -> "list[Rule]":
-    """Return the rules that any of ``words`` speaks of, in the order of the catalogue.
+def _selected(registry: "Registry", words: list[str]) -> "list[Rule]":
+    """Return the rules that match any of ``words``, in catalogue order.
 
     Raises:
-        UnknownName: No rule has one of them.
+        UnknownName: No rule matches one of ``words``.
     """
-    chosen: set[str] = set()
+    selected_ids: set[str] = set()
     for word in words:
-        found = [one.id for one in registry.rules.values() if _speaks_of(word, one)]
-        if not found:
-            names = [one.slug for one in registry.rules.values()]
+        ids = [rule.id for rule in registry.rules.values() if _matches(word, rule)]
+        if not ids:
+            names = [rule.slug for rule in registry.rules.values()]
             raise UnknownName.among("rule", word, names, "WORD")
-        chosen |= set(found)
-    return [one for one in registry.rules.values() if one.id in chosen]
+        selected_ids |= set(ids)
+    return [rule for rule in registry.rules.values() if rule.id in selected_ids]
 
 
-def _speaks_of(word: str, rule: "Rule") -> bool:
-    seen = word.casefold()
+def _matches(word: str, rule: "Rule") -> bool:
+    needle = word.casefold()
     return (
-        rule.id.casefold().startswith(seen)
-        or seen in f"{rule.slug} {rule.statement}".casefold()
+        rule.id.casefold().startswith(needle)
+        or needle in f"{rule.slug} {rule.statement}".casefold()
     )

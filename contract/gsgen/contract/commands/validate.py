@@ -1,4 +1,4 @@
-"""`gsgen validate`: judge models by the contract."""
+"""`gsgen validate`: check models against the contract."""
 
 __all__ = ["validate"]
 
@@ -19,7 +19,7 @@ from gsgen.contract.commands.options import (
     TargetName,
     Timeout,
 )
-from gsgen.contract.errors import ModelUnreadable
+from gsgen.contract.errors import ExitCode, ModelUnreadable
 
 if TYPE_CHECKING:
     from gsgen.contract.validation.baseline import Baseline
@@ -27,12 +27,9 @@ if TYPE_CHECKING:
     from gsgen.contract.validation.rule import Registry
     from gsgen.contract.validation.settings import Settings
 
-_UNREADABLE = 4
-_INTERNAL = 3
-
 
 class Format(StrEnum):
-    """How a report is printed."""
+    """Output formats of a report."""
 
     TEXT = "text"
     JSON = "json"
@@ -70,13 +67,14 @@ def validate(
     severity: Annotated[
         list[str] | None,
         typer.Option(
-            help="RULE=SEVERITY, over what the rule says; repeatable.", metavar="ID=LEVEL"
+            help="RULE=SEVERITY, in place of the rule's own severity; repeatable.",
+            metavar="ID=LEVEL",
         ),
     ] = None,
     config: Config = None,
     baseline: Annotated[
         Path | None,
-        typer.Option(help="An earlier JSON report: what it lists does not fail again."),
+        typer.Option(help="An earlier JSON report, whose findings do not fail the model."),
     ] = None,
     output: Annotated[
         Path | None,
@@ -90,12 +88,13 @@ def validate(
         typer.Option("-v", "--verbose", help="List every rule, tolerance and probe."),
     ] = False,
     quiet: Annotated[
-        bool, typer.Option("-q", "--quiet", help="Print one line a model: the verdict.")
+        bool, typer.Option("-q", "--quiet", help="Print one line per model: the verdict.")
     ] = False,
 ) -> None:
-    """Say whether each MODEL keeps the contract.
+    """Check whether each MODEL conforms to the contract.
 
-    Exits 0 if all conform, 1 if not, 2 for wrong options, 3 if a rule crashed, 4 if no model.
+    Exits 0 if all conform, 1 if one is invalid, 2 for wrong options, 3 if a rule crashed, 4 if a
+    file is not an ONNX model.
     """
     from gsgen.contract.process.atomic_files import refuse_model
     from gsgen.contract.rules.catalogue import installed_rules
@@ -118,8 +117,8 @@ def validate(
     )
     format = Format.JSON if as_json else format
     known = _baseline(baseline) if baseline else None
-    entries = [_judge(model, settings, registry, known) for model in models]
-    _print(entries, format, output, verbose, quiet)
+    entries = [_validated(model, settings, registry, known) for model in models]
+    _print(entries, format, output, verbose=verbose, quiet=quiet)
     raise typer.Exit(_exit_code(entries))
 
 
@@ -129,24 +128,25 @@ def _baseline(path: Path) -> "Baseline":
     return read_baseline(path)
 
 
-def _judge(
+def _validated(
     model: Path, settings: "Settings", registry: "Registry", known: "Baseline | None"
 ) -> "Entry":
     from gsgen.contract.commands.progress import progress
     from gsgen.contract.validation.report import Unreadable
-    from gsgen.contract.validator import validate as judge
+    from gsgen.contract.validator import validate as validate_model
 
     try:
-        report = judge(model, settings, registry=registry, progress=progress)
+        report = validate_model(model, settings, registry=registry, progress=progress)
     except ModelUnreadable as error:
         return Unreadable(str(model), error)
-    return known.applied(report) if known else report
+    return known.apply(report) if known else report
 
 
 def _print(
     entries: "list[Entry]",
     format: Format,
     output: Path | None,
+    *,
     verbose: bool,
     quiet: bool,
 ) -> None:
@@ -159,8 +159,8 @@ def _print(
         if isinstance(entry, Unreadable):
             typer.echo(f"gsgen: {entry.error}", err=True)
     if format is not Format.TEXT:
-        made = _rendered(entries, format)
-        write_text(output, made + "\n") if output else typer.echo(made)
+        text = _rendered(entries, format)
+        write_text(output, text + "\n") if output else typer.echo(text)
         if format is Format.GITHUB:
             _summarise(entries)
         return
@@ -174,15 +174,15 @@ def _print(
 
 
 def _rendered(entries: "list[Entry]", format: Format) -> str:
-    """Return what a program reads; only the reporter that is asked for is imported."""
+    """Return the report in a machine-readable format; only that reporter is imported."""
     module, name = _REPORTERS[format]
     reporter = getattr(import_module(f"gsgen.contract.reporters.{module}"), name)
-    made: str = reporter(entries)
-    return made
+    text: str = reporter(entries)
+    return text
 
 
 def _summarise(entries: "list[Entry]") -> None:
-    """Add the reports to the job's summary page, where GitHub Actions has one."""
+    """Append the reports to the summary page of a GitHub Actions job."""
     path = os.environ.get("GITHUB_STEP_SUMMARY")
     if path:
         from gsgen.contract.commands.output import append_text
@@ -190,10 +190,10 @@ def _summarise(entries: "list[Entry]") -> None:
         append_text(Path(path), _rendered(entries, Format.MARKDOWN) + "\n")
 
 
-def _exit_code(entries: "list[Entry]") -> int:
+def _exit_code(entries: "list[Entry]") -> ExitCode:
     from gsgen.contract.validation.report import Report, exit_code
 
     reports = [entry for entry in entries if isinstance(entry, Report)]
     code = exit_code(reports)
     unreadable = len(reports) < len(entries)
-    return _UNREADABLE if unreadable and code != _INTERNAL else code
+    return ExitCode.UNREADABLE if unreadable and code != ExitCode.INTERNAL else code

@@ -1,4 +1,4 @@
-"""`gsgen vectors`: record what a model gives, for whoever runs it elsewhere."""
+"""`gsgen vectors`: record the outputs of a model, to be reproduced elsewhere."""
 
 __all__ = ["vectors"]
 
@@ -13,7 +13,7 @@ import typer
 from gsgen.contract.commands.options import Config, Memory, Timeout
 
 if TYPE_CHECKING:
-    from gsgen.contract.tools.test_vector_files import Recorded
+    from gsgen.contract.tools.test_vector_files import RecordedVectors
 
 
 def vectors(
@@ -21,7 +21,7 @@ def vectors(
     into: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for inputs and outputs, as ONNX's backend runner reads them.",
+            help="Folder for inputs and outputs, in the layout of ONNX's backend tests.",
             show_default="MODEL-vectors",
         ),
     ] = None,
@@ -30,21 +30,21 @@ def vectors(
         typer.Option(
             "-o",
             "--output",
-            help="The copy of MODEL whose manifest has the digests.",
+            help="Copy of MODEL with the digests in its manifest.",
             show_default="model.onnx in that folder",
         ),
     ] = None,
     count: Annotated[
         int | None,
         typer.Option(
-            help="How many, spread over the probes of `gsgen validate`.",
-            show_default="3, or all where there are fewer",
+            help="Number of vectors, evenly spread over the probes of `gsgen validate`.",
+            show_default="3, or all if there are fewer",
             min=1,
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the probe set.", min=0)] = 0,
     force: Annotated[
-        bool, typer.Option("--force", help="Replace vectors that the folder has.")
+        bool, typer.Option("--force", help="Replace the vectors in the folder.")
     ] = False,
     config: Config = None,
     timeout: Timeout = None,
@@ -54,7 +54,7 @@ def vectors(
     """Write test vectors of MODEL, and a copy of it that promises them.
 
     `gsgen validate` runs them again (rule GM012). Exits 0 if they were written, 2 if they cannot
-    be or an option is wrong, 4 if no model.
+    be written or an option is wrong, 4 if MODEL is not an ONNX model.
     """
     from gsgen.contract.commands.progress import clear, progress
     from gsgen.contract.rules.catalogue import installed_rules
@@ -66,7 +66,7 @@ def vectors(
     )
     folder = into or model.with_name(f"{model.stem}-vectors")
     try:
-        made = record_vectors(
+        recorded = record_vectors(
             model,
             folder,
             output,
@@ -78,19 +78,19 @@ def vectors(
         )
     finally:
         clear()
-    _print(made, as_json)
+    _print(recorded, as_json=as_json)
 
 
-def _print(made: "Recorded", as_json: bool) -> None:
-    sets = [made.folder / f"test_data_set_{k}" for k in range(len(made.vectors))]
+def _print(recorded: "RecordedVectors", *, as_json: bool) -> None:
+    sets = [recorded.folder / f"test_data_set_{k}" for k in range(len(recorded.vectors))]
     if as_json:
         listed = [
             {"folder": str(folder)} | asdict(vector)
-            for folder, vector in zip(sets, made.vectors, strict=True)
+            for folder, vector in zip(sets, recorded.vectors, strict=True)
         ]
-        typer.echo(json.dumps({"model": str(made.model), "vectors": listed}, indent=2))
+        typer.echo(json.dumps({"model": str(recorded.model), "vectors": listed}, indent=2))
         return
-    for folder, vector in zip(sets, made.vectors, strict=True):
+    for folder, vector in zip(sets, recorded.vectors, strict=True):
         typer.echo(f"{folder}: {vector.inputs}")
-    typed = shlex.quote(str(made.model))
-    typer.echo(f"{made.model}: promises them; `gsgen validate {typed}` runs them again")
+    typed = shlex.quote(str(recorded.model))
+    typer.echo(f"{recorded.model}: promises them; `gsgen validate {typed}` runs them again")

@@ -1,1 +1,1 @@
-"""Reports in the forms that people and programs read; each takes a report and gives text."""
+"""How is a report presented? One module per output format; each turns reports into text."""

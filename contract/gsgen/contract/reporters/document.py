@@ -1,10 +1,10 @@
-"""The JSON report as dataclasses; its published schema is made from them.
+"""The JSON report as dataclasses, from which its published schema is derived.
 
-Fields that hold nothing are left out. Fields may be added within a major version of the schema;
-none changes its meaning.
+Empty fields are omitted. A major version of the schema may gain fields, but no field changes its
+meaning.
 """
 
-__all__ = ["SCHEMA", "SCHEMA_FILE", "Document", "schema"]
+__all__ = ["SCHEMA", "Document", "schema"]
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -13,7 +13,6 @@ from gsgen.contract.spec.json_schema import schema_of
 from gsgen.contract.spec.schema_text import Hint
 
 SCHEMA = "gsgen-report/1"
-SCHEMA_FILE = "report-1.schema.json"
 
 SchemaName = Annotated[Literal["gsgen-report/1"], Hint("Name and major version.")]
 SeverityName = Literal["error", "warning", "info"]
@@ -28,35 +27,35 @@ Fingerprint = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class Tool:
-    """What judged."""
+    """The validator that wrote the report."""
 
     name: str
     version: str
     rules_digest: Annotated[
         str,
         Hint(
-            "Over what the rules declare: equal where they are.",
+            "SHA-256 of all rule declarations; equal for equal rules.",
             pattern="^sha256:[0-9a-f]{64}$",
         ),
     ]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SubjectEntry:
-    """What was judged."""
+    """The validated model."""
 
-    uri: Annotated[str, Hint("The model, as it was named.")]
+    uri: Annotated[str, Hint("The model, as given on the command line.")]
     bytes: Annotated[int | None, Hint("Size of the file.", minimum=0)] = None
     sha256: Annotated[
         str | None,
         Hint(
-            "Of the file, without its external data; absent where only the static level ran on "
-            "64 MiB or more.",
+            "Of the file, without its external data; absent if only the static level ran on a "
+            "file of 64 MiB or more.",
             pattern="^[0-9a-f]{64}$",
         ),
     ] = None
     kind: Annotated[str | None, Hint("Kind of model, where known.")] = None
-    name: Annotated[str | None, Hint("What the manifest calls it.")] = None
+    name: Annotated[str | None, Hint("The model's name in the manifest.")] = None
     contract: Annotated[
         str | None, Hint("Contract version that the manifest declares.")
     ] = None
@@ -65,15 +64,15 @@ class SubjectEntry:
     )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Counts:
-    """How many findings count, of each severity, and how many do not; rules by status."""
+    """Findings that count, by severity; findings that do not count; rules by status."""
 
     error: int
     warning: int
     info: int
     waived: Annotated[int, Hint("Findings that are ignored or waived.")]
-    known: Annotated[int, Hint("Findings that stood in the baseline already.")]
+    known: Annotated[int, Hint("Findings that the baseline lists already.")]
     rules: dict[str, int]
 
 
@@ -88,7 +87,7 @@ class LevelEntry:
 
 @dataclass(frozen=True, slots=True)
 class WhereEntry:
-    """The place of a finding."""
+    """The location of a finding."""
 
     subject: Annotated[str, Hint("Such as `output gaussians` or `manifest bounds`.")]
     field: Annotated[str | None, Hint("The field of a packed row.")] = None
@@ -96,76 +95,78 @@ class WhereEntry:
 
 @dataclass(frozen=True, slots=True)
 class ExampleEntry:
-    """One offending row or thing."""
+    """One offending row or value."""
 
     value: str
     row: int | None = None
-    probe: Annotated[str | None, Hint("Label of the inputs that gave it.")] = None
+    probe: Annotated[str | None, Hint("Label of the probe that gave it.")] = None
 
 
 @dataclass(frozen=True, slots=True)
 class Stats:
-    """How much of it."""
+    """Numbers and examples of a finding."""
 
-    count: Annotated[int, Hint("Rows or things that break the rule; never capped.")]
-    total: Annotated[int, Hint("Rows or things that were judged.")]
+    count: Annotated[int, Hint("Rows or values that break the rule; never capped.")]
+    total: Annotated[int, Hint("Rows or values that were checked.")]
     examples: Annotated[tuple[ExampleEntry, ...], Hint("The first few.")]
     worst: ExampleEntry | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FindingEntry:
-    """One rule that does not hold at one place."""
+    """One rule that does not hold at one location."""
 
     rule: RuleId
     slug: Annotated[str, Hint("The rule's readable name.")]
     severity: SeverityName
     certainty: Literal["confirmed", "possible"]
     where: WhereEntry
-    message: Annotated[str, Hint("What was seen and what was wanted.")]
+    message: Annotated[str, Hint("The actual and the expected value.")]
     stats: Stats
-    why: Annotated[str, Hint("What invalid because of it.")]
-    hint: Annotated[str, Hint("What to do about it.")]
+    why: Annotated[str, Hint("The damage that the fault causes.")]
+    hint: Annotated[str, Hint("How to repair the model.")]
     source: Annotated[str, Hint("`contract`, or the target that raised it.")]
     waived: Annotated[
-        bool, Hint("It does not count: its rule is ignored, or it is waived.")
+        bool, Hint("The finding does not count: its rule is ignored, or it is waived.")
     ]
-    known: Annotated[bool, Hint("It does not count: it stood in the baseline already.")]
-    truncated: Annotated[bool, Hint("It counts what was found at further places, too.")]
+    known: Annotated[
+        bool, Hint("The finding does not count: the baseline lists it already.")
+    ]
+    truncated: Annotated[
+        bool, Hint("The finding also counts violations at further locations.")
+    ]
     fingerprint: Fingerprint
     help: Annotated[
         str | None, Hint("The rule's page, from the root of the documentation.")
     ] = None
-    waiver: Annotated[str | None, Hint("The reason that its waiver gives.")] = None
-    evidence: Annotated[
-        str | None, Hint("Location the rule was seen to break something.")
-    ] = None
+    waiver: Annotated[str | None, Hint("The reason of its waiver.")] = None
+    evidence: Annotated[str | None, Hint("A documented case of such damage.")] = None
 
 
 @dataclass(frozen=True, slots=True)
 class CauseEntry:
-    """A rule that does not hold, and the rules that could not be judged because of it."""
+    """A failed rule, and the rules that could not be checked because of it."""
 
     rule: RuleId
     status: str
-    findings: Annotated[tuple[Fingerprint, ...], Hint("Those of the rule.")]
-    blocked: Annotated[tuple[RuleId, ...], Hint("The rules that could not be judged.")]
+    findings: Annotated[tuple[Fingerprint, ...], Hint("The findings of the rule.")]
+    blocked: Annotated[tuple[RuleId, ...], Hint("The rules that could not be checked.")]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RuleEntry:
-    """What became of one rule."""
+    """The outcome of one rule."""
 
     id: RuleId
     status: Literal["pass", "fail", "skipped", "not-applicable", "crashed"]
-    reason: Annotated[str | None, Hint("Why it was not judged, or how it crashed.")] = None
+    reason: Annotated[str | None, Hint("Why it was not checked, or how it crashed.")] = None
     ms: Annotated[float | None, Hint("Milliseconds spent in its check.")] = None
-    items: Annotated[int | None, Hint("Rows or things it looked at.")] = None
+    items: Annotated[int | None, Hint("The number of checked rows or values.")] = None
 
 
 @dataclass(frozen=True, slots=True)
 class ToleranceEntry:
-    """How closely executions of the model must agree in one field."""
+    """The largest difference of one field between two executions of the model."""
 
     field: str
     value: float
@@ -173,28 +174,30 @@ class ToleranceEntry:
     source: Literal["default", "manifest", "config"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GoneEntry:
-    """A finding of the baseline that is not there any more."""
+    """A finding of the baseline that does not occur any more."""
 
     rule: RuleId
     slug: Annotated[str, Hint("The rule's readable name.")]
     where: WhereEntry
-    message: Annotated[str, Hint("What was seen then.")]
+    message: Annotated[str, Hint("The message of the earlier report.")]
     fingerprint: Fingerprint
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Document:
     """The report of one model."""
 
     schema: SchemaName
     tool: Tool
     subject: SubjectEntry
-    target: Annotated[str, Hint("What it was judged for, name@version.")]
-    level: Annotated[str, Hint("How far the validation was asked to go.")]
+    target: Annotated[
+        str, Hint("The consumer that the model was validated for, name@version.")
+    ]
+    level: Annotated[str, Hint("The requested level.")]
     fail_on: Annotated[SeverityName, Hint("The lowest severity that fails.")]
-    settings: Annotated[str, Hint("Location the settings came from.")]
+    settings: Annotated[str, Hint("The source of the settings.")]
     verdict: Literal["conforms", "invalid", "internal-error"]
     counts: Counts
     levels: tuple[LevelEntry, ...]
@@ -203,21 +206,27 @@ class Document:
     rules: Annotated[tuple[RuleEntry, ...], Hint("Every installed rule.")]
     tolerances: tuple[ToleranceEntry, ...]
     probes: Annotated[
-        tuple[str, ...], Hint("Labels of the inputs that value rules actual.")
+        tuple[str, ...], Hint("Labels of the probes whose outputs were checked.")
     ]
-    environment: Annotated[dict[str, str], Hint("Versions of what ran.")]
-    truncated: Annotated[bool, Hint("Some finding counts more places than its own.")]
+    environment: Annotated[
+        dict[str, str], Hint("Versions of the libraries and drivers that ran.")
+    ]
+    truncated: Annotated[
+        bool, Hint("A finding also counts violations at further locations.")
+    ]
     seconds: float
     baseline: Annotated[str | None, Hint("The report whose findings are known.")] = None
     gone: Annotated[
         tuple[GoneEntry, ...] | None,
-        Hint("What the baseline lists and what is not there any more; absent without one."),
+        Hint(
+            "Findings of the baseline that do not occur any more; absent without a baseline."
+        ),
     ] = None
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Why a file could not be judged."""
+    """Why a file could not be read."""
 
     message: str
     where: str
@@ -226,7 +235,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class UnreadableDocument:
-    """What stands for a model that could not be read."""
+    """The report of a model that could not be read."""
 
     schema: SchemaName
     subject: SubjectEntry
@@ -244,15 +253,15 @@ class Batch:
 
 def schema() -> dict[str, object]:
     """Return the JSON Schema that every report follows."""
-    made = schema_of(Batch, title=f"gsgen report: {SCHEMA}")
-    definitions = made["$defs"]
+    batch_schema = schema_of(Batch, title=f"gsgen report: {SCHEMA}")
+    definitions = batch_schema["$defs"]
     assert isinstance(definitions, dict)
-    kept = ("type", "description", "properties", "patternProperties")
-    batch = {key: made[key] for key in (*kept, "additionalProperties", "required")}
+    keys = ("type", "description", "properties", "patternProperties")
+    batch = {key: batch_schema[key] for key in (*keys, "additionalProperties", "required")}
     names = ("Document", "UnreadableDocument", "Batch")
     return {
-        "$schema": made["$schema"],
-        "title": made["title"],
+        "$schema": batch_schema["$schema"],
+        "title": batch_schema["title"],
         "anyOf": [{"$ref": f"#/$defs/{name}"} for name in names],
         "$defs": dict(sorted({**definitions, "Batch": batch}.items())),
     }

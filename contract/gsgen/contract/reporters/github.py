@@ -1,10 +1,10 @@
-"""A report for GitHub Actions: workflow commands, which show up as annotations."""
+"""GitHub Actions report: workflow commands, which GitHub shows as annotations."""
 
 __all__ = ["to_github"]
 
 from collections.abc import Sequence
 
-from gsgen.contract.reporters.summary import printable, several, verdict
+from gsgen.contract.reporters.summary import printable, summary_line, verdict_line
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.report import Entry, Unreadable
@@ -13,7 +13,7 @@ _COMMANDS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO
 
 
 def to_github(entries: Sequence[Entry]) -> str:
-    """Return an annotation for each finding that counts, and the verdict of each model."""
+    """Return an annotation for each counted finding, and the verdict of each model."""
     lines: list[str] = []
     for entry in entries:
         if isinstance(entry, Unreadable):
@@ -26,15 +26,15 @@ def to_github(entries: Sequence[Entry]) -> str:
         for finding in entry.findings:
             if finding.counts:
                 lines.append(_annotation(entry.path, finding))
-        lines.append(_inert(f"gsgen: {entry.path}: {verdict(entry)}"))
-    return "\n".join([*lines, _inert(several(entries))] if len(entries) > 1 else lines)
+        lines.append(_inert(f"gsgen: {entry.path}: {verdict_line(entry)}"))
+    return "\n".join([*lines, _inert(summary_line(entries))] if len(entries) > 1 else lines)
 
 
 def _annotation(path: str, finding: Finding) -> str:
     command = _COMMANDS[finding.severity]
     if finding.certainty == "possible" and command == "error":
-        command = "warning"  # a guess from the numbers fails nobody
-    text = f"{finding.where}: {finding.message}\nmend: {finding.hint}"
+        command = "warning"  # a possible finding does not fail the model
+    text = f"{finding.where}: {finding.message}\nhint: {finding.hint}"
     return _command(command, path, f"{finding.rule} {finding.slug}", text)
 
 
@@ -52,5 +52,5 @@ def _property(text: str) -> str:
 
 
 def _inert(text: str) -> str:
-    """Return a line that is no command: old ones begin with ``##[`` wherever it stands."""
+    """Return a line that GitHub does not read as a command: old ones contain ``##[``."""
     return printable(text).replace("##[", "## [")

@@ -1,4 +1,4 @@
-"""A report for programs: JSON that follows the published schema ``gsgen-report/1``."""
+"""JSON report, which follows the published schema ``gsgen-report/1``."""
 
 __all__ = ["SCHEMA", "to_dict", "to_json"]
 
@@ -26,11 +26,18 @@ from gsgen.contract.reporters.document import (
     WhereEntry,
 )
 from gsgen.contract.reporters.rule_pages import help_path
-from gsgen.contract.spec.json_schema import to_json as plain
+from gsgen.contract.spec.json_schema import to_json as to_json_value
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.digest import rules_digest
 from gsgen.contract.validation.finding import Example, Finding
-from gsgen.contract.validation.report import Cause, Entry, Gone, Outcome, Report, Unreadable
+from gsgen.contract.validation.report import (
+    Cause,
+    Entry,
+    Outcome,
+    Report,
+    ResolvedFinding,
+    Unreadable,
+)
 from gsgen.contract.validation.rule import Rule
 
 _STATUSES = ("pass", "fail", "skipped", "not-applicable", "crashed")
@@ -38,22 +45,24 @@ _STATUSES = ("pass", "fail", "skipped", "not-applicable", "crashed")
 
 def to_json(entries: Sequence[Entry]) -> str:
     """Return one report as an object, or several as an object with a list of ``reports``."""
-    made = [to_dict(entry) for entry in entries]
-    document: Any = made[0] if len(made) == 1 else {"schema": SCHEMA, "reports": made}
+    documents = [to_dict(entry) for entry in entries]
+    document: Any = (
+        documents[0] if len(documents) == 1 else {"schema": SCHEMA, "reports": documents}
+    )
     text = json.dumps(document, indent=2, ensure_ascii=False)
-    # Half a surrogate pair, which a path may hold, has no UTF-8; as an escape it is JSON.
+    # A path may hold half a surrogate pair, which UTF-8 cannot encode; JSON allows an escape.
     return text.encode("utf-8", "backslashreplace").decode()
 
 
 def to_dict(entry: Entry) -> dict[str, Any]:
-    """Return a report as plain data; a model that could not be read stands with its error."""
+    """Return the report of a model, or the error of an unreadable one, as JSON types."""
     document = _unreadable(entry) if isinstance(entry, Unreadable) else document_of(entry)
-    made: dict[str, Any] = plain(document)
-    return made
+    data: dict[str, Any] = to_json_value(document)
+    return data
 
 
 def document_of(report: Report) -> Document:
-    """Return a report as the dataclasses that its schema is made from."""
+    """Return a report as the dataclasses of its schema."""
     rules = {outcome.rule.id: outcome.rule for outcome in report.outcomes}
     return Document(
         schema="gsgen-report/1",
@@ -69,19 +78,25 @@ def document_of(report: Report) -> Document:
             LevelEntry(o.level.word, "ran" if o.ran else "skipped", o.reason or None)
             for o in report.levels
         ),
-        findings=tuple(_finding(one, rules[one.rule]) for one in report.findings),
+        findings=tuple(
+            _finding(finding, rules[finding.rule]) for finding in report.findings
+        ),
         causes=tuple(_cause(cause, report) for cause in report.causes),
         rules=tuple(_outcome(outcome) for outcome in report.outcomes),
         tolerances=tuple(
-            ToleranceEntry(one.field, one.value, one.unit, one.source)
-            for one in report.tolerances
+            ToleranceEntry(
+                tolerance.field, tolerance.value, tolerance.unit, tolerance.source
+            )
+            for tolerance in report.tolerances
         ),
         probes=report.probes,
         environment=report.environment,
         truncated=any(finding.truncated for finding in report.findings),
         seconds=round(report.seconds, 4),
         baseline=report.baseline or None,
-        gone=tuple(_gone(one) for one in report.gone) if report.baseline else None,
+        gone=tuple(_gone(finding) for finding in report.resolved)
+        if report.baseline
+        else None,
     )
 
 
@@ -129,7 +144,7 @@ def _finding(finding: Finding, rule: Rule) -> FindingEntry:
             tuple(_example(example) for example in finding.examples),
             _example(finding.worst) if finding.worst else None,
         ),
-        why=rule.why,
+        why=rule.rationale,
         hint=finding.hint,
         source=finding.source,
         waived=finding.waived,
@@ -142,9 +157,15 @@ def _finding(finding: Finding, rule: Rule) -> FindingEntry:
     )
 
 
-def _gone(one: Gone) -> GoneEntry:
-    where = WhereEntry(one.where.subject, one.where.field or None)
-    return GoneEntry(one.rule, one.slug, where, one.message, one.fingerprint)
+def _gone(finding: ResolvedFinding) -> GoneEntry:
+    where = WhereEntry(finding.where.subject, finding.where.field or None)
+    return GoneEntry(
+        rule=finding.rule,
+        slug=finding.slug,
+        where=where,
+        message=finding.message,
+        fingerprint=finding.fingerprint,
+    )
 
 
 def _word(severity: Severity) -> Any:
@@ -157,14 +178,24 @@ def _example(example: Example) -> ExampleEntry:
 
 def _cause(cause: Cause, report: Report) -> CauseEntry:
     id = cause.outcome.rule.id
-    found = tuple(one.fingerprint for one in report.findings if one.rule == id)
+    fingerprints = tuple(
+        finding.fingerprint for finding in report.findings if finding.rule == id
+    )
     blocked = tuple(rule.id for rule in cause.blocked)
-    return CauseEntry(id, cause.outcome.status, found, blocked)
+    return CauseEntry(id, cause.outcome.status, fingerprints, blocked)
 
 
 def _outcome(outcome: Outcome) -> RuleEntry:
-    made = RuleEntry(outcome.rule.id, outcome.status, outcome.reason or None)
+    entry = RuleEntry(
+        id=outcome.rule.id, status=outcome.status, reason=outcome.reason or None
+    )
     if outcome.status not in ("pass", "fail"):
-        return made
-    spent = round(outcome.milliseconds, 3)
-    return RuleEntry(made.id, made.status, made.reason, spent, outcome.items)
+        return entry
+    milliseconds = round(outcome.milliseconds, 3)
+    return RuleEntry(
+        id=entry.id,
+        status=entry.status,
+        reason=entry.reason,
+        ms=milliseconds,
+        items=outcome.items,
+    )

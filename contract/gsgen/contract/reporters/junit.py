@@ -1,6 +1,6 @@
-"""A report for test runners: JUnit XML, one suite a model and one test a rule.
+"""JUnit XML report for test runners: one suite per model and one test per rule.
 
-A rule fails its test if it makes the model invalid. Other findings stand in the test's output.
+A rule fails its test if it makes the model invalid. Other findings go to the test's output.
 """
 
 __all__ = ["to_junit"]
@@ -32,7 +32,7 @@ def to_junit(entries: Sequence[Entry]) -> str:
 
 
 def _count(parent: Element) -> None:
-    """Note how many tests stand below ``parent``, and what became of them."""
+    """Set the numbers of tests, failures, errors and skips below ``parent``."""
     parent.set("tests", str(len(list(parent.iter("testcase")))))
     for tag in _COUNTED:
         name = tag if tag == "skipped" else f"{tag}s"
@@ -48,18 +48,18 @@ def _unreadable(suite: Element, entry: Unreadable) -> None:
 
 def _suite(suite: Element, report: Report) -> None:
     suite.set("time", f"{report.seconds:.3f}")
-    found: dict[str, list[Finding]] = {}
+    findings_by_rule: dict[str, list[Finding]] = {}
     for finding in report.findings:
-        found.setdefault(finding.rule, []).append(finding)
+        findings_by_rule.setdefault(finding.rule, []).append(finding)
     for outcome in report.outcomes:
         case = SubElement(suite, "testcase", classname=printable(report.path))
         case.set("name", f"{outcome.rule.id} {outcome.rule.slug}")
         case.set("time", f"{outcome.milliseconds / 1000:.6f}")
-        _judge(case, report, outcome, found.get(outcome.rule.id, []))
+        _add_result(case, report, outcome, findings_by_rule.get(outcome.rule.id, []))
 
 
-def _judge(
-    case: Element, report: Report, outcome: Outcome, found: Sequence[Finding]
+def _add_result(
+    case: Element, report: Report, outcome: Outcome, findings: Sequence[Finding]
 ) -> None:
     if outcome.status == "crashed":
         last = outcome.reason.splitlines()[-1] if outcome.reason else ""
@@ -68,21 +68,21 @@ def _judge(
     elif outcome.status in ("skipped", "not-applicable"):
         reason = f"{outcome.status}: {outcome.reason}"
         SubElement(case, "skipped", message=printable(reason))
-    failing = [one for one in found if report.fails_by(one)]
-    others = [one for one in found if not report.fails_by(one)]
+    failing = [finding for finding in findings if report.fails_by(finding)]
+    remaining = [finding for finding in findings if not report.fails_by(finding)]
     if failing and outcome.status != "crashed":
         first = printable(f"{failing[0].where}: {failing[0].message}")
         failure = SubElement(case, "failure", message=first)
         failure.set("type", failing[0].severity.word)
-        failure.text = "\n\n".join(map(_words, failing))
-    if others:
-        SubElement(case, "system-out").text = "\n\n".join(map(_words, others))
+        failure.text = "\n\n".join(map(_finding_text, failing))
+    if remaining:
+        SubElement(case, "system-out").text = "\n\n".join(map(_finding_text, remaining))
 
 
-def _words(finding: Finding) -> str:
+def _finding_text(finding: Finding) -> str:
     notes = ["possible"] if finding.certainty == "possible" else []
     notes += [f"waived: {finding.waiver or 'ignored'}"] if finding.waived else []
     notes += ["known"] if finding.known else []
-    said = f" ({'; '.join(notes)})" if notes else ""
-    text = f"{finding.severity.word}{said}: {finding.where}: {finding.message}"
-    return printable(f"{text}\nmend: {finding.hint}", keep="\n")
+    suffix = f" ({'; '.join(notes)})" if notes else ""
+    text = f"{finding.severity.word}{suffix}: {finding.where}: {finding.message}"
+    return printable(f"{text}\nhint: {finding.hint}", keep="\n")

@@ -1,6 +1,6 @@
-"""A report for pull requests and job summaries: Markdown as GitHub reads it.
+"""Markdown report for pull requests and job summaries on GitHub.
 
-What comes from a model stands in code spans: there, no name can format, link or mention.
+Texts from a model stand in code spans, where they cannot format, link or mention.
 """
 
 __all__ = ["to_markdown"]
@@ -12,8 +12,8 @@ from itertools import groupby
 from gsgen.contract.reporters.summary import (
     plural,
     printable,
-    several,
-    verdict,
+    summary_line,
+    verdict_line,
     verdict_word,
 )
 from gsgen.contract.validation.finding import Finding
@@ -24,7 +24,7 @@ _UNREADABLE = "⛔"
 
 
 def to_markdown(entries: Sequence[Entry]) -> str:
-    """Return all reports as one page; several begin with a table of verdicts."""
+    """Return all reports as one page; with several models, it starts with a table of verdicts."""
     parts = [_table(entries)] if len(entries) != 1 else []
     parts += [_section(entry) for entry in entries]
     return "\n\n".join(parts)
@@ -41,30 +41,30 @@ def _table(entries: Sequence[Entry]) -> str:
             sum(f.counts and f.severity.word == word for f in entry.findings)
             for word in ("error", "warning")
         ]
-        said = f"{_SIGNS[entry.verdict]} {verdict_word(entry)}"
-        rows.append(f"| {name} | {said} | {counts[0]} | {counts[1]} |")
-    return "\n".join([f"**{several(entries)}**", "", *rows])
+        verdict_text = f"{_SIGNS[entry.verdict]} {verdict_word(entry)}"
+        rows.append(f"| {name} | {verdict_text} | {counts[0]} | {counts[1]} |")
+    return "\n".join([f"**{summary_line(entries)}**", "", *rows])
 
 
 def _section(entry: Entry) -> str:
     if isinstance(entry, Unreadable):
         return f"### {_UNREADABLE} {code(entry.path)}\n\n{code(str(entry.error))}"
-    judged = f"Judged for {entry.target.label} at level {entry.level.word}."
+    introduction = f"Validated for {entry.target.label} at level {entry.level.word}."
     parts = [
         f"### {_SIGNS[entry.verdict]} {code(entry.path)}",
-        f"**{_escaped(verdict(entry))}**",
-        judged,
+        f"**{_escaped(verdict_line(entry))}**",
+        introduction,
     ]
     causes = {cause.outcome.rule.id: cause for cause in entry.causes}
     items = []
     counted = (finding for finding in entry.findings if finding.counts)
-    for rule, findings in groupby(counted, lambda one: one.rule):
+    for rule, findings in groupby(counted, lambda finding: finding.rule):
         items += [_finding(finding) for finding in findings]
         if rule in causes:
             blocked = causes[rule].blocked
-            names = ", ".join(one.id for one in blocked)
+            names = ", ".join(blocked_rule.id for blocked_rule in blocked)
             rules = plural(len(blocked), "rule")
-            items.append(f"  - so {rules} could not be judged: {names}")
+            items.append(f"  - so {rules} could not be checked: {names}")
     parts += ["\n".join(items)] if items else []
     return "\n\n".join(parts + _details(entry))
 
@@ -72,8 +72,8 @@ def _section(entry: Entry) -> str:
 def _finding(finding: Finding) -> str:
     doubt = " (possible)" if finding.certainty == "possible" else ""
     head = f"**{finding.rule} {finding.slug}** {finding.severity.word}{doubt}"
-    place = f"{code(str(finding.where))}: {code(finding.message)}"
-    return f"- {head} at {place}\n  - mend: {finding.hint}"
+    location = f"{code(str(finding.where))}: {code(finding.message)}"
+    return f"- {head} at {location}\n  - hint: {finding.hint}"
 
 
 def _details(report: Report) -> list[str]:
@@ -88,22 +88,26 @@ def _details(report: Report) -> list[str]:
         if not level.ran:
             parts.append(f"Level {level.level.word} did not run: {code(level.reason)}")
     waived = [
-        f"- {one.rule} {one.slug} at {code(str(one.where))}: {code(one.waiver)}"
-        for one in report.findings
-        if one.waiver
+        f"- {finding.rule} {finding.slug} at {code(str(finding.where))}: {code(finding.waiver)}"
+        for finding in report.findings
+        if finding.waiver
     ]
     return [*parts, "Waived:\n\n" + "\n".join(waived)] if waived else parts
 
 
 def code(text: str) -> str:
-    """Return ``text`` as a code span that nothing in it can end."""
-    shown = printable(text)
-    longest = max((len(run) for run in re.findall("`+", shown)), default=0)
+    """Return ``text`` as a code span whose fence does not occur in it."""
+    printable_text = printable(text)
+    longest = max((len(run) for run in re.findall("`+", printable_text)), default=0)
     fence = "`" * (longest + 1)
-    pad = " " if shown[:1] in ("`", " ", "") or shown[-1:] in ("`", " ") else ""
-    return f"{fence}{pad}{shown}{pad}{fence}"
+    pad = (
+        " "
+        if printable_text[:1] in ("`", " ", "") or printable_text[-1:] in ("`", " ")
+        else ""
+    )
+    return f"{fence}{pad}{printable_text}{pad}{fence}"
 
 
 def _escaped(text: str) -> str:
-    """Return ``text`` with its punctuation escaped, where it cannot stand in a code span."""
+    """Escape the punctuation of ``text`` for use outside a code span."""
     return re.sub(r"([\\`*_\[\]<>|~@&#])", r"\\\1", printable(text))

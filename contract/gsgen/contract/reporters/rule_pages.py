@@ -1,4 +1,4 @@
-"""A rule's declaration as text: its page, its entry in the list, its data."""
+"""Documentation of a rule from its declaration: its page, its list entry, its JSON."""
 
 __all__ = ["help_path", "index", "page", "to_dict"]
 
@@ -21,7 +21,7 @@ FAMILIES = {
 
 
 def help_path(rule: Rule) -> str:
-    """Return the path of our page on ``rule``; nothing for the rules of others."""
+    """Return the path of the documentation page of ``rule``; empty for third-party rules."""
     return "" if "/" in rule.id else f"rules/{rule.id}.md"
 
 
@@ -41,7 +41,7 @@ def page(rule: Rule, registry: Registry) -> str:
     listed = "\n".join(f"- {name}: {value}" for name, value in facts if value)
     text = (
         f"# {rule.id} {rule.slug}\n\n{rule.statement}\n\n{listed}\n\n"
-        f"## Why\n\n{rule.why}\n\n## How to mend it\n\n{rule.hint}\n"
+        f"## Why\n\n{rule.rationale}\n\n## How to repair it\n\n{rule.hint}\n"
     )
     return f"{text}\n## Evidence\n\n{rule.evidence}\n" if rule.evidence else text
 
@@ -51,7 +51,7 @@ def index(registry: Registry) -> str:
     lines = [
         "# Rules",
         "",
-        f"{len(registry.rules)} rules, each with a page of its own.",
+        f"{len(registry.rules)} rules, one page each.",
         "",
     ]
     family = ""
@@ -68,14 +68,14 @@ def index(registry: Registry) -> str:
 
 
 def to_dict(rule: Rule) -> dict[str, Any]:
-    """Return ``rule`` as plain data."""
+    """Return the declaration of ``rule`` as JSON types."""
     return {
         "id": rule.id,
         "slug": rule.slug,
         "severity": rule.severity.word,
         "level": rule.level.word,
         "statement": rule.statement,
-        "why": rule.why,
+        "why": rule.rationale,
         "hint": rule.hint,
         "fixture": rule.fixture,
         "needs": list(rule.needs),

@@ -1,8 +1,7 @@
-"""A report for code scanning: SARIF 2.1.0, one run for all models.
+"""SARIF 2.1.0 report for code scanning, with one run for all models.
 
-Rules are described from their declarations. A model is binary, so a result's place in it is a
-logical location, such as ``output gaussians``, and every result points at line 1 of the file:
-some readers turn away results without a line.
+A model is binary, so a result has a logical location, such as ``output gaussians``, and every
+result points at line 1 of the file: some readers reject results without a line.
 """
 
 __all__ = ["to_sarif"]
@@ -23,7 +22,7 @@ from gsgen.contract.validation.rule import Rule
 
 _SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 _LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: "note"}
-# What a result's fingerprint is called; a change in how it is made needs another name.
+# The name of the fingerprint; another way to compute it needs another name.
 _FINGERPRINT = "gsgen/1"
 
 Json = dict[str, Any]
@@ -35,7 +34,9 @@ def to_sarif(entries: Sequence[Entry]) -> str:
         number: entry for number, entry in enumerate(entries) if isinstance(entry, Report)
     }
     rules = {
-        one.rule.id: one.rule for report in reports.values() for one in report.outcomes
+        outcome.rule.id: outcome.rule
+        for report in reports.values()
+        for outcome in report.outcomes
     }
     numbers = {id: number for number, id in enumerate(rules)}
     driver = {
@@ -55,7 +56,9 @@ def to_sarif(entries: Sequence[Entry]) -> str:
         "results": results,
     }
     log = {"$schema": _SCHEMA, "version": "2.1.0", "runs": [run]}
-    return json.dumps(log, indent=2)  # in ASCII: a path may hold what UTF-8 cannot
+    return json.dumps(
+        log, indent=2
+    )  # in ASCII: a path may hold characters that UTF-8 cannot encode
 
 
 def _rule(rule: Rule) -> Json:
@@ -63,8 +66,8 @@ def _rule(rule: Rule) -> Json:
         "id": rule.id,
         "name": "".join(word.capitalize() for word in rule.slug.split("-")),
         "shortDescription": {"text": rule.statement},
-        "fullDescription": {"text": rule.why},
-        "help": {"text": f"{rule.why}\n\nHow to mend it: {rule.hint}"},
+        "fullDescription": {"text": rule.rationale},
+        "help": {"text": f"{rule.rationale}\n\nHow to repair it: {rule.hint}"},
         "defaultConfiguration": {"level": _LEVELS[rule.severity]},
         "properties": {
             "slug": rule.slug,
@@ -75,52 +78,56 @@ def _rule(rule: Rule) -> Json:
 
 
 def _artifact(entry: Entry) -> Json:
-    made: Json = {"location": {"uri": _uri(entry.path)}, "roles": ["analysisTarget"]}
+    artifact: Json = {"location": {"uri": _uri(entry.path)}, "roles": ["analysisTarget"]}
     if isinstance(entry, Report):
-        made["length"] = entry.size
-        made |= {"hashes": {"sha-256": entry.sha256}} if entry.sha256 else {}
-    return made
+        artifact["length"] = entry.size
+        artifact |= {"hashes": {"sha-256": entry.sha256}} if entry.sha256 else {}
+    return artifact
 
 
 def _uri(path: str) -> str:
-    """Return a URI reference: relative for a relative path, so that it holds on any machine."""
+    """Return a URI reference; it is relative for a relative path, so it is valid anywhere."""
     quoted = quote(os.fsencode(Path(path).as_posix()))
     return f"file://{quoted}" if Path(path).is_absolute() else quoted
 
 
 def _invocation(entries: Iterable[Entry]) -> Json:
-    troubles = [
-        trouble
+    failures = [
+        failure
         for number, entry in enumerate(entries)
-        for trouble in _troubles(entry, number)
+        for failure in _failures(entry, number)
     ]
     return {
-        "executionSuccessful": not troubles,
-        "toolExecutionNotifications": troubles,
+        "executionSuccessful": not failures,
+        "toolExecutionNotifications": failures,
     }
 
 
-def _troubles(entry: Entry, number: int) -> list[Json]:
-    """Say what was not judged though it should have been: an unreadable file, a crashed rule."""
+def _failures(entry: Entry, number: int) -> list[Json]:
+    """Return notifications of an unreadable file or of crashed rules."""
     if isinstance(entry, Unreadable):
-        return [_trouble(entry.path, number, str(entry.error))]
+        return [_failure_notification(entry.path, number, str(entry.error))]
     return [
-        _trouble(entry.path, number, f"{one.rule.id} crashed: {one.reason}", one.rule)
-        for one in entry.outcomes
-        if one.status == "crashed"
+        _failure_notification(
+            entry.path, number, f"{outcome.rule.id} crashed: {outcome.reason}", outcome.rule
+        )
+        for outcome in entry.outcomes
+        if outcome.status == "crashed"
     ]
 
 
-def _trouble(path: str, number: int, text: str, rule: Rule | None = None) -> Json:
-    made: Json = {
+def _failure_notification(
+    path: str, number: int, text: str, rule: Rule | None = None
+) -> Json:
+    notification: Json = {
         "level": "error",
         "message": {"text": printable(text, keep="\n")},
-        "locations": [{"physicalLocation": _place(path, number)}],
+        "locations": [{"physicalLocation": _physical_location(path, number)}],
     }
-    return made | ({"associatedRule": {"id": rule.id}} if rule else {})
+    return notification | ({"associatedRule": {"id": rule.id}} if rule else {})
 
 
-def _place(path: str, number: int) -> Json:
+def _physical_location(path: str, number: int) -> Json:
     return {
         "artifactLocation": {"uri": _uri(path), "index": number},
         "region": {"startLine": 1},
@@ -130,8 +137,8 @@ def _place(path: str, number: int) -> Json:
 def _result(report: Report, finding: Finding, rule: int, number: int) -> Json:
     level = _LEVELS[finding.severity]
     if finding.certainty == "possible" and level == "error":
-        level = "warning"  # a guess from the numbers fails nobody
-    made: Json = {
+        level = "warning"  # a possible finding does not fail the model
+    result: Json = {
         "ruleId": finding.rule,
         "ruleIndex": rule,
         "kind": "fail",
@@ -139,7 +146,7 @@ def _result(report: Report, finding: Finding, rule: int, number: int) -> Json:
         "message": {"text": printable(f"{finding.where}: {finding.message}")},
         "locations": [
             {
-                "physicalLocation": _place(report.path, number),
+                "physicalLocation": _physical_location(report.path, number),
                 "logicalLocations": [_logical(finding)],
             }
         ],
@@ -153,8 +160,8 @@ def _result(report: Report, finding: Finding, rule: int, number: int) -> Json:
         },
     }
     if report.baseline:
-        made["baselineState"] = "unchanged" if finding.known else "new"
-    return made | {"suppressions": _suppressions(finding)}
+        result["baselineState"] = "unchanged" if finding.known else "new"
+    return result | {"suppressions": _suppressions(finding)}
 
 
 def _logical(finding: Finding) -> Json:

@@ -1,6 +1,6 @@
-"""What all reporters say alike: the verdict in a line, several of them in another."""
+"""Texts that all reporters share: the verdict of a model, the summary of several."""
 
-__all__ = ["plural", "printable", "several", "verdict", "verdict_word"]
+__all__ = ["plural", "printable", "summary_line", "verdict_line", "verdict_word"]
 
 from collections import Counter
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ _CRASHED = "a rule crashed, no verdict"
 
 
 def printable(text: str, *, keep: str = "") -> str:
-    """Write control characters as escapes: a tensor's name must not steer who reads it."""
+    """Escape control characters: a tensor's name must not control a terminal."""
     return "".join(c if c.isprintable() or c in keep else ascii(c)[1:-1] for c in text)
 
 
@@ -21,15 +21,15 @@ def plural(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
-def verdict(report: Report) -> str:
-    """Return the verdict, and what was counted on the way."""
+def verdict_line(report: Report) -> str:
+    """Return the verdict with the numbers of rules and findings, in one line."""
     counted = report.statuses
     parts = [f"{counted['pass']} rules hold"]
     for severity in reversed(Severity):
         count = report.count(severity)
         if count:
-            said = plural(count, severity.word)
-            parts.append(f"{count} info" if severity is Severity.INFO else said)
+            counted_noun = plural(count, severity.word)
+            parts.append(f"{count} info" if severity is Severity.INFO else counted_noun)
     parts += _uncounted(report)
     for status, words in (("not-applicable", "not applicable"), ("skipped", "skipped")):
         if counted[status]:
@@ -43,26 +43,28 @@ def verdict_word(report: Report) -> str:
 
 
 def _uncounted(report: Report) -> list[str]:
-    ignored = {one.rule for one in report.findings if one.waived and not one.waiver}
-    waived = sum(bool(one.waiver) for one in report.findings)
-    known = sum(one.known for one in report.findings)
+    ignored = {
+        finding.rule for finding in report.findings if finding.waived and not finding.waiver
+    }
+    waived = sum(bool(finding.waiver) for finding in report.findings)
+    known = sum(finding.known for finding in report.findings)
     parts = [f"ignored: {', '.join(sorted(ignored))}"] if ignored else []
     parts += [f"{waived} waived"] if waived else []
     parts += [f"{known} known from {report.baseline}"] if known else []
-    gone = f"{len(report.gone)} gone since {report.baseline}"
-    return parts + ([gone] if report.gone else [])
+    resolved = f"{len(report.resolved)} resolved since {report.baseline}"
+    return parts + ([resolved] if report.resolved else [])
 
 
-def several(entries: Sequence[Entry]) -> str:
-    """Return how many models have which verdict."""
+def summary_line(entries: Sequence[Entry]) -> str:
+    """Return the number of models of each verdict, in one line."""
     words = Counter(
         "unreadable" if isinstance(entry, Unreadable) else verdict_word(entry)
         for entry in entries
     )
     names = {"conforms": "conform", _CRASHED: "without verdict"}
-    said = [
+    parts = [
         f"{words[word]} {word if word == 'conforms' and words[word] == 1 else name}"
         for word in ("conforms", "invalid", _CRASHED, "unreadable")
         if words[word] and (name := names.get(word, word))
     ]
-    return f"{plural(len(entries), 'model')}: {', '.join(said) or 'nothing judged'}"
+    return f"{plural(len(entries), 'model')}: {', '.join(parts) or 'no model validated'}"

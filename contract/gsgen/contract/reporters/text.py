@@ -1,29 +1,29 @@
-"""A report for people: what is wrong, where, how much of it, what follows, and what to do."""
+"""Text report for terminals: findings with locations, numbers, consequences and hints."""
 
-__all__ = ["Line", "brief", "finding_lines", "render", "render_all"]
+__all__ = ["Line", "brief_line", "finding_lines", "render", "render_all"]
 
 import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from gsgen.contract.reporters.summary import plural, printable, several, verdict
+from gsgen.contract.reporters.summary import plural, printable, summary_line, verdict_line
 from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.report import Cause, Entry, Report
 
 _STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
 _VERDICT_STYLE = {"conforms": "bold green"}
-_BAD = "bold red"
+_FAILURE_STYLE = "bold red"
 _WIDTH = 96
-_MOST_PLACES = 5
+_MOST_LOCATIONS = 5
 _MOST_BLOCKED = 12
-_MIB = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line of text, and the style a terminal may show it in."""
+    """One line of text and its terminal style."""
 
     text: str
     style: str = ""
@@ -32,39 +32,43 @@ class Line:
 def render_all(
     entries: Sequence[Entry], *, verbose: bool = False, quiet: bool = False
 ) -> list[Line]:
-    """Return all reports line by line, and a last line that sums up several."""
+    """Return all reports line by line; for several models, the last line sums up."""
     lines: list[Line] = []
     for entry in entries:
         if isinstance(entry, Report):
-            lines += [brief(entry)] if quiet else render(entry, verbose=verbose)
-    return [*lines, Line(several(entries), "bold")] if len(entries) > 1 else lines
+            lines += [brief_line(entry)] if quiet else render(entry, verbose=verbose)
+    return [*lines, Line(summary_line(entries), "bold")] if len(entries) > 1 else lines
 
 
-def brief(report: Report) -> Line:
-    """Return the verdict alone, with the model's name."""
-    return Line(printable(f"{report.path}: {verdict(report)}"), _verdict(report).style)
+def brief_line(report: Report) -> Line:
+    """Return the model's path and its verdict in one line."""
+    return Line(printable(f"{report.path}: {verdict_line(report)}"), _verdict(report).style)
 
 
 def render(report: Report, *, verbose: bool = False) -> list[Line]:
     """Return a report line by line.
 
     Args:
-        report: What to show.
-        verbose: Show findings that are known, what became of every rule, tolerances and probes.
+        report: The report of one model.
+        verbose: Also show known findings, the outcome of every rule, tolerances and probes.
     """
     lines = _head(report)
     causes = {cause.outcome.rule.id: cause for cause in report.causes}
-    shown = [one for one in report.findings if one.counts or (one.known and verbose)]
-    for rule, findings in groupby(shown, lambda one: one.rule):
-        lines += finding_lines(findings, every=verbose)
+    visible = [
+        finding
+        for finding in report.findings
+        if finding.counts or (finding.known and verbose)
+    ]
+    for rule, findings in groupby(visible, lambda finding: finding.rule):
+        lines += finding_lines(findings, verbose=verbose)
         if rule in causes:
-            lines += _consequence(causes.pop(rule), verbose)
+            lines += _consequence(causes.pop(rule), verbose=verbose)
     lines += _crashes(report)
     for cause in causes.values():
         rule, status = cause.outcome.rule, cause.outcome.status
         lines.append(Line(f"  {rule.id} {status}: {rule.slug}"))
-        lines += _consequence(cause, verbose)
-    lines += _not_run(report) + _left_out(report) + _waived(report) + _gone(report)
+        lines += _consequence(cause, verbose=verbose)
+    lines += _not_run(report) + _skipped(report) + _waived(report) + _resolved(report)
     if verbose:
         lines += _details(report)
     lines.append(_verdict(report))
@@ -78,35 +82,43 @@ def _head(report: Report) -> list[Line]:
     if report.capacity:
         facts.append(f"{report.capacity:,} rows")
     facts.append(
-        f"{report.size / _MIB:.1f} MiB" if report.size >= _MIB else f"{report.size:,} B"
+        format_mebibytes(report.size) if report.size >= MEBIBYTE else f"{report.size:,} B"
     )
-    judged = f"judged for {report.target.label} at level {report.level.word}"
+    scope = f"validated for {report.target.label} at level {report.level.word}"
     settings = "" if report.settings == "defaults" else f", settings from {report.settings}"
     return [
         Line(f"{report.path}: {', '.join(facts)}", "bold"),
-        Line(f"  {judged}{settings}"),
+        Line(f"  {scope}{settings}"),
     ]
 
 
-def finding_lines(findings: Iterable[Finding], *, every: bool = False) -> list[Line]:
-    """Return what is said of findings: what, where, how much of it, and how to mend it.
+def finding_lines(findings: Iterable[Finding], *, verbose: bool = False) -> list[Line]:
+    """Return findings line by line: rule, locations, numbers and hint.
 
-    Those of one kind that follow each other share their head and their cure.
+    Consecutive findings of the same rule share their heading and their hint.
 
     Args:
-        findings: In the order of the report.
-        every: Show all places; otherwise the first few of a kind, and how many there are.
+        findings: The findings, in the order of the report.
+        verbose: Show all locations; otherwise the first few of a rule, and their number.
     """
     lines: list[Line] = []
-    for (head, hint), group in groupby(findings, lambda one: (_head_of(one), one.hint)):
-        found = list(group)
-        lines.append(Line(head, _STYLE[found[0].severity]))
-        shown = found if every or len(found) <= _MOST_PLACES else found[: _MOST_PLACES - 1]
-        for one in shown:
-            lines += _place(one)
-        if left := len(found) - len(shown):
-            lines += _wrapped(f"and at {left} more places, which `gsgen validate -v` lists")
-        lines += _wrapped(f"mend: {hint}")
+    for (head, hint), group in groupby(
+        findings, lambda finding: (_head_of(finding), finding.hint)
+    ):
+        similar = list(group)
+        lines.append(Line(head, _STYLE[similar[0].severity]))
+        listed = (
+            similar
+            if verbose or len(similar) <= _MOST_LOCATIONS
+            else similar[: _MOST_LOCATIONS - 1]
+        )
+        for finding in listed:
+            lines += _location_lines(finding)
+        if unlisted := len(similar) - len(listed):
+            lines += _wrapped(
+                f"and at {unlisted} more locations, which `gsgen validate -v` lists"
+            )
+        lines += _wrapped(f"hint: {hint}")
     return [Line(printable(line.text), line.style) for line in lines]
 
 
@@ -117,25 +129,25 @@ def _head_of(finding: Finding) -> str:
     return f"  {finding.rule} {finding.severity.word}{doubt} {finding.slug}{source}{known}"
 
 
-def _place(finding: Finding) -> list[Line]:
+def _location_lines(finding: Finding) -> list[Line]:
     lines = _wrapped(f"{finding.where}: {finding.message}")
     if len(finding.examples) > 1 and finding.examples[0].row is not None:
-        shown = "; ".join(str(example) for example in finding.examples[1:])
-        lines += _wrapped(f"also {shown}")
+        examples = "; ".join(str(example) for example in finding.examples[1:])
+        lines += _wrapped(f"also {examples}")
     if finding.truncated:
-        lines += _wrapped("with what was found at further places, which are not listed")
+        lines += _wrapped("and violations at further locations, which are not listed")
     return lines
 
 
-def _consequence(cause: Cause, every: bool) -> list[Line]:
-    blocked = f"so {plural(len(cause.blocked), 'rule')} could not be judged"
-    if len(cause.blocked) > _MOST_BLOCKED and not every:
+def _consequence(cause: Cause, *, verbose: bool) -> list[Line]:
+    blocked = f"so {plural(len(cause.blocked), 'rule')} could not be checked"
+    if len(cause.blocked) > _MOST_BLOCKED and not verbose:
         return _wrapped(f"{blocked}, which `gsgen validate -v` lists")
     return _wrapped(f"{blocked}: {', '.join(rule.id for rule in cause.blocked)}")
 
 
 def _wrapped(text: str) -> list[Line]:
-    made = textwrap.wrap(
+    lines = textwrap.wrap(
         text,
         _WIDTH,
         initial_indent="    ",
@@ -143,7 +155,7 @@ def _wrapped(text: str) -> list[Line]:
         break_long_words=False,
         break_on_hyphens=False,
     )
-    return [Line(line) for line in made]
+    return [Line(line) for line in lines]
 
 
 def _crashes(report: Report) -> list[Line]:
@@ -151,7 +163,7 @@ def _crashes(report: Report) -> list[Line]:
     for outcome in report.outcomes:
         if outcome.status == "crashed":
             fault = f"  {outcome.rule.id} crashed: this is a fault of the rule"
-            lines.append(Line(fault, _BAD))
+            lines.append(Line(fault, _FAILURE_STYLE))
             lines += [Line(f"    {text}") for text in outcome.reason.splitlines()]
     return lines
 
@@ -164,31 +176,33 @@ def _not_run(report: Report) -> list[Line]:
     ]
 
 
-def _left_out(report: Report) -> list[Line]:
-    """Name the rules that were skipped although their level ran."""
+def _skipped(report: Report) -> list[Line]:
+    """List the rules that were skipped although their level ran."""
     ran = {outcome.level for outcome in report.levels if outcome.ran}
     lines: list[Line] = []
-    for one in report.outcomes:
-        if one.status == "skipped" and one.rule.level in ran:
-            lines.append(Line(f"  {one.rule.id} skipped: {one.rule.slug}", "yellow"))
-            lines += _wrapped(one.reason)
+    for outcome in report.outcomes:
+        if outcome.status == "skipped" and outcome.rule.level in ran:
+            lines.append(
+                Line(f"  {outcome.rule.id} skipped: {outcome.rule.slug}", "yellow")
+            )
+            lines += _wrapped(outcome.reason)
     return lines
 
 
 def _waived(report: Report) -> list[Line]:
     lines: list[Line] = []
-    for one in report.findings:
-        if one.waiver:
-            lines.append(Line(f"  {one.rule} waived: {one.slug}"))
-            lines += _wrapped(f"{one.where}: {one.waiver}")
+    for finding in report.findings:
+        if finding.waiver:
+            lines.append(Line(f"  {finding.rule} waived: {finding.slug}"))
+            lines += _wrapped(f"{finding.where}: {finding.waiver}")
     return lines
 
 
-def _gone(report: Report) -> list[Line]:
+def _resolved(report: Report) -> list[Line]:
     lines: list[Line] = []
-    for one in report.gone:
-        lines.append(Line(f"  {one.rule} gone: {one.slug}", "green"))
-        lines += _wrapped(f"{one.where}: {one.message}")
+    for finding in report.resolved:
+        lines.append(Line(f"  {finding.rule} resolved: {finding.slug}", "green"))
+        lines += _wrapped(f"{finding.where}: {finding.message}")
     return lines
 
 
@@ -196,15 +210,19 @@ def _details(report: Report) -> list[Line]:
     lines = [Line("  rules:")]
     for outcome in report.outcomes:
         if outcome.status in ("pass", "fail"):
-            spent = f"{outcome.milliseconds:.1f} ms, {outcome.items:,} looked at"
+            detail = f"{outcome.milliseconds:.1f} ms, {outcome.items:,} checked"
         else:
-            spent = outcome.reason.splitlines()[-1]
+            detail = outcome.reason.splitlines()[-1]
         lines.append(
-            Line(f"    {outcome.rule.id} {outcome.status}: {outcome.rule.slug} ({spent})")
+            Line(f"    {outcome.rule.id} {outcome.status}: {outcome.rule.slug} ({detail})")
         )
     lines += [Line("  tolerances:")] if report.tolerances else []
-    for one in report.tolerances:
-        lines.append(Line(f"    {one.field}: {one.value:g} {one.unit} (from {one.source})"))
+    for tolerance in report.tolerances:
+        lines.append(
+            Line(
+                f"    {tolerance.field}: {tolerance.value:g} {tolerance.unit} (from {tolerance.source})"
+            )
+        )
     lines += [Line("  probes:")] if report.probes else []
     lines += [Line(f"    {label}") for label in report.probes]
     took = f"{report.seconds:.2f} s, of which {report.runtime_seconds:.2f} s in ONNX Runtime's process"
@@ -212,4 +230,4 @@ def _details(report: Report) -> list[Line]:
 
 
 def _verdict(report: Report) -> Line:
-    return Line(verdict(report), _VERDICT_STYLE.get(report.verdict, _BAD))
+    return Line(verdict_line(report), _VERDICT_STYLE.get(report.verdict, _FAILURE_STYLE))

@@ -1,1 +1,1 @@
-"""Which statements does the contract check? A module a subject; the catalogue lists them all."""
+"""Which statements does the contract check? One module per subject; the catalogue lists all."""

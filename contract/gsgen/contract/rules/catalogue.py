@@ -1,6 +1,6 @@
-"""The rules that are installed: our own, and those that other packages bring."""
+"""The installed rules: those of the contract, and those that other packages register."""
 
-__all__ = ["FAMILIES", "catalogue", "installed_rules"]
+__all__ = ["FAMILIES", "builtin_rules", "installed_rules"]
 
 import re
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ from functools import cache
 from importlib.metadata import EntryPoint
 from types import ModuleType
 
-from gsgen.contract._entry_points import registered
+from gsgen.contract._entry_points import registered_entry_points
 from gsgen.contract.rules import safety, waivers
 from gsgen.contract.rules.behaviour import camera, determinism, motion, robustness
 from gsgen.contract.rules.graph import capture, graph, integers, naming, replay
@@ -32,7 +32,7 @@ from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.level_backend import LevelBackend
-from gsgen.contract.validation.rule import Registry, Rule, rule, rules_in, runners_in
+from gsgen.contract.validation.rule import Registry, Rule, backends_in, rule, rules_in
 
 FAMILIES = (
     manifest,
@@ -67,37 +67,37 @@ FAMILIES = (
 )
 
 
-def catalogue() -> list[Rule]:
-    """Return our own rules, family by family, in order of their ids."""
-    rules = [one for module in FAMILIES for one in rules_in(module)]
-    order = list(dict.fromkeys(one.family for one in rules))
-    return sorted(rules, key=lambda one: (order.index(one.family), one.id))
+def builtin_rules() -> list[Rule]:
+    """Return the contract's own rules, sorted by family and id."""
+    rules = [entry for module in FAMILIES for entry in rules_in(module)]
+    order = list(dict.fromkeys(entry.family for entry in rules))
+    return sorted(rules, key=lambda entry: (order.index(entry.family), entry.id))
 
 
 @cache
 def installed_rules() -> Registry:
-    """Return our rules and those registered under the entry point group ``gsgen.rules``.
+    """Return the built-in rules and those registered in the entry point group ``gsgen.rules``.
 
-    An entry point names a module, whose rules and runners are all taken, or a list of them. One
-    that does not load becomes a crashed rule in every report.
+    An entry point names a module that defines rules and level backends, or a list of them. An
+    entry point that does not load becomes a crashed rule in every report.
     """
-    rules = catalogue()
-    runners: list[LevelBackend] = []
-    points = registered("gsgen.rules")
+    rules = builtin_rules()
+    backends: list[LevelBackend] = []
+    points = registered_entry_points("gsgen.rules")
     for number, point in enumerate(points):
         try:
-            loaded, brought = _load(point)
-            # Refuses an id or a level that is taken.
-            Registry.of([*rules, *loaded], [*runners, *brought])
+            loaded, loaded_backends = _load(point)
+            # Raises if an id or a level is already taken.
+            Registry.of([*rules, *loaded], [*backends, *loaded_backends])
         except Exception as error:  # a third party's import may fail in any way
-            loaded, brought = [_unloadable(point, number, error)], []
+            loaded, loaded_backends = [_unloadable(point, number, error)], []
         rules.extend(loaded)
-        runners.extend(brought)
-    return Registry.of(rules, runners)
+        backends.extend(loaded_backends)
+    return Registry.of(rules, backends)
 
 
 def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
-    """Stand in for the rules of a plugin that does not load: a rule that crashes."""
+    """Return a rule that always crashes, in place of a plugin's rules that do not load."""
     letters = re.sub("[^a-z0-9]+", "-", point.name.lower()).lstrip("-0123456789")
 
     @rule(
@@ -115,7 +115,7 @@ def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
             Rules that do not load would be left out, and the report would look better than it is.
 
         Hint:
-            Mend or uninstall the package that registers them.
+            Repair or uninstall the package that registers them.
         """
         raise ImportError(f"rules {point.name} = {point.value} do not load: {error!r}")
 
@@ -125,6 +125,6 @@ def _unloadable(point: EntryPoint, number: int, error: Exception) -> Rule:
 def _load(point: EntryPoint) -> tuple[list[Rule], list[LevelBackend]]:
     loaded = point.load()
     if isinstance(loaded, ModuleType):
-        return rules_in(loaded), runners_in(loaded)
-    runners = [one for one in loaded if isinstance(one, LevelBackend)]
-    return [one for one in loaded if not isinstance(one, LevelBackend)], runners
+        return rules_in(loaded), backends_in(loaded)
+    backends = [entry for entry in loaded if isinstance(entry, LevelBackend)]
+    return [entry for entry in loaded if not isinstance(entry, LevelBackend)], backends

@@ -1,4 +1,4 @@
-"""GS: a model cannot reach outside its folder, nor take more than it is given."""
+"""GS rules: a model reads no files outside its folder and stays within its limits."""
 
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -10,15 +10,15 @@ from gsgen.contract.probing.probe_plan import probed_bytes, probed_shapes
 from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.gates import RUNNABLE
 from gsgen.contract.validation.rule import rule
 
 _MOST_ELEMENTS = 1 << 40
-_MIB = 1 << 20
-# What an array of numpy has, through which every input and output goes.
+# The limit of NumPy arrays, which hold every input and output.
 _MOST_AXES = 64
-# Several probes are held at once.
+# The inputs of several probes are in memory at the same time.
 _PROBES = 4
 
 
@@ -34,7 +34,7 @@ def external_data_inside(subject: InspectedModel) -> Iterator[Violation]:
     """External weights lie in files beside or below the model, and are complete.
 
     Why:
-        A path that leads out of the folder makes whoever loads the model read files of its
+        A path that leads out of the folder makes the machine that loads the model read files of the
         author's choosing; a missing or short file fails only when the model is loaded.
 
     Hint:
@@ -52,7 +52,7 @@ def external_data_inside(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None:
-    """Say what is wrong with a reference to a weight of ``payload`` bytes, without opening the file."""
+    """Return the fault of a reference to ``payload`` bytes and the expectation, or None."""
     windows, posix = PureWindowsPath(ref.location), PurePosixPath(ref.location)
     if not ref.location or "\0" in ref.location:
         return "no file name", "a file beside the model"
@@ -73,9 +73,9 @@ def _fault(ref: ExternalRef, root: Path, payload: int) -> tuple[str, str] | None
         if not path.is_file():
             return f"no such file (weight {ref.tensor!r})", "a file beside the model"
         size = path.stat().st_size
-    except (OSError, RuntimeError) as error:  # too long a name, or links in a circle
-        why = error.strerror if isinstance(error, OSError) else "links in a circle"
-        return f"cannot be looked up: {why}", "a file beside the model"
+    except (OSError, RuntimeError) as error:  # the name is too long, or links form a cycle
+        reason = error.strerror if isinstance(error, OSError) else "links form a cycle"
+        return f"cannot be looked up: {reason}", "a file beside the model"
     needed = ref.offset + (payload if ref.length is None else ref.length)
     if needed > size:
         return f"has {size} bytes (weight {ref.tensor!r})", f"at least {needed}"
@@ -101,7 +101,7 @@ def sizes_sane(subject: InspectedModel) -> Iterator[Violation]:
     """
     limit = subject.limits.memory
     graph = subject.graph
-    for place, tensors in (
+    for kind, tensors in (
         ("input", graph.inputs),
         ("output", graph.outputs),
         ("weight", graph.initializers.values()),
@@ -112,25 +112,29 @@ def sizes_sane(subject: InspectedModel) -> Iterator[Violation]:
             axes = len(tensor.dims or ())
             if negative:
                 yield Violation.at(
-                    f"{place} {tensor.name}", f"shape {tensor}", "sizes of 0 or more"
+                    f"{kind} {tensor.name}", f"shape {tensor}", "sizes of 0 or more"
                 )
             elif axes > _MOST_AXES:
-                wanted = f"{_MOST_AXES} axes at most"
-                yield Violation.at(f"{place} {tensor.name}", f"{axes} axes", wanted)
+                expected = f"{_MOST_AXES} axes at most"
+                yield Violation.at(f"{kind} {tensor.name}", f"{axes} axes", expected)
             elif size > limit or size > 8 * _MOST_ELEMENTS:
-                actual = f"{size / _MIB:.0f} MiB, {tensor}"
+                actual = f"{format_mebibytes(size, 0)}, {tensor}"
                 yield Violation.at(
-                    f"{place} {tensor.name}", actual, f"{limit // _MIB} MiB at most"
+                    f"{kind} {tensor.name}", actual, f"{limit // MEBIBYTE} MiB at most"
                 )
     for name, shape in probed_shapes(subject).items():
-        fed = graph.input(name)
-        if len(shape) > _MOST_AXES and fed is not None and fed.dims is None:
+        input_tensor = graph.input(name)
+        if (
+            len(shape) > _MOST_AXES
+            and input_tensor is not None
+            and input_tensor.dims is None
+        ):
             actual = f"{len(shape)} axes in the manifest"
             yield Violation.at(f"input {name}", actual, f"{_MOST_AXES} axes at most")
     probed, most = probed_bytes(subject), limit // _PROBES
-    if probed > most:  # sizes that the graph leaves open included
-        actual = f"{probed / _MIB:.0f} MiB in float64, all together"
-        yield Violation.at("inputs of a frame", actual, f"{most // _MIB} MiB at most")
+    if probed > most:  # includes sizes that are not fixed in the graph
+        actual = f"{format_mebibytes(probed, 0)} in float64 in total"
+        yield Violation.at("inputs of a frame", actual, f"{most // MEBIBYTE} MiB at most")
 
 
 @rule(
@@ -155,5 +159,5 @@ def within_limits(trial: ProbeRuns) -> Iterator[Violation]:
     fault = trial.execution.fault
     if fault is not None and fault.stage in ("time", "memory"):
         limit = trial.subject.granted
-        expected = f"at most {limit.seconds:g} s and {limit.memory // _MIB} MiB"
+        expected = f"at most {limit.seconds:g} s and {limit.memory // MEBIBYTE} MiB"
         yield Violation.at("ONNX Runtime", fault.message, expected)

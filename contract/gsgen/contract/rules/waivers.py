@@ -1,4 +1,4 @@
-"""GW: what a configuration waives is really there."""
+"""GW rules: every waiver in the settings still matches a finding."""
 
 from collections.abc import Iterator
 
@@ -18,25 +18,27 @@ from gsgen.contract.validation.waivers import Review
     kinds=KINDS,
 )
 def waiver_matches(review: Review) -> Iterator[Violation]:
-    """Every waiver that speaks of the model has not ended, and waives something.
+    """Every waiver for the model is still valid and matches a finding.
 
     Why:
-        A waiver that is no longer needed hides the same fault when it comes back, and one that has
-        ended looks as if it still held.
+        A waiver that is no longer needed hides the same fault when it comes back, and an expired
+        one looks as if it were still valid.
 
     Hint:
-        Remove the waiver from `gsgen.toml`; correct its `where`, which must be a place as the
-        report writes it; or mend the model, or move `until`, if the waiver has ended.
+        Remove the waiver from `gsgen.toml`, or correct its `where`, which must be a location as the
+        report writes it. If the waiver has expired, repair the model or move `until`.
     """
     for waiver in review.waivers:
         if waiver.rule == "GW001" or review.statuses.get(waiver.rule) not in (
             "pass",
             "fail",
         ):
-            continue  # what was not judged may be there all the same
-        found = any(waiver.covers(finding) for finding in review.findings)
-        place = f"waiver of {waiver}"
-        if not found:
-            yield Violation.at(place, "nothing to waive", "a finding that it speaks of")
-        elif not waiver.holds_on(review.today):
-            yield Violation.at(place, f"ended on {waiver.until}", "a day that is not past")
+            continue  # without a check, the fault may still be there
+        matches_finding = any(waiver.covers(finding) for finding in review.findings)
+        location = f"waiver of {waiver}"
+        if not matches_finding:
+            yield Violation.at(location, "no matching finding", "a finding that it covers")
+        elif not waiver.is_valid_on(review.today):
+            yield Violation.at(
+                location, f"expired on {waiver.until}", "a day that is not past"
+            )

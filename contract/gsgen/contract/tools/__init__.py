@@ -1,1 +1,1 @@
-"""What else can be done with a model: compare, record vectors, check the installation?"""
+"""What can be done with a model besides validation? Compare it, record test vectors."""

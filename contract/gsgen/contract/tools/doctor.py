@@ -1,6 +1,6 @@
-"""What is installed here, and what is missing, with the command that mends it."""
+"""Checks of the installation: versions, missing parts, and the command that installs them."""
 
-__all__ = ["Check", "checks", "package"]
+__all__ = ["Check", "check_package", "checks"]
 
 import platform
 import sys
@@ -13,16 +13,16 @@ from typing import Literal
 State = Literal["ok", "missing", "broken"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """One thing that a part of gsgen needs.
+    """The state of one dependency of gsgen.
 
     Attributes:
-        name: What it is.
-        state: ``ok``, ``missing`` (a part cannot be used), or ``broken`` (something is wrong).
-        detail: A version, an adapter, or what is wrong.
-        remedy: What to type to mend it; empty where all is well.
-        purpose: What it is needed for.
+        name: The package, device or process.
+        state: ``ok``, ``missing`` (some commands cannot run), or ``broken`` (it does not work).
+        detail: A version, an adapter, or the fault.
+        remedy: The command that repairs it; empty if the state is ``ok``.
+        purpose: The commands or levels that need it.
     """
 
     name: str
@@ -32,25 +32,37 @@ class Check:
     purpose: str = ""
 
 
-def package(name: str, remedy: str, *, purpose: str = "") -> Check:
-    """Say whether the distribution ``name`` is installed, without importing it."""
+def check_package(name: str, remedy: str, *, purpose: str = "") -> Check:
+    """Check whether the distribution ``name`` is installed, without importing it."""
     try:
-        return Check(name, "ok", version(name), purpose=purpose)
+        return Check(name=name, state="ok", detail=version(name), purpose=purpose)
     except PackageNotFoundError:
-        return Check(name, "missing", "not installed", remedy, purpose)
+        return Check(
+            name=name,
+            state="missing",
+            detail="not installed",
+            remedy=remedy,
+            purpose=purpose,
+        )
 
 
 def checks() -> Iterator[Check]:
-    """Yield the state of what validation needs."""
-    yield Check("gsgen", "ok", f"{version('gsgen')} in {Path(__file__).parents[2]}")
-    yield Check("python", "ok", f"{platform.python_version()} at {sys.executable}")
+    """Yield the state of the dependencies of validation."""
+    yield Check(
+        name="gsgen",
+        state="ok",
+        detail=f"{version('gsgen')} in {Path(__file__).parents[2]}",
+    )
+    yield Check(
+        name="python", state="ok", detail=f"{platform.python_version()} at {sys.executable}"
+    )
     for name in ("numpy", "onnx", "onnxruntime"):
-        yield package(name, f"pip install {name}", purpose="validate")
-    yield _child()
+        yield check_package(name, f"pip install {name}", purpose="validate")
+    yield _sandbox()
 
 
-def _child() -> Check:
-    """Run the smallest model in the sandbox, as validation does."""
+def _sandbox() -> Check:
+    """Run a minimal model in the sandbox, as validation does."""
     import tempfile
 
     from onnx import ModelProto, NodeProto, TensorProto
@@ -76,8 +88,16 @@ def _child() -> Check:
     purpose = "levels values and behaviour"
     if fault is not None:
         return Check(
-            "sandbox", "broken", fault.message, "pip install -U onnxruntime", purpose
+            name="sandbox",
+            state="broken",
+            detail=fault.message,
+            remedy="pip install -U onnxruntime",
+            purpose=purpose,
         )
     return Check(
-        "sandbox", "ok", f"a model ran in a child process ({seconds:.2f} s)", "", purpose
+        name="sandbox",
+        state="ok",
+        detail=f"a model ran in a child process ({seconds:.2f} s)",
+        remedy="",
+        purpose=purpose,
     )

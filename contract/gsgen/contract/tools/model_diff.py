@@ -1,4 +1,4 @@
-"""How two models differ: in what they declare, in their graphs, and in what they emit."""
+"""Compares two models: their declarations, their graphs and their outputs."""
 
 __all__ = ["Difference", "OutputDifference", "compare_models"]
 
@@ -26,13 +26,13 @@ _NOTHING = "(absent)"
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One fact that two models disagree about.
+    """One fact that differs between two models.
 
     Attributes:
         kind: ``contract`` or ``graph``.
-        what: What it is about, such as ``outputs.gaussians.dtype`` or ``operator MatMul``.
-        first: What the first model says.
-        second: What the second says.
+        what: The name of the fact: ``outputs.gaussians.dtype`` or ``operator MatMul``.
+        first: Its value in the first model.
+        second: Its value in the second model.
     """
 
     kind: str
@@ -43,12 +43,12 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class OutputDifference:
-    """How far two outputs of the same role are apart, over all probes.
+    """The largest difference between two outputs of the same role, over all probes.
 
     Attributes:
         role: ``gaussians``, ``appearance``, ``count`` or ``cells``.
         largest: The largest absolute difference; infinite where shapes differ.
-        rows: How many rows differ at the worst probe.
+        rows: The number of rows that differ at the worst probe.
         probe: Label of that probe.
     """
 
@@ -64,11 +64,11 @@ def compare_models(
     """Compare two models.
 
     Returns:
-        Differences of contract and graph, those of outputs, and why outputs could not be
-        compared (empty if they were).
+        The differences of contract and graph, those of outputs, and the reason why outputs
+        could not be compared (empty if they were).
 
     Raises:
-        ModelUnreadable: One of the files is no model.
+        ModelUnreadable: One of the files is not an ONNX model.
     """
     limits, target = limits or Limits(), load_target("core")
     a, b = (inspect_model(open_model(path), target, limits) for path in (first, second))
@@ -87,7 +87,7 @@ def _contract(a: InspectedModel, b: InspectedModel) -> Iterator[Difference]:
 def _declared(subject: InspectedModel) -> dict[str, str]:
     if subject.parsed is None or subject.manifest is None:
         return {"manifest": _NOTHING if subject.parsed is None else "(invalid)"}
-    dumps(subject.manifest)  # a manifest that cannot be written is no base for comparison
+    dumps(subject.manifest)  # raises for a manifest that cannot be written
     return dict(_flat("", to_json(subject.manifest)))
 
 
@@ -95,7 +95,7 @@ def _flat(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from _flat(f"{prefix}.{key}" if prefix else key, inner)
-    elif isinstance(value, list) and any(isinstance(one, dict) for one in value):
+    elif isinstance(value, list) and any(isinstance(item, dict) for item in value):
         for index, inner in enumerate(value):
             name = inner.get("name", index) if isinstance(inner, dict) else index
             yield from _flat(f"{prefix}[{name}]", inner)
@@ -128,10 +128,10 @@ def _changes(kind: str, a: dict[str, str], b: dict[str, str]) -> Iterator[Differ
 
 
 def _incomparable(a: InspectedModel, b: InspectedModel) -> str:
-    """Say why outputs cannot be compared; empty if they can."""
+    """Return why outputs cannot be compared; empty if they can."""
     for subject in (a, b):
         if subject.generator is None or not subject.output_names:
-            return f"{subject.file.path.name} is no Gaussian Generator"
+            return f"{subject.file.path.name} is not a Gaussian Generator"
     if a.graph.inputs != b.graph.inputs:
         return "the models take different inputs"
     return ""
@@ -149,10 +149,10 @@ def _outputs(a: InspectedModel, b: InspectedModel) -> tuple[list[OutputDifferenc
             if fault is not None:
                 return [], f"{subject.file.path.name} does not run: {fault.message}"
         labels = [probe.label for probe in plan.probes]
-        return list(_apart(a, b, runs, labels)), ""
+        return list(_output_differences(a, b, runs, labels)), ""
 
 
-def _apart(
+def _output_differences(
     a: InspectedModel, b: InspectedModel, runs: list[Execution], labels: list[str]
 ) -> Iterator[OutputDifference]:
     for role in ("gaussians", "appearance", "count", "cells"):
@@ -167,7 +167,7 @@ def _apart(
                 x, y = (
                     x[..., :3],
                     y[..., :3],
-                )  # float16 rows have a channel that fills words
+                )  # the fourth channel of float16 rows is padding
             largest, rows = _distance(x, y)
             if largest > worst.largest:
                 worst = OutputDifference(role, largest, rows, label)

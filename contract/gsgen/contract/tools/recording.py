@@ -1,12 +1,12 @@
-"""Record what a model gives in the manifest of a copy: vectors, pictures, whatever it promises."""
+"""Records outputs of a model, such as test vectors, in the manifest of a copy."""
 
 __all__ = [
     "RecordingRefused",
-    "executed",
-    "recordable",
-    "recorded_copy",
-    "refuse_standing",
-    "spread",
+    "evenly_spaced",
+    "inspect_recordable",
+    "refuse_existing",
+    "run_at_probes",
+    "write_recorded_copy",
 ]
 
 import json
@@ -30,42 +30,42 @@ from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 
-_Thing = TypeVar("_Thing")
+_Item = TypeVar("_Item")
 
 
 class RecordingRefused(GsgenError):
-    """The model is not one whose outputs can be promised."""
+    """The outputs of the model cannot be recorded: it has no manifest, is invalid or fails."""
 
 
-def refuse_standing(standing: Sequence[Path], folder: Path, other: str) -> None:
-    """Refuse to replace what an earlier recording wrote.
+def refuse_existing(existing: Sequence[Path], folder: Path, alternative: str) -> None:
+    """Raise if an earlier recording would be replaced.
 
     Args:
-        standing: What of it is there.
-        folder: Where.
-        other: What can be named in its place, for the error.
+        existing: Files of the earlier recording.
+        folder: Their folder.
+        alternative: The option to change instead of using --force, for the hint.
 
     Raises:
-        ConfigInvalid: There is some.
+        ConfigInvalid: ``existing`` is not empty.
     """
-    if standing:
-        what = f"holds {standing[0].name} already"
-        hint = f"Name another {other}, or replace them with --force."
-        raise ConfigInvalid(what, where=str(folder), hint=hint)
+    if existing:
+        message = f"holds {existing[0].name} already"
+        hint = f"Name another {alternative}, or replace them with --force."
+        raise ConfigInvalid(message, where=str(folder), hint=hint)
 
 
-def spread(things: Sequence[_Thing], count: int) -> list[_Thing]:
-    """Return ``count`` of the things, evenly spread; first and last are among several."""
-    picked = np.rint(np.linspace(0, len(things) - 1, count)).astype(int)
-    return [things[index] for index in picked]
+def evenly_spaced(items: Sequence[_Item], count: int) -> list[_Item]:
+    """Return ``count`` evenly spaced items; with two or more, the first and the last are included."""
+    picked = np.rint(np.linspace(0, len(items) - 1, count)).astype(int)
+    return [items[index] for index in picked]
 
 
-def recordable(source: Path, settings: Settings) -> InspectedModel:
-    """Return what is known of a model that can promise something.
+def inspect_recordable(source: Path, settings: Settings) -> InspectedModel:
+    """Inspect a model, and raise if its outputs cannot be recorded.
 
     Raises:
         ModelUnreadable: ``source`` is not an ONNX model.
-        RecordingRefused: It has no manifest, or breaks a static rule.
+        RecordingRefused: The model has no manifest, or breaks a static rule.
     """
     file = open_model(source)
     subject = inspect_model(file, settings.target, settings.limits)
@@ -76,49 +76,47 @@ def recordable(source: Path, settings: Settings) -> InspectedModel:
             f"with `gsgen fix {typed} --manifest FILE -o OUT.onnx`."
         )
         raise RecordingRefused(
-            "has no manifest that could hold them", where=where, hint=hint
+            "has no manifest to record outputs in", where=where, hint=hint
         )
     report = validate(source, replace(settings, level=Level.STATIC))
-    broken = [one for one in report.findings if one.severity >= Severity.ERROR]
+    broken = [finding for finding in report.findings if finding.severity >= Severity.ERROR]
     if broken:
-        what = f"breaks {broken[0].rule} at {broken[0].where}: {broken[0].message}"
-        hint = (
-            f"What a broken model gives is no promise; `gsgen validate {typed}` says more."
-        )
-        raise RecordingRefused(what, where=where, hint=hint)
+        message = f"breaks {broken[0].rule} at {broken[0].where}: {broken[0].message}"
+        hint = f"Repair the model first; `gsgen validate {typed}` lists its faults."
+        raise RecordingRefused(message, where=where, hint=hint)
     return subject
 
 
 @contextmanager
-def executed(
+def run_at_probes(
     subject: InspectedModel, outputs: Sequence[str], probes: Sequence[Probe]
 ) -> Iterator[Execution]:
-    """Run a model at probes; results live as long as the block.
+    """Run a model at probes; the results live as long as the ``with`` block.
 
     Raises:
-        RecordingRefused: It does not run.
+        RecordingRefused: The model does not run.
     """
     path = subject.file.path
     with execute(path, outputs, probes, subject.granted) as execution:
         if execution.fault is not None:
-            what = f"does not run: {execution.fault.message}"
-            raise RecordingRefused(what, where=str(path))
+            message = f"does not run: {execution.fault.message}"
+            raise RecordingRefused(message, where=str(path))
         yield execution
 
 
 @contextmanager
-def recorded_copy(
+def write_recorded_copy(
     file: ModelFile, changed: Mapping[str, Any], model: Path
 ) -> Iterator[Path]:
-    """Write a copy whose manifest says something else; fields that we do not know stay.
+    """Write a copy of a model with changed manifest fields; unknown fields are kept.
 
     Args:
-        file: The model; it stays as it is, unless ``model`` is the same file.
-        changed: Field of the manifest → what it says, as JSON has it.
-        model: The copy; weights in other files are copied along.
+        file: The model; it is not changed, unless ``model`` is the same file.
+        changed: Field of the manifest → its JSON value.
+        model: The copy; external weight files are copied too.
 
     Yields:
-        A folder: what is written into it goes beside the copy, if the block ends well.
+        A temporary folder; its files are moved next to the copy if the block succeeds.
 
     Raises:
         ConfigInvalid: The copy cannot be written.

@@ -1,11 +1,11 @@
-"""Record test vectors: files that ONNX's backend runner reads, and digests in the manifest.
+"""Records test vectors: files for ONNX's backend tests, and digests in the manifest.
 
 The layout is that of the ONNX model zoo: a folder with ``model.onnx`` and, for each vector,
 ``test_data_set_0/input_0.pb …, output_0.pb …``, TensorProto messages in the order of the graph's
 inputs and outputs.
 """
 
-__all__ = ["Recorded", "record_vectors"]
+__all__ = ["RecordedVectors", "record_vectors"]
 
 import re
 import shutil
@@ -29,11 +29,11 @@ from gsgen.contract.spec.manifest import TestVector
 from gsgen.contract.spec.severity import Level
 from gsgen.contract.tools.recording import (
     RecordingRefused,
-    executed,
-    recordable,
-    recorded_copy,
-    refuse_standing,
-    spread,
+    evenly_spaced,
+    inspect_recordable,
+    refuse_existing,
+    run_at_probes,
+    write_recorded_copy,
 )
 from gsgen.contract.validation.settings import Settings
 
@@ -43,13 +43,13 @@ _SET = re.compile(r"^test_data_set_[0-9]+$")
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
-    """What was written.
+class RecordedVectors:
+    """The result of recording test vectors.
 
     Attributes:
         model: The copy whose manifest has the digests.
-        folder: Where the folders of inputs and outputs are.
-        vectors: What the manifest says now, in the order of the folders.
+        folder: The parent folder of inputs and outputs.
+        vectors: The vectors in the manifest, in the order of the folders.
     """
 
     model: Path
@@ -67,39 +67,40 @@ def record_vectors(
     settings: Settings | None = None,
     force: bool = False,
     progress: Callable[[str], None] = lambda _: None,
-) -> Recorded:
-    """Run ``source`` at ``count`` of its probes, and keep inputs, outputs and their digests.
+) -> RecordedVectors:
+    """Run ``source`` at ``count`` of its probes, and write inputs, outputs and digests.
 
     Args:
-        source: A model with a manifest; it stays as it is, unless ``model`` is the same file.
-        folder: Gets a folder ``test_data_set_k`` for each vector.
-        model: The copy with the digests; ``folder/model.onnx`` where absent.
-        count: How many probes, spread over the set that validation runs, all zeros first;
-            three where absent, or all where there are fewer.
-        seed: Seed of that set.
-        settings: Limits of running it.
-        force: Replace vectors that stand in ``folder`` already.
-        progress: Called with a few words whenever a new stage begins.
+        source: A model with a manifest; it is not changed, unless ``model`` is the same file.
+        folder: The parent of the folders ``test_data_set_k``, one per vector.
+        model: The copy with the digests; by default ``folder/model.onnx``.
+        count: Number of probes, evenly spread over those of a validation, all zeros first;
+            by default three, or all if there are fewer.
+        seed: Seed of the probe set.
+        settings: Limits for running the model.
+        force: Replace existing vectors in ``folder``.
+        progress: Called with a short text at the start of each stage.
 
     Raises:
         ModelUnreadable: ``source`` is not an ONNX model.
-        RecordingRefused: It has no manifest, breaks a static rule, fails, or gives other outputs
-            when it is run again.
-        ConfigInvalid: There are fewer probes, the folder holds vectors, or cannot be written.
+        RecordingRefused: The model has no manifest, breaks a static rule, fails, or gives other
+            outputs in a second run.
+        ConfigInvalid: ``count`` exceeds the number of probes, or the folder holds vectors or
+            cannot be written.
     """
     settings = settings or Settings()
     model = model or folder / MODEL
-    standing = [path for path in _listed(folder) if _SET.match(path.name)]
+    existing = [path for path in _listed(folder) if _SET.match(path.name)]
     if not force:
-        refuse_standing(standing, folder, "folder")
+        refuse_existing(existing, folder, "folder")
     progress(f"reading {source.name}")
     subject = _subject(source, settings)
-    probes = _chosen(make_plan(subject, Level.VALUES, seed).probes, count)
+    probes = _selected_probes(make_plan(subject, Level.VALUES, seed).probes, count)
     progress(f"running {len(probes)} probes twice in ONNX Runtime")
-    with _staged(folder) as stage:
+    with _staging_folder(folder) as stage:
         names = [tensor.name for tensor in subject.graph.outputs]
         twice = [probe for probe in probes for _ in range(2)]
-        with executed(subject, names, twice) as execution:
+        with run_at_probes(subject, names, twice) as execution:
             vectors = tuple(
                 _write(stage / f"test_data_set_{index}", subject, probe, outputs, seed)
                 for index, (probe, outputs) in enumerate(
@@ -107,13 +108,13 @@ def record_vectors(
                 )
             )
         progress(f"writing {model.name}")
-        with recorded_copy(subject.file, {"test_vectors": to_json(vectors)}, model):
+        with write_recorded_copy(subject.file, {"test_vectors": to_json(vectors)}, model):
             pass
-        for path in standing:
+        for path in existing:
             _remove(path)
-        for made in sorted(stage.iterdir()):
-            made.replace(folder / made.name)
-    return Recorded(model, folder, vectors)
+        for staged_path in sorted(stage.iterdir()):
+            staged_path.replace(folder / staged_path.name)
+    return RecordedVectors(model, folder, vectors)
 
 
 def _listed(folder: Path) -> list[Path]:
@@ -122,37 +123,39 @@ def _listed(folder: Path) -> list[Path]:
 
 def _remove(path: Path) -> None:
     if path.is_symlink() or not path.is_dir():
-        path.unlink()  # of what a link points to nothing is ours
+        path.unlink()  # the target of a link belongs to the user
     else:
         shutil.rmtree(path)
 
 
 def _subject(source: Path, settings: Settings) -> InspectedModel:
-    subject = recordable(source, settings)
-    # Without a manifest, all outputs that numpy can hold are fetched.
+    subject = inspect_recordable(source, settings)
+    # Without a manifest, every output that NumPy can hold is fetched.
     fetched = fetched_outputs(replace(subject, parsed=None, candidate=None))
-    unread = [one.name for one in subject.graph.outputs if one.name not in fetched]
+    unread = [tensor.name for tensor in subject.graph.outputs if tensor.name not in fetched]
     if unread:
-        what = f"output {unread[0]!r} has a dtype that numpy cannot hold"
-        raise RecordingRefused(what, where=str(source))
+        message = f"output {unread[0]!r} has a dtype that NumPy cannot hold"
+        raise RecordingRefused(message, where=str(source))
     return subject
 
 
-def _chosen(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
+def _selected_probes(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
     if count is None:
         count = min(_COUNT, len(probes))
     if count > len(probes):
         have = "1 probe" if len(probes) == 1 else f"{len(probes)} probes"
-        what = f"{count} vectors, and the model has {have}"
-        raise ConfigInvalid(what, where="--count", hint=f"--count {len(probes)} takes all.")
+        message = f"{count} vectors, but the model has only {have}"
+        raise ConfigInvalid(
+            message, where="--count", hint=f"--count {len(probes)} takes all."
+        )
     if count < 1:
-        raise ConfigInvalid(f"{count} vectors, wanted 1 or more", where="--count")
-    return spread(probes, count)
+        raise ConfigInvalid(f"{count} vectors: expected 1 or more", where="--count")
+    return evenly_spaced(probes, count)
 
 
 @contextmanager
-def _staged(folder: Path) -> Iterator[Path]:
-    """Yield a folder inside ``folder`` for what is not whole yet; nothing of it stays."""
+def _staging_folder(folder: Path) -> Iterator[Path]:
+    """Yield a temporary folder inside ``folder`` for incomplete files."""
     fresh = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -176,9 +179,9 @@ def _outputs(
     runs = execution.runs
     for probe, first, second in zip(probes, runs[::2], runs[1::2], strict=True):
         if first.sample != second.sample:
-            what = f"gives other outputs when it is run again, at {probe.label!r}"
-            hint = "Remove random operators, and state that is kept between runs."
-            raise RecordingRefused(what, where=str(source), hint=hint)
+            message = f"gives other outputs in a second run of probe {probe.label!r}"
+            hint = "Remove random operators and state that persists between runs."
+            raise RecordingRefused(message, where=str(source), hint=hint)
         yield probe, execution.samples[first.sample].outputs
 
 
@@ -190,8 +193,8 @@ def _write(
     seed: int,
 ) -> TestVector:
     folder.mkdir()
-    given = [tensor.name for tensor in subject.graph.inputs]
-    for number, name in enumerate(given):
+    input_names = [tensor.name for tensor in subject.graph.inputs]
+    for number, name in enumerate(input_names):
         _write_tensor(folder / f"input_{number}.pb", name, probe.inputs[name])
     for number, (name, value) in enumerate(outputs.items()):
         _write_tensor(folder / f"output_{number}.pb", name, value)

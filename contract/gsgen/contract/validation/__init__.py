@@ -1,1 +1,1 @@
-"""How is a model validated: rule, finding, settings, engine, report?"""
+"""How is a model validated? Rules, findings, settings, engine and report."""

@@ -1,4 +1,4 @@
-"""Baselines: an earlier report, whose findings are known and do not fail a model again."""
+"""Baselines: earlier reports, whose known findings do not fail a model."""
 
 __all__ = ["Baseline", "KnownFindings", "read_baseline"]
 
@@ -11,67 +11,70 @@ from typing import Any
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.validation.finding import Location
-from gsgen.contract.validation.report import Gone, Report
+from gsgen.contract.validation.report import REPORT_SCHEMA_FILE, Report, ResolvedFinding
 
-# Fingerprint → what was found.
-KnownFindings = Mapping[str, Gone]
+# Fingerprint → the finding of the earlier report.
+KnownFindings = Mapping[str, ResolvedFinding]
 
-_MEND = "Make one with: gsgen validate MODEL --format json -o FILE"
-_JUDGED = ("pass", "fail")
-_SCHEMA = "report-1.schema.json"
+_HINT = "Write one with: gsgen validate MODEL --format json -o FILE"
+_CHECKED = ("pass", "fail")
 
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """What is known of some models.
+    """Known findings of one or several models.
 
     Attributes:
         path: The report it was read from.
-        known: A model, as it was named → its findings.
+        known: Path of a model in the earlier report → its findings.
     """
 
     path: str
     known: Mapping[str, KnownFindings]
 
-    def applied(self, report: Report) -> Report:
-        """Return ``report`` with the findings that are known marked so, and those that are gone.
+    def apply(self, report: Report) -> Report:
+        """Mark the known findings of ``report``, and list those that are resolved.
 
-        What belongs to a rule that was not judged this time may be there still: it is not gone.
+        A finding is resolved only if its rule was checked this time.
         """
-        known = self.of(report.path)
+        known = self.known_findings(report.path)
         findings = tuple(
-            replace(one, known=not one.waived and one.fingerprint in known)
-            for one in report.findings
+            replace(finding, known=not finding.waived and finding.fingerprint in known)
+            for finding in report.findings
         )
-        found = {one.fingerprint for one in findings}
-        judged = {one.rule.id for one in report.outcomes if one.status in _JUDGED}
-        gone = tuple(
-            one
-            for fingerprint, one in known.items()
-            if fingerprint not in found and one.rule in judged
+        fingerprints = {finding.fingerprint for finding in findings}
+        checked = {
+            outcome.rule.id for outcome in report.outcomes if outcome.status in _CHECKED
+        }
+        resolved = tuple(
+            finding
+            for fingerprint, finding in known.items()
+            if fingerprint not in fingerprints and finding.rule in checked
         )
-        return replace(report, findings=findings, baseline=self.path, gone=gone)
+        return replace(report, findings=findings, baseline=self.path, resolved=resolved)
 
-    def of(self, path: str) -> KnownFindings:
-        """Return what is known of the model at ``path``.
+    def known_findings(self, path: str) -> KnownFindings:
+        """Return the known findings of the model at ``path``.
 
-        A baseline of one model holds for any, whatever it is called now. Among several the path
-        decides, or else the file's name: machines keep the same models in other folders.
+        A baseline of one model applies to every path. Among several models, the path decides, then
+        the file name: other machines keep the same models in other folders.
         """
         if len(self.known) == 1:
             return next(iter(self.known.values()))
         if path in self.known:
             return self.known[path]
         name = PurePath(path).name
-        named = (found for uri, found in self.known.items() if PurePath(uri).name == name)
-        return {key: one for found in named for key, one in found.items()}
+        same_name = (
+            findings for uri, findings in self.known.items() if PurePath(uri).name == name
+        )
+        return {key: finding for findings in same_name for key, finding in findings.items()}
 
 
 def read_baseline(path: Path) -> Baseline:
     """Read the JSON report at ``path`` as a baseline.
 
     Raises:
-        ConfigInvalid: It cannot be read, or is no such report.
+        ConfigInvalid: The file cannot be read, or is not a gsgen report.
     """
     where = str(path)
     try:
@@ -79,19 +82,21 @@ def read_baseline(path: Path) -> Baseline:
     except OSError as error:
         raise ConfigInvalid(f"cannot be read: {error.strerror}", where=where) from error
     except (ValueError, RecursionError) as error:
-        raise ConfigInvalid(f"is not JSON: {error}", where=where, hint=_MEND) from error
+        raise ConfigInvalid(f"is not JSON: {error}", where=where, hint=_HINT) from error
     _check_shape(document, where)
-    known: dict[str, dict[str, Gone]] = {}
-    for one in document.get("reports", [document]):
-        listed = {entry["fingerprint"]: _read(entry) for entry in one.get("findings", ())}
-        known.setdefault(one["subject"]["uri"], {}).update(listed)
+    known: dict[str, dict[str, ResolvedFinding]] = {}
+    for report in document.get("reports", [document]):
+        listed = {
+            entry["fingerprint"]: _read(entry) for entry in report.get("findings", ())
+        }
+        known.setdefault(report["subject"]["uri"], {}).update(listed)
     return Baseline(where, known)
 
 
-def _read(entry: Mapping[str, Any]) -> Gone:
+def _read(entry: Mapping[str, Any]) -> ResolvedFinding:
     where = Location(entry["where"]["subject"], entry["where"].get("field", ""))
-    names = (entry["rule"], entry["slug"], entry["fingerprint"])
-    return Gone(*names, where, entry["message"])
+    keys = ("rule", "slug", "fingerprint", "message")
+    return ResolvedFinding(where=where, **{key: entry[key] for key in keys})
 
 
 def _check_shape(document: Any, where: str) -> None:
@@ -101,11 +106,17 @@ def _check_shape(document: Any, where: str) -> None:
     name = document.get("schema") if isinstance(document, dict) else None
     if name != "gsgen-report/1":
         actual = f"schema {name!r}" if isinstance(name, str) else "no schema"
-        what = f"is not a report: {actual}; wanted 'gsgen-report/1'"
-        raise ConfigInvalid(what, where=where, hint=_MEND)
-    text = resources.files("gsgen.contract").joinpath("schemas", _SCHEMA).read_text("utf-8")
+        message = f"is not a report: {actual}; expected schema 'gsgen-report/1'"
+        raise ConfigInvalid(message, where=where, hint=_HINT)
+    text = (
+        resources.files("gsgen.contract")
+        .joinpath("schemas", REPORT_SCHEMA_FILE)
+        .read_text("utf-8")
+    )
     error = best_match(Draft202012Validator(json.loads(text)).iter_errors(document))
     if error is not None:
-        place = ".".join(str(part) for part in error.absolute_path)
-        at = f"{where}, {place}" if place else where
-        raise ConfigInvalid(f"is not a report: {error.message[:200]}", where=at, hint=_MEND)
+        json_path = ".".join(str(part) for part in error.absolute_path)
+        location = f"{where}, {json_path}" if json_path else where
+        raise ConfigInvalid(
+            f"is not a report: {error.message[:200]}", where=location, hint=_HINT
+        )

@@ -1,4 +1,4 @@
-"""Digests that tell one file, or one set of rules, from another."""
+"""SHA-256 digests of model files and of sets of rules."""
 
 __all__ = ["digest", "rules_digest"]
 
@@ -11,30 +11,30 @@ from gsgen.contract.spec.severity import Level
 from gsgen.contract.validation.rule import Rule
 
 _CHUNK = 1 << 20
-# Hashing more would be most of the time that a static validation takes.
+# Hashing a larger file would take most of the time of a static validation.
 _STATIC_BYTES = 64 << 20
 
 
 def digest(path: Path, level: Level, size: int) -> str:
-    """Return the SHA-256 of a file; nothing where it costs more than judging up to ``level``."""
+    """Return the SHA-256 of a file, or an empty text for large files at the static level."""
     if level < Level.VALUES and size >= _STATIC_BYTES:
         return ""
-    made = hashlib.sha256()
+    hasher = hashlib.sha256()
     with path.open("rb") as file:
         while chunk := file.read(_CHUNK):
-            made.update(chunk)
-    return made.hexdigest()
+            hasher.update(chunk)
+    return hasher.hexdigest()
 
 
 def rules_digest(rules: Iterable[Rule]) -> str:
-    """Return the SHA-256 over what rules declare: equal where models are judged by the same."""
-    said = [
+    """Return the SHA-256 of the rules' declarations: equal digests mean equal rules."""
+    declarations = [
         (
-            *(one.id, one.slug, one.severity.word, one.level.word, one.scope),
-            *(one.statement, one.why, one.hint, one.evidence),
-            *(one.needs, one.kinds, one.target, one.limit),
+            *(rule.id, rule.slug, rule.severity.word, rule.level.word, rule.scope),
+            *(rule.statement, rule.rationale, rule.hint, rule.evidence),
+            *(rule.needs, rule.kinds, rule.target, rule.limit),
         )
-        for one in rules
+        for rule in rules
     ]
-    text = json.dumps(said, ensure_ascii=True, separators=(",", ":"))
+    text = json.dumps(declarations, ensure_ascii=True, separators=(",", ":"))
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"

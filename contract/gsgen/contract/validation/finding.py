@@ -1,4 +1,4 @@
-"""What a rule found: severities, levels, breaches (one place) and findings (one rule, counted)."""
+"""Results of a rule: a violation at one location, and findings that count violations."""
 
 __all__ = ["Certainty", "Example", "Finding", "Location", "Violation"]
 
@@ -17,11 +17,11 @@ Certainty = Literal["confirmed", "possible"]
 
 @dataclass(frozen=True, slots=True)
 class Location:
-    """The place of a breach.
+    """The location of a violation.
 
     Attributes:
         subject: ``output gaussians``, ``input time``, ``node /mlp/MatMul``, ``manifest bounds``.
-        field: The field of a packed row, such as ``opacity``; empty if it is none.
+        field: The field of a packed row, such as ``opacity``; empty for other locations.
     """
 
     subject: str
@@ -31,27 +31,28 @@ class Location:
         return f"{self.subject}, {self.field}" if self.field else self.subject
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Violation:
-    """One place where a rule does not hold, as the rule saw it.
+    """One location where a rule does not hold.
 
     Attributes:
-        where: The place.
-        actual: What was there, with the value; empty for breaches of rows.
-        expected: What the rule wants instead.
-        bad: For rows of a chunk, which of them break the rule.
-        judged: How many rows of the chunk the rule looked at.
-        values: What to show of each row, [n] or [n, k].
-        magnitude: How bad each row is; the largest is reported as the worst.
-        min_fraction: The rule fails only if more than this share of all judged rows is bad.
-        certainty: Whether it is proven or a guess from the numbers.
+        where: The location.
+        actual: The offending value; empty for violations of rows.
+        expected: The value that the rule expects.
+        invalid_rows: For rows of a chunk, which of them break the rule.
+        checked: The number of rows of the chunk that the rule checked.
+        values: The values of each row to report, [n] or [n, k].
+        magnitude: The severity of each row; the largest is reported as the worst.
+        min_fraction: The rule fails only if more than this fraction of all checked rows is
+            invalid.
+        certainty: ``confirmed``, or ``possible`` for a conclusion drawn from the numbers.
     """
 
     where: Location
     expected: str
     actual: str = ""
-    bad: Bool[np.ndarray, " n"] | None = None
-    judged: int = 1
+    invalid_rows: Bool[np.ndarray, " n"] | None = None
+    checked: int = 1
     values: Float[np.ndarray, "..."] | None = None
     magnitude: Float[np.ndarray, " n"] | None = None
     min_fraction: float = 0.0
@@ -61,28 +62,30 @@ class Violation:
     def at(
         cls, subject: str, actual: str, expected: str, *, certainty: Certainty = "confirmed"
     ) -> "Violation":
-        """Report one thing that is not as it should be."""
-        return cls(Location(subject), expected, actual, certainty=certainty)
+        """Return a violation of one tensor, node or manifest field."""
+        return cls(
+            where=Location(subject), expected=expected, actual=actual, certainty=certainty
+        )
 
     @classmethod
     def rows(
         cls,
         where: Location,
-        bad: Bool[np.ndarray, " n"],
+        invalid_rows: Bool[np.ndarray, " n"],
         values: Float[np.ndarray, "..."],
         expected: str,
         *,
-        judged: int,
+        checked: int,
         magnitude: Float[np.ndarray, " n"] | None = None,
         min_fraction: float = 0.0,
         certainty: Certainty = "confirmed",
     ) -> "Violation":
-        """Report rows of a chunk; the engine counts them and picks the ones to show."""
+        """Return a violation of rows of a chunk; the engine counts them and picks examples."""
         return cls(
-            where,
-            expected,
-            bad=bad,
-            judged=judged,
+            where=where,
+            expected=expected,
+            invalid_rows=invalid_rows,
+            checked=checked,
             values=values,
             magnitude=magnitude,
             min_fraction=min_fraction,
@@ -92,40 +95,40 @@ class Violation:
 
 @dataclass(frozen=True, slots=True)
 class Example:
-    """One offending row or thing, as shown in a report."""
+    """One offending row or value, as shown in a report."""
 
     value: str
     row: int | None = None
     probe: str = ""
 
     def __str__(self) -> str:
-        place = "" if self.row is None else f"row {self.row}"
+        label = "" if self.row is None else f"row {self.row}"
         if self.probe and self.row is not None:
-            place += f" ({self.probe})"
-        return f"{place}: {self.value}" if place else self.value
+            label += f" ({self.probe})"
+        return f"{label}: {self.value}" if label else self.value
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """All breaches of one rule at one place, counted.
+    """All violations of one rule at one location, counted.
 
     Attributes:
         rule: The rule's id.
         slug: The rule's readable name.
-        severity: After configuration and target.
-        where: The place.
-        message: What was seen and what was wanted, in one line.
-        hint: What to do about it.
-        count: How many rows or things break the rule; never capped.
-        total: How many were looked at.
+        severity: The severity after settings and target.
+        where: The location.
+        message: The actual and the expected value, in one line.
+        hint: How to repair the model.
+        count: The number of rows or values that break the rule; never capped.
+        total: The number of rows or values that were checked.
         examples: The first few.
-        worst: The worst, where the rule can say.
+        worst: The worst one, if the rule ranks them.
         certainty: ``confirmed`` or ``possible``.
         source: ``contract``, or the target that raised it.
-        waived: It is reported but does not count.
-        waiver: The reason that a waiver gives for that; empty for rules that are ignored.
-        known: It stood in the baseline already, and does not count.
-        truncated: It counts what was found at further places, too.
+        waived: The finding is reported but does not count.
+        waiver: The reason of its waiver; empty for rules that are ignored.
+        known: The baseline lists the finding already, so it does not count.
+        truncated: The finding also counts violations at further locations.
     """
 
     rule: str
@@ -147,12 +150,12 @@ class Finding:
 
     @property
     def counts(self) -> bool:
-        """Whether it is held against the model."""
+        """Whether the finding counts against the model: neither waived nor known."""
         return not (self.waived or self.known)
 
     @property
     def fingerprint(self) -> str:
-        """The same for as long as the fault is: over runs, machines and numbers of rows."""
+        """Identifier of the fault, equal across runs, machines and numbers of rows."""
         of_rows = any(example.row is not None for example in self.examples)
         kind = ("rows" if of_rows else "thing", self.certainty)
         text = json.dumps((self.rule, self.where.subject, self.where.field, *kind))

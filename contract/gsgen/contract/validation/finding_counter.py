@@ -1,4 +1,4 @@
-"""Count breaches: however many rows break a rule, one finding a rule and place comes out."""
+"""Counts violations, so that each rule reports one finding per location."""
 
 __all__ = ["FindingCounter"]
 
@@ -8,25 +8,25 @@ import numpy as np
 
 from gsgen.contract.validation.finding import Certainty, Example, Location, Violation
 
-_SHOWN = 5
+_MAX_EXAMPLES = 5
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class FindingCounter:
-    """The breaches of one rule at one place.
+    """The violations of one rule at one location.
 
     Attributes:
-        where: The place.
-        expected: What the rule wants.
-        actual: What was there, for breaches that are not of rows.
-        count: Bad rows or things, never capped.
-        total: Judged rows or things.
+        where: The location.
+        expected: The value that the rule expects.
+        actual: The offending value, for violations that are not of rows.
+        count: Invalid rows or values, never capped.
+        total: Checked rows or values.
         examples: The first few.
         worst: The worst row so far.
-        magnitude: How bad that one is.
-        min_fraction: The rule fails above this share only.
-        by_rows: Rows are counted, not things.
-        truncated: It counts what was found at further places, too.
+        magnitude: The magnitude of the worst row.
+        min_fraction: The rule fails only above this fraction of invalid rows.
+        by_rows: Rows are counted, not single values.
+        truncated: The counter also holds violations at further locations.
     """
 
     where: Location
@@ -42,57 +42,59 @@ class FindingCounter:
     by_rows: bool = False
     truncated: bool = False
 
-    def add(self, breach: Violation, probe: str = "", start: int = 0) -> None:
-        """Add one breach; ``start`` is the number of its chunk's first row."""
-        self.total += breach.judged
-        self.min_fraction = breach.min_fraction
-        if breach.bad is None:
+    def add(self, violation: Violation, probe: str = "", start: int = 0) -> None:
+        """Add one violation; ``start`` is the number of its chunk's first row."""
+        self.total += violation.checked
+        self.min_fraction = violation.min_fraction
+        if violation.invalid_rows is None:
             self.count += 1
-            if len(self.examples) < _SHOWN:
-                self.examples.append(Example(breach.actual, None, probe))
+            if len(self.examples) < _MAX_EXAMPLES:
+                self.examples.append(Example(violation.actual, None, probe))
             return
         self.by_rows = True
-        count = int(np.count_nonzero(breach.bad))
+        count = int(np.count_nonzero(violation.invalid_rows))
         if count:
             self.count += count
-            self._remember(breach, probe, start)
+            self._remember(violation, probe, start)
 
-    def _remember(self, breach: Violation, probe: str, start: int) -> None:
-        assert breach.bad is not None
-        assert breach.values is not None
-        if len(self.examples) < _SHOWN:
-            for row in np.flatnonzero(breach.bad)[: _SHOWN - len(self.examples)]:
-                self.examples.append(_example(breach.values, row, probe, start))
-        if breach.magnitude is None:
+    def _remember(self, violation: Violation, probe: str, start: int) -> None:
+        assert violation.invalid_rows is not None
+        assert violation.values is not None
+        if len(self.examples) < _MAX_EXAMPLES:
+            for row in np.flatnonzero(violation.invalid_rows)[
+                : _MAX_EXAMPLES - len(self.examples)
+            ]:
+                self.examples.append(_example(violation.values, row, probe, start))
+        if violation.magnitude is None:
             return
-        magnitude = np.where(np.isnan(breach.magnitude), np.inf, breach.magnitude)
-        masked = np.where(breach.bad, magnitude, -np.inf)
+        magnitude = np.where(np.isnan(violation.magnitude), np.inf, violation.magnitude)
+        masked = np.where(violation.invalid_rows, magnitude, -np.inf)
         worst = int(np.argmax(masked))
         if masked[worst] > self.magnitude:
             self.magnitude = float(masked[worst])
-            self.worst = _example(breach.values, worst, probe, start)
+            self.worst = _example(violation.values, worst, probe, start)
 
     @property
     def fails(self) -> bool:
-        """Whether enough was bad for the rule to fail."""
+        """Whether enough rows or values are invalid for the rule to fail."""
         return self.count > 0 and self.count > self.min_fraction * self.total
 
     def message(self) -> str:
-        """Say what was seen and what was wanted, in one line."""
+        """Return the actual and the expected value in one line."""
         if not self.by_rows:
-            more = f" (and {self.count - 1} more like it)" if self.count > 1 else ""
+            suffix = f" (and {self.count - 1} more like it)" if self.count > 1 else ""
             probe = f" ({self.examples[0].probe})" if self.examples[0].probe else ""
-            return f"{self.actual}{probe}{more}; wanted {self.expected}"
+            return f"{self.actual}{probe}{suffix}; expected {self.expected}"
         share = 100 * self.count / max(self.total, 1)
         text = (
             f"{self.count} of {self.total} rows ({share:.3g} %), first {self.examples[0]}"
         )
         if self.worst is not None and self.worst != self.examples[0]:
             text += f", worst {self.worst}"
-        return f"{text}; wanted {self.expected}"
+        return f"{text}; expected {self.expected}"
 
 
 def _example(values: np.ndarray, row: int, probe: str, start: int) -> Example:
-    shown = np.atleast_1d(values[row])
-    text = ", ".join(f"{value:.6g}" for value in shown[:10].tolist())
-    return Example(text if len(shown) == 1 else f"({text})", start + int(row), probe)
+    row_values = np.atleast_1d(values[row])
+    text = ", ".join(f"{value:.6g}" for value in row_values[:10].tolist())
+    return Example(text if len(row_values) == 1 else f"({text})", start + int(row), probe)

@@ -1,12 +1,62 @@
-"""Rules that others wait for, where more than one family does."""
+"""Gates: the rules that must hold before others can be checked, grouped by what they secure."""
 
-__all__ = ["RUNNABLE"]
+__all__ = [
+    "APPEARANCE",
+    "CELLS",
+    "COLORED_ROWS",
+    "COUNTED_ROWS",
+    "DECLARED",
+    "FINITE_OUTPUTS",
+    "MANIFEST_PARSED",
+    "MODEL_RUNS",
+    "PACKED_ROWS",
+    "REPRODUCIBLE",
+    "RUNNABLE",
+    "WELL_FORMED",
+]
 
-# What must hold before a model is run at all: it can be read and fed, and takes nothing that is
-# not its own.
-RUNNABLE = (
-    *("GM002", "GM003", "GM004"),
+from typing import Final
+
+# The id of the rule that the model ran to the end; without it no value can be checked.
+MODEL_RUNS: Final = "GV025"
+
+# The manifest has a known version and follows its schema.
+MANIFEST_PARSED: Final = ("GM002", "GM003")
+
+# Every tensor that the manifest names exists in the graph.
+DECLARED: Final = (*MANIFEST_PARSED, "GM004")
+
+# The graph has a supported operator set, standard operators, and passes onnx.checker.
+WELL_FORMED: Final = ("GG001", "GG002", "GG019")
+
+# The model can be loaded and fed, and cannot reach outside its folder or exceed its memory.
+RUNNABLE: Final = (
+    *DECLARED,
     *("GI001", "GI002", "GI003", "GI004", "GI005"),
     *("GG001", "GG002", "GG012", "GG019"),
     *("GS001", "GS002"),
 )
+
+# The model ran, and its Gaussians are packed rows in float32 or float16.
+PACKED_ROWS: Final = (MODEL_RUNS, "GO001", "GO002", "GO008")
+
+# Packed rows, and a count that lies between 0 and the capacity.
+COUNTED_ROWS: Final = (*PACKED_ROWS, "GO010", "GO011", "GV016")
+
+# The model ran, and its appearance has known channels, one row for each Gaussian.
+APPEARANCE: Final = (MODEL_RUNS, "GO005", "GO006", "GO007", "GO008", "GM005")
+
+# Packed rows with an appearance of known channels.
+COLORED_ROWS: Final = (
+    *(MODEL_RUNS, "GO001", "GO002"),
+    *("GO005", "GO006", "GO007", "GO008"),
+)
+
+# Packed rows, and cells that hold all of them.
+CELLS: Final = (*PACKED_ROWS, "GO021")
+
+# The model ran, and equal inputs give equal bits, also after other inputs were run.
+REPRODUCIBLE: Final = (MODEL_RUNS, "GB001", "GB002")
+
+# Every output is finite, also in padding and where all inputs are zero.
+FINITE_OUTPUTS: Final = ("GV001", "GV002", "GI009")

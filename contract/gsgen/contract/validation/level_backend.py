@@ -1,8 +1,8 @@
-"""Runners: how levels beyond our own get what their rules look at.
+"""Backends of validation levels that other packages run, such as ``live`` and ``render``.
 
-This package runs models in ONNX Runtime on the CPU. Another one may register, with its rules, a
-runner for a further level: it has a model's CPU runs, runs the model its own way, and gives each
-check of that level's scope what it found. Where it cannot, it says why.
+This package runs models in ONNX Runtime on the CPU. Another package may register, with its rules,
+a backend for a further level: it receives the CPU runs, runs the model its own way, and prepares
+the argument of the level's checks. If it cannot run, it raises :class:`LevelUnavailable`.
 """
 
 __all__ = ["LevelBackend", "LevelContext", "LevelUnavailable"]
@@ -18,43 +18,43 @@ from gsgen.contract.spec.severity import Level
 
 
 class LevelUnavailable(GsgenError):
-    """A level cannot run here; its rules are reported as skipped, with this as the reason."""
+    """A level cannot run on this machine; its rules are reported as skipped."""
 
     @property
     def reason(self) -> str:
-        """What is missing and how to get it, in one line."""
+        """The missing part and how to install it, in one line."""
         return f"{self.message}: {self.hint}" if self.hint else self.message
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LevelContext:
-    """What a runner got ready.
+    """The result of preparing a level for one model.
 
     Attributes:
-        context: What the checks of the level's rules are called with.
-        items: How many things were looked at, such as frames.
-        environment: What ran: name → version, device or state, for the report.
-        seconds: How long it took.
-        unjudged: Id of a rule that cannot be judged here, though the level ran → why.
+        context: The argument of the checks of the level's rules.
+        items: The number of checked items, such as frames.
+        environment: Name → version, device or state, for the report.
+        seconds: Wall-clock time of the preparation.
+        skipped: Id of a rule that cannot be checked here, although the level ran → the reason.
     """
 
     context: Any
     items: int = 1
     environment: Mapping[str, str] = field(default_factory=dict)
     seconds: float = 0.0
-    unjudged: Mapping[str, str] = field(default_factory=dict)
+    skipped: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class LevelBackend:
-    """What prepares one level; registered beside the level's rules.
+    """Prepares one validation level; registered together with the level's rules.
 
     Attributes:
-        level: The level whose rules it serves; their scope has the level's name.
-        activity: What it does, in a few words, for progress displays.
-        prepare: Called once a model, with its runs on the CPU. What it gives lives as long as the
-            block. It raises LevelUnavailable where the level cannot run here; whatever else it
-            raises makes the level's rules crashed ones.
+        level: The level; the scope of its rules has the same name.
+        activity: A short text for progress displays.
+        prepare: Called once per model with its CPU runs; the context lives as long as the
+            ``with`` block. It raises LevelUnavailable where the level cannot run; any other
+            exception reports the level's rules as crashed.
     """
 
     level: Level

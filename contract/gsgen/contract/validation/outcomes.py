@@ -1,4 +1,4 @@
-"""The score board: which rules have been judged, with which outcome, and what they found."""
+"""Collects the outcome and the findings of every rule in one validation."""
 
 __all__ = ["ResultCollector"]
 
@@ -16,45 +16,47 @@ from gsgen.contract.validation.report import Outcome, Status
 from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
 
-_MAX_PLACES = 20
+_MAX_LOCATIONS = 20
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class ResultCollector:
-    """Outcomes and tallies of one validation.
+    """Outcomes and violation counts of one validation.
 
     Attributes:
         registry: All rules.
         settings: Severities and waivers.
         kind: The kind of model, empty if unknown.
-        outcomes: Rule id → outcome, as far as judged.
+        outcomes: Rule id → outcome, for all settled rules.
     """
 
     registry: Registry
     settings: Settings
     kind: str
     outcomes: dict[str, Outcome] = field(default_factory=dict)
-    _tallies: dict[str, dict[str, FindingCounter]] = field(default_factory=dict)
-    _spent: dict[str, float] = field(default_factory=dict)
+    _counters: dict[str, dict[str, FindingCounter]] = field(default_factory=dict)
+    _seconds: dict[str, float] = field(default_factory=dict)
 
     def ready(self, rules: Iterable[Rule]) -> list[Rule]:
-        """Return the rules that apply and are not blocked; settle the outcome of the others."""
+        """Return the rules that apply and are not blocked; settle the others."""
         return [rule for rule in rules if self.is_ready(rule)]
 
     def is_ready(self, rule: Rule) -> bool:
-        """Say whether ``rule`` can be judged now; if not, note why."""
+        """Return whether ``rule`` can be checked now; otherwise settle it with the reason."""
         if rule.id in self.outcomes:
             return False
         reason = self._inapplicable(rule)
         if reason:
-            self.outcomes[rule.id] = Outcome(rule, "not-applicable", reason)
+            self.outcomes[rule.id] = Outcome(
+                rule=rule, status="not-applicable", reason=reason
+            )
             return False
         for need in rule.needs:
             blocker = self._blocker(need)
             if blocker:
-                text = f"because {blocker} {self._why(blocker)}"
+                text = f"because {blocker} {self._blocking_reason(blocker)}"
                 self.outcomes[rule.id] = Outcome(
-                    rule, "not-applicable", text, blocked_by=blocker
+                    rule=rule, status="not-applicable", reason=text, blocked_by=blocker
                 )
                 return False
         return True
@@ -77,76 +79,83 @@ class ResultCollector:
             need if outcome.status in ("fail", "crashed", "skipped") else outcome.blocked_by
         )
 
-    def _why(self, blocker: str) -> str:
+    def _blocking_reason(self, blocker: str) -> str:
         outcome = self.outcomes.get(blocker)
         skipped = outcome is not None and outcome.status == "skipped"
-        return "was not judged" if skipped else "does not hold"
+        return "was not checked" if skipped else "does not hold"
 
-    def judge(self, rule: Rule, subject: object, probe: str = "", start: int = 0) -> bool:
-        """Run one check once and tally its breaches; False if it crashed."""
-        began = time.perf_counter()
+    def check(self, rule: Rule, subject: object, probe: str = "", start: int = 0) -> bool:
+        """Run one check once and count its violations; return False if it crashed."""
+        start_time = time.perf_counter()
         try:
-            with np.errstate(
-                all="ignore"
-            ):  # a model may emit any number: rules look for that
-                for breach in rule.check(subject):
-                    self._add(rule, breach, probe, start)
-        except Exception:  # a rule's fault must not take the report down
+            with np.errstate(all="ignore"):  # outputs may hold NaN and infinity
+                for violation in rule.check(subject):
+                    self._add(rule, violation, probe, start)
+        except Exception:  # a faulty rule must not prevent the report
             last = traceback.format_exc(limit=-3).strip()
-            self.outcomes[rule.id] = Outcome(rule, "crashed", last)
+            self.outcomes[rule.id] = Outcome(rule=rule, status="crashed", reason=last)
             return False
         finally:
-            spent = time.perf_counter() - began
-            self._spent[rule.id] = self._spent.get(rule.id, 0.0) + spent
+            seconds = time.perf_counter() - start_time
+            self._seconds[rule.id] = self._seconds.get(rule.id, 0.0) + seconds
         return True
 
-    def _add(self, rule: Rule, breach: Violation, probe: str, start: int) -> None:
-        places = self._tallies.setdefault(rule.id, {})
-        key = str(breach.where)
-        if key not in places and len(places) >= _MAX_PLACES:
-            key = next(iter(places))
-            places[key].truncated = True
-        elif key not in places:
-            places[key] = FindingCounter(
-                breach.where, breach.expected, breach.actual, certainty=breach.certainty
+    def _add(self, rule: Rule, violation: Violation, probe: str, start: int) -> None:
+        counters = self._counters.setdefault(rule.id, {})
+        key = str(violation.where)
+        if key not in counters and len(counters) >= _MAX_LOCATIONS:
+            key = next(iter(counters))
+            counters[key].truncated = True
+        elif key not in counters:
+            counters[key] = FindingCounter(
+                where=violation.where,
+                expected=violation.expected,
+                actual=violation.actual,
+                certainty=violation.certainty,
             )
-        places[key].add(breach, probe, start)
+        counters[key].add(violation, probe, start)
 
     def fails(self, rule: Rule) -> bool:
-        """Say whether what was found so far is enough for ``rule`` to fail."""
-        return any(tally.fails for tally in self._tallies.get(rule.id, {}).values())
+        """Return whether the violations so far are enough for ``rule`` to fail."""
+        return any(counter.fails for counter in self._counters.get(rule.id, {}).values())
 
     def settle(self, rules: Iterable[Rule], items: int = 0) -> None:
-        """Turn the tallies of judged rules into outcomes."""
+        """Turn the counted violations of checked rules into outcomes."""
         for rule in rules:
             if rule.id in self.outcomes:
                 continue
             status: Status = "fail" if self.fails(rule) else "pass"
-            spent = 1000 * self._spent.get(rule.id, 0.0)
-            self.outcomes[rule.id] = Outcome(rule, status, milliseconds=spent, items=items)
+            milliseconds = 1000 * self._seconds.get(rule.id, 0.0)
+            self.outcomes[rule.id] = Outcome(
+                rule=rule, status=status, milliseconds=milliseconds, items=items
+            )
 
     def crash(self, rules: Iterable[Rule]) -> None:
-        """Note that rules could not be judged because of the error being handled."""
+        """Settle rules as crashed, with the exception being handled."""
         last = traceback.format_exc(limit=-3).strip()
         for rule in rules:
-            self.outcomes.setdefault(rule.id, Outcome(rule, "crashed", last))
+            self.outcomes.setdefault(
+                rule.id, Outcome(rule=rule, status="crashed", reason=last)
+            )
 
     def skip(self, rules: Iterable[Rule], reason: str) -> None:
-        """Note that rules were not run, and why."""
+        """Settle rules as skipped, with the reason."""
         for rule in rules:
-            self.outcomes.setdefault(rule.id, Outcome(rule, "skipped", reason))
+            self.outcomes.setdefault(
+                rule.id, Outcome(rule=rule, status="skipped", reason=reason)
+            )
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return what failed, worst first, then in catalogue order."""
-        found = [
-            self._finding(rule, tally)
+        """Return the findings, worst first, then in catalogue order."""
+        findings = [
+            self._finding(rule, counter)
             for rule in self.registry.rules.values()
-            for tally in self._tallies.get(rule.id, {}).values()
-            if tally.fails
+            for counter in self._counters.get(rule.id, {}).values()
+            if counter.fails
         ]
-        return tuple(sorted(found, key=lambda one: -one.severity))
+        return tuple(sorted(findings, key=lambda finding: -finding.severity))
 
-    def _finding(self, rule: Rule, tally: FindingCounter) -> Finding:
+    def _finding(self, rule: Rule, counter: FindingCounter) -> Finding:
         severity: Severity = self.settings.severity_of(rule)
         source = "contract"
         if rule.target or rule.limit or rule.id in self.settings.target.severities:
@@ -155,15 +164,15 @@ class ResultCollector:
             rule=rule.id,
             slug=rule.slug,
             severity=severity,
-            where=tally.where,
-            message=tally.message(),
+            where=counter.where,
+            message=counter.message(),
             hint=rule.hint,
-            count=tally.count,
-            total=tally.total,
-            examples=tuple(tally.examples),
-            worst=tally.worst,
-            certainty=tally.certainty,
+            count=counter.count,
+            total=counter.total,
+            examples=tuple(counter.examples),
+            worst=counter.worst,
+            certainty=counter.certainty,
             source=source,
             waived=rule.id in self.settings.ignore,
-            truncated=tally.truncated,
+            truncated=counter.truncated,
         )

@@ -1,12 +1,13 @@
-"""The result of a validation, as data; reporters turn it into text, JSON and more."""
+"""The result of a validation as data; reporters turn it into text, JSON and other formats."""
 
 __all__ = [
+    "REPORT_SCHEMA_FILE",
     "Cause",
     "Entry",
-    "Gone",
     "LevelOutcome",
     "Outcome",
     "Report",
+    "ResolvedFinding",
     "Status",
     "Tolerance",
     "Unreadable",
@@ -18,27 +19,30 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from gsgen.contract.errors import GsgenError
+from gsgen.contract.errors import ExitCode, GsgenError
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import Target
 from gsgen.contract.validation.finding import Finding, Location
 from gsgen.contract.validation.rule import Rule
 
+# The published schema of JSON reports, among the package's schemas.
+REPORT_SCHEMA_FILE = "report-1.schema.json"
+
 Status = Literal["pass", "fail", "skipped", "not-applicable", "crashed"]
 Verdict = Literal["conforms", "invalid", "internal-error"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What became of one rule.
+    """The outcome of one rule.
 
     Attributes:
         rule: The rule.
         status: ``pass``, ``fail``, ``skipped``, ``not-applicable`` or ``crashed``.
-        reason: Why it was skipped, does not apply or crashed; empty otherwise.
+        reason: Why the rule was skipped, does not apply or crashed; empty otherwise.
         milliseconds: Time spent in its check.
-        items: Rows or things it looked at.
-        blocked_by: The failed rule that keeps this one from being judged.
+        items: The number of checked rows or values.
+        blocked_by: The failed rule that prevents this check.
     """
 
     rule: Rule
@@ -51,7 +55,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class LevelOutcome:
-    """Whether a level ran, and if not, why."""
+    """Whether a level ran, and the reason if it did not."""
 
     level: Level
     ran: bool
@@ -60,7 +64,7 @@ class LevelOutcome:
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """A rule that does not hold, and those that could not be judged because of it."""
+    """A failed rule, and the rules that could not be checked because of it."""
 
     outcome: Outcome
     blocked: tuple[Rule, ...]
@@ -68,13 +72,13 @@ class Cause:
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """How closely executions of a model must agree in one field.
+    """The largest difference of one field between two executions of a model.
 
     Attributes:
-        field: Such as ``position``.
-        value: The largest difference.
-        unit: What it is measured in.
-        source: ``config`` where settings say so, else ``manifest``, else ``default``.
+        field: The field, such as ``position``.
+        value: The largest allowed difference.
+        unit: The unit of the value.
+        source: ``config`` if the settings give it, else ``manifest``, else ``default``.
     """
 
     field: str
@@ -83,16 +87,16 @@ class Tolerance:
     source: Literal["default", "manifest", "config"]
 
 
-@dataclass(frozen=True, slots=True)
-class Gone:
-    """A finding that stood in the baseline, and that is not there any more.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResolvedFinding:
+    """A finding of the baseline that does not occur any more.
 
     Attributes:
         rule: Id of its rule.
         slug: The rule's readable name.
-        fingerprint: What it was told by.
-        where: The place.
-        message: What was seen then.
+        fingerprint: Identifier of the fault.
+        where: The location.
+        message: The message of the earlier report.
     """
 
     rule: str
@@ -102,31 +106,32 @@ class Gone:
     message: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
-    """Everything a validation found out.
+    """The result of validating one model.
 
     Attributes:
-        path: The model, as it was named.
+        path: The model, as given by the caller.
         size: Bytes of the file.
         kind: The kind of model, if known.
         name: The manifest's name for it.
-        contract: The version the manifest declares; empty if it has none.
+        contract: The contract version in the manifest; empty without one.
         capacity: Rows of the Gaussian output, where static.
-        target: What it was judged for.
-        level: How far the validation was asked to go.
+        target: The consumer that the model was validated for.
+        level: The requested level.
         fail_on: The lowest severity that fails.
         findings: Worst first; ignored ones included, marked as waived.
-        outcomes: Every installed rule, in catalogue order.
-        levels: Every level, and whether it ran.
-        probes: Labels of the probes that value rules looked at.
-        environment: Versions of what ran.
-        settings: Where the settings came from.
-        seconds: Wall-clock time, and what ONNX Runtime's process took of it.
+        outcomes: The outcome of every installed rule, in catalogue order.
+        levels: Whether each level ran.
+        probes: Labels of the probes whose outputs were checked.
+        environment: Versions of the libraries and drivers that ran.
+        settings: The source of the settings.
+        seconds: Wall-clock time of the validation.
+        runtime_seconds: The part of it that ONNX Runtime's process took.
         sha256: Digest of the file; empty where it was not computed.
-        tolerances: How closely executions must agree, field by field.
+        tolerances: The largest allowed difference of each field between two executions.
         baseline: The earlier report whose findings are known; empty without one.
-        gone: What that report lists and what does not break its rule any more.
+        resolved: The findings of the baseline that do not occur any more.
     """
 
     path: str
@@ -149,7 +154,7 @@ class Report:
     sha256: str = ""
     tolerances: tuple[Tolerance, ...] = ()
     baseline: str = ""
-    gone: tuple[Gone, ...] = ()
+    resolved: tuple[ResolvedFinding, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
@@ -163,17 +168,17 @@ class Report:
         )
 
     def fails_by(self, finding: Finding) -> bool:
-        """Say whether ``finding`` alone makes the model invalid."""
+        """Return whether ``finding`` alone makes the model invalid."""
         confirmed = finding.counts and finding.certainty == "confirmed"
         return confirmed and finding.severity >= self.fail_on
 
     def count(self, severity: Severity) -> int:
-        """Return how many findings of ``severity`` count."""
+        """Return the number of findings of ``severity`` that count."""
         return sum(f.severity == severity and f.counts for f in self.findings)
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """The rules that keep others from being judged, in catalogue order."""
+        """The failed rules that prevent other checks, in catalogue order."""
         blocked: dict[str, list[Rule]] = {}
         for outcome in self.outcomes:
             if outcome.blocked_by:
@@ -183,11 +188,15 @@ class Report:
 
     @property
     def statuses(self) -> Counter[str]:
-        """How many rules have each status."""
+        """The number of rules of each status."""
         return Counter(outcome.status for outcome in self.outcomes)
 
     def outcome(self, rule_id: str) -> Outcome:
-        """Return the outcome of one rule; raises KeyError if it is not installed."""
+        """Return the outcome of one rule.
+
+        Raises:
+            KeyError: The rule is not installed.
+        """
         for outcome in self.outcomes:
             if outcome.rule.id == rule_id:
                 return outcome
@@ -196,19 +205,19 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class Unreadable:
-    """A file that could not be judged at all, and why."""
+    """A file that could not be read, with its error."""
 
     path: str
     error: GsgenError
 
 
-# What becomes of one file that was to be validated.
+# The result for one file.
 Entry = Report | Unreadable
 
 
-def exit_code(reports: Iterable[Report]) -> int:
-    """Return 0 if all conform, 1 if one is invalid, 3 if a rule crashed."""
+def exit_code(reports: Iterable[Report]) -> ExitCode:
+    """Return 0 if all models conform, 1 if one is invalid, 3 if a rule crashed."""
     verdicts = {report.verdict for report in reports}
     if "internal-error" in verdicts:
-        return 3
-    return 1 if "invalid" in verdicts else 0
+        return ExitCode.INTERNAL
+    return ExitCode.FAILURE if "invalid" in verdicts else ExitCode.SUCCESS

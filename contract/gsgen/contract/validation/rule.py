@@ -1,10 +1,10 @@
-"""What a rule is, how it is declared, and the registry of all that are installed.
+"""Rules of the contract: how a rule is declared, and the registry of installed rules.
 
 A rule is declared once. Its page in the documentation, ``gsgen explain``, the configuration
 schema and the metadata of machine-readable reports all come from that declaration.
 """
 
-__all__ = ["Check", "Registry", "Rule", "Scope", "rule", "rules_in", "runners_in"]
+__all__ = ["Check", "Registry", "Rule", "Scope", "backends_in", "rule", "rules_in"]
 
 import inspect
 import re
@@ -19,9 +19,9 @@ from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.level_backend import LevelBackend
 
-# What a check is called with: the model before it runs, the fact that it ran, the outputs of
-# one probe, a chunk of their rows, or all runs compared; what the runner of a further level
-# prepared; or what all other rules found.
+# The argument of a check: the model before it runs (InspectedModel), its runs (ProbeRuns), the
+# outputs of one probe (ModelOutputs), a chunk of their rows (Rows), comparisons of all runs
+# (Behaviour), the context of a level backend, or the findings of all other rules (Review).
 Scope = Literal[
     "model", "execution", "emission", "rows", "runs", "live", "render", "report"
 ]
@@ -44,26 +44,26 @@ _LEVELS: dict[Scope, Level] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Rule:
     """One rule of the contract or of a target.
 
     Attributes:
         id: Stable code, such as GV003; a third party's has its name in front (``acme/AC001``).
         slug: Readable name, such as ``opacity-range``.
-        severity: Unless a target or the user says otherwise.
+        severity: The severity, unless a target or the user overrides it.
         level: The first level of validation that can check it.
-        scope: What the check looks at.
+        scope: The kind of argument that the check receives.
         statement: The sentence that must hold.
-        why: What breaks where it does not.
-        hint: How to make it hold.
+        rationale: The damage where it does not hold.
+        hint: How to repair the model.
         fixture: The example model that breaks this rule and no other.
-        check: Yields one breach for each place where the sentence does not hold.
-        needs: Rules that must hold before this one can be judged.
+        check: Yields one violation for each location where the statement does not hold.
+        needs: Rules that must hold before this one can be checked.
         kinds: The kinds of model it applies to.
         target: The only target it applies to; empty for all.
-        limit: The limit of the target that it checks; without one it does not apply.
-        evidence: Where it was seen to break something; empty if nobody noted it.
+        limit: The limit of the target that it checks; the rule applies only to targets with it.
+        evidence: A documented case where breaking the rule did damage; may be empty.
     """
 
     id: str
@@ -72,7 +72,7 @@ class Rule:
     level: Level
     scope: Scope
     statement: str
-    why: str
+    rationale: str
     hint: str
     fixture: str
     check: Check
@@ -103,9 +103,20 @@ def rule(
 ) -> Callable[[Check], Rule]:
     """Declare the decorated check as a rule; its docstring is the text of the rule's page.
 
-    The docstring's first paragraph is the sentence that must hold. The sections ``Why:`` and
-    ``Hint:`` say what breaks otherwise and what to do; ``Evidence:`` may follow, and say where
-    that was seen.
+    The docstring's first paragraph is the statement. The sections ``Why:`` and ``Hint:`` explain
+    the damage and the repair; ``Evidence:`` may follow, with a documented case.
+
+    Args:
+        id: Stable code, such as ``GV003``, or ``acme/AC001`` for a third party.
+        slug: Readable name, such as ``opacity-range``.
+        severity: The default severity.
+        over: The scope: which argument the check receives.
+        fixture: Name of the example model that breaks this rule and no other.
+        needs: Rules that must hold before this one can be checked.
+        kinds: The kinds of model it applies to.
+        target: The only target it applies to; empty for all.
+        limit: The limit of the target that it checks.
+        level: The first level that can check it; by default, that of the scope.
 
     Raises:
         ValueError: The id, the slug or the docstring does not have that form.
@@ -114,9 +125,9 @@ def rule(
     def declare(check: Check) -> Rule:
         if not _ID.match(id) or not _SLUG.match(slug):
             raise ValueError(
-                f"{id} {slug}: wanted an id like GV003 and a slug like opacity-range"
+                f"{id} {slug}: expected an id like GV003 and a slug like opacity-range"
             )
-        statement, why, hint, evidence = _sections(id, inspect.getdoc(check) or "")
+        statement, rationale, hint, evidence = _sections(id, inspect.getdoc(check) or "")
         return Rule(
             id=id,
             slug=slug,
@@ -124,7 +135,7 @@ def rule(
             level=level or _LEVELS[over],
             scope=over,
             statement=statement,
-            why=why,
+            rationale=rationale,
             hint=hint,
             fixture=fixture,
             check=check,
@@ -139,15 +150,15 @@ def rule(
 
 
 def _sections(id: str, doc: str) -> tuple[str, str, str, str]:
-    statement, found, rest = doc.partition("\nWhy:")
-    why, found_hint, rest = rest.partition("\nHint:")
-    hint, _, evidence = rest.partition("\nEvidence:")
+    statement, why_marker, remainder = doc.partition("\nWhy:")
+    rationale, hint_marker, remainder = remainder.partition("\nHint:")
+    hint, _, evidence = remainder.partition("\nEvidence:")
     texts = tuple(
-        " ".join(inspect.cleandoc(part).split()) for part in (statement, why, hint)
+        " ".join(inspect.cleandoc(part).split()) for part in (statement, rationale, hint)
     )
-    if not (found and found_hint and all(texts)):
+    if not (why_marker and hint_marker and all(texts)):
         raise ValueError(
-            f"{id}: the docstring needs a sentence, a `Why:` and a `Hint:` section"
+            f"{id}: the docstring lacks a part: expected a statement, a `Why:` and a `Hint:` section"
         )
     return texts[0], texts[1], texts[2], " ".join(evidence.split())
 
@@ -157,81 +168,80 @@ def rules_in(module: ModuleType) -> list[Rule]:
     return [value for value in vars(module).values() if isinstance(value, Rule)]
 
 
-def runners_in(module: ModuleType) -> list[LevelBackend]:
-    """Return the runners that ``module`` has, in order of declaration."""
+def backends_in(module: ModuleType) -> list[LevelBackend]:
+    """Return the level backends that ``module`` defines, in order of definition."""
     return [value for value in vars(module).values() if isinstance(value, LevelBackend)]
 
 
 @dataclass(frozen=True, slots=True)
 class Registry:
-    """All rules that are installed.
+    """All installed rules and level backends.
 
     Attributes:
         rules: By id, in order of the catalogue.
-        runners: What prepares the levels that this package does not run itself.
+        backends: The backends of the levels that other packages run.
     """
 
     rules: dict[str, Rule]
-    runners: dict[Level, LevelBackend] = field(default_factory=dict)
+    backends: dict[Level, LevelBackend] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, rules: Iterable[Rule], runners: Iterable[LevelBackend] = ()) -> "Registry":
-        """Collect rules, each id once, and runners, one a level.
+    def of(cls, rules: Iterable[Rule], backends: Iterable[LevelBackend] = ()) -> "Registry":
+        """Build a registry of rules with unique ids, and one backend per level.
 
         Raises:
-            ValueError: Two rules share an id, two runners a level, or a rule needs one that does
-                not exist.
+            ValueError: Two rules share an id, two backends a level, or a rule needs an unknown one.
         """
         by_id: dict[str, Rule] = {}
-        for one in rules:
-            if one.id in by_id:
-                raise ValueError(f"rule {one.id} is declared twice")
-            by_id[one.id] = one
-        for one in by_id.values():
-            for need in one.needs:
+        for entry in rules:
+            if entry.id in by_id:
+                raise ValueError(f"rule {entry.id} is declared twice")
+            by_id[entry.id] = entry
+        for entry in by_id.values():
+            for need in entry.needs:
                 if need not in by_id:
-                    raise ValueError(f"rule {one.id} needs {need}, which does not exist")
+                    raise ValueError(f"rule {entry.id} needs {need}, which does not exist")
         by_level: dict[Level, LevelBackend] = {}
-        for runner in runners:
-            if runner.level in by_level:
-                raise ValueError(f"level {runner.level.word} has two runners")
-            by_level[runner.level] = runner
+        for backend in backends:
+            if backend.level in by_level:
+                raise ValueError(f"level {backend.level.word} has two backends")
+            by_level[backend.level] = backend
         return cls(by_id, by_level)
 
     def find(self, name: str, where: str = "") -> Rule:
-        """Return the rule with the id or slug ``name``, upper or lower case.
+        """Return the rule with the id or slug ``name``, ignoring case.
 
         Raises:
-            UnknownName: There is none; the message names the nearest.
+            UnknownName: No rule has that name; the hint names the nearest.
         """
-        for one in self.rules.values():
-            if name.lower() in (one.id.lower(), one.slug):
-                return one
+        for entry in self.rules.values():
+            if name.lower() in (entry.id.lower(), entry.slug):
+                return entry
         typed = _TYPED.fullmatch(name)
         if typed is None:
-            slugs = [one.slug for one in self.rules.values()]
+            slugs = [entry.slug for entry in self.rules.values()]
             raise UnknownName.among("rule", name, slugs, where)
         hint = _nearest(typed[1], int(typed[2]), list(self.rules))
         raise UnknownName(f"unknown rule {name!r}", where=where, hint=hint)
 
 
 def _nearest(stem: str, number: int, ids: list[str]) -> str:
-    """Say which of ``ids`` may have been meant by an id that is none of them."""
+    """Return a hint with the ``ids`` nearest to a mistyped one."""
     owner, slash, letters = stem.rpartition("/")
     family = f"{owner.lower()}{slash}{letters.upper()}"
     code = f"{family}{number:03}"
-    kin = [one for one in ids if one[:-3] == family]
-    likely = [one for one in ids if one == code or one.endswith(f"/{code}")]
-    likely = likely or [one for one in kin if _mistyped(one, code)]
+    kin = [rule_id for rule_id in ids if rule_id[:-3] == family]
+    likely = [rule_id for rule_id in ids if rule_id == code or rule_id.endswith(f"/{code}")]
+    likely = likely or [rule_id for rule_id in kin if _mistyped(rule_id, code)]
     if 0 < len(likely) <= _MOST_SUGGESTED:
         return f"Did you mean {' or '.join(map(repr, likely))}?"
     if kin:
         return f"Ids of {family} are {min(kin)} to {max(kin)}; `gsgen rules` lists them."
-    families = ", ".join(dict.fromkeys(one[:-3] for one in ids))
+    families = ", ".join(dict.fromkeys(rule_id[:-3] for rule_id in ids))
     return f"Ids begin with {families}; `gsgen rules` lists them."
 
 
 def _mistyped(id: str, typed: str) -> bool:
-    """Say whether one digit is another, or digits stand in another order."""
+    """Return whether two ids differ in one character or in the order of characters."""
     wrong = sum(a != b for a, b in zip(id, typed, strict=False))
     return len(id) == len(typed) and (wrong == 1 or sorted(id) == sorted(typed))

@@ -1,6 +1,6 @@
-"""How a validation is configured: options, ``gsgen.toml``, and what wins over what.
+"""Settings of a validation, read from ``gsgen.toml``.
 
-Precedence, strongest first: command line, configuration file, target, the rule's own.
+Precedence, strongest first: command line, settings file, target, the rule's own values.
 """
 
 __all__ = ["Settings", "config_schema", "read_config"]
@@ -18,30 +18,30 @@ from gsgen.contract.spec.json_schema import DIALECT, schema_of
 from gsgen.contract.spec.manifest import Tolerances
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import Target, known_targets, load_target
+from gsgen.contract.spec.units import MEBIBYTE
 from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.waivers import Waiver
 
 DEFAULT_LEVEL = Level.BEHAVIOUR
-MEBIBYTE = 1 << 20
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """Everything that steers a validation.
+    """All settings of a validation.
 
     Attributes:
-        level: How far to go.
-        target: The consumer to judge for.
+        level: The highest level to run.
+        target: The consumer to validate for.
         fail_on: The lowest severity that makes the verdict ``invalid``.
         ignore: Rules whose findings are reported but do not count.
-        severities: Rule id → severity, over what target and rule say.
-        limits: What running the model may use.
+        severities: Rule id → severity, in place of those of target and rule.
+        limits: Time and memory limits for running the model.
         strict: A missing manifest is an error.
         seed: Seed of the probe set.
-        source: Where the settings came from, for the report.
-        tolerances: Field → how far executions may differ, over what the manifest says.
-        waivers: Faults that are accepted, and why.
-        today: The day on which waivers are judged.
+        source: The file that the settings were read from, for the report.
+        tolerances: Field → largest difference of executions, in place of the manifest's.
+        waivers: Accepted faults, with reasons.
+        today: The day on which waivers are evaluated.
     """
 
     level: Level = DEFAULT_LEVEL
@@ -58,7 +58,7 @@ class Settings:
     today: date = field(default_factory=date.today)
 
     def severity_of(self, rule: Rule) -> Severity:
-        """Return the severity that holds for ``rule`` here."""
+        """Return the severity of ``rule`` under these settings."""
         if rule.id in self.severities:
             return self.severities[rule.id]
         if self.strict and rule.id == "GM001":
@@ -66,9 +66,9 @@ class Settings:
         return self.target.severities.get(rule.id, rule.severity)
 
     def for_model(self, path: Path) -> "Settings":
-        """Return the settings with only those waivers that speak of the model at ``path``."""
+        """Return the settings with only the waivers for the model at ``path``."""
         return replace(
-            self, waivers=tuple(one for one in self.waivers if one.matches(path))
+            self, waivers=tuple(waiver for waiver in self.waivers if waiver.matches(path))
         )
 
 
@@ -76,8 +76,8 @@ def read_config(path: Path, registry: Registry, base: Settings | None = None) ->
     """Read ``gsgen.toml`` on top of ``base``.
 
     Raises:
-        ConfigInvalid: It is no TOML, or says something that cannot be meant; unknown keys,
-            rules, targets and levels are errors that name the nearest known one.
+        ConfigInvalid: The file is not TOML, or holds an invalid value. For unknown keys, rules,
+            targets and levels, the hint names the nearest known one.
     """
     where = str(path)
     try:
@@ -86,7 +86,7 @@ def read_config(path: Path, registry: Registry, base: Settings | None = None) ->
         raise ConfigInvalid(f"cannot be read: {error.strerror}", where=where) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigInvalid(f"is not TOML: {error}", where=where) from error
-    _write_out_days(data)
+    _dates_to_text(data)
     _check_shape(data, config_schema(registry), where)
     return _apply(base or Settings(), data, registry, where)
 
@@ -123,8 +123,8 @@ def _apply(
     )
 
 
-def _write_out_days(data: dict[str, Any]) -> None:
-    """Write TOML's dates as text, which is what a JSON Schema knows them as."""
+def _dates_to_text(data: dict[str, Any]) -> None:
+    """Convert TOML dates to text, the form that the JSON Schema describes."""
     waivers = data.get("waive", [])
     for entry in waivers if isinstance(waivers, list) else ():
         if isinstance(entry, dict) and type(entry.get("until")) is date:
@@ -132,30 +132,65 @@ def _write_out_days(data: dict[str, Any]) -> None:
 
 
 def _waivers(data: dict[str, Any], registry: Registry, where: str) -> tuple[Waiver, ...]:
-    made = []
+    waivers = []
     for number, entry in enumerate(data.get("waive", [])):
-        place = f"{where}, waive.{number}"
+        location = f"{where}, waive.{number}"
         try:
             until = date.fromisoformat(entry["until"]) if "until" in entry else None
         except ValueError as error:
-            what = f"{entry['until']!r} is no day; wanted one like 2027-01-01"
-            raise ConfigInvalid(what, where=f"{place}.until") from error
-        named = registry.find(entry["rule"], f"{place}.rule").id
-        reason, at = entry["reason"].strip(), entry.get("where", "")
-        made.append(Waiver(named, reason, at, entry.get("model", ""), until))
-    return tuple(made)
+            message = f"{entry['until']!r} is not a date: expected one like 2027-01-01"
+            raise ConfigInvalid(message, where=f"{location}.until") from error
+        rule_id = registry.find(entry["rule"], f"{location}.rule").id
+        reason, subject = entry["reason"].strip(), entry.get("where", "")
+        waivers.append(
+            Waiver(
+                rule=rule_id,
+                reason=reason,
+                where=subject,
+                model=entry.get("model", ""),
+                until=until,
+            )
+        )
+    return tuple(waivers)
 
 
 def config_schema(registry: Registry) -> dict[str, object]:
-    """Return the JSON Schema of ``gsgen.toml``, every installed rule by name."""
+    """Return the JSON Schema of ``gsgen.toml``, with every installed rule by name."""
     severities = list(Severity.words())
-    names = [name for rule in registry.rules.values() for name in (rule.id, rule.slug)]
-    section: dict[str, object] = {
-        "level": {"enum": list(Level.words()), "description": "How far to go."},
+    rules = registry.rules.values()
+    names = [name for rule in rules for name in (rule.id, rule.slug)]
+    described_rules = {
+        name: {"enum": severities, "description": rule.statement}
+        for rule in rules
+        for name in (rule.id, rule.slug)
+    }
+    waiver = _table(_waiver_schema(names)) | {"required": ["rule", "reason"]}
+    tables = {
+        "validate": _table(_validate_schema(names, severities)),
+        "tolerances": _table(schema_of(Tolerances, title="tolerances")["properties"]),
+        "severity": {
+            "type": "object",
+            "properties": described_rules,
+            "additionalProperties": {"enum": severities},  # such as a rule in lower case
+        },
+        "waive": {"type": "array", "items": waiver},
+    }
+    return {"$schema": DIALECT, "title": "gsgen.toml"} | _table(tables)
+
+
+def _table(properties: object) -> dict[str, object]:
+    """Return the schema of a TOML table that has no other keys than ``properties``."""
+    return {"type": "object", "properties": properties, "additionalProperties": False}
+
+
+def _validate_schema(names: list[str], severities: list[str]) -> dict[str, object]:
+    """Return the schemas of the keys of ``[validate]``."""
+    return {
+        "level": {"enum": list(Level.words()), "description": "The highest level to run."},
         "target": {
             "type": "string",
             "examples": sorted(known_targets()),
-            "description": "The consumer to judge for, name or name@version.",
+            "description": "The consumer to validate for, name or name@version.",
         },
         "fail_on": {"enum": severities, "description": "Lowest severity that fails."},
         "ignore": {
@@ -176,7 +211,11 @@ def config_schema(registry: Registry) -> dict[str, object]:
         "strict": {"type": "boolean", "description": "A missing manifest is an error."},
         "seed": {"type": "integer", "minimum": 0, "description": "Seed of the probe set."},
     }
-    waiver: dict[str, object] = {
+
+
+def _waiver_schema(names: list[str]) -> dict[str, object]:
+    """Return the schemas of the keys of a ``[[waive]]`` table."""
+    return {
         "rule": {
             "type": "string",
             "examples": names,
@@ -185,58 +224,21 @@ def config_schema(registry: Registry) -> dict[str, object]:
         "reason": {
             "type": "string",
             "pattern": r"\S",
-            "description": "Why they are accepted; it is shown in every report.",
+            "description": "Why they are accepted; every report shows it.",
         },
         "where": {
             "type": "string",
-            "description": "The only place it speaks of, as reports write it: output gaussians.",
+            "description": "The only location it covers, as reports write it: output gaussians.",
         },
         "model": {
             "type": "string",
-            "description": "The only models it speaks of: a path or file name, * stands for any.",
+            "description": "The only models it covers: a path or file name, * matches any text.",
         },
         "until": {
             "type": "string",
             "format": "date",
-            "description": "The last day on which it holds: 2027-01-01.",
+            "description": "The last day on which it is valid: 2027-01-01.",
         },
-    }
-    rules = {
-        name: {"enum": severities, "description": rule.statement}
-        for rule in registry.rules.values()
-        for name in (rule.id, rule.slug)
-    }
-    return {
-        "$schema": DIALECT,
-        "title": "gsgen.toml",
-        "type": "object",
-        "properties": {
-            "validate": {
-                "type": "object",
-                "properties": section,
-                "additionalProperties": False,
-            },
-            "tolerances": {
-                "type": "object",
-                "properties": schema_of(Tolerances, title="tolerances")["properties"],
-                "additionalProperties": False,
-            },
-            "severity": {
-                "type": "object",
-                "properties": rules,
-                "additionalProperties": {"enum": severities},  # a rule in lower case, say
-            },
-            "waive": {
-                "type": "array",
-                "items": {
-                    "type": "object",
-                    "properties": waiver,
-                    "required": ["rule", "reason"],
-                    "additionalProperties": False,
-                },
-            },
-        },
-        "additionalProperties": False,
     }
 
 
@@ -244,13 +246,13 @@ def _check_shape(data: dict[str, Any], schema: dict[str, object], where: str) ->
     from jsonschema import Draft202012Validator
 
     for error in Draft202012Validator(schema).iter_errors(data):
-        place = ".".join(str(part) for part in error.absolute_path)
-        at = f"{where}, {place}" if place else where
+        key_path = ".".join(str(part) for part in error.absolute_path)
+        location = f"{where}, {key_path}" if key_path else where
         if error.validator == "additionalProperties":
             known = error.schema["properties"]
-            stranger = next(key for key in error.instance if key not in known)
-            if stranger in known.get("validate", {}).get("properties", {}):
+            unknown_key = next(key for key in error.instance if key not in known)
+            if unknown_key in known.get("validate", {}).get("properties", {}):
                 hint = "Put it under [validate]."
-                raise UnknownName(f"unknown key {stranger!r}", where=at, hint=hint)
-            raise UnknownName.among("key", stranger, known, at)
-        raise ConfigInvalid(error.message, where=at)
+                raise UnknownName(f"unknown key {unknown_key!r}", where=location, hint=hint)
+            raise UnknownName.among("key", unknown_key, known, location)
+        raise ConfigInvalid(error.message, where=location)

@@ -1,4 +1,4 @@
-"""Settings from words, as every front end takes them: options over ``gsgen.toml`` over defaults."""
+"""Combines command-line options, ``gsgen.toml`` and defaults into settings."""
 
 __all__ = ["make_settings"]
 
@@ -10,8 +10,9 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.process.limits import Limits
 from gsgen.contract.spec.severity import Level, Severity
 from gsgen.contract.spec.targets import load_target
+from gsgen.contract.spec.units import MEBIBYTE
 from gsgen.contract.validation.rule import Registry
-from gsgen.contract.validation.settings import MEBIBYTE, Settings, read_config
+from gsgen.contract.validation.settings import Settings, read_config
 
 _DEFAULT_CONFIG = Path("gsgen.toml")
 
@@ -31,24 +32,24 @@ def make_settings(
     seed: int | None = None,
     prefix: str = "--",
 ) -> Settings:
-    """Return settings; what is not given comes from the file, and what that leaves out is usual.
+    """Return settings; options take precedence over the file, and the file over defaults.
 
     Args:
-        registry: The rules that names may mean.
-        level: How far to go.
+        registry: The known rules.
+        level: The highest level to run.
         target: The consumer, as ``name`` or ``name@version``.
         fail_on: The lowest severity that fails.
-        ignore: Rules by id or name, some of them perhaps joined by commas.
+        ignore: Rules by id or name; an entry may join several by commas.
         severity: Entries such as ``GV004=error``.
-        config: The file; ``gsgen.toml`` of the current folder where absent and there.
+        config: The settings file; by default ``gsgen.toml`` of the current folder, if it exists.
         timeout: Seconds for all runs of a model together.
-        memory: MiB for them.
+        memory: Memory for running a model, in MiB.
         strict: A missing manifest is an error.
         seed: Seed of the probe set.
-        prefix: What options start with here, for messages.
+        prefix: Start of option names, for messages.
 
     Raises:
-        ConfigInvalid: A word or the file says something that cannot be meant.
+        ConfigInvalid: An option or the file holds an invalid value.
     """
     path = config or (_DEFAULT_CONFIG if _DEFAULT_CONFIG.is_file() else None)
     base = read_config(path, registry) if path is not None else Settings()
@@ -71,14 +72,16 @@ def make_settings(
 def _severities(
     registry: Registry, entries: Iterable[str], where: str
 ) -> dict[str, Severity]:
-    made: dict[str, Severity] = {}
+    severities: dict[str, Severity] = {}
     for entry in entries:
         name, sign, word = entry.partition("=")
         if not sign:
             hint = f"Write it as {name}=error."
-            raise ConfigInvalid(f"{entry!r} has no '='", where=where, hint=hint)
-        made[registry.find(name, where).id] = Severity.parse(word, where)
-    return made
+            raise ConfigInvalid(
+                f"{entry!r} has no '=': expected RULE=SEVERITY", where=where, hint=hint
+            )
+        severities[registry.find(name, where).id] = Severity.parse(word, where)
+    return severities
 
 
 def _limits(base: Limits, timeout: float | None, memory: int | None) -> Limits:

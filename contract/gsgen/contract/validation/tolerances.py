@@ -1,4 +1,4 @@
-"""Which tolerances hold for a model, field by field, and where each comes from."""
+"""The tolerances of a model, field by field, and the source of each."""
 
 __all__ = ["as_tolerances", "effective_tolerances"]
 
@@ -13,33 +13,40 @@ from gsgen.contract.validation.report import Tolerance
 
 
 def effective_tolerances(subject: InspectedModel) -> tuple[Tolerance, ...]:
-    """Return how closely executions of the model must agree; nothing for other kinds of model.
+    """Return the tolerances of a generator, or an empty tuple for other kinds of model.
 
-    What the user's configuration says wins over the manifest, and that over the contract's own.
+    The user's settings take precedence over the manifest, and the manifest over the contract.
     """
     if subject.generator is None:
         return ()
     declared = subject.generator.tolerances
-    own, said = subject.tolerances, _said(subject) if declared is not None else {}
+    configured, sources = (
+        subject.tolerances,
+        _manifest_fields(subject) if declared is not None else {},
+    )
     hints = get_type_hints(Tolerances, include_extras=True)
     return tuple(
         Tolerance(
-            field=one.name,
-            value=own.get(one.name, getattr(declared or Tolerances(), one.name)),
-            unit=_unit(hints[one.name]),
-            source="config" if one.name in own else said.get(one.name, "default"),
+            field=field.name,
+            value=configured.get(field.name, getattr(declared or Tolerances(), field.name)),
+            unit=_unit(hints[field.name]),
+            source="config"
+            if field.name in configured
+            else sources.get(field.name, "default"),
         )
-        for one in fields(Tolerances)
+        for field in fields(Tolerances)
     )
 
 
 def as_tolerances(subject: InspectedModel) -> Tolerances:
-    """Return the same as the manifest's dataclass, for whoever compares executions."""
-    return Tolerances(**{one.field: one.value for one in effective_tolerances(subject)})
+    """Return the effective tolerances as the manifest's dataclass."""
+    return Tolerances(
+        **{tolerance.field: tolerance.value for tolerance in effective_tolerances(subject)}
+    )
 
 
-def _said(subject: InspectedModel) -> dict[str, Literal["manifest"]]:
-    """Return the fields that the manifest's text names: its dataclass has the defaults filled in."""
+def _manifest_fields(subject: InspectedModel) -> dict[str, Literal["manifest"]]:
+    """Return the fields in the manifest's text; its dataclass also holds the defaults."""
     if subject.parsed is None:
         return {}
     document: Any = json.loads(subject.file.manifest_text or "{}")
@@ -47,5 +54,9 @@ def _said(subject: InspectedModel) -> dict[str, Literal["manifest"]]:
 
 
 def _unit(hint: Any) -> str:
-    texts = [one.text for one in hint.__metadata__ if isinstance(one, Hint) and one.text]
+    texts = [
+        annotation.text
+        for annotation in hint.__metadata__
+        if isinstance(annotation, Hint) and annotation.text
+    ]
     return texts[-1][:1].lower() + texts[-1][1:].rstrip(".") if texts else ""

@@ -1,6 +1,6 @@
-"""Waivers: faults that someone has looked at and accepts, each with a reason and perhaps an end."""
+"""Waivers: accepted faults, each with a reason and an optional last day."""
 
-__all__ = ["Review", "Waiver", "waive"]
+__all__ = ["Review", "Waiver", "apply_waivers"]
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -11,16 +11,16 @@ from pathlib import PurePath
 from gsgen.contract.validation.finding import Finding
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Waiver:
     """One accepted fault: a ``[[waive]]`` table of ``gsgen.toml``.
 
     Attributes:
         rule: The rule's id.
         reason: Why its findings are accepted.
-        where: The only place it speaks of, such as ``output gaussians``; empty for all.
-        model: The only model it speaks of, a path or a pattern such as ``*.onnx``; empty for all.
-        until: The last day on which it holds; None for ever.
+        where: The only location it covers, such as ``output gaussians``; empty for all.
+        model: The only model it covers, a path or a pattern such as ``*.onnx``; empty for all.
+        until: The last day on which it is valid; None without end.
     """
 
     rule: str
@@ -33,28 +33,28 @@ class Waiver:
         return f"{self.rule} at {self.where}" if self.where else self.rule
 
     def covers(self, finding: Finding) -> bool:
-        """Say whether it speaks of ``finding``, held or not."""
-        place = self.where in ("", finding.where.subject, str(finding.where))
-        return place and self.rule == finding.rule
+        """Return whether the waiver covers ``finding``, expired or not."""
+        is_location = self.where in ("", finding.where.subject, str(finding.where))
+        return is_location and self.rule == finding.rule
 
-    def holds_on(self, day: date) -> bool:
-        """Say whether it has not ended before ``day``."""
+    def is_valid_on(self, day: date) -> bool:
+        """Return whether the waiver is valid on ``day``."""
         return self.until is None or day <= self.until
 
     def matches(self, path: PurePath) -> bool:
-        """Say whether it is meant for the model at ``path``."""
+        """Return whether the waiver applies to the model at ``path``."""
         names = (path.as_posix(), path.name)
         return not self.model or any(fnmatchcase(name, self.model) for name in names)
 
 
 @dataclass(frozen=True, slots=True)
 class Review:
-    """What rules over the report itself look at.
+    """The argument of rules that check the report itself.
 
     Attributes:
-        findings: What the other rules found.
-        statuses: Rule id → what became of it.
-        waivers: Those that speak of this model.
+        findings: The findings of all other rules.
+        statuses: Rule id → status.
+        waivers: The waivers for this model.
         today: The day of the validation.
     """
 
@@ -64,14 +64,16 @@ class Review:
     today: date
 
 
-def waive(
+def apply_waivers(
     findings: Iterable[Finding], waivers: Iterable[Waiver], today: date
 ) -> tuple[Finding, ...]:
-    """Return the findings, those that a waiver covers marked with its reason."""
-    held = [waiver for waiver in waivers if waiver.holds_on(today)]
+    """Mark the findings that a valid waiver covers with its reason."""
+    active = [waiver for waiver in waivers if waiver.is_valid_on(today)]
 
-    def judged(finding: Finding) -> Finding:
-        waiver = next((one for one in held if one.covers(finding)), None)
+    def waived(finding: Finding) -> Finding:
+        waiver = next(
+            (candidate for candidate in active if candidate.covers(finding)), None
+        )
         return replace(finding, waived=True, waiver=waiver.reason) if waiver else finding
 
-    return tuple(map(judged, findings))
+    return tuple(map(waived, findings))

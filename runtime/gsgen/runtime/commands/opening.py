@@ -105,11 +105,11 @@ def _sizes_of_each(
     """
     if not sizes:
         return {}
-    from gsgen.sdk.binding.model_facts import read_sources
+    from gsgen.sdk.binding.model_facts import read_model_facts
 
     models = [path for path in paths if path.suffix.lower() == ".onnx"]
     opened = {
-        path: {name for name, _ in read_sources(path, None).open_dimensions()}
+        path: {name for name, _ in read_model_facts(path, None).open_dimensions()}
         for path in models
     }
     known = set().union(*opened.values())

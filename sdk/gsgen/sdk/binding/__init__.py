@@ -1,11 +1,11 @@
-"""Run a model every frame: one stable session, buffers bound once, inputs updated in place.
+"""How does a program run a model every frame, with buffers bound once and inputs updated in place?
 
-Needs numpy and ONNX Runtime, never torch. The names below are loaded when first used.
+Needs NumPy and ONNX Runtime, not torch. The names below are imported when first used.
 """
 
 from typing import TYPE_CHECKING
 
-from gsgen.contract._lazy import attributes
+from gsgen.contract._lazy import lazy_getattr
 
 if TYPE_CHECKING:
     from gsgen.sdk.binding.camera_inputs import CameraLike, Pinhole
@@ -55,4 +55,4 @@ _HOME = {
     "Stop": "providers.cancellation",
 }
 
-__getattr__ = attributes(__name__, _HOME)
+__getattr__ = lazy_getattr(__name__, _HOME)

@@ -1,4 +1,4 @@
-"""GI and GB, cameras: matrices are read in the declared order, and what is seen is not culled."""
+"""GI and GB rules of cameras: matrix order, projection sign, and conservative culling."""
 
 from collections.abc import Iterator
 
@@ -10,11 +10,10 @@ from gsgen.contract.probing.run_comparison import Behaviour, difference
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
-_RUNS = ("GV025", "GB001", "GB002")
-
-# A cone that any camera sees: half of the narrowest lens' view, and well in front.
+# A cone in front of every camera: half the opening of the narrowest lens.
 _CONE = 0.2
 _NEAR = 0.1
 _CULLED_SHARE = 0.01
@@ -26,7 +25,7 @@ _CULLED_SHARE = 0.01
     Severity.ERROR,
     over="runs",
     fixture="matrix_order_differs",
-    needs=(*_RUNS, "GI001", "GM006"),
+    needs=(*REPRODUCIBLE, "GI001", "GM006"),
 )
 def matrix_order(behaviour: Behaviour) -> Iterator[Violation]:
     """The view matrix is read in the memory order that the manifest declares.
@@ -39,13 +38,13 @@ def matrix_order(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Declare the order that the model reads as space.matrix_order, or transpose inside the model.
     """
-    visits = behaviour.visits("moved")
-    if len(visits) < 3 or not all(visit.digest for visit in visits):
+    runs = behaviour.visits("moved")
+    if len(runs) < 3 or not all(run.digest for run in runs):
         return
-    still, moved, transposed = (visit.digest for visit in visits)
+    unmoved, moved, transposed = (run.digest for run in runs)
     space = behaviour.subject.generator.space if behaviour.subject.generator else None
     order = space.matrix_order if space else "column"
-    if moved == still and transposed != still:
+    if moved == unmoved and transposed != unmoved:
         actual = (
             f"a moved camera changes nothing, read in {order} order; transposed it does"
         )
@@ -59,7 +58,7 @@ def matrix_order(behaviour: Behaviour) -> Iterator[Violation]:
     Severity.WARNING,
     over="runs",
     fixture="projection_y_matters",
-    needs=(*_RUNS, "GI002"),
+    needs=(*REPRODUCIBLE, "GI002"),
 )
 def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
     """Turning the y axis of clip space around changes no output.
@@ -71,13 +70,13 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
     Hint:
         Use absolute values of clip coordinates, or the view matrix alone.
     """
-    visits = behaviour.visits("flipped")
-    if len(visits) < 2 or not all(visit.digest for visit in visits):
+    runs = behaviour.visits("flipped")
+    if len(runs) < 2 or not all(run.digest for run in runs):
         return
-    plain, turned = visits
-    if plain.digest != turned.digest:
-        for name, value in plain.outputs.items():
-            largest = difference(value, turned.outputs[name])
+    unflipped, flipped = runs
+    if unflipped.digest != flipped.digest:
+        for name, value in unflipped.outputs.items():
+            largest = difference(value, flipped.outputs[name])
             if largest > 0:
                 actual = (
                     f"differs by up to {largest:.3g} with row 1 of the projection negated"
@@ -91,7 +90,7 @@ def projection_y_sign(behaviour: Behaviour) -> Iterator[Violation]:
     Severity.WARNING,
     over="runs",
     fixture="culls_what_is_seen",
-    needs=(*_RUNS, "GO001", "GO002", "GI007", "GM006", "GV017"),
+    needs=(*REPRODUCIBLE, "GO001", "GO002", "GI007", "GM006", "GV017"),
 )
 def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
     """A Gaussian in the middle of the view is not transparent where another camera sees it.
@@ -109,21 +108,21 @@ def culling_conservative(behaviour: Behaviour) -> Iterator[Violation]:
     space = subject.generator.space if subject.generator else None
     if declared is None or not views or space is None:
         return
-    seen = [
+    probed_rows = [
         (probe, np.asarray(outputs[declared.name], np.float32))
         for probe, outputs in behaviour.variants("view")
     ]
-    shown = [rows[:, OPACITY] >= CULL_OPACITY for _, rows in seen]
-    for index, (probe, rows) in enumerate(seen):
+    drawn = [rows[:, OPACITY] >= CULL_OPACITY for _, rows in probed_rows]
+    for index, (probe, rows) in enumerate(probed_rows):
         matrix = as_tensor(probe.inputs[views[0][0].name], space.matrix_order)
         middle = _in_cone(rows[:, POSITION], matrix) & (rows[:, OPACITY] == 0)
         elsewhere = np.zeros(len(rows), bool)
-        for other, (_, others) in enumerate(seen):
-            if other != index and others.shape == rows.shape:
-                same = (others[:, POSITION] == rows[:, POSITION]).all(axis=1)
-                elsewhere |= same & shown[other]
+        for other_index, (_, other_rows) in enumerate(probed_rows):
+            if other_index != index and other_rows.shape == rows.shape:
+                same = (other_rows[:, POSITION] == rows[:, POSITION]).all(axis=1)
+                elsewhere |= same & drawn[other_index]
         culled = int(np.count_nonzero(middle & elsewhere))
-        if culled > _CULLED_SHARE * max(int(np.count_nonzero(shown[index])), 1):
+        if culled > _CULLED_SHARE * max(int(np.count_nonzero(drawn[index])), 1):
             actual = (
                 f"{culled} rows in the middle of the view have opacity 0 at {probe.label!r}"
             )

@@ -1,4 +1,4 @@
-"""GB: the model is a function of its inputs, and of all that it says it depends on."""
+"""GB rules of determinism: outputs depend on the inputs alone, and as `depends_on` declares."""
 
 from collections.abc import Iterator
 
@@ -7,6 +7,7 @@ from gsgen.contract.probing.run_comparison import Behaviour, Comparison
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 
 _OF_CAMERA = ("view", "projection", "camera_position", "viewport")
@@ -49,10 +50,10 @@ def deterministic(behaviour: Behaviour) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def stateless(behaviour: Behaviour) -> Iterator[Violation]:
-    """The same inputs give the same bits, whatever was run in between.
+    """The same inputs give the same bits, regardless of the runs in between.
 
     Why:
-        Scrubbing back to an earlier time must show what was shown then.
+        Scrubbing back to an earlier time must show the same picture again.
 
     Hint:
         Make every output a function of the inputs alone.
@@ -68,7 +69,7 @@ def stateless(behaviour: Behaviour) -> Iterator[Violation]:
     Severity.WARNING,
     over="runs",
     fixture="time_times_zero",
-    needs=("GV025", "GB001", "GB002"),
+    needs=REPRODUCIBLE,
 )
 def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
     """Each input changes some output, unless `depends_on` says that it does not; and then it does not.
@@ -86,25 +87,27 @@ def inputs_matter(behaviour: Behaviour) -> Iterator[Violation]:
     declared = generator.depends_on if generator else {}
     for role, comparisons in behaviour.varied.items():
         if not _leads_anywhere(behaviour.subject, role):
-            continue  # another rule says so
+            continue  # another rule reports it
         changes = any(comparison.changed for comparison in comparisons)
-        place = f"role {role}"
+        location = f"role {role}"
         if declared.get(role, True) and not (changes or _zero_changes(behaviour, role)):
             actual = f"no output changes with it ({len(comparisons)} variations)"
-            yield Violation.at(place, actual, "an effect, or depends_on false")
+            yield Violation.at(location, actual, "an effect, or depends_on false")
         elif not declared.get(role, True) and changes and role not in _OF_CAMERA:
             name = next(iter(next(c.changed for c in comparisons if c.changed)))
-            yield Violation.at(place, f"output {name} changes with it", "depends_on true")
+            yield Violation.at(
+                location, f"output {name} changes with it", "depends_on true"
+            )
 
 
 def _zero_changes(behaviour: Behaviour, role: str) -> bool:
-    """Say whether zeros change something: cameras that see everything hide nothing."""
-    zeroed = [
-        visit
-        for visit in behaviour.visits("edges")
-        if visit.digest and visit.probe.label.endswith(f" with zero {role}")
+    """Return whether zeros as the role's input change an output: cameras that cull nothing may not."""
+    zero_runs = [
+        run
+        for run in behaviour.visits("edges")
+        if run.digest and run.probe.label.endswith(f" with zero {role}")
     ]
-    return any(visit.digest != behaviour.base.digest for visit in zeroed)
+    return any(run.digest != behaviour.base.digest for run in zero_runs)
 
 
 def _leads_anywhere(subject: InspectedModel, role: str) -> bool:
@@ -119,7 +122,7 @@ def _leads_anywhere(subject: InspectedModel, role: str) -> bool:
     Severity.ERROR,
     over="runs",
     fixture="undeclared_camera",
-    needs=("GV025", "GB001", "GB002"),
+    needs=REPRODUCIBLE,
 )
 def camera_invariance(behaviour: Behaviour) -> Iterator[Violation]:
     """Where `depends_on` says that the camera changes nothing, no output changes with it.
@@ -129,7 +132,7 @@ def camera_invariance(behaviour: Behaviour) -> Iterator[Violation]:
         shows what another camera should see.
 
     Hint:
-        Set "depends_on": {"view": true}, or compute what depends on the camera elsewhere.
+        Set "depends_on": {"view": true}, or compute the camera-dependent part elsewhere.
     """
     generator = behaviour.subject.generator
     declared = generator.depends_on if generator else {}

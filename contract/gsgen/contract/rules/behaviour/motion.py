@@ -1,4 +1,4 @@
-"""GB, time: it loops where it says so, moves without jumps, and reaches every frame."""
+"""GB rules of time: declared loops close, motion has no jumps, every frame is reached."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -9,20 +9,19 @@ from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, differenc
 from gsgen.contract.spec.layout import CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
-
-_RUNS = ("GV025", "GB001", "GB002")
 
 # The step from the end to the start may be this much larger than its neighbours.
 _JUMP = 3.0
-# What rounding may do, relative to the largest value.
+# The rounding error, relative to the largest value.
 _ROUNDING = 2e-3
-# A share of the bounds' diagonal that nothing crosses between two pictures.
+# The largest motion between two pictures, as a fraction of the bounds' diagonal.
 _POP = 0.1
 
 
-def _floats(visit: ProbeRun) -> dict[str, np.ndarray]:
-    floats = {n: v for n, v in visit.outputs.items() if v.dtype.kind == "f"}
+def _floats(run: ProbeRun) -> dict[str, np.ndarray]:
+    floats = {n: v for n, v in run.outputs.items() if v.dtype.kind == "f"}
     return floats if all(np.isfinite(v).all() for v in floats.values()) else {}
 
 
@@ -32,21 +31,21 @@ def _floats(visit: ProbeRun) -> dict[str, np.ndarray]:
     Severity.WARNING,
     over="runs",
     fixture="loop_that_jumps",
-    needs=(*_RUNS, "GM010", "GB003", "GI006"),
+    needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006"),
 )
 def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
     """Where time is declared to loop, its end continues at its start.
 
     Why:
-        Viewers wrap around at the end of the range: what is not the same there jumps, once a turn.
+        Viewers wrap around at the end of the range: any difference there is a jump in every loop.
 
     Hint:
         Let the end of the range show what its start shows, or do not declare "loop".
     """
-    visits = behaviour.visits("loop")
-    if len(visits) < 4:
+    runs = behaviour.visits("loop")
+    if len(runs) < 4:
         return
-    start, after, before, end = (_floats(visit) for visit in visits[:4])
+    start, after, before, end = (_floats(run) for run in runs[:4])
     for name in start.keys() & after.keys() & before.keys() & end.keys():
         jump = difference(start[name], end[name])
         step = max(
@@ -65,7 +64,7 @@ def time_loops(behaviour: Behaviour) -> Iterator[Violation]:
     Severity.INFO,
     over="runs",
     fixture="scene_that_pops",
-    needs=(*_RUNS, "GM009", "GM010", "GO001", "GO002"),
+    needs=(*REPRODUCIBLE, "GM009", "GM010", "GO001", "GO002"),
 )
 def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
     """No visible Gaussian crosses a tenth of the bounds between two pictures of a 60 Hz screen.
@@ -78,16 +77,16 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
         Interpolate between frames of the same Gaussians; fade what appears. Check frames and fps.
     """
     generator, declared = behaviour.subject.generator, behaviour.subject.declared_gaussians
-    visits = behaviour.visits("paces")
+    runs = behaviour.visits("paces")
     if generator is None or generator.bounds is None or declared is None:
         return
     diagonal = np.linalg.norm(np.subtract(generator.bounds.max, generator.bounds.min))
-    for early, late in zip(visits[::2], visits[1::2], strict=False):
-        a, b = (_floats(visit).get(declared.name) for visit in (early, late))
+    for early, late in zip(runs[::2], runs[1::2], strict=False):
+        a, b = (_floats(run).get(declared.name) for run in (early, late))
         if a is None or b is None or a.shape != b.shape:
             continue
-        shown = np.minimum(a[:, OPACITY], b[:, OPACITY]) >= CULL_OPACITY
-        paths = (a[shown, POSITION].astype(np.float64), b[shown, POSITION])
+        drawn = np.minimum(a[:, OPACITY], b[:, OPACITY]) >= CULL_OPACITY
+        paths = (a[drawn, POSITION].astype(np.float64), b[drawn, POSITION])
         far = float(np.linalg.norm(paths[0] - paths[1], axis=1).max(initial=0.0))
         if far > _POP * diagonal:
             actual = f"moves by {far:.3g} within 1/60 s, {early.probe.label!r}"
@@ -103,7 +102,7 @@ def time_continuous(behaviour: Behaviour) -> Iterator[Violation]:
     Severity.WARNING,
     over="runs",
     fixture="last_frame_unreachable",
-    needs=(*_RUNS, "GM010", "GB003", "GI006"),
+    needs=(*REPRODUCIBLE, "GM010", "GB003", "GI006"),
 )
 def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
     """Where frames are declared, each of them shows another picture.
@@ -116,12 +115,14 @@ def every_frame_reached(behaviour: Behaviour) -> Iterator[Violation]:
         Take frame floor(time · frames), clamped to the last, for a time from 0 to 1. If the scene
         stands still for a while, ignore this rule.
     """
-    visits = [visit for visit in behaviour.visits("frames") if visit.digest]
+    runs = [run for run in behaviour.visits("frames") if run.digest]
     twice = [
         later.probe.label
-        for earlier, later in pairwise(visits)
+        for earlier, later in pairwise(runs)
         if earlier.digest == later.digest
     ]
     if twice:
-        actual = f"{len(twice)} of {len(visits)} frames show what the frame before did, {twice[0]}"
+        actual = (
+            f"{len(twice)} of {len(runs)} frames show what the frame before did, {twice[0]}"
+        )
         yield Violation.at("role time", actual, "a picture a frame", certainty="possible")

@@ -1,41 +1,38 @@
-"""GB and GI, robustness: edges of inputs, another optimiser, another order of runs."""
+"""GB and GI rules of robustness: extreme inputs, optimisations, and the order of runs."""
 
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from gsgen.contract.probing.behaviour_probes import AGAIN
+from gsgen.contract.probing.behaviour_probes import REPEATED
 from gsgen.contract.probing.outputs import ModelOutputs, read_outputs
 from gsgen.contract.probing.run_comparison import Behaviour, ProbeRun, difference
 from gsgen.contract.probing.test_vectors import MOST_SEEDS, probed_seeds, vector_label
-from gsgen.contract.spec.layout import OPACITY
+from gsgen.contract.spec.layout import MOSTLY_INVISIBLE, OPACITY
 from gsgen.contract.spec.manifest import TestVector
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
-from gsgen.contract.validation.agreement import FieldError, apart, comparable
+from gsgen.contract.validation.agreement import FieldError, comparable_parts, field_errors
 from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.gates import FINITE_OUTPUTS, MANIFEST_PARSED, REPRODUCIBLE
 from gsgen.contract.validation.rule import rule
 from gsgen.contract.validation.tolerances import effective_tolerances
 
-_RUNS = ("GV025", "GB001", "GB002")
-_FINITE = ("GV001", "GV002", "GI009")
-
-# What rewriting a graph may change by rounding, relative to an output's largest value.
+# The rounding error of a graph rewrite, relative to an output's largest value.
 _REWRITTEN = 1e-2
 _INERT_SHARE = 0.5
-_MOSTLY_DEAD = 0.9
 
 
-def _broken(visits: list[ProbeRun]) -> Iterator[Violation]:
-    for visit in visits:
-        if visit.error:
+def _broken(runs: list[ProbeRun]) -> Iterator[Violation]:
+    for run in runs:
+        if run.error:
             yield Violation.at(
-                "ONNX Runtime", f"{visit.error} ({visit.probe.label})", "no error"
+                "ONNX Runtime", f"{run.error} ({run.probe.label})", "no error"
             )
-        for name in visit.not_finite:
+        for name in run.not_finite:
             yield Violation.at(
-                f"output {name}", f"not finite at {visit.probe.label!r}", "finite values"
+                f"output {name}", f"not finite at {run.probe.label!r}", "finite values"
             )
 
 
@@ -45,7 +42,7 @@ def _broken(visits: list[ProbeRun]) -> Iterator[Violation]:
     Severity.ERROR,
     over="runs",
     fixture="nan_at_half_a_turn",
-    needs=(*_RUNS, *_FINITE),
+    needs=(*REPRODUCIBLE, *FINITE_OUTPUTS),
 )
 def edges_finite(behaviour: Behaviour) -> Iterator[Violation]:
     """Every output is finite while one input is all zero, and at both ends of all ranges.
@@ -66,7 +63,7 @@ def edges_finite(behaviour: Behaviour) -> Iterator[Violation]:
     Severity.WARNING,
     over="runs",
     fixture="nan_beyond_range",
-    needs=(*_RUNS, *_FINITE, "GB013"),
+    needs=(*REPRODUCIBLE, *FINITE_OUTPUTS, "GB013"),
 )
 def beyond_range_finite(behaviour: Behaviour) -> Iterator[Violation]:
     """Just outside the declared ranges, every output is finite and nothing fails.
@@ -87,7 +84,7 @@ def beyond_range_finite(behaviour: Behaviour) -> Iterator[Violation]:
     Severity.WARNING,
     over="runs",
     fixture="optimised_wrongly",
-    needs=(*_RUNS, "GG020"),
+    needs=(*REPRODUCIBLE, "GG020"),
     kinds=KINDS,
 )
 def optimiser_agrees(behaviour: Behaviour) -> Iterator[Violation]:
@@ -105,48 +102,50 @@ def optimiser_agrees(behaviour: Behaviour) -> Iterator[Violation]:
     """
     subject, base = behaviour.subject, behaviour.base
     tolerances = effective_tolerances(subject)
-    for visit in behaviour.visits("plain"):
-        if not visit.outputs:
+    for unoptimised in behaviour.visits("plain"):
+        if not unoptimised.outputs:
             continue
         first, second = (
-            read_outputs(subject, one.probe.label, False, one.outputs)
-            for one in (base, visit)
+            read_outputs(subject, compared_run.probe.label, False, compared_run.outputs)
+            for compared_run in (base, unoptimised)
         )
-        for one in apart(first, second, tolerances):
-            yield _too_far(one, first)
+        for error in field_errors(first, second, tolerances):
+            yield _too_far(error, first)
         parts = (
             subject.declared_gaussians,
             subject.declared_appearance,
             subject.declared_cells,
         )
-        both = zip(parts, comparable(first, second), strict=True)
-        compared = {part.name for part, judged in both if part is not None and judged}
+        both = zip(parts, comparable_parts(first, second), strict=True)
+        compared = {
+            part.name for part, is_comparable in both if part is not None and is_comparable
+        }
         for name, value in base.outputs.items():
-            if name not in compared and name in visit.outputs:
-                yield from _loosely(name, value, visit.outputs[name])
+            if name not in compared and name in unoptimised.outputs:
+                yield from _loosely(name, value, unoptimised.outputs[name])
 
 
-def _too_far(one: FieldError, emission: ModelOutputs) -> Violation:
-    tolerance, field = one.tolerance, one.tolerance.field
+def _too_far(error: FieldError, emission: ModelOutputs) -> Violation:
+    tolerance, field = error.tolerance, error.tolerance.field
     output = emission.color_place if field == "appearance" else emission.rows_place
-    if one.of_cells:
+    if error.of_cells:
         output = emission.cells_place
         field = "visibility" if field == "opacity" else field
-    place = Location(output, field)
-    actual = f"row {one.row} differs by {one.error:.3g} without optimisations"
+    location = Location(output, field)
+    actual = f"row {error.row} differs by {error.error:.3g} without optimisations"
     source = {"default": "the contract's own", "config": "by the configuration"}
     expected = (
         f"{tolerance.value:g} at most, {tolerance.unit} "
         f"({source.get(tolerance.source, 'by the manifest')})"
     )
-    return Violation(place, expected, actual)
+    return Violation(where=location, expected=expected, actual=actual)
 
 
-def _loosely(name: str, value: np.ndarray, other: np.ndarray) -> Iterator[Violation]:
-    """Compare an output that no tolerance speaks of, in the scale of its largest value."""
+def _loosely(name: str, value: np.ndarray, unoptimised: np.ndarray) -> Iterator[Violation]:
+    """Compare an output without a tolerance, relative to its largest value."""
     peak = float(np.abs(value.astype(np.float64)).max(initial=0))
     least = 1.0 if value.dtype.kind in "iu" else 0.0
-    largest = difference(value, other)
+    largest = difference(value, unoptimised)
     if largest > max(_REWRITTEN * peak, least):
         actual = f"differs by up to {largest:.3g} without optimisations"
         expected = f"{_REWRITTEN * peak:.3g} at most, 1 % of the largest value"
@@ -159,22 +158,22 @@ def _loosely(name: str, value: np.ndarray, other: np.ndarray) -> Iterator[Violat
     Severity.INFO,
     over="runs",
     fixture="remembers_after_a_while",
-    needs=_RUNS,
+    needs=REPRODUCIBLE,
     kinds=KINDS,
 )
 def order_does_not_matter(behaviour: Behaviour) -> Iterator[Violation]:
     """After all other runs, the probes give the same bits in reverse order.
 
     Why:
-        What is remembered from run to run may show only after a while.
+        State that persists between runs may show only after a while.
 
     Hint:
         Make every output a function of the inputs alone.
     """
-    first = {one.probe.label: one.digest for one in behaviour.values}
-    for visit in behaviour.visits("again"):
-        label = visit.probe.label.removesuffix(f" {AGAIN}")
-        if visit.digest and visit.digest != first[label]:
+    first = {run.probe.label: run.digest for run in behaviour.values}
+    for later_run in behaviour.visits("again"):
+        label = later_run.probe.label.removesuffix(f" {REPEATED}")
+        if later_run.digest and later_run.digest != first[label]:
             yield Violation.at(
                 f"probe {label!r}", "other bits than at first", "the same bits"
             )
@@ -206,8 +205,8 @@ def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
         live = max(0, int(outputs[count.name].reshape(-1)[0]))
         opacity = outputs[declared.name][:live, OPACITY]
         inert = int(np.count_nonzero(opacity == 0))
-        # If nearly all are, another rule says so.
-        if _INERT_SHARE * len(opacity) < inert <= _MOSTLY_DEAD * len(opacity):
+        # If nearly all are inert, GV004 reports it.
+        if _INERT_SHARE * len(opacity) < inert <= MOSTLY_INVISIBLE * len(opacity):
             actual = (
                 f"{inert} of {len(opacity)} counted rows have opacity 0 at {probe.label!r}"
             )
@@ -221,45 +220,45 @@ def live_rows_first(behaviour: Behaviour) -> Iterator[Violation]:
     Severity.WARNING,
     over="runs",
     fixture="test_vector_differs",
-    needs=(*_RUNS, "GM002", "GM003"),
+    needs=(*REPRODUCIBLE, *MANIFEST_PARSED),
     kinds=KINDS,
 )
 def vectors_reproduce(behaviour: Behaviour) -> Iterator[Violation]:
     """Every test vector names a probe, and the model gives the outputs that it promises.
 
     Why:
-        A vector tells whoever downloads the model that it runs as it did at its author's. The
+        A vector shows a user of the model that it runs as it did on the author's machine. The
         digest is SHA-256 over the declared outputs in order: a line "name dtype shape", then the
-        bytes. Another processor may round differently, so a difference is no proof of a fault.
+        bytes. Another processor may round differently, so a difference does not prove a fault.
 
     Hint:
         Take the digest given here, if the model is right. Models without vectors are fine.
     """
     manifest = behaviour.subject.manifest
     for index, vector in enumerate(manifest.test_vectors if manifest else ()):
-        place, given = f"manifest test_vectors.{index}", _outcome(behaviour, vector)
-        if isinstance(given, Violation):
-            yield replace(given, where=Location(place))
-        elif given != vector.expected_sha256:
+        location, result = f"manifest test_vectors.{index}", _outcome(behaviour, vector)
+        if isinstance(result, Violation):
+            yield replace(result, where=Location(location))
+        elif result != vector.expected_sha256:
             expected = f"the declared {vector.expected_sha256}"
-            yield Violation.at(place, f"sha256 {given}", expected, certainty="possible")
+            yield Violation.at(location, f"sha256 {result}", expected, certainty="possible")
 
 
 def _outcome(behaviour: Behaviour, vector: TestVector) -> str | Violation:
-    """Return the digest of what the vector's probe gave, or why there is none."""
+    """Return the digest of the outputs at the vector's probe, or a violation without one."""
     manifest, plan = behaviour.subject.manifest, behaviour.trial.plan
     assert manifest is not None
-    label, ours = vector_label(vector.inputs, vector.seed), vector.seed == plan.seed
-    if not ours and vector.seed not in probed_seeds(manifest, plan.seed):
+    label, same_seed = vector_label(vector.inputs, vector.seed), vector.seed == plan.seed
+    if not same_seed and vector.seed not in probed_seeds(manifest, plan.seed):
         return Violation.at("", f"seed {vector.seed}", f"{MOST_SEEDS} other seeds at most")
-    visits = behaviour.values if ours else behaviour.visits("vectors")
-    digests = {one.probe.label: one.digest for one in visits}
-    given = digests.get(vector.inputs if ours else label)
-    if given:
-        return given
-    known = [one.probe.label for one in behaviour.values]
+    runs = behaviour.values if same_seed else behaviour.visits("vectors")
+    digests = {run.probe.label: run.digest for run in runs}
+    digest = digests.get(vector.inputs if same_seed else label)
+    if digest:
+        return digest
+    known = [run.probe.label for run in behaviour.values]
     planned = [plan.probes[index].label for index in plan.trials.get("vectors", ())]
-    if not ours and label in planned:
+    if not same_seed and label in planned:
         actual = f"no outputs at {label!r}"
         return Violation.at("", actual, "a run in time", certainty="possible")
     actual = f"no probe {vector.inputs!r} with seed {vector.seed}"

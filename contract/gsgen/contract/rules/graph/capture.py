@@ -1,4 +1,4 @@
-"""GG, capture: whether a target's WebGPU provider can record every node of the frame.
+"""GG rules of graph capture: the target's WebGPU provider can record every node of the frame.
 
 The provider's kernels are known from measured tables, see :mod:`gsgen.contract.spec.operator_tables`.
 Each node that is not captured has one cause, and each cause one rule.
@@ -14,28 +14,34 @@ from gsgen.contract.spec.operator_tables import FAILURES
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import WELL_FORMED
 from gsgen.contract.validation.rule import rule
 
-_NEEDS = ("GG001", "GG002", "GG019")
 _CAPTURE = "graph_capture"
 
 
-def _place(node: NodeProto) -> str:
+def _node_location(node: NodeProto) -> str:
     return f"node {node.name or node.output[0]} ({node.op_type})"
 
 
 def _of_cause(subject: InspectedModel, cause: Cause) -> list[Placement]:
-    return [one for one in subject.placements if one.cause == cause]
+    return [placement for placement in subject.placements if placement.cause == cause]
 
 
-def _seen(one: Placement) -> str:
-    """Say what becomes of a node, and in which release."""
-    said = {
-        FAILURES[outcome]: [r for r, other in one.outcomes.items() if other == outcome]
-        for outcome in one.outcomes.values()
+def _outcomes_text(placement: Placement) -> str:
+    """Return the fate of a node in each runtime release, as text."""
+    runtimes_by_text = {
+        FAILURES[outcome]: [
+            r
+            for r, runtime_outcome in placement.outcomes.items()
+            if runtime_outcome == outcome
+        ]
+        for outcome in placement.outcomes.values()
     }
-    texts = [f"{text} in {' and '.join(runtimes)}" for text, runtimes in said.items()]
-    return f"{one.dtype} {'; '.join(texts)}"
+    texts = [
+        f"{text} in {' and '.join(runtimes)}" for text, runtimes in runtimes_by_text.items()
+    ]
+    return f"{placement.dtype} {'; '.join(texts)}"
 
 
 @rule(
@@ -45,7 +51,7 @@ def _seen(one: Placement) -> str:
     over="model",
     fixture="kept_rows_by_value",
     kinds=KINDS,
-    needs=_NEEDS,
+    needs=WELL_FORMED,
     limit=_CAPTURE,
 )
 def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
@@ -59,11 +65,11 @@ def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
         Keep all rows, set the opacity of those that are not wanted to zero with Where, and lower
         num_points.
     """
-    for one in _of_cause(subject, "shape"):
-        names = shape_arguments(one.node)
+    for placement in _of_cause(subject, "shape"):
+        names = shape_arguments(placement.node)
         actual = f"the shape comes from {names[0]!r}" if names else "as many as values say"
         yield Violation.at(
-            _place(one.node), actual, "a shape that is known before the frame"
+            _node_location(placement.node), actual, "a shape that is known before the frame"
         )
 
 
@@ -74,7 +80,7 @@ def no_dynamic_shapes(subject: InspectedModel) -> Iterator[Violation]:
     over="model",
     fixture="int64_times_minus_one",
     kinds=KINDS,
-    needs=_NEEDS,
+    needs=WELL_FORMED,
     limit=_CAPTURE,
 )
 def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
@@ -87,8 +93,12 @@ def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Cast to int32 first; frame numbers and identities come as int32 already.
     """
-    for one in _of_cause(subject, "int64"):
-        yield Violation.at(_place(one.node), _seen(one), "int32, or a kernel for int64")
+    for placement in _of_cause(subject, "int64"):
+        yield Violation.at(
+            _node_location(placement.node),
+            _outcomes_text(placement),
+            "int32, or a kernel for int64",
+        )
 
 
 @rule(
@@ -98,7 +108,7 @@ def no_int64_compute(subject: InspectedModel) -> Iterator[Violation]:
     over="model",
     fixture="modulo_of_time",
     kinds=KINDS,
-    needs=_NEEDS,
+    needs=WELL_FORMED,
     limit=_CAPTURE,
 )
 def operators_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
@@ -112,8 +122,12 @@ def operators_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
         Write the operation with operators that have kernels: Round as Floor(x + 0.5), Mod as
         x − Floor(x / y) · y, Sign as a difference of two comparisons.
     """
-    for one in _of_cause(subject, "operator"):
-        yield Violation.at(_place(one.node), _seen(one), "an operator that is captured")
+    for placement in _of_cause(subject, "operator"):
+        yield Violation.at(
+            _node_location(placement.node),
+            _outcomes_text(placement),
+            "an operator that is captured",
+        )
 
 
 @rule(
@@ -137,15 +151,17 @@ def narrow_concat_and_split(subject: InspectedModel) -> Iterator[Violation]:
         Nest them: join or split seven at a time.
     """
     limits = subject.target.limits
-    for one in subject.placements:
-        node = one.node
+    for placement in subject.placements:
+        node = placement.node
         if node.op_type == "Split" and len(node.output) > limits["split_outputs"]:
             expected = f"{limits['split_outputs']} at most"
-            yield Violation.at(_place(node), f"{len(node.output)} outputs", expected)
+            yield Violation.at(
+                _node_location(node), f"{len(node.output)} outputs", expected
+            )
         widest = limits.get("concat_inputs")
         if node.op_type == "Concat" and widest is not None and len(node.input) > widest:
             yield Violation.at(
-                _place(node), f"{len(node.input)} inputs", f"{widest} at most"
+                _node_location(node), f"{len(node.input)} inputs", f"{widest} at most"
             )
 
 
@@ -156,7 +172,7 @@ def narrow_concat_and_split(subject: InspectedModel) -> Iterator[Violation]:
     over="model",
     fixture="group_normalised",
     kinds=KINDS,
-    needs=_NEEDS,
+    needs=WELL_FORMED,
     limit=_CAPTURE,
 )
 def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
@@ -170,8 +186,12 @@ def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
         Write it out: subtract the mean, divide by the root of the mean square, and clamp under the
         root rather than add a small number.
     """
-    for one in _of_cause(subject, "norm"):
-        yield Violation.at(_place(one.node), _seen(one), "Mul, ReduceSum and Sqrt")
+    for placement in _of_cause(subject, "norm"):
+        yield Violation.at(
+            _node_location(placement.node),
+            _outcomes_text(placement),
+            "Mul, ReduceSum and Sqrt",
+        )
 
 
 @rule(
@@ -181,7 +201,7 @@ def norms_have_kernels(subject: InspectedModel) -> Iterator[Violation]:
     over="model",
     fixture="sine_of_opset_22",
     kinds=KINDS,
-    needs=_NEEDS,
+    needs=WELL_FORMED,
     limit=_CAPTURE,
 )
 def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
@@ -195,8 +215,10 @@ def opset_has_kernels(subject: InspectedModel) -> Iterator[Violation]:
     Hint:
         Export at operator set 18.
     """
-    for one in _of_cause(subject, "opset"):
-        yield Violation.at(_place(one.node), _seen(one), "operator set 18")
+    for placement in _of_cause(subject, "opset"):
+        yield Violation.at(
+            _node_location(placement.node), _outcomes_text(placement), "operator set 18"
+        )
 
 
 @rule(
@@ -215,14 +237,17 @@ def capture_foreseen(subject: InspectedModel) -> Iterator[Violation]:
     Why:
         One node that is not captured makes the provider refuse capture for the whole model. This
         rule sums up: it passes if every node is known to be captured, does not apply where one of
-        the rules it needs says what stands against it, and reports operators nobody has measured.
+        the rules it needs reports an obstacle, and lists operators without measurements.
 
     Hint:
         Run `gsgen validate --level live`, which captures the model in the real provider.
     """
-    for one in _of_cause(subject, "unknown"):
-        runtimes = " and ".join(one.outcomes)
-        actual = f"{one.dtype or 'unknown dtype'} was not measured in {runtimes}"
+    for placement in _of_cause(subject, "unknown"):
+        runtimes = " and ".join(placement.outcomes)
+        actual = f"{placement.dtype or 'unknown dtype'} was not measured in {runtimes}"
         yield Violation.at(
-            _place(one.node), actual, "a measured operator", certainty="possible"
+            _node_location(placement.node),
+            actual,
+            "a measured operator",
+            certainty="possible",
         )

@@ -1,30 +1,18 @@
-"""GG: the graph itself is well formed, portable, and can be captured and replayed."""
+"""GG rules of the graph: it is well formed, portable and deterministic."""
 
 from collections.abc import Iterator
 
 from onnx import NodeProto
 
 from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.spec.onnx_facts import CONTROL_FLOW, MAIN_DOMAIN, RANDOM_OPERATORS
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
-_MAIN_DOMAIN = ("", "ai.onnx")
-_CONTROL_FLOW = frozenset({"If", "Loop", "Scan"})
-_RANDOM = frozenset(
-    {
-        "Bernoulli",
-        "Multinomial",
-        "RandomNormal",
-        "RandomNormalLike",
-        "RandomUniform",
-        "RandomUniformLike",
-    }
-)
 
-
-def _place(node: NodeProto) -> str:
+def _node_location(node: NodeProto) -> str:
     return f"node {node.name or node.op_type} ({node.op_type})"
 
 
@@ -49,13 +37,13 @@ def opset_supported(subject: InspectedModel) -> Iterator[Violation]:
     low, high = subject.target.opset
     proto = subject.file.proto
     opsets = {entry.domain: entry.version for entry in proto.opset_import}
-    seen = next((opsets[domain] for domain in _MAIN_DOMAIN if domain in opsets), None)
-    if seen is None:
+    opset = next((opsets[domain] for domain in MAIN_DOMAIN if domain in opsets), None)
+    if opset is None:
         yield Violation.at(
             "opset_import", "no version of the ONNX operator set", f"{low} to {high}"
         )
-    elif not low <= seen <= high:
-        yield Violation.at("opset_import", f"operator set {seen}", f"{low} to {high}")
+    elif not low <= opset <= high:
+        yield Violation.at("opset_import", f"operator set {opset}", f"{low} to {high}")
     if proto.ir_version > subject.target.ir:
         yield Violation.at(
             "ir_version", str(proto.ir_version), f"{subject.target.ir} at most"
@@ -85,7 +73,7 @@ def standard_operators(subject: InspectedModel) -> Iterator[Violation]:
         if not known:
             actual = f"domain {node.domain!r}"
             yield Violation.at(
-                _place(node), actual, "the ONNX domain, or a function in the model"
+                _node_location(node), actual, "the ONNX domain, or a function in the model"
             )
 
 
@@ -101,14 +89,16 @@ def no_control_flow(subject: InspectedModel) -> Iterator[Violation]:
     """The graph has no If, Loop or Scan.
 
     Why:
-        Graph capture refuses control flow, so every frame pays for launching every kernel anew.
+        Graph capture refuses control flow, so every frame pays for launching every kernel again.
 
     Hint:
         Compute both branches and select with Where; unroll loops of fixed length.
     """
     for node in subject.graph.all_nodes():
-        if node.op_type in _CONTROL_FLOW and node.domain in _MAIN_DOMAIN:
-            yield Violation.at(_place(node), node.op_type, "straight-line operators")
+        if node.op_type in CONTROL_FLOW and node.domain in MAIN_DOMAIN:
+            yield Violation.at(
+                _node_location(node), node.op_type, "straight-line operators"
+            )
 
 
 @rule(
@@ -130,8 +120,8 @@ def no_unseeded_random(subject: InspectedModel) -> Iterator[Violation]:
     """
     for node in subject.graph.all_nodes():
         seeded = any(attribute.name == "seed" for attribute in node.attribute)
-        if node.op_type in _RANDOM and node.domain in _MAIN_DOMAIN and not seeded:
-            yield Violation.at(_place(node), "no seed", "a seed, or stored numbers")
+        if node.op_type in RANDOM_OPERATORS and node.domain in MAIN_DOMAIN and not seeded:
+            yield Violation.at(_node_location(node), "no seed", "a seed, or stored numbers")
 
 
 @rule(
@@ -213,7 +203,7 @@ def no_transposed_vector_product(subject: InspectedModel) -> Iterator[Violation]
     for node in graph.nodes:
         if (
             node.op_type != "MatMul"
-            or node.domain not in _MAIN_DOMAIN
+            or node.domain not in MAIN_DOMAIN
             or len(node.input) != 2
         ):
             continue
@@ -221,7 +211,7 @@ def no_transposed_vector_product(subject: InspectedModel) -> Iterator[Violation]
         turned = maker is not None and maker.op_type == "Transpose"
         if turned and right is not None and right.dims is not None and len(right.dims) == 1:
             yield Violation.at(
-                _place(node), f"Transpose times {right}", "a right side of two axes"
+                _node_location(node), f"Transpose times {right}", "a right side of two axes"
             )
 
 
@@ -245,5 +235,5 @@ def onnx_well_formed(subject: InspectedModel) -> Iterator[Violation]:
     """
     if subject.graph.checker_fault:
         yield Violation.at(
-            "graph", subject.graph.checker_fault, "what onnx.checker accepts"
+            "graph", subject.graph.checker_fault, "a graph that onnx.checker accepts"
         )

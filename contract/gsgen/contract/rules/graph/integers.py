@@ -1,4 +1,4 @@
-"""GG, integers: numbers that need 64 bits, where the provider has 32."""
+"""GG rule of integers: values of int64 computations fit in 32 bits."""
 
 from collections.abc import Iterator
 
@@ -8,6 +8,7 @@ from gsgen.contract.model.value_ranges import Interval, intervals
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import WELL_FORMED
 from gsgen.contract.validation.rule import rule
 
 _LOWEST, _HIGHEST = -(2.0**31), 2.0**31 - 1
@@ -20,11 +21,11 @@ _LOWEST, _HIGHEST = -(2.0**31), 2.0**31 - 1
     over="model",
     fixture="int64_beyond_32_bits",
     kinds=KINDS,
-    needs=("GG001", "GG002", "GG019"),
+    needs=WELL_FORMED,
     limit="graph_capture",
 )
 def int64_fits_32_bits(subject: InspectedModel) -> Iterator[Violation]:
-    """What the frame computes in int64 stays within 32 bits.
+    """All values that the frame computes in int64 stay within 32 bits.
 
     Why:
         Under graph capture the WebGPU provider computes int64 in 32 bits without saying so:
@@ -32,33 +33,35 @@ def int64_fits_32_bits(subject: InspectedModel) -> Iterator[Violation]:
 
     Hint:
         Keep numbers below 2³¹; declare the range of the input that they come from, and clip before
-        a cast to int64 whose range nobody can know.
+        a cast to int64 whose range is unknown.
     """
     proto = subject.file.proto
     spans = intervals(subject.graph, proto.graph.initializer, subject.manifest)
-    doubtful: set[str] = set()  # what comes of it is doubtful for the same reason
-    for one in subject.placements:
-        node, made = one.node, one.node.output[0]
+    doubtful: set[str] = set()  # so are all values computed from them
+    for placement in subject.placements:
+        node, output_name = placement.node, placement.node.output[0]
         if not doubtful.isdisjoint(node.input):
-            doubtful.add(made)
+            doubtful.add(output_name)
             continue
-        if one.cause or not _makes_int64(subject, one):
+        if placement.cause or not _makes_int64(subject, placement):
             continue
-        span = spans.get(made)
+        span = spans.get(output_name)
         if span is None or not (span[0] >= _LOWEST and span[1] <= _HIGHEST):
-            doubtful.add(made)
-            yield _breach(one, span)
+            doubtful.add(output_name)
+            yield _out_of_range(placement, span)
 
 
-def _makes_int64(subject: InspectedModel, one: Placement) -> bool:
-    tensor = subject.graph.tensors.get(one.node.output[0])
+def _makes_int64(subject: InspectedModel, placement: Placement) -> bool:
+    tensor = subject.graph.tensors.get(placement.node.output[0])
     return tensor is not None and tensor.dtype == "int64"
 
 
-def _breach(one: Placement, span: Interval | None) -> Violation:
-    place = f"node {one.node.name or one.node.output[0]} ({one.node.op_type})"
+def _out_of_range(placement: Placement, span: Interval | None) -> Violation:
+    location = (
+        f"node {placement.node.name or placement.node.output[0]} ({placement.node.op_type})"
+    )
     expected = f"values from {_LOWEST:.0f} to {_HIGHEST:.0f}"
     if span is None:
         actual = "int64 whose range is not known"
-        return Violation.at(place, actual, expected, certainty="possible")
-    return Violation.at(place, f"int64 from {span[0]:.6g} to {span[1]:.6g}", expected)
+        return Violation.at(location, actual, expected, certainty="possible")
+    return Violation.at(location, f"int64 from {span[0]:.6g} to {span[1]:.6g}", expected)

@@ -1,4 +1,4 @@
-"""GG, hygiene: names that tools can speak of, and weights where tools look for them."""
+"""GG rules of naming and storage: unique printable names, and weights as initialisers."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -7,14 +7,14 @@ from gsgen.contract.model.graph import Tensor, tensor_bytes
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
-_MIB = 1 << 20
-# A browser holds the file, its copy in the runtime and the uploaded weights at the same time.
-_LARGEST_FILE = 1500 * _MIB
-# A constant of a node is copied by every pass that touches the node, and never shared.
-_LARGEST_CONSTANT = _MIB
+# A browser holds the file, the runtime's copy and the uploaded weights at the same time.
+_LARGEST_FILE = 1500 * MEBIBYTE
+# Every pass that edits a node copies its constant, and copies are not shared.
+_LARGEST_CONSTANT = MEBIBYTE
 
 _NOTHING = Tensor("", None, None)
 
@@ -32,8 +32,8 @@ def names_are_clean(subject: InspectedModel) -> Iterator[Violation]:
 
     Why:
         ONNX Runtime refuses a model in which two nodes share a name, though ONNX's own checker takes
-        it. A name with a blank or a control character looks like another one, and whoever trims it
-        does not find the tensor.
+        it. A name with a blank or a control character looks like another one, and a tool that
+        trims it does not find the tensor.
 
     Hint:
         Rename the nodes; name inputs and outputs with letters, digits, dots, slashes and
@@ -69,21 +69,21 @@ def weights_are_loadable(subject: InspectedModel) -> Iterator[Violation]:
 
     Why:
         A protobuf message ends at 2 GiB, and a browser needs several times the file in memory. A
-        constant of a node cannot lie beside the model, and optimisers copy it.
+        constant of a node cannot be stored in a separate file, and optimisers copy it.
 
     Hint:
         Store large weights as initialisers, in a file beside the model if they are many.
     """
     file = subject.file
     if file.size > _LARGEST_FILE:
-        expected = f"{_LARGEST_FILE / _MIB:.0f} MiB at most, and weights beside it"
-        yield Violation.at("file", f"{file.size / _MIB:.0f} MiB", expected)
+        expected = f"{format_mebibytes(_LARGEST_FILE, 0)} at most, and weights beside it"
+        yield Violation.at("file", format_mebibytes(file.size, 0), expected)
     for node in subject.graph.all_nodes():
         if node.op_type != "Constant" or not node.output:
             continue
         size = tensor_bytes(subject.graph.tensors.get(node.output[0], _NOTHING))
         if size > _LARGEST_CONSTANT:
-            actual = f"a constant of {size / _MIB:.1f} MiB"
+            actual = f"a constant of {format_mebibytes(size)}"
             yield Violation.at(
                 f"node {node.name or node.output[0]}", actual, "an initialiser"
             )

@@ -1,4 +1,4 @@
-"""GG, replay: what a captured graph shows from the second frame on."""
+"""GG rule of replay: a captured graph updates its outputs in every frame."""
 
 from collections.abc import Iterator
 
@@ -7,6 +7,7 @@ from onnx import NodeProto
 from gsgen.contract.model.buffer_copies import is_copy
 from gsgen.contract.model.graph import Graph
 from gsgen.contract.model.inspected_model import InspectedModel
+from gsgen.contract.spec.onnx_facts import MAIN_DOMAIN
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
@@ -15,7 +16,7 @@ from gsgen.contract.validation.rule import rule
 _SCATTERS = frozenset({"ScatterElements", "ScatterND"})
 
 
-def _place(node: NodeProto) -> str:
+def _node_location(node: NodeProto) -> str:
     return f"node {node.name or node.op_type} ({node.op_type})"
 
 
@@ -43,10 +44,10 @@ def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
     """
     graph = subject.graph
     for tensor in graph.outputs:
-        place = f"output {tensor.name}"
+        location = f"output {tensor.name}"
         if graph.input(tensor.name):
             yield Violation.at(
-                place, "an input passed through", "the result of an operator"
+                location, "an input passed through", "the result of an operator"
             )
             continue
         if not graph.varies(tensor.name):
@@ -54,25 +55,34 @@ def outputs_survive_replay(subject: InspectedModel) -> Iterator[Violation]:
         producer = graph.producers.get(tensor.name)
         if producer is not None and _copies(graph, producer):
             yield Violation.at(
-                place, f"made by {producer.op_type}", "an operator that computes"
+                location, f"made by {producer.op_type}", "an operator that computes"
             )
         for node in graph.ancestors(tensor.name)[1]:
             if node.op_type in _SCATTERS and _shares_base(graph, node):
                 yield Violation.at(
-                    _place(node), "updates a tensor that others read", "Where or Concat"
+                    _node_location(node),
+                    "updates a tensor that others read",
+                    "Where or Concat",
                 )
 
 
 def _copies(graph: Graph, node: NodeProto) -> bool:
-    if node.domain not in ("", "ai.onnx"):
+    if node.domain not in MAIN_DOMAIN:
         return False
-    idle = any(one.name == "noop_with_empty_axes" and one.i for one in node.attribute)
-    attribute = any(one.name == "axes" and one.ints for one in node.attribute)
-    named = [name for name in node.input[1:2] if name]
-    axes = graph.tensors.get(named[0]) if named else None
-    empty = not named or (axes is not None and axes.dims is not None and 0 in axes.dims)
+    idle = any(
+        attribute.name == "noop_with_empty_axes" and attribute.i
+        for attribute in node.attribute
+    )
+    has_axes = any(
+        attribute.name == "axes" and attribute.ints for attribute in node.attribute
+    )
+    axes_inputs = [name for name in node.input[1:2] if name]
+    axes = graph.tensors.get(axes_inputs[0]) if axes_inputs else None
+    empty = not axes_inputs or (
+        axes is not None and axes.dims is not None and 0 in axes.dims
+    )
     return is_copy(
-        node.op_type, len(node.input), keeps_all_axes=idle and empty and not attribute
+        node.op_type, len(node.input), keeps_all_axes=idle and empty and not has_axes
     )
 
 

@@ -1,4 +1,4 @@
-"""GM, declarations: what the manifest says of colours, time and origin means something."""
+"""GM rules of declarations: colours, time, provenance and dependencies."""
 
 import json
 import re
@@ -9,6 +9,7 @@ from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.roles import KINDS, ROLES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
 _PREFIX = "gsgen."
@@ -23,7 +24,7 @@ _SPDX = re.compile(rf"^{_TERM}(?:\s+(?:AND|OR|WITH)\s+{_TERM})*$")
     Severity.ERROR,
     over="model",
     fixture="rgb_with_degree",
-    needs=("GM002", "GM003"),
+    needs=MANIFEST_PARSED,
 )
 def sh_declared_as_sh(subject: InspectedModel) -> Iterator[Violation]:
     """A degree is declared for SH alone.
@@ -48,13 +49,13 @@ def sh_declared_as_sh(subject: InspectedModel) -> Iterator[Violation]:
     Severity.INFO,
     over="model",
     fixture="no_color_space",
-    needs=("GM002", "GM003"),
+    needs=MANIFEST_PARSED,
 )
 def color_space_declared(subject: InspectedModel) -> Iterator[Violation]:
-    """The manifest says whether colours are sRGB or linear.
+    """The manifest declares colours as sRGB or linear.
 
     Why:
-        Readers take sRGB where nothing is said, as trained scenes are. Linear colours shown so are
+        Readers assume sRGB without a declaration, as trained scenes are. Linear colours shown so are
         too dark.
 
     Hint:
@@ -88,20 +89,22 @@ def time_domain(subject: InspectedModel) -> Iterator[Violation]:
         Declare "range": [first, last] for time, and loop, frames and fps there alone.
     """
     for entry in subject.manifest.inputs if subject.manifest else ():
-        place = f"manifest input {entry.name}"
+        location = f"manifest input {entry.name}"
         if entry.role == "time" and entry.range is None:
-            yield Violation.at(place, "no range", '"range": [first, last]')
+            yield Violation.at(location, "no range", '"range": [first, last]')
         backwards = entry.range is not None and not entry.range[0] < entry.range[1]
         if entry.role in ("time", "frame_index") and backwards:
-            yield Violation.at(place, f"range {list(entry.range or ())}", "first < last")
-        yield from _foreign_fields(entry, place)
+            yield Violation.at(location, f"range {list(entry.range or ())}", "first < last")
+        yield from _foreign_fields(entry, location)
 
 
-def _foreign_fields(entry: Input, place: str) -> Iterator[Violation]:
+def _foreign_fields(entry: Input, location: str) -> Iterator[Violation]:
     timed = {"loop": entry.loop, "fps": entry.fps, "frames": entry.frames}
-    said = [name for name, value in timed.items() if value is not None]
-    if said and entry.role not in ("time", "frame_index"):
-        yield Violation.at(place, f"role {entry.role} with {', '.join(said)}", "role time")
+    declared_fields = [name for name, value in timed.items() if value is not None]
+    if declared_fields and entry.role not in ("time", "frame_index"):
+        yield Violation.at(
+            location, f"role {entry.role} with {', '.join(declared_fields)}", "role time"
+        )
 
 
 @rule(
@@ -111,13 +114,13 @@ def _foreign_fields(entry: Input, place: str) -> Iterator[Violation]:
     over="model",
     fixture="license_is_prose",
     kinds=KINDS,
-    needs=("GM002", "GM003"),
+    needs=MANIFEST_PARSED,
 )
 def provenance_readable(subject: InspectedModel) -> Iterator[Violation]:
     """Where the producer is declared, its licence is an SPDX expression and its tool has a version.
 
     Why:
-        Whoever collects models filters by licence, and a fault in an exporter can be traced to its
+        Collections of models filter by licence, and a fault in an exporter can be traced to its
         version; prose helps with neither. A manifest without a producer is fine.
 
     Hint:
@@ -148,23 +151,27 @@ def manifest_at_model_level(subject: InspectedModel) -> Iterator[Violation]:
     """Nothing of the contract is stored in the metadata of single tensors.
 
     Why:
-        Simplifiers and optimisers keep the model's metadata, and drop that of tensors: what is said
-        there is lost on the way to the viewer.
+        Simplifiers and optimisers keep the model's metadata and drop that of tensors: declarations
+        there are lost on the way to the viewer.
 
     Hint:
-        Say it in the manifest, under the model-level key gsgen.manifest.
+        Declare it in the manifest, under the model-level key gsgen.manifest.
     """
     graph = subject.file.proto.graph
-    said = [
+    metadata_keys = [
         (tensor.name, [entry.key for entry in tensor.metadata_props])
         for tensors in (graph.input, graph.output, graph.value_info)
         for tensor in tensors
     ]
-    said += [(w.name, [entry.key for entry in w.metadata_props]) for w in graph.initializer]
-    for name, keys in said:
-        ours = [key for key in keys if key.startswith(_PREFIX)]
-        if ours:
-            yield Violation.at(f"tensor {name}", f"key {ours[0]!r}", "the manifest")
+    metadata_keys += [
+        (w.name, [entry.key for entry in w.metadata_props]) for w in graph.initializer
+    ]
+    for name, keys in metadata_keys:
+        contract_keys = [key for key in keys if key.startswith(_PREFIX)]
+        if contract_keys:
+            yield Violation.at(
+                f"tensor {name}", f"key {contract_keys[0]!r}", "the manifest"
+            )
 
 
 @rule(
@@ -173,10 +180,10 @@ def manifest_at_model_level(subject: InspectedModel) -> Iterator[Violation]:
     Severity.WARNING,
     over="model",
     fixture="depends_on_unknown",
-    needs=("GM002", "GM003"),
+    needs=MANIFEST_PARSED,
 )
 def dependencies_are_inputs(subject: InspectedModel) -> Iterator[Violation]:
-    """`depends_on` speaks of roles that some input has.
+    """`depends_on` names only roles that some input has.
 
     Why:
         A misspelt role says nothing of the one that was meant, which then counts as one that the
@@ -188,9 +195,9 @@ def dependencies_are_inputs(subject: InspectedModel) -> Iterator[Violation]:
     generator = subject.generator
     if generator is None or subject.candidate is not None:
         return
-    taken = list(dict.fromkeys(entry.role for entry in generator.inputs))
+    declared_roles = list(dict.fromkeys(entry.role for entry in generator.inputs))
     for role in generator.depends_on:
-        if role not in taken:
+        if role not in declared_roles:
             actual = "no such role" if role not in ROLES else "no input has it"
-            listed = ", ".join(taken) or "none: there are no inputs"
+            listed = ", ".join(declared_roles) or "none: there are no inputs"
             yield Violation.at(f"manifest depends_on {role!r}", actual, f"one of {listed}")

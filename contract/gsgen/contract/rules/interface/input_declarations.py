@@ -1,4 +1,4 @@
-"""GI, what the manifest says of an input: it can be true, and a runtime can act on it."""
+"""GI rules of declared inputs: ranges, defaults and conventions that a runtime can use."""
 
 from collections.abc import Iterator
 from math import prod
@@ -11,14 +11,14 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
-_TIMED = ("time", "frame_index")  # GM010 judges their ranges
+_TIMED = ("time", "frame_index")  # GM010 checks their ranges
 _SQUARE = ((4, 4), (3, 3))
 _QUATERNION = 4
 _AXIS_ANGLE = 3
-# Of a number that was written in decimal and read as binary.
+# The rounding error of a decimal number that is read as binary.
 _ROUNDING = 1e-6
-# A runtime knows the camera, the clock, the window and the picture. The rest is for people to set.
-_CHOSEN = (
+# A runtime knows the camera, the clock, the window and the picture; users set these roles.
+_USER_ROLES = (
     *("pose", "shape", "expression", "root_translation", "root_rotation"),
     *("appearance_id", "control", "timestep", "conditioning"),
 )
@@ -53,7 +53,7 @@ def input_range_ordered(subject: InspectedModel) -> Iterator[Violation]:
 
     Why:
         A slider drawn for [1, 0] runs backwards or not at all, a clip to it gives one constant, and
-        a frame number of 7.5 is no frame.
+        no frame has the number 7.5.
 
     Hint:
         Write "range": [low, high]; for frame numbers, identities and timesteps with whole numbers.
@@ -99,7 +99,7 @@ def input_default_fits(subject: InspectedModel) -> Iterator[Violation]:
 
 
 def _misfit(entry: Input, shape: tuple[int, ...]) -> tuple[str, str] | None:
-    """Say what is wrong with a default, and what was wanted; None where it fits."""
+    """Return the fault of a default and the expectation, or None if it fits."""
     default = entry.default
     turns = entry.role == "pose" and shape[-1:] == (_QUATERNION,)
     if default == "identity" and not (shape in _SQUARE or turns):
@@ -110,10 +110,10 @@ def _misfit(entry: Input, shape: tuple[int, ...]) -> tuple[str, str] | None:
     numbers = _numbers(entry)
     low, high = entry.range or (min(numbers, default=0), max(numbers, default=0))
     room = _ROUNDING * max(abs(low), abs(high), 1.0)
-    beyond = [one for one in numbers if not low - room <= one <= high + room]
+    beyond = [number for number in numbers if not low - room <= number <= high + room]
     if beyond:
         return f"default {beyond[0]:g} beyond the range {[low, high]}", "one within"
-    if ROLES[entry.role].index and not all(one.is_integer() for one in numbers):
+    if ROLES[entry.role].index and not all(number.is_integer() for number in numbers):
         return f"default {numbers[0]:g} of an input that counts", "a whole number"
     return None
 
@@ -192,7 +192,7 @@ def input_has_a_start(subject: InspectedModel) -> Iterator[Violation]:
     if subject.candidate is not None:
         return
     for entry in _entries(subject):
-        if entry.role in _CHOSEN and entry.default is None:
+        if entry.role in _USER_ROLES and entry.default is None:
             low = "zeros" if entry.range is None else f"{entry.range[0]:g}, the low end,"
             actual = f"role {entry.role} without a default: {low} would be fed"
             yield Violation.at(_place(entry), actual, '"default"')

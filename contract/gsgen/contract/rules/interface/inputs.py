@@ -1,4 +1,4 @@
-"""GI: frame inputs have the shapes and dtypes that any runtime can feed."""
+"""GI rules of inputs: shapes and dtypes that any runtime can feed."""
 
 from collections.abc import Iterator
 
@@ -12,8 +12,8 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
-# These roles have a rule for their shape of their own.
-_OWN_RULE = ("view", "projection", "time")
+# Roles whose shape has a rule of its own.
+_SHAPE_RULES = ("view", "projection", "time")
 
 
 def _wrong_shape(
@@ -22,11 +22,11 @@ def _wrong_shape(
     for _, tensor in subject.inputs_of(role):
         if tensor.dims != expected:
             yield Violation.at(
-                f"input {tensor.name}", f"shape {_shown(tensor)}", str(list(expected))
+                f"input {tensor.name}", f"shape {_shape_text(tensor)}", str(list(expected))
             )
 
 
-def _shown(tensor: Tensor) -> str:
+def _shape_text(tensor: Tensor) -> str:
     if tensor.dims is None:
         return "unknown"
     return "[" + ", ".join("?" if dim is None else str(dim) for dim in tensor.dims) + "]"
@@ -115,10 +115,10 @@ def input_dtype(subject: InspectedModel) -> Iterator[Violation]:
     """
     for entry in subject.manifest.inputs if subject.manifest else ():
         tensor = subject.graph.input(entry.name)
-        wanted = ROLES[entry.role].dtype
-        if tensor is not None and tensor.dtype not in wanted:
+        dtypes = ROLES[entry.role].dtype
+        if tensor is not None and tensor.dtype not in dtypes:
             yield Violation.at(
-                f"input {entry.name}", str(tensor.dtype), " or ".join(wanted)
+                f"input {entry.name}", str(tensor.dtype), " or ".join(dtypes)
             )
 
 
@@ -146,39 +146,39 @@ def inputs_declared(subject: InspectedModel) -> Iterator[Violation]:
     declared = {entry.name: entry for entry in manifest.inputs} if manifest else {}
     for tensor in subject.graph.inputs:
         entry = declared.get(tensor.name)
-        place = f"input {tensor.name}"
+        location = f"input {tensor.name}"
         if entry is None:
             yield Violation.at(
-                place, f"{tensor} without a role", "a declared role, or no such input"
+                location, f"{tensor} without a role", "a declared role, or no such input"
             )
             continue
         role = ROLES[entry.role]
         if manifest and manifest.kind not in role.kinds:
             yield Violation.at(
-                place, f"role {entry.role}", f"a role that a {manifest.kind} may take"
+                location, f"role {entry.role}", f"a role that a {manifest.kind} may take"
             )
         if role.needs_range and entry.range is None:
             yield Violation.at(
-                place, f"role {entry.role} without a range", '"range": [low, high]'
+                location, f"role {entry.role} without a range", '"range": [low, high]'
             )
         yield from _feedable(tensor, entry.role, manifest.kind if manifest else "")
 
 
 def _feedable(tensor: Tensor, role: str, kind: str) -> Iterator[Violation]:
-    if role in _OWN_RULE and kind == GENERATOR:
+    if role in _SHAPE_RULES and kind == GENERATOR:
         return
-    place = f"input {tensor.name}"
+    location = f"input {tensor.name}"
     dims = static_dims(tensor)
     if dims is None:
         if kind == GENERATOR:
-            yield Violation.at(place, f"shape {_shown(tensor)}", "a static shape")
+            yield Violation.at(location, f"shape {_shape_text(tensor)}", "a static shape")
         return
     if matching_shape(ROLES[role], dims) is None:
         shapes = " or ".join(
             f"[{', '.join(map(str, shape))}]" for shape in ROLES[role].shapes
         )
         yield Violation.at(
-            place, f"shape {_shown(tensor)}", f"{shapes}, as the role {role} has"
+            location, f"shape {_shape_text(tensor)}", f"{shapes}, as the role {role} has"
         )
 
 
@@ -204,9 +204,11 @@ def zero_inputs_finite(emission: ModelOutputs) -> Iterator[Violation]:
         return
     for name, value in emission.outputs.items():
         if value.dtype.kind == "f" and not np.isfinite(value).all():
-            bad = int(np.count_nonzero(~np.isfinite(value)))
+            nonfinite_count = int(np.count_nonzero(~np.isfinite(value)))
             yield Violation.at(
-                f"output {name}", f"{bad} of {value.size} values not finite", "finite"
+                f"output {name}",
+                f"{nonfinite_count} of {value.size} values not finite",
+                "finite",
             )
 
 
@@ -220,7 +222,7 @@ def zero_inputs_finite(emission: ModelOutputs) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def inputs_reach_outputs(subject: InspectedModel) -> Iterator[Violation]:
-    """Some output is computed from each input, unless `depends_on` says that none is.
+    """Some output is computed from each input, unless `depends_on` declares the opposite.
 
     Why:
         An input that leads nowhere was usually turned into a constant when the model was traced.
@@ -253,7 +255,7 @@ def weights_are_no_inputs(subject: InspectedModel) -> Iterator[Violation]:
 
     Why:
         Old exporters list them, which lets a runtime feed other numbers: so no optimiser folds
-        them, and a viewer that walks the inputs finds one that nobody can explain.
+        them, and a viewer that walks the inputs finds one without a meaning.
 
     Hint:
         Remove the entry from the graph's inputs; the weight stays.

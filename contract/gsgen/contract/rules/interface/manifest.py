@@ -1,19 +1,18 @@
-"""GM: the manifest is there, can be read, and agrees with the graph."""
+"""GM rules of the manifest: it exists, is valid, and agrees with the graph."""
 
 from collections.abc import Iterator
 
 from gsgen.contract.model.graph import Tensor, static_dims
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.model_file import MANIFEST_KEY
-from gsgen.contract.spec.layout import appearance_channels
+from gsgen.contract.spec.layout import ITEMSIZE, appearance_channels
 from gsgen.contract.spec.manifest import CellsOutput, GaussiansOutput, GeneratorManifest
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.upgrades import CURRENT
 from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
-
-_ITEMSIZE = {"float32": 4, "float16": 2}
 
 
 @rule(
@@ -61,8 +60,8 @@ def manifest_schema(subject: InspectedModel) -> Iterator[Violation]:
     """
     for complaint in subject.parsed.complaints if subject.parsed else ():
         if complaint.cause in ("schema", "syntax"):
-            place = f"manifest {complaint.where}".strip()
-            yield Violation.at(place, complaint.actual, complaint.expected)
+            location = f"manifest {complaint.where}".strip()
+            yield Violation.at(location, complaint.actual, complaint.expected)
 
 
 @rule(
@@ -95,7 +94,7 @@ def manifest_version(subject: InspectedModel) -> Iterator[Violation]:
     Severity.ERROR,
     over="model",
     fixture="declared_output_absent",
-    needs=("GM002", "GM003"),
+    needs=MANIFEST_PARSED,
     kinds=KINDS,
 )
 def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
@@ -124,7 +123,7 @@ def declared_tensors_exist(subject: InspectedModel) -> Iterator[Violation]:
                 f"manifest output {name!r}", "no such graph output", _one_of(outputs)
             )
     for names in (declared, list(subject.output_names)):
-        for name in sorted({one for one in names if names.count(one) > 1}):
+        for name in sorted({entry for entry in names if names.count(entry) > 1}):
             yield Violation.at(
                 f"manifest name {name!r}", "declared more than once", "one role a tensor"
             )
@@ -174,7 +173,7 @@ def _dtypes_agree(
 ) -> Iterator[Violation]:
     if declared is None or tensor is None:
         return
-    if tensor.dtype in _ITEMSIZE and tensor.dtype != declared.dtype:
+    if tensor.dtype in ITEMSIZE and tensor.dtype != declared.dtype:
         actual, expected = (
             f"graph has {tensor.dtype}",
             f"the declared dtype {declared.dtype}",
@@ -186,13 +185,13 @@ def _gaussians_agree(subject: InspectedModel) -> Iterator[Violation]:
     declared, tensor = subject.declared_gaussians, subject.gaussians
     if declared is None or tensor is None or tensor.dims is None:
         return
-    place = f"output {tensor.name}"
+    location = f"output {tensor.name}"
     first = tensor.dims[0] if tensor.dims else None
     guessed = subject.candidate is not None  # taken from the graph, so it cannot disagree
     known = len(tensor.dims) == 2 and isinstance(first, int) and first > 0
     if known and not guessed and first != declared.capacity:
         expected = f"the declared capacity {declared.capacity}"
-        yield Violation.at(place, f"graph has {first} rows", expected)
+        yield Violation.at(location, f"graph has {first} rows", expected)
 
 
 def _appearance_agrees(subject: InspectedModel) -> Iterator[Violation]:
@@ -202,7 +201,7 @@ def _appearance_agrees(subject: InspectedModel) -> Iterator[Violation]:
         or tensor is None
         or tensor.dims is None
         or len(tensor.dims) != 2
-        or tensor.dtype not in _ITEMSIZE
+        or tensor.dtype not in ITEMSIZE
     ):
         return
     channels = tensor.dims[-1]
@@ -214,10 +213,10 @@ def _appearance_agrees(subject: InspectedModel) -> Iterator[Violation]:
             f"output {tensor.name}", actual, f"the degree of {channels} SH channels"
         )
         return
-    wanted = appearance_channels("sh", declared.degree, 4)
+    expected_channels = appearance_channels("sh", declared.degree, 4)
     legal = {appearance_channels("sh", degree, 4) for degree in range(4)}
-    if channels in legal and channels != wanted:
-        expected = f"{wanted} channels, as SH degree {declared.degree} has"
+    if channels in legal and channels != expected_channels:
+        expected = f"{expected_channels} channels, as SH degree {declared.degree} has"
         yield Violation.at(
             f"output {tensor.name}", f"graph has {channels} channels", expected
         )
@@ -229,7 +228,7 @@ def _appearance_agrees(subject: InspectedModel) -> Iterator[Violation]:
     Severity.WARNING,
     over="model",
     fixture="no_space",
-    needs=("GM002", "GM003"),
+    needs=MANIFEST_PARSED,
 )
 def coordinate_frame_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares the coordinate frame: up axis, unit and matrix memory order.
@@ -251,7 +250,7 @@ def coordinate_frame_declared(subject: InspectedModel) -> Iterator[Violation]:
     Severity.WARNING,
     over="model",
     fixture="no_bounds",
-    needs=("GM002", "GM003"),
+    needs=MANIFEST_PARSED,
 )
 def bounds_declared(subject: InspectedModel) -> Iterator[Violation]:
     """The manifest declares the box that the Gaussians stay in.

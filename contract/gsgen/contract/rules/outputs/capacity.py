@@ -1,4 +1,4 @@
-"""GO and GL, rows: the capacity fits what is emitted, and a frame is no larger than it must be."""
+"""GO and GL rules of size: capacity, padding, frame bytes and frame rate."""
 
 from collections.abc import Iterator
 
@@ -7,17 +7,16 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.outputs import ModelOutputs
 from gsgen.contract.probing.run_comparison import Behaviour
 from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.units import format_mebibytes
 from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import COUNTED_ROWS
 from gsgen.contract.validation.rule import rule
 
-_ROWS = ("GV025", "GO001", "GO002", "GO008", "GO010", "GO011", "GV016")
-
-# Rounding a capacity up to whole workgroups is no waste.
+# Capacities may be rounded up to whole workgroups.
 _ROUNDING = 256
-# Below this, padding costs nothing that can be measured.
+# Fewer padding rows have no measurable cost.
 _WASTE_ROWS = 4096
 _WASTE_SHARE = 0.5
-_MIB = 1 << 20
 _FRAMES = 60
 
 
@@ -31,7 +30,7 @@ def _wasteful(most: int, capacity: int) -> bool:
     Severity.INFO,
     over="emission",
     fixture="constant_count_with_padding",
-    needs=_ROWS[:-1],
+    needs=COUNTED_ROWS[:-1],
 )
 def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]:
     """A count that never changes is the capacity, up to rounding to whole workgroups.
@@ -61,14 +60,14 @@ def constant_count_fills_capacity(emission: ModelOutputs) -> Iterator[Violation]
     Severity.WARNING,
     over="runs",
     fixture="mostly_padding",
-    needs=_ROWS,
+    needs=COUNTED_ROWS,
 )
 def padding_is_small(behaviour: Behaviour) -> Iterator[Violation]:
     """At some probe the count reaches half of the capacity.
 
     Why:
-        Every row of the capacity is computed, kept in memory and visited every frame, whatever the
-        count says. Exporters that always pad to four million rows write 464 MB a frame.
+        Every row of the capacity is computed, kept in memory and visited every frame, regardless of
+        the count. Exporters that always pad to four million rows write 464 MB a frame.
 
     Hint:
         Lower the capacity to the largest count that occurs.
@@ -112,10 +111,8 @@ def frame_is_small(subject: InspectedModel) -> Iterator[Violation]:
     size = sum(tensor_bytes(tensor) for tensor in declared if tensor is not None)
     if size > limit:
         rate = 2 * size * _FRAMES / 1e9
-        actual = (
-            f"{size / _MIB:.1f} MiB a frame, {rate:.1f} GB/s at {_FRAMES} frames a second"
-        )
-        yield Violation.at("outputs", actual, f"{limit / _MIB:.0f} MiB at most")
+        actual = f"{format_mebibytes(size)} a frame, {rate:.1f} GB/s at {_FRAMES} frames a second"
+        yield Violation.at("outputs", actual, f"{format_mebibytes(limit, 0)} at most")
 
 
 @rule(

@@ -1,4 +1,4 @@
-"""GO, companion kinds: images and camera states come out as the manifest says."""
+"""GO rules of companion models: images and camera states have the declared sizes."""
 
 from collections.abc import Iterator
 
@@ -14,7 +14,7 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
-# Numbers of a camera state: the centre, then the rotation.
+# Numbers in a camera state: the centre, then the rotation.
 _STATE = {"position+quaternion-wxyz": 7, "position+axis-angle": 6}
 
 
@@ -43,14 +43,14 @@ def image_out_as_in(subject: InspectedModel) -> Iterator[Violation]:
     declared, tensor = _image(subject, manifest)
     if tensor is None:
         return
-    place = f"output {tensor.name}"
+    location = f"output {tensor.name}"
     if tensor.dtype is not None and tensor.dtype != declared.dtype:
         expected = f"the declared dtype {declared.dtype}"
-        yield Violation.at(place, f"graph has {tensor.dtype}", expected)
-    for _, given in subject.inputs_of("image"):
-        if not _alike(given, tensor):
-            expected = f"{given}, as {given.name} has, with 3 or 4 channels"
-            yield Violation.at(place, f"shape {tensor}", expected)
+        yield Violation.at(location, f"graph has {tensor.dtype}", expected)
+    for _, input_image in subject.inputs_of("image"):
+        if not _sizes_agree(input_image, tensor):
+            expected = f"{input_image}, as {input_image.name} has, with 3 or 4 channels"
+            yield Violation.at(location, f"shape {tensor}", expected)
 
 
 def _image(
@@ -60,16 +60,16 @@ def _image(
     return declared, subject.graph.output(declared.name)
 
 
-def _alike(given: Tensor, made: Tensor) -> bool:
-    """Say whether nothing that the graph knows of the sizes contradicts; channels may differ."""
-    if given.dims is None or made.dims is None:
+def _sizes_agree(input_image: Tensor, output_image: Tensor) -> bool:
+    """Return whether the known sizes agree, and the output has 3 or 4 channels."""
+    if input_image.dims is None or output_image.dims is None:
         return True
-    if len(given.dims) != len(made.dims) or len(made.dims) != 4:
+    if len(input_image.dims) != len(output_image.dims) or len(output_image.dims) != 4:
         return False
-    sizes = [(0, given.dims[0], made.dims[0])]
-    sizes += [(a, given.dims[a], made.dims[a]) for a in (2, 3)]
+    sizes = [(0, input_image.dims[0], output_image.dims[0])]
+    sizes += [(a, input_image.dims[a], output_image.dims[a]) for a in (2, 3)]
     known = all(x == y for _, x, y in sizes if isinstance(x, int) and isinstance(y, int))
-    channels = made.dims[1]
+    channels = output_image.dims[1]
     return known and (not isinstance(channels, int) or channels in (3, 4))
 
 
@@ -97,24 +97,28 @@ def states_as_declared(subject: InspectedModel) -> Iterator[Violation]:
         return
     future, doubt = manifest.outputs.future, manifest.outputs.uncertainty
     state, graph = _STATE[future.representation], subject.graph
-    wide = {"covariance-upper": state * (state + 1) // 2}.get(doubt.semantics, state)
-    for name, expected in ((future.name, state), (doubt.name, wide)):
-        yield from _sized(graph.output(name), f"output {name}", (future.steps, expected))
+    doubt_size = {"covariance-upper": state * (state + 1) // 2}.get(doubt.semantics, state)
+    for name, expected in ((future.name, state), (doubt.name, doubt_size)):
+        yield from _check_size(
+            graph.output(name), f"output {name}", (future.steps, expected)
+        )
     for entry, tensor in subject.inputs_of("camera_history"):
-        yield from _sized(tensor, f"input {entry.name}", (None, state))
+        yield from _check_size(tensor, f"input {entry.name}", (None, state))
 
 
-def _sized(
-    tensor: Tensor | None, place: str, expected: tuple[int | None, int]
+def _check_size(
+    tensor: Tensor | None, location: str, expected: tuple[int | None, int]
 ) -> Iterator[Violation]:
     if tensor is None or tensor.dims is None:
         return
-    shown = f"[{'T' if expected[0] is None else expected[0]}, {expected[1]}]"
+    expected_shape = f"[{'T' if expected[0] is None else expected[0]}, {expected[1]}]"
     fits = len(tensor.dims) == 2 and all(
-        wanted is None or not isinstance(dim, int) or dim == wanted
-        for dim, wanted in zip(tensor.dims, expected, strict=True)
+        size is None or not isinstance(dim, int) or dim == size
+        for dim, size in zip(tensor.dims, expected, strict=True)
     )
     if not fits:
-        yield Violation.at(place, f"shape {tensor}", f"{shown}, as the manifest fixes")
+        yield Violation.at(
+            location, f"shape {tensor}", f"{expected_shape}, as the manifest fixes"
+        )
     elif tensor.dtype not in (None, "float32"):
-        yield Violation.at(place, str(tensor.dtype), "float32")
+        yield Violation.at(location, str(tensor.dtype), "float32")

@@ -1,13 +1,12 @@
-"""GO, the count: the output that says how many rows are live."""
+"""GO rules of the count: the output with the number of live rows."""
 
 from collections.abc import Iterator
 
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import DECLARED
 from gsgen.contract.validation.rule import rule
-
-_DECLARED = ("GM002", "GM003", "GM004")
 
 
 @rule(
@@ -16,10 +15,10 @@ _DECLARED = ("GM002", "GM003", "GM004")
     Severity.ERROR,
     over="model",
     fixture="no_count",
-    needs=_DECLARED,
+    needs=DECLARED,
 )
 def count_declared(subject: InspectedModel) -> Iterator[Violation]:
-    """An output says how many rows are live.
+    """An output holds the number of live rows.
 
     Why:
         Runtimes fetch it every frame; without it the fetch fails ("Invalid output name").

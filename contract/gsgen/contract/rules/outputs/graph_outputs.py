@@ -1,4 +1,4 @@
-"""GO, the graph's outputs: each is a tensor of its own that an operator makes, and is declared."""
+"""GO rules of graph outputs: each is computed, distinct and declared."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -80,7 +80,7 @@ def outputs_declared(subject: InspectedModel) -> Iterator[Violation]:
     """
     declared = subject.output_names
     for name in dict.fromkeys(subject.graph.output_names):
-        passed_on = subject.graph.input(name) is not None  # another rule says so
+        passed_on = subject.graph.input(name) is not None  # another rule reports it
         if declared and name not in declared and not passed_on:
             yield Violation.at(
                 f"output {name}", "not declared", f"only {', '.join(declared)}"

@@ -1,16 +1,14 @@
-"""GO: outputs have the packed layout, before the model ever runs."""
+"""GO rules of outputs: names, shapes and dtypes of the packed layout, checked without a run."""
 
 from collections.abc import Iterator
 
 from gsgen.contract.model.graph import Tensor
 from gsgen.contract.model.inspected_model import InspectedModel
-from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, ROW, WORD_BYTES
+from gsgen.contract.spec.layout import APPEARANCE_CHANNELS, ITEMSIZE, ROW, WORD_BYTES
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.gates import DECLARED
 from gsgen.contract.validation.rule import rule
-
-_ITEMSIZE = {"float32": 4, "float16": 2}
-_DECLARED = ("GM002", "GM003", "GM004")
 
 
 def _dim(tensor: Tensor | None, axis: int) -> int | str | None:
@@ -23,7 +21,7 @@ def _dim(tensor: Tensor | None, axis: int) -> int | str | None:
     Severity.ERROR,
     over="model",
     fixture="gaussians_undeclared",
-    needs=_DECLARED,
+    needs=DECLARED,
 )
 def gaussians_declared(subject: InspectedModel) -> Iterator[Violation]:
     """Exactly one output holds the packed Gaussians.
@@ -120,7 +118,7 @@ def capacity_static(subject: InspectedModel) -> Iterator[Violation]:
     Severity.ERROR,
     over="model",
     fixture="appearance_undeclared",
-    needs=_DECLARED,
+    needs=DECLARED,
 )
 def appearance_declared(subject: InspectedModel) -> Iterator[Violation]:
     """Exactly one output holds the appearance.
@@ -159,8 +157,8 @@ def appearance_channels_known(subject: InspectedModel) -> Iterator[Violation]:
     allowed = APPEARANCE_CHANNELS[declared.space]
     channels = _dim(tensor, -1)
     if tensor.dims is None or len(tensor.dims) != 2 or channels not in allowed:
-        wanted = f"[N, C] with C in {list(allowed)} for {declared.space}"
-        yield Violation.at(f"output {tensor.name}", f"shape {tensor}", wanted)
+        expected = f"[N, C] with C in {list(allowed)} for {declared.space}"
+        yield Violation.at(f"output {tensor.name}", f"shape {tensor}", expected)
 
 
 @rule(
@@ -181,9 +179,9 @@ def appearance_rows(subject: InspectedModel) -> Iterator[Violation]:
         Pad both outputs to the same capacity.
     """
     tensor, rows = subject.appearance, _dim(subject.gaussians, 0)
-    seen = _dim(tensor, 0)
-    if tensor is not None and isinstance(rows, int) and seen != rows:
-        yield Violation.at(f"output {tensor.name}", f"{seen} rows", f"{rows} rows")
+    row_count = _dim(tensor, 0)
+    if tensor is not None and isinstance(rows, int) and row_count != rows:
+        yield Violation.at(f"output {tensor.name}", f"{row_count} rows", f"{rows} rows")
 
 
 @rule(
@@ -205,7 +203,7 @@ def output_dtype(subject: InspectedModel) -> Iterator[Violation]:
         End the output on a cast to float32 or float16.
     """
     for tensor in (subject.gaussians, subject.appearance, subject.cells):
-        if tensor is not None and tensor.dtype not in _ITEMSIZE:
+        if tensor is not None and tensor.dtype not in ITEMSIZE:
             yield Violation.at(
                 f"output {tensor.name}", str(tensor.dtype), "float32 or float16"
             )
@@ -258,7 +256,7 @@ def rows_fill_words(subject: InspectedModel) -> Iterator[Violation]:
         channels = _dim(tensor, -1)
         if tensor is None or not isinstance(channels, int):
             continue
-        size = channels * _ITEMSIZE.get(tensor.dtype or "", WORD_BYTES)
+        size = channels * ITEMSIZE.get(tensor.dtype or "", WORD_BYTES)
         if size % WORD_BYTES:
             actual = f"{channels} channels of {tensor.dtype}, {size} bytes a row"
             yield Violation.at(

@@ -1,4 +1,4 @@
-"""GL: outputs and weights fit the limits of the target."""
+"""GL rules of buffers: outputs and weights fit the limits of the target."""
 
 from collections.abc import Iterator
 
@@ -7,10 +7,9 @@ from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.model.provider_placement import frame_nodes
 from gsgen.contract.spec.roles import KINDS
 from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.units import format_mebibytes
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
-
-_MIB = 1 << 20
 
 
 def _buffers(subject: InspectedModel) -> Iterator[tuple[str, int]]:
@@ -24,26 +23,26 @@ def _buffers(subject: InspectedModel) -> Iterator[tuple[str, int]]:
 
 
 def _computed_once(graph: Graph) -> Iterator[Tensor]:
-    """Yield what frames read of what a runtime computes at loading, such as unpacked tables."""
+    """Yield tensors that a runtime computes once at loading and every frame reads."""
     running = frame_nodes(graph)
-    made = {name for node in running for name in node.output}
+    frame_tensors = {name for node in running for name in node.output}
     outputs = {tensor.name for tensor in graph.outputs}
     for name in dict.fromkeys(name for node in running for name in reads(node)):
-        if name in graph.producers and name not in made and name not in outputs:
+        if name in graph.producers and name not in frame_tensors and name not in outputs:
             tensor = graph.tensors.get(name)
             if tensor is not None:
                 yield tensor
 
 
 def _mib(size: int) -> str:
-    return f"{size / _MIB:.1f} MiB ({size} bytes)"
+    return f"{format_mebibytes(size)} ({size} bytes)"
 
 
 def _larger(subject: InspectedModel, limit: int) -> Iterator[Violation]:
     """Report every output, weight and unpacked weight of more than ``limit`` bytes."""
-    for place, size in _buffers(subject):
+    for location, size in _buffers(subject):
         if size > limit:
-            yield Violation.at(place, _mib(size), f"{_mib(limit)} at most")
+            yield Violation.at(location, _mib(size), f"{_mib(limit)} at most")
 
 
 @rule(
@@ -61,7 +60,7 @@ def fits_binding(subject: InspectedModel) -> Iterator[Violation]:
 
     Why:
         WebGPU guarantees 128 MiB a binding. Beyond it onnxruntime-web 1.22 returns zeros; newer
-        ones split the buffer, and pay for it. What is computed from weights alone is a buffer, too,
+        ones split the buffer, and pay for it. A tensor computed from weights alone is a buffer, too,
         once a runtime has loaded the model: a table of 16 bits a number that is read as float32
         is twice as large as in the file.
 
@@ -84,7 +83,7 @@ def fits_buffer(subject: InspectedModel) -> Iterator[Violation]:
     """Every output and weight fits one buffer of the target.
 
     Why:
-        WebGPU guarantees buffers of 256 MiB; creating a larger one fails on many devices. What is
+        WebGPU guarantees buffers of 256 MiB; creating a larger one fails on many devices. A tensor
         computed from weights alone at loading, such as a table unpacked to float32, is one, too.
 
     Hint:

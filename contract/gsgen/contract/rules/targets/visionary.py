@@ -1,6 +1,6 @@
-"""TV: what the Visionary web viewer 1.0.1 will do with the model, predicted.
+"""TV rules of binding: predict how the Visionary web viewer 1.0.1 binds inputs and outputs.
 
-The only place where parts of tensor names are looked at, because that is what the viewer does.
+Only these rules look at parts of tensor names, because the viewer does.
 Source: its ``onnx_gpu_io.ts`` and ``preprocess.wgsl``, version 1.0.1.
 """
 
@@ -11,14 +11,15 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 
-_TARGET = "visionary"
+# The name of the viewer's target.
+TARGET = "visionary"
 _COLOR_WORDS = ("color", "sh", "rgb")
 _COLOR_CHANNELS = (3, 4, 12, 27, 48)
 _SH_CHANNELS = 48
 
 
 def bound_role(name: str) -> str:
-    """Return what the viewer feeds to an input called ``name``; empty if nothing."""
+    """Return the role that the viewer feeds to an input called ``name``; empty for none."""
     lower = name.lower()
     if any(word in lower for word in ("camera", "view", "matrix")):
         return "view"
@@ -33,7 +34,7 @@ def bound_role(name: str) -> str:
     Severity.ERROR,
     over="model",
     fixture="visionary_output_name",
-    target=_TARGET,
+    target=TARGET,
     needs=("GO001",),
 )
 def visionary_finds_gaussians(subject: InspectedModel) -> Iterator[Violation]:
@@ -41,17 +42,19 @@ def visionary_finds_gaussians(subject: InspectedModel) -> Iterator[Violation]:
 
     Why:
         The viewer takes the first output with that prefix, in lower case, and falls back to
-        2,000,000 rows if there is none.
+        2,000,000 rows without one.
 
     Hint:
         Call it gaussians, and list it first.
     """
     tensor = subject.gaussians
-    taken = next(
+    first_match = next(
         (t.name for t in subject.graph.outputs if t.name.startswith("gauss")), None
     )
-    if tensor is not None and taken != tensor.name:
-        actual = f"the viewer takes {taken!r}" if taken else "the viewer finds none"
+    if tensor is not None and first_match != tensor.name:
+        actual = (
+            f"the viewer takes {first_match!r}" if first_match else "the viewer finds none"
+        )
         yield Violation.at(
             f"output {tensor.name}", actual, "a name that starts with 'gauss', first"
         )
@@ -63,7 +66,7 @@ def visionary_finds_gaussians(subject: InspectedModel) -> Iterator[Violation]:
     Severity.ERROR,
     over="model",
     fixture="visionary_color_name",
-    target=_TARGET,
+    target=TARGET,
     needs=("GO005", "TV101"),
 )
 def visionary_finds_color(subject: InspectedModel) -> Iterator[Violation]:
@@ -83,9 +86,11 @@ def visionary_finds_color(subject: InspectedModel) -> Iterator[Violation]:
         and t.dims
         and t.dims[-1] in _COLOR_CHANNELS
     ]
-    taken = candidates[0] if candidates else None
-    if tensor is not None and taken != tensor.name:
-        actual = f"the viewer takes {taken!r}" if taken else "the viewer finds none"
+    first_match = candidates[0] if candidates else None
+    if tensor is not None and first_match != tensor.name:
+        actual = (
+            f"the viewer takes {first_match!r}" if first_match else "the viewer finds none"
+        )
         yield Violation.at(
             f"output {tensor.name}", actual, "a name with 'color', 'sh' or 'rgb', first"
         )
@@ -97,7 +102,7 @@ def visionary_finds_color(subject: InspectedModel) -> Iterator[Violation]:
     Severity.ERROR,
     over="model",
     fixture="visionary_input_name",
-    target=_TARGET,
+    target=TARGET,
     needs=("GM004", "GI005"),
 )
 def visionary_binds_inputs(subject: InspectedModel) -> Iterator[Violation]:
@@ -112,9 +117,11 @@ def visionary_binds_inputs(subject: InspectedModel) -> Iterator[Violation]:
         Call them camera, proj and time; bake other inputs in before export.
     """
     for entry in subject.manifest.inputs if subject.manifest else ():
-        fed = bound_role(entry.name)
-        if fed != entry.role:
-            actual = f"will receive the {fed}" if fed else "will never be fed"
+        viewer_role = bound_role(entry.name)
+        if viewer_role != entry.role:
+            actual = (
+                f"will receive the {viewer_role}" if viewer_role else "will never be fed"
+            )
             yield Violation.at(f"input {entry.name}", actual, f"the {entry.role}")
 
 
@@ -124,7 +131,7 @@ def visionary_binds_inputs(subject: InspectedModel) -> Iterator[Violation]:
     Severity.ERROR,
     over="model",
     fixture="visionary_rgb_float32",
-    target=_TARGET,
+    target=TARGET,
     needs=("GO006", "GO008", "GM005"),
 )
 def visionary_reads_color(subject: InspectedModel) -> Iterator[Violation]:
@@ -156,14 +163,14 @@ def visionary_reads_color(subject: InspectedModel) -> Iterator[Violation]:
     Severity.WARNING,
     over="model",
     fixture="visionary_time_range",
-    target=_TARGET,
+    target=TARGET,
     needs=("GM004",),
 )
 def visionary_time_range(subject: InspectedModel) -> Iterator[Violation]:
     """Time runs from 0 to 1.
 
     Why:
-        The viewer feeds (timeline · 0.4) mod 1, whatever the manifest says.
+        The viewer feeds (timeline · 0.4) mod 1, regardless of the manifest.
 
     Hint:
         Scale time inside the model, so that its range is [0, 1].

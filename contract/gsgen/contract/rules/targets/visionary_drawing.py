@@ -1,4 +1,4 @@
-"""TV and GL: how the Visionary web viewer 1.0.1 will draw what the model emits, predicted.
+"""TV and GL rules of drawing: predict how the Visionary web viewer 1.0.1 draws the outputs.
 
 Source: its ``gaussian_preprocessor.ts`` and ``preprocess.wgsl``, version 1.0.1.
 """
@@ -9,11 +9,12 @@ import numpy as np
 
 from gsgen.contract.model.inspected_model import InspectedModel
 from gsgen.contract.probing.outputs import ModelOutputs, Rows
+from gsgen.contract.rules.targets.visionary import TARGET
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.gates import MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
-_TARGET = "visionary"
 _WORKGROUP = 256
 # The viewer's filter, in squared pixels; a lens of 45 degrees on 1080 rows; a camera that sees all.
 _KERNEL = 0.1
@@ -28,15 +29,15 @@ _FADED = 0.5
     Severity.WARNING,
     over="emission",
     fixture="visionary_odd_padding",
-    target=_TARGET,
+    target=TARGET,
     needs=("GV025", "GO001", "GO002", "GO010", "GO011"),
 )
 def capacity_fills_workgroups(emission: ModelOutputs) -> Iterator[Violation]:
     """A capacity that has padding is a multiple of 256.
 
     Why:
-        The viewer draws with workgroups of 256 and does not stop at the end of the buffer. What is
-        read there depends on the driver; one draws hundreds of ghosts. A model that pads anyway can
+        The viewer draws with workgroups of 256 and does not stop at the end of the buffer. The values
+        there depend on the driver; one draws hundreds of ghosts. A model that pads anyway can
         pad to whole workgroups, whose last rows are inert.
 
     Hint:
@@ -54,11 +55,11 @@ def capacity_fills_workgroups(emission: ModelOutputs) -> Iterator[Violation]:
     Severity.INFO,
     over="model",
     fixture="visionary_count_varies",
-    target=_TARGET,
+    target=TARGET,
     needs=("GO010",),
 )
 def visionary_ignores_count(subject: InspectedModel) -> Iterator[Violation]:
-    """The count does not vary, because the viewer draws all rows whatever it says.
+    """The count does not vary, because the viewer draws all rows regardless of it.
 
     Why:
         The test of the count is commented out in the viewer's shader. Rows behind it are drawn as
@@ -78,7 +79,7 @@ def visionary_ignores_count(subject: InspectedModel) -> Iterator[Violation]:
     Severity.INFO,
     over="model",
     fixture="visionary_half_inside",
-    target=_TARGET,
+    target=TARGET,
     needs=("GO008", "GG019"),
 )
 def visionary_needs_f16(subject: InspectedModel) -> Iterator[Violation]:
@@ -89,15 +90,17 @@ def visionary_needs_f16(subject: InspectedModel) -> Iterator[Violation]:
         model ran without it, and on a device that lacks it the viewer stops.
 
     Hint:
-        Compute in float32, or emit float16 as well, which at least halves what is read.
+        Compute in float32, or emit float16 as well, which at least halves the memory traffic.
     """
     outputs = (subject.gaussians, subject.appearance)
     if any(tensor is not None and tensor.dtype == "float16" for tensor in outputs):
         return
-    for one in subject.placements:
-        if one.dtype == "float16":
-            place = f"node {one.node.name or one.node.output[0]} ({one.node.op_type})"
-            yield Violation.at(place, "computes in float16", "float32, as the outputs are")
+    for placement in subject.placements:
+        if placement.dtype == "float16":
+            location = f"node {placement.node.name or placement.node.output[0]} ({placement.node.op_type})"
+            yield Violation.at(
+                location, "computes in float16", "float32, as the outputs are"
+            )
             return
 
 
@@ -107,14 +110,14 @@ def visionary_needs_f16(subject: InspectedModel) -> Iterator[Violation]:
     Severity.INFO,
     over="rows",
     fixture="visionary_tiny",
-    target=_TARGET,
+    target=TARGET,
     needs=("GV025", "GO001", "GO002", "GO008", "GM009"),
 )
 def visionary_fades_small(rows: Rows) -> Iterator[Violation]:
     """Most Gaussians are large enough that the viewer's low-pass filter does not fade them.
 
     Why:
-        The viewer always compensates for its filter, whatever the manifest says: a Gaussian
+        The viewer always compensates for its filter, regardless of the manifest: a Gaussian
         narrower than a third of a pixel loses most of its opacity. This is a prediction for a
         camera that sees all of the bounds on a screen of 1080 rows.
 
@@ -127,13 +130,13 @@ def visionary_fades_small(rows: Rows) -> Iterator[Violation]:
     low, high = np.asarray([generator.bounds.min, generator.bounds.max])
     distance = _ORBIT * float(np.linalg.norm(high - low)) / 2
     pixels = rows.widest * np.float32((_FOCAL / max(distance, 1e-9)) ** 2)
-    kept = pixels / (pixels + np.float32(_KERNEL))
+    opacity_share = pixels / (pixels + np.float32(_KERNEL))
     yield Violation.rows(
         Location(rows.emission.rows_place, "covariance"),
-        rows.drawn & (kept < _FADED),
+        rows.drawn & (opacity_share < _FADED),
         rows.widest,
         f"more than {_FADED:.0%} of the opacity in most rows",
-        judged=rows.drawn_count,
+        checked=rows.drawn_count,
         min_fraction=0.5,
         certainty="possible",
     )
@@ -145,8 +148,8 @@ def visionary_fades_small(rows: Rows) -> Iterator[Violation]:
     Severity.WARNING,
     over="model",
     fixture="visionary_linear",
-    target=_TARGET,
-    needs=("GO005", "GM002", "GM003"),
+    target=TARGET,
+    needs=("GO005", *MANIFEST_PARSED),
 )
 def visionary_shows_srgb(subject: InspectedModel) -> Iterator[Violation]:
     """Colours are sRGB.
@@ -168,7 +171,7 @@ def visionary_shows_srgb(subject: InspectedModel) -> Iterator[Violation]:
     Severity.WARNING,
     over="model",
     fixture="visionary_weighted_sum",
-    target=_TARGET,
+    target=TARGET,
     needs=("GM017",),
 )
 def visionary_sorts(subject: InspectedModel) -> Iterator[Violation]:
@@ -176,7 +179,7 @@ def visionary_sorts(subject: InspectedModel) -> Iterator[Violation]:
 
     Why:
         The viewer knows no other way: it sorts Gaussians by depth, and neither reads cells nor
-        divides by a sum of weights. What was trained for a weighted sum looks near its own picture
+        divides by a sum of weights. A model trained for a weighted sum looks near its own picture
         at best, and cells are computed every frame for nothing.
 
     Hint:

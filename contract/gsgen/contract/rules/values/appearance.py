@@ -1,4 +1,4 @@
-"""GV, appearance: colours are in range, and coefficients in the order that readers take."""
+"""GV rules of appearance: colour range, and order and magnitude of SH coefficients."""
 
 from collections.abc import Iterator
 
@@ -9,11 +9,10 @@ from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.spec.spherical_harmonics import degree_of
 from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.gates import APPEARANCE, COLORED_ROWS
 from gsgen.contract.validation.rule import rule
 
 _COLOR_SLACK = 1e-2
-
-_COLOR = ("GV025", "GO001", "GO002", "GO005", "GO006", "GO007", "GO008")
 
 # Mean degree of the coefficients' energy. Trained scenes lie below 0.3, since detail falls with
 # the degree; a wrong order spreads the constant terms over all degrees and gives 1 or more.
@@ -31,7 +30,7 @@ _LARGE_SHARE = 0.01
     Severity.WARNING,
     over="rows",
     fixture="rgb_in_bytes",
-    needs=_COLOR,
+    needs=COLORED_ROWS,
 )
 def rgb_range(rows: Rows) -> Iterator[Violation]:
     """Raw RGB lies in [0, 1] in every drawn row.
@@ -47,16 +46,16 @@ def rgb_range(rows: Rows) -> Iterator[Violation]:
     declared, color = rows.emission.declared, rows.color
     if declared is None or declared.space != "rgb" or color is None:
         return
-    shown = color[:, :3].astype(np.float32)
-    kept = ((shown >= -_COLOR_SLACK) & (shown <= 1 + _COLOR_SLACK)).all(axis=1)
+    rgb = color[:, :3].astype(np.float32)
+    in_range = ((rgb >= -_COLOR_SLACK) & (rgb <= 1 + _COLOR_SLACK)).all(axis=1)
     guessed = rows.emission.subject.candidate is not None
     yield Violation.rows(
         Location(rows.emission.color_place, "rgb"),
-        rows.drawn & ~kept,
-        shown,
+        rows.drawn & ~in_range,
+        rgb,
         "0 <= rgb <= 1",
-        judged=rows.drawn_count,
-        magnitude=np.nan_to_num(np.abs(shown - 0.5).max(axis=1)),
+        checked=rows.drawn_count,
+        magnitude=np.nan_to_num(np.abs(rgb - 0.5).max(axis=1)),
         certainty="possible" if guessed else "confirmed",
     )
 
@@ -67,7 +66,7 @@ def rgb_range(rows: Rows) -> Iterator[Violation]:
     Severity.WARNING,
     over="emission",
     fixture="sh_channel_major",
-    needs=("GV025", "GO005", "GO006", "GO007", "GO008", "GM005"),
+    needs=APPEARANCE,
 )
 def sh_order(emission: ModelOutputs) -> Iterator[Violation]:
     """SH coefficients stand coefficient by coefficient, red, green and blue innermost.
@@ -92,11 +91,9 @@ def sh_order(emission: ModelOutputs) -> Iterator[Violation]:
         name: _mean_degree(energy[slots]) for name, slots in _orders(len(energy)).items()
     }
     stored = spread.pop("coefficient-major")
-    name, other = min(spread.items(), key=lambda item: item[1])
-    if stored > _SUSPECT and other < _CLEARER * stored:
-        actual = (
-            f"energy lies at mean degree {stored:.2f} as stored, {other:.2f} if read {name}"
-        )
+    name, lowest = min(spread.items(), key=lambda item: item[1])
+    if stored > _SUSPECT and lowest < _CLEARER * stored:
+        actual = f"energy lies at mean degree {stored:.2f} as stored, {lowest:.2f} if read {name}"
         expected = f"a mean degree below {_SUSPECT}, as coefficient-major SH of a scene has"
         yield Violation.at(
             f"output {declared.name}", actual, expected, certainty="possible"
@@ -107,7 +104,7 @@ def _orders(size: int) -> dict[str, np.ndarray]:
     """Return, for each order, the slot that holds coefficient k of channel c, as [K, 3]."""
     k = size // 3
     flat = np.arange(size)
-    twice = (flat % k) * 3 + flat // k  # interleaved once more, though it already was
+    twice = (flat % k) * 3 + flat // k  # interleaved a second time
     return {
         "coefficient-major": flat.reshape(k, 3),
         "channel-major": flat.reshape(3, k).T,
@@ -129,7 +126,7 @@ def _mean_degree(energy: Float[np.ndarray, "k 3"]) -> float:
     Severity.WARNING,
     over="emission",
     fixture="sh_in_bytes",
-    needs=("GV025", "GO005", "GO006", "GO007", "GO008", "GM005"),
+    needs=APPEARANCE,
 )
 def sh_magnitude(emission: ModelOutputs) -> Iterator[Violation]:
     """SH coefficients above degree 0 are not far larger than colours can use.
@@ -160,14 +157,14 @@ def sh_magnitude(emission: ModelOutputs) -> Iterator[Violation]:
     Severity.INFO,
     over="emission",
     fixture="rgb_with_alpha",
-    needs=("GV025", "GO005", "GO006", "GO007", "GO008", "GM005"),
+    needs=APPEARANCE,
 )
 def fourth_channel_unused(emission: ModelOutputs) -> Iterator[Violation]:
     """The fourth channel of RGB holds the same number in all rows.
 
     Why:
-        It only fills the row up to whole words, and no reader looks at it. What varies there was
-        meant to have an effect, such as an alpha, and has none.
+        It only fills the row up to whole words, and no reader looks at it. Varying values there were
+        meant to have an effect, such as an alpha, and have none.
 
     Hint:
         Put opacity in column 3 of the packed rows, and 1 in the fourth channel.

@@ -1,4 +1,4 @@
-"""GM, GO and GV, cells: what a weighted sum needs is declared, fits the rows, and can be drawn."""
+"""GM, GO and GV rules of cells: declarations, sizes and values for weighted sums."""
 
 import json
 from collections.abc import Iterator
@@ -19,17 +19,15 @@ from gsgen.contract.spec.layout import (
     VISIBILITY,
 )
 from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.units import FLOAT16_EPSILON, FLOAT16_MAX
 from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.gates import CELLS, MANIFEST_PARSED
 from gsgen.contract.validation.rule import rule
 
-_LARGEST_HALF = 65504.0
 # A sigmoid in float16 may round up by one unit in the last place.
 _VISIBILITY_SLACK = 1e-3
-# A renderer looks for a cell within twice its longest standard deviation.
+# A renderer draws a cell within twice its longest standard deviation.
 _REACH = 2.0
-_HALF_STEP = 2.0**-10
-
-_CELLS = ("GV025", "GO001", "GO002", "GO008", "GO021")
 
 
 @rule(
@@ -38,7 +36,7 @@ _CELLS = ("GV025", "GO001", "GO002", "GO008", "GO021")
     Severity.ERROR,
     over="model",
     fixture="weighted_sum_without_cells",
-    needs=("GM002", "GM003"),
+    needs=MANIFEST_PARSED,
 )
 def weighted_sum_complete(subject: InspectedModel) -> Iterator[Violation]:
     """`blend: wsr`, `weighted_sum` and `outputs.cells` are declared together or not at all.
@@ -54,17 +52,19 @@ def weighted_sum_complete(subject: InspectedModel) -> Iterator[Violation]:
     generator = subject.generator
     if generator is None:
         return
-    said = {
+    declarations = {
         "blend: wsr": generator.blend == "wsr",
         "weighted_sum": generator.weighted_sum is not None,
         "outputs.cells": generator.outputs.cells is not None,
     }
-    if any(said.values()) and not all(said.values()):
-        there, lacking = (
-            " and ".join(name for name, given in said.items() if given is wanted)
-            for wanted in (True, False)
+    if any(declarations.values()) and not all(declarations.values()):
+        present, lacking = (
+            " and ".join(
+                name for name, value in declarations.items() if value is is_declared
+            )
+            for is_declared in (True, False)
         )
-        yield Violation.at("manifest", f"{there} without {lacking}", "all three, or none")
+        yield Violation.at("manifest", f"{present} without {lacking}", "all three, or none")
 
 
 @rule(
@@ -73,17 +73,17 @@ def weighted_sum_complete(subject: InspectedModel) -> Iterator[Violation]:
     Severity.WARNING,
     over="model",
     fixture="weighted_sum_of_1_0",
-    needs=("GM002", "GM003"),
+    needs=MANIFEST_PARSED,
 )
 def weighted_sum_has_cells(subject: InspectedModel) -> Iterator[Violation]:
     """A manifest of contract 1.0 does not say `blend: wsr`.
 
     Why:
-        1.0 had the word and no way to say which rows form a cell, so nobody can draw such a model
+        1.0 had the word and no way to say which rows form a cell, so no renderer can draw such a model
         as it was meant. It is read as `alpha`: sorted, and the picture is another one.
 
     Hint:
-        Export the model anew for contract 1.1, with its cells, or set "blend": "alpha".
+        Export the model again for contract 1.1, with its cells, or set "blend": "alpha".
     """
     parsed = subject.parsed
     if parsed is None or parsed.version != (1, 0) or subject.generator is None:
@@ -155,7 +155,7 @@ def cells_hold_all_rows(subject: InspectedModel) -> Iterator[Violation]:
 def _finite(cells: Float[np.ndarray, "c 10"]) -> Bool[np.ndarray, " c"]:
     finite = np.isfinite(cells).all(axis=1)
     if cells.dtype == np.float16:
-        finite &= np.abs(cells).max(axis=1, initial=0) < _LARGEST_HALF
+        finite &= np.abs(cells).max(axis=1, initial=0) < FLOAT16_MAX
     return np.asarray(finite)
 
 
@@ -166,7 +166,7 @@ def _per_cell(emission: ModelOutputs) -> int:
 
 
 def _live(emission: ModelOutputs) -> Bool[np.ndarray, " c"]:
-    """Return which cells have a row before the count."""
+    """Return a mask of the cells that have a row before the count."""
     assert emission.cells is not None
     first = np.arange(len(emission.cells)) * _per_cell(emission)
     return np.asarray(first < emission.count)
@@ -178,13 +178,13 @@ def _live(emission: ModelOutputs) -> Bool[np.ndarray, " c"]:
     Severity.ERROR,
     over="emission",
     fixture="nan_cell",
-    needs=_CELLS,
+    needs=CELLS,
 )
 def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
     """Every value of every cell is finite, and less than float16's largest where it is float16.
 
     Why:
-        Cells are what is sorted: a NaN sorts anywhere, and takes all Gaussians of the cell along.
+        Renderers sort cells: a NaN sorts anywhere, and takes all Gaussians of the cell along.
         65504 means that the value was clamped on its way into float16.
 
     Hint:
@@ -193,8 +193,8 @@ def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
     """
     cells = emission.cells
     if cells is not None and not emission.zeros:
-        place, expected = Location(emission.cells_place), "finite values"
-        yield Violation.rows(place, ~_finite(cells), cells, expected, judged=len(cells))
+        location, expected = Location(emission.cells_place), "finite values"
+        yield Violation.rows(location, ~_finite(cells), cells, expected, checked=len(cells))
 
 
 @rule(
@@ -203,30 +203,30 @@ def cells_finite(emission: ModelOutputs) -> Iterator[Violation]:
     Severity.ERROR,
     over="emission",
     fixture="visibility_is_logits",
-    needs=_CELLS,
+    needs=CELLS,
 )
 def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
     """Visibility, column 3 of a cell, lies in [0, 1].
 
     Why:
         The weight of every Gaussian of the cell is multiplied by it: beyond 1 the cell outweighs
-        what is in front of it, and below 0 it takes away from the sum.
+        cells in front of it, and below 0 it takes away from the sum.
 
     Hint:
         Apply the activation, usually a sigmoid, before packing.
     """
     if emission.cells is None:
         return
-    seen = emission.cells[:, VISIBILITY].astype(np.float64)
-    kept = (seen >= -_VISIBILITY_SLACK) & (seen <= 1 + _VISIBILITY_SLACK)
-    judged = _finite(emission.cells)
+    visibility = emission.cells[:, VISIBILITY].astype(np.float64)
+    in_range = (visibility >= -_VISIBILITY_SLACK) & (visibility <= 1 + _VISIBILITY_SLACK)
+    checked = _finite(emission.cells)
     yield Violation.rows(
         Location(emission.cells_place, "visibility"),
-        ~kept & judged,
-        seen,
+        ~in_range & checked,
+        visibility,
         "0 <= visibility <= 1",
-        judged=int(np.count_nonzero(judged)),
-        magnitude=np.abs(seen - 0.5),
+        checked=int(np.count_nonzero(checked)),
+        magnitude=np.abs(visibility - 0.5),
     )
 
 
@@ -236,14 +236,14 @@ def visibility_range(emission: ModelOutputs) -> Iterator[Violation]:
     Severity.ERROR,
     over="emission",
     fixture="indefinite_cell",
-    needs=_CELLS,
+    needs=CELLS,
 )
 def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
     """The covariance of every cell that is seen is positive semi-definite, up to rounding.
 
     Why:
-        A renderer looks for a cell's Gaussians where its ellipsoid shows. One that is none shows
-        nowhere, or everywhere.
+        A renderer looks for a cell's Gaussians where its ellipsoid shows. An indefinite one
+        shows nowhere, or everywhere.
 
     Hint:
         Build the covariance as R S Sᵀ Rᵀ with a normalised rotation, and check the order of the
@@ -252,17 +252,17 @@ def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
     cells = emission.cells
     if cells is None:
         return
-    judged = _finite(cells) & (cells[:, VISIBILITY] > 0)
-    upper = np.where(judged[:, None], cells[:, COVARIANCE], 0).astype(np.float64)
+    checked = _finite(cells) & (cells[:, VISIBILITY] > 0)
+    upper = np.where(checked[:, None], cells[:, COVARIANCE], 0).astype(np.float64)
     slack, floor = PSD_SLACK[cells.itemsize], PSD_FLOOR[cells.itemsize]
     lowest = smallest_eigenvalue(upper)
     size = np.abs(upper[:, [0, 3, 5]]).sum(axis=1)
     yield Violation.rows(
         Location(emission.cells_place, "covariance"),
-        judged & ~(lowest >= -slack * size - floor),
+        checked & ~(lowest >= -slack * size - floor),
         lowest,
         f"smallest eigenvalue >= -{slack:.2g} of the trace",
-        judged=int(np.count_nonzero(judged)),
+        checked=int(np.count_nonzero(checked)),
         magnitude=-lowest,
     )
 
@@ -273,7 +273,7 @@ def cell_covariance_psd(emission: ModelOutputs) -> Iterator[Violation]:
     Severity.WARNING,
     over="emission",
     fixture="opaque_rows_of_a_hidden_cell",
-    needs=(*_CELLS, "GO010", "GO011"),
+    needs=(*CELLS, "GO010", "GO011"),
 )
 def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     """The rows of a cell with visibility 0 have opacity 0.
@@ -295,7 +295,7 @@ def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
         hidden & np.isfinite(opacity) & (opacity != 0),
         opacity,
         "opacity 0 in rows of cells with visibility 0",
-        judged=int(np.count_nonzero(hidden)),
+        checked=int(np.count_nonzero(hidden)),
         magnitude=opacity,
     )
 
@@ -306,29 +306,29 @@ def hidden_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     Severity.ERROR,
     over="emission",
     fixture="visible_cell_behind_the_count",
-    needs=(*_CELLS, "GO010", "GO011"),
+    needs=(*CELLS, "GO010", "GO011"),
 )
 def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     """Visibility is 0 in every cell that has no row before the count.
 
     Why:
         Renderers sort all cells that are visible, and look for their Gaussians in every tile that
-        they touch: what has none costs as much as what has some.
+        they touch: an empty cell costs as much as a full one.
 
     Hint:
         Fill cells behind the count with zeros; the SDK does it for you.
     """
     if emission.cells is None:
         return
-    seen = emission.cells[:, VISIBILITY].astype(np.float32)
+    visibility = emission.cells[:, VISIBILITY].astype(np.float32)
     empty = ~_live(emission)
     yield Violation.rows(
         Location(emission.cells_place, "visibility"),
-        empty & np.isfinite(seen) & (seen != 0),
-        seen,
+        empty & np.isfinite(visibility) & (visibility != 0),
+        visibility,
         "visibility 0 in cells behind the count",
-        judged=int(np.count_nonzero(empty)),
-        magnitude=seen,
+        checked=int(np.count_nonzero(empty)),
+        magnitude=visibility,
     )
 
 
@@ -338,14 +338,14 @@ def empty_cells_inert(emission: ModelOutputs) -> Iterator[Violation]:
     Severity.WARNING,
     over="emission",
     fixture="cells_in_another_order",
-    needs=_CELLS,
+    needs=CELLS,
 )
 def rows_near_their_cell(emission: ModelOutputs) -> Iterator[Violation]:
     """Every drawn Gaussian's centre is within twice the size of its cell from the cell's centre.
 
     Why:
         A renderer draws a cell's Gaussians only where the cell is, within twice its longest
-        standard deviation: what lies beyond is cut off in straight lines. If many do, rows and
+        standard deviation: parts beyond that are cut off in straight lines. If many do, rows and
         cells probably stand in different orders.
 
     Hint:
@@ -355,23 +355,26 @@ def rows_near_their_cell(emission: ModelOutputs) -> Iterator[Violation]:
     cells, rows = emission.cells, emission.gaussians
     if cells is None or rows is None or emission.zeros:
         return
-    wide, live = cells.astype(np.float32), np.asarray(rows[: emission.count], np.float32)
-    trace = np.maximum(wide[:, COVARIANCE][:, [0, 3, 5]].sum(axis=1), 0)
+    float_cells, live = (
+        cells.astype(np.float32),
+        np.asarray(rows[: emission.count], np.float32),
+    )
+    trace = np.maximum(float_cells[:, COVARIANCE][:, [0, 3, 5]].sum(axis=1), 0)
     size = _REACH * np.sqrt(trace)
     if np.float16 in (cells.dtype, rows.dtype):
-        size += _HALF_STEP * np.abs(wide[:, POSITION]).sum(axis=1)
-    seen = np.isfinite(wide).all(axis=1) & (wide[:, VISIBILITY] > 0)
-    centre, reach, seen = (
-        np.repeat(one, _per_cell(emission), axis=0)[: len(live)]
-        for one in (wide[:, POSITION], size, seen)
+        size += FLOAT16_EPSILON * np.abs(float_cells[:, POSITION]).sum(axis=1)
+    visible = np.isfinite(float_cells).all(axis=1) & (float_cells[:, VISIBILITY] > 0)
+    centre, reach, visible = (
+        np.repeat(values, _per_cell(emission), axis=0)[: len(live)]
+        for values in (float_cells[:, POSITION], size, visible)
     )
-    drawn = seen & np.isfinite(live).all(axis=1) & (live[:, OPACITY] >= CULL_OPACITY)
+    drawn = visible & np.isfinite(live).all(axis=1) & (live[:, OPACITY] >= CULL_OPACITY)
     off = np.linalg.norm(live[:, POSITION] - centre, axis=1)
     yield Violation.rows(
         Location(emission.rows_place, "position"),
         drawn & ~(off <= reach),
         np.stack([off, reach], axis=1),
         "distances from the cell's centre of at most twice its size",
-        judged=int(np.count_nonzero(drawn)),
+        checked=int(np.count_nonzero(drawn)),
         magnitude=off - reach,
     )

@@ -1,4 +1,4 @@
-"""GV, covariance: whether every Gaussian has a shape that can be drawn."""
+"""GV rules of covariance: every drawn Gaussian is an ellipsoid."""
 
 from collections.abc import Iterator
 
@@ -9,18 +9,17 @@ from gsgen.contract.probing.outputs import Rows
 from gsgen.contract.spec.geometry import smallest_eigenvalue
 from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.gates import PACKED_ROWS
 from gsgen.contract.validation.rule import rule
 
-# How negative an eigenvalue may be by rounding alone: relative to the trace, and, because the
-# smallest float16 numbers are 2⁻²⁴ apart, for three entries a row that are off by half of that.
+# Negative eigenvalues within rounding, by item size: relative to the trace, and absolute for
+# three entries that are each off by half of the smallest float16 step, 2⁻²⁴.
 PSD_SLACK = {2: 2.0**-10, 4: 1e-5}
 PSD_FLOOR = {2: 3 * 2.0**-25, 4: 0.0}
-# What rounding may do to a determinant in float32, relative to its largest terms, and the size
+# The rounding error of a determinant in float32, relative to its largest terms, and the size
 # below which terms lose bits.
 _DET_DOUBT = np.float32(2e-6)
 _DET_FLOOR = np.float32(1e-30)
-
-_ROWS = ("GV025", "GO001", "GO002", "GO008")
 
 
 @rule(
@@ -29,7 +28,7 @@ _ROWS = ("GV025", "GO001", "GO002", "GO008")
     Severity.ERROR,
     over="rows",
     fixture="negative_variance",
-    needs=_ROWS,
+    needs=PACKED_ROWS,
 )
 def variance_not_negative(rows: Rows) -> Iterator[Violation]:
     """The variances xx, yy and zz are not negative in any drawn row.
@@ -41,14 +40,14 @@ def variance_not_negative(rows: Rows) -> Iterator[Violation]:
         Build the covariance as R S Sᵀ Rᵀ, and check the order of the six entries: xx xy xz yy yz zz.
     """
     if rows.emission.field_order is not None:
-        return  # another rule says what is wrong with all of them
+        return  # GO016 reports the wrong order of fields
     lowest = rows.covariance[[0, 3, 5]].min(axis=0)
     yield Violation.rows(
         Location(rows.emission.rows_place, "covariance"),
         rows.drawn & ~(lowest >= 0),
         lowest,
         "xx, yy, zz >= 0",
-        judged=rows.drawn_count,
+        checked=rows.drawn_count,
         magnitude=-lowest,
     )
 
@@ -59,7 +58,7 @@ def variance_not_negative(rows: Rows) -> Iterator[Violation]:
     Severity.ERROR,
     over="rows",
     fixture="indefinite_covariance",
-    needs=_ROWS,
+    needs=PACKED_ROWS,
 )
 def covariance_psd(rows: Rows) -> Iterator[Violation]:
     """The covariance of every drawn row is positive semi-definite, up to rounding.
@@ -75,34 +74,34 @@ def covariance_psd(rows: Rows) -> Iterator[Violation]:
     if rows.emission.field_order is not None:
         return
     slack, floor = PSD_SLACK[rows.packed.itemsize], PSD_FLOOR[rows.packed.itemsize]
-    fair = (rows.covariance[[0, 3, 5]] >= 0).all(axis=0)  # the others are GV005's
+    fair = (rows.covariance[[0, 3, 5]] >= 0).all(axis=0)  # GV005 reports the others
     suspects = np.flatnonzero(rows.drawn & fair & ~_surely_psd(rows, slack))
-    bad = np.zeros(len(rows), bool)
+    indefinite = np.zeros(len(rows), bool)
     lowest = np.zeros(len(rows))
     if len(suspects):
         upper = rows.covariance[:, suspects].T.astype(np.float64)
         trace = upper[:, [0, 3, 5]].sum(axis=1)
         lowest[suspects] = smallest_eigenvalue(upper)
-        bad[suspects] = ~(lowest[suspects] >= -slack * trace - floor)
+        indefinite[suspects] = ~(lowest[suspects] >= -slack * trace - floor)
     yield Violation.rows(
         Location(rows.emission.rows_place, "covariance"),
-        bad,
+        indefinite,
         lowest,
         f"smallest eigenvalue >= -{slack:.2g} of the trace",
-        judged=rows.drawn_count,
+        checked=rows.drawn_count,
         magnitude=-lowest,
     )
 
 
 def _surely_psd(rows: Rows, slack: float) -> Bool[np.ndarray, " n"]:
-    """Sylvester's criterion on Σ + slack·tr(Σ)·I in float32: true only if well inside."""
+    """Return rows that pass Sylvester's criterion on Σ + slack·tr(Σ)·I with a safe margin."""
     xx, xy, xz, yy, yz, zz = rows.covariance
     lift = np.float32(slack) * rows.trace
     a, b, c = xx + lift, yy + lift, zz + lift
     minor = a * b - xy * xy
-    taken = a * yz * yz + b * xz * xz
-    det = c * minor - taken + 2 * xy * xz * yz
-    doubt = np.maximum(_DET_DOUBT * (a * b * c + taken), _DET_FLOOR)
+    subtracted = a * yz * yz + b * xz * xz
+    det = c * minor - subtracted + 2 * xy * xz * yz
+    doubt = np.maximum(_DET_DOUBT * (a * b * c + subtracted), _DET_FLOOR)
     return np.asarray((a > 0) & (minor > 0) & (det > doubt))
 
 
@@ -112,7 +111,7 @@ def _surely_psd(rows: Rows, slack: float) -> Bool[np.ndarray, " n"]:
     Severity.WARNING,
     over="rows",
     fixture="zero_covariance",
-    needs=_ROWS,
+    needs=PACKED_ROWS,
 )
 def covariance_not_zero(rows: Rows) -> Iterator[Violation]:
     """The covariance of a drawn row is not all zero.
@@ -129,5 +128,5 @@ def covariance_not_zero(rows: Rows) -> Iterator[Violation]:
         rows.drawn & (rows.trace == 0) & (rows.covariance == 0).all(axis=0),
         rows.trace,
         "a trace above 0",
-        judged=rows.drawn_count,
+        checked=rows.drawn_count,
     )

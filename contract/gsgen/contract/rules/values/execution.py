@@ -1,4 +1,4 @@
-"""GV, running: the model runs, and gives what its graph declares."""
+"""GV rules of execution: the model runs, and its outputs have the declared shapes."""
 
 from collections.abc import Iterator
 
@@ -54,21 +54,21 @@ def shapes_as_declared(emission: ModelOutputs) -> Iterator[Violation]:
     kinds=KINDS,
     needs=(*RUNNABLE, "GS004"),
 )
-def model_runs(trial: ProbeRuns) -> Iterator[Violation]:
+def model_runs(probe_runs: ProbeRuns) -> Iterator[Violation]:
     """ONNX Runtime loads the model and runs it at every probe.
 
     Why:
-        What does not run here, on the CPU with the reference kernels, runs nowhere.
+        A model that does not run here, on the CPU with the reference kernels, runs nowhere.
 
     Hint:
-        The message is ONNX Runtime's own; the probe's inputs are what it was given.
+        The message is ONNX Runtime's own; the probe names the inputs of the failed run.
     """
-    fault = trial.execution.fault
+    fault = probe_runs.execution.fault
     if fault is not None and fault.stage not in ("time", "memory"):
         probe = (
             ""
             if fault.probe is None
-            else f" at probe {trial.plan.probes[fault.probe].label!r}"
+            else f" at probe {probe_runs.plan.probes[fault.probe].label!r}"
         )
         actual = f"{fault.stage}{probe}: {fault.message}"
         yield Violation.at("ONNX Runtime", actual, "no error")

@@ -1,4 +1,4 @@
-"""GV, extent: where Gaussians are, how large, and whether float16 can tell."""
+"""GV rules of extent: field order, size, position, and float16 resolution."""
 
 from collections.abc import Iterator
 
@@ -7,20 +7,18 @@ import numpy as np
 from gsgen.contract.probing.outputs import ModelOutputs, Rows
 from gsgen.contract.spec.layout import CULL_OPACITY, FIELDS, OPACITY
 from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.units import FLOAT16_EPSILON, FLOAT16_MAX, FLOAT16_SMALLEST_NORMAL
 from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.gates import PACKED_ROWS
 from gsgen.contract.validation.rule import rule
 
-_ROWS = ("GV025", "GO001", "GO002", "GO008")
-
-# The smallest normal float16, 2⁻¹⁴.
-_SMALLEST_HALF = np.float32(2.0**-14)
-# Float16 has 11 significant bits: next to 1, numbers are 2⁻¹⁰ apart.
-_HALF_STEP = np.float32(2.0**-10)
+# In float32, so that arrays of rows stay float32.
+_SMALLEST_NORMAL = np.float32(FLOAT16_SMALLEST_NORMAL)
+_EPSILON = np.float32(FLOAT16_EPSILON)
 _COARSE_SHARE = 0.01
 _OUTSIDE_SHARE = 1e-3
 _OUTSIDE_SLACK = 1e-3
-_SATURATED = 65504.0
-# A single Gaussian is as large as its bounds; among many, one that fills them stands out.
+# Below this number of rows, a Gaussian may fill its bounds or repeat by design.
 _FEWEST = 16
 _BLOCK = 4096
 _EQUAL_SHARE = 0.1
@@ -32,14 +30,14 @@ _EQUAL_SHARE = 0.1
     Severity.ERROR,
     over="emission",
     fixture="diagonal_first",
-    needs=_ROWS,
+    needs=PACKED_ROWS,
 )
 def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
     """The fields of a row stand in the order x y z opacity xx xy xz yy yz zz.
 
     Why:
         The contract fixes the order, and readers take it by position. With another one nearly every
-        covariance is none, and Gaussians become spikes.
+        covariance is invalid, and Gaussians become spikes.
 
     Hint:
         Reorder the columns before packing; the SDK packs for you.
@@ -48,7 +46,7 @@ def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
     if order is not None:
         actual = (
             f"{100 * order.declared:.3g} % of {order.rows} rows have no valid covariance, "
-            f"{100 * order.found:.3g} % if read as {order.name}"
+            f"{100 * order.fraction:.3g} % if read as {order.name}"
         )
         yield Violation.at(emission.rows_place, actual, " ".join(FIELDS))
 
@@ -59,7 +57,7 @@ def fields_in_order(emission: ModelOutputs) -> Iterator[Violation]:
     Severity.WARNING,
     over="rows",
     fixture="subnormal_variances",
-    needs=_ROWS,
+    needs=PACKED_ROWS,
     limit="subnormal_permille",
 )
 def variance_not_subnormal(rows: Rows) -> Iterator[Violation]:
@@ -76,10 +74,10 @@ def variance_not_subnormal(rows: Rows) -> Iterator[Violation]:
         return
     yield Violation.rows(
         Location(rows.emission.rows_place, "covariance"),
-        rows.drawn & (rows.widest > 0) & (rows.widest < _SMALLEST_HALF),
+        rows.drawn & (rows.widest > 0) & (rows.widest < _SMALLEST_NORMAL),
         rows.widest,
-        f"a largest variance of {_SMALLEST_HALF:.2g} or more in most rows",
-        judged=rows.drawn_count,
+        f"a largest variance of {_SMALLEST_NORMAL:.2g} or more in most rows",
+        checked=rows.drawn_count,
         min_fraction=rows.emission.subject.target.limits["subnormal_permille"] / 1000,
     )
 
@@ -90,10 +88,10 @@ def variance_not_subnormal(rows: Rows) -> Iterator[Violation]:
     Severity.WARNING,
     over="rows",
     fixture="coarse_positions",
-    needs=_ROWS,
+    needs=PACKED_ROWS,
 )
 def position_resolution(rows: Rows) -> Iterator[Violation]:
-    """Steps between neighbouring float16 positions are no larger than the Gaussians themselves.
+    """Steps between neighbouring float16 positions do not exceed the size of the Gaussians.
 
     Why:
         Float16 has steps of 0.0078 at 8 and of 0.5 at 512. Where a step is larger than a Gaussian's
@@ -104,21 +102,23 @@ def position_resolution(rows: Rows) -> Iterator[Violation]:
     """
     if rows.packed.dtype != np.float16:
         return
-    bound = np.square(np.abs(rows.corners).max(initial=0) * _HALF_STEP)  # NaN finds all
+    bound = np.square(
+        np.abs(rows.corners).max(initial=0) * _EPSILON
+    )  # with NaN, all rows are checked
     farthest, coarse = np.zeros(len(rows), np.float32), np.zeros(len(rows), bool)
     small = np.flatnonzero(rows.drawn & (rows.widest > 0) & ~(rows.widest >= bound))
     if len(small):
         far = np.abs(rows.position[:, small]).max(axis=0)
-        power = np.floor(np.log2(np.maximum(far, _SMALLEST_HALF)))
-        beyond = np.square(np.exp2(power) * _HALF_STEP) > rows.widest[small]
-        coarse[small] = beyond & (far < _SATURATED)
+        power = np.floor(np.log2(np.maximum(far, _SMALLEST_NORMAL)))
+        beyond = np.square(np.exp2(power) * _EPSILON) > rows.widest[small]
+        coarse[small] = beyond & (far < FLOAT16_MAX)
         farthest[small] = far
     yield Violation.rows(
         Location(rows.emission.rows_place, "position"),
         coarse,
         rows.packed[:, :3],
         "steps below the largest standard deviation",
-        judged=rows.drawn_count,
+        checked=rows.drawn_count,
         magnitude=farthest,
         min_fraction=_COARSE_SHARE,
     )
@@ -130,7 +130,7 @@ def position_resolution(rows: Rows) -> Iterator[Violation]:
     Severity.WARNING,
     over="rows",
     fixture="larger_than_the_scene",
-    needs=(*_ROWS, "GM009"),
+    needs=(*PACKED_ROWS, "GM009"),
 )
 def size_within_bounds(rows: Rows) -> Iterator[Violation]:
     """No Gaussian's standard deviation exceeds the diagonal of the bounds.
@@ -152,7 +152,7 @@ def size_within_bounds(rows: Rows) -> Iterator[Violation]:
         rows.drawn & (rows.widest > diagonal**2),
         rows.widest,
         f"variances up to {diagonal**2:.4g}, the squared diagonal of the bounds",
-        judged=rows.drawn_count,
+        checked=rows.drawn_count,
         magnitude=rows.widest,
     )
 
@@ -163,14 +163,14 @@ def size_within_bounds(rows: Rows) -> Iterator[Violation]:
     Severity.WARNING,
     over="rows",
     fixture="outside_bounds",
-    needs=(*_ROWS, "GM009"),
+    needs=(*PACKED_ROWS, "GM009"),
 )
 def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     """The declared bounds hold the centres of 99.9 % of the drawn rows, at every probe.
 
     Why:
         Viewers frame the camera, cull the whole model and choose near and far planes by the bounds:
-        what lies outside is cut off, or seen from inside.
+        Gaussians outside are cut off, or seen from inside.
 
     Hint:
         Measure bounds over all times and poses; the SDK does. If a few Gaussians fly off, clamp
@@ -182,21 +182,21 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     low, high = np.asarray([generator.bounds.min, generator.bounds.max], np.float64)
     slack = _OUTSIDE_SLACK * float(np.linalg.norm(high - low))
     if rows.packed.dtype == np.float16:
-        slack += float(_HALF_STEP * max(np.abs(low).max(), np.abs(high).max()))
+        slack += float(_EPSILON * max(np.abs(low).max(), np.abs(high).max()))
     position, (lowest, highest) = rows.position, rows.corners
     outside = np.zeros(len(rows), bool)
     if not ((lowest >= low - slack) & (highest <= high + slack)).all():
         inside = (position >= (low - slack)[:, None]) & (
             position <= (high + slack)[:, None]
         )
-        saturated = np.abs(position).max(axis=0) >= _SATURATED  # another rule says so
+        saturated = np.abs(position).max(axis=0) >= FLOAT16_MAX  # GV010 reports them
         outside = rows.drawn & ~inside.all(axis=0) & ~saturated
     yield Violation.rows(
         Location(rows.emission.rows_place, "position"),
         outside,
         rows.packed[:, :3],
         f"centres within {generator.bounds.min} to {generator.bounds.max}",
-        judged=rows.drawn_count,
+        checked=rows.drawn_count,
         min_fraction=_OUTSIDE_SHARE,
     )
 
@@ -207,7 +207,7 @@ def centres_within_bounds(rows: Rows) -> Iterator[Violation]:
     Severity.INFO,
     over="emission",
     fixture="every_row_twice",
-    needs=_ROWS,
+    needs=PACKED_ROWS,
 )
 def rows_differ(emission: ModelOutputs) -> Iterator[Violation]:
     """Drawn rows are not copies of each other.
@@ -217,7 +217,7 @@ def rows_differ(emission: ModelOutputs) -> Iterator[Violation]:
         make the first more opaque.
 
     Hint:
-        Drop the copies, and raise the opacity of what stays.
+        Drop the copies, and raise the opacity of the remaining rows.
     """
     if emission.gaussians is None or emission.zeros:
         return

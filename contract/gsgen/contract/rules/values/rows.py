@@ -1,7 +1,7 @@
-"""GV: the numbers that a model emits are Gaussians.
+"""GV rules of rows: finite values, opacity, saturation, count and padding.
 
-Comparisons are written so that NaN fails them; rows that are not finite belong to GV001 and
-GV002 alone, so that one cause makes one finding.
+NaN fails every comparison. Rows that are not finite are reported by GV001 and GV002 alone, so
+that one cause gives one finding.
 """
 
 from collections.abc import Iterator
@@ -10,27 +10,25 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gsgen.contract.probing.outputs import ModelOutputs, Rows
-from gsgen.contract.spec.layout import CULL_OPACITY
+from gsgen.contract.spec.layout import CULL_OPACITY, MOSTLY_INVISIBLE
 from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.units import FLOAT16_MAX
 from gsgen.contract.validation.finding import Location, Violation
+from gsgen.contract.validation.gates import PACKED_ROWS
 from gsgen.contract.validation.rule import rule
 
-_LARGEST_HALF = 65504.0
-_SHOWN = 8
+_MAX_EXAMPLES = 8
 _INF_BITS = {2: 0x7C00, 4: 0x7F800000}
 
 # One unit in the last place of float16 below 1 is 2⁻¹¹; a sigmoid may round up by that much.
 _OPACITY_SLACK = 1e-3
-_MOSTLY_DEAD = 0.9
-
-_ROWS = ("GV025", "GO001", "GO002", "GO008")
 
 
 def _not_finite(
-    rows: Rows, among: Bool[np.ndarray, " n"], judged: int
+    rows: Rows, among: Bool[np.ndarray, " n"], checked: int
 ) -> Iterator[Violation]:
     """Report rows of ``among`` with a value that is NaN or infinite, output by output."""
-    if not judged:
+    if not checked:
         return
     packed = ~np.isfinite(rows.wide).all(axis=0) & among
     yield Violation.rows(
@@ -38,22 +36,35 @@ def _not_finite(
         packed,
         rows.packed,
         "finite values",
-        judged=judged,
+        checked=checked,
     )
     color = rows.color
     if color is None or not color.size:
         return
-    bad = (rows.color_peak >= _INF_BITS[color.itemsize]) & among
-    shown = np.zeros((len(rows), 1), color.dtype)
-    first = np.flatnonzero(bad)[:_SHOWN]  # the rows that a report shows
+    invalid = (rows.color_peak >= _INF_BITS[color.itemsize]) & among
+    examples = np.zeros((len(rows), 1), color.dtype)
+    first = np.flatnonzero(invalid)[:_MAX_EXAMPLES]  # the rows in the report
     broken = ~np.isfinite(color[first])
-    shown[first] = np.take_along_axis(color[first], broken.argmax(axis=1)[:, None], axis=1)
+    examples[first] = np.take_along_axis(
+        color[first], broken.argmax(axis=1)[:, None], axis=1
+    )
     yield Violation.rows(
-        Location(rows.emission.color_place), bad, shown, "finite values", judged=judged
+        Location(rows.emission.color_place),
+        invalid,
+        examples,
+        "finite values",
+        checked=checked,
     )
 
 
-@rule("GV001", "rows-finite", Severity.ERROR, over="rows", fixture="nan_row", needs=_ROWS)
+@rule(
+    "GV001",
+    "rows-finite",
+    Severity.ERROR,
+    over="rows",
+    fixture="nan_row",
+    needs=PACKED_ROWS,
+)
 def rows_finite(rows: Rows) -> Iterator[Violation]:
     """Every value of every live row is finite.
 
@@ -75,13 +86,13 @@ def rows_finite(rows: Rows) -> Iterator[Violation]:
     Severity.ERROR,
     over="rows",
     fixture="nan_padding",
-    needs=_ROWS,
+    needs=PACKED_ROWS,
 )
 def padding_finite(rows: Rows) -> Iterator[Violation]:
     """Every value of the rows behind the count is finite.
 
     Why:
-        Some viewers draw all rows whatever the count says, and NaN is then drawn on top.
+        Some viewers draw all rows regardless of the count, and NaN is then drawn on top.
 
     Hint:
         Pad with constants, not with arithmetic on live rows: x − x is NaN where x is infinite.
@@ -96,7 +107,7 @@ def padding_finite(rows: Rows) -> Iterator[Violation]:
     Severity.ERROR,
     over="rows",
     fixture="opacity_is_logits",
-    needs=_ROWS,
+    needs=PACKED_ROWS,
 )
 def opacity_range(rows: Rows) -> Iterator[Violation]:
     """Opacity lies in [0, 1] in every live row.
@@ -109,14 +120,14 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
         Apply the activation, usually a sigmoid, before packing.
     """
     opacity = rows.opacity
-    kept = (opacity >= -_OPACITY_SLACK) & (opacity <= 1 + _OPACITY_SLACK)
-    bad = ~kept & rows.counted & rows.finite
+    in_range = (opacity >= -_OPACITY_SLACK) & (opacity <= 1 + _OPACITY_SLACK)
+    invalid = ~in_range & rows.counted & rows.finite
     yield Violation.rows(
         Location(rows.emission.rows_place, "opacity"),
-        bad,
+        invalid,
         opacity,
         "0 <= opacity <= 1",
-        judged=rows.live_rows,
+        checked=rows.live_rows,
         magnitude=np.abs(opacity - 0.5),
     )
 
@@ -127,7 +138,7 @@ def opacity_range(rows: Rows) -> Iterator[Violation]:
     Severity.WARNING,
     over="rows",
     fixture="all_transparent",
-    needs=_ROWS,
+    needs=PACKED_ROWS,
 )
 def mostly_visible(rows: Rows) -> Iterator[Violation]:
     """Most live rows are opaque enough to change a pixel.
@@ -144,9 +155,9 @@ def mostly_visible(rows: Rows) -> Iterator[Violation]:
         Location(rows.emission.rows_place, "opacity"),
         dead,
         rows.opacity,
-        f"at least 1/255 in more than {100 * (1 - _MOSTLY_DEAD):.0f} % of live rows",
-        judged=rows.live_rows,
-        min_fraction=_MOSTLY_DEAD,
+        f"at least 1/255 in more than {100 * (1 - MOSTLY_INVISIBLE):.0f} % of live rows",
+        checked=rows.live_rows,
+        min_fraction=MOSTLY_INVISIBLE,
     )
 
 
@@ -156,7 +167,7 @@ def mostly_visible(rows: Rows) -> Iterator[Violation]:
     Severity.ERROR,
     over="rows",
     fixture="saturated_half",
-    needs=_ROWS,
+    needs=PACKED_ROWS,
 )
 def float16_saturation(rows: Rows) -> Iterator[Violation]:
     """No float16 value is as large as float16 can be.
@@ -176,9 +187,11 @@ def float16_saturation(rows: Rows) -> Iterator[Violation]:
 
 
 def _saturated(rows: Rows, subject: str, peak: Float[np.ndarray, " n"]) -> Violation:
-    bad = (peak >= _LARGEST_HALF) & rows.counted & rows.finite
-    expected = f"magnitudes below {_LARGEST_HALF:g}"
-    return Violation.rows(Location(subject), bad, peak, expected, judged=rows.live_rows)
+    saturated = (peak >= FLOAT16_MAX) & rows.counted & rows.finite
+    expected = f"magnitudes below {FLOAT16_MAX:g}"
+    return Violation.rows(
+        Location(subject), saturated, peak, expected, checked=rows.live_rows
+    )
 
 
 @rule(
@@ -214,13 +227,13 @@ def count_range(emission: ModelOutputs) -> Iterator[Violation]:
     Severity.ERROR,
     over="rows",
     fixture="opaque_padding",
-    needs=_ROWS,
+    needs=PACKED_ROWS,
 )
 def padding_inert(rows: Rows) -> Iterator[Violation]:
     """Opacity is 0 in every row behind the count.
 
     Why:
-        Some viewers ignore the count and draw all rows: whatever stands there is seen.
+        Some viewers ignore the count and draw all rows: a visible row there is seen.
 
     Hint:
         Fill rows behind the count with zeros; the SDK pads so.
@@ -230,6 +243,6 @@ def padding_inert(rows: Rows) -> Iterator[Violation]:
         ~rows.counted & np.isfinite(rows.opacity) & (rows.opacity != 0),
         rows.opacity,
         "opacity 0 in rows behind the count",
-        judged=len(rows) - rows.live_rows,
+        checked=len(rows) - rows.live_rows,
         magnitude=rows.opacity,
     )
