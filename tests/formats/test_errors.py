@@ -11,10 +11,10 @@ from gsgen.formats.shared import errors
     [
         ({}, "3 rows"),
         ({"path": "a.ply"}, "a.ply: 3 rows"),
-        ({"where": "property x", "expected": "4"}, "property x: 3 rows\nwanted 4"),
+        ({"where": "property x", "expected": "4"}, "property x: 3 rows\nexpected 4"),
         (
             {"path": "a.ply", "where": "row 1", "expected": "4", "hint": "try again"},
-            "a.ply: row 1: 3 rows\nwanted 4\ntry again",
+            "a.ply: row 1: 3 rows\nexpected 4\ntry again",
         ),
     ],
 )

@@ -337,7 +337,7 @@ A = f"{P}/attributes/{NAME}"
 @pytest.mark.parametrize(
     ("path", "value", "kind", "text"),
     [
-        (f"{P}/mode", 4, HeaderMalformed, "meshes[0].primitives[0], mode: '4'\nwanted 0"),
+        (f"{P}/mode", 4, HeaderMalformed, "meshes[0].primitives[0], mode: '4'\nexpected 0"),
         (
             f"{P}/extensions/{NAME}/kernel",
             "cube",
@@ -482,29 +482,29 @@ A = f"{P}/attributes/{NAME}"
             "nodes/0/scale",
             [1, 1],
             HeaderMalformed,
-            "nodes[0].scale: '[1, 1]'\nwanted 3 finit",
+            "nodes[0].scale: '[1, 1]'\nexpected 3 finit",
         ),
         ("nodes/0/matrix", [1] * 16, HeaderMalformed, "nodes[0].matrix: last row"),
         (
             "nodes/0/mesh",
             7,
             HeaderMalformed,
-            "nodes: '7'\nwanted less than the 1 of meshes",
+            "nodes: '7'\nexpected less than the 1 of meshes",
         ),
         (
             "scenes/0/nodes",
             [3],
             HeaderMalformed,
-            "nodes[3]: '3'\nwanted less than the 1 of",
+            "nodes[3]: '3'\nexpected less than the 1 of",
         ),
-        ("scene", 1, HeaderMalformed, "scene: '1'\nwanted less than the 1 of scenes"),
+        ("scene", 1, HeaderMalformed, "scene: '1'\nexpected less than the 1 of scenes"),
         (
             "meshes/0/primitives",
             {},
             HeaderMalformed,
-            "meshes[0].primitives: '{}'\nwanted an",
+            "meshes[0].primitives: '{}'\nexpected an",
         ),
-        ("meshes", 3, HeaderMalformed, "meshes: '3'\nwanted an array"),
+        ("meshes", 3, HeaderMalformed, "meshes: '3'\nexpected an array"),
     ],
 )
 def test_a_document_that_cannot_be_is_refused(tmp_path, path, value, kind, text):
@@ -545,7 +545,7 @@ def test_nodes_that_multiply_a_mesh_meet_the_limit(tmp_path):
     document |= {"nodes": nodes, "scenes": [{"nodes": list(range(50))}]}
     file.write_bytes(built(document, binary))
     assert len(read_glb(file)) == 5_000
-    with pytest.raises(SizeExceeded, match="wanted 100000 or fewer"):
+    with pytest.raises(SizeExceeded, match="expected 100000 or fewer"):
         read_glb(file, max_bytes=100_000)
 
 
@@ -566,7 +566,7 @@ def test_sets_of_both_colour_spaces_are_refused(tmp_path):
     ("at", "value", "kind", "text"),
     [
         (0, b"GLTF", NotRecognised, "first bytes: 47 4c 54 46\n"),
-        (4, b"\x01", NotSupported, "byte 4: glTF version 1\nwanted 2"),
+        (4, b"\x01", NotSupported, "byte 4: glTF version 1\nexpected 2"),
         (
             8,
             b"\xff\xff\xff\x7f",

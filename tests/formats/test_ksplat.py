@@ -103,20 +103,20 @@ FULL, PARTIAL, COUNT, MOST, BLOCK = 4096 + 32, 4096 + 36, 4096, 4100, 4096 + 16
     ("at", "value", "kind", "text"),
     [
         (0, b"\x01", NotRecognised, "first bytes: 01 01 00 00\n"),
-        (1, b"\x02", NotSupported, "byte 1: version 0.2\nwanted 0.1"),
-        (20, b"\x03", HeaderMalformed, "byte 20: compression level 3\nwanted 0, 1 or 2"),
+        (1, b"\x02", NotSupported, "byte 1: version 0.2\nexpected 0.1"),
+        (20, b"\x03", HeaderMalformed, "byte 20: compression level 3\nexpected 0, 1 or 2"),
         (
             4,
             b"\xff\xff\xff\xff",
             FileTruncated,
             "section headers: 4398046510080 bytes needed",
         ),
-        (COUNT, b"\x00", ValueInvalid, "sections: 0 splats\nwanted at least one"),
+        (COUNT, b"\x00", ValueInvalid, "sections: 0 splats\nexpected at least one"),
         (
             COUNT,
             b"\x0d",
             HeaderMalformed,
-            "section 0, byte 4096: 13 of 12 splats\nwanted no",
+            "section 0, byte 4096: 13 of 12 splats\nexpected no",
         ),
         (MOST, b"\xff\xff\xff\x7f", FileTruncated, "section 0, byte 4096: 90194313218"),
         (

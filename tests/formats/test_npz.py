@@ -117,76 +117,76 @@ def test_other_arrays_may_be_anything(tmp_path):
         (
             {"gaussians": GAUSSIANS, "colors": COLORS},
             PropertyMissing,
-            "holds gaussians, colors\nwanted gaussians and appearance, "
+            "holds gaussians, colors\nexpected gaussians and appearance, "
             "or colors and one of points, xyz, means3d",
         ),
         (
             {"xyz": POINTS, "means3d": POINTS, "colors": COLORS},
             NotSupported,
-            "holds xyz, means3d\nwanted one of them, as all mean positions",
+            "holds xyz, means3d\nexpected one of them, as all mean positions",
         ),
         (
             {"gaussians": GAUSSIANS.astype(float), "appearance": APPEARANCE},
             ValueInvalid,
-            "gaussians: float64 [4, 10]\nwanted float16 or float32 [n, 10]",
+            "gaussians: float64 [4, 10]\nexpected float16 or float32 [n, 10]",
         ),
         (
             {"gaussians": GAUSSIANS, "appearance": APPEARANCE[:3]},
             ValueInvalid,
-            "appearance: float32 [3, 3]\nwanted float16 or float32 [4, c]",
+            "appearance: float32 [3, 3]\nexpected float16 or float32 [4, c]",
         ),
         (
             {"gaussians": GAUSSIANS[:0], "appearance": APPEARANCE[:0]},
             ValueInvalid,
-            "array gaussians: 0 rows\nwanted at least one\n"
+            "array gaussians: 0 rows\nexpected at least one\n"
             "whatever made this may have dropped every point",
         ),
         (
             {"xyz": POINTS[:0], "colors": COLORS[:0]},
             ValueInvalid,
-            "array xyz: 0 rows\nwanted at least one\n"
+            "array xyz: 0 rows\nexpected at least one\n"
             "whatever made this may have dropped every point",
         ),
         (
             {"xyz": POINTS.astype(int), "colors": COLORS},
             ValueInvalid,
-            "array xyz: int64 [4, 3]\nwanted float [n, 3]",
+            "array xyz: int64 [4, 3]\nexpected float [n, 3]",
         ),
         (
             {"xyz": np.float32(3), "colors": COLORS},
             ValueInvalid,
-            "array xyz: float32 []\nwanted float [n, 3]",
+            "array xyz: float32 []\nexpected float [n, 3]",
         ),
         (
             {"xyz": POINTS, "colors": np.zeros((4, 4), np.uint8)},
             ValueInvalid,
-            "array colors: uint8 [4, 4]\nwanted uint8 or float [n, 3]",
+            "array colors: uint8 [4, 4]\nexpected uint8 or float [n, 3]",
         ),
         (
             {"xyz": POINTS, "colors": COLORS[:2]},
             ValueInvalid,
-            "array colors: 2 rows\nwanted 4, as many as xyz has",
+            "array colors: 2 rows\nexpected 4, as many as xyz has",
         ),
         (
             {"xyz": POINTS, "colors": COLORS.astype(np.float32)},
             ValueInvalid,
-            "array colors[:, 0]: 3 of 4 rows, row 1 is 60\nwanted 0 <= value <= 1\n"
+            "array colors[:, 0]: 3 of 4 rows, row 1 is 60\nexpected 0 <= value <= 1\n"
             "colours from 0 to 255 have to be stored as bytes (uchar, uint8)",
         ),
         (
             {"xyz": np.full((4, 3), 1e300), "colors": COLORS},
             ValueInvalid,
-            "array xyz[:, 0]: 4 of 4 rows, row 0 is inf\nwanted a finite number",
+            "array xyz[:, 0]: 4 of 4 rows, row 0 is inf\nexpected a finite number",
         ),
         (
             {"xyz": POINTS * np.nan, "colors": COLORS},
             ValueInvalid,
-            "array xyz[:, 0]: 4 of 4 rows, row 0 is nan\nwanted a finite number",
+            "array xyz[:, 0]: 4 of 4 rows, row 0 is nan\nexpected a finite number",
         ),
         (
             {"xyz": POINTS.astype(object), "colors": COLORS},
             NotSupported,
-            "array xyz: Python objects\nwanted numbers\n"
+            "array xyz: Python objects\nexpected numbers\n"
             "save it again as an array of one numeric type",
         ),
     ],
@@ -199,7 +199,7 @@ def test_a_file_that_is_no_archive_is_not_recognised(tmp_path):
     file = tmp_path / "bad.npz"
     file.write_bytes(b"\x93NUMPY\x01\x00")
     assert refusal(file, NotRecognised) == (
-        "first bytes: 93 4e 55 4d\nwanted 50 4b 03 04, as of an .npz"
+        "first bytes: 93 4e 55 4d\nexpected 50 4b 03 04, as of an .npz"
     )
 
 
@@ -213,7 +213,7 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
         read_npz(file, max_bytes=1_000_000)
     assert str(caught.value) == (
         f"{file}: arrays gaussians of 4000000 and appearance of 48 bytes\n"
-        "wanted 1000000 bytes or fewer together\n"
+        "expected 1000000 bytes or fewer together\n"
         "if the file can be trusted, read it with a larger max_bytes"
     )
 

@@ -128,12 +128,12 @@ MEANS = {"mins": [-1, -2, -3], "maxs": [1, 2, 3], "files": ["l.webp", "u.webp"]}
 @pytest.mark.parametrize(
     ("meta", "kind", "text"),
     [
-        ({"version": 1}, NotSupported, "meta.json: version '1'\nwanted 2"),
+        ({"version": 1}, NotSupported, "meta.json: version '1'\nexpected 2"),
         ({"lodLevels": 3}, NotSupported, "meta.json: a streamed SOG of several levels"),
         (
             {"count": 0},
             HeaderMalformed,
-            "meta.json, count: '0'\nwanted a whole number from 1",
+            "meta.json, count: '0'\nexpected a whole number from 1",
         ),
         ({"count": "x"}, HeaderMalformed, "meta.json, count: 'x'\n"),
         ({"count": True}, HeaderMalformed, "meta.json, count: 'True'\n"),
@@ -143,9 +143,9 @@ MEANS = {"mins": [-1, -2, -3], "maxs": [1, 2, 3], "files": ["l.webp", "u.webp"]}
         (
             {"count": 1000},
             FileTruncated,
-            "means: an image of 4 × 3 pixels\nwanted 1000 pix",
+            "means: an image of 4 × 3 pixels\nexpected 1000 pix",
         ),
-        ({"means": 3}, HeaderMalformed, "meta.json: no means\nwanted an object"),
+        ({"means": 3}, HeaderMalformed, "meta.json: no means\nexpected an object"),
         (
             {"means": MEANS | {"files": ["l.webp"]}},
             HeaderMalformed,
@@ -219,7 +219,7 @@ def test_a_meta_that_is_none_is_not_recognised(tmp_path, content, kind, text):
             "labels.webp",
             webp(np.full((10, 4), 255), 4),
             HeaderMalformed,
-            "shN: label 65535\nwanted 0 to 64",
+            "shN: label 65535\nexpected 0 to 64",
         ),
     ],
 )

@@ -28,24 +28,24 @@ def test_splats_refuse_coefficients_of_no_degree(coefficients):
         splats_of(2, coefficients)
     assert str(caught.value) == (
         f"sh: {coefficients} SH coefficients\n"
-        "wanted 1, 4, 9, 16 or 25 of them (degree 0 to 4)"
+        "expected 1, 4, 9, 16 or 25 of them (degree 0 to 4)"
     )
 
 
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [
-        ("position", np.zeros((2, 4), np.float32), "float32 [2, 4]\nwanted float32 [n, 3]"),
-        ("position", np.zeros(2, np.float32), "float32 [2]\nwanted float32 [n, 3]"),
-        ("rotation", np.zeros((3, 4), np.float32), "float32 [3, 4]\nwanted float32 [2, 4]"),
-        ("log_scale", np.zeros((2, 3)), "float64 [2, 3]\nwanted float32 [2, 3]"),
+        ("position", np.zeros((2, 4), np.float32), "float32 [2, 4]\nexpected float32 [n, 3]"),
+        ("position", np.zeros(2, np.float32), "float32 [2]\nexpected float32 [n, 3]"),
+        ("rotation", np.zeros((3, 4), np.float32), "float32 [3, 4]\nexpected float32 [2, 4]"),
+        ("log_scale", np.zeros((2, 3)), "float64 [2, 3]\nexpected float32 [2, 3]"),
         (
             "logit_opacity",
             np.zeros((2, 1), np.float32),
-            "float32 [2, 1]\nwanted float32 [2]",
+            "float32 [2, 1]\nexpected float32 [2]",
         ),
-        ("sh", [[0.0]], "a list\nwanted float32 [2, k, 3]"),
-        ("sh", np.zeros((2, 3), np.float32), "float32 [2, 3]\nwanted float32 [2, k, 3]"),
+        ("sh", [[0.0]], "a list\nexpected float32 [2, k, 3]"),
+        ("sh", np.zeros((2, 3), np.float32), "float32 [2, 3]\nexpected float32 [2, k, 3]"),
     ],
 )
 def test_splats_refuse_an_array_that_does_not_fit(name, value, text):
@@ -57,7 +57,7 @@ def test_splats_refuse_an_array_that_does_not_fit(name, value, text):
 def test_points_refuse_colours_of_another_length():
     with pytest.raises(ValueInvalid) as caught:
         PointCloud(np.zeros((2, 3), np.float32), np.zeros((1, 3), np.float32))
-    assert str(caught.value) == "color: float32 [1, 3]\nwanted float32 [2, 3]"
+    assert str(caught.value) == "color: float32 [1, 3]\nexpected float32 [2, 3]"
 
 
 def test_packed_rows_keep_two_data_types():
@@ -70,7 +70,7 @@ def test_packed_rows_refuse_doubles():
     with pytest.raises(ValueInvalid) as caught:
         PackedRows(np.zeros((2, 10)), np.zeros((2, 3), np.float32))
     assert str(caught.value) == (
-        "gaussians: float64 [2, 10]\nwanted float16 or float32 [n, 10]"
+        "gaussians: float64 [2, 10]\nexpected float16 or float32 [n, 10]"
     )
 
 

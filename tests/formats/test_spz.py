@@ -237,9 +237,9 @@ def test_ends_of_the_ranges(tmp_path, version):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"version": 0}, "version: 0\nwanted 1, 2, 3 or 4"),
-        ({"version": 5}, "version: 5\nwanted 1, 2, 3 or 4"),
-        ({"sh_bits": (0, 4)}, "sh_bits: (0, 4)\nwanted two numbers, 1 to 8"),
+        ({"version": 0}, "version: 0\nexpected 1, 2, 3 or 4"),
+        ({"version": 5}, "version: 5\nexpected 1, 2, 3 or 4"),
+        ({"sh_bits": (0, 4)}, "sh_bits: (0, 4)\nexpected two numbers, 1 to 8"),
     ],
 )
 def test_options_that_cannot_be_are_refused(tmp_path, change, text):
@@ -285,22 +285,22 @@ def plain_file(**change: int) -> bytes:
 @pytest.mark.parametrize(
     ("change", "kind", "text"),
     [
-        ({"version": 0}, NotSupported, "byte 4: version 0\nwanted 1, 2, 3 or 4"),
-        ({"version": 4}, HeaderMalformed, "byte 4: version 4 in gzip\nwanted 1, 2 or 3"),
-        ({"count": 0}, ValueInvalid, "byte 8: 0 splats\nwanted at least one"),
-        ({"degree": 5}, HeaderMalformed, "byte 12: SH degree 5\nwanted 0 to 4"),
-        ({"fraction": 25}, HeaderMalformed, "byte 13: 25 fractional bits\nwanted 0 to 24"),
+        ({"version": 0}, NotSupported, "byte 4: version 0\nexpected 1, 2, 3 or 4"),
+        ({"version": 4}, HeaderMalformed, "byte 4: version 4 in gzip\nexpected 1, 2 or 3"),
+        ({"count": 0}, ValueInvalid, "byte 8: 0 splats\nexpected at least one"),
+        ({"degree": 5}, HeaderMalformed, "byte 12: SH degree 5\nexpected 0 to 4"),
+        ({"fraction": 25}, HeaderMalformed, "byte 13: 25 fractional bits\nexpected 0 to 24"),
         (
             {"count": 3},
             FileTruncated,
             "3 splats, unpacked: 60 bytes needed from byte 16 on, 40 are there\n"
-            "wanted a file of 76 bytes or more, it has 56\ncopy or download the file again",
+            "expected a file of 76 bytes or more, it has 56\ncopy or download the file again",
         ),
         (
             {"count": 1},
             HeaderMalformed,
             "unpacked data: more than the 36 bytes of 1 splats of degree 0\n"
-            "wanted 36 bytes\ncopy or download the file again",
+            "expected 36 bytes\ncopy or download the file again",
         ),
     ],
 )
@@ -312,7 +312,7 @@ def test_a_count_beyond_what_gzip_can_hold_is_refused_before_unpacking(tmp_path)
     bomb = plain_file(count=2**31)
     text = refusal(tmp_path, bomb, FileTruncated)
     assert text.startswith(
-        f"byte 8: {2**31} splats in a file of {len(bomb)} bytes\nwanted "
+        f"byte 8: {2**31} splats in a file of {len(bomb)} bytes\nexpected "
     )
 
 
@@ -320,7 +320,7 @@ def test_what_unpacks_to_more_than_allowed_is_refused(tmp_path):
     write_spz(tmp_path / "a.spz", scene(50, 0))
     content = (tmp_path / "a.spz").read_bytes()
     text = refusal(tmp_path, content, SizeExceeded, max_bytes=1000)
-    assert text.startswith("unpacks to 1016 bytes\nwanted 1000 bytes or fewer\n")
+    assert text.startswith("unpacks to 1016 bytes\nexpected 1000 bytes or fewer\n")
 
 
 def test_other_files_are_not_recognised(tmp_path):
@@ -374,9 +374,9 @@ def test_an_unknown_extension_is_warned_of(tmp_path):
 @pytest.mark.parametrize(
     ("at", "value", "text"),
     [
-        (15, 5, "byte 15: 5 streams\nwanted 6, one an attribute"),
-        (16, 8, "byte 16: table of contents at byte 8\nwanted 32 or more"),
-        (40, 1, "byte 40: positions of 257 bytes\nwanted 360"),
+        (15, 5, "byte 15: 5 streams\nexpected 6, one an attribute"),
+        (16, 8, "byte 16: table of contents at byte 8\nexpected 32 or more"),
+        (40, 1, "byte 40: positions of 257 bytes\nexpected 360"),
     ],
 )
 def test_a_table_of_contents_that_cannot_be_is_refused(tmp_path, at, value, text):

@@ -201,14 +201,14 @@ def edited(tmp_path, before: bytes, after: bytes, *, degree: int = 1) -> str:
             b"chunk 2",
             b"chunk 1",
             HeaderMalformed,
-            "element 'chunk': 1 rows\nwanted 2 or more",
+            "element 'chunk': 1 rows\nexpected 2 or more",
         ),
         (b"vertex 300", b"vertex 0  ", ValueInvalid, "element 'vertex': 0 rows\n"),
         (
             b"sh 300",
             b"sh 299",
             HeaderMalformed,
-            "element 'sh': 299 rows\nwanted 300, as of",
+            "element 'sh': 299 rows\nexpected 300, as of",
         ),
         (b"element chunk", b"element chank", PropertyMissing, "no element 'chunk'\n"),
         (

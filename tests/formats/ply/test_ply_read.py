@@ -288,7 +288,7 @@ def test_what_cannot_be_drawn_is_refused_by_name_row_and_count(
     with pytest.raises(FormatError) as caught:
         read_ply(file)
     assert str(caught.value) == (
-        f"{file}: property {name}: 2 of 5 rows, row 2 is {value}\nwanted {wanted}\n"
+        f"{file}: property {name}: 2 of 5 rows, row 2 is {value}\nexpected {wanted}\n"
         "`gsgen convert --drop-invalid` writes a file without such rows"
     )
     text = (

@@ -73,18 +73,18 @@ def test_a_header_line_that_breaks_the_rules_is_named(tmp_path, line, seen, want
     [
         (
             ["float x", "half y"],
-            "header line 5: unknown type 'half'\nwanted one of char, uchar, short, ushort, "
+            "header line 5: unknown type 'half'\nexpected one of char, uchar, short, ushort, "
             "int, uint, float, double, int8, uint8, int16, uint16, int32, uint32, float32, "
             "float64",
         ),
         (
             ["float x", "double x"],
             "header line 5: property 'x' of element 'vertex' for the second time\n"
-            "wanted it once",
+            "expected it once",
         ),
         (
             ["float x", "list float int y"],
-            "header line 5: a list counted in 'float'\nwanted a whole-number type",
+            "header line 5: a list counted in 'float'\nexpected a whole-number type",
         ),
     ],
 )
@@ -95,7 +95,7 @@ def test_a_property_that_breaks_the_rules_is_named(tmp_path, properties, text):
 def test_an_element_cannot_come_twice(tmp_path):
     content = b"ply\nformat ascii 1.0\nelement a 1\nelement a 2\nend_header\n"
     assert refusal(tmp_path, content, HeaderMalformed) == (
-        "header line 4: element 'a' for the second time\nwanted it once"
+        "header line 4: element 'a' for the second time\nexpected it once"
     )
 
 
@@ -113,7 +113,7 @@ def test_the_format_line_has_to_be_known(tmp_path, line):
 def test_a_header_without_end_is_truncated(tmp_path):
     assert refusal(tmp_path, b"ply\nformat ascii 1.0\n", FileTruncated) == (
         "header: no end_header in the first 21 bytes, which are all there are\n"
-        f"wanted a line that says end_header\n{AGAIN}"
+        f"expected a line that says end_header\n{AGAIN}"
     )
 
 
@@ -121,14 +121,14 @@ def test_a_header_is_looked_for_in_one_mebibyte_only(tmp_path):
     content = b"ply\n" + b"comment -\n" * 200_000 + b"end_header\n"
     assert refusal(tmp_path, content, HeaderMalformed) == (
         "header: no end_header in the first 1048576 bytes\n"
-        "wanted a line that says end_header"
+        "expected a line that says end_header"
     )
 
 
 def test_a_header_is_ascii(tmp_path):
     content = "ply\nformat ascii 1.0\ncomment Gauß\nend_header\n".encode()
     assert refusal(tmp_path, content, HeaderMalformed) == (
-        "header: byte 0xc3 at offset 32\nwanted ASCII only"
+        "header: byte 0xc3 at offset 32\nexpected ASCII only"
     )
 
 
@@ -137,7 +137,7 @@ def test_a_file_that_does_not_begin_with_ply_is_not_recognised(tmp_path, content
     text = refusal(tmp_path, content, NotRecognised)
     assert text == (
         f"first bytes: {content[:4].decode('latin-1')!r}\n"
-        "wanted `ply` on a line of its own, as a PLY file begins"
+        "expected `ply` on a line of its own, as a PLY file begins"
     )
 
 
@@ -149,7 +149,7 @@ def test_missing_properties_of_splats_are_named_and_no_others(tmp_path, gone):
     text = refusal(tmp_path, ply(floats(" ".join(kept))), PropertyMissing)
     first, second = text.splitlines()
     assert first.startswith(f"element 'vertex': {', '.join(gone)} missing, found ")
-    assert second == "wanted all properties of a 3DGS PLY, as some are there"
+    assert second == "expected all properties of a 3DGS PLY, as some are there"
 
 
 def test_one_property_of_splats_asks_for_the_others(tmp_path):
@@ -158,7 +158,7 @@ def test_one_property_of_splats_asks_for_the_others(tmp_path):
         "element 'vertex': f_dc_0, f_dc_1, f_dc_2, opacity, scale_0, scale_1, scale_2, "
         "rot_0, rot_1, rot_2, rot_3 missing, "
         "found x, y, z, red, green, blue, f_rest_0\n"
-        "wanted all properties of a 3DGS PLY, as some are there"
+        "expected all properties of a 3DGS PLY, as some are there"
     )
 
 
@@ -175,7 +175,7 @@ def test_a_number_of_coefficients_of_no_degree_is_refused(tmp_path, count):
     rest = [f"float f_rest_{index}" for index in range(count)]
     text = refusal(tmp_path, ply(floats(CORE) + rest), PropertyMissing)
     assert text.startswith(f"element 'vertex': {count} properties f_rest: f_rest_0")
-    assert text.endswith("\nwanted 0, 9, 24, 45 or 72 of them, for SH degree 0 to 4")
+    assert text.endswith("\nexpected 0, 9, 24, 45 or 72 of them, for SH degree 0 to 4")
 
 
 def test_a_gap_between_coefficients_is_named(tmp_path):
@@ -187,7 +187,7 @@ def test_a_gap_between_coefficients_is_named(tmp_path):
 def test_points_need_a_colour(tmp_path):
     assert refusal(tmp_path, ply(CLOUD[:4]), PropertyMissing) == (
         "element 'vertex': green, blue missing, found x, y, z, red\n"
-        "wanted x, y, z and a colour, or all properties of a 3DGS PLY"
+        "expected x, y, z and a colour, or all properties of a 3DGS PLY"
     )
 
 
@@ -195,21 +195,21 @@ def test_colours_are_bytes_or_floats(tmp_path):
     mixed = [*CLOUD[:3], "float red", "uchar green", "ushort blue"]
     assert refusal(tmp_path, ply(mixed), NotSupported) == (
         "properties red, green, blue: colours of types f4, u1, u2\n"
-        "wanted uchar (0 to 255) for all, or float (0 to 1) for all"
+        "expected uchar (0 to 255) for all, or float (0 to 1) for all"
     )
 
 
 def test_colours_in_floats_lie_in_the_unit_range(tmp_path):
     content = ply(floats("x y z red green blue")) + struct.pack("<6f", 0, 0, 0, 0, 255, 0)
     assert refusal(tmp_path, content, ValueInvalid) == (
-        "property green: 1 of 1 rows, row 0 is 255\nwanted 0 <= value <= 1\n"
+        "property green: 1 of 1 rows, row 0 is 255\nexpected 0 <= value <= 1\n"
         "colours from 0 to 255 have to be stored as bytes (uchar, uint8)"
     )
 
 
 def test_an_empty_cloud_is_refused(tmp_path):
     assert refusal(tmp_path, ply(CLOUD, count=0), ValueInvalid) == (
-        "element 'vertex': 0 rows\nwanted at least one\n"
+        "element 'vertex': 0 rows\nexpected at least one\n"
         "whatever made this may have dropped every point"
     )
 
@@ -217,7 +217,7 @@ def test_an_empty_cloud_is_refused(tmp_path):
 def test_a_file_without_points_says_what_it_holds(tmp_path):
     content = b"ply\nformat ascii 1.0\nelement face 0\nelement edge 0\nend_header\n"
     assert refusal(tmp_path, content, PropertyMissing) == (
-        "no element 'vertex', found face, edge\nwanted element 'vertex'"
+        "no element 'vertex', found face, edge\nexpected element 'vertex'"
     )
 
 
@@ -228,14 +228,14 @@ def test_columns_of_a_compressed_file_mean_nothing_alone(tmp_path):
         ply_properties(file)
     assert str(caught.value) == (
         f"{file}: element 'vertex', property packed_position: a compressed PLY\n"
-        "wanted a plain 3DGS PLY\n"
+        "expected a plain 3DGS PLY\n"
         "unpack it: `gsgen convert packed.ply plain.ply`"
     )
 
 
 def test_points_cannot_hold_lists(tmp_path):
     assert refusal(tmp_path, ply([*CLOUD, "list uchar int near"]), NotSupported) == (
-        "element 'vertex': near in lists\nwanted plain numbers"
+        "element 'vertex': near in lists\nexpected plain numbers"
     )
 
 
@@ -270,11 +270,11 @@ def test_text_that_ends_early_says_after_which_row(tmp_path):
 @pytest.mark.parametrize(
     ("row", "text"),
     [
-        (b"1 2 3 4 5", "row 1: 5 values\nwanted 6, one for each property"),
-        (b"1 2 3 4 5 6 7", "row 1: 7 values\nwanted 6, one for each property"),
-        (b"1 2 3 4 5 6 # 7", "row 1: 8 values\nwanted 6, one for each property"),
-        (b"1 2 red 4 5 6", "row 1: 'red'\nwanted a number"),
-        (b"1 2 \xff 4 5 6", "row 1: '\ufffd'\nwanted a number"),
+        (b"1 2 3 4 5", "row 1: 5 values\nexpected 6, one for each property"),
+        (b"1 2 3 4 5 6 7", "row 1: 7 values\nexpected 6, one for each property"),
+        (b"1 2 3 4 5 6 # 7", "row 1: 8 values\nexpected 6, one for each property"),
+        (b"1 2 red 4 5 6", "row 1: 'red'\nexpected a number"),
+        (b"1 2 \xff 4 5 6", "row 1: '\ufffd'\nexpected a number"),
     ],
 )
 def test_a_bad_row_of_text_is_named(tmp_path, row, text):
@@ -285,7 +285,7 @@ def test_a_bad_row_of_text_is_named(tmp_path, row, text):
 def test_rows_that_are_all_too_long_are_no_better(tmp_path):
     content = ply(CLOUD, count=2, encoding="ascii") + b"1 2 3 4 5 6 7\n" * 2
     text = refusal(tmp_path, content, BodyMalformed)
-    assert text == "element 'vertex', row 0: 7 values\nwanted 6, one for each property"
+    assert text == "element 'vertex', row 0: 7 values\nexpected 6, one for each property"
 
 
 def test_a_line_without_end_is_not_read_into_memory(tmp_path, monkeypatch):
@@ -305,7 +305,7 @@ def test_a_list_of_negative_length_is_refused(tmp_path):
     content = with_faces("char", b"\x01\0\0\0\0\xff" + bytes(40))
     start = content.index(b"end_header\n") + len(b"end_header\n")
     assert refusal(tmp_path, content, BodyMalformed) == (
-        f"property 'ids', row 1, byte {start + 5}: a list of -1 values\nwanted 0 or more"
+        f"property 'ids', row 1, byte {start + 5}: a list of -1 values\nexpected 0 or more"
     )
 
 

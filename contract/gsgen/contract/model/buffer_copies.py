@@ -1,6 +1,6 @@
-"""Operators that a GPU provider carries out by copying a buffer, without any kernel.
+"""Operators that a GPU provider runs as a buffer copy, without a kernel.
 
-Graph capture records kernels, so an output that one of them makes keeps what it held at first.
+Graph capture records only kernels, so the output of a copy keeps the values of the first run.
 Measured with ONNX Runtime's WebGPU provider: views, and operators that have nothing to do.
 """
 
@@ -9,16 +9,16 @@ __all__ = ["is_copy"]
 _VIEWS = frozenset({"Flatten", "Identity", "Reshape", "Squeeze", "Unsqueeze"})
 _VARIADIC = frozenset(
     {"Max", "Min"}
-)  # of one input they return it; Sum and Mean have no kernel
+)  # with one input they return it; Sum and Mean have no kernel
 
 
 def is_copy(operator: str, inputs: int, *, keeps_all_axes: bool) -> bool:
-    """Say whether an operator of the ONNX domain passes its first input on, bit for bit.
+    """Return whether an operator of the ONNX domain returns its first input bit for bit.
 
     Args:
         operator: Its type.
-        inputs: How many inputs it has.
-        keeps_all_axes: It reduces no axis: ``noop_with_empty_axes`` is 1, and no axes are given.
+        inputs: The number of its inputs.
+        keeps_all_axes: Whether a reduction keeps every axis: ``noop_with_empty_axes`` is 1, and no axes are given.
     """
     if operator in _VIEWS:
         return True

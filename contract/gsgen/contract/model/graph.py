@@ -1,4 +1,4 @@
-"""A model's graph as rules want to see it: tensors with shapes, and who makes what from what."""
+"""A model's graph for static rules: tensors with shapes, producers and consumers."""
 
 __all__ = ["Conflict", "Graph", "Tensor", "read_graph", "static_dims", "tensor_bytes"]
 
@@ -32,11 +32,11 @@ _DTYPES = {
 
 @dataclass(frozen=True, slots=True)
 class Tensor:
-    """What is known of a tensor before the model runs.
+    """Name, dtype and dimensions of a tensor, as far as they are known statically.
 
     Attributes:
         name: Its name in the graph.
-        dtype: ``float32``, ``int64``, …; None where nothing says.
+        dtype: ``float32``, ``int64``, …; None if unknown.
         dims: A size, a symbol or None (unknown) for each axis; None where even the rank is unknown.
     """
 
@@ -55,7 +55,7 @@ class Tensor:
 
 @dataclass(frozen=True, slots=True)
 class Conflict:
-    """A tensor whose declared and inferred types cannot both be true."""
+    """A tensor whose declared type contradicts its inferred type."""
 
     name: str
     declared: Tensor
@@ -64,7 +64,7 @@ class Conflict:
 
 @dataclass(slots=True)
 class _Facts:
-    """What the two libraries that know ONNX say about the model."""
+    """Results of ``onnx.checker`` and of shape inference."""
 
     tensors: dict[str, Tensor]
     conflicts: tuple[Conflict, ...] = ()
@@ -77,13 +77,13 @@ class Graph:
     """The main graph of a model.
 
     Attributes:
-        inputs: What a runtime feeds, in order; initialisers listed as inputs are not among them.
+        inputs: The inputs that a runtime feeds, in order, without listed initialisers.
         outputs: Declared outputs, in order, with inferred sizes where the model leaves them open.
         nodes: Every node of the main graph.
         initializers: Names of the weights.
         conflicts: Tensors whose declared and inferred types contradict each other.
-        checker_fault: What ``onnx.checker`` objects to; empty if nothing.
-        inference_fault: What shape inference objects to; empty if nothing.
+        checker_fault: The complaint of ``onnx.checker``; empty if it passes.
+        inference_fault: The complaint of shape inference; empty if it passes.
     """
 
     inputs: tuple[Tensor, ...]
@@ -99,12 +99,12 @@ class Graph:
 
     @cached_property
     def producers(self) -> dict[str, NodeProto]:
-        """Tensor name → the node of the main graph that makes it."""
+        """Tensor name → the node of the main graph that produces it."""
         return {name: node for node in self.nodes for name in node.output if name}
 
     @cached_property
     def uses(self) -> dict[str, int]:
-        """Tensor name → how many nodes and outputs of the main graph read it."""
+        """Tensor name → the number of nodes and outputs of the main graph that read it."""
         count: dict[str, int] = {}
         for names in self._reads.values():
             for name in names:
@@ -115,7 +115,7 @@ class Graph:
 
     @cached_property
     def _reads(self) -> dict[int, list[str]]:
-        """Node, by its identity → what it reads."""
+        """Node, by its identity → the names that it reads."""
         return {id(node): reads(node) for node in self.nodes}
 
     def output(self, name: str) -> Tensor | None:
@@ -129,7 +129,7 @@ class Graph:
     def ancestors(self, name: str) -> tuple[set[str], list[NodeProto]]:
         """Return every tensor and every node that ``name`` is computed from, itself included.
 
-        The answer is kept, and given again: it is to be read alone.
+        The result is cached: do not modify it.
         """
         if name not in self._lineages:
             self._lineages[name] = self._traced(name)
@@ -156,7 +156,7 @@ class Graph:
         return names, nodes
 
     def varies(self, name: str) -> bool:
-        """Say whether ``name`` is computed from any frame input."""
+        """Return whether ``name`` depends on an input that is fed every frame."""
         names, _ = self.ancestors(name)
         return any(tensor.name in names for tensor in self.inputs)
 
@@ -181,10 +181,10 @@ def reads(node: NodeProto) -> list[str]:
 
 
 def read_graph(file: ModelFile) -> Graph:
-    """Look at the main graph: infer shapes, check well-formedness, note what contradicts.
+    """Read the main graph: infer shapes, check well-formedness, and note contradictions.
 
-    Weights are not needed: where payload was left out, the tensor stands as an input of the
-    copy that ONNX's own library judges.
+    Weights are not needed: a tensor without its payload becomes an input of the copy that
+    ONNX's own library checks.
     """
     graph = file.proto.graph
     facts = _facts(file)
@@ -213,7 +213,7 @@ def _facts(file: ModelFile) -> _Facts:
         onnx.checker.check_model(proto)
     except (onnx.checker.ValidationError, ValueError, RuntimeError) as error:
         facts.checker = first_line(error)
-        return facts  # inference on a malformed graph would only repeat it
+        return facts  # inference on a malformed graph repeats the same complaint
     declared = {
         v.name: _of_value(v) for v in (*proto.graph.output, *proto.graph.value_info)
     }
@@ -243,7 +243,7 @@ def _values(proto: ModelProto) -> dict[str, Tensor]:
 
 
 def _is_open(proto: ModelProto, tensors: dict[str, Tensor]) -> bool:
-    """Say whether the size of any tensor that a node makes is still unknown."""
+    """Return whether the size of any node output is still unknown."""
     sizes = (tensor.dims for tensor in tensors.values())
     if any(dims is None or any(type(d) is not int for d in dims) for dims in sizes):
         return True
@@ -252,10 +252,10 @@ def _is_open(proto: ModelProto, tensors: dict[str, Tensor]) -> bool:
 
 
 def _without_stubs(file: ModelFile) -> ModelProto:
-    """Return a copy that ONNX's library accepts although weights were not read.
+    """Return a copy that ONNX's library accepts although its weights were not read.
 
-    Weights of the main graph become inputs of the same type. What lies deeper becomes a
-    sparse constant without entries, which has type and shape but no payload.
+    Weights of the main graph become inputs of the same type. Weights of subgraphs become
+    sparse constants without entries, which have a type and a shape but no payload.
     """
     copy = ModelProto()
     copy.CopyFrom(file.proto)
@@ -281,7 +281,7 @@ def _is_stub(tensor: TensorProto) -> bool:
 def _take_stubs(graph: GraphProto) -> list[TensorProto]:
     """Remove the weights of ``graph`` that are stubs, and return them.
 
-    Sparse ones, too: a runtime makes them dense, but shape inference does not know that.
+    Sparse weights too: a runtime makes them dense, but shape inference ignores that.
     """
     weights = list(graph.initializer)
     stubs = [tensor for tensor in weights if _is_stub(tensor)]
@@ -314,13 +314,15 @@ def _constant(tensor: TensorProto) -> NodeProto:
 
 
 def _fill_nodes(body: GraphProto | FunctionProto) -> None:
-    """Take the stubs out of the attributes of all nodes of ``body``."""
+    """Replace the stubs in the attributes of all nodes of ``body``."""
     for index in reversed(range(len(body.node))):
         node = body.node[index]
         for attribute in node.attribute:
             for tensor in (attribute.t, *attribute.tensors):
                 if _is_stub(tensor) and node.op_type == "Constant" and 0 not in tensor.dims:
-                    if not tensor.dims:  # sparse tensors have an axis; a scalar has none
+                    if (
+                        not tensor.dims
+                    ):  # a sparse tensor needs an axis, which a scalar lacks
                         body.node.insert(index + 1, _squeeze(node))
                     _make_sparse(attribute, tensor)
                 elif _is_stub(tensor):
@@ -330,7 +332,7 @@ def _fill_nodes(body: GraphProto | FunctionProto) -> None:
 
 
 def _squeeze(node: NodeProto) -> NodeProto:
-    """Let ``node`` make a vector, and return the node that makes a scalar of it."""
+    """Change ``node`` to produce a vector, and return the Squeeze that makes it a scalar."""
     name = node.output[0]
     node.output[0] = f"{name}/stub"
     return NodeProto(op_type="Squeeze", input=node.output, output=[name])
@@ -381,7 +383,7 @@ def _of_value(value: ValueInfoProto) -> Tensor:
 
 
 def _best(declared: Tensor | None, inferred: Tensor | None) -> Tensor:
-    """Combine what is declared with what is inferred; a number beats a symbol."""
+    """Merge the declared with the inferred type; a number wins over a symbol."""
     if declared is None or inferred is None:
         known = declared or inferred
         assert known is not None
@@ -410,7 +412,7 @@ def _compatible(declared: Tensor, inferred: Tensor) -> bool:
 
 
 def tensor_bytes(tensor: Tensor) -> int:
-    """Return the size of ``tensor``; 0 where it is not known."""
+    """Return the size of ``tensor`` in bytes; 0 if unknown."""
     dims = static_dims(tensor)
     if dims is None:
         return 0
@@ -428,7 +430,7 @@ def static_dims(tensor: Tensor) -> tuple[int, ...] | None:
     return tuple(sizes) if len(sizes) == len(tensor.dims) else None
 
 
-# Bits of an element, where that is not 32.
+# Bits of an element of each dtype that does not have 32.
 _BITS = {
     "complex128": 128,
     "complex64": 64,

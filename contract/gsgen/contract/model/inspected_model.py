@@ -1,4 +1,4 @@
-"""What static rules look at: a model's graph beside the manifest that explains it."""
+"""The subject of static rules: a model's graph together with its manifest."""
 
 __all__ = ["InspectedModel", "inspect_model"]
 
@@ -28,16 +28,16 @@ from gsgen.contract.spec.targets import Target
 
 @dataclass(frozen=True)
 class InspectedModel:
-    """One model under judgement.
+    """A model whose file, graph and manifest have been read.
 
     Attributes:
         file: The opened file.
         graph: Its graph.
-        parsed: What became of the embedded manifest; None where there is none.
-        candidate: What was guessed in its place; None where a manifest is embedded.
-        target: The consumer it is judged for.
-        limits: What running it may use, as its user set it.
-        tolerances: Those that its user set, by field, over what the manifest says.
+        parsed: The result of parsing the embedded manifest; None without a manifest.
+        candidate: The inferred manifest; None where a manifest is embedded.
+        target: The consumer whose requirements apply.
+        limits: Time and memory for running it, as set by the user.
+        tolerances: Tolerances set by the user, by field; they override the manifest.
     """
 
     file: ModelFile
@@ -50,51 +50,51 @@ class InspectedModel:
 
     @property
     def manifest(self) -> Manifest | None:
-        """The embedded manifest, else the guessed one, else None."""
+        """The embedded manifest, else the inferred one, else None."""
         if self.parsed is not None:
             return self.parsed.manifest
         return self.candidate.manifest if self.candidate else None
 
     @cached_property
     def granted(self) -> Limits:
-        """What running it may use in fact: the limits, and on top what its weights take."""
+        """The limits plus the memory that its weights need."""
         return self.limits.for_model(self.file.weight_bytes)
 
     @property
     def declared_version(self) -> str:
-        """The contract that the manifest says it keeps, before any upgrade; empty without one."""
+        """The contract version that the manifest declares, before upgrades; empty without one."""
         version = self.parsed.version if self.parsed else None
         return f"{version[0]}.{version[1]}" if version else ""
 
     @property
     def kind(self) -> str:
-        """The kind of model; without a manifest, the one that was guessed."""
+        """The kind of model; without a manifest, the inferred kind."""
         manifest = self.manifest
         return manifest.kind if manifest else ""
 
     @property
     def generator(self) -> GeneratorManifest | None:
-        """The manifest, where it is that of a Gaussian Generator."""
+        """The manifest if it is of kind gaussian-generator, else None."""
         return self.manifest if isinstance(self.manifest, GeneratorManifest) else None
 
     @cached_property
     def declared_gaussians(self) -> GaussiansOutput | None:
-        """What the manifest says of the packed rows."""
+        """The declaration of the packed rows."""
         return self.generator.outputs.gaussians if self.generator else None
 
     @cached_property
     def declared_appearance(self) -> AppearanceOutput | None:
-        """What the manifest says of the appearance."""
+        """The declaration of the appearance."""
         return self.generator.outputs.appearance if self.generator else None
 
     @cached_property
     def declared_count(self) -> CountOutput | None:
-        """What the manifest says of the row count."""
+        """The declaration of the row count."""
         return self.generator.outputs.count if self.generator else None
 
     @cached_property
     def declared_cells(self) -> CellsOutput | None:
-        """What the manifest says of the cells that a weighted sum is sorted by."""
+        """The declaration of the cells of a weighted sum."""
         return self.generator.outputs.cells if self.generator else None
 
     @property
@@ -119,7 +119,7 @@ class InspectedModel:
 
     @cached_property
     def output_names(self) -> tuple[str, ...]:
-        """Names of all outputs that the manifest declares, in its order."""
+        """Names of all declared outputs, in the order of the manifest."""
         manifest = self.manifest
         parts = (
             (getattr(manifest.outputs, name) for name in _output_fields(manifest))
@@ -130,12 +130,12 @@ class InspectedModel:
 
     @cached_property
     def placements(self) -> list[Placement]:
-        """What the target's WebGPU provider does with each node of the frame, by its tables."""
+        """Where the target's WebGPU provider runs each node of the frame, by operator tables."""
         tables = [operator_table(name) for name in self.target.operators]
         return placements(self.graph, self.file.proto, tables)
 
     def inputs_of(self, role: str) -> list[tuple[Input, Tensor]]:
-        """Return the declared inputs of ``role`` that the graph has."""
+        """Return the inputs declared with ``role`` that exist in the graph."""
         manifest = self.manifest
         pairs = [
             (i, self.graph.input(i.name)) for i in (manifest.inputs if manifest else ())
@@ -156,7 +156,7 @@ def inspect_model(
     limits: Limits,
     tolerances: Mapping[str, float] | None = None,
 ) -> InspectedModel:
-    """Read everything that static rules need; a missing manifest is guessed and marked so."""
+    """Read the graph and the manifest of ``file``; a missing manifest is inferred."""
     graph = read_graph(file)
     text = file.manifest_text
     parsed = parse(text) if text is not None else None

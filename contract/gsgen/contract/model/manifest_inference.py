@@ -1,7 +1,7 @@
-"""Guess a manifest for a model that has none, and say which facts were guessed.
+"""Infers a manifest for a model without one, and lists every inferred fact.
 
-Only whole names are recognised, never parts of them, and every guess is listed, so that its
-author confirms or mends it before it is embedded.
+Only whole names are recognised, never parts of them. The author confirms or corrects each
+guess before the manifest is embedded.
 """
 
 __all__ = ["Candidate", "infer_manifest"]
@@ -69,10 +69,10 @@ _PLACEHOLDER_CAPACITY = 1
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A guessed manifest.
+    """An inferred manifest.
 
     Attributes:
-        manifest: The guess.
+        manifest: The inferred manifest.
         guesses: One sentence for each fact that was guessed, for its author to confirm.
     """
 
@@ -81,7 +81,7 @@ class Candidate:
 
 
 def infer_manifest(graph: Graph, name: str) -> Candidate:
-    """Guess the manifest of ``graph`` from whole tensor names and shapes."""
+    """Infer the manifest of ``graph`` from whole tensor names and shapes."""
     guesses: list[str] = []
     inputs = tuple(_input(tensor, guesses) for tensor in graph.inputs if _role_of(tensor))
     unknown = [tensor.name for tensor in graph.inputs if not _role_of(tensor)]

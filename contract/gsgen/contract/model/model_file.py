@@ -1,4 +1,4 @@
-"""An ONNX file opened for judging: its structure, its manifest, where its weights lie."""
+"""Opens an ONNX file without its weights: structure, manifest, location of the weights."""
 
 __all__ = [
     "MANIFEST_KEY",
@@ -100,9 +100,9 @@ class ModelFile:
         path: The file.
         size: Its size, in bytes.
         proto: The model, with stubs in place of large payloads and of external data.
-        stripped: Bytes of payload that were not read.
+        stripped: Number of payload bytes that were not read.
         external: Tensors whose payload lies in other files.
-        whole: Nothing was left out, and no weight is sparse.
+        whole: Whether every payload was read and no weight is sparse.
     """
 
     path: Path
@@ -114,14 +114,14 @@ class ModelFile:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """The model-level ``metadata_props``; where a key repeats, the last one holds."""
+        """The model-level ``metadata_props``; a repeated key keeps its last value."""
         return {entry.key: entry.value for entry in self.proto.metadata_props}
 
     @property
     def weight_bytes(self) -> int:
-        """Bytes of the file and of what its weights take of other files, each byte counted once.
+        """Bytes of the file and of its external weights, each byte counted once.
 
-        What a model says of lengths does not count beyond what there is.
+        Declared lengths count only as far as the external files reach.
         """
         ranges: dict[str, list[tuple[int, int]]] = {}
         for ref in self.external:
@@ -137,11 +137,11 @@ class ModelFile:
 
 
 def _covered(folder: Path, location: str, ranges: list[tuple[int, int]]) -> int:
-    """Return how many bytes of a file lie in any of ``ranges``; none where there is no file."""
+    """Return how many bytes of a file lie in any of ``ranges``; 0 if it does not exist."""
     try:
         entry = (folder / location).stat()
         size = entry.st_size if stat.S_ISREG(entry.st_mode) else 0
-    except (OSError, ValueError):  # which is a finding of its own
+    except (OSError, ValueError):  # a rule reports it
         return 0
     total = reached = 0
     for start, end in sorted(ranges):
@@ -188,11 +188,11 @@ def _size(path: Path) -> int:
         hint = (
             f"It holds {len(models)}: name {models[0]}, or {path}/*.onnx." if models else ""
         )
-        raise ModelUnreadable("is a folder, wanted an ONNX file", where=where, hint=hint)
+        raise ModelUnreadable("is a folder, expected an ONNX file", where=where, hint=hint)
     if not stat.S_ISREG(entry.st_mode):
-        raise ModelUnreadable("is not a regular file, wanted an ONNX file", where=where)
+        raise ModelUnreadable("is not a regular file, expected an ONNX file", where=where)
     if entry.st_size == 0:
-        raise ModelUnreadable("is empty (0 bytes), wanted an ONNX model", where=where)
+        raise ModelUnreadable("is empty (0 bytes), expected an ONNX model", where=where)
     return entry.st_size
 
 
@@ -218,8 +218,10 @@ def _parse(path: Path, data: bytes) -> ModelProto:
 
 def _check_texts(path: Path, proto: ModelProto, parts: list[Body], head: bytes) -> None:
     for text in _texts(proto, parts):
-        if isinstance(text, bytes):  # what protobuf gives where bytes are no UTF-8
-            raise _not_onnx(path, f"has a name that is no text ({text[:32]!r})", head)
+        if isinstance(text, bytes):  # protobuf returns bytes that are not valid UTF-8
+            raise _not_onnx(
+                path, f"has a name that is not valid UTF-8 ({text[:32]!r})", head
+            )
 
 
 def _has_sparse(body: Body) -> bool:
@@ -242,7 +244,7 @@ def _not_onnx(path: Path, message: str, head: bytes) -> ModelUnreadable:
 
 
 def _is_text(head: bytes) -> bool:
-    """Say whether a file begins as text does; a model begins with a field of one byte."""
+    """Return whether a file begins like text; a model begins with a one-byte tag."""
     written = head.decode("utf-8", errors="ignore")
     return len(written) >= len(head) - 3 and all(
         sign.isprintable() or sign in "\t\r\n" for sign in written
@@ -250,7 +252,7 @@ def _is_text(head: bytes) -> bool:
 
 
 def _detach_external(parts: list[Body]) -> Iterator[ExternalRef]:
-    """Put a stub in place of every external payload, and say where it was."""
+    """Replace every external payload by a stub, and yield its location."""
     for tensor in _tensors(parts):
         if tensor.data_location != TensorProto.EXTERNAL:
             continue
@@ -267,14 +269,14 @@ def _detach_external(parts: list[Body]) -> Iterator[ExternalRef]:
 
 
 def _whole(text: str | None) -> int | None:
-    """Return the number that ``text`` is, if it is one; no file is as long as the largest."""
+    """Parse a non-negative decimal number; None if ``text`` is not one or is None."""
     if text is None or not (text.isascii() and text.isdigit()):
         return None
     return min(int(text), _LONGEST) if len(text) <= _DIGITS else _LONGEST
 
 
 def bodies(proto: ModelProto) -> Iterator[Body]:
-    """Yield every graph of a model: the main one, functions, and all that nodes hold."""
+    """Yield every graph of a model: the main graph, functions, and subgraphs of nodes."""
     queue: list[Body] = [proto.graph, *proto.functions]
     for training in proto.training_info:
         queue += [training.initialization, training.algorithm]
@@ -298,7 +300,7 @@ def _attributes(body: Body) -> Iterator[AttributeProto]:
 
 
 def _tensors(parts: list[Body]) -> Iterator[TensorProto]:
-    """Yield every tensor that a file can hold, in subgraphs and functions too."""
+    """Yield every tensor of a model, including subgraphs and functions."""
     for body in parts:
         if isinstance(body, GraphProto):
             yield from body.initializer
@@ -319,7 +321,7 @@ def _attribute_tensors(attribute: AttributeProto) -> Iterator[TensorProto]:
 
 
 def _texts(proto: ModelProto, parts: list[Body]) -> Iterator[str]:
-    """Yield every name and text that rules look at."""
+    """Yield every name and text that rules read."""
     for entry in proto.metadata_props:
         yield from (entry.key, entry.value)
     for opset in proto.opset_import:
@@ -342,10 +344,10 @@ def _texts(proto: ModelProto, parts: list[Body]) -> Iterator[str]:
 def write_manifest(
     source: str | os.PathLike[str], manifest: Manifest, target: str | os.PathLike[str]
 ) -> None:
-    """Copy the model ``source`` to ``target`` with ``manifest`` in it, replacing any other.
+    """Copy the model ``source`` to ``target`` and embed ``manifest``, replacing any other.
 
-    The weights pass through in chunks and are never parsed; ``target`` may be ``source``.
-    It is written beside its place and renamed, so a failure leaves what was there.
+    The weights are copied in chunks and never parsed; ``target`` may be ``source``. The copy
+    has a temporary name until it is complete, so a failure changes nothing.
 
     Raises:
         ManifestInvalid: ``manifest`` does not follow its schema.
@@ -356,10 +358,10 @@ def write_manifest(
 
 
 def write_manifest_text(source: Path, text: str, target: Path) -> None:
-    """Do what :func:`write_manifest` does with a manifest that is text already."""
+    """Embed a manifest that is JSON text already; see :func:`write_manifest`."""
     entry = StringStringEntryProto(key=MANIFEST_KEY, value=text)
     appended = ModelProto(metadata_props=[entry]).SerializeToString()
-    open_model(source)  # says what is wrong with it, if something is
+    open_model(source)  # raises if the source is not a model
     handle, name = tempfile.mkstemp(
         dir=target.parent, prefix=f".{target.name}.", suffix=".part"
     )
@@ -369,7 +371,7 @@ def write_manifest_text(source: Path, text: str, target: Path) -> None:
             for start, end in _without_manifest(file.fileno()):
                 file.seek(start)
                 _copy_bytes(file, out, end - start)
-            out.write(appended)  # a repeated field may stand anywhere in the message
+            out.write(appended)  # protobuf allows a repeated field anywhere in the message
         shutil.copymode(source, temporary)
         temporary.replace(target)
     except BaseException:

@@ -1,4 +1,4 @@
-"""Read an ONNX file's structure without its weights, on the protobuf wire format.
+"""Reads the structure of an ONNX file without its weights, from the protobuf wire format.
 
 A model is mostly tensor payload. This scanner walks the fields of the file, copies all but
 the payload of large tensors, and leaves a model that protobuf parses in milliseconds.
@@ -36,10 +36,10 @@ _PAYLOAD = frozenset({4, 5, 6, 7, 9, 10, 11})
 _TENSOR_TYPE, _TENSOR_RAW = 2, 9
 _INTEGER_TYPES = frozenset({6, 7})  # int32, int64: shape inference may want their values
 
-# What stands for a payload that was left out.
+# The stub that replaces a payload.
 STUB = b"\0"
 
-# A message up to this size is copied whole: looking inside would cost more than it saves.
+# A message up to this size is copied whole: scanning it would cost more than it saves.
 _SMALL = 2048
 _SMALL_INTEGERS = 1 << 20
 _MAX_FIELDS = 1_000_000
@@ -72,7 +72,7 @@ class StrippedModel:
 
     Attributes:
         data: The remaining protobuf bytes.
-        stripped: Bytes of payload left out, in total.
+        stripped: Number of payload bytes left out.
     """
 
     data: bytes = b""
@@ -118,7 +118,7 @@ def scan(data: Buffer, start: int, end: int) -> Iterator[Field]:
             raise WireFault(tag_at, "field number 0")
         if stop > end:
             raise WireFault(
-                tag_at, f"field {number} needs {stop - end} more bytes than there are"
+                tag_at, f"field {number} needs {stop - end} more bytes than the message has"
             )
         yield Field(number, wire, tag_at, offset, stop)
         offset = stop
@@ -128,7 +128,7 @@ def skeleton(data: Buffer) -> StrippedModel:
     """Return the model in ``data`` without the payload of its large tensors.
 
     Raises:
-        WireFault: The bytes are no protobuf message, or the structure alone is too large.
+        WireFault: The bytes are not a protobuf message, or the structure is too large.
     """
     builder = _Builder(data)
     stripped = builder.result
@@ -137,7 +137,7 @@ def skeleton(data: Buffer) -> StrippedModel:
 
 
 class _Builder:
-    """Copies a message field by field, minding how much work and memory that takes."""
+    """Copies a message field by field, within bounds on work and memory."""
 
     def __init__(self, data: Buffer) -> None:
         self.data = data
@@ -182,7 +182,7 @@ class _Builder:
             else:
                 retained.append(self._copy(field.start, field.end))
         self.result.stripped += payload
-        if payload:  # a stub, so that the tensor still says it has data
+        if payload:  # a stub, so that the tensor still has a data field
             retained.append(_header(_TENSOR_RAW, len(STUB)) + STUB)
         return retained
 

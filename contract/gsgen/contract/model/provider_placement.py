@@ -1,4 +1,4 @@
-"""Where a WebGPU provider runs the nodes of a graph, predicted from operator tables."""
+"""Predicts from operator tables where a WebGPU provider runs each node of a graph."""
 
 __all__ = ["Cause", "Placement", "frame_nodes", "placements", "shape_arguments"]
 
@@ -19,7 +19,7 @@ Cause = Literal[
 
 _MAIN_DOMAIN = ("", "ai.onnx")
 _CONTROL_FLOW = frozenset({"If", "Loop", "Scan"})
-# What these return depends on shapes alone, and is folded once shapes are fixed.
+# Outputs that depend on shapes alone, and are folded once shapes are fixed.
 _OF_SHAPES = frozenset({"Shape", "Size"})
 _DRAWS = frozenset(
     {
@@ -31,7 +31,7 @@ _DRAWS = frozenset(
         "RandomUniformLike",
     }
 )
-# The number of elements that these return depends on values.
+# Operators whose output size depends on values.
 _SIZED_BY_DATA = frozenset({"Compress", "NonMaxSuppression", "NonZero", "Unique"})
 # Arguments that decide the shape of the result.
 _SHAPE_ARGUMENTS = {
@@ -61,19 +61,19 @@ _NORMS = frozenset(
         "ReduceL2",
     }
 )
-# The argument whose dtype chooses the kernel, where that is not the first.
+# The argument whose dtype selects the kernel, where it is not the first.
 _KERNEL_ARGUMENT = {"OneHot": 2, "Where": 1}
 
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """What becomes of one node of the frame.
+    """The predicted placement of one node of the frame.
 
     Attributes:
         node: The node.
-        dtype: The dtype that chooses its kernel; empty if it is not known.
-        cause: Why it is not captured; empty where it is.
-        outcomes: Release → what it does instead of capturing; empty where that does not matter.
+        dtype: The dtype that selects its kernel; empty if unknown.
+        cause: The reason why it is not captured; empty if it is.
+        outcomes: Release → its outcome instead of capture; empty where that is irrelevant.
     """
 
     node: NodeProto
@@ -83,7 +83,7 @@ class Placement:
 
 
 def frame_nodes(graph: Graph) -> list[NodeProto]:
-    """Return the nodes that run anew every frame: the rest is folded or dropped at loading."""
+    """Return the nodes that run every frame; all others are folded or dropped at loading."""
     varying = {tensor.name for tensor in graph.inputs}
     running: list[NodeProto] = []
     for node in graph.nodes:
@@ -102,7 +102,7 @@ def frame_nodes(graph: Graph) -> list[NodeProto]:
 
 
 def shape_arguments(node: NodeProto) -> list[str]:
-    """Return the names of the arguments that decide the shape of what ``node`` returns."""
+    """Return the names of the arguments that determine the output shape of ``node``."""
     positions = _SHAPE_ARGUMENTS.get(node.op_type, ())
     return [node.input[k] for k in positions if k < len(node.input) and node.input[k]]
 
@@ -110,7 +110,7 @@ def shape_arguments(node: NodeProto) -> list[str]:
 def placements(
     graph: Graph, proto: ModelProto, tables: Sequence[OperatorTable]
 ) -> list[Placement]:
-    """Predict what becomes of every node of the frame."""
+    """Predict the placement of every node of the frame."""
     nodes = frame_nodes(graph)
     varying = {tensor.name for tensor in graph.inputs}
     varying.update(name for node in nodes for name in node.output)
@@ -184,7 +184,7 @@ def _kernel_dtype(graph: Graph, node: NodeProto) -> str:
 def _variant(
     graph: Graph, node: NodeProto, varying: set[str], backwards: frozenset[str]
 ) -> str:
-    """Return which of an operator's measured variants ``node`` is; empty for the usual one."""
+    """Return the measured variant of the operator that ``node`` uses; empty for the default."""
     ranks = [_rank(graph, name) for name in node.input]
     attributes = {attribute.name: attribute for attribute in node.attribute}
     match node.op_type:

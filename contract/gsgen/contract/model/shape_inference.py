@@ -1,4 +1,4 @@
-"""Shape inference that ends: ONNX's own, kept from what a few bytes of a model can make of it.
+"""ONNX's shape inference, with bounds on its time and memory for hostile models.
 
 Two things in a small file take ONNX's library hours and all memory. Functions that call functions
 are expanded at every call, 2ⁿ times where each calls the next one twice. And *data propagation*,
@@ -19,7 +19,7 @@ from onnx import FunctionProto, GraphProto, ModelProto, ValueInfoProto
 from gsgen.contract.model.model_file import subgraphs
 from gsgen.contract.process.parent_watchdog import exit_with_parent
 
-# What ONNX's library raises besides its own error.
+# Exceptions of ONNX's library besides its own error.
 _ERRORS = (
     onnx.shape_inference.InferenceError,
     onnx.checker.ValidationError,
@@ -29,12 +29,12 @@ _ERRORS = (
 )
 _MOST_EXPANDED = 20_000
 _LONGEST = 4096
-# What the child may take. Where it is not enough, what is known without stands.
+# Limits of the child. If it exceeds them, the result without propagation is used.
 _SECONDS, _MEMORY = 5.0, 1 << 30
 
 
 def infer(proto: ModelProto) -> tuple[ModelProto | None, str]:
-    """Return ``proto`` with inferred types, as far as they are, and what ONNX objects to.
+    """Return ``proto`` with inferred types, and the complaint of ONNX (empty if none).
 
     No data is propagated: where sizes are unknown, :func:`propagate` may find them.
     """
@@ -44,7 +44,7 @@ def infer(proto: ModelProto) -> tuple[ModelProto | None, str]:
 
 
 def propagate(proto: ModelProto, inferred: ModelProto) -> tuple[ModelProto, str]:
-    """Infer ``proto`` again with data propagation; what it gave without it is ``inferred``."""
+    """Infer ``proto`` with data propagation; ``inferred`` is the result without it."""
     if _may_be_long(inferred):
         return _propagated_elsewhere(proto) or inferred, ""
     try:
@@ -71,7 +71,7 @@ def _propagated(proto: ModelProto, *, strict: bool) -> ModelProto:
 
 
 def _expanded(proto: ModelProto) -> int:
-    """Return how many nodes there are once every call of a function has a body of its own."""
+    """Return the number of nodes after every function call is inlined."""
     if not proto.functions:
         return 0
     functions = {(function.domain, function.name): function for function in proto.functions}
@@ -92,10 +92,10 @@ def _expanded(proto: ModelProto) -> int:
 
 
 def _may_be_long(proto: ModelProto) -> bool:
-    """Say whether data propagation may meet a vector of many elements."""
+    """Return whether data propagation may meet a vector of many elements."""
     graph = proto.graph
     if proto.functions or any(subgraphs(a) for node in graph.node for a in node.attribute):
-        return True  # what lies inside is not told
+        return True  # its elements are unknown
     values = (*graph.input, *graph.value_info, *graph.output)
     known = {value.name for value in values}
     outputs = [name for node in graph.node for name in node.output if name]
@@ -117,7 +117,7 @@ def _is_long(value: ValueInfoProto) -> bool:
 
 
 def _propagated_elsewhere(proto: ModelProto) -> ModelProto | None:
-    """Propagate data in a child process; None where it failed or took too much."""
+    """Propagate data in a child process; None if it failed or exceeded its limits."""
     try:
         completed = subprocess.run(
             [sys.executable, "-P", "-m", "gsgen.contract.model.shape_inference"],
@@ -147,7 +147,7 @@ def _be_the_child() -> int:
 
 
 def first_line(error: Exception) -> str:
-    """Return what an error of ONNX's library says, in one line."""
+    """Return the first line of an error message of ONNX's library."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return " ".join(lines)[:300] or type(error).__name__
 

@@ -9,11 +9,11 @@ from gsgen.contract.model.model_file import STUB
 
 
 def small_array(weight: TensorProto) -> np.ndarray | None:
-    """Return the numbers of ``weight``; None where they were not read, or are none."""
+    """Return the numbers of ``weight``; None if they were not read or are not numeric."""
     if weight.raw_data == STUB:
         return None
     try:
         array = np.asarray(numpy_helper.to_array(weight))
-    except (ValueError, TypeError, KeyError):  # damaged: other rules say so
+    except (ValueError, TypeError, KeyError):  # damaged: other rules report it
         return None
     return array if array.dtype.kind in "biuf" and array.size else None

@@ -1,4 +1,4 @@
-"""How large the numbers inside a graph can become, as far as intervals can tell."""
+"""Interval arithmetic on a graph: bounds on the values of each tensor."""
 
 __all__ = ["Interval", "intervals"]
 
@@ -24,7 +24,7 @@ _BOUNDED: dict[str, Interval] = {
     "Sin": (-1, 1),
     "Cos": (-1, 1),
     "Erf": (-1, 1),
-    # Places in a tensor, which is smaller than that.
+    # Indices into a tensor, which has fewer elements.
     "ArgMax": (0, _INT32[1]),
     "ArgMin": (0, _INT32[1]),
     "NonZero": (0, _INT32[1]),
@@ -35,7 +35,7 @@ _BOUNDED: dict[str, Interval] = {
     **dict.fromkeys(("Equal", "Greater", "GreaterOrEqual", "Less", "LessOrEqual"), (0, 1)),
     **dict.fromkeys(("And", "IsInf", "IsNaN", "Not", "Or", "Xor"), (0, 1)),
 }
-# What these return holds no other numbers than what they take.
+# Operators whose outputs contain only numbers of their inputs.
 _MOVES = frozenset(
     {
         *("Identity", "Reshape", "Squeeze", "Unsqueeze", "Flatten", "Transpose", "Expand"),
@@ -63,7 +63,7 @@ def _quotients(a: Interval, b: Interval) -> Interval:
 
 
 def _remainders(_: Interval, b: Interval) -> Interval:
-    """Return what can remain of a division by ``b``, by either rule for the sign."""
+    """Return the interval of remainders of a division by ``b``, by either sign rule."""
     most = max(abs(b[0]), abs(b[1]))
     return -most, most
 
@@ -95,12 +95,12 @@ def _whole(value: float, rounded: Callable[[float], int]) -> float:
 def intervals(
     graph: Graph, weights: Iterable[TensorProto], manifest: Manifest | None
 ) -> dict[str, Interval]:
-    """Return tensor → smallest and largest value it can hold; what is not known is absent.
+    """Return tensor → interval of its values; tensors without known bounds are absent.
 
     Args:
         graph: The main graph.
         weights: Its weights; those whose payload was not read count as unknown.
-        manifest: Says what range each input has.
+        manifest: Declares the range of each input.
     """
     known = {w.name: span for w in weights if (span := _of_weight(w)) is not None}
     for entry in manifest.inputs if manifest else ():
@@ -125,7 +125,7 @@ def intervals(
 def _added(
     span: Interval, operand: Tensor | None, output: Tensor | None
 ) -> Interval | None:
-    """Return the interval of sums; None where nobody knows how many numbers are added."""
+    """Return the interval of sums; None if the number of addends is unknown."""
     if operand is None or output is None or operand.dims is None or output.dims is None:
         return None
     sizes = [d for d in (*operand.dims, *output.dims) if isinstance(d, int) and d > 0]
@@ -140,7 +140,7 @@ def _of_weight(weight: TensorProto) -> Interval | None:
     if array is None:
         return None
     low, high = float(np.min(array)), float(np.max(array))
-    return (low, high) if low <= high else None  # NaN is no number
+    return (low, high) if low <= high else None  # NaN bounds nothing
 
 
 def _of_node(node: NodeProto, spans: Sequence[Interval | None]) -> Interval | None:

@@ -1,1 +1,1 @@
-"""What does a model compute: with which inputs is it run, where, and what came out?"""
+"""What does a model compute? Probes, the sandbox that runs them, and the outputs."""

@@ -1,4 +1,4 @@
-"""Probes that one behaviour rule asks for: edges, flipped axes, loops, frames, another order."""
+"""Probes for single behaviour rules: range ends, flipped axes, loops, frames, other orders."""
 
 __all__ = ["REPEATED", "trial_probes"]
 
@@ -12,14 +12,14 @@ from gsgen.contract.probing.probes import Array, Probe, as_tensor
 from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest
 from gsgen.contract.spec.roles import ROLES
 
-# What the label of a probe ends on where it is run a second time.
+# Suffix of the label of a probe that is run a second time.
 REPEATED = "once more"
 
-# How far from its place the camera is moved, as a share of its distance from the origin.
+# Camera displacement, as a fraction of the distance from the origin.
 _STEP = 0.3
-# How far beyond a declared range a runtime may get by rounding or overshooting.
+# Relative overshoot beyond a declared range that rounding may cause.
 _BEYOND = 0.01
-# Most frames that are visited: at both ends, and where skipping one shows.
+# Upper bound of visited frames: both ends, and the middle.
 _WINDOW = 8
 _INTO_FRAME = 0.3
 _STEPS = 60
@@ -29,12 +29,12 @@ _REFRESH = 60.0
 def trial_probes(
     manifest: Manifest, base: Probe, first: tuple[Probe, ...]
 ) -> Iterator[tuple[str, tuple[Probe, ...]]]:
-    """Yield, by the name of the group, the probes that behaviour rules ask for.
+    """Yield (name of the group, probes) for every behaviour rule that needs its own probes.
 
     Args:
-        manifest: Says what each input means.
-        base: The probe that most of them differ from.
-        first: The probes that value rules look at.
+        manifest: Declares the role of each input.
+        base: The probe that most of them are derived from.
+        first: The probes of value rules.
     """
     if isinstance(manifest, GeneratorManifest):
         yield "moved", tuple(_moved(manifest, base))
@@ -61,11 +61,11 @@ def _of_role(manifest: Manifest, role: str) -> list[Input]:
 
 
 def _moved(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """The camera as it was, moved, and moved as a reader of the other memory order sees it."""
+    """The camera unchanged, moved, and moved in the other matrix memory order."""
     order = manifest.space.matrix_order if manifest.space else "column"
     for entry in _of_role(manifest, "view")[:1]:
         view = base.inputs[entry.name]
-        matrix = as_tensor(view, order)  # its own inverse
+        matrix = as_tensor(view, order)  # transposing is its own inverse
         step = np.zeros((4, 4))
         step[:3, 3] = _STEP * max(float(np.linalg.norm(matrix[:3, 3])), 1.0)
         tensor = as_tensor(step, order)
@@ -75,7 +75,7 @@ def _moved(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
 
 
 def _flipped(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """The projection as it was, and with its second row negated."""
+    """The projection unchanged, and with its second row negated."""
     order = manifest.space.matrix_order if manifest.space else "column"
     for entry in _of_role(manifest, "projection")[:1]:
         lens = base.inputs[entry.name]
@@ -101,7 +101,7 @@ def _edges(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
 
 
 def _span(entry: Input, value: Array) -> tuple[float, float] | None:
-    """Return the ends of an input's range; poses turn by half a circle at most."""
+    """Return the ends of an input's range; poses are limited to ±π."""
     angles = entry.role in ("pose", "root_rotation") and value.shape[-1:] == (3,)
     if entry.range is None and angles and value.shape != (3, 3):
         return -math.pi, math.pi
@@ -109,7 +109,7 @@ def _span(entry: Input, value: Array) -> tuple[float, float] | None:
 
 
 def _outside(manifest: GeneratorManifest, base: Probe) -> Iterator[Probe]:
-    """All inputs that have a range just below it, then just above it."""
+    """All inputs with a range: just below it, then just above it."""
     ranged = [
         (entry, entry.range)
         for entry in manifest.inputs
@@ -150,7 +150,7 @@ def _loop(entry: Input, base: Probe) -> Iterator[Probe]:
 
 
 def _paces(entry: Input, base: Probe) -> Iterator[Probe]:
-    """Pairs of instants that lie one refresh of a screen apart."""
+    """Pairs of instants one screen refresh apart."""
     if entry.frames and entry.fps:
         step = min(1.0, entry.fps / entry.frames / _REFRESH)
         for start in (0.0, (1 - step) / 2, 0.5, 1 - step):
@@ -162,8 +162,8 @@ def _paces(entry: Input, base: Probe) -> Iterator[Probe]:
 def _frames(entry: Input, base: Probe) -> Iterator[Probe]:
     """An instant within each frame, or of runs of frames where there are many.
 
-    A model that rounds time down to one frame less than there are shows the same frame twice
-    where the fraction of time that has passed is the fraction of a frame.
+    A model that rounds time down to one frame too few shows one frame twice, near the middle
+    of the range.
     """
     if not entry.frames or entry.frames < 2:
         return

@@ -1,4 +1,4 @@
-"""Tell from the numbers in which order the fields of packed rows stand."""
+"""Infers from the numbers the order of the fields of packed rows."""
 
 __all__ = ["FieldOrder", "suspect_order"]
 
@@ -9,15 +9,16 @@ from jaxtyping import Bool, Float
 
 from gsgen.contract.spec.geometry import smallest_eigenvalue
 
-# Fewer rows than this prove nothing.
+# Minimum number of rows for a statement.
 _FEWEST = 16
-# As declared, more than this share of the rows is broken; in the other order, fewer than that is.
+# An order is suspected if more than the first fraction of rows is invalid as declared, and
+# less than the second in the other order.
 _BROKEN = 0.2
 _SOUND = 1e-3
 _SLACK = 2.0**-8
 _UNIT = 1e-2
 
-# Where xx xy xz yy yz zz stand in each order that exporters have used by mistake.
+# Columns of xx xy xz yy yz zz in orders that exporters have used by mistake.
 _COVARIANCES = {
     "xx yy zz xy xz yz": (0, 3, 4, 1, 5, 2),
     "xx xy yy xz yz zz": (0, 1, 3, 2, 4, 5),
@@ -26,13 +27,13 @@ _COVARIANCES = {
 
 @dataclass(frozen=True, slots=True)
 class FieldOrder:
-    """An order that fits the rows, where the declared one does not.
+    """A field order that fits the rows better than the declared one.
 
     Attributes:
         name: The fields in that order.
-        declared: Share of rows without a valid covariance, read as declared.
-        fraction: The same share, read in this order.
-        rows: How many rows were looked at.
+        declared: Fraction of rows without a valid covariance, read as declared.
+        fraction: The same fraction, read in this order.
+        rows: Number of rows examined.
     """
 
     name: str
@@ -42,7 +43,7 @@ class FieldOrder:
 
 
 def suspect_order(rows: Float[np.ndarray, "n 10"]) -> FieldOrder | None:
-    """Return the order that nearly all of ``rows`` fit and that many do not fit as declared."""
+    """Return the order that nearly all ``rows`` fit, if many do not fit the declared one."""
     rows = rows[np.isfinite(rows).all(axis=1)]
     covariance = rows[:, 4:]
     rows = rows[np.abs(covariance).sum(axis=1) > 0]
@@ -71,7 +72,7 @@ def _indefinite(upper: Float[np.ndarray, "n 6"]) -> Bool[np.ndarray, " n"]:
 
 
 def _turned(rows: Float[np.ndarray, "n 10"]) -> dict[str, Bool[np.ndarray, " n"]]:
-    """Say which rows are no position with scales and a unit quaternion."""
+    """Return which rows are not a position with scales and a unit quaternion."""
 
     def unfit(scale: slice, quaternion: slice) -> Bool[np.ndarray, " n"]:
         length = np.linalg.norm(rows[:, quaternion], axis=1)

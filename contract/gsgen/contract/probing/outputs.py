@@ -1,4 +1,4 @@
-"""What value rules look at: the outputs of one probe, whole or in chunks of rows."""
+"""The subject of value rules: the outputs of one probe, whole or in chunks of rows."""
 
 __all__ = ["CHUNK", "ModelOutputs", "Rows", "chunks", "read_outputs"]
 
@@ -14,7 +14,7 @@ from gsgen.contract.probing.field_order import FieldOrder, suspect_order
 from gsgen.contract.spec.layout import COVARIANCE, CULL_OPACITY, OPACITY, POSITION
 from gsgen.contract.spec.manifest import AppearanceOutput
 
-# Rows judged at a time: their unpacked columns stay in the second-level cache.
+# Rows checked at a time: their unpacked columns stay in the second-level cache.
 CHUNK = 16384
 
 _SAMPLE = 1 << 13
@@ -30,14 +30,14 @@ class ModelOutputs:
 
     Attributes:
         probe: The probe's label.
-        zeros: All inputs of the probe were zero.
-        outputs: Output name → array, as the model gave it.
+        zeros: Whether all inputs of the probe were zero.
+        outputs: Output name → array, as computed.
         gaussians: The packed rows, or None if they are not a [N, 10] array of floats.
         appearance: The appearance rows, or None if they are not [N, C] floats.
-        count: How many rows are live, by the model's own word, clipped to the capacity.
-        declared: What the manifest says of the appearance.
+        count: Number of live rows that the model outputs, clipped to the capacity.
+        declared: The declaration of the appearance.
         subject: The model.
-        cells: The packed cells, or None if there are none that hold all rows.
+        cells: The packed cells, or None if the output is absent or malformed.
     """
 
     probe: str
@@ -52,18 +52,18 @@ class ModelOutputs:
 
     @property
     def rows_place(self) -> str:
-        """What a report calls the packed rows."""
+        """Name of the packed rows in reports."""
         declared = self.subject.declared_gaussians
         return f"output {declared.name if declared else '?'}"
 
     @property
     def color_place(self) -> str:
-        """What a report calls the appearance."""
+        """Name of the appearance in reports."""
         return f"output {self.declared.name if self.declared else '?'}"
 
     @property
     def cells_place(self) -> str:
-        """What a report calls the cells."""
+        """Name of the cells in reports."""
         declared = self.subject.declared_cells
         return f"output {declared.name if declared else '?'}"
 
@@ -74,10 +74,7 @@ class ModelOutputs:
 
     @cached_property
     def shown_colors(self) -> Float[np.ndarray, "m c"]:
-        """Finite colours of rows that are drawn, spread over all rows, in float32.
-
-        Enough for a mean; more would only cost time.
-        """
+        """A sample of the finite colours of drawn rows, in float32; enough for a mean."""
         rows, color = self.gaussians, self.appearance
         if rows is None or color is None:
             return np.zeros((0, 0))
@@ -89,7 +86,7 @@ class ModelOutputs:
 
     @cached_property
     def field_order(self) -> FieldOrder | None:
-        """The order that the rows seem to be in, where it is clearly another than ours."""
+        """The inferred field order, if it clearly differs from the packed layout."""
         if self.gaussians is None:
             return None
         step = max(1, self.count // _ORDER_SAMPLE)
@@ -99,7 +96,7 @@ class ModelOutputs:
 def read_outputs(
     subject: InspectedModel, probe: str, zeros: bool, outputs: dict[str, np.ndarray]
 ) -> ModelOutputs:
-    """Sort the outputs of a run by what the manifest says they are."""
+    """Assign the outputs of a run to the roles that the manifest declares."""
 
     def take(name: str | None) -> np.ndarray | None:
         return outputs.get(name) if name else None
@@ -107,7 +104,7 @@ def read_outputs(
     rows = _float_rows(take(getattr(subject.declared_gaussians, "name", None)), 10)
     color = _float_rows(take(getattr(subject.declared_appearance, "name", None)), None)
     if rows is not None and color is not None and len(rows) != len(color):
-        color = None  # another rule says so
+        color = None  # another rule reports it
     count = take(getattr(subject.declared_count, "name", None))
     capacity = len(rows) if rows is not None else 0
     whole = count is not None and count.size and count.dtype.kind in "iu"
@@ -116,7 +113,7 @@ def read_outputs(
     cells = _float_rows(take(getattr(subject.declared_cells, "name", None)), 10)
     per_cell = getattr(subject.declared_cells, "per_cell", 0)
     if cells is not None and len(cells) * per_cell != capacity:
-        cells = None  # another rule says so
+        cells = None  # another rule reports it
     declared = subject.declared_appearance
     return ModelOutputs(
         probe, zeros, outputs, rows, color, clipped, declared, subject, cells
@@ -131,13 +128,13 @@ def _float_rows(array: np.ndarray | None, columns: int | None) -> np.ndarray | N
 
 @dataclass(frozen=True)
 class Rows:
-    """A chunk of rows of one probe, unpacked when first looked at.
+    """A chunk of rows of one probe, unpacked on first access.
 
     Attributes:
-        emission: The outputs that the chunk is part of.
-        start: Number of its first row.
+        emission: The outputs that contain the chunk.
+        start: Index of its first row.
         packed: The packed rows, as stored.
-        color: The appearance rows, as stored, or None where they cannot be read.
+        color: The appearance rows, as stored, or None if they cannot be read.
     """
 
     emission: ModelOutputs
@@ -150,37 +147,37 @@ class Rows:
 
     @cached_property
     def wide(self) -> Float[np.ndarray, "10 n"]:
-        """The packed rows in float32, one contiguous array a field."""
+        """The packed rows in float32, one contiguous array per field."""
         return np.ascontiguousarray(self.packed.T, np.float32)
 
     @property
     def position(self) -> Float[np.ndarray, "3 n"]:
-        """Centres, one row an axis."""
+        """Centres, one row per axis."""
         return np.asarray(self.wide[POSITION])
 
     @property
     def opacity(self) -> Float[np.ndarray, " n"]:
-        """Opacity."""
+        """Opacity of each row."""
         return np.asarray(self.wide[OPACITY])
 
     @property
     def covariance(self) -> Float[np.ndarray, "6 n"]:
-        """Upper triangles, one row an entry."""
+        """Upper triangles, one row per entry."""
         return np.asarray(self.wide[COVARIANCE])
 
     @cached_property
     def live_rows(self) -> int:
-        """How many rows of the chunk lie before the count."""
+        """Number of rows of the chunk below the live count."""
         return int(np.clip(self.emission.count - self.start, 0, len(self)))
 
     @cached_property
     def counted(self) -> Bool[np.ndarray, " n"]:
-        """Rows before the count."""
+        """Mask of the rows below the live count."""
         return np.arange(len(self)) < self.live_rows
 
     @cached_property
     def finite(self) -> Bool[np.ndarray, " n"]:
-        """Rows whose packed values and colour are all finite."""
+        """Mask of the rows whose packed values and colours are all finite."""
         is_finite: Bool[np.ndarray, " n"] = np.isfinite(self.wide).all(axis=0)
         if self.color is not None:
             is_finite &= self.color_peak < _EXPONENT[self.color.itemsize]
@@ -190,7 +187,7 @@ class Rows:
     def color_peak(self) -> UInt[np.ndarray, " n"]:
         """The largest magnitude in each row's colour, as its bit pattern.
 
-        Zero in all rows where no value of the chunk comes near the end of its dtype's range.
+        Zero if no value of the chunk is near the largest value of its dtype.
         """
         assert self.color is not None
         bits = _magnitude_bits(self.color)
@@ -200,12 +197,12 @@ class Rows:
 
     @cached_property
     def drawn(self) -> Bool[np.ndarray, " n"]:
-        """Finite rows before the count that are opaque enough to change a pixel."""
+        """Mask of the finite live rows that are opaque enough to change a pixel."""
         return np.asarray(self.counted & self.finite & (self.opacity >= CULL_OPACITY))
 
     @cached_property
     def drawn_count(self) -> int:
-        """How many rows are drawn."""
+        """Number of drawn rows."""
         return int(np.count_nonzero(self.drawn))
 
     @cached_property
@@ -216,7 +213,7 @@ class Rows:
 
     @cached_property
     def corners(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """The box around all centres, padding included; NaN where a centre is."""
+        """The box around all centres, padding included; NaN if a centre is NaN."""
         return self.position.min(axis=1), self.position.max(axis=1)
 
     @cached_property
@@ -235,7 +232,7 @@ def _magnitude_bits(array: np.ndarray) -> UInt[np.ndarray, "..."]:
 
 
 def chunks(emission: ModelOutputs) -> Iterator[Rows]:
-    """Yield the rows of an emission, :data:`CHUNK` at a time."""
+    """Yield the rows in chunks of :data:`CHUNK`."""
     packed = emission.gaussians
     for start in range(0, 0 if packed is None else len(packed), CHUNK):
         assert packed is not None

@@ -1,4 +1,4 @@
-"""Which probes to run, in which order, so that one session answers every rule."""
+"""Plans which probes are run in which order, so that one session serves every rule."""
 
 __all__ = ["Plan", "fetched_outputs", "make_plan", "probed_bytes", "probed_shapes"]
 
@@ -13,15 +13,15 @@ from gsgen.contract.probing.test_vectors import vector_probes
 from gsgen.contract.spec.manifest import Input
 from gsgen.contract.spec.severity import Level
 
-# All distinct outputs together should not fill the disk that holds temporary files.
+# Budget of bytes for all distinct outputs, which are temporary files.
 _BUDGET = 1 << 30
 _MOST, _FEWEST = 8, 3
 _VARIANTS = 2
 # Bytes of an element while inputs are drawn: float64.
 _WIDEST = 8
-# What an axis of open size is probed with, such as the height of an image.
+# Size that replaces an open dimension, such as the height of an image.
 _OPEN_SIZE = 64
-# Dtypes that numpy can hold, so that ONNX Runtime can hand them over; None is not known yet.
+# Dtypes that numpy can hold, so that ONNX Runtime can hand them over; None is unknown.
 _FETCHABLE = (
     *("float32", "float16", "float64", "bool", None),
     *("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"),
@@ -30,16 +30,16 @@ _FETCHABLE = (
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Probes in order, and what each is for.
+    """The probes in order, and the purpose of each.
 
     Attributes:
-        probes: Inputs, one set a run.
-        values: How many of the first probes value rules look at.
+        probes: One set of inputs per run.
+        values: How many of the first probes value rules use.
         repeated: Two consecutive runs with the same inputs.
-        revisited: Two runs with the same inputs and others between them.
+        revisited: Two runs with the same inputs and other runs between them.
         variants: Role → (base run, runs that differ from it in that role alone).
-        trials: Name → the runs that one rule asks for.
-        seed: Seed of the probes that value rules look at.
+        trials: Name → the runs for one rule.
+        seed: Seed of the probes of value rules.
     """
 
     probes: tuple[Probe, ...]
@@ -52,7 +52,7 @@ class Plan:
 
 
 def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
-    """Lay out the runs that ``level`` needs."""
+    """Plan the runs that ``level`` needs."""
     manifest = subject.manifest
     assert manifest is not None
     tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
@@ -92,7 +92,7 @@ def fetched_outputs(subject: InspectedModel) -> list[str]:
 
 
 def _probed_shape(entry: Input, tensor: Tensor) -> tuple[int, ...]:
-    """Return the shape to feed; sizes that the graph leaves open come from the manifest."""
+    """Return the shape to feed; the manifest gives open dimensions of the graph."""
     dims = tensor.dims if tensor.dims is not None else entry.shape or ()
     declared = entry.shape if entry.shape and len(entry.shape) == len(dims) else None
     return tuple(
@@ -102,7 +102,7 @@ def _probed_shape(entry: Input, tensor: Tensor) -> tuple[int, ...]:
 
 
 def probed_shapes(subject: InspectedModel) -> dict[str, tuple[int, ...]]:
-    """Return the shapes that inputs are fed in, sizes that the graph leaves open included."""
+    """Return the shape to feed for each input, open dimensions filled in."""
     tensors = {tensor.name: tensor for tensor in subject.graph.inputs}
     entries = subject.manifest.inputs if subject.manifest else ()
     return {i.name: _probed_shape(i, tensors[i.name]) for i in entries if i.name in tensors}
@@ -115,7 +115,7 @@ def probed_bytes(subject: InspectedModel) -> int:
 
 
 def _affordable(subject: InspectedModel) -> int:
-    """Return how many probes' inputs and outputs fit the budget."""
+    """Return the number of probes whose inputs and outputs fit the budget."""
     total = probed_bytes(subject)
     for tensor in (subject.gaussians, subject.appearance, subject.cells):
         dims = static_dims(tensor) if tensor else None

@@ -1,8 +1,8 @@
 """Probes: the inputs that a model is run with, the same on every machine.
 
 Cameras orbit the declared bounds, times cover the declared range with both ends, and every
-other input is sampled within its range. The first probe is all zeros, because that is what
-runtimes feed before they know better.
+other input is sampled within its range. The first probe is all zeros, which is what runtimes
+feed before the first real values.
 """
 
 __all__ = ["Array", "Probe", "as_tensor", "default_probes", "dependency_probes"]
@@ -24,7 +24,7 @@ Array = np.ndarray
 _VIEWPORTS = ((1280.0, 720.0), (960.0, 960.0), (720.0, 1280.0))
 _FOV = (np.deg2rad(50.0), np.deg2rad(70.0))
 _NEAR, _FAR = 0.01, 1000.0
-# Bounds beyond this are none; its square is still a float32.
+# Bounds beyond this count as unknown; its square is still a finite float32.
 _FARTHEST = 1e18
 _UP = {"x": 0, "y": 1, "z": 2}
 
@@ -34,11 +34,11 @@ class Probe:
     """One set of inputs.
 
     Attributes:
-        label: What a report calls it, such as ``camera 3, time=0.5``.
+        label: Its name in reports, such as ``camera 3, time=0.5``.
         inputs: Input name → array.
-        zeros: Every input is zero.
-        extra: Behaviour rules alone look at it: of its outputs a part is kept, and if it fails the
-            model has not failed.
+        zeros: Whether every input is zero.
+        extra: Whether only behaviour rules use it: a part of its outputs is stored, and its
+            failure is not a failure of the model.
         optimise: Whether ONNX Runtime may rewrite the graph.
     """
 
@@ -59,11 +59,11 @@ def default_probes(
     """Return the deterministic probe set of a model.
 
     Args:
-        manifest: Says what each input means and which range it has.
+        manifest: Declares the role and the range of each input.
         shapes: Input name → static shape.
         dtypes: Input name → dtype in the graph.
         seed: Another seed gives another set.
-        count: How many probes besides the one with all inputs zero; at least 2.
+        count: Number of probes besides the all-zero one; at least 2.
 
     A model without inputs has one probe.
     """
@@ -99,7 +99,7 @@ def dependency_probes(
 
 
 def as_tensor(matrix: Float[np.ndarray, "4 4"], order: str) -> Float[np.ndarray, "4 4"]:
-    """Lay a matrix into its [4,4] tensor: ``column`` stores Mᵀ, ``row`` stores M."""
+    """Store a matrix in its [4,4] tensor: ``column`` stores Mᵀ, ``row`` stores M."""
     tensor = matrix.T if order == "column" else matrix
     return np.ascontiguousarray(tensor, np.float32)
 
@@ -124,7 +124,7 @@ def _sample(
         return np.asarray(_viewport(along))
     low, high = spec.range or _usual_range(spec)
     if spec.role in ("time", "frame_index", "appearance_id", "timestep"):
-        value = _between(low, high, np.asarray(along))  # both ends included
+        value = _between(low, high, np.asarray(along))  # includes both ends
         return np.full(shape, np.rint(value) if ROLES[spec.role].index else value)
     if spec.role in ("pose", "root_rotation") and shape[-1] == 4:
         quaternion = rng.normal(size=shape)
@@ -137,12 +137,12 @@ def _sample(
 
 
 def _between(low: float, high: float, along: Array) -> Array:
-    """Interpolate without a difference that might overflow."""
+    """Interpolate linearly without an overflow of ``high - low``."""
     return np.asarray(low * (1 - along) + high * along)
 
 
 def _cast(values: Array, dtype: str) -> Array:
-    """Convert to ``dtype``; what does not fit becomes the nearest number that does."""
+    """Convert to ``dtype``, clamping to its range."""
     kind = np.dtype(dtype)
     if kind.kind in "iuf":
         limits = np.finfo(kind) if kind.kind == "f" else np.iinfo(kind)

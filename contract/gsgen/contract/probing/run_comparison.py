@@ -1,4 +1,4 @@
-"""What behaviour rules look at: several runs of one session, compared output by output."""
+"""The subject of behaviour rules: several runs of one session, compared output by output."""
 
 __all__ = [
     "Behaviour",
@@ -23,7 +23,7 @@ from gsgen.contract.probing.sandbox_worker import thinned
 
 @dataclass(frozen=True, slots=True)
 class ProbeRuns:
-    """A model's runs, as the plan laid them out."""
+    """The planned runs of a model, and their outputs."""
 
     subject: InspectedModel
     execution: Execution
@@ -32,7 +32,7 @@ class ProbeRuns:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two runs: their probes, and how much each output differs.
+    """Two runs: their probes, and the difference of each output.
 
     Attributes:
         first: Label of the first run's probe.
@@ -47,12 +47,12 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class ProbeRun:
-    """One run that a rule asked for.
+    """One run that a rule requested.
 
     Attributes:
         probe: Its inputs.
-        sample: What it gave; None where it failed.
-        error: What ONNX Runtime said; empty where it did not fail.
+        sample: Its outputs; None if it failed.
+        error: The message of ONNX Runtime; empty if it succeeded.
     """
 
     probe: Probe
@@ -61,14 +61,14 @@ class ProbeRun:
 
     @property
     def outputs(self) -> dict[str, np.ndarray]:
-        """What it gave, or a part of the rows where there are many; empty where it failed."""
+        """Its outputs, or a sample of the rows where there are many; empty if it failed."""
         if self.sample is None:
             return {}
         return {name: thinned(value) for name, value in self.sample.outputs.items()}
 
     @property
     def digest(self) -> str:
-        """Stands for all that it gave, bit for bit; empty where it failed."""
+        """SHA-256 of all its outputs; empty if it failed."""
         return self.sample.digest if self.sample is not None else ""
 
     @property
@@ -87,10 +87,10 @@ class Behaviour:
     Attributes:
         subject: The model.
         repeated: The same inputs twice in a row.
-        revisited: The same inputs with others in between; None without inputs.
+        revisited: The same inputs with other runs in between; None without inputs.
         varied: Role → runs that differ in that role's inputs alone.
         trial: The runs themselves.
-        unfinished_probes: Labels of the extra probes that were asked for, and for which no time was left.
+        unfinished_probes: Labels of requested extra probes that did not run for lack of time.
     """
 
     subject: InspectedModel
@@ -101,12 +101,12 @@ class Behaviour:
     unfinished_probes: list[str] = field(default_factory=list)
 
     def for_a_rule(self) -> "Behaviour":
-        """Return the same runs, with an empty list of what was left out."""
+        """Return the same runs with an empty list of unfinished probes."""
         return replace(self, unfinished_probes=[])
 
     @property
     def emitted(self) -> list[tuple[Probe, dict[str, np.ndarray]]]:
-        """The probes that value rules look at, all-zero ones left out, with their outputs."""
+        """The probes of value rules except all-zero ones, with their outputs."""
         return [
             runs for runs in self._of(range(self.trial.plan.values)) if not runs[0].zeros
         ]
@@ -118,7 +118,7 @@ class Behaviour:
 
     @property
     def values(self) -> list[ProbeRun]:
-        """The runs that value rules look at, in order."""
+        """The runs of value rules, in order."""
         return [self._visit(index) for index in range(self.trial.plan.values)]
 
     @property
@@ -130,11 +130,11 @@ class Behaviour:
 
     @property
     def seconds(self) -> list[float]:
-        """How long each run of the value probes took."""
+        """Duration of each run of the value probes, in seconds."""
         return [run.seconds for run in self.trial.execution.runs[: self.trial.plan.values]]
 
     def visits(self, trial: str) -> list[ProbeRun]:
-        """Return the extra runs of one name that took place, and note those that did not."""
+        """Return the extra runs of one name that finished, and record those that did not."""
         probe_indices = self.trial.plan.trials.get(trial, ())
         missed = (index for index in probe_indices if not self._ran(index))
         self.unfinished_probes.extend(

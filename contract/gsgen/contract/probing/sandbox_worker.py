@@ -1,7 +1,7 @@
 """The child of :mod:`gsgen.contract.probing.sandbox`: run one model for a list of probes, then exit.
 
 It writes one JSON line an event, and every distinct output once as an ``.npy`` file, so that
-whatever stops it leaves all that was done before. Other workers are made of the same parts.
+an abort leaves everything that was done before. Other workers are made of the same parts.
 """
 
 __all__ = [
@@ -160,7 +160,7 @@ def digest_of(outputs: dict[str, np.ndarray]) -> str:
             actual = (
                 "strings" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
             )
-            raise TypeError(f"output {name!r} is {actual}, wanted a numeric tensor")
+            raise TypeError(f"output {name!r} is {actual}, expected a numeric tensor")
         digest.update(f"{name} {value.dtype} {value.shape}\n".encode())
         digest.update(np.ascontiguousarray(value).data)
     return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""Put files in their place only when they are whole."""
+"""Write files to a temporary name, and rename them once they are complete."""
 
 __all__ = [
     "atomic_write",
@@ -21,11 +21,11 @@ _MODEL = ".onnx"
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a path to write to; what stands there when the block ends well is moved to ``path``.
+    """Yield a temporary path; the file written there is renamed to ``path`` when the block ends.
 
-    Files written beside the draft (external weights), in folders of their own, too, move along,
-    before the model that refers to them. If the block raises, nothing is moved and nothing is left
-    behind.
+    Files beside it (external weights), also in subfolders, are moved first, so that a model never
+    refers to a missing file. If the block raises, nothing is moved and the temporary files are
+    removed.
 
     Raises:
         ConfigInvalid: ``path`` is a folder or a device, or cannot be written to, as on a full disk.
@@ -41,11 +41,11 @@ def atomic_write(path: Path) -> Iterator[Path]:
         draft = Path(name) / path.name
         try:
             yield draft
-        except BrokenPipeError:  # of what is printed meanwhile
+        except BrokenPipeError:  # raised by printing, not by the file
             raise
         except OSError as error:
             if error.filename is not None and name not in str(error.filename):
-                raise  # of a file that is read
+                raise  # raised by a file that the block reads
             raise _unwritten(path, error) from error
         written_files = [file for file in Path(name).rglob("*") if not file.is_dir()]
         for file in sorted(written_files, key=lambda file: (file == draft, file)):
@@ -58,7 +58,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 def refuse_folder(path: Path) -> None:
-    """Refuse a folder where a file is to be written, before any work is done for it.
+    """Raise if the output path is a folder; call it before any work is done.
 
     Raises:
         ConfigInvalid: ``path`` is a folder.
@@ -67,15 +67,15 @@ def refuse_folder(path: Path) -> None:
         name = path.name if path.suffix else "model.onnx"
         hint = f"Name a file in it, such as {path / name}."
         raise ConfigInvalid(
-            "is a folder, wanted a file to write", where=str(path), hint=hint
+            "is a folder, expected a file to write", where=str(path), hint=hint
         )
 
 
 def is_device(path: Path) -> bool:
-    """Say whether something stands there that is neither a file nor a folder.
+    """Return whether ``path`` exists and is neither a regular file nor a folder.
 
-    /dev/stdout is such a name even where a shell has made a file of it: whoever moves another
-    file there takes the name away from all others.
+    /dev/stdout counts as a device even where the shell redirects it to a file: a rename would
+    replace the name for every other process.
     """
     way = (path, path.readlink()) if path.is_symlink() else (path,)
     if any(parent.parent.resolve().is_relative_to("/proc") for parent in way):
@@ -84,20 +84,20 @@ def is_device(path: Path) -> bool:
 
 
 def refuse_device(path: Path) -> None:
-    """Refuse a device or a pipe: whole files are moved to their place, and would take its own.
+    """Raise if the output path is a device or a pipe, which a rename would replace.
 
     Raises:
-        ConfigInvalid: ``path`` is one.
+        ConfigInvalid: ``path`` is a device or a pipe.
     """
     if is_device(path):
-        message = "is a device or a pipe, wanted a file to write"
+        message = "is a device or a pipe, expected a file to write"
         raise ConfigInvalid(message, where=str(path), hint="Name a file.")
 
 
 def refuse_itself(
     path: Path, sources: Iterable[Path], hint: str = "Name another file."
 ) -> None:
-    """Refuse to write over what is read, by whatever name, before any work is done.
+    """Raise if the output would overwrite one of the files that are read.
 
     Raises:
         ConfigInvalid: ``path`` is one of ``sources``, which would be lost.
@@ -105,27 +105,26 @@ def refuse_itself(
     if path.exists() and any(
         source.exists() and path.samefile(source) for source in sources
     ):
-        message = "is the file that is read, and would be lost"
+        message = "is also an input file, which would be overwritten"
         raise ConfigInvalid(message, where=str(path), hint=hint)
 
 
 def refuse_model(path: Path, models: Iterable[Path] = ()) -> None:
-    """Refuse a model's place for what is none, a report for example, before any work is done.
+    """Raise if a non-model output (e.g. a report) would overwrite a model file.
 
-    Whoever writes `-o drift.onnx` for a report took the option for that of a copy, and would
-    lose the model.
+    `-o drift.onnx` for a report usually means that the user expected a copy of the model.
 
     Args:
-        path: Where something is to be written.
-        models: What is read, by whatever names.
+        path: The output path.
+        models: The model files that are read.
 
     Raises:
-        ConfigInvalid: ``path`` is one of the models, or ends as models do.
+        ConfigInvalid: ``path`` is one of the models, or has the suffix of models.
     """
     refuse_itself(path, models)
     if path.suffix.lower() == _MODEL:
         hint = f"Name another file, such as {path.with_suffix('.txt')}."
-        message = f"ends in {_MODEL}, and what is written there is no model"
+        message = f"ends in {_MODEL}, but the output is not a model"
         raise ConfigInvalid(message, where=str(path), hint=hint)
 
 

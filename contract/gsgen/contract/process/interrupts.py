@@ -1,8 +1,8 @@
-"""Ctrl-C ends a command, whatever it is in the middle of.
+"""Ctrl-C ends a command within seconds, even during a computation in C++.
 
 Python raises KeyboardInterrupt between two of its own instructions: not while ONNX Runtime or a
-driver computes, nor while it waits at exit for a thread that never ends. Whoever types Ctrl-C then
-would have to find out how to kill a process.
+driver computes, nor while it waits at exit for a thread that never ends. A user who types Ctrl-C then
+would have to kill the process.
 """
 
 __all__ = ["Interrupts", "ending_at_interrupts"]
@@ -24,10 +24,10 @@ _OVER: Final = b"\0"  # no signal has this number
 @final
 @dataclass(slots=True)
 class Interrupts:
-    """What is known of interrupts.
+    """Whether the user has asked the process to stop.
 
     Attributes:
-        requested: Set once there was one.
+        requested: Set by the first interrupt.
     """
 
     requested: threading.Event = field(default_factory=threading.Event)
@@ -35,19 +35,19 @@ class Interrupts:
 
 @contextmanager
 def ending_at_interrupts(seconds: float = _GRACE_SECONDS) -> Iterator[Interrupts]:
-    """End this process ``seconds`` after an interrupt, if it has not ended by itself.
+    """End this process ``seconds`` after an interrupt, unless it has ended by itself.
 
-    It goes on to be ended when the block is left: threads are waited for after that.
+    The timer keeps running after the block, since Python waits for threads at exit.
 
     Args:
-        seconds: For KeyboardInterrupt to do what it can, such as removing unfinished files.
+        seconds: Time that KeyboardInterrupt handlers have, e.g. to remove unfinished files.
     """
     interrupts = Interrupts()
     if threading.current_thread() is not threading.main_thread():
-        yield interrupts  # signals are the main thread's
+        yield interrupts  # only the main thread receives signals
         return
     read_end, write_end = os.pipe()
-    if os.name != "nt":  # there, Python asks for no such thing
+    if os.name != "nt":  # Windows needs no non-blocking descriptor
         os.set_blocking(write_end, False)
     watch = threading.Thread(
         target=_watch, args=(read_end, interrupts, seconds), name="interrupts", daemon=True

@@ -13,7 +13,7 @@ _COPIES = 5
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the child may use.
+    """Time and memory that a worker process may use.
 
     Attributes:
         seconds: Wall-clock time for loading and all runs together.
@@ -24,12 +24,12 @@ class Limits:
     memory: int = 2 << 30
 
     def __post_init__(self) -> None:
-        if not (self.seconds > 0 and self.memory > 0):  # so that NaN is refused, too
+        if not (self.seconds > 0 and self.memory > 0):  # phrased so that NaN is refused
             actual = f"{self.seconds:g} s and {self.memory} bytes"
-            raise ConfigInvalid(f"{actual}, wanted more than 0 of each", where="limits")
+            raise ConfigInvalid(f"{actual}, expected more than 0 of each", where="limits")
 
     def for_model(self, size: int) -> "Limits":
-        """Allow, on top, what loading ``size`` bytes of weights takes.
+        """Return these limits plus the memory for loading ``size`` bytes of weights.
 
         ONNX Runtime holds the parsed file, its own copy, a folded copy, and the outputs.
         """
@@ -37,8 +37,8 @@ class Limits:
 
 
 def limit_memory(limit: int) -> None:
-    """Let this process have no more than ``limit`` bytes of data, and leave no core file."""
-    with contextlib.suppress(ImportError):  # no such module on Windows
+    """Limit the data segment of this process to ``limit`` bytes, and disable core files."""
+    with contextlib.suppress(ImportError):  # Windows has no such module
         import resource
 
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

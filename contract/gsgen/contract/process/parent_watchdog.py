@@ -1,6 +1,6 @@
-"""A child process ends when its parent has: nobody is left to stop it.
+"""Terminates a worker process when its parent dies.
 
-The parent kills a child that takes too long; a parent that was killed itself cannot.
+The parent kills a worker that takes too long; a parent that was killed cannot.
 """
 
 __all__ = ["exit_with_parent"]
@@ -13,12 +13,12 @@ _EVERY_SECONDS = 0.5
 
 
 def exit_with_parent() -> None:
-    """From now on, end this process at once when the process that started it is gone."""
+    """Start a thread that ends this process when its parent process has died."""
     parent = os.getppid()
 
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(_EVERY_SECONDS)
-        os._exit(1)  # ONNX Runtime may be in the middle of a run, which nothing interrupts
+        os._exit(1)  # a run of ONNX Runtime cannot be interrupted
 
     threading.Thread(target=watch, name="lifeline", daemon=True).start()

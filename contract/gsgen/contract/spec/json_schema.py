@@ -94,7 +94,7 @@ def _type_schema(hint: Any, definitions: dict[str, object]) -> dict[str, object]
 
 
 def _constrain(entry: dict[str, object], hint: Hint) -> dict[str, object]:
-    """Add a hint's keywords; a text for a reference stands beside it, as 2020-12 allows."""
+    """Add a hint's keywords; a text for a reference follows it, as 2020-12 allows."""
     return entry | hint.keywords()
 
 
@@ -121,7 +121,7 @@ def to_json(value: Any) -> Any:
 
 
 def _is_absent(field: "Field[Any]", value: Any) -> bool:
-    """Say whether leaving ``field`` out means ``value``: it is None, or empty by default."""
+    """Return whether leaving ``field`` out means ``value``: it is None, or empty by default."""
     if value is None:
         return True
     default = field.default

@@ -99,7 +99,7 @@ class DecodedGaussians:
             actual = getattr(self, name).shape
             if actual != shape:
                 raise LayoutMismatch(
-                    f"shape is {list(actual)}, wanted {list(shape)}",
+                    f"shape is {list(actual)}, expected {list(shape)}",
                     where=f"Gaussians.{name}",
                 )
 
@@ -172,7 +172,7 @@ def decode(
     """
     if rows.ndim != 2 or rows.shape[1] != ROW:
         raise LayoutMismatch(
-            f"shape is {list(rows.shape)}, wanted [N, {ROW}]", where="gaussians"
+            f"shape is {list(rows.shape)}, expected [N, {ROW}]", where="gaussians"
         )
     allowed = APPEARANCE_CHANNELS[space]
     if (
@@ -181,7 +181,7 @@ def decode(
         or len(appearance) != len(rows)
     ):
         raise LayoutMismatch(
-            f"shape is {list(appearance.shape)}, wanted [{len(rows)}, C] with C in {allowed}",
+            f"shape is {list(appearance.shape)}, expected [{len(rows)}, C] with C in {allowed}",
             where="appearance",
         )
     float_rows = rows.astype(np.float32)
@@ -204,7 +204,7 @@ def decode_cells(rows: Float[np.ndarray, "c 10"]) -> Cells:
     """
     if rows.ndim != 2 or rows.shape[1] != ROW:
         raise LayoutMismatch(
-            f"shape is {list(rows.shape)}, wanted [C, {ROW}]", where="cells"
+            f"shape is {list(rows.shape)}, expected [C, {ROW}]", where="cells"
         )
     float_rows = rows.astype(np.float32)
     return Cells(

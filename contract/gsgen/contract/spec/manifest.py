@@ -80,7 +80,7 @@ class Bounds:
 
     @classmethod
     def around(cls, points: Float[np.ndarray, "n 3"], margin: float) -> "Bounds | None":
-        """Return the box around all finite points, or None where there is none.
+        """Return the box around all finite points, or None without any point.
 
         Args:
             points: Centres, in local units.
@@ -202,7 +202,7 @@ class GeneratorOutputs:
 class WeightedSum:
     """How a renderer weighs Gaussians that it sums cell by cell; goes with `blend: wsr`."""
 
-    background: Annotated[Fraction, Hint("Weight of what lies behind.")]
+    background: Annotated[Fraction, Hint("Weight of the background.")]
     depth_range: Annotated[
         AboveZero | None,
         Hint(
@@ -382,7 +382,7 @@ def manifest_type(
     """Return the dataclass of a manifest of ``kind``.
 
     Raises:
-        UnknownName: There is no such kind.
+        UnknownName: The kind does not exist.
     """
     if kind not in _TYPES:
         raise UnknownName.among("kind", kind, _TYPES)

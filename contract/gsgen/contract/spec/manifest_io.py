@@ -21,7 +21,7 @@ _MAX_BYTES = 4 << 20
 
 @dataclass(frozen=True, slots=True)
 class Complaint:
-    """One thing that is wrong with a manifest, as data.
+    """One fault of a manifest, as data.
 
     Attributes:
         cause: ``syntax``, ``schema`` or ``version``.
@@ -38,13 +38,13 @@ class Complaint:
 
 @dataclass(frozen=True, slots=True)
 class Parsed:
-    """What became of a manifest's text.
+    """The result of parsing a manifest.
 
     Attributes:
         manifest: The manifest, or None where a complaint prevents reading it.
-        complaints: What is wrong, in order of where.
+        complaints: Every fault, sorted by location.
         version: The version it declares, as (major, minor), where readable.
-        newer: It declares a newer minor version than this reader knows.
+        newer: Whether it declares a newer minor version than this reader knows.
     """
 
     manifest: Manifest | None
@@ -86,7 +86,7 @@ def _validator(kind: str, version: Version) -> Any:
 
 
 def parse(text: str) -> Parsed:
-    """Read a manifest; everything wrong with it comes back as data, nothing is raised."""
+    """Parse a manifest; faults are returned as data, never raised."""
     if len(text) > _MAX_BYTES:
         return _failed("syntax", "", f"{len(text)} characters", f"at most {_MAX_BYTES}")
     try:
@@ -102,7 +102,7 @@ def _parse_document(text: str) -> Parsed:
         )
         json.dumps(
             document, ensure_ascii=False
-        ).encode()  # half a surrogate pair is no text
+        ).encode()  # half a surrogate pair cannot be encoded
     except ValueError as error:
         return _failed("syntax", "", _short(text), f"a JSON document ({error})")
     if not isinstance(document, dict):
@@ -135,15 +135,15 @@ def _parse_body(document: dict[str, Any], version: Version) -> Parsed:
 
 
 def loads(text: str) -> Manifest:
-    """Read a manifest that must be right.
+    """Parse a manifest that must be valid.
 
     Raises:
-        ManifestInvalid: It is not; the message lists every complaint.
+        ManifestInvalid: The manifest has faults; the message lists all of them.
     """
     parsed = parse(text)
     if parsed.manifest is None:
         lines = [
-            f"{c.where or 'document'}: {c.actual}, wanted {c.expected}"
+            f"{c.where or 'document'}: {c.actual}, expected {c.expected}"
             for c in parsed.complaints
         ]
         raise ManifestInvalid("; ".join(lines), where="manifest")
@@ -168,10 +168,10 @@ def _failed(cause: str, where: str, actual: str, expected: str) -> Parsed:
 
 
 def _number(text: str) -> float:
-    """Read a number; what has no finite float, such as NaN or 1e999, is refused."""
+    """Parse a number; NaN, infinity and numbers beyond float64 are refused."""
     value = float(text)
     if not math.isfinite(value):
-        raise ValueError(f"{_short(text)} is no finite number")
+        raise ValueError(f"{_short(text)} is not a finite number")
     return value
 
 
@@ -214,7 +214,7 @@ def _is_unknown(name: str, error: Any) -> bool:
 
 
 def _complaint(error: Any) -> Complaint:
-    """Translate a jsonschema error: what was seen, then what the schema wanted."""
+    """Translate a jsonschema error into location, actual and expected."""
     where = ".".join(str(part) for part in error.absolute_path)
     expected = error.schema.get("description") if isinstance(error.schema, dict) else None
     if error.validator == "required":

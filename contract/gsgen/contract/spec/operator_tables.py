@@ -12,7 +12,7 @@ from importlib import resources
 
 from gsgen.contract.errors import UnknownName
 
-# What may become of a node with graph capture on, in words; ``capture`` is the good one.
+# Outcomes of a node under graph capture, in words, besides the good one, ``capture``.
 FAILURES = {
     "stale": "runs, but repeats the first frame",
     "cpu": "falls to the CPU",
@@ -26,7 +26,7 @@ CAPTURE = "capture"
 
 @dataclass(frozen=True, slots=True)
 class OperatorTable:
-    """What one release does with each operator.
+    """The outcome of each operator in one release.
 
     Attributes:
         runtime: The release, as reports show it.
@@ -38,7 +38,7 @@ class OperatorTable:
     outcomes: dict[tuple[str, str], dict[int, str]]
 
     def outcome(self, operator: str, variant: str, dtype: str, opset: int) -> str:
-        """Return what becomes of an operator; empty where it was not measured."""
+        """Return the outcome of an operator; empty if it was not measured."""
         steps = self.outcomes.get((f"{operator}/{variant}", dtype)) if variant else None
         steps = steps or self.outcomes.get((operator, dtype))
         if not steps:
@@ -47,7 +47,7 @@ class OperatorTable:
         return steps[max(reached)]
 
     def opset_with_kernel(self, operator: str, variant: str, dtype: str) -> int | None:
-        """Return an operator set in which it is captured; None if there is none."""
+        """Return an operator set in which it is captured; None if no set captures it."""
         steps = self.outcomes.get((f"{operator}/{variant}", dtype)) if variant else None
         steps = steps or self.outcomes.get((operator, dtype), {})
         return next((step for step, outcome in steps.items() if outcome == CAPTURE), None)
@@ -58,7 +58,7 @@ def operator_table(name: str) -> OperatorTable:
     """Return the table called ``name``, such as ``onnxruntime-web-1.22.0``.
 
     Raises:
-        UnknownName: There is none.
+        UnknownName: No table has that name.
     """
     folder = resources.files("gsgen.contract").joinpath("targets_data", "operators")
     file = folder.joinpath(f"{name}.json")

@@ -17,7 +17,7 @@ KINDS = (GENERATOR, POST_PROCESS, TRAJECTORY)
 
 @dataclass(frozen=True, slots=True)
 class Role:
-    """What one kind of input means.
+    """The meaning of one kind of input.
 
     Attributes:
         name: The word the manifest uses.
@@ -117,7 +117,7 @@ def role(name: str) -> Role:
     """Return the role called ``name``.
 
     Raises:
-        UnknownName: There is none; the message names the nearest one.
+        UnknownName: No role has that name; the message names the nearest one.
     """
     if name not in ROLES:
         raise UnknownName.among("role", name, ROLES)

@@ -1,4 +1,4 @@
-"""What a type alone cannot say about a manifest field: its text and its limits."""
+"""Text and limits of a manifest field, for its JSON Schema."""
 
 __all__ = ["Hint"]
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Hint:
-    """Rides in ``Annotated[...]`` and ends up in the published JSON Schema."""
+    """Metadata in ``Annotated[...]`` that the published JSON Schema repeats."""
 
     text: str = ""
     minimum: float | None = None

@@ -22,7 +22,7 @@ class _Named(IntEnum):
 
 
 class Severity(_Named):
-    """How bad a breach is."""
+    """Severity of a violation."""
 
     INFO = 1
     WARNING = 2
@@ -30,14 +30,14 @@ class Severity(_Named):
 
     @classmethod
     def parse(cls, word: str, where: str = "") -> "Severity":
-        """Return the severity called ``word``; raise UnknownName if there is none."""
+        """Return the severity called ``word``; raise UnknownName if it is unknown."""
         if word.lower() not in cls.words():
             raise UnknownName.among("severity", word, cls.words(), where)
         return cls[word.upper()]
 
 
 class Level(_Named):
-    """How far a validation goes; each level includes the ones before it."""
+    """Depth of a validation; each level includes the ones before it."""
 
     STATIC = 1
     VALUES = 2
@@ -47,7 +47,7 @@ class Level(_Named):
 
     @classmethod
     def parse(cls, word: str, where: str = "") -> "Level":
-        """Return the level called ``word``; raise UnknownName if there is none."""
+        """Return the level called ``word``; raise UnknownName if it is unknown."""
         if word.lower() not in cls.words():
             raise UnknownName.among("level", word, cls.words(), where)
         return cls[word.upper()]

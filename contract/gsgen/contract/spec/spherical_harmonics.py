@@ -46,7 +46,9 @@ def degree_of(count: int) -> int:
         ValueError: ``count`` is not 1, 4, 9 or 16.
     """
     if count not in COEFFICIENTS:
-        raise ValueError(f"{count} is no number of SH coefficients: wanted {COEFFICIENTS}")
+        raise ValueError(
+            f"{count} is not a number of SH coefficients: expected one of {COEFFICIENTS}"
+        )
     return COEFFICIENTS.index(count)
 
 
@@ -85,7 +87,7 @@ def largest_sum(
 ) -> Float[np.ndarray, " n"]:
     """Return the largest |Σ Y_k c_k| of each Gaussian over directions and channels.
 
-    ``weights`` are values of :func:`basis`; one product of two matrices does it for all rows.
+    ``weights`` are values of :func:`basis`; one matrix product serves all rows.
     """
     count, _, channels = sh.shape
     rows = np.swapaxes(sh, 1, 2).reshape(count * channels, weights.shape[1])

@@ -16,7 +16,7 @@ from gsgen.contract.spec.severity import Severity
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What one consumer of models can take.
+    """The limits of one consumer of models.
 
     Attributes:
         name: What ``--target`` takes.
@@ -26,8 +26,8 @@ class Target:
         ir: Highest ONNX IR version.
         domains: Operator domains it has kernels for.
         limits: Name → number, such as ``binding_bytes``.
-        operators: Names of the operator tables of the releases that it runs on; empty where
-            nothing is known of them.
+        operators: Names of the operator tables of the releases that it runs on; empty if
+            unknown.
         severities: Rule id → severity that differs from the rule's own.
     """
 
@@ -112,7 +112,7 @@ def _loaded(point: EntryPoint) -> Target:
     except Exception as error:  # a third party's code may fail in any way
         raise ConfigInvalid(f"does not load: {error!r}", where=where) from error
     if not isinstance(target, Target):
-        raise ConfigInvalid(f"gives {target!r}, wanted a Target", where=where)
+        raise ConfigInvalid(f"returns {target!r}, expected a Target", where=where)
     return target
 
 
@@ -120,8 +120,8 @@ def load_target(name: str, where: str = "--target") -> Target:
     """Return the target called ``name`` or ``name@version``.
 
     Raises:
-        UnknownName: There is none of that name.
-        ConfigInvalid: There is, but in another version.
+        UnknownName: No target has that name.
+        ConfigInvalid: The target has another version.
     """
     base_name, _, version = name.partition("@")
     contract_targets = _own_targets()

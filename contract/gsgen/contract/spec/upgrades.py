@@ -1,4 +1,4 @@
-"""Older manifests are carried forward by pure functions, one for each minor step."""
+"""Upgrades of older manifests: one pure function for each minor version."""
 
 __all__ = ["CURRENT", "UPGRADES", "Step", "Version", "upgrade", "upgrade_1_0_to_1_1"]
 
@@ -14,8 +14,8 @@ CURRENT: Version = (1, 1)
 def upgrade_1_0_to_1_1(document: dict[str, Any]) -> dict[str, Any]:
     """Lift a manifest to 1.1, in which ``blend: wsr`` goes with cells.
 
-    1.0 had the word and no field that describes cells, so all that a reader could do was to
-    blend by sorting: ``alpha``, as the manifest says from here on. Rule GM018 tells the user.
+    1.0 had no field that describes cells, so a reader could only blend by sorting. The upgraded
+    manifest says so: ``alpha``. Rule GM018 tells the user.
     """
     lifted = document | {"contract": "1.1"}
     if lifted.get("kind") == "gaussian-generator" and lifted.get("blend") == "wsr":

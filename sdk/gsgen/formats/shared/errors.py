@@ -50,7 +50,7 @@ class FormatError(Exception):
 
     def __str__(self) -> str:
         seen = ": ".join(part for part in (self.path, self.where, self.message) if part)
-        wanted = f"wanted {self.expected}" if self.expected else ""
+        wanted = f"expected {self.expected}" if self.expected else ""
         return "\n".join(line for line in (seen, wanted, self.hint) if line)
 
 
