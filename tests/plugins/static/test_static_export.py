@@ -127,5 +127,5 @@ def test_no_plugin_overwrites_the_file_that_it_reads(
     before = Path("knot.ply").read_bytes()
     ran = gsgen_here("export", "static", "knot.ply", "-o", "knot.ply")
     assert ran.code == 2
-    assert "would be lost" in ran.err
+    assert "would be overwritten" in ran.err
     assert Path("knot.ply").read_bytes() == before

@@ -108,7 +108,7 @@ def test_alpha_may_come_along_whatever_the_size(tmp_path: Path) -> None:
         ([], "0 images"),
         ([inputs.image(), inputs.image(name="other")], "2 images"),
         ([inputs.image(), inputs.timestep(0, name="image")], "is the name of two inputs"),
-        ([inputs.image(name="result")], "name of the result"),
+        ([inputs.image(name="result")], "or of the result"),
         ([inputs.image(), inputs.view()], "the role view"),
         ([inputs.image(range=(-1.0, 1.0))], "image_range is"),
     ],
@@ -125,7 +125,7 @@ def test_what_the_contract_does_not_know_is_refused(
 @pytest.mark.parametrize(
     ("result", "message"),
     [
-        (lambda image: image[:, :, ::2], r"\[1, 3, 2, 6\], wanted \[1, 3 or 4, 4, 6\]"),
+        (lambda image: image[:, :, ::2], r"\[1, 3, 2, 6\], expected \[1, 3 or 4, 4, 6\]"),
         (lambda image: image[:, :1], r"\[1, 1, 4, 6\]"),
         (lambda image: [image], "returned list"),
         (lambda image: image @ image, "forward raised RuntimeError"),

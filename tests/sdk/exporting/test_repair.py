@@ -122,15 +122,15 @@ def test_a_model_without_manifest_needs_one(tmp_path: Path) -> None:
         tmp_path / "manifest.json",
     )
     assert ran.code == 0, ran.out + ran.err
-    assert "GM001: embedded the manifest given" in ran.out
+    assert "GM001: embedded the given manifest" in ran.out
     assert gsgen("validate", tmp_path / "fixed.onnx", "--strict").code == 0
 
 
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (("--size", "N"), 2, "--size: 'N' is not SYMBOL=SIZE"),
-        (("--pin", "N=-3"), 2, "--pin: 'N=-3' is not SYMBOL=SIZE"),
+        (("--size", "N"), 2, "--size: is 'N', expected SYMBOL=SIZE"),
+        (("--pin", "N=-3"), 2, "--pin: is 'N=-3', expected SYMBOL=SIZE"),
         (("--dry-run",), 1, "has no fault with one right answer"),
         (("--manifest", "none.json"), 2, "none.json: cannot be read"),
         ((), 1, "has no fault with one right answer"),

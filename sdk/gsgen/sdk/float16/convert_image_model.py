@@ -112,11 +112,13 @@ class _Measure:
 
     def rebase(self) -> None:
         """Take the outputs with the weights stored so far as the new reference."""
-        self._wanted = [self._made(probe, (), self.stored) for probe in self._probes]
+        self._expected = [
+            self._output_image(probe, (), self.stored) for probe in self._probes
+        ]
 
     def of_weights(self, stored: Collection[int]) -> tuple[float, str]:
         """Return the largest error of storing these weights, as a share of the largest value of all images."""
-        largest = max(float(np.abs(image).max()) for image in self._wanted)
+        largest = max(float(np.abs(image).max()) for image in self._expected)
         return self._error((), stored, largest), "image"
 
     def of_nodes(self, selected: Collection[int]) -> tuple[float, str]:
@@ -127,13 +129,13 @@ class _Measure:
         self, selected: Collection[int], stored: Collection[int], largest: float = 0.0
     ) -> float:
         worst = 0.0
-        for probe, expected in zip(self._probes, self._wanted, strict=True):
-            error = np.abs(self._made(probe, selected, stored) - expected).max()
+        for probe, expected in zip(self._probes, self._expected, strict=True):
+            error = np.abs(self._output_image(probe, selected, stored) - expected).max()
             error = error / max(largest or float(np.abs(expected).max()), 1e-6)
             worst = max(worst, float(error) if error <= np.inf else np.inf)
         return worst
 
-    def _made(
+    def _output_image(
         self, probe: Probe, selected: Collection[int], stored: Collection[int]
     ) -> np.ndarray:
         flags = np.zeros(len(self._model.units), np.bool_)
