@@ -47,7 +47,7 @@ EXPECTED = {  # what a float32 model of each method may be off by, as the accept
 class Case:
     name: str
     generator: GaussianGenerator
-    made: Exported
+    exported: Exported
 
 
 @pytest.fixture(scope="module", params=BUILD)
@@ -62,14 +62,14 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 
 def test_the_model_agrees_with_the_method_three_times_better_than_asked(case: Case) -> None:
-    for agrees, errors in judge(case.name, case.made.path):
+    for agrees, errors in judge(case.name, case.exported.path):
         assert agrees
         for field, error in errors.items():
             assert error <= EXPECTED[field] / MARGIN, (field, error)
 
 
 def test_it_runs_in_webgpu_and_no_replay_is_stale(case: Case) -> None:
-    assert_captured(case.made.report)
+    assert_captured(case.exported.report)
 
 
 def test_the_manifest_says_which_weights_it_was_made_of(case: Case) -> None:
@@ -80,7 +80,7 @@ def test_the_manifest_says_which_weights_it_was_made_of(case: Case) -> None:
         if path.suffix in (".ply", ".pt", ".pth")
     ]
     contents = b"".join(path.read_bytes() for path in sorted(files))
-    producer = case.made.manifest.producer
+    producer = case.exported.manifest.producer
     assert producer is not None
     assert producer.weights_sha256 == hashlib.sha256(contents).hexdigest()
     assert producer.source is not None
@@ -93,25 +93,33 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     live = case.name == "hexplane_dnerf"  # once is enough: arithmetic is the same
     settings = Settings(level=Level.LIVE if live else Level.STATIC)
     path = tmp_path / "half.onnx"
-    exported = export(case.generator, path, dtype="float16", target="webgpu", settings=settings)
+    exported = export(
+        case.generator, path, dtype="float16", target="webgpu", settings=settings
+    )
     if live:
         assert_captured(exported.report)
     assert all(agrees for agrees, _ in judge(case.name, path))
     assert exported.halved is not None
-    retained = weights_of(path, {weight.node for weight in exported.halved.retained_weights})
-    assert all(size < 4 * LEAST_ELEMENTS for size in retained)  # all large tables are halved
-    assert stored(path) - sum(retained) <= 0.52 * (stored(case.made.path) - sum(retained))
+    retained = weights_of(
+        path, {weight.node for weight in exported.halved.retained_weights}
+    )
+    assert all(
+        size < 4 * LEAST_ELEMENTS for size in retained
+    )  # all large tables are halved
+    assert stored(path) - sum(retained) <= 0.52 * (
+        stored(case.exported.path) - sum(retained)
+    )
 
 
 def test_the_file_holds_weights_and_little_else(case: Case) -> None:
-    model = onnx.load(case.made.path)
+    model = onnx.load(case.exported.path)
     weights = sum(len(tensor.raw_data) for tensor in model.graph.initializer)
     graph = 40_000  # nodes, names and the manifest: the same for any number of Gaussians
-    assert case.made.path.stat().st_size <= weights + graph
+    assert case.exported.path.stat().st_size <= weights + graph
 
 
 def test_nothing_in_the_graph_keeps_it_from_being_captured(case: Case) -> None:
-    model = onnx.load(case.made.path, load_external_data=False)
+    model = onnx.load(case.exported.path, load_external_data=False)
     nodes = model.graph.node
     kinds = {node.op_type for node in nodes}
     assert not kinds & {"NonZero", "GridSample", "ScatterND", "Loop", "If", "Compress"}

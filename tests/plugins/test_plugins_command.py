@@ -12,31 +12,34 @@ from gsgen.contract.errors import UnknownName
 from gsgen.contract.spec.roles import ROLES
 from gsgen.sdk.commands import plugins as command
 
-OURS = {"deformable-3dgs", "hexplane-4dgs", "octree-gs", "scaffold-gs", "static"}
+EXPECTED_NAMES = {"deformable-3dgs", "hexplane-4dgs", "octree-gs", "scaffold-gs", "static"}
 
 
 def listed(*words: str) -> list[dict]:
     app = build([find_commands()["plugins"]])
     ran = CliRunner().invoke(app, ["plugins", "--json", *words])
     assert ran.exit_code == 0, ran.output
-    found: list[dict] = json.loads(ran.output)
-    return found
+    facts: list[dict] = json.loads(ran.output)
+    return facts
 
 
 def test_every_plugin_says_what_it_reads_and_what_its_models_take() -> None:
-    found = {one["name"]: one for one in listed()}
-    assert set(found) >= OURS
-    for one in found.values():
-        assert one["usable"]
-        assert one["summary"]
-        assert one["reads"].startswith("Reads ")
-        assert set(one["inputs"]) <= set(ROLES)
-        assert one["package"].startswith("gsgen ")
-    assert found["hexplane-4dgs"]["inputs"] == ["time"]
+    plugins = {facts["name"]: facts for facts in listed()}
+    assert set(plugins) >= EXPECTED_NAMES
+    for plugin in plugins.values():
+        assert plugin["usable"]
+        assert plugin["summary"]
+        assert plugin["reads"].startswith("Reads ")
+        assert set(plugin["inputs"]) <= set(ROLES)
+        assert plugin["package"].startswith("gsgen ")
+    assert plugins["hexplane-4dgs"]["inputs"] == ["time"]
 
 
 def test_some_can_be_asked_for() -> None:
-    assert [one["name"] for one in listed("static", "octree-gs")] == ["octree-gs", "static"]
+    assert [plugin["name"] for plugin in listed("static", "octree-gs")] == [
+        "octree-gs",
+        "static",
+    ]
     with pytest.raises(UnknownName, match="unknown plugin 'octree'"):
         command.plugins(["octree"])
 

@@ -25,7 +25,7 @@ PUBLISHED = Selection("published")
 
 def options(rng: np.random.Generator, **fixed: object) -> AnchorOptions:
     appearance = int(rng.integers(0, 2)) * int(rng.integers(1, 9))
-    chosen: dict[str, object] = {
+    settings: dict[str, object] = {
         "anchors": int(rng.integers(2, 40)),
         "per_anchor": int(rng.integers(1, 12)),
         "width": 4 * int(rng.integers(1, 9)),
@@ -36,11 +36,11 @@ def options(rng: np.random.Generator, **fixed: object) -> AnchorOptions:
         "united": True,
         "seed": int(rng.integers(0, 1000)),
     }
-    return AnchorOptions(**(chosen | fixed))  # type: ignore[arg-type]
+    return AnchorOptions(**(settings | fixed))  # type: ignore[arg-type]
 
 
-def octree(read: AnchorCheckpoint, **chosen: object) -> OctreeGS:
-    return OctreeGS(read.cloud, read.nets, Levels.of(read), **chosen)  # type: ignore[arg-type]
+def octree(read: AnchorCheckpoint, **settings: object) -> OctreeGS:
+    return OctreeGS(read.cloud, read.nets, Levels.of(read), **settings)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("seed", range(ROUNDS))
@@ -52,8 +52,8 @@ def test_scaffold_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
     for scale in (1.0, 0.3):
         view = camera(rng, 3.0, scale)
         uid = int(rng.integers(0, cameras)) if cameras else None
-        given = [view, *([np.array([uid], np.int32)] if cameras else [])]
-        rows, color = eager(generator, *given)
+        arrays = [view, *([np.array([uid], np.int32)] if cameras else [])]
+        rows, color = eager(generator, *arrays)
         assert_like(rows, color, anchors(read, view, uid, octree=False))
 
 
@@ -62,18 +62,18 @@ def test_scaffold_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
 def test_octree_does_what_the_method_does(seed: int, mode: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(100 + seed)
     fork, levels = int(rng.integers(2, 5)), int(rng.integers(1, 6))
-    chosen = options(rng, anchors=60, level=bool(rng.integers(0, 2)), iteration=40000)
+    settings = options(rng, anchors=60, level=bool(rng.integers(0, 2)), iteration=40000)
     read = read_anchors(
-        write_octree(tmp_path, chosen, mode=mode, fork=fork, levels=levels), octree=True
+        write_octree(tmp_path, settings, mode=mode, fork=fork, levels=levels), octree=True
     )
-    generator = octree(read, appearance=1 if chosen.cameras else None)
+    generator = octree(read, appearance=1 if settings.cameras else None)
     hidden = 0
     for distance in (1.5, 4.0, 12.0, 40.0):
         view = camera(rng, distance)
         rows, color = eager(generator, view)
-        wanted = anchors(read, view, 1 if chosen.cameras else None, octree=True)
-        assert_like(rows, color, wanted)
-        hidden += int((~wanted.kept).sum())
+        expected = anchors(read, view, 1 if settings.cameras else None, octree=True)
+        assert_like(rows, color, expected)
+        hidden += int((~expected.retained).sum())
     assert hidden, "no distance hid any level, so nothing was tried"
 
 
@@ -85,38 +85,40 @@ def test_a_fixed_appearance_is_the_chosen_one(kind: str, tmp_path: Path) -> None
         octree=kind == "octree",
     )
 
-    def make(**chosen: object) -> GaussianGenerator:
+    def make(**settings: object) -> GaussianGenerator:
         if kind == "octree":
-            return octree(read, **chosen)
-        return ScaffoldGS(read.cloud, read.nets, **chosen)  # type: ignore[arg-type]
+            return octree(read, **settings)
+        return ScaffoldGS(read.cloud, read.nets, **settings)  # type: ignore[arg-type]
 
     view = camera(np.random.default_rng(0))
     rows, color = eager(make(appearance=2), view)
-    assert [one.role for one in make(appearance=2).inputs] == ["view"]
+    assert [declared.role for declared in make(appearance=2).inputs] == ["view"]
     chosen_rows, chosen_color = eager(make(), view, np.array([2], np.int32))
     np.testing.assert_allclose(rows, chosen_rows, atol=1e-6)
     np.testing.assert_allclose(color, chosen_color, atol=1e-6)
-    other = eager(make(), view, np.array([1], np.int32))[1]
-    assert np.abs(other - color).max() > 0.01
+    other_color = eager(make(), view, np.array([1], np.int32))[1]
+    assert np.abs(other_color - color).max() > 0.01
 
 
 @pytest.mark.parametrize("kind", ["scaffold", "octree"])
 def test_no_camera_gives_anything_but_numbers(kind: str, tmp_path: Path) -> None:
-    chosen = AnchorOptions(bank=True, distance=(True, True, True), united=True)
+    settings = AnchorOptions(bank=True, distance=(True, True, True), united=True)
     if kind == "scaffold":
-        read = read_anchors(write_scaffold(tmp_path, chosen))
+        read = read_anchors(write_scaffold(tmp_path, settings))
         generator: GaussianGenerator = ScaffoldGS(
             read.cloud, read.nets, selection=PUBLISHED
         )
     else:
-        read = read_anchors(write_octree(tmp_path, chosen, mode="progressive"), octree=True)
+        read = read_anchors(
+            write_octree(tmp_path, settings, mode="progressive"), octree=True
+        )
         generator = octree(read, selection=PUBLISHED)
     lens, size = np.eye(4, dtype=np.float32), np.array([64, 48], np.float32)
     inside = np.eye(4, dtype=np.float32)
     inside[3, :3] = -read.cloud.position[5].numpy()  # the camera stands on an anchor
     for view in (np.zeros((4, 4), np.float32), inside):
-        for given in ((lens, size), (0 * lens, 0 * size)):
-            rows, color = eager(generator, view, *given)
+        for lens_and_size in ((lens, size), (0 * lens, 0 * size)):
+            rows, color = eager(generator, view, *lens_and_size)
             assert np.isfinite(rows).all()
             assert np.isfinite(color).all()
 
@@ -130,13 +132,13 @@ def test_the_prefilter_is_that_of_the_published_renderer(case: str) -> None:
     for index in range(3):
         lens = torch.from_numpy(golden["in_projection_matrix"][index])
         view = torch.from_numpy(golden["in_world_view_transform"][index])
-        shown = test(view, lens, torch.from_numpy(golden["in_size"][index]).float())
-        wanted = golden[f"out{index}_prefilter"]
+        visible = test(view, lens, torch.from_numpy(golden["in_size"][index]).float())
+        expected = golden[f"out{index}_prefilter"]
         looked_at = (
-            golden[f"out{index}_anchor_mask"] if is_octree else np.full(len(wanted), True)
+            golden[f"out{index}_anchor_mask"] if is_octree else np.full(len(expected), True)
         )
         np.testing.assert_array_equal(
-            shown.numpy().ravel()[looked_at] > 0, wanted[looked_at]
+            visible.numpy().ravel()[looked_at] > 0, expected[looked_at]
         )
 
 
@@ -144,15 +146,15 @@ def test_a_filtered_anchor_has_no_opacity_and_others_keep_theirs(tmp_path: Path)
     read = read_anchors(write_scaffold(tmp_path, AnchorOptions(united=True)))
     view = camera(np.random.default_rng(3), 1.0)
     lens, size = 2 * np.eye(4, dtype=np.float32), np.array([64, 48], np.float32)
-    plain, _ = eager(ScaffoldGS(read.cloud, read.nets), view)
+    unfiltered, _ = eager(ScaffoldGS(read.cloud, read.nets), view)
     filtered, _ = eager(
         ScaffoldGS(read.cloud, read.nets, selection=PUBLISHED), view, lens, size
     )
-    shown = Prefilter(read.cloud)(*map(torch.from_numpy, (view, lens, size)))
-    mask = np.repeat(shown.numpy().ravel(), read.cloud.per_anchor)
+    visible = Prefilter(read.cloud)(*map(torch.from_numpy, (view, lens, size)))
+    mask = np.repeat(visible.numpy().ravel(), read.cloud.per_anchor)
     assert 0 < mask.sum() < len(mask)
-    np.testing.assert_array_equal(filtered[:, 3], plain[:, 3] * mask)
-    np.testing.assert_array_equal(filtered[:, 4:], plain[:, 4:])
+    np.testing.assert_array_equal(filtered[:, 3], unfiltered[:, 3] * mask)
+    np.testing.assert_array_equal(filtered[:, 4:], unfiltered[:, 4:])
 
 
 def lens(width: float, height: float, focal: float) -> tuple[np.ndarray, np.ndarray]:
@@ -169,11 +171,11 @@ def test_no_gaussian_in_the_image_is_culled(tmp_path: Path) -> None:
     rng, culled = np.random.default_rng(5), 0
     for distance in (0.3, 1.0, 2.0):
         view = camera(rng, distance)
-        kept = Frustum(read.cloud)(torch.from_numpy(view), torch.from_numpy(projection))
+        retained = Frustum(read.cloud)(torch.from_numpy(view), torch.from_numpy(projection))
         rows, _ = eager(ScaffoldGS(read.cloud, read.nets), view)
         clip = np.c_[rows[:, :3], np.ones(len(rows))] @ view @ projection
         inside = (np.abs(clip[:, :2]) <= clip[:, 3:]).all(axis=1) & (clip[:, 2] > 0)
-        hidden = np.repeat(kept.numpy().ravel() == 0, read.cloud.per_anchor)
+        hidden = np.repeat(retained.numpy().ravel() == 0, read.cloud.per_anchor)
         assert not (inside & hidden).any()
         culled += int(hidden.sum())
     assert culled > 500
@@ -183,12 +185,12 @@ def test_no_gaussian_in_the_image_is_culled(tmp_path: Path) -> None:
 def test_decoding_fewer_anchors_gives_the_same_rows_in_front(
     kind: str, tmp_path: Path
 ) -> None:
-    chosen = AnchorOptions(
+    settings = AnchorOptions(
         anchors=300, bank=True, distance=(True, True, True), cameras=2, appearance=3,
         level=kind == "octree", united=True,
     )  # fmt: skip
     write = write_scaffold if kind == "scaffold" else write_octree
-    read = read_anchors(write(tmp_path, chosen), octree=kind == "octree")
+    read = read_anchors(write(tmp_path, settings), octree=kind == "octree")
 
     def make(selection: Selection) -> GaussianGenerator:
         if kind == "octree":
@@ -196,55 +198,55 @@ def test_decoding_fewer_anchors_gives_the_same_rows_in_front(
         return ScaffoldGS(read.cloud, read.nets, selection=selection)
 
     rng, k = np.random.default_rng(7), read.cloud.per_anchor
-    given = (camera(rng, 1.5), lens(64, 48, 1.2)[0], np.array([1], np.int32))
-    tensors = [torch.from_numpy(one) for one in given]
+    arrays = (camera(rng, 1.5), lens(64, 48, 1.2)[0], np.array([1], np.int32))
+    tensors = [torch.from_numpy(array) for array in arrays]
     with torch.no_grad():
         everything = make(Selection("frustum"))(*tensors)
         hidden = everything.opacity.reshape(-1, k).amax(dim=1) == 0
         for most in (250, 40):
-            some = make(Selection("frustum", most))(*tensors)
-            count = int(some.count)
+            limited = make(Selection("frustum", most))(*tensors)
+            count = int(limited.count)
             assert count % k == 0
-            assert some.position.shape == (most * k, 3)
+            assert limited.position.shape == (most * k, 3)
             # Anchors that are decoded, found again by where their Gaussians are.
             where = {tuple(p): i for i, p in enumerate(everything.position[::k].tolist())}
-            order = [where[tuple(p)] for p in some.position[:count:k].tolist()]
+            order = [where[tuple(p)] for p in limited.position[:count:k].tolist()]
             assert order == sorted(order)
             unfinished_probes = set(range(len(hidden))) - set(order)
             assert all(hidden[i] or i > order[-1] for i in unfinished_probes)
             assert len(order) == most or all(hidden[i] for i in unfinished_probes)
             rows = (torch.tensor(order)[:, None] * k + torch.arange(k)).reshape(-1)
             for name in ("opacity", "covariance", "rgb"):
-                a, b = getattr(some, name)[:count], getattr(everything, name)[rows]
+                a, b = getattr(limited, name)[:count], getattr(everything, name)[rows]
                 torch.testing.assert_close(a, b, atol=1e-6, rtol=1e-5)
 
 
 def test_gaussians_far_smaller_than_their_anchor_are_exported(tmp_path: Path) -> None:
-    place = write_scaffold(tmp_path, AnchorOptions(anchors=6, per_anchor=2, united=True))
-    file = place / "point_cloud/iteration_30000/checkpoints.pth"
+    folder = write_scaffold(tmp_path, AnchorOptions(anchors=6, per_anchor=2, united=True))
+    file = folder / "point_cloud/iteration_30000/checkpoints.pth"
     nets = torch.load(file, weights_only=True)
     shrunk = torch.tensor([-11.0, -13.0, -12.0, 0, 0, 0, 0]).repeat(2)
     nets["cov_mlp"]["2.bias"] += shrunk
     torch.save(nets, file)
-    read = read_anchors(place)
+    read = read_anchors(folder)
     settings = Settings(level=Level.STATIC)
     export(ScaffoldGS(read.cloud, read.nets), tmp_path / "small.onnx", settings=settings)
     view = camera(np.random.default_rng(0))
     rows, *_ = run(tmp_path / "small.onnx", {"camera": view})
-    wanted = anchors(read, view, None, octree=False)
-    np.testing.assert_array_less(wanted.covariance[:, [0, 3, 5]], 1e-7)
-    trace = wanted.covariance[:, [0, 3, 5]].sum(axis=1, keepdims=True)
-    error = np.abs(rows[wanted.kept, 4:] - wanted.covariance) / trace
+    expected = anchors(read, view, None, octree=False)
+    np.testing.assert_array_less(expected.covariance[:, [0, 3, 5]], 1e-7)
+    trace = expected.covariance[:, [0, 3, 5]].sum(axis=1, keepdims=True)
+    error = np.abs(rows[expected.retained, 4:] - expected.covariance) / trace
     assert error.max() < 1e-5
 
 
 @pytest.mark.parametrize("logit", [-200.0, -90.0, -79.0, -20.0, -5.0, 0.0, 5.0, 200.0])
 def test_proportions_are_exact_however_small(logit: float) -> None:
-    made = proportion(torch.tensor([logit])).item()
+    actual = proportion(torch.tensor([logit])).item()
     if logit < -79:
-        assert 0 <= made < 1e-34
+        assert 0 <= actual < 1e-34
     else:
-        assert made == pytest.approx(1 / (1 + np.exp(-logit)), rel=1e-6)
+        assert actual == pytest.approx(1 / (1 + np.exp(-logit)), rel=1e-6)
 
 
 def test_fewer_anchors_need_something_that_says_which(tmp_path: Path) -> None:

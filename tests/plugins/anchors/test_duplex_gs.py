@@ -39,7 +39,7 @@ from support.checkpoints.plugin_checks import (
     stored,
     weights_of,
 )
-from support.checkpoints.plugin_oracles import Wanted
+from support.checkpoints.plugin_oracles import ExpectedGaussians
 from support.commands import shared
 from support.models.captured import assert_captured
 
@@ -56,7 +56,7 @@ def ask(net: Mlp, inputs: np.ndarray) -> np.ndarray:
     return np.maximum(inputs @ a.T + b, 0) @ c.T + d
 
 
-def oracle(read: CellCheckpoint, view: np.ndarray, *, weighted: bool) -> Wanted:
+def oracle(read: CellCheckpoint, view: np.ndarray, *, weighted: bool) -> ExpectedGaussians:
     """Duplex-GS in float64: scales bounded by the cell, levels without the half cell."""
     cloud, nets, cfg = read.anchors.cloud, read.anchors.nets, read.anchors.cfg
     n, k = len(cloud), cloud.per_anchor
@@ -103,11 +103,13 @@ def oracle(read: CellCheckpoint, view: np.ndarray, *, weighted: bool) -> Wanted:
             depth = position @ matrix[:3, 2] + matrix[3, 2]
             opacity = opacity * (1 - depth / read.weighting.sigma).clip(0, 1)
     retained = ((opacity > 0) & (level <= whole)[:, None]).ravel()
-    return Wanted(
+    return ExpectedGaussians(
         retained,
         position.reshape(-1, 3)[retained],
         opacity.ravel()[retained],
-        covariance_upper(scale.reshape(-1, 3)[retained], shape[:, :, 3:].reshape(-1, 4)[retained]),
+        covariance_upper(
+            scale.reshape(-1, 3)[retained], shape[:, :, 3:].reshape(-1, 4)[retained]
+        ),
         sigmoid(head(nets.color)).reshape(-1, 3)[retained],
         np.repeat(doubtful, k),
     )
@@ -136,8 +138,8 @@ def test_cells_are_decoded_as_the_method_does(seed: int, mode: str, tmp_path: Pa
         for weighted in (False, True):
             opacity = "weighted" if weighted else "decoded"
             expected = oracle(read, view, weighted=weighted)
-            hidden += int((~expected.kept).sum())
-            if expected.kept.any():
+            hidden += int((~expected.retained).sum())
+            if expected.retained.any():
                 assert_like(*eager(DuplexGS(read, levels, opacity=opacity), view), expected)  # type: ignore[arg-type]
     assert hidden, "nothing was ever hidden, so levels were not tried"
 
@@ -206,7 +208,10 @@ def test_cells_are_those_that_the_method_sums_by(seed: int, tmp_path: Path) -> N
     generator = DuplexGS(read, levels, blend="wsr")
     weighting, declared_sum = read.weighting, generator.weighted_sum
     assert declared_sum is not None
-    assert (declared_sum.background, declared_sum.opacity_divisor) == (weighting.background, weighting.grade)
+    assert (declared_sum.background, declared_sum.opacity_divisor) == (
+        weighting.background,
+        weighting.grade,
+    )
     assert declared_sum.depth_range == (weighting.sigma if weighting.depth else None)
     for distance in (1.5, 6.0, 30.0):
         view = camera(rng, distance)
@@ -214,10 +219,13 @@ def test_cells_are_those_that_the_method_sums_by(seed: int, tmp_path: Path) -> N
         with torch.no_grad():
             outputs = generator(torch.from_numpy(view))
         cells = torch.cat(
-            [outputs.cells.position, outputs.cells.visibility, outputs.cells.covariance], dim=1
+            [outputs.cells.position, outputs.cells.visibility, outputs.cells.covariance],
+            dim=1,
         ).numpy()
         complete = cell_oracle(read, view)
-        visible = generator.gate(torch.linalg.inv(torch.from_numpy(view))[3:, :3]).numpy() > 0
+        visible = (
+            generator.gate(torch.linalg.inv(torch.from_numpy(view))[3:, :3]).numpy() > 0
+        )
         complete[:, 3] *= visible[:, 0]
         np.testing.assert_allclose(cells, complete, rtol=2e-5, atol=2e-6)
         rows, colors = eager(generator, view)
@@ -228,7 +236,9 @@ def test_cells_are_those_that_the_method_sums_by(seed: int, tmp_path: Path) -> N
 
 def test_opacities_are_not_weighed_twice(tmp_path: Path) -> None:
     read = read_cells(write_duplex(tmp_path, AnchorOptions(united=True)))
-    with pytest.raises(GsgenError, match=r"(?s)--opacity weighted: .*weights opacities.*Leave"):
+    with pytest.raises(
+        GsgenError, match=r"(?s)--opacity weighted: .*weights opacities.*Leave"
+    ):
         DuplexGS(read, Levels.of(read.anchors), opacity="weighted", blend="wsr")
 
 
@@ -243,7 +253,9 @@ def test_of_some_cells_the_same_is_said_as_of_all(tmp_path: Path) -> None:
     retained = complete.cells.visibility.ravel() > 0
     assert 0 < live < 30
     for field in ("position", "visibility", "covariance"):
-        limited, all_of_them = (getattr(result.cells, field) for result in (outputs, complete))
+        limited, all_of_them = (
+            getattr(result.cells, field) for result in (outputs, complete)
+        )
         torch.testing.assert_close(limited[:live], all_of_them[retained])
     packed = PackedGenerator(few, Packed(torch.float32, 29 * 5))
     with torch.no_grad():
@@ -256,7 +268,10 @@ def test_only_so_many_cells_are_decoded_where_asked(tmp_path: Path) -> None:
     read = read_cells(write_duplex(tmp_path, AnchorOptions(anchors=30, united=True)))
     levels, view = Levels.of(read.anchors), camera(np.random.default_rng(0), 20.0)
     settings = {"opacity": "weighted", "selection": Selection("none", 29)}
-    few, all_ = DuplexGS(read, levels, **settings), DuplexGS(read, levels, opacity="weighted")  # type: ignore[arg-type]
+    few, all_ = (
+        DuplexGS(read, levels, **settings),
+        DuplexGS(read, levels, opacity="weighted"),
+    )  # type: ignore[arg-type]
     with torch.no_grad():
         outputs, complete = few(torch.from_numpy(view)), all_(torch.from_numpy(view))
     count = int(outputs.count)
@@ -374,23 +389,23 @@ def test_cells_run_in_webgpu_and_no_replay_is_stale(summed: Exported) -> None:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Exported:
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Exported:
     generator = duplex_gs_plugin.build(shared("data/checkpoints/duplex_a/ckpt"))
     path = tmp_path_factory.mktemp("duplex") / "duplex.onnx"
     return export(generator, path, target="webgpu", settings=Settings(level=Level.LIVE))
 
 
 def test_the_model_agrees_with_the_method_three_times_better_than_asked(
-    made: Exported,
+    exported: Exported,
 ) -> None:
-    for agrees, errors in judge("duplex_a", made.path):
+    for agrees, errors in judge("duplex_a", exported.path):
         assert agrees
         for field, error in errors.items():
             assert error <= EXPECTED[field] / MARGIN, (field, error)
 
 
 def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
-    made: Exported, tmp_path: Path
+    exported: Exported, tmp_path: Path
 ) -> None:
     generator = duplex_gs_plugin.build(shared("data/checkpoints/duplex_a/ckpt"))
     settings, path = Settings(level=Level.STATIC), tmp_path / "half.onnx"
@@ -398,20 +413,27 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     assert all(agrees for agrees, _ in judge("duplex_a", path))
     assert half.halved is not None
     retained = weights_of(path, {weight.node for weight in half.halved.retained_weights})
-    assert all(size < 4 * LEAST_ELEMENTS for size in retained)  # all large tables are halved
+    assert all(
+        size < 4 * LEAST_ELEMENTS for size in retained
+    )  # all large tables are halved
     integers = 1000  # bytes of sizes and indices
-    assert stored(path) - sum(retained) <= 0.5 * (stored(made.path) - sum(retained)) + integers
+    assert (
+        stored(path) - sum(retained)
+        <= 0.5 * (stored(exported.path) - sum(retained)) + integers
+    )
 
 
-def test_it_runs_in_webgpu_and_no_replay_is_stale(made: Exported) -> None:
-    assert_captured(made.report)
+def test_it_runs_in_webgpu_and_no_replay_is_stale(exported: Exported) -> None:
+    assert_captured(exported.report)
 
 
 def test_a_user_is_told_what_was_found_and_how_it_will_be_blended(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = write_duplex(tmp_path, AnchorOptions(anchors=9, iteration=40000))
-    generator = duplex_gs_plugin.build(folder, opacity="weighted", cull="frustum", max_anchors=5)
+    generator = duplex_gs_plugin.build(
+        folder, opacity="weighted", cull="frustum", max_anchors=5
+    )
     message = capsys.readouterr().err
     assert "9 cells × 5 Gaussians" in message
     assert "visibility of degree 3" in message

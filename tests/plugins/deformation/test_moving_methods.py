@@ -67,12 +67,12 @@ def test_fewer_harmonics_stay_fewer(degree: int, tmp_path: Path) -> None:
 
 def test_voxels_lie_where_the_checkpoint_says(tmp_path: Path) -> None:
     """Early versions saved the corners; later ones take those of the planes."""
-    chosen = HexPlaneOptions(count=30, flags={"empty_voxel": True})
-    folder = write_hexplane(tmp_path, chosen)
+    options = HexPlaneOptions(count=30, flags={"empty_voxel": True})
+    folder = write_hexplane(tmp_path, options)
     path = folder / "point_cloud/iteration_30000/deformation.pth"
     state = torch.load(path, weights_only=True)
     upper, lower = state["deformation_net.grid.aabb"]
-    made = {}
+    outputs = {}
     for low, high in ((None, None), (lower, upper), (lower * 0.8, upper * 0.7)):
         if low is not None and high is not None:
             state["deformation_net.empty_voxel.xyz_min"] = low
@@ -84,9 +84,9 @@ def test_voxels_lie_where_the_checkpoint_says(tmp_path: Path) -> None:
         assert torch.equal(read.nets.voxels[1], low)
         assert torch.equal(read.nets.voxels[2], high)
         generator = HexPlane4DGS(read.canonical, read.nets, read.flags)
-        made[float(high[0])] = eager(generator, moment(0.3))[0]
+        outputs[float(high[0])] = eager(generator, moment(0.3))[0]
         assert_like(*eager(generator, moment(0.3)), hexplane(read, float(np.float32(0.3))))
-    first, second = made.values()  # the first two are the same
+    first, second = outputs.values()  # the first two are the same
     assert np.abs(first - second).max() > 0.01
 
 

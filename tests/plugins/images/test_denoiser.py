@@ -296,7 +296,7 @@ def test_pickled_weights_and_old_names_are_read(tmp_path: Path) -> None:
         ("down_block_types", ["SkipDownBlock2D", "DownBlock2D"], "SkipDownBlock2D"),
         ("norm_num_groups", 5, "makes no network"),
         ("block_out_channels", [8], "list of 1 kinds"),
-        ("block_out_channels", [8, 32], "wanted"),
+        ("block_out_channels", [8, 32], "expected"),
         ("layers_per_block", "two", "whole number"),
         ("class_embed_type", "timestep", "supported"),
     ],

@@ -37,11 +37,11 @@ class Odd:
 
 def test_literals_are_read_and_unknown_ones_do_no_harm(tmp_path: Path) -> None:
     text = "Namespace(a=1, b=-2.5, c='x', d=True, e=None, f=[1, 2], g={'k': [3]})"
-    made = read(tmp_path, text)
-    assert made.values == {
+    cfg = read(tmp_path, text)
+    assert cfg.values == {
         "a": 1, "b": -2.5, "c": "x", "d": True, "e": None, "f": [1, 2], "g": {"k": [3]},
     }  # fmt: skip
-    assert (made.integer("a", 0), made.number("a", 0), made.flag("zz", default=True)) == (
+    assert (cfg.integer("a", 0), cfg.number("a", 0), cfg.flag("zz", default=True)) == (
         1,
         1,
         True,
@@ -52,8 +52,8 @@ def test_what_python_prints_without_a_literal_is_read(tmp_path: Path) -> None:
     """As argparse prints infinities, and options whose names are not identifiers."""
     printed = Namespace(far=float("inf"), near=[-float("inf")], **{"some-key": 3})
     assert repr(printed) == "Namespace(far=inf, near=[-inf], **{'some-key': 3})"
-    made = read(tmp_path, repr(printed))
-    assert made.values == {"far": np.inf, "near": [-np.inf], "some-key": 3}
+    cfg = read(tmp_path, repr(printed))
+    assert cfg.values == {"far": np.inf, "near": [-np.inf], "some-key": 3}
     assert np.isnan(read(tmp_path, "Namespace(a=nan)").number("a", 0))
 
 
@@ -64,11 +64,11 @@ def test_paths_are_their_text_wherever_they_stand(tmp_path: Path) -> None:
         **{"out-dir": Path("o")},
     )
     assert repr(printed).count("Path(") == 5
-    made = read(tmp_path, repr(printed))
-    assert made.word("source_path", "") == "/data/my scene's"
-    assert made.values["test"] == ["C:/x", ("a", {"k": "b"})]
-    assert made.values["out-dir"] == "o"
-    assert not made.printed()
+    cfg = read(tmp_path, repr(printed))
+    assert cfg.word("source_path", "") == "/data/my scene's"
+    assert cfg.values["test"] == ["C:/x", ("a", {"k": "b"})]
+    assert cfg.values["out-dir"] == "o"
+    assert not cfg.printed()
     assert read(tmp_path, "Namespace(a=WindowsPath('x'), b=Path('y'))").values == {
         "a": "x",
         "b": "y",
@@ -82,10 +82,10 @@ _LEAVES = st.one_of(
 )  # fmt: skip
 _VALUES = st.recursive(
     _LEAVES,
-    lambda one: st.one_of(
-        st.lists(one, max_size=3),
-        st.lists(one, max_size=3).map(tuple),
-        st.dictionaries(st.text(max_size=4), one, max_size=3),
+    lambda children: st.one_of(
+        st.lists(children, max_size=3),
+        st.lists(children, max_size=3).map(tuple),
+        st.dictionaries(st.text(max_size=4), children, max_size=3),
     ),
     max_leaves=6,
 )
@@ -100,7 +100,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, PurePath):
         return value.as_posix()
     if isinstance(value, dict):
-        return {key: plain(one) for key, one in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return type(value)(map(plain, value))
     return value
@@ -116,8 +116,8 @@ def in_order(options: dict[str, Any]) -> str:
 def test_whatever_argparse_prints_comes_back(
     tmp_path_factory: pytest.TempPathFactory, options: dict[str, Any]
 ) -> None:
-    made = read(tmp_path_factory.getbasetemp(), repr(Namespace(**options)))
-    assert in_order(made.values) == in_order(plain(options))
+    cfg = read(tmp_path_factory.getbasetemp(), repr(Namespace(**options)))
+    assert in_order(cfg.values) == in_order(plain(options))
 
 
 @settings(max_examples=100, deadline=None)
@@ -128,16 +128,16 @@ def test_whatever_argparse_prints_comes_back(
     ),
 )
 def test_objects_within_others_are_their_option_s_text(
-    tmp_path_factory: pytest.TempPathFactory, options: dict[str, Any], said: str
+    tmp_path_factory: pytest.TempPathFactory, options: dict[str, Any], printed_text: str
 ) -> None:
-    printed = Namespace(**options, odd=Odd(said), listed=[1, Odd(said)])
-    made = read(tmp_path_factory.getbasetemp(), repr(printed))
-    assert made.printed() == {
-        "odd": Printed(f"<{said}>"),
-        "listed": Printed(f"[1, <{said}>]"),
+    printed = Namespace(**options, odd=Odd(printed_text), listed=[1, Odd(printed_text)])
+    cfg = read(tmp_path_factory.getbasetemp(), repr(printed))
+    assert cfg.printed() == {
+        "odd": Printed(f"<{printed_text}>"),
+        "listed": Printed(f"[1, <{printed_text}>]"),
     }
-    kept = {name: value for name, value in made.values.items() if name in options}
-    assert in_order(kept) == in_order(plain(options))
+    literals = {name: value for name, value in cfg.values.items() if name in options}
+    assert in_order(literals) == in_order(plain(options))
 
 
 # ===== What is not
@@ -164,18 +164,18 @@ def test_what_is_no_literal_is_refused_by_who_needs_it(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     try:
-        made = read(tmp_path, f"Namespace(a={value}, b=2, **{{'c-d': {value}}})")
+        cfg = read(tmp_path, f"Namespace(a={value}, b=2, **{{'c-d': {value}}})")
     except CheckpointInvalid:  # Python's own limits of depth
         if value[0] != "-":
             raise
         return
-    assert made.integer("b", 0) == 2
-    assert list(made.printed()) == ["a", "c-d"]
+    assert cfg.integer("b", 0) == 2
+    assert list(cfg.printed()) == ["a", "c-d"]
     for read_option in (
-        lambda: made.flag("a"),
-        lambda: made.word("a", ""),
-        lambda: made.number("a", 0),
-        lambda: made.integer("a", 0),
+        lambda: cfg.flag("a"),
+        lambda: cfg.word("a", ""),
+        lambda: cfg.number("a", 0),
+        lambda: cfg.integer("a", 0),
     ):
         with pytest.raises(CheckpointInvalid, match=r"a is .*, expected") as caught:
             read_option()
@@ -222,20 +222,20 @@ def test_what_is_no_namespace_is_refused(
 def test_an_option_of_another_kind_is_refused(
     take: Callable, words: str, tmp_path: Path
 ) -> None:
-    made = read(tmp_path, "Namespace(a=1, b='x', d=True)")
+    cfg = read(tmp_path, "Namespace(a=1, b='x', d=True)")
     with pytest.raises(CheckpointInvalid, match=words):
-        take(made)
+        take(cfg)
 
 
 def test_options_that_nobody_reads_are_warned_of_by_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    made = read(tmp_path, "Namespace(a=1, b=PosixPath('/x'), device=device('cpu'))")
-    report_checkpoint("a run", made)
-    said = capsys.readouterr().err.splitlines()
-    assert said == [
+    cfg = read(tmp_path, "Namespace(a=1, b=PosixPath('/x'), device=device('cpu'))")
+    report_checkpoint("a run", cfg)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [
         "a run",
-        f"warning: device=device('cpu') in {made.path} is not a literal and was ignored",
+        f"warning: device=device('cpu') in {cfg.path} is not a literal and was ignored",
     ]
 
 

@@ -52,7 +52,7 @@ def test_networks_that_no_method_has_are_named(tmp_path: Path) -> None:
     change(united, lambda nets: nets.update(vi_mlp=nets["cov_mlp"]))
     read_anchors(run)
     change(united, lambda nets: nets.update(mystery=nets["cov_mlp"]))
-    with pytest.raises(CheckpointInvalid, match=r"unexpected: mystery; known are"):
+    with pytest.raises(CheckpointInvalid, match=r"unexpected: mystery; expected only"):
         read_anchors(run)
 
 
@@ -74,9 +74,9 @@ def test_folders_a_little_off_name_the_right_one(tmp_path: Path) -> None:
     for run in runs:
         (run / "point_cloud" / "iteration_5").mkdir(parents=True)
     (tmp_path / "scene" / "other").mkdir()
-    named = f"{runs[0]} or {runs[1]} or {runs[2]}"
+    candidates = f"{runs[0]} or {runs[1]} or {runs[2]}"
     wrong = {
-        tmp_path: f"Did you mean {named}? (1 more look right.)",
+        tmp_path: f"Did you mean {candidates}? (1 more look right.)",
         tmp_path
         / "scene"
         / "other": "Give the folder that training wrote: the one with cfg_args in it.",
@@ -93,7 +93,7 @@ def test_what_lies_in_a_run_stands_for_it(
 ) -> None:
     run = write(tmp_path / "run")
     read = {
-        write_octree: lambda *given: read_anchors(*given, octree=True),
+        write_octree: lambda *arguments: read_anchors(*arguments, octree=True),
         write_hexplane: read_hexplanes,
         write_deformable: read_deformation,
     }[write]
@@ -111,9 +111,9 @@ def test_what_lies_in_a_run_stands_for_it(
         next(last.glob("*.p*")): number,
     }
     parts |= {run / "deform/iteration_7/deform.pth": 7} if (run / "deform").is_dir() else {}
-    for given, meant in parts.items():
-        seen = read(given)
-        assert (seen.iteration, seen.folder.resolve()) == (meant, run)
+    for path, meant in parts.items():
+        checkpoint = read(path)
+        assert (checkpoint.iteration, checkpoint.folder.resolve()) == (meant, run)
     assert read(Path(), 7).iteration == 7
     with pytest.raises(NotInCheckpoint, match=rf"is iteration 7, not {number}"):
         read(run / "point_cloud/iteration_7", number)
@@ -128,8 +128,8 @@ def test_minus_one_is_the_last_iteration(tmp_path: Path) -> None:
     """As ``--iteration -1`` is for the published loaders."""
     run = write_deformable(tmp_path / "run")
     assert read_deformation(run, -1).iteration == 40000
-    place = run / "point_cloud/iteration_40000"
-    assert read_deformation(place, -1).iteration == 40000
+    folder = run / "point_cloud/iteration_40000"
+    assert read_deformation(folder, -1).iteration == 40000
 
 
 def test_a_file_of_another_iteration_is_pointed_at(tmp_path: Path) -> None:
@@ -142,7 +142,7 @@ def test_a_file_of_another_iteration_is_pointed_at(tmp_path: Path) -> None:
 
 def test_an_iteration_by_itself_will_do(tmp_path: Path) -> None:
     run = write_octree(tmp_path / "run", AnchorOptions(anchors=5, iteration=40000))
-    wanted = octree_gs_plugin.build(run)
+    expected = octree_gs_plugin.build(run)
     for name, number in (("iteration_40000", 40000), ("moved", 0)):
         shutil.copytree(run / "point_cloud/iteration_40000", tmp_path / name)
         with pytest.raises(
@@ -151,8 +151,8 @@ def test_an_iteration_by_itself_will_do(tmp_path: Path) -> None:
             read_anchors(tmp_path / name, octree=True)
         shutil.copy(run / "cfg_args", tmp_path / name)
         assert read_anchors(tmp_path / name, octree=True).iteration == number
-        made = octree_gs_plugin.build(tmp_path / name)
-        assert made.producer == wanted.producer
+        generator = octree_gs_plugin.build(tmp_path / name)
+        assert generator.producer == expected.producer
         with pytest.raises(NotInCheckpoint, match="alone, not 5"):
             read_anchors(tmp_path / name, 5, octree=True)
 
@@ -173,74 +173,76 @@ def test_a_script_archive_is_read_as_torch_reads_it(tmp_path: Path) -> None:
     path = shared("data/checkpoints/scaffold_a/ckpt/point_cloud/iteration_30000/cov_mlp.pt")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        wanted = torch.jit.load(path, map_location="cpu").state_dict()
+        expected = torch.jit.load(path, map_location="cpu").state_dict()
     read = read_script_state(path)
-    assert list(read) == list(wanted)
-    for name in wanted:
-        assert torch.equal(read[name], wanted[name])
+    assert list(read) == list(expected)
+    for name in expected:
+        assert torch.equal(read[name], expected[name])
 
 
 def test_networks_in_one_file_or_in_many_are_the_same(tmp_path: Path) -> None:
-    chosen = AnchorOptions(anchors=4, bank=True, cameras=3, appearance=2)
-    many = read_anchors(write_scaffold(tmp_path / "many", chosen)).nets
+    options = AnchorOptions(anchors=4, bank=True, cameras=3, appearance=2)
+    many = read_anchors(write_scaffold(tmp_path / "many", options)).nets
     united = AnchorOptions(anchors=4, bank=True, cameras=3, appearance=2, united=True)
-    one = read_anchors(write_scaffold(tmp_path / "one", united)).nets
+    first = read_anchors(write_scaffold(tmp_path / "one", united)).nets
     assert many.bank is not None
-    assert one.bank is not None
-    assert torch.equal(many.bank.hidden, one.bank.hidden)
-    assert torch.equal(many.color.out, one.color.out)
-    assert torch.equal(many.embedding, one.embedding)  # type: ignore[arg-type]
+    assert first.bank is not None
+    assert torch.equal(many.bank.hidden, first.bank.hidden)
+    assert torch.equal(many.color.out, first.color.out)
+    assert torch.equal(many.embedding, first.embedding)  # type: ignore[arg-type]
 
 
-def _as_first(nets: dict, place: Path) -> None:
+def _as_first(nets: dict, folder: Path) -> None:
     nets["mlp_feature_bank"] = nets.pop("feature_bank_mlp")
-    torch.save(nets, place / "checkpoint.pth")
+    torch.save(nets, folder / "checkpoint.pth")
 
 
-def _one_by_one(nets: dict, place: Path) -> None:
+def _one_by_one(nets: dict, folder: Path) -> None:
     for name, state in nets.items():
         file = {"appearance": "embedding_appearance"}.get(name, name)
-        torch.save(state, place / f"{file}.pt", _use_new_zipfile_serialization="o" in name)
+        torch.save(state, folder / f"{file}.pt", _use_new_zipfile_serialization="o" in name)
 
 
-def _wrapped(nets: dict, place: Path) -> None:
+def _wrapped(nets: dict, folder: Path) -> None:
     for prefix in ("_orig_mod.", "module."):
         nets = {n: {prefix + k: v for k, v in s.items()} for n, s in nets.items()}
-    torch.save(nets, place / "checkpoints.pth")
+    torch.save(nets, folder / "checkpoints.pth")
 
 
-def _of_other_kinds(nets: dict, place: Path) -> None:
+def _of_other_kinds(nets: dict, folder: Path) -> None:
     """Doubles, parameters that want gradients, and tensors that are not contiguous."""
     for state in nets.values():
         for name, value in state.items():
-            other = torch.stack([value.double()] * 2, dim=-1)[..., 0]
-            state[name] = torch.nn.Parameter(other)
-    torch.save(nets, place / "checkpoints.pth")
+            strided = torch.stack([value.double()] * 2, dim=-1)[..., 0]
+            state[name] = torch.nn.Parameter(strided)
+    torch.save(nets, folder / "checkpoints.pth")
 
 
 @pytest.mark.parametrize("save", [_as_first, _one_by_one, _wrapped, _of_other_kinds])
 def test_networks_are_read_however_they_were_saved(save: Callable, tmp_path: Path) -> None:
     first = save is _as_first  # which knew no appearances, and always the distance
-    chosen = AnchorOptions(
+    options = AnchorOptions(
         anchors=4, bank=True, distance=(True, True, True), cameras=0 if first else 3,
         appearance=0 if first else 2, united=True,
     )  # fmt: skip
-    wanted = read_anchors(write_scaffold(tmp_path, chosen)).nets
+    expected = read_anchors(write_scaffold(tmp_path, options)).nets
     if first:
         cfg(tmp_path, "Namespace(feat_dim=16, n_offsets=5, use_feat_bank=True, lod=0)")
-        wanted = read_anchors(tmp_path).nets
+        expected = read_anchors(tmp_path).nets
     (united,) = tmp_path.rglob("checkpoints.pth")
     nets = torch.load(united, weights_only=True)
     united.unlink()
     save(nets, united.parent)
-    seen = read_anchors(tmp_path).nets
-    assert wanted.color.distance
+    actual = read_anchors(tmp_path).nets
+    assert expected.color.distance
     for net in ("opacity", "covariance", "color", "bank"):
         for layer in ("hidden", "hidden_bias", "out", "out_bias", "distance"):
-            a, b = (getattr(getattr(one, net), layer) for one in (seen, wanted))
+            a, b = (
+                getattr(getattr(networks, net), layer) for networks in (actual, expected)
+            )
             assert a == b if layer == "distance" else torch.equal(a, b)
     if not first:
-        assert torch.equal(seen.embedding, wanted.embedding)  # type: ignore[arg-type]
+        assert torch.equal(actual.embedding, expected.embedding)  # type: ignore[arg-type]
 
 
 def _archive(path: Path, payload: object, order: bytes = b"little") -> None:
@@ -330,8 +332,8 @@ def test_a_head_that_is_off_may_be_missing(tmp_path: Path) -> None:
 
 
 def test_columns_go_by_their_number_not_by_their_place(tmp_path: Path) -> None:
-    chosen = AnchorOptions(anchors=6, per_anchor=7, united=True)
-    wanted = read_anchors(write_scaffold(tmp_path, chosen)).cloud
+    options = AnchorOptions(anchors=6, per_anchor=7, united=True)
+    expected = read_anchors(write_scaffold(tmp_path, options)).cloud
     ply = tmp_path / "point_cloud/iteration_30000/point_cloud.ply"
     names = ply_properties(ply)
     table = read_ply_columns(ply, {"all": names})["all"]
@@ -339,9 +341,9 @@ def test_columns_go_by_their_number_not_by_their_place(tmp_path: Path) -> None:
         ply, {n: table[:, i] for i, n in sorted(enumerate(names), key=lambda p: p[1])}
     )
     assert ply_properties(ply) == tuple(sorted(names))
-    again = read_anchors(tmp_path).cloud
-    assert torch.equal(again.offset, wanted.offset)
-    assert torch.equal(again.feature, wanted.feature)
+    actual = read_anchors(tmp_path).cloud
+    assert torch.equal(actual.offset, expected.offset)
+    assert torch.equal(actual.feature, expected.feature)
 
 
 @pytest.mark.parametrize(
@@ -362,7 +364,7 @@ def test_options_of_another_run_are_noticed(text: str, words: str, tmp_path: Pat
 
 
 def test_without_options_the_networks_say_what_they_take(tmp_path: Path) -> None:
-    chosen = AnchorOptions(
+    options = AnchorOptions(
         anchors=3,
         bank=True,
         distance=(True, False, True),
@@ -370,19 +372,19 @@ def test_without_options_the_networks_say_what_they_take(tmp_path: Path) -> None
         appearance=3,
         united=True,
     )
-    write_scaffold(tmp_path, chosen)
+    write_scaffold(tmp_path, options)
     (tmp_path / "cfg_args").unlink()
     nets = read_anchors(tmp_path).nets
     heads = (nets.opacity, nets.covariance, nets.color)
-    assert tuple(head.distance for head in heads) == chosen.distance
+    assert tuple(head.distance for head in heads) == options.distance
     assert nets.bank is not None
 
 
 @pytest.mark.parametrize("flag", ["no_grid", "all off"])
 def test_what_never_worked_or_never_moves_is_refused(flag: str, tmp_path: Path) -> None:
     off = dict.fromkeys(("no_dx", "no_ds", "no_dr", "no_do", "no_dshs"), True)
-    chosen = {"no_grid": True} if flag == "no_grid" else off
-    write_hexplane(tmp_path, HexPlaneOptions(flags=chosen))
+    options = {"no_grid": True} if flag == "no_grid" else off
+    write_hexplane(tmp_path, HexPlaneOptions(flags=options))
     with pytest.raises(CheckpointInvalid, match=r"no_grid is True|nothing moves"):
         read_hexplanes(tmp_path)
 
@@ -398,11 +400,11 @@ def test_a_deformation_has_to_agree_with_its_options(tmp_path: Path) -> None:
 @pytest.mark.parametrize("missing", ["point_cloud.ply", "opacity_mlp.pt"])
 def test_a_missing_file_is_named(missing: str, tmp_path: Path) -> None:
     case = shared("data/checkpoints/scaffold_a/ckpt/point_cloud/iteration_30000")
-    place = tmp_path / "point_cloud" / "iteration_1"
-    place.mkdir(parents=True)
+    folder = tmp_path / "point_cloud" / "iteration_1"
+    folder.mkdir(parents=True)
     for file in case.iterdir():
         if file.name != missing:
-            (place / file.name).write_bytes(file.read_bytes())
+            (folder / file.name).write_bytes(file.read_bytes())
     with pytest.raises(CheckpointInvalid, match="is missing") as caught:
         read_anchors(tmp_path)
     assert caught.value.where.endswith(missing)
@@ -419,8 +421,8 @@ def test_a_value_that_is_no_number_is_found(tmp_path: Path) -> None:
 
 
 def test_offsets_are_stored_axis_by_axis(tmp_path: Path) -> None:
-    chosen = AnchorOptions(anchors=4, per_anchor=3, united=True)
-    cloud = read_anchors(write_scaffold(tmp_path, chosen)).cloud
+    options = AnchorOptions(anchors=4, per_anchor=3, united=True)
+    cloud = read_anchors(write_scaffold(tmp_path, options)).cloud
     ply = tmp_path / "point_cloud/iteration_30000/point_cloud.ply"
     for k in range(3):
         for axis in range(3):

@@ -23,20 +23,22 @@ MUTANTS = 60
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
     """Cut a file, overwrite bytes anywhere or in front, or insert and drop some."""
-    made = bytearray(data)
-    kind, at = rng.integers(0, 5), int(rng.integers(0, len(made)))
+    result = bytearray(data)
+    kind, start = rng.integers(0, 5), int(rng.integers(0, len(result)))
     if kind == 0:
-        return bytes(made[:at])
+        return bytes(result[:start])
     if kind == 1:
         return rng.bytes(int(rng.integers(0, 100)))
     if kind == 2:
-        for place in rng.integers(0, len(made), 12):
-            made[place] = rng.integers(0, 256)
+        for position in rng.integers(0, len(result), 12):
+            result[position] = rng.integers(0, 256)
     elif kind == 3:
-        made[at % min(1500, len(made))] = rng.integers(0, 256)
+        result[start % min(1500, len(result))] = rng.integers(0, 256)
     else:
-        made[at : at + int(rng.integers(0, 200))] = rng.bytes(int(rng.integers(0, 50)))
-    return bytes(made)
+        result[start : start + int(rng.integers(0, 200))] = rng.bytes(
+            int(rng.integers(0, 50))
+        )
+    return bytes(result)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -82,8 +84,8 @@ def test_an_archive_that_cannot_be_listed_is_refused(
     folder = write_scaffold(tmp_path, AnchorOptions(anchors=3))
     (path,) = folder.rglob("cov_mlp.pt")
     data = bytearray(path.read_bytes())
-    at = data.rindex(old)
-    data[at : at + len(new)] = new
+    start = data.rindex(old)
+    data[start : start + len(new)] = new
     path.write_bytes(data)
     assert is_script_archive(path)
     with pytest.raises(CheckpointInvalid, match=r"cov_mlp\.pt: cannot be read"):

@@ -17,12 +17,12 @@ ALIKE = {name: both for name, both in METHODS.items() if name != "lhm"}
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     home = tmp_path_factory.mktemp("runs")
-    made = {name: write(home / name) for name, (write, _) in ALIKE.items()}
+    folders = {name: write(home / name) for name, (write, _) in ALIKE.items()}
     # Training of R3-Avatar writes the files of GauHuman, too; they are not enough for it.
-    for place in ("point_cloud", "mlp_ckpt"):
-        target = made["r3-avatar"] / place
-        target.symlink_to(made["gauhuman"] / place)
-    return made
+    for subfolder in ("point_cloud", "mlp_ckpt"):
+        target = folders["r3-avatar"] / subfolder
+        target.symlink_to(folders["gauhuman"] / subfolder)
+    return folders
 
 
 @pytest.mark.parametrize("plugin", ALIKE)

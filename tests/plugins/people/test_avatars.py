@@ -19,18 +19,18 @@ from gsgen.reference_plugins.synthetic import (
     write_r3,
 )
 from support.checkpoints import avatar_oracles as oracles
-from support.checkpoints.avatar_oracles import Told
+from support.checkpoints.avatar_oracles import PoseInputs
 from support.checkpoints.plugin_checks import assert_like, eager
-from support.checkpoints.plugin_oracles import Wanted
+from support.checkpoints.plugin_oracles import ExpectedGaussians
 
 
-def told(rng: np.random.Generator, joints: int, shapes: int) -> Told:
+def told(rng: np.random.Generator, joints: int, shapes: int) -> PoseInputs:
     """Return a pose whose joints turn by any angle, up to a whole half turn."""
     axis = rng.normal(size=(joints, 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     angle = rng.choice([0.0, 1e-9, 0.3, 1.5, np.pi], (joints, 1))
     turn = oracles.turns_of(rng.normal(size=3))[0]
-    return Told(
+    return PoseInputs(
         (axis * angle).astype(np.float32).astype(np.float64),
         turn.astype(np.float32).astype(np.float64),
         rng.normal(size=3).astype(np.float32).astype(np.float64),
@@ -39,7 +39,7 @@ def told(rng: np.random.Generator, joints: int, shapes: int) -> Told:
 
 
 def fed(
-    actors: ActorInputs, bodies: list[Told], poses: list[int] | None = None
+    actors: ActorInputs, bodies: list[PoseInputs], poses: list[int] | None = None
 ) -> list[np.ndarray]:
     """Lay what moves bodies into the inputs, in order."""
     made = []
@@ -60,7 +60,9 @@ def fed(
     return made
 
 
-def assert_bodies(rows: np.ndarray, color: np.ndarray, wanted: list[Wanted]) -> None:
+def assert_bodies(
+    rows: np.ndarray, color: np.ndarray, wanted: list[ExpectedGaussians]
+) -> None:
     count = len(rows) // len(wanted)
     assert count * len(wanted) == len(rows)
     for body, one in enumerate(wanted):

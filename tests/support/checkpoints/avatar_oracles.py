@@ -16,11 +16,11 @@ from gsgen.reference_plugins.bodies.pose_networks import PoseNets
 from gsgen.reference_plugins.people.gauhuman_checkpoint import GauHumanCheckpoint
 from gsgen.reference_plugins.people.lhm_checkpoint import Face, LHMCheckpoint
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import R3Checkpoint
-from support.checkpoints.plugin_oracles import Wanted
+from support.checkpoints.plugin_oracles import ExpectedGaussians
 
 
 @dataclass
-class Told:
+class PoseInputs:
     """What moves one body."""
 
     pose: np.ndarray
@@ -32,8 +32,8 @@ class Told:
 
 
 def turns_of(pose: np.ndarray) -> np.ndarray:
-    made: np.ndarray = Rotation.from_rotvec(pose.reshape(-1, 3)).as_matrix()
-    return made
+    rotations: np.ndarray = Rotation.from_rotvec(pose.reshape(-1, 3)).as_matrix()
+    return rotations
 
 
 def chain(body: Body, turns: np.ndarray, shape: np.ndarray) -> np.ndarray:
@@ -50,18 +50,18 @@ def chain(body: Body, turns: np.ndarray, shape: np.ndarray) -> np.ndarray:
         else:
             local[:3, 3] = joints[joint] - joints[parent]
             world.append(world[parent] @ local)
-    away = []
+    transforms = []
     for joint, transform in enumerate(world):
         back = np.eye(4)
         back[:3, 3] = -joints[joint]
-        away.append(transform @ back)
-    return np.stack(away)
+        transforms.append(transform @ back)
+    return np.stack(transforms)
 
 
 def skinned(transforms: np.ndarray, weights: np.ndarray, points: np.ndarray) -> np.ndarray:
     blend = np.einsum("nj,jab->nab", weights, transforms)
-    ones = np.concatenate([points, np.ones((len(points), 1))], 1)
-    return np.einsum("nab,nb->na", blend, ones)[:, :3]
+    homogeneous = np.concatenate([points, np.ones((len(points), 1))], 1)
+    return np.einsum("nab,nb->na", blend, homogeneous)[:, :3]
 
 
 def spread(body: Body) -> np.ndarray:
@@ -88,7 +88,7 @@ def refined(nets: PoseNets | None, pose: np.ndarray) -> np.ndarray:
     x = torch.from_numpy(pose[1:].reshape(1, -1))
     for index, (weight, bias) in enumerate(nets.pose):
         x = F.linear(x if index == 0 else torch.relu(x), weight.double(), bias.double())
-    more = []
+    offsets = []
     for vector in x.reshape(-1, 3).numpy():
         angle = np.sqrt(1e-5 + (vector**2).sum())
         axis = vector / angle
@@ -98,10 +98,10 @@ def refined(nets: PoseNets | None, pose: np.ndarray) -> np.ndarray:
         c, s = np.cos(angle), np.sin(angle)
         outer = np.outer(axis, axis)
         # Written for a unit axis; this one is not quite: its diagonal is r² + (1 − r²) c.
-        made = outer * (1 - c) + s * cross
-        made[np.diag_indices(3)] = axis**2 + (1 - axis**2) * c
-        more.append(made)
-    return np.concatenate([turns[:1], turns[1:] @ np.stack(more)])
+        rotation = outer * (1 - c) + s * cross
+        rotation[np.diag_indices(3)] = axis**2 + (1 - axis**2) * c
+        offsets.append(rotation)
+    return np.concatenate([turns[:1], turns[1:] @ np.stack(offsets)])
 
 
 def corrected(nets: PoseNets | None, weights: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -131,29 +131,31 @@ def nearest(points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
 def followed(
     body: Body,
     nets: PoseNets | None,
-    told: Told,
-    rest: np.ndarray,
+    pose_inputs: PoseInputs,
+    canonical: np.ndarray,
     moved: np.ndarray,
     covariance: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move Gaussians from the big pose: steps 1 to 7 of GauHuman."""
     big = turns_of(spread(body))
     none = np.zeros(0)
-    there = chain(body, big, none)
-    vertices = skinned(there, body.weights, body.template + blendshapes(body, big))
+    big_pose_transforms = chain(body, big, none)
+    vertices = skinned(
+        big_pose_transforms, body.weights, body.template + blendshapes(body, big)
+    )
     vid = nearest(moved, vertices)
-    weights = corrected(nets, body.weights[vid], rest)
-    blend = np.einsum("nj,jab->nab", weights, there)
+    weights = corrected(nets, body.weights[vid], canonical)
+    blend = np.einsum("nj,jab->nab", weights, big_pose_transforms)
     back = np.linalg.inv(blend[:, :3, :3])
     point = np.einsum("nab,nb->na", back, moved - blend[:, :3, 3])
-    turns = refined(nets, told.pose)
-    shaped = body.shape_dirs[:, :, : len(told.shape)] @ told.shape
+    turns = refined(nets, pose_inputs.pose)
+    shaped = body.shape_dirs[:, :, : len(pose_inputs.shape)] @ pose_inputs.shape
     point += (blendshapes(body, turns) - blendshapes(body, big) + shaped)[vid]
-    transforms = chain(body, turns, told.shape)
+    transforms = chain(body, turns, pose_inputs.shape)
     posed = skinned(transforms, weights, point)
-    world = posed @ np.linalg.inv(told.turn) + told.shift
+    world = posed @ np.linalg.inv(pose_inputs.turn) + pose_inputs.shift
     now = np.einsum("nj,jab->nab", weights, transforms)[:, :3, :3]
-    whole = told.turn @ now @ back
+    whole = pose_inputs.turn @ now @ back
     return world, whole @ covariance @ whole.transpose(0, 2, 1)
 
 
@@ -167,45 +169,51 @@ def covariances(scale: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     return np.asarray(turn @ (scale[:, :, None] ** 2 * turn.transpose(0, 2, 1)))
 
 
-def gauhuman(read: GauHumanCheckpoint, told: Told) -> Wanted:
+def gauhuman(read: GauHumanCheckpoint, pose_inputs: PoseInputs) -> ExpectedGaussians:
     """skhu101/GauHuman: `scene/gaussian_model.py` and `gaussian_renderer`."""
     cloud = read.canonical
     xyz = cloud.position.double().numpy()
     scale = np.exp(cloud.log_scale.double().numpy())
     sigma = covariances(scale, cloud.rotation.double().numpy())
-    position, covariance = followed(read.body, read.nets, told, xyz, xyz, sigma)
+    position, covariance = followed(read.body, read.nets, pose_inputs, xyz, xyz, sigma)
     opacity = torch.sigmoid(cloud.logit_opacity.double()).numpy()[:, 0]
     color = cloud.sh.flatten(1).double().numpy()
-    return Wanted(np.ones(len(xyz), bool), position, opacity, upper(covariance), color)
+    return ExpectedGaussians(
+        np.ones(len(xyz), bool), position, opacity, upper(covariance), color
+    )
 
 
-def lhm(read: LHMCheckpoint, face: Face | None, told: Told) -> Wanted:
+def lhm(
+    read: LHMCheckpoint, face: Face | None, pose_inputs: PoseInputs
+) -> ExpectedGaussians:
     """aigc3d/LHM: `gs_renderer.py` and `smpl_x_voxel_dense_sampling.py`."""
     body, betas = read.body, read.betas.double().numpy()
     vid = nearest(read.samples, body.template)
     weights = body.weights[vid]
     point = read.position.double().numpy()
-    if told.expression is not None:
+    if pose_inputs.expression is not None:
         dirs = body.shape_dirs[:, :, 300:400].copy()
         if face is not None:
             dirs[face.vertices] = face.dirs
-        point = point + dirs[vid] @ told.expression
+        point = point + dirs[vid] @ pose_inputs.expression
     neutral = read.neutral.double().numpy()
     point = skinned(neutral, weights, point) + body.shape_dirs[vid][:, :, :10] @ betas
-    transforms = chain(body, turns_of(told.pose), betas)
-    position = skinned(transforms, weights, point) + told.shift
+    transforms = chain(body, turns_of(pose_inputs.pose), betas)
+    position = skinned(transforms, weights, point) + pose_inputs.shift
     whole = (
         np.einsum("nj,jab->nab", weights, transforms)[:, :3, :3]
         @ np.einsum("nj,jab->nab", weights, neutral)[:, :3, :3]
     )
-    turn = np.stack([quaternion_of(one) for one in whole])
+    turn = np.stack([quaternion_of(matrix) for matrix in whole])
     turn[read.stiff[vid]] = (1, 0, 0, 0)
     turned = Rotation.from_quat(np.roll(turn, -1, axis=1)).as_matrix()
-    scale, own = read.scale.double().numpy(), read.rotation.double().numpy()
-    sigma = turned @ covariances(scale, own) @ turned.transpose(0, 2, 1)
+    scale, quaternion = read.scale.double().numpy(), read.rotation.double().numpy()
+    sigma = turned @ covariances(scale, quaternion) @ turned.transpose(0, 2, 1)
     opacity = read.opacity.double().numpy()[:, 0]
     rgb = read.rgb.double().numpy()
-    return Wanted(np.ones(len(point), bool), position, opacity, upper(sigma), rgb)
+    return ExpectedGaussians(
+        np.ones(len(point), bool), position, opacity, upper(sigma), rgb
+    )
 
 
 def quaternion_of(m: np.ndarray) -> np.ndarray:
@@ -227,23 +235,25 @@ def quaternion_of(m: np.ndarray) -> np.ndarray:
         [m[1, 0] - m[0, 1], m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], size[3] ** 2],
     ]
     best = int(size.argmax())
-    made = np.array(candidates[best]) / (2 * max(size[best], 0.1))
-    return np.asarray(made / np.linalg.norm(made))
+    quaternion = np.array(candidates[best]) / (2 * max(size[best], 0.1))
+    return np.asarray(quaternion / np.linalg.norm(quaternion))
 
 
-def r3(read: R3Checkpoint, told: Told) -> Wanted:
+def r3(read: R3Checkpoint, pose_inputs: PoseInputs) -> ExpectedGaussians:
     """Yifever20002/R3Avatars: `gaussian_renderer` of a pose that training saw."""
     xyz = read.canonical.position.double()
     low, high = read.aabb.double()
-    place = (xyz - low) * 2 / (high - low) - 1
-    time = torch.full((len(xyz), 1), told.pose_id / read.origin - 1, dtype=torch.float64)
-    at = torch.cat([place, time], 1)
+    scaled = (xyz - low) * 2 / (high - low) - 1
+    time = torch.full(
+        (len(xyz), 1), pose_inputs.pose_id / read.origin - 1, dtype=torch.float64
+    )
+    coordinates = torch.cat([scaled, time], 1)
     features = []
     for planes in read.grids:
         product = torch.ones(1, dtype=torch.float64)
         pairs = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
         for plane, pair in zip(planes, pairs, strict=True):
-            grid = at[None, None][..., list(pair)]
+            grid = coordinates[None, None][..., list(pair)]
             sampled = F.grid_sample(
                 plane.double()[None], grid, padding_mode="border", align_corners=True
             )
@@ -252,14 +262,18 @@ def r3(read: R3Checkpoint, told: Told) -> Wanted:
     h = torch.cat(features, 1)
     for weight, bias in read.inner:
         h = torch.relu(F.linear(h, weight.double(), bias.double()))
-    said = {
+    outputs = {
         name: F.linear(h, weight.double(), bias.double()).numpy()
         for name, (weight, bias) in read.heads.items()
     }
-    rest = xyz.numpy()
-    sigma = covariances(said["scaling"] ** 2, said["rotation"])
-    moved = rest + said["warp"]
-    position, covariance = followed(read.body, read.nets, told, rest, moved, sigma)
-    opacity = 1 / (1 + np.exp(-said["opacity"][:, 0]))
+    canonical = xyz.numpy()
+    sigma = covariances(outputs["scaling"] ** 2, outputs["rotation"])
+    moved = canonical + outputs["warp"]
+    position, covariance = followed(
+        read.body, read.nets, pose_inputs, canonical, moved, sigma
+    )
+    opacity = 1 / (1 + np.exp(-outputs["opacity"][:, 0]))
     color = read.canonical.sh.flatten(1).double().numpy()
-    return Wanted(np.ones(len(rest), bool), position, opacity, upper(covariance), color)
+    return ExpectedGaussians(
+        np.ones(len(canonical), bool), position, opacity, upper(covariance), color
+    )

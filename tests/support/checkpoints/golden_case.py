@@ -17,23 +17,36 @@ def read_safetensors(path: Path) -> dict[str, np.ndarray]:
     header = json.loads(raw[8:start])
     return {
         name: np.frombuffer(
-            raw[start + one["data_offsets"][0] : start + one["data_offsets"][1]], np.float32
-        ).reshape(one["shape"])
-        for name, one in header.items()
+            raw[start + entry["data_offsets"][0] : start + entry["data_offsets"][1]],
+            np.float32,
+        ).reshape(entry["shape"])
+        for name, entry in header.items()
         if name != "__metadata__"
     }
 
 
 def golden_case(path: Path) -> tuple[SplatData, Camera, np.ndarray]:
     """Return the Gaussians, the camera and the image [82, 123, 4] of the golden file."""
-    held = read_safetensors(path)
-    opacity = 1 / (1 + np.exp(-held["opacities"].astype(np.float64)))
-    scale = np.exp(held["scales"].astype(np.float64))
-    columns = [held["means"], opacity[:, None], covariance_upper(scale, held["quats"])]
+    tensors = read_safetensors(path)
+    opacity = 1 / (1 + np.exp(-tensors["opacities"].astype(np.float64)))
+    scale = np.exp(tensors["scales"].astype(np.float64))
+    columns = [
+        tensors["means"],
+        opacity[:, None],
+        covariance_upper(scale, tensors["quats"]),
+    ]
     rows = np.concatenate(columns, axis=1).astype(np.float32)
-    image = held["out_img"]
+    image = tensors["out_img"]
     height, width = image.shape[:2]
     view = np.eye(4)
     view[:3, 3] = -0.123, -0.456, 8
-    camera = Camera(view, width / 2, width / 2, width / 2, height / 2, width, height)
-    return SplatData(rows, held["coeffs"].reshape(4, 48), "sh"), camera, image
+    camera = Camera(
+        view,
+        fx=width / 2,
+        fy=width / 2,
+        cx=width / 2,
+        cy=height / 2,
+        width=width,
+        height=height,
+    )
+    return SplatData(rows, tensors["coeffs"].reshape(4, 48), "sh"), camera, image

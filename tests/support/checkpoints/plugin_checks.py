@@ -13,7 +13,7 @@ import torch
 from gsgen.contract.spec.geometry import look_at
 from gsgen.sdk import GaussianGenerator
 from gsgen.sdk.authoring.packed_module import Packed, PackedGenerator
-from support.checkpoints.plugin_oracles import Wanted
+from support.checkpoints.plugin_oracles import ExpectedGaussians
 from support.commands import shared
 
 # Shares of the largest wanted value: three times below what goldens are accepted with.
@@ -27,10 +27,10 @@ def eager(
     """Return packed rows and appearance."""
     tensors = [torch.from_numpy(np.array(value)) for value in inputs]
     with torch.no_grad():
-        rows = generator(*tensors).position.shape[0]
-        packed = PackedGenerator(generator, Packed(torch.float32, rows))
-        made, color, *_ = packed(*tensors)
-    return made.numpy(), color.numpy()
+        count = generator(*tensors).position.shape[0]
+        packed = PackedGenerator(generator, Packed(torch.float32, count))
+        rows, color, *_ = packed(*tensors)
+    return rows.numpy(), color.numpy()
 
 
 def camera(
@@ -44,23 +44,23 @@ def camera(
     return np.ascontiguousarray(view.T, np.float32)
 
 
-def assert_like(rows: np.ndarray, color: np.ndarray, wanted: Wanted) -> None:
+def assert_like(rows: np.ndarray, color: np.ndarray, expected: ExpectedGaussians) -> None:
     """Demand that drawn rows agree, and that others cannot be seen."""
-    kept = wanted.kept
-    sure = np.ones(len(kept), bool) if wanted.doubtful is None else ~wanted.doubtful
+    retained = expected.retained
+    sure = np.ones(len(retained), bool) if expected.doubtful is None else ~expected.doubtful
     assert np.isfinite(rows).all()
     assert np.isfinite(color).all()
-    both = sure[kept]
+    both = sure[retained]
     pairs = {
-        "position": (rows[kept, :3], wanted.position),
-        "opacity": (rows[kept, 3], wanted.opacity),
-        "covariance": (rows[kept, 4:], wanted.covariance),
-        "color": (color[kept, : wanted.color.shape[1]], wanted.color),
+        "position": (rows[retained, :3], expected.position),
+        "opacity": (rows[retained, 3], expected.opacity),
+        "covariance": (rows[retained, 4:], expected.covariance),
+        "color": (color[retained, : expected.color.shape[1]], expected.color),
     }
-    for name, (seen, target) in pairs.items():
-        error = np.abs(seen[both] - target[both]).max() / np.abs(target).max()
+    for name, (values, target) in pairs.items():
+        error = np.abs(values[both] - target[both]).max() / np.abs(target).max()
         assert error <= ALLOWED[name] / MARGIN, (name, error)
-    assert (rows[~kept & sure, 3] == 0).all()
+    assert (rows[~retained & sure, 3] == 0).all()
 
 
 def acceptance() -> ModuleType:
@@ -78,7 +78,7 @@ def stored(model: Path) -> int:
     """Return how many bytes of float weights a model holds; indices stay as they are."""
     floats = (onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT16)
     weights = onnx.load(model).graph.initializer
-    return sum(len(one.raw_data) for one in weights if one.data_type in floats)
+    return sum(len(weight.raw_data) for weight in weights if weight.data_type in floats)
 
 
 def weights_of(model: Path, names: set[str]) -> list[int]:
@@ -90,11 +90,11 @@ def weights_of(model: Path, names: set[str]) -> list[int]:
 def run(model: Path, feeds: dict[str, Any]) -> list[np.ndarray]:
     """Run a model on the CPU, with those of ``feeds`` that it takes."""
     session = onnxruntime.InferenceSession(model)
-    taken = {
-        one.name: np.asarray(feeds[one.name]).reshape(one.shape)
-        for one in session.get_inputs()
+    used = {
+        declared.name: np.asarray(feeds[declared.name]).reshape(declared.shape)
+        for declared in session.get_inputs()
     }
-    return list(session.run(None, taken))
+    return list(session.run(None, used))
 
 
 def judge(case: str, model: Path) -> list[tuple[bool, dict[str, float]]]:

@@ -18,10 +18,10 @@ from gsgen.reference_plugins.deformation.hexplane_checkpoint import HexPlaneChec
 
 
 @dataclass
-class Wanted:
+class ExpectedGaussians:
     """Rows that the method draws, and where they stand among all; the rest must not show."""
 
-    kept: np.ndarray
+    retained: np.ndarray
     position: np.ndarray
     opacity: np.ndarray
     covariance: np.ndarray
@@ -36,24 +36,24 @@ def _mlp(net: Mlp, x: torch.Tensor) -> torch.Tensor:
 
 def anchors(
     read: AnchorCheckpoint, camera: np.ndarray, uid: int | None, *, octree: bool
-) -> Wanted:
+) -> ExpectedGaussians:
     """Scaffold-GS (`gaussian_renderer/__init__.py`) and Octree-GS with its levels."""
     cloud, nets = read.cloud, read.nets
     n, k = len(cloud), cloud.per_anchor
     centre = torch.from_numpy(np.linalg.inv(camera.astype(np.float64).T)[:3, 3])
-    seen, fade, doubtful = torch.ones(n, dtype=torch.bool), None, torch.zeros(n).bool()
+    visible, fade, doubtful = torch.ones(n, dtype=torch.bool), None, torch.zeros(n).bool()
     if octree:
-        seen, fade, doubtful = _levels(read, centre)
-    anchor = cloud.position.double()[seen]
-    feature, log_scale = cloud.feature.double()[seen], cloud.log_scale.double()[seen]
-    offset = cloud.offset.double()[seen]
+        visible, fade, doubtful = _levels(read, centre)
+    anchor = cloud.position.double()[visible]
+    feature, log_scale = cloud.feature.double()[visible], cloud.log_scale.double()[visible]
+    offset = cloud.offset.double()[visible]
     v = anchor - centre
     d = v.norm(dim=1, keepdim=True)
     v = v / d
-    level = [cloud.level.double()[seen][:, None]] if nets.level else []
+    level = [cloud.level.double()[visible][:, None]] if nets.level else []
     if nets.bank is not None:
-        asked = [v, *level] if octree else [v, d]
-        w = torch.softmax(_mlp(nets.bank, torch.cat(asked, 1)), 1)[:, :, None]
+        bank_inputs = [v, *level] if octree else [v, d]
+        w = torch.softmax(_mlp(nets.bank, torch.cat(bank_inputs, 1)), 1)[:, :, None]
         f = feature[:, :, None]
         f = (
             f[:, ::4].repeat(1, 4, 1) * w[:, :1]
@@ -62,8 +62,8 @@ def anchors(
         )
         feature = f[:, :, 0]
 
-    def ask(net: Mlp, *more: torch.Tensor) -> torch.Tensor:
-        parts = [feature, v, *([d] if net.distance else []), *level, *more]
+    def ask(net: Mlp, *extra: torch.Tensor) -> torch.Tensor:
+        parts = [feature, v, *([d] if net.distance else []), *level, *extra]
         return _mlp(net, torch.cat(parts, 1))
 
     look = []
@@ -71,23 +71,22 @@ def anchors(
         look = [nets.embedding.double()[uid].expand(len(anchor), -1)]
     opacity = torch.tanh(ask(nets.opacity))
     if fade is not None:
-        opacity = opacity * fade[seen][:, None]
+        opacity = opacity * fade[visible][:, None]
     opacity = opacity.reshape(-1)
-    visible = opacity > 0
-    color = torch.sigmoid(ask(nets.color, *look)).reshape(-1, 3)[visible]
-    shape = ask(nets.covariance).reshape(-1, 7)[visible]
-    base = log_scale.exp().repeat_interleave(k, 0)[visible]
+    opaque = opacity > 0
+    color = torch.sigmoid(ask(nets.color, *look)).reshape(-1, 3)[opaque]
+    shape = ask(nets.covariance).reshape(-1, 7)[opaque]
+    base = log_scale.exp().repeat_interleave(k, 0)[opaque]
     scale = base[:, 3:] * torch.sigmoid(shape[:, :3])
     position = (
-        anchor.repeat_interleave(k, 0)[visible]
-        + offset.reshape(-1, 3)[visible] * base[:, :3]
+        anchor.repeat_interleave(k, 0)[opaque] + offset.reshape(-1, 3)[opaque] * base[:, :3]
     )
-    kept = torch.zeros(n, k, dtype=torch.bool)
-    kept[seen] = visible.reshape(-1, k)
-    return Wanted(
-        kept.reshape(-1).numpy(),
+    retained = torch.zeros(n, k, dtype=torch.bool)
+    retained[visible] = opaque.reshape(-1, k)
+    return ExpectedGaussians(
+        retained.reshape(-1).numpy(),
         position.numpy(),
-        opacity[visible].numpy(),
+        opacity[opaque].numpy(),
         covariance_upper(scale.numpy(), shape[:, 3:].numpy()),
         color.numpy(),
         doubtful.repeat_interleave(k).numpy(),
@@ -103,34 +102,36 @@ def _levels(
     voxel, standard = cloud.info[:2].double()
     middle = cloud.position.double() + (voxel / 2 / fork**level)[:, None]
     distance = (middle - centre).norm(dim=1)
-    asked = torch.log2(standard / distance) / np.log2(fork) + cloud.extra_level.double()
+    level_of_distance = (
+        torch.log2(standard / distance) / np.log2(fork) + cloud.extra_level.double()
+    )
     top = level.max() - level.min()
     fade = None
     if mode == "progressive":
-        clamped = (asked + 1).clamp(0.9999, float(top) + 0.9999)
+        clamped = (level_of_distance + 1).clamp(0.9999, float(top) + 0.9999)
         whole = clamped.floor()
         fade = torch.where(level == whole, clamped - whole, 1.0)
-        near = ((asked + 1) - (asked + 1).round()).abs()
+        near = ((level_of_distance + 1) - (level_of_distance + 1).round()).abs()
     else:
-        whole = getattr(torch, mode)(asked).clamp(0, top)
+        whole = getattr(torch, mode)(level_of_distance).clamp(0, top)
         shift = {"round": 0.5, "floor": 0.0, "ceil": 0.0}[mode]
-        near = ((asked + shift) - (asked + shift).round()).abs()
+        near = ((level_of_distance + shift) - (level_of_distance + shift).round()).abs()
     return level <= whole, fade, near < 1e-4
 
 
-def hexplane(read: HexPlaneCheckpoint, time: float) -> Wanted:
+def hexplane(read: HexPlaneCheckpoint, time: float) -> ExpectedGaussians:
     """4DGaussians (`scene/deformation.py`, `scene/hexplane.py`): every plane is sampled."""
-    nets, flags, rest = read.nets, read.flags, read.canonical
+    nets, flags, canonical = read.nets, read.flags, read.canonical
     upper, lower = nets.aabb.double()
-    place = (rest.position.double() - upper) * (2.0 / (lower - upper)) - 1.0
-    place = torch.cat([place, torch.full_like(place[:, :1], time)], 1)
+    scaled = (canonical.position.double() - upper) * (2.0 / (lower - upper)) - 1.0
+    scaled = torch.cat([scaled, torch.full_like(scaled[:, :1], time)], 1)
     features = []
     for planes in nets.grids:
         product: torch.Tensor | float = 1.0
         for plane, axes in zip(planes, combinations(range(4), 2), strict=True):
-            at = place[:, list(axes)][None, None]
+            samples = scaled[:, list(axes)][None, None]
             cells = F.grid_sample(
-                plane.double()[None], at, align_corners=True, padding_mode="border"
+                plane.double()[None], samples, align_corners=True, padding_mode="border"
             )
             product = product * cells[0, :, 0].T
         features.append(product)
@@ -145,33 +146,33 @@ def hexplane(read: HexPlaneCheckpoint, time: float) -> Wanted:
         inner = F.linear(torch.relu(hidden), a.double(), b.double())
         return F.linear(torch.relu(inner), c.double(), d.double())
 
-    mask = torch.ones_like(place[:, :1])
+    mask = torch.ones_like(scaled[:, :1])
     if flags.mask == "static_mlp":
         mask = head(nets.static)
     if flags.mask == "empty_voxel":
         grid, low, high = nets.voxels
-        at = ((rest.position.double() - low) / (high - low)).flip(-1) * 2 - 1
+        samples = ((canonical.position.double() - low) / (high - low)).flip(-1) * 2 - 1
         cells = F.grid_sample(
-            grid.double()[None, None], at[None, None, None], align_corners=True
+            grid.double()[None, None], samples[None, None, None], align_corners=True
         )
         mask = cells.reshape(-1, 1)
-    made = {name: head(pair) for name, pair in nets.heads.items()}
-    position, log_scale = rest.position.double(), rest.log_scale.double()
-    rotation, opacity = rest.rotation.double(), rest.logit_opacity.double()
-    sh = rest.sh.double()
-    if "pos" in made:
-        position = position * mask + made["pos"]
-    if "scales" in made:
-        log_scale = log_scale * mask + made["scales"]
-    if "opacity" in made:
-        opacity = opacity * mask + made["opacity"]
-    if "shs" in made:
-        sh = sh * mask[:, :, None] + made["shs"].reshape(len(sh), 16, 3)
-    if "rotations" in made and not flags.apply_rotation:
-        rotation = rotation + made["rotations"]
-    elif "rotations" in made:
-        rotation = _multiplied(rotation, made["rotations"])
-    return Wanted(
+    outputs = {name: head(pair) for name, pair in nets.heads.items()}
+    position, log_scale = canonical.position.double(), canonical.log_scale.double()
+    rotation, opacity = canonical.rotation.double(), canonical.logit_opacity.double()
+    sh = canonical.sh.double()
+    if "pos" in outputs:
+        position = position * mask + outputs["pos"]
+    if "scales" in outputs:
+        log_scale = log_scale * mask + outputs["scales"]
+    if "opacity" in outputs:
+        opacity = opacity * mask + outputs["opacity"]
+    if "shs" in outputs:
+        sh = sh * mask[:, :, None] + outputs["shs"].reshape(len(sh), 16, 3)
+    if "rotations" in outputs and not flags.apply_rotation:
+        rotation = rotation + outputs["rotations"]
+    elif "rotations" in outputs:
+        rotation = _multiplied(rotation, outputs["rotations"])
+    return ExpectedGaussians(
         np.ones(len(sh), bool),
         position.numpy(),
         torch.sigmoid(opacity)[:, 0].numpy(),
@@ -201,22 +202,22 @@ def _skew(v: torch.Tensor) -> torch.Tensor:
     return matrix - matrix.transpose(1, 2)
 
 
-def deformation(read: DeformationCheckpoint, time: float) -> Wanted:
+def deformation(read: DeformationCheckpoint, time: float) -> ExpectedGaussians:
     """Deformable-3D-Gaussians (`utils/time_utils.py`, `utils/rigid_utils.py`)."""
-    net, rest = read.net, read.canonical
-    x = rest.position.double()
+    net, canonical = read.net, read.canonical
+    x = canonical.position.double()
     t = torch.full((len(x), 1), time, dtype=torch.float64)
     moment = _embedded(t, 6 if net.time is not None else 10)
     if net.time is not None:
         (a, b), (c, d) = net.time
         moment = F.linear(moment, a.double(), b.double())
         moment = F.linear(torch.relu(moment), c.double(), d.double())
-    place = torch.cat([_embedded(x, 10), moment], 1)
-    hidden = place
+    scaled = torch.cat([_embedded(x, 10), moment], 1)
+    hidden = scaled
     for index, (weight, bias) in enumerate(net.layers):
         hidden = torch.relu(F.linear(hidden, weight.double(), bias.double()))
         if index == 4:
-            hidden = torch.cat([place, hidden], 1)
+            hidden = torch.cat([scaled, hidden], 1)
 
     def last(layer: tuple) -> torch.Tensor:
         return F.linear(hidden, layer[0].double(), layer[1].double())
@@ -233,8 +234,8 @@ def deformation(read: DeformationCheckpoint, time: float) -> Wanted:
             angle * eye + (1 - torch.cos(angle)) * w + (angle - torch.sin(angle)) * w @ w
         )
         position = (turn @ x[:, :, None] + carry @ v[:, :, None])[:, :, 0]
-    scale = rest.log_scale.double().exp() + last(net.scaling)
-    q = F.normalize(rest.rotation.double(), dim=1) + last(net.rotation)
+    scale = canonical.log_scale.double().exp() + last(net.scaling)
+    q = F.normalize(canonical.rotation.double(), dim=1) + last(net.rotation)
     w, i, j, k = q.T
     rows = [
         [1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)],
@@ -243,10 +244,10 @@ def deformation(read: DeformationCheckpoint, time: float) -> Wanted:
     ]
     root = torch.stack([torch.stack(row, -1) for row in rows], -2) * scale[:, None]
     full = root @ root.transpose(1, 2)
-    return Wanted(
+    return ExpectedGaussians(
         np.ones(len(x), bool),
         position.numpy(),
-        torch.sigmoid(rest.logit_opacity.double())[:, 0].numpy(),
+        torch.sigmoid(canonical.logit_opacity.double())[:, 0].numpy(),
         full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].numpy(),
-        rest.sh.double().flatten(1).numpy(),
+        canonical.sh.double().flatten(1).numpy(),
     )
