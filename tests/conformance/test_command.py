@@ -52,7 +52,7 @@ def test_json_lists_every_case(folder: Path) -> None:
     assert sum(made["counts"].values()) == len(cases)
     skipped = next(case for case in cases if case["rule"] == "GV003")
     assert skipped["status"] == "skipped"
-    assert skipped["reason"] == "skipped: level values was not asked for"
+    assert skipped["reason"] == "skipped: level values was not requested"
 
 
 def test_pytest_need_not_be_installed(folder: Path) -> None:

@@ -112,7 +112,7 @@ def test_what_cannot_be_judged_is_skipped_with_the_reason(folder: Path) -> None:
     write(folder, "drift")
     ran = run_pytest(folder, "--gsgen=drift.onnx", "--gsgen-level=static")
     assert ran.code == 0
-    assert "skipped: level values was not asked for" in ran.out
+    assert "skipped: level values was not requested" in ran.out
 
 
 def test_warnings_warn_or_fail_as_asked(folder: Path) -> None:
