@@ -54,36 +54,36 @@ def settle(
 ) -> Case:
     """Say what came of ``rule``, by the report of the model and what was expected of it."""
     path = PurePath(report.path)
-    foreseen = next((one for one in expected if one.matches(rule.id, path)), None)
+    foreseen = next((entry for entry in expected if entry.matches(rule.id, path)), None)
     outcome = report.outcome(rule.id)
-    found = tuple(one for one in report.findings if one.rule == rule.id)
+    findings = tuple(finding for finding in report.findings if finding.rule == rule.id)
     if outcome.status == "crashed":
         text = f"{rule.id} crashed: this is a fault of the rule\n{outcome.reason}"
-        return Case(rule, suite, "crashed", text, found)
+        return Case(rule, suite, "crashed", text, findings)
     if outcome.status in ("skipped", "not-applicable"):
         return Case(rule, suite, "skipped", f"{outcome.status}: {outcome.reason}")
-    status, text = _judged(report, found, foreseen)
-    return Case(rule, suite, status, text, found)
+    status, text = _judged(report, findings, foreseen)
+    return Case(rule, suite, status, text, findings)
 
 
 def _judged(
-    report: Report, found: tuple[Finding, ...], foreseen: ExpectedFailure | None
+    report: Report, findings: tuple[Finding, ...], foreseen: ExpectedFailure | None
 ) -> tuple[CaseStatus, str]:
-    if not found:
+    if not findings:
         if foreseen is None:
             return "passed", ""
         return "failed", f"holds, but is expected to fail: remove the entry\n  {foreseen}"
-    text = _words(found)
+    text = _words(findings)
     if foreseen is not None:
         return "expected", f"{foreseen}\n{text}"
-    if any(report.fails_by(one) for one in found):
+    if any(report.fails_by(finding) for finding in findings):
         return "failed", text
-    if not any(one.counts for one in found):
+    if not any(finding.counts for finding in findings):
         return "skipped", f"accepted by the settings ({report.settings})\n{text}"
     return "warned", text
 
 
-def _words(found: tuple[Finding, ...]) -> str:
+def _words(findings: tuple[Finding, ...]) -> str:
     """Return what ``gsgen validate`` prints of the findings that count, or else of all."""
-    shown = [one for one in found if one.counts] or found
-    return "\n".join(line.text for line in finding_lines(shown))
+    reported = [finding for finding in findings if finding.counts] or findings
+    return "\n".join(line.text for line in finding_lines(reported))

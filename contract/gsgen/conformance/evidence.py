@@ -81,27 +81,27 @@ def gather(
     is enough to break the rule.
     """
     broken = [case for case in cases if case.broken]
-    found = {case.rule.id: Evidence(_command(path, settings, case)) for case in broken}
+    by_rule = {case.rule.id: Evidence(_command(path, settings, case)) for case in broken}
     ran = [case for case in broken if case.rule.scope not in ("model", "report")]
     if not ran:
-        return found
+        return by_rule
     subject, plan = plan_for(path, settings)
-    wanted = {case.rule.id: suspects(plan, case.findings) for case in ran}
+    probes_by_rule = {case.rule.id: suspects(plan, case.findings) for case in ran}
     if any(case.rule.scope == "execution" for case in ran):  # it did not run to the end:
         for case in ran:  # once was enough
-            runs: Runs = [(probe, {}) for probe in wanted[case.rule.id]]
+            runs: Runs = [(probe, {}) for probe in probes_by_rule[case.rule.id]]
             command = _command(path, settings, case)
-            found[case.rule.id] = _keep(dumps, path, settings, case, command, runs)
-        return found
-    probes = list({id(one): one for held in wanted.values() for one in held}.values())
-    places = {id(probe): number for number, probe in enumerate(probes)}
-    with replay(subject, probes, settings) as again:
+            by_rule[case.rule.id] = _keep(dumps, path, settings, case, command, runs)
+        return by_rule
+    probes = list({id(probe): probe for rule_probes in probes_by_rule.values() for probe in rule_probes}.values())
+    index_by_probe = {id(probe): number for number, probe in enumerate(probes)}
+    with replay(subject, probes, settings) as rerun:
         for case in ran:
-            numbers = [places[id(probe)] for probe in wanted[case.rule.id]]
-            runs = [(probes[number], again.outputs(number)) for number in numbers]
-            command = _command(path, settings, case, _enough(again, case, numbers))
-            found[case.rule.id] = _keep(dumps, path, settings, case, command, runs)
-    return found
+            numbers = [index_by_probe[id(probe)] for probe in probes_by_rule[case.rule.id]]
+            runs = [(probes[number], rerun.outputs(number)) for number in numbers]
+            command = _command(path, settings, case, _enough(rerun, case, numbers))
+            by_rule[case.rule.id] = _keep(dumps, path, settings, case, command, runs)
+    return by_rule
 
 
 def _keep(
@@ -115,7 +115,7 @@ def _keep(
     if dumps is None:
         return Evidence(command)
     arrays = (
-        array for one, made in runs for array in (*one.inputs.values(), *made.values())
+        array for probe, outputs in runs for array in (*probe.inputs.values(), *outputs.values())
     )
     size = sum(array.nbytes for array in arrays)
     if dumps.most is not None and size > dumps.most:
@@ -130,21 +130,21 @@ def suspects(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
     """Return the probes that findings speak of, the first one first, and never none."""
     text = " ".join(finding.message for finding in findings)
     labels = {example.probe for finding in findings for example in finding.examples[:1]}
-    named = [one for one in plan.probes if one.label in labels or repr(one.label) in text]
-    for role, (base, others) in plan.variants.items():
+    matches = [probe for probe in plan.probes if probe.label in labels or repr(probe.label) in text]
+    for role, (base, variants) in plan.variants.items():
         if any(finding.where.subject == f"role {role}" for finding in findings):
-            named += [plan.probes[base], *(plan.probes[other] for other in others)]
-    distinct = list({id(one): one for one in named}.values())
+            matches += [plan.probes[base], *(plan.probes[variant] for variant in variants)]
+    distinct = list({id(probe): probe for probe in matches}.values())
     return distinct[:_MOST_RUNS] or [plan.probes[min(1, plan.values - 1)]]
 
 
-def _enough(again: Replay, case: Case, numbers: list[int]) -> Probe | None:
+def _enough(rerun: Replay, case: Case, numbers: list[int]) -> Probe | None:
     """Return the probe that breaks the rule alone, if one does."""
     if case.rule.scope not in ONE_PROBE:
         return None
-    breaking = (number for number in numbers if again.findings(case.rule, number))
+    breaking = (number for number in numbers if rerun.findings(case.rule, number))
     first = next(breaking, None)
-    return None if first is None else again.probes[first]
+    return None if first is None else rerun.probes[first]
 
 
 def _command(path: Path, settings: Settings, case: Case, probe: Probe | None = None) -> str:

@@ -47,8 +47,8 @@ class ExpectedFailure:
     def matches(self, rule: str, path: PurePath) -> bool:
         """Say whether it is meant for this rule of the model at ``path``."""
         names = (path.as_posix(), path.name)
-        named = not self.model or any(fnmatchcase(name, self.model) for name in names)
-        return named and rule == self.rule
+        model_matches = not self.model or any(fnmatchcase(name, self.model) for name in names)
+        return model_matches and rule == self.rule
 
 
 def read_expected(path: Path, registry: Registry) -> tuple[ExpectedFailure, ...]:
@@ -67,7 +67,7 @@ def read_expected(path: Path, registry: Registry) -> tuple[ExpectedFailure, ...]
         raise ConfigInvalid(f"is not TOML: {error}", where=where) from error
     _refuse_strange_keys(data, (_TABLE,), where)
     tables = data.get(_TABLE, [])
-    if not (isinstance(tables, list) and all(isinstance(one, dict) for one in tables)):
+    if not (isinstance(tables, list) and all(isinstance(entry, dict) for entry in tables)):
         raise ConfigInvalid(f"{tables!r}, expected tables [[{_TABLE}]]", where=where)
     return tuple(
         _entry(table, f"{where}, {_TABLE} {number}", where, registry)
@@ -76,16 +76,16 @@ def read_expected(path: Path, registry: Registry) -> tuple[ExpectedFailure, ...]
 
 
 def _entry(
-    table: dict[str, Any], place: str, source: str, registry: Registry
+    table: dict[str, Any], where: str, source: str, registry: Registry
 ) -> ExpectedFailure:
-    _refuse_strange_keys(table, _KEYS, place)
+    _refuse_strange_keys(table, _KEYS, where)
     for key, value in table.items():
         if not (isinstance(value, str) and value.strip()):
-            raise ConfigInvalid(f"{key} is {value!r}, expected a text", where=place)
+            raise ConfigInvalid(f"{key} is {value!r}, expected a text", where=where)
     for key in ("rule", "reason"):
         if key not in table:
-            raise ConfigInvalid(f"has no {key}", where=place)
-    rule = registry.find(table["rule"], place).id
+            raise ConfigInvalid(f"has no {key}", where=where)
+    rule = registry.find(table["rule"], where).id
     return ExpectedFailure(rule, table["reason"], table.get("model", ""), source)
 
 
@@ -107,4 +107,4 @@ def unmatched_entries(
         tested: Model → ids of the rules that its suites hold.
     """
     pairs = [(rule, path) for path, rules in tested.items() for rule in rules]
-    return [one for one in entries if not any(one.matches(*pair) for pair in pairs)]
+    return [entry for entry in entries if not any(entry.matches(*pair) for pair in pairs)]

@@ -77,27 +77,27 @@ def reproduce(
         settings = replace(settings, level=rule.level)
     if probe is None:
         report = _judge(path, rule, settings)
-        found = tuple(one for one in report.findings if one.rule == rule.id)
-        return Reproduction(rule, found, (), _look(path, rule, settings, found, dump))
+        findings = tuple(finding for finding in report.findings if finding.rule == rule.id)
+        return Reproduction(rule, findings, (), _look(path, rule, settings, findings, dump))
     if rule.scope not in ONE_PROBE:
-        what = f"{rule.id} does not look at single probes but at {_SEEN[rule.scope]}"
-        raise ConfigInvalid(what, where="--probe", hint="Leave --probe out.")
+        message = f"{rule.id} does not look at single probes but at {_SUBJECTS[rule.scope]}"
+        raise ConfigInvalid(message, where="--probe", hint="Leave --probe out.")
     _judge(path, rule, replace(settings, level=Level.STATIC))
     subject, plan = plan_for(path, settings)
     probes = find_probes(plan.probes, probe)
-    labels = tuple(one.label for one in probes)
-    with replay(subject, probes, settings) as again:
-        if again.execution.fault and rule.scope != "execution":
-            raise NotJudged(again.execution.fault.message, where=f"{path} does not run")
-        _save(again, dump)
+    labels = tuple(probe.label for probe in probes)
+    with replay(subject, probes, settings) as rerun:
+        if rerun.execution.fault and rule.scope != "execution":
+            raise NotJudged(rerun.execution.fault.message, where=f"{path} does not run")
+        _save(rerun, dump)
         for number in range(len(probes)):
-            found = again.findings(rule, number)
-            if found:
-                return Reproduction(rule, found, labels, _rows(again, number, found))
+            findings = rerun.findings(rule, number)
+            if findings:
+                return Reproduction(rule, findings, labels, _rows(rerun, number, findings))
     return Reproduction(rule, (), labels, ())
 
 
-_SEEN = {"model": "the file", "runs": "several runs compared", "report": "the whole report"}
+_SUBJECTS = {"model": "the file", "runs": "several runs compared", "report": "the whole report"}
 
 
 def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
@@ -106,7 +106,7 @@ def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
     part = registry if rule.scope == "report" else needed_by(rule, registry)
     report = validate(path, settings, registry=part)
     outcome = report.outcome(rule.id)
-    blocked = [one.rule.id for one in report.outcomes if one.status in ("fail", "crashed")]
+    blocked = [outcome.rule.id for outcome in report.outcomes if outcome.status in ("fail", "crashed")]
     if settings.level < rule.level and outcome.status == "skipped":
         needs = [name for name in blocked if name in part.rules and name != rule.id]
         reason = f"because {needs[0]} does not hold" if needs else ""
@@ -122,32 +122,32 @@ def _look(
     path: Path,
     rule: Rule,
     settings: Settings,
-    found: tuple[Finding, ...],
+    findings: tuple[Finding, ...],
     dump: Path | None,
 ) -> tuple[Row, ...]:
     """Run the probes that the findings speak of once more, to show rows and to keep them."""
-    if not found or rule.scope in ("model", "report") or not (dump or rule.scope == "rows"):
+    if not findings or rule.scope in ("model", "report") or not (dump or rule.scope == "rows"):
         return ()
     subject, plan = plan_for(path, settings)
-    with replay(subject, suspects(plan, found), settings) as again:
-        _save(again, dump)
-        labels = [one.label for one in again.probes]
-        label = found[0].examples[0].probe if found[0].examples else ""
-        return _rows(again, labels.index(label), found) if label in labels else ()
+    with replay(subject, suspects(plan, findings), settings) as rerun:
+        _save(rerun, dump)
+        labels = [probe.label for probe in rerun.probes]
+        label = findings[0].examples[0].probe if findings[0].examples else ""
+        return _rows(rerun, labels.index(label), findings) if label in labels else ()
 
 
-def _save(again: Replay, dump: Path | None) -> None:
+def _save(rerun: Replay, dump: Path | None) -> None:
     if dump is not None:
-        runs = [(one, again.outputs(number)) for number, one in enumerate(again.probes)]
+        runs = [(probe, rerun.outputs(number)) for number, probe in enumerate(rerun.probes)]
         save(dump, runs)
 
 
-def _rows(again: Replay, number: int, found: Sequence[Finding]) -> tuple[Row, ...]:
+def _rows(rerun: Replay, number: int, findings: Sequence[Finding]) -> tuple[Row, ...]:
     """Return the rows that findings show, as the probe gave them."""
-    emission, label = again.emission(number), again.probes[number].label
+    emission, label = rerun.emission(number), rerun.probes[number].label
     if emission.gaussians is None:
         return ()
-    shown = [e.row for one in found for e in one.examples if e.probe in ("", label)]
+    shown = [e.row for finding in findings for e in finding.examples if e.probe in ("", label)]
     rows = []
     for row in dict.fromkeys(row for row in shown if row is not None):
         packed = tuple(emission.gaussians[row].tolist())

@@ -55,8 +55,8 @@ class Replay:
 
     def emission(self, probe: int) -> ModelOutputs:
         """Return the outputs for a probe as value rules see them."""
-        one = self.probes[probe]
-        return read_outputs(self.subject, one.label, one.zeros, self.outputs(probe))
+        run_probe = self.probes[probe]
+        return read_outputs(self.subject, run_probe.label, run_probe.zeros, self.outputs(probe))
 
     def findings(self, rule: Rule, probe: int) -> tuple[Finding, ...]:
         """Return what ``rule`` finds when it sees a probe alone."""
@@ -64,8 +64,8 @@ class Replay:
         board = ResultCollector(
             registry=alone, settings=self.settings, kind=self.subject.kind
         )
-        for seen, start in self._seen(rule, probe):
-            board.check(rule, seen, self.probes[probe].label, start)
+        for subject, start in self._seen(rule, probe):
+            board.check(rule, subject, self.probes[probe].label, start)
         board.settle(alone.rules.values())
         return board.findings()
 
@@ -104,19 +104,19 @@ def replay(
         yield Replay(subject, tuple(probes), execution, settings)
 
 
-def find_probes(probes: Sequence[Probe], wanted: str) -> tuple[Probe, ...]:
-    """Return the probes with the label or number ``wanted``; several may share a label.
+def find_probes(probes: Sequence[Probe], key: str) -> tuple[Probe, ...]:
+    """Return the probes with the label or number ``key``; several may share a label.
 
     Raises:
         UnknownName: There is no such probe; the message names the nearest.
     """
-    named = [probe for probe in probes if probe.label == wanted]
-    if not named and wanted.isdecimal() and int(wanted) < len(probes):
-        named = [probes[int(wanted)]]
-    if not named:
+    matches = [probe for probe in probes if probe.label == key]
+    if not matches and key.isdecimal() and int(key) < len(probes):
+        matches = [probes[int(key)]]
+    if not matches:
         labels = dict.fromkeys(probe.label for probe in probes)
-        raise UnknownName.among("probe", wanted, labels, "--probe")
-    return tuple({id(probe): probe for probe in named}.values())
+        raise UnknownName.among("probe", key, labels, "--probe")
+    return tuple({id(probe): probe for probe in matches}.values())
 
 
 def save(path: Path, runs: Sequence[tuple[Probe, Arrays]]) -> None:

@@ -54,10 +54,10 @@ class ModelRun:
     @property
     def suites(self) -> dict[str, list[Case]]:
         """The cases by the name of their suite."""
-        found: dict[str, list[Case]] = {}
+        by_suite: dict[str, list[Case]] = {}
         for case in self.cases:
-            found.setdefault(case.suite, []).append(case)
-        return found
+            by_suite.setdefault(case.suite, []).append(case)
+        return by_suite
 
 
 def suites_of(path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
@@ -95,13 +95,13 @@ def run_model(
     Raises:
         ModelUnreadable: The file is not an ONNX model at all.
     """
-    wanted, entries = set(suites), tuple(expected)
+    suite_names, entries = set(suites), tuple(expected)
     planned = suites_of(path, settings)
     report = validate(path, settings, progress=progress)
     cases = tuple(
         settle(report, rule, name, entries)
         for name, rules in planned.items()
-        if not wanted or name in wanted
+        if not suite_names or name in suite_names
         for rule in rules
     )
     failing = [case for case in cases if case.status in FAILING]

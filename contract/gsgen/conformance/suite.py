@@ -157,12 +157,12 @@ def plan_suites(
     Rules of other kinds of models, and of other targets, are left out: they cannot fail.
     """
     applying = [suite for suite in SUITES if suite.applies(declared)]
-    found: dict[str, list[Rule]] = {suite.name: [] for suite in (BASIC, *applying)}
+    by_suite: dict[str, list[Rule]] = {suite.name: [] for suite in (BASIC, *applying)}
     for rule in rules:
         if _concerns(rule, declared.kind, target):
             suite = next(suite for suite in applying if suite.claims(rule))
-            found[suite.name].append(rule)
-    return {name: tuple(held) for name, held in found.items() if held}
+            by_suite[suite.name].append(rule)
+    return {name: tuple(suite_rules) for name, suite_rules in by_suite.items() if suite_rules}
 
 
 def _concerns(rule: Rule, kind: str, target: Target) -> bool:

@@ -33,12 +33,12 @@ _STYLE: dict[CaseStatus, str] = {
 def exit_code(entries: Sequence[Entry]) -> ExitCode:
     """Return what `gsgen validate` would: 3 for a crash, 4 for no model, 1 for a failure, else 0."""
     runs = [entry for entry in entries if isinstance(entry, ModelRun)]
-    seen = {case.status for run in runs for case in run.cases}
-    if "crashed" in seen:
+    statuses = {case.status for run in runs for case in run.cases}
+    if "crashed" in statuses:
         return ExitCode.INTERNAL
     if len(runs) < len(entries):
         return ExitCode.UNREADABLE
-    return ExitCode.FAILURE if "failed" in seen else ExitCode.SUCCESS
+    return ExitCode.FAILURE if "failed" in statuses else ExitCode.SUCCESS
 
 
 def lines_of(run: ModelRun) -> list[Line]:
@@ -61,7 +61,7 @@ def _badness(status: CaseStatus) -> int:
 
 def _counts(cases: Sequence[Case]) -> str:
     counted = Counter(case.status for case in cases)
-    return ", ".join(f"{counted[one]} {one}" for one in _ORDER if counted[one])
+    return ", ".join(f"{counted[status]} {status}" for status in _ORDER if counted[status])
 
 
 def _shown(run: ModelRun, case: Case) -> list[Line]:
@@ -70,9 +70,9 @@ def _shown(run: ModelRun, case: Case) -> list[Line]:
 
 
 def _verdict(run: ModelRun) -> Line:
-    bad = exit_code([run])
-    word = {0: "passed", 1: "failed", 3: "a rule crashed, no verdict"}[bad]
-    return Line(f"{word}: {_counts(run.cases)}", "bold red" if bad else "bold green")
+    code = exit_code([run])
+    word = {0: "passed", 1: "failed", 3: "a rule crashed, no verdict"}[code]
+    return Line(f"{word}: {_counts(run.cases)}", "bold red" if code else "bold green")
 
 
 def to_json(entries: Sequence[Entry]) -> str:
@@ -87,31 +87,31 @@ def to_json(entries: Sequence[Entry]) -> str:
 
 def _model(entry: Entry) -> dict[str, Any]:
     if isinstance(entry, Unreadable):
-        found = to_dict(entry)
-        return {key: found[key] for key in ("subject", "verdict", "error")}
+        document_of_model = to_dict(entry)
+        return {key: document_of_model[key] for key in ("subject", "verdict", "error")}
     document = to_dict(entry.report)
     tested = {case.rule.id for case in entry.cases}
-    kept = ("subject", "target", "level", "fail_on", "settings", "environment")
+    keys = ("subject", "target", "level", "fail_on", "settings", "environment")
     return {
-        **{key: document[key] for key in kept},
+        **{key: document[key] for key in keys},
         "verdict": "failed" if exit_code([entry]) else "passed",
         "counts": dict(Counter(case.status for case in entry.cases)),
         "suites": [
             {"name": name, "cases": [_case(entry, case) for case in cases]}
             for name, cases in entry.suites.items()
         ],
-        "findings": [one for one in document["findings"] if one["rule"] in tested],
+        "findings": [finding for finding in document["findings"] if finding["rule"] in tested],
     }
 
 
 def _case(run: ModelRun, case: Case) -> dict[str, Any]:
-    made = {"rule": case.rule.id, "slug": case.rule.slug, "status": case.status}
+    entry = {"rule": case.rule.id, "slug": case.rule.slug, "status": case.status}
     if case.status in ("skipped", "expected"):
-        made["reason"] = case.text.partition("\n")[0]
+        entry["reason"] = case.text.partition("\n")[0]
     elif case.text:
-        made["text"] = case.text
+        entry["text"] = case.text
     evidence = run.evidence.get(case.rule.id)
     if evidence:
-        made["reproduce"] = evidence.command
-        made |= {"dump": str(evidence.dump)} if evidence.dump else {}
-    return made
+        entry["reproduce"] = evidence.command
+        entry |= {"dump": str(evidence.dump)} if evidence.dump else {}
+    return entry

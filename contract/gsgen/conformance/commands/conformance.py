@@ -129,5 +129,5 @@ def _refuse_strangers(
         if isinstance(entry, ModelRun)
     }
     for entry in unmatched_entries(expected, tested):
-        what = "matches no rule of any tested model"
-        raise ConfigInvalid(what, where=str(entry), hint="Remove or correct the entry.")
+        message = "matches no rule of any tested model"
+        raise ConfigInvalid(message, where=str(entry), hint="Remove or correct the entry.")

@@ -47,43 +47,43 @@ def repro(
     if dump:
         refuse_model(dump, [model])
     registry = installed_rules()
-    wanted = registry.find(rule, "--rule")
+    checked_rule = registry.find(rule, "--rule")
     settings = make_settings(
         registry, target=target, config=config, timeout=timeout, memory=memory, seed=seed
     )
     try:
-        found = reproduce(model, wanted, settings, probe=probe, dump=dump)
+        reproduction = reproduce(model, checked_rule, settings, probe=probe, dump=dump)
     except ModelUnreadable as error:
         typer.echo(f"gsgen: {error}", err=True)
         raise typer.Exit(ExitCode.UNREADABLE) from error
-    _show(model, found)
+    _show(model, reproduction)
     if dump is not None and dump.is_file():
         typer.echo(f"  inputs and outputs: {dump}")
-    raise typer.Exit(ExitCode.FAILURE if found.findings else ExitCode.SUCCESS)
+    raise typer.Exit(ExitCode.FAILURE if reproduction.findings else ExitCode.SUCCESS)
 
 
-def _show(model: Path, found: "Reproduction") -> None:
+def _show(model: Path, reproduction: "Reproduction") -> None:
     from gsgen.contract.commands.output import show
     from gsgen.contract.reporters.text import Line, finding_lines
 
-    where = f"{model} at probe {', '.join(found.probes)}" if found.probes else str(model)
-    if not found.findings:
-        show([Line(f"does not reproduce: {found.rule.id} holds for {where}", "bold green")])
+    where = f"{model} at probe {', '.join(reproduction.probes)}" if reproduction.probes else str(model)
+    if not reproduction.findings:
+        show([Line(f"does not reproduce: {reproduction.rule.id} holds for {where}", "bold green")])
         return
     show([Line(f"{where}:", "bold")])
-    show(finding_lines(found.findings))
-    show([Line(text) for text in _table(found)])
-    show([Line(f"reproduced: {found.rule.id} is broken", "bold red")])
+    show(finding_lines(reproduction.findings))
+    show([Line(text) for text in _table(reproduction)])
+    show([Line(f"reproduced: {reproduction.rule.id} is broken", "bold red")])
 
 
-def _table(found: "Reproduction") -> list[str]:
-    if not found.rows:
+def _table(reproduction: "Reproduction") -> list[str]:
+    if not reproduction.rows:
         return []
-    lines = [f"  rows at probe {found.rows[0].probe}:"]
+    lines = [f"  rows at probe {reproduction.rows[0].probe}:"]
     lines.append("  " + "".join(f"{name:>13}" for name in ("row", *_FIELDS)) + "  color")
-    for row in found.rows:
+    for row in reproduction.rows:
         numbers = "".join(f"{value:13.6g}" for value in row.packed)
         color = " ".join(f"{value:.4g}" for value in row.color[:_COLOR_SHOWN])
-        more = " …" if len(row.color) > _COLOR_SHOWN else ""
-        lines.append(f"  {row.number:13d}{numbers}  {color}{more}")
+        ellipsis = " …" if len(row.color) > _COLOR_SHOWN else ""
+        lines.append(f"  {row.number:13d}{numbers}  {color}{ellipsis}")
     return lines

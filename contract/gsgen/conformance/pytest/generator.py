@@ -102,8 +102,8 @@ class GeneratorConformance:
 
 def _home(rule: Rule) -> str:
     """Return the suite that a rule belongs to in a generator that declares everything."""
-    ours = GENERATOR in rule.kinds
-    suites = [suite for suite in SUITES if not (ours and suite.name in _OTHER_KINDS)]
+    is_generator = GENERATOR in rule.kinds
+    suites = [suite for suite in SUITES if not (is_generator and suite.name in _OTHER_KINDS)]
     return next(suite.name for suite in suites if suite.claims(rule))
 
 

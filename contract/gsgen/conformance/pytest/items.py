@@ -38,8 +38,8 @@ class ModelFile(pytest.File):
 class SuiteNode(pytest.Collector):
     """A suite of one model."""
 
-    def __init__(self, *, rules: tuple[Rule, ...], **rest: Any) -> None:
-        super().__init__(**rest)
+    def __init__(self, *, rules: tuple[Rule, ...], **options: Any) -> None:
+        super().__init__(**options)
         self.rules = rules
 
     def collect(self) -> "Iterator[RuleItem]":
@@ -52,16 +52,16 @@ class SuiteNode(pytest.Collector):
 class RuleItem(pytest.Item):
     """One rule, tested on one model."""
 
-    def __init__(self, *, rule: Rule, **rest: Any) -> None:
-        super().__init__(**rest)
+    def __init__(self, *, rule: Rule, **options: Any) -> None:
+        super().__init__(**options)
         self.rule = rule
 
     @property
     def file(self) -> ModelFile:
         """The model."""
-        found = self.getparent(ModelFile)
-        assert found is not None
-        return found
+        parent = self.getparent(ModelFile)
+        assert parent is not None
+        return parent
 
     def setup(self) -> None:
         """Judge the model; a crashed rule is an error."""
@@ -84,8 +84,8 @@ class RuleItem(pytest.Item):
 class StaleEntry(pytest.Item):
     """An expected failure that speaks of nothing that is tested: always an error."""
 
-    def __init__(self, *, entry: ExpectedFailure, **rest: Any) -> None:
-        super().__init__(**rest)
+    def __init__(self, *, entry: ExpectedFailure, **options: Any) -> None:
+        super().__init__(**options)
         self.entry = entry
 
     def setup(self) -> None:

@@ -78,9 +78,9 @@ def pytest_collect_file(
     """Collect the models that were named with `--gsgen`, or stand behind one."""
     if file_path.suffix != _SUFFIX and not parent.config.getoption("--gsgen"):
         return None
-    named = {Path(name).resolve() for name in parent.config.getoption("--gsgen")}
-    extra = bool(named) and parent.session.isinitpath(file_path)
-    if file_path.resolve() not in named and not (extra and file_path.suffix == _SUFFIX):
+    paths = {Path(name).resolve() for name in parent.config.getoption("--gsgen")}
+    extra = bool(paths) and parent.session.isinitpath(file_path)
+    if file_path.resolve() not in paths and not (extra and file_path.suffix == _SUFFIX):
         return None
     from gsgen.conformance.pytest.items import ModelFile
 

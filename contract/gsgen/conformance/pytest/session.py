@@ -108,7 +108,7 @@ class ConformanceSession:
         """Return the suites of a model with their rules, and remember them as tested."""
         planned = suites_of(path, settings)
         rules = self.tested.setdefault(path, set())
-        rules |= {rule.id for held in planned.values() for rule in held}
+        rules |= {rule.id for suite_rules in planned.values() for rule in suite_rules}
         return planned
 
     def run(
@@ -121,10 +121,10 @@ class ConformanceSession:
         key = (path.resolve(), version, repr(settings), entries)
         if key not in self._runs:
             self._runs[key] = self._judge(path, settings, entries)
-        made = self._runs[key]
-        if isinstance(made, Exception):
-            raise made
-        return made
+        model_run = self._runs[key]
+        if isinstance(model_run, Exception):
+            raise model_run
+        return model_run
 
     def _judge(
         self, path: Path, settings: Settings, expected: tuple[ExpectedFailure, ...]
@@ -160,10 +160,10 @@ def act(run: ModelRun, case: Case) -> None:
 
 def properties(run: ModelRun, case: Case) -> list[tuple[str, object]]:
     """Return what a test report records of a case: rule, status, findings as in JSON reports."""
-    made: list[tuple[str, object]] = [("gsgen.rule", case.rule.id)]
-    made.append(("gsgen.status", case.status))
+    entries: list[tuple[str, object]] = [("gsgen.rule", case.rule.id)]
+    entries.append(("gsgen.status", case.status))
     if case.findings:
         findings = to_dict(run.report)["findings"]
-        found = [one for one in findings if one["rule"] == case.rule.id]
-        made.append(("gsgen.findings", json.dumps(found, ensure_ascii=False)))
-    return made
+        matches = [finding for finding in findings if finding["rule"] == case.rule.id]
+        entries.append(("gsgen.findings", json.dumps(matches, ensure_ascii=False)))
+    return entries

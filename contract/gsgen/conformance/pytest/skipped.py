@@ -22,8 +22,8 @@ _CHATTER = "DEBUG    torch."  # what torch's exporter logs for its own developer
 def wants_model(item: pytest.Item) -> bool:
     """Say whether a test is one of a conformance class, and needs its model judged."""
     module = sys.modules.get("gsgen.conformance.pytest.generator")
-    held = getattr(item, "cls", None)
-    if module is None or held is None or not issubclass(held, module.GeneratorConformance):
+    test_class = getattr(item, "cls", None)
+    if module is None or test_class is None or not issubclass(test_class, module.GeneratorConformance):
         return False
     return "conformance" in getattr(item, "fixturenames", ())
 
@@ -51,8 +51,8 @@ def note(item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestRepo
 def _subject(item: pytest.Item) -> object:
     """Return what tells a model apart: its class, and parameters of its fixtures."""
     indices = getattr(getattr(item, "callspec", None), "indices", {})
-    others = sorted((name, place) for name, place in indices.items() if name != "rule")
-    return getattr(item, "cls", None), tuple(others)
+    remaining = sorted((name, index) for name, index in indices.items() if name != "rule")
+    return getattr(item, "cls", None), tuple(remaining)
 
 
 def _quiet(head: str, text: str) -> str:

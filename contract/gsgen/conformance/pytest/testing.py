@@ -67,8 +67,8 @@ def parametrize_with_rules(
     expected = expected_failures
     if expected is not None and not isinstance(expected, (str, os.PathLike)):
         expected = tuple(expected)
-    wanted = Request(models, target, level, settings, tuple(suites), expected)
-    return pytest.mark.gsgen_rules(wanted)
+    request = Request(models, target, level, settings, tuple(suites), expected)
+    return pytest.mark.gsgen_rules(request)
 
 
 class Check:
@@ -116,30 +116,30 @@ class Check:
         act(self.run, self.case)
 
 
-def checks_for(wanted: Request, bench: ConformanceSession, folder: Path) -> list[Check]:
+def checks_for(request: Request, bench: ConformanceSession, folder: Path) -> list[Check]:
     """Return a check for each rule of each model that a test asks for.
 
     Args:
-        wanted: What the test's decorator was given.
+        request: What the test's decorator was given.
         bench: Options of the session.
         folder: Where relative paths start.
     """
     try:
-        return _checks(wanted, bench, folder)
+        return _checks(request, bench, folder)
     except GsgenError as error:
         raise pytest.UsageError(f"gsgen: {error}") from error
 
 
-def _checks(wanted: Request, bench: ConformanceSession, folder: Path) -> list[Check]:
-    settings = wanted.settings or bench.make_settings(
-        target=wanted.target, level=wanted.level
+def _checks(request: Request, bench: ConformanceSession, folder: Path) -> list[Check]:
+    settings = request.settings or bench.make_settings(
+        target=request.target, level=request.level
     )
-    suites = [find_suite(name, "suites").name for name in wanted.suites] or bench.suites
-    expected = _expected(wanted.expected, bench, folder)
-    named = wanted.models() if callable(wanted.models) else wanted.models
-    paths = [folder / path for path in named]
+    suites = [find_suite(name, "suites").name for name in request.suites] or bench.suites
+    expected = _expected(request.expected, bench, folder)
+    models = request.models() if callable(request.models) else request.models
+    paths = [folder / path for path in models]
     plans = {path: bench.plan(path, settings) for path in paths}
-    if wanted.expected is not None:
+    if request.expected is not None:
         refuse_strangers(expected, plans)
 
     def judge(path: Path) -> Callable[[], ModelRun]:
@@ -155,15 +155,15 @@ def _checks(wanted: Request, bench: ConformanceSession, folder: Path) -> list[Ch
 
 
 def _expected(
-    given: PathLike | tuple[ExpectedFailure, ...] | None,
+    entries: PathLike | tuple[ExpectedFailure, ...] | None,
     bench: ConformanceSession,
     folder: Path,
 ) -> tuple[ExpectedFailure, ...]:
-    if given is None:
+    if entries is None:
         return bench.expected
-    if isinstance(given, tuple):
-        return given
-    return read_expected(folder / given, installed_rules())
+    if isinstance(entries, tuple):
+        return entries
+    return read_expected(folder / entries, installed_rules())
 
 
 def refuse_strangers(
