@@ -24,7 +24,7 @@ import numpy as np
 from PIL import Image
 from rich.console import Console
 
-from gsgen.sdk.plugins.plugin import Plugin, installed_plugins
+from gsgen.sdk import Plugin, installed_plugins
 
 TILE = (240, 240)  # width and height of each picture of a strip
 FRAMES = 6

@@ -22,10 +22,11 @@ if TYPE_CHECKING:
     )
     from gsgen.sdk.exporting.exporter import Exported, export
     from gsgen.sdk.exporting.post_process_exporter import export_post_process
-    from gsgen.sdk.plugins.plugin import Plugin
+    from gsgen.sdk.plugins.plugin import Demo, Plugin, Publication, installed_plugins
 
 __all__ = [
     "Cells",
+    "Demo",
     "ExportFailed",
     "ExportRejected",
     "Exported",
@@ -35,9 +36,11 @@ __all__ = [
     "ParityFailed",
     "Plugin",
     "PostProcess",
+    "Publication",
     "export",
     "export_post_process",
     "inputs",
+    "installed_plugins",
     "math",
     "wrap",
 ]
@@ -51,7 +54,10 @@ _HOME = {
     "Gaussians": "authoring.generator",
     "GeneratorInvalid": "errors",
     "ParityFailed": "errors",
+    "Demo": "plugins.plugin",
     "Plugin": "plugins.plugin",
+    "Publication": "plugins.plugin",
+    "installed_plugins": "plugins.plugin",
     "PostProcess": "authoring.post_process",
     "export": "exporting.exporter",
     "export_post_process": "exporting.post_process_exporter",

@@ -34,6 +34,7 @@ def build(
     iteration: Iteration = None,
     frames: Frames = None,
     fps: Fps = None,
+    *,
     loop: Loop = False,
 ) -> "Deformable3DGS":
     """Read a checkpoint, report its contents, and return its generator."""

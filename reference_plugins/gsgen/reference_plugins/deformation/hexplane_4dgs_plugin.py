@@ -41,6 +41,7 @@ def build(
     iteration: Iteration = None,
     frames: Frames = None,
     fps: Fps = None,
+    *,
     loop: Loop = False,
     bake: _Bake = "auto",
 ) -> "HexPlane4DGS":
