@@ -136,8 +136,8 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
         (("MODEL", "--post", "POST", "--mode", "depth"), 2, "works on colours, but depth"),
         (("POST",), 2, "expected a gaussian-generator\n  It works on images: `--post`"),
         (("MODEL", "--size", "J=2"), 2, "--size: unknown open dimension 'J'"),
-        (("MODEL", "--size", "J"), 2, "--size: 'J' is not SYMBOL=SIZE, such as J=24"),
-        (("OPEN",), 2, "Give one: `--size J=24`"),
+        (("MODEL", "--size", "J"), 2, "--size: is 'J', expected SYMBOL=SIZE, such as J=24"),
+        (("OPEN",), 2, "Give its size: `--size J=24`"),
         (("MODEL", "--input", "tme=1"), 2, "unknown input 'tme'\n  Did you mean 'time'?"),
         (
             ("MODEL", "--input", "time"),

@@ -104,7 +104,7 @@ def test_what_one_wrapped_module_declares_is_not_the_next_one_s() -> None:
     ("outputs", "error", "words"),
     [
         ({"positions": "xyz", "opacity": "a"}, UnknownName, "Did you mean 'position'?"),
-        ({"opacity": "a"}, GeneratorInvalid, "'position' is not said"),
+        ({"opacity": "a"}, GeneratorInvalid, "'position' is missing"),
         (
             NAMED | {"position": "means"},
             GeneratorInvalid,
@@ -112,7 +112,7 @@ def test_what_one_wrapped_module_declares_is_not_the_next_one_s() -> None:
             "which has no 'means'",
         ),
         (NAMED | {"position": 0}, GeneratorInvalid, "outputs['position'] = 0"),
-        (NAMED | {"rgb": lambda made: 3}, GeneratorInvalid, "is int, wanted a tensor"),
+        (NAMED | {"rgb": lambda made: 3}, GeneratorInvalid, "is int, expected a tensor"),
     ],
 )
 def test_a_field_that_is_not_there_is_named(

@@ -68,7 +68,7 @@ def test_a_frame_of_a_model_without_cells_has_none(tmp_path: Path) -> None:
     path = find("still_sh0").write(tmp_path)
     with (
         FrameSession(path, provider="cpu") as session,
-        pytest.raises(LayoutMismatch, match="which output holds the cells"),
+        pytest.raises(LayoutMismatch, match="the output that holds the cells"),
     ):
         _ = session.run({}).cells
 
@@ -109,7 +109,7 @@ def test_cells_behind_the_count_are_not_visible() -> None:
 
 
 def test_a_capacity_that_splits_a_cell_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(GeneratorInvalid, match=r"(?s)25 rows are no whole .* 3 divides"):
+    with pytest.raises(GeneratorInvalid, match=r"(?s)25 rows are not a multiple of 3.* 3 divides"):
         export(Bunches(), tmp_path / "m.onnx", capacity=25)
     assert not (tmp_path / "m.onnx").exists()
 
@@ -189,7 +189,7 @@ def test_cells_of_a_wrapped_module_must_be_cells() -> None:
     outputs = FIELDS | {"cells": "position"}
     generator = wrapped(Bunches(), inputs=[inputs.time()], outputs=outputs)
     with pytest.raises(
-        GeneratorInvalid, match=r"outputs\['cells'\].*wanted gsgen.sdk.Cells"
+        GeneratorInvalid, match=r"outputs\['cells'\].*expected gsgen.sdk.Cells"
     ):
         generator(torch.ones(1))
 

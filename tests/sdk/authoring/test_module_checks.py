@@ -56,21 +56,21 @@ class NamedInputs(Cloud):
     ("made", "where", "what", "hint"),
     [
         (NotSetUp, "NotSetUp", "__init__ does not call its parent's", "super().__init__()"),
-        (OneInput, "OneInput.inputs", "is one input, wanted a tuple", "(inputs.time(),)"),
+        (OneInput, "OneInput.inputs", "is one input, expected a tuple", "(inputs.time(),)"),
         (
             NamedInput,
             "NamedInput.inputs[0]",
-            "'time' is no input",
+            "'time' is not an input",
             "gsgen.sdk.authoring.inputs",
         ),
         (
             NamedInputs,
             "NamedInputs.inputs",
-            "is str, wanted a tuple of inputs",
+            "is str, expected a tuple of inputs",
             "inputs.time()",
         ),
-        (lambda: Cloud, "Cloud", "is a class, wanted a module", "Cloud()"),
-        (dict, "dict", "is no torch module", "GaussianGenerator"),
+        (lambda: Cloud, "Cloud", "is a class, expected an instance", "Cloud()"),
+        (dict, "dict", "is not a torch module", "GaussianGenerator"),
         (
             lambda: Cloud(-3.0),
             "Gaussians.scale",

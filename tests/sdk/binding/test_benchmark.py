@@ -33,11 +33,11 @@ def test_figures_of_a_frame(provider, models):
 def test_what_cannot_be_measured_is_told_apart(models, monkeypatch):
     failed = time_frames(models["split_into_many"], "webgpu", frames=1)
     assert (failed.state, failed.facts) == ("failed", {})
-    assert "Too many storage buffers" in failed.why
+    assert "Too many storage buffers" in failed.reason
     absent = time_frames(models["drift-float32"], "cuda", frames=1)
     assert absent.state == "unavailable"
     late = time_frames(models["drift-float32"], "cpu", frames=1, seconds=0.05)
-    assert (late.state, late.why) == ("crashed", "still running after 0.05 s")
+    assert (late.state, late.reason) == ("crashed", "still running after 0.05 s")
 
 
 def test_a_model_that_needs_a_size_says_which_option_gives_it(tmp_path):
@@ -46,10 +46,10 @@ def test_a_model_that_needs_a_size_says_which_option_gives_it(tmp_path):
     opened.write(tmp_path / "open.onnx")
     failed = time_frames(tmp_path / "open.onnx", "cpu", frames=1)
     assert failed.state == "failed"
-    assert failed.why.startswith(
-        "tensor pose: axis 0 is symbolic (J), wanted a size; Give one"
+    assert failed.reason.startswith(
+        "tensor pose: axis 0 is symbolic (J), expected a size; Give its size"
     )
-    assert "`--size J=24`" in failed.why
+    assert "`--size J=24`" in failed.reason
 
 
 def test_a_child_that_dies_is_reported_and_no_other(models, tmp_path, monkeypatch):
@@ -60,7 +60,10 @@ def test_a_child_that_dies_is_reported_and_no_other(models, tmp_path, monkeypatc
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(benchmark, "_WORKER", "deadly")
     dead = time_frames(models["drift-float32"], "webgpu", frames=1)
-    assert (dead.state, dead.why) == ("crashed", f"ended by signal {signal.SIGSEGV.name}")
+    assert (dead.state, dead.reason) == (
+        "crashed",
+        f"ended by signal {signal.SIGSEGV.name}",
+    )
     monkeypatch.undo()
     assert time_frames(models["drift-float32"], "cpu", frames=1).state == "measured"
 
@@ -100,7 +103,7 @@ def test_the_command_says_what_was_not_measured(models, tmp_path):
     [
         (["--provider", "gpu"], 2, "'gpu' is not one of"),
         (["--frames", "0"], 2, "--frames"),
-        (["--size", "J"], 2, "'J' is not SYMBOL=SIZE"),
+        (["--size", "J"], 2, "is 'J', expected SYMBOL=SIZE"),
         ([os.devnull], 4, "is not a regular file"),
     ],
 )

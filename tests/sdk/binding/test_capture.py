@@ -66,7 +66,7 @@ def test_capture_can_be_left_off(models):
 
 
 def test_a_refusal_at_the_first_captured_run_is_a_cause_too(models, monkeypatch):
-    run = warm_up.Bound.run
+    run = warm_up.BoundSession.run
     refused = []
 
     def refuse_once(bound):
@@ -75,7 +75,7 @@ def test_a_refusal_at_the_first_captured_run_is_a_cause_too(models, monkeypatch)
             raise RuntimeError("[ONNXRuntimeError] : 1 : FAIL : no room for commands")
         run(bound)
 
-    monkeypatch.setattr(warm_up.Bound, "run", refuse_once)
+    monkeypatch.setattr(warm_up.BoundSession, "run", refuse_once)
     with pytest.warns(CaptureOff, match="on webgpu: no room for commands$"):
         session = FrameSession(models["drift-float32"], provider="webgpu")
     with session:

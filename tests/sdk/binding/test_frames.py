@@ -12,7 +12,7 @@ from gsgen.conformance.fixtures.builders.moving import drifting, looking
 from gsgen.contract.errors import LayoutMismatch, UnknownName
 from gsgen.contract.spec.geometry import look_at, perspective
 from gsgen.sdk.binding import FrameGone, FrameSession, RunFailed
-from gsgen.sdk.binding.bound_session import Bound
+from gsgen.sdk.binding.bound_session import BoundSession
 from gsgen.sdk.binding.buffers import DeviceBuffer
 from support.models.small_models import good_rows, moving, save, save_moving
 from support.passes import parsed
@@ -153,7 +153,7 @@ def test_a_model_without_a_manifest_is_run_by_the_names_of_its_tensors(tmp_path)
         assert session.manifest is None
         frame = session.run({"time": 500})
         np.testing.assert_allclose(frame["gaussians"][:, 0], rows[:, 0] + 0.5, atol=1e-6)
-        with pytest.raises(LayoutMismatch, match="no manifest says"):
+        with pytest.raises(LayoutMismatch, match="no manifest declares"):
             frame.gaussians()
         with pytest.raises(UnknownName, match="unknown output 'gaussian'") as raised:
             frame["gaussian"]
@@ -203,7 +203,7 @@ def test_models_of_other_kinds_run_too(provider, tmp_path):
     image = np.random.default_rng(1).random((1, 3, 8, 12), np.float32)
     with FrameSession(tmp_path / "a.onnx", provider=provider) as session:
         np.testing.assert_array_equal(session.run({"image": image})["out"], image / 2)
-        with pytest.raises(LayoutMismatch, match="no manifest says"):
+        with pytest.raises(LayoutMismatch, match="no manifest declares"):
             session.run().gaussians()
 
 
@@ -215,7 +215,7 @@ def test_a_run_that_fails_says_so_and_spoils_the_frame_before(models, monkeypatc
             raise RuntimeError("[ONNXRuntimeError] : 1 : FAIL : device is lost")
 
         with monkeypatch.context() as patched:
-            patched.setattr(Bound, "run", lose)
+            patched.setattr(BoundSession, "run", lose)
             with pytest.raises(RunFailed, match="ONNX Runtime: device is lost"):
                 session.run()
         with pytest.raises(FrameGone):
@@ -251,7 +251,7 @@ def test_an_output_whose_size_depends_on_values_says_so(provider, tmp_path):
             session.run({"t": 3})
         assert raised.value.where == "output y"
         assert raised.value.message.startswith(
-            "has shape [3,2], and had [0,2] when the session"
+            "has shape [3,2], but had [0,2] when the session"
         )
         assert "num_points" in raised.value.hint
         assert session.run({"t": 0})["y"].shape == (0, 2)

@@ -47,18 +47,18 @@ def session(tmp_path_factory):
     ("values", "said"),
     [
         ({"pos": 0}, "unknown input 'pos'"),
-        ({"pose": np.zeros(3)}, "input pose: has shape [3], wanted [1, 3]"),
-        ({"pose": 1}, "input pose: has shape [], wanted [1, 3]"),
-        ({"pose": [[1, 2], [3]]}, "input pose: is no array ("),
-        ({"pose": [["x", "y", "z"]]}, "input pose: is <U1, wanted float32"),
-        ({"a": 1.5}, "input a (role control): is 1.5, wanted 0 … 1"),
-        ({"a": np.nan}, "input a (role control): is nan, wanted 0 … 1"),
-        ({"a": None}, "input a (role control): is object, wanted float32"),
-        ({"a": 1j}, "input a (role control): is complex128, wanted float32"),
-        ({"index": 0.5}, "input index (role frame_index): is float64, wanted int32"),
-        ({"index": 10}, "input index (role frame_index): is 10, wanted 0 … 9"),
+        ({"pose": np.zeros(3)}, "input pose: has shape [3], expected [1, 3]"),
+        ({"pose": 1}, "input pose: has shape [], expected [1, 3]"),
+        ({"pose": [[1, 2], [3]]}, "input pose: is not an array: "),
+        ({"pose": [["x", "y", "z"]]}, "input pose: is <U1, expected float32"),
+        ({"a": 1.5}, "input a (role control): is 1.5, expected 0 … 1"),
+        ({"a": np.nan}, "input a (role control): is nan, expected 0 … 1"),
+        ({"a": None}, "input a (role control): is object, expected float32"),
+        ({"a": 1j}, "input a (role control): is complex128, expected float32"),
+        ({"index": 0.5}, "input index (role frame_index): is float64, expected int32"),
+        ({"index": 10}, "input index (role frame_index): is 10, expected 0 … 9"),
         ({"index": 1 << 40}, "is 1099511627776 … 1099511627776, which int32 cannot hold"),
-        ({"control": 0.5}, "2 inputs have role 'control', wanted one of a, b"),
+        ({"control": 0.5}, "2 inputs have role 'control', expected one of a, b"),
     ],
 )
 def test_what_does_not_fit_is_refused(values, said, session):
@@ -95,7 +95,7 @@ def test_a_camera_needs_a_manifest_and_two_matrices(session, tmp_path):
             session.run(camera=wrong)
     path = save(tmp_path / "a.onnx", moving(good_rows(2)))
     with FrameSession(path, provider="cpu") as bare:
-        with pytest.raises(InputInvalid, match="no manifest says which inputs") as raised:
+        with pytest.raises(InputInvalid, match="no manifest declares the camera inputs") as raised:
             bare.run(camera=(np.eye(4), np.eye(4)))
         assert "gsgen inspect --emit-manifest" in raised.value.hint
 
@@ -115,7 +115,9 @@ def test_a_camera_tells_its_centre_and_viewport():
 
 @given(*[st.floats(0.1, 0.9)] * 2, *[st.floats(-2, 2)] * 2, st.floats(0.5, 50))
 def test_intrinsics_project_to_the_pixels_that_they_say(cx, cy, x, y, z):
-    camera = Camera(np.eye(4), 700, 650, 640 * cx, 480 * cy, 640, 480, 0.1)
+    camera = Camera(
+        np.eye(4), fx=700, fy=650, cx=640 * cx, cy=480 * cy, width=640, height=480, near=0.1
+    )
     values = camera_values(camera)
     clip = values["projection"] @ [x, y, z, 1]
     u, v = (clip[0] / clip[3] + 1) / 2 * 640, (1 - clip[1] / clip[3]) / 2 * 480
@@ -126,7 +128,9 @@ def test_intrinsics_project_to_the_pixels_that_they_say(cx, cy, x, y, z):
 
 
 def test_intrinsics_in_the_middle_give_the_projection_of_the_conventions():
-    camera = Camera(np.eye(4), 500, 500, 320, 240, 640, 480, 0.01)
+    camera = Camera(
+        np.eye(4), fx=500, fy=500, cx=320, cy=240, width=640, height=480, near=0.01
+    )
     wanted = perspective(2 * np.arctan(320 / 500), 640 / 480, 0.01, 1000)
     np.testing.assert_allclose(pinhole_projection(camera), wanted, rtol=1e-12)
 
@@ -150,7 +154,7 @@ def test_defaults_are_those_of_the_specification(entry, shape, wanted):
 
 
 def test_a_default_that_does_not_fill_its_input_is_refused():
-    with pytest.raises(InputInvalid, match="default has 2 numbers, wanted 6"):
+    with pytest.raises(InputInvalid, match="default has 2 numbers, expected 6"):
         default_tensor(Input("x", "pose", default=(1, 2)), (2, 3))
 
 
@@ -160,7 +164,10 @@ def test_a_default_that_does_not_fill_its_input_is_refused():
 def test_matrices_are_transposed_for_column_order_alone(numbers, order):
     matrix = np.array(numbers).reshape(4, 4)
     entry = Input("m", "view")
-    tensor = InputBinding("m", np.dtype("float32"), (4, 4), entry, order).tensor(matrix)
+    binding = InputBinding(
+        name="m", dtype=np.dtype("float32"), shape=(4, 4), declared=entry, order=order
+    )
+    tensor = binding.tensor(matrix)
     wanted = matrix.astype(np.float32)
     np.testing.assert_array_equal(tensor, wanted.T if order == "column" else wanted)
 
@@ -194,11 +201,11 @@ def test_open_dimensions_need_a_size(tmp_path):
     with pytest.raises(SizeUnknown) as raised:
         FrameSession(path, provider="cpu")
     assert str(raised.value) == (
-        "tensor pose: axis 0 is symbolic (J), wanted a size\n  Give one: `--size J=24`, or in Python sizes={'J': 24}."
+        "tensor pose: axis 0 is symbolic (J), expected a size\n  Give its size: `--size J=24`, or in Python sizes={'J': 24}."
     )
     with pytest.raises(GsgenError, match="unknown open dimension 'j'"):
         FrameSession(path, provider="cpu", sizes={"j": 2})
-    with pytest.raises(ConfigInvalid, match="size J: is 0, wanted at least 1"):
+    with pytest.raises(ConfigInvalid, match="size J: is 0, expected at least 1"):
         FrameSession(path, provider="cpu", sizes={"J": 0})
 
 

@@ -19,8 +19,8 @@ from gsgen.sdk.binding.providers import selection, webgpu
 from gsgen.sdk.binding.providers.selection import (
     Choice,
     SessionOptions,
-    choose,
-    installed,
+    choose_provider,
+    installed_providers,
     open_session,
 )
 from gsgen.sdk.binding.providers.webgpu import Adapter, AdapterMissing, find_adapter
@@ -31,22 +31,26 @@ def test_without_a_gpu_the_cpu_is_chosen(models):
         assert (session.provider, session.device) == ("cpu", "CPU")
         assert (
             session.reason
-            == "WebGPU has only a software driver here, which the CPU outruns"
+            == "WebGPU has only a software driver, which is slower than the CPU provider"
         )
 
 
 def test_without_the_package_the_cpu_is_chosen(monkeypatch):
     monkeypatch.setattr(selection, "find_spec", lambda name: None)
-    assert choose().reason == "neither CUDA nor onnxruntime-ep-webgpu is installed"
-    assert installed() == ["cpu"]
+    assert choose_provider().reason == "neither CUDA nor onnxruntime-ep-webgpu is installed"
+    assert installed_providers() == ["cpu"]
 
 
 def test_a_gpu_is_preferred(monkeypatch):
     gpu = Adapter(None, "Fast Card", "0", hardware=True)
     monkeypatch.setattr(selection, "find_adapter", lambda: gpu)
-    chosen = choose()
-    assert (chosen.provider, chosen.device, chosen.asked) == ("webgpu", "Fast Card", False)
-    assert chosen.reason == "WebGPU has a GPU here: Fast Card"
+    chosen = choose_provider()
+    assert (chosen.provider, chosen.device, chosen.is_requested) == (
+        "webgpu",
+        "Fast Card",
+        False,
+    )
+    assert chosen.reason == "WebGPU has a GPU: Fast Card"
 
 
 def test_without_a_device_the_cpu_is_chosen_unless_webgpu_was_asked_for(monkeypatch):
@@ -54,9 +58,9 @@ def test_without_a_device_the_cpu_is_chosen_unless_webgpu_was_asked_for(monkeypa
         raise AdapterMissing("ONNX Runtime lists no device", "install a driver")
 
     monkeypatch.setattr(selection, "find_adapter", missing)
-    assert choose().reason == "ONNX Runtime lists no device"
+    assert choose_provider().reason == "ONNX Runtime lists no device"
     with pytest.raises(ProviderUnavailable) as raised:
-        choose("webgpu")
+        choose_provider("webgpu")
     assert str(raised.value) == (
         "provider webgpu: ONNX Runtime lists no device\n  install a driver"
     )
@@ -70,7 +74,7 @@ def test_a_missing_package_is_named(monkeypatch):
 
 def test_an_onnx_runtime_without_plug_ins_is_named(monkeypatch):
     monkeypatch.delattr(onnxruntime, "register_execution_provider_library")
-    with pytest.raises(AdapterMissing, match="takes no plug-in providers") as raised:
+    with pytest.raises(AdapterMissing, match="does not support plug-in providers") as raised:
         find_adapter()
     assert raised.value.hint == "pip install -U onnxruntime"
 
@@ -122,10 +126,11 @@ def test_a_session_without_its_provider_is_no_session(models, monkeypatch):
 
     monkeypatch.setattr(onnxruntime, "InferenceSession", Fallen)
     with pytest.raises(
-        ProviderUnavailable, match=r"wanted WebGpu.*, got CPUExecutionProvider"
+        ProviderUnavailable, match=r"runs on CPUExecutionProvider, expected WebGpu"
     ):
         open_session(
-            models["drift-float32"], SessionOptions(choose("webgpu"), capture=True)
+            models["drift-float32"],
+            SessionOptions(choice=choose_provider("webgpu"), capture=True),
         )
 
 
@@ -144,7 +149,7 @@ def test_an_adapter_that_cannot_be_had_is_an_absence(models, monkeypatch):
 
 def test_cuda_that_is_absent_is_refused(models):
     with pytest.raises(
-        ProviderUnavailable, match="no CUDAExecutionProvider here"
+        ProviderUnavailable, match="has no CUDAExecutionProvider"
     ) as raised:
         FrameSession(models["drift-float32"], provider="cuda")
     assert "onnxruntime-gpu" in raised.value.hint
@@ -166,14 +171,16 @@ def test_cuda_is_told_to_record_a_graph(capture, models, monkeypatch, with_cuda)
         return SimpleNamespace(get_providers=lambda: with_cuda)
 
     monkeypatch.setattr(onnxruntime, "InferenceSession", remember)
-    open_session(models["drift-float32"], SessionOptions(choose(), capture))
+    open_session(
+        models["drift-float32"], SessionOptions(choice=choose_provider(), capture=capture)
+    )
     options = {"device_id": "0", "enable_cuda_graph": "1" if capture else "0"}
     assert told == {
         "model": str(models["drift-float32"]),
         "given": [("CUDAExecutionProvider", options)],
         "enable_fallback": 0,
     }
-    assert installed() == ["cpu", "webgpu", "cuda"]
+    assert installed_providers() == ["cpu", "webgpu", "cuda"]
     assert Choice("cuda", "").device == "CUDA device 0"
 
 
@@ -183,7 +190,7 @@ def test_cuda_that_does_not_load_gives_way_to_the_cpu(models, with_cuda):
     with FrameSession(models["drift-float32"]) as session:
         assert session.provider == "cpu"
         assert session.reason == (
-            "cuda failed: wanted CUDAExecutionProvider, got CPUExecutionProvider"
+            "cuda failed: the session runs on CPUExecutionProvider, expected CUDAExecutionProvider"
         )
         session.run({"time": 0.5})
 
@@ -199,7 +206,7 @@ def stand_in(monkeypatch, with_cuda):
 
     def as_the_cpu(path, opening):
         opened.append(opening.capture)
-        return open_plainly(path, SessionOptions(Choice("cpu", "")))
+        return open_plainly(path, SessionOptions(choice=Choice("cpu", "")))
 
     opened: list[bool] = []
     monkeypatch.setattr(onnxruntime.OrtValue, "ortvalue_from_shape_and_type", on_the_host)
@@ -224,7 +231,7 @@ def test_the_way_of_a_frame_through_cuda_on_a_stand_in(models, stand_in):
 
 
 def test_a_stale_capture_of_cuda_is_given_up_on_a_stand_in(models, stand_in, monkeypatch):
-    monkeypatch.setattr(warm_up.Bound, "run", lambda bound: None)  # replays nothing
+    monkeypatch.setattr(warm_up.BoundSession, "run", lambda bound: None)  # replays nothing
     with (
         pytest.warns(NodesOnCpu),
         pytest.warns(CaptureOff, match=r"output gaussians .* frames differ"),

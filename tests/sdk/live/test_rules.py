@@ -89,7 +89,7 @@ def test_what_is_wrong_is_said_in_words(broken):
     )
     assert said["GB016"] == (
         "output gaussians: repeats frame 0 in all 6 replays; made by ReduceSum (node ReduceSum); "
-        "expected what the plain session gives"
+        "expected the output of the session without capture"
     )
     assert said["GB017"].startswith("graph: stopped in frame 0 (plain session): ")
     assert "Too many storage buffers in shader" in said["GB017"]

@@ -99,7 +99,7 @@ def test_a_box_is_mapped_to_the_unit_cube() -> None:
 
 
 def test_other_planes_are_refused() -> None:
-    with pytest.raises(GeneratorInvalid, match="5 planes, wanted 6"):
+    with pytest.raises(GeneratorInvalid, match="5 planes, expected 6"):
         math.hex_plane([torch.ones(1, 2, 2)] * 5, torch.zeros(3, 3), torch.zeros(1))
-    with pytest.raises(GeneratorInvalid, match=r"wanted \[C, H, W\]"):
+    with pytest.raises(GeneratorInvalid, match=r"expected \[C, H, W\]"):
         math.sample_plane(torch.zeros(2, 2), torch.zeros(3, 2))

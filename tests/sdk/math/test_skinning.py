@@ -90,9 +90,9 @@ def test_points_are_blended_as_by_the_oracle() -> None:
     ("parents", "words"),
     [
         ([-1, 0], "3 turns, 2 parents"),
-        ([-1, 0, 3], "joint 2 has parent 3, wanted -1 to 2"),
+        ([-1, 0, 3], "joint 2 has parent 3, expected -1 to 2"),
         ([-1, 2, 1], "joint 1 is its own ancestor"),
-        ([-1, 0, 7], "joint 2 has parent 7, wanted -1 to 2"),
+        ([-1, 0, 7], "joint 2 has parent 7, expected -1 to 2"),
         ([0, 0, 0], "joint 0 is its own ancestor"),
     ],
 )

@@ -1,8 +1,8 @@
-"""The cells of a method that blends by a weighted sum: what is sorted in place of Gaussians."""
+"""Cells: groups of Gaussians that methods with a weighted sum sort instead of Gaussians."""
 
 __all__ = ["Cells", "expect_shape", "expect_spread"]
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 from jaxtyping import Float
 from torch import Tensor
@@ -13,27 +13,28 @@ from gsgen.sdk.math import covariance_upper
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """C cells in the model's local space; each holds an equal number of Gaussians in a row.
+    """C cells in the model's local space; each holds the same number of consecutive Gaussians.
 
-    Shape is given either by ``scale`` and ``rotation`` or by ``covariance``.
+    Pass either ``scale`` and ``rotation`` or ``covariance``.
 
     Attributes:
         position: Centres, [C, 3]: renderers sort by their depth.
-        visibility: How much is seen of the cell's Gaussians, in [0, 1], [C] or [C, 1]; their
-            weights are multiplied by it, and at 0 they are not drawn.
+        visibility: Factor in [0, 1] for the weights of the cell's Gaussians, [C] or [C, 1]; at 0
+            they are not drawn.
         scale: Linear standard deviations, [C, 3]; all of the cell is drawn within about twice
             of the ellipsoid's longest axis on the screen.
         rotation: Quaternions (w, x, y, z), [C, 4]; need not be normalised.
         covariance: Upper triangle xx xy xz yy yz zz, [C, 6].
 
     Raises:
-        GeneratorInvalid: A shape is not as above, or a choice is made twice or not at all.
+        GeneratorInvalid: A shape differs, or two alternatives are passed, or none of them.
     """
 
     position: Float[Tensor, "c 3"]
     visibility: Float[Tensor, "..."]
     scale: Float[Tensor, "c 3"] | None = None
     rotation: Float[Tensor, "c 4"] | None = None
+    _: KW_ONLY
     covariance: Float[Tensor, "c 6"] | None = None
 
     def __post_init__(self) -> None:
@@ -46,7 +47,7 @@ class Cells:
         expect_shape("Cells.covariance", self.covariance, (c, 6))
 
     def covariances(self) -> Float[Tensor, "c 6"]:
-        """Return the covariance's upper triangle, computed if it was not given."""
+        """Return the upper triangles of the covariances, computed from scale and rotation if needed."""
         if self.covariance is not None:
             return self.covariance
         assert self.scale is not None
@@ -57,26 +58,26 @@ class Cells:
 def expect_shape(
     where: str, value: Tensor | None, *shapes: tuple[int, ...], hint: str = ""
 ) -> None:
-    """Refuse a tensor of none of the ``shapes``; an absent one is fine.
+    """Raise if a tensor has none of the ``shapes``; an absent tensor is allowed.
 
     Raises:
-        GeneratorInvalid: It has another shape.
+        GeneratorInvalid: The tensor has another shape.
     """
     if value is None or tuple(value.shape) in shapes:
         return
-    wanted = " or ".join(str(list(shape)) for shape in shapes)
-    what = f"shape is {list(value.shape)}, wanted {wanted}"
-    raise GeneratorInvalid(what, where=where, hint=hint)
+    expected = " or ".join(str(list(shape)) for shape in shapes)
+    message = f"shape is {list(value.shape)}, expected {expected}"
+    raise GeneratorInvalid(message, where=where, hint=hint)
 
 
 def expect_spread(
     scale: Tensor | None, rotation: Tensor | None, covariance: Tensor | None, where: str
 ) -> None:
-    """Refuse all but a scale with a rotation, or a covariance.
+    """Raise unless either scale and rotation or covariance are present.
 
     Raises:
-        GeneratorInvalid: Both are given, or neither, or half of one.
+        GeneratorInvalid: Both alternatives are present, or none of them, or only half of one.
     """
-    given = (scale is not None, rotation is not None, covariance is not None)
-    if given not in ((True, True, False), (False, False, True)):
+    presence = (scale is not None, rotation is not None, covariance is not None)
+    if presence not in ((True, True, False), (False, False, True)):
         raise GeneratorInvalid("give scale and rotation, or covariance", where=where)

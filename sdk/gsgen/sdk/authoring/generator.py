@@ -1,10 +1,10 @@
-"""What an author writes: a torch module that declares its inputs and returns Gaussians."""
+"""Base class of generators: a torch module that declares its inputs and returns Gaussians."""
 
 __all__ = ["GaussianGenerator", "Gaussians"]
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, ClassVar, Literal
 
 from jaxtyping import Float, Int
@@ -21,29 +21,29 @@ from gsgen.sdk.math import covariance_upper
 class Gaussians:
     """N Gaussians in the model's local space, as torch tensors of float32 or float16.
 
-    Shape is given either by ``scale`` and ``rotation`` or by ``covariance``; colour either by
-    ``sh`` or by ``rgb``.
+    Pass either ``scale`` and ``rotation`` or ``covariance``, and either ``sh`` or ``rgb``.
 
     Attributes:
         position: Centres, [N, 3].
         opacity: Opacity after activation in [0, 1], [N] or [N, 1].
-        scale: Linear standard deviations, [N, 3] (after ``exp``, where the method stores logs).
+        scale: Linear standard deviations, [N, 3] (after ``exp`` if the method stores logarithms).
         rotation: Quaternions (w, x, y, z), [N, 4]; need not be normalised.
         covariance: Upper triangle xx xy xz yy yz zz, [N, 6].
         sh: Spherical harmonics, coefficient-major, [N, K, 3] with K = 1, 4, 9 or 16.
         rgb: Raw colour in [0, 1], [N, 3].
-        count: How many of the first rows are live, an integer tensor of one element; all if absent.
+        count: Number of live rows at the front, an integer tensor of one element; all if absent.
         cells: Cells of N / C Gaussians each, in the order of the rows, for a generator with a
             ``weighted_sum``.
 
     Raises:
-        GeneratorInvalid: A shape is not as above, or a choice is made twice or not at all.
+        GeneratorInvalid: A shape differs, or two alternatives are passed, or none of them.
     """
 
     position: Float[Tensor, "n 3"]
     opacity: Float[Tensor, "..."]
     scale: Float[Tensor, "n 3"] | None = None
     rotation: Float[Tensor, "n 4"] | None = None
+    _: KW_ONLY
     covariance: Float[Tensor, "n 6"] | None = None
     sh: Float[Tensor, "n k 3"] | None = None
     rgb: Float[Tensor, "n 3"] | None = None
@@ -66,14 +66,14 @@ class Gaussians:
         self._expect("opacity", (n,), (n, 1))
         self._expect("sh", *((n, k, 3) for k in COEFFICIENTS))
         if self.count is not None and self.count.numel() != 1:
-            seen = list(self.count.shape)
+            count_shape = list(self.count.shape)
             raise GeneratorInvalid(
-                f"shape is {seen}, wanted one element", where="Gaussians.count"
+                f"shape is {count_shape}, expected one element", where="Gaussians.count"
             )
         cells = 0 if self.cells is None else self.cells.position.shape[0]
         if self.cells is not None and (not cells or n % cells):
-            what = f"{n} Gaussians do not fill {cells} cells equally"
-            raise GeneratorInvalid(what, where="Gaussians.cells")
+            message = f"{n} Gaussians do not fill {cells} cells equally"
+            raise GeneratorInvalid(message, where="Gaussians.cells")
 
     def _expect(self, name: str, *shapes: tuple[int, ...]) -> None:
         value: Tensor | None = getattr(self, name)
@@ -89,29 +89,29 @@ class Gaussians:
     def take(
         self, rows: Int[Tensor, " m"], count: Int[Tensor, "1"] | None = None
     ) -> "Gaussians":
-        """Return the Gaussians of some rows, in that order.
+        """Return the Gaussians of the given rows, in their order.
 
         Args:
-            rows: Row numbers, such as :func:`gsgen.sdk.math.keep_rows` gives.
-            count: How many of them are live; all where absent.
+            rows: Row indices, for example from :func:`gsgen.sdk.math.keep_rows`.
+            count: Number of live rows; all if absent.
 
         Raises:
-            GeneratorInvalid: They lie in cells, which single rows cannot leave.
+            GeneratorInvalid: The Gaussians belong to cells, which single rows cannot leave.
         """
         if self.cells is not None:
-            hint = "Choose cells, and make Gaussians of those alone."
-            what = "rows cannot be taken out of their cells"
-            raise GeneratorInvalid(what, where="Gaussians.take", hint=hint)
+            hint = "Select cells, and create the Gaussians of these cells only."
+            message = "rows cannot be taken out of their cells"
+            raise GeneratorInvalid(message, where="Gaussians.take", hint=hint)
         fields = ("position", "opacity", "scale", "rotation", "covariance", "sh", "rgb")
-        taken = {
+        selected = {
             name: value.index_select(0, rows)
             for name in fields
             if (value := getattr(self, name)) is not None
         }
-        return Gaussians(**taken, count=count)
+        return Gaussians(**selected, count=count)
 
     def covariances(self) -> Float[Tensor, "n 6"]:
-        """Return the covariance's upper triangle, computed if it was not given."""
+        """Return the upper triangles of the covariances, computed from scale and rotation if needed."""
         if self.covariance is not None:
             return self.covariance
         assert self.scale is not None
@@ -126,16 +126,16 @@ class GaussianGenerator(nn.Module, ABC):
     ``forward``, which takes the declared inputs in order and returns :class:`Gaussians`.
 
     Attributes:
-        inputs: Frame inputs, made by the functions of :mod:`gsgen.sdk.authoring.inputs`.
+        inputs: Frame inputs, from the functions of :mod:`gsgen.sdk.authoring.inputs`.
         space: Coordinate frame and matrix memory order.
-        color_space: Of the colours that come out of SH or RGB.
+        color_space: Colour space of the colours from SH or RGB.
         antialias: How the model was trained: ``classic`` (0.3 px dilation) or ``mip``.
         depends_on: Role → whether outputs change with it; roles not named do.
-        count_semantics: ``upper-bound`` where rows before the count may have opacity 0.
+        count_semantics: ``upper-bound`` if rows before the count may have opacity 0.
         family: ``static``, ``mlp``, ``4d``, ``avatar`` or another word.
-        producer: Tool, source and licence; the SDK fills in itself where absent.
-        weighted_sum: How Gaussians are weighed, where they are summed cell by cell and not
-            sorted: ``forward`` then returns :attr:`Gaussians.cells`.
+        producer: Tool, source and licence; the SDK itself if absent.
+        weighted_sum: The weights of Gaussians, for methods that sum them cell by cell instead of
+            sorting them: ``forward`` then returns :attr:`Gaussians.cells`.
     """
 
     inputs: Sequence[Input] = ()

@@ -1,6 +1,6 @@
-"""Declare frame inputs by role; each function returns an entry of the manifest.
+"""Declarations of frame inputs by role; each function returns an entry of the manifest.
 
-The names that are given by default are ones that the Visionary viewer binds to the right role.
+The Visionary viewer binds the default names to the correct role.
 """
 
 __all__ = [
@@ -30,7 +30,7 @@ Range = tuple[float, float]
 
 
 def view(name: str = "camera") -> Input:
-    """World→camera matrix, float32 [4, 4], in the memory order that the generator declares."""
+    """World→camera matrix, float32 [4, 4], in the generator's declared memory order."""
     return Input(name, "view", shape=(4, 4), default="identity")
 
 
@@ -52,8 +52,8 @@ def time(
     Args:
         name: The tensor's name.
         range: First and last moment, in the model's own unit.
-        loop: The end continues at the start.
-        frames: How many distinct frames there are.
+        loop: Whether the end continues at the start.
+        frames: Number of distinct frames.
         fps: Frames per second at natural speed.
     """
     low, high = float(range[0]), float(range[1])
@@ -145,7 +145,7 @@ def expression(
 
 
 def appearance_id(count: int, name: str = "appearance_id") -> Input:
-    """Which of ``count`` appearances, int32 [1]."""
+    """Index of one of ``count`` appearances, int32 [1]."""
     return Input(name, "appearance_id", shape=(1,), range=(0, count - 1), default=0)
 
 
@@ -166,8 +166,8 @@ def image(
     """The rendered image of a post-process model, [1, channels, height, width].
 
     Args:
-        channels: 3, or 4 where alpha comes along.
-        size: Height and width; open where absent.
+        channels: 3, or 4 with alpha.
+        size: Height and width; open if absent.
         name: The tensor's name.
         range: Values of black and white.
     """

@@ -1,4 +1,4 @@
-"""Between an author's module and the contract: pack, cast, pad and name the outputs."""
+"""Packs, casts, pads and names the outputs of an author's module as the contract requires."""
 
 __all__ = [
     "APPEARANCE_RGB",
@@ -8,8 +8,8 @@ __all__ = [
     "GAUSSIANS",
     "Packed",
     "PackedGenerator",
+    "check_whole_cells",
     "output_names",
-    "refuse_parts",
 ]
 
 from dataclasses import dataclass
@@ -24,8 +24,8 @@ from gsgen.sdk.authoring.cells import Cells
 from gsgen.sdk.authoring.generator import GaussianGenerator, Gaussians
 from gsgen.sdk.errors import GeneratorInvalid
 
-# Names that every consumer we know binds right; the Visionary viewer looks for `gauss` in front
-# and for `color` inside.
+# Every known consumer binds these names correctly; the Visionary viewer searches for names that
+# start with `gauss` or contain `color`.
 GAUSSIANS = "gaussians"
 APPEARANCE_SH = "color_sh"
 APPEARANCE_RGB = "color_rgb"
@@ -34,22 +34,22 @@ CELLS = "cells"
 
 
 def output_names(manifest: GeneratorManifest) -> tuple[str, ...]:
-    """Return what the outputs of an exported model are called, in their order in the graph."""
+    """Return the names of an exported model's outputs, in graph order."""
     appearance = manifest.outputs.appearance
     assert appearance is not None
     names = (GAUSSIANS, appearance.name, COUNT)
     return names if manifest.outputs.cells is None else (*names, CELLS)
 
 
-def refuse_parts(capacity: int, per_cell: int) -> None:
-    """Refuse a capacity that ends within a cell of ``per_cell`` rows.
+def check_whole_cells(capacity: int, per_cell: int) -> None:
+    """Raise if a capacity is not a multiple of ``per_cell``, the number of rows of a cell.
 
     Raises:
-        GeneratorInvalid: It does.
+        GeneratorInvalid: The capacity ends within a cell.
     """
     if capacity % per_cell:
         raise GeneratorInvalid(
-            f"{capacity} rows are no whole number of cells of {per_cell}",
+            f"{capacity} rows are not a multiple of {per_cell}, the rows of a cell",
             where="capacity",
             hint=f"Export with a capacity that {per_cell} divides.",
         )
@@ -57,11 +57,11 @@ def refuse_parts(capacity: int, per_cell: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """How outputs are packed.
+    """Dtype and capacity of packed outputs.
 
     Attributes:
-        dtype: float32 or float16, of all outputs but the count.
-        capacity: Rows of the outputs; rows behind the Gaussians are zero.
+        dtype: float32 or float16, for all outputs except the count.
+        capacity: Number of rows of the outputs; rows after the Gaussians are zero.
     """
 
     dtype: torch.dtype
@@ -69,7 +69,7 @@ class Packed:
 
 
 class PackedGenerator(nn.Module):
-    """An author's module, with outputs as the contract wants them."""
+    """An author's generator with packed outputs."""
 
     def __init__(self, generator: GaussianGenerator, packed: Packed) -> None:
         super().__init__()
@@ -77,49 +77,55 @@ class PackedGenerator(nn.Module):
         self.packed = packed
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        """Return ``(gaussians, appearance, num_points)``, and ``cells`` where there are some."""
-        made = self.generator(*inputs)
-        if not isinstance(made, Gaussians):
-            what = f"forward returned {type(made).__name__}, wanted gsgen.sdk.Gaussians"
-            raise GeneratorInvalid(what, where=type(self.generator).__name__)
-        rows = self._padded(self._rows(made))
-        color = self._padded(self._color(made))
-        outputs = (rows, color, self._count(made))
-        return outputs if made.cells is None else (*outputs, self._cells(made, made.cells))
+        """Return ``(gaussians, appearance, num_points)``, followed by ``cells`` if there are any."""
+        gaussians = self.generator(*inputs)
+        if not isinstance(gaussians, Gaussians):
+            message = (
+                f"forward returned {type(gaussians).__name__}, expected gsgen.sdk.Gaussians"
+            )
+            raise GeneratorInvalid(message, where=type(self.generator).__name__)
+        rows = self._padded(self._rows(gaussians))
+        color = self._padded(self._color(gaussians))
+        outputs = (rows, color, self._count(gaussians))
+        return (
+            outputs
+            if gaussians.cells is None
+            else (*outputs, self._cells(gaussians, gaussians.cells))
+        )
 
-    def _rows(self, made: Gaussians) -> Tensor:
-        n = made.position.shape[0]
+    def _rows(self, gaussians: Gaussians) -> Tensor:
+        n = gaussians.position.shape[0]
         if n > self.packed.capacity:
             raise GeneratorInvalid(
                 f"{n} Gaussians do not fit the capacity {self.packed.capacity}",
                 where="capacity",
                 hint=f"Export with a capacity of {n} or more.",
             )
-        opacity = made.opacity.reshape(n, 1)
-        if made.count is not None:
-            live = torch.arange(n, device=opacity.device) < made.count.reshape(1)
+        opacity = gaussians.opacity.reshape(n, 1)
+        if gaussians.count is not None:
+            live = torch.arange(n, device=opacity.device) < gaussians.count.reshape(1)
             opacity = opacity * live[:, None].to(opacity.dtype)
-        return torch.cat([made.position, opacity, made.covariances()], dim=1)
+        return torch.cat([gaussians.position, opacity, gaussians.covariances()], dim=1)
 
-    def _color(self, made: Gaussians) -> Tensor:
-        if made.sh is not None:
-            return made.sh.flatten(1)
-        assert made.rgb is not None
+    def _color(self, gaussians: Gaussians) -> Tensor:
+        if gaussians.sh is not None:
+            return gaussians.sh.flatten(1)
+        assert gaussians.rgb is not None
         channels = appearance_channels("rgb", None, self.packed.dtype.itemsize)
-        if channels == made.rgb.shape[1]:
-            return made.rgb
-        # Not a column of ones: that would be stored.
-        return torch.nn.functional.pad(made.rgb, (0, 1), value=1.0)
+        if channels == gaussians.rgb.shape[1]:
+            return gaussians.rgb
+        # Padding, because a column of ones would be stored in the file.
+        return torch.nn.functional.pad(gaussians.rgb, (0, 1), value=1.0)
 
-    def _cells(self, made: Gaussians, cells: Cells) -> Float[Tensor, "c 10"]:
-        """Pack cells; those of which no Gaussian is live are not visible."""
-        n, c = made.position.shape[0], cells.position.shape[0]
+    def _cells(self, gaussians: Gaussians, cells: Cells) -> Float[Tensor, "c 10"]:
+        """Pack cells; cells without a live Gaussian get visibility 0."""
+        n, c = gaussians.position.shape[0], cells.position.shape[0]
         per_cell = n // c
-        refuse_parts(self.packed.capacity, per_cell)
+        check_whole_cells(self.packed.capacity, per_cell)
         visibility = cells.visibility.reshape(c, 1)
-        if made.count is not None:
+        if gaussians.count is not None:
             first = torch.arange(c, device=visibility.device) * per_cell
-            live = first < made.count.reshape(1)
+            live = first < gaussians.count.reshape(1)
             visibility = visibility * live[:, None].to(visibility.dtype)
         rows = torch.cat([cells.position, visibility, cells.covariances()], dim=1)
         return self._padded(rows, self.packed.capacity // per_cell)
@@ -131,8 +137,8 @@ class PackedGenerator(nn.Module):
             torch.cat([rows, rows.new_zeros(missing, rows.shape[1])]) if missing else rows
         )
 
-    def _count(self, made: Gaussians) -> Tensor:
-        n = made.position.shape[0]
-        if made.count is None:
+    def _count(self, gaussians: Gaussians) -> Tensor:
+        n = gaussians.position.shape[0]
+        if gaussians.count is None:
             return torch.full((1,), n, dtype=torch.int32)
-        return made.count.reshape(1).clamp(0, n).to(torch.int32)
+        return gaussians.count.reshape(1).clamp(0, n).to(torch.int32)

@@ -1,4 +1,4 @@
-"""What an author of a post-process model writes: a torch module from image to image."""
+"""Base class of post-process models: a torch module from image to image."""
 
 __all__ = ["PostProcess"]
 
@@ -18,16 +18,16 @@ class PostProcess(nn.Module, ABC):
     which takes the declared inputs in order and returns [1, 3 or 4, H, W].
 
     Attributes:
-        inputs: Made by the functions of :mod:`gsgen.sdk.authoring.inputs`: one ``image``, and what else a
-            frame needs (``timestep``, ``conditioning``, ``control``).
-        channels: Of the image that comes in, where its size is open; otherwise the entry says it.
-        image_range: Values of black and white in the image that comes in.
-        output_range: The same of the one that goes out.
-        color_space: Of the image that goes out.
-        tolerance: How far the exported model may be off, as a share of the output's range.
-        half_tolerance: The same where it computes in float16.
+        inputs: From the functions of :mod:`gsgen.sdk.authoring.inputs`: one ``image``, and other
+            inputs of a frame (``timestep``, ``conditioning``, ``control``).
+        channels: Channels of the input image if its size is open; otherwise its entry has them.
+        image_range: Values of black and white in the input image.
+        output_range: Values of black and white in the output image.
+        color_space: Colour space of the output image.
+        tolerance: Allowed error of the exported model, as a fraction of the output's range.
+        half_tolerance: The same for a model that computes in float16.
         family: A word such as ``diffusion``.
-        producer: Tool, source and licence; the SDK fills in itself where absent.
+        producer: Tool, source and licence; the SDK itself if absent.
     """
 
     inputs: Sequence[Input] = ()
@@ -42,9 +42,9 @@ class PostProcess(nn.Module, ABC):
 
     @abstractmethod
     def forward(self, *inputs: Any, **_: Any) -> Any:
-        """Return the image.
+        """Return the processed image.
 
         Args:
             inputs: One tensor for each declared input, in order. A model that is exported as
-                float16 gets its image as float16, and all else as float32.
+                float16 gets the image as float16 and all other inputs as float32.
         """

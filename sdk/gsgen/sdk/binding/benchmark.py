@@ -1,9 +1,9 @@
-"""How long frames take on each provider, measured in a child process for each.
+"""Measures the frame time of a model on a provider, in a child process.
 
-A driver that crashes takes its own measurement with it and no other.
+If a driver crashes, only the measurement on its provider is lost.
 """
 
-__all__ = ["Timed", "time_frames"]
+__all__ = ["BenchmarkResult", "time_frames"]
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,23 +18,23 @@ _WORKER = "gsgen.sdk.binding.benchmark_worker"
 State = Literal["measured", "unavailable", "failed", "crashed"]
 
 
-@dataclass(frozen=True, slots=True)
-class Timed:
-    """What one model costs on one provider.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchmarkResult:
+    """The measured cost of one model on one provider.
 
     Attributes:
-        model: The file.
+        model: The model file.
         provider: The execution provider.
-        state: ``unavailable``: not here; ``failed``: the model does not run; ``crashed``: the
-            process died or took too long.
-        why: Why it was not measured; empty where it was.
-        facts: The figures, by the names that JSON has; empty where it was not.
+        state: ``unavailable``: the provider is not installed or has no device; ``failed``: the
+            model does not run; ``crashed``: the process died or took too long.
+        reason: The reason why it was not measured; empty if it was.
+        facts: The figures by their JSON names; empty if it was not measured.
     """
 
     model: str
     provider: str
     state: State
-    why: str
+    reason: str
     facts: Mapping[str, Any]
 
 
@@ -46,16 +46,16 @@ def time_frames(
     sizes: Mapping[str, int] | None = None,
     capture: bool = True,
     seconds: float = 300,
-) -> Timed:
-    """Run ``model`` on ``provider`` for some frames whose inputs change, and say what it took.
+) -> BenchmarkResult:
+    """Run ``model`` on ``provider`` for some frames with changing inputs, and return the frame times.
 
     Args:
         model: The ONNX file.
         provider: ``cpu``, ``webgpu`` or ``cuda``.
-        frames: How many frames are measured.
+        frames: Number of measured frames.
         sizes: Symbol → size of a dimension that the model leaves open.
-        capture: Whether frames are captured and replayed where that can be done.
-        seconds: Time after which the child is stopped.
+        capture: Capture and replay frames if model and provider allow it.
+        seconds: Time limit of the child process.
     """
     options = {
         "provider": provider,
@@ -64,17 +64,21 @@ def time_frames(
         "capture": capture,
     }
     with execute(model, [], [], Limits(seconds), _WORKER, **options) as execution:
-        state, why, facts = _outcome(execution)
-        return Timed(str(model), provider, state, why, facts)
+        state, reason, facts = _outcome(execution)
+        return BenchmarkResult(
+            model=str(model), provider=provider, state=state, reason=reason, facts=facts
+        )
 
 
 def _outcome(execution: Execution) -> tuple[State, str, dict[str, Any]]:
     for event in execution.events:
-        if event["event"] == "measured":  # whatever the process did at its end
+        if (
+            event["event"] == "measured"
+        ):  # a crash at the end of the process does not matter
             return "measured", "", dict(event["facts"])
         if event["event"] == "unavailable":
             return "unavailable", event["message"], {}
         if event["event"] == "failed":
             return "failed", event["message"], {}
     fault = execution.fault
-    return "crashed", fault.message if fault else "it ended without a word", {}
+    return "crashed", fault.message if fault else "it ended without a result", {}

@@ -1,4 +1,4 @@
-"""The child of :mod:`gsgen.sdk.binding.benchmark`: run one model on one provider, then exit."""
+"""The worker process of a benchmark: runs one model on one provider, then exits."""
 
 __all__ = ["main"]
 
@@ -17,12 +17,12 @@ from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.sdk.binding.providers.errors import ProviderUnavailable
 from gsgen.sdk.binding.session import FrameSession
 
-# Frames that are not measured: caches fill, clocks rise.
+# The first frames are not measured: caches fill and clock rates rise.
 _UNMEASURED = 3
 
 
 def main(folder: Path) -> int:
-    """Do the job described in ``folder/job.json``."""
+    """Run the job that ``folder/job.json`` describes, and return the exit code."""
     return serve(folder, _work)
 
 
@@ -30,59 +30,61 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
     try:
         emit("measured", facts=_measure(job))
     except ProviderUnavailable as error:
-        emit("unavailable", message=_line(error))
+        emit("unavailable", message=_error_line(error))
     except GsgenError as error:
-        emit("failed", message=_line(error))
+        emit("failed", message=_error_line(error))
     emit("done")
     return 0
 
 
-def _line(error: GsgenError) -> str:
+def _error_line(error: GsgenError) -> str:
     inside = error.where.startswith(("tensor ", "input ", "output "))
-    what = f"{error.where}: {error.message}" if inside else error.message
-    return f"{what}; {error.hint}" if error.hint else what
+    message = f"{error.where}: {error.message}" if inside else error.message
+    return f"{message}; {error.hint}" if error.hint else message
 
 
 def _measure(job: dict[str, Any]) -> dict[str, Any]:
-    warnings.simplefilter("ignore")  # what they say is among the facts
-    import onnxruntime  # noqa: F401 (loading the library is no part of the first frame)
+    warnings.simplefilter("ignore")  # the facts contain their content
+    import onnxruntime  # noqa: F401 (the first frame does not include loading the library)
 
-    began = time.perf_counter()
+    start = time.perf_counter()
     with FrameSession(
         job["model"], provider=job["provider"], sizes=job["sizes"], capture=job["capture"]
     ) as session:
-        opened = time.perf_counter()
+        opened_at = time.perf_counter()
         probes = session.samples()
-        _read(session, session.run())
-        first = time.perf_counter() - began
+        _read_outputs(session, session.run())
+        first = time.perf_counter() - start
         times = np.asarray(
             [
-                _frame(session, probes[k % len(probes)])
+                _time_frame(session, probes[k % len(probes)])
                 for k in range(job["frames"] + _UNMEASURED)
             ]
         )[_UNMEASURED:]
         return _facts(session, times) | {
-            "create_seconds": opened - began,
+            "create_seconds": opened_at - start,
             "first_frame_seconds": first,
         }
 
 
-def _frame(
+def _time_frame(
     session: FrameSession, inputs: dict[str, np.ndarray]
 ) -> tuple[float, float, float]:
-    """Return the seconds for a frame as a whole, and for its copies to and from the device."""
-    began = time.perf_counter()
+    """Return the seconds of a whole frame, of its copies to the device, and of those from it."""
+    start = time.perf_counter()
     session.write(inputs)
     written = time.perf_counter()
     frame = session.run()
-    _read(session, frame)
-    done = time.perf_counter()
-    for buffer in session.outputs.values():  # again, with nothing to wait for: copies alone
+    _read_outputs(session, frame)
+    finished = time.perf_counter()
+    for buffer in (
+        session.outputs.values()
+    ):  # read again without waiting: this measures the copies alone
         buffer.read()
-    return done - began, written - began, time.perf_counter() - done
+    return finished - start, written - start, time.perf_counter() - finished
 
 
-def _read(session: FrameSession, frame: Any) -> None:
+def _read_outputs(session: FrameSession, frame: Any) -> None:
     for name in session.outputs:
         frame[name]
 
@@ -91,15 +93,15 @@ def _facts(session: FrameSession, times: np.ndarray) -> dict[str, Any]:
     total, copied = times[:, 0], times[:, 1] + times[:, 2]
     p50, p95 = np.percentile(total, [50, 95])
     share = float(np.clip(np.median(copied) / p50, 0, 1))
-    count = _count(session)
+    count = _gaussian_count(session)
     return {
         "device": session.device,
         "frames": len(times),
         "p50_seconds": float(p50),
         "p95_seconds": float(p95),
         "copy_share": share,
-        "bytes_in": sum(one.nbytes for one in session.inputs.values()),
-        "bytes_out": sum(one.nbytes for one in session.outputs.values()),
+        "bytes_in": sum(buffer.nbytes for buffer in session.inputs.values()),
+        "bytes_out": sum(buffer.nbytes for buffer in session.outputs.values()),
         "gaussians": count,
         "gaussians_per_second": None if count is None else count / float(p50),
         "captured": session.captured,
@@ -109,7 +111,7 @@ def _facts(session: FrameSession, times: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _count(session: FrameSession) -> int | None:
+def _gaussian_count(session: FrameSession) -> int | None:
     manifest = session.manifest
     known = isinstance(manifest, GeneratorManifest) and manifest.outputs.gaussians
     return session.run().count if known else None

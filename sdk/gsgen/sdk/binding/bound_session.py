@@ -1,6 +1,6 @@
-"""One ONNX Runtime session whose inputs and outputs are bound once, for good."""
+"""An ONNX Runtime session whose inputs and outputs are bound once to fixed buffers."""
 
-__all__ = ["Bound", "Spec", "failed", "specs"]
+__all__ = ["BoundSession", "TensorSpec", "tensor_specs", "translate_error"]
 
 import math
 import os
@@ -16,13 +16,13 @@ from gsgen.contract.errors import GsgenError
 from gsgen.sdk.binding.buffers import Buffer, make_buffer
 from gsgen.sdk.binding.providers.cancellation import Stop
 from gsgen.sdk.binding.providers.errors import RunFailed, SizeUnknown
-from gsgen.sdk.binding.providers.node_placement import words
+from gsgen.sdk.binding.providers.node_placement import error_text
 
 # A run with this graph number is neither captured nor replayed.
 _NO_GRAPH = ("gpu_graph_id", "-1")
-# Drivers have no larger ones, and hang rather than say so.
+# The largest buffer of drivers; larger requests hang instead of failing.
 _BUFFER_BYTES = (4 << 30) - 1
-# ONNX Runtime's words where an output does not fit the buffer that it is bound to.
+# ONNX Runtime's message if an output does not fit its bound buffer.
 _OTHER_SIZE = re.compile(
     r"output '([^']*)' of node .* has shape \{([\d,]*)\} but the computed output shape for this "
     r"run is \{([\d,]*)\}"
@@ -44,13 +44,13 @@ _DTYPES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Spec:
-    """A tensor of a session.
+class TensorSpec:
+    """Name, dtype and dimensions of an input or output of a session.
 
     Attributes:
-        name: Its name.
-        dtype: Its dtype.
-        dims: Its sizes; a symbol or None where nothing says.
+        name: The tensor's name.
+        dtype: The tensor's dtype.
+        dims: Sizes; a symbol or None for an open dimension.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Spec:
     dims: tuple[int | str | None, ...]
 
     def shape(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
-        """Return the static shape; ``sizes`` may name a nameless dimension ``NAME[AXIS]``.
+        """Return the static shape; in ``sizes``, ``NAME[AXIS]`` names a dimension without a symbol.
 
         Raises:
             SizeUnknown: A dimension has no size.
@@ -77,28 +77,32 @@ class Spec:
         key = dim or f"{self.name}[{axis}]"
         if key in sizes:
             return sizes[key]
-        what = f"axis {axis} is symbolic ({dim or 'nameless'}), wanted a size"
-        hint = f"Give one: `--size {key}=24`, or in Python sizes={{{key!r}: 24}}."
-        raise SizeUnknown(what, where=f"tensor {self.name}", hint=hint)
+        message = f"axis {axis} is symbolic ({dim or 'nameless'}), expected a size"
+        hint = f"Give its size: `--size {key}=24`, or in Python sizes={{{key!r}: 24}}."
+        raise SizeUnknown(message, where=f"tensor {self.name}", hint=hint)
 
 
-def specs(arguments: Any) -> tuple[Spec, ...]:
-    """Return what ONNX Runtime says of a session's inputs or outputs.
+def tensor_specs(arguments: Any) -> tuple[TensorSpec, ...]:
+    """Return the specifications of a session's inputs or outputs.
 
     Raises:
-        RunFailed: One is no numeric tensor.
+        RunFailed: One of them is not a numeric tensor.
     """
-    made = []
-    for one in arguments:
-        if one.type not in _DTYPES:
-            what = f"is a {one.type}, wanted a numeric tensor"
-            raise RunFailed(what, where=f"tensor {one.name}")
-        made.append(Spec(one.name, np.dtype(_DTYPES[one.type]), tuple(one.shape)))
-    return tuple(made)
+    tensors = []
+    for argument in arguments:
+        if argument.type not in _DTYPES:
+            message = f"is a {argument.type}, expected a numeric tensor"
+            raise RunFailed(message, where=f"tensor {argument.name}")
+        tensors.append(
+            TensorSpec(
+                argument.name, np.dtype(_DTYPES[argument.type]), tuple(argument.shape)
+            )
+        )
+    return tuple(tensors)
 
 
-class Bound:
-    """A session and its buffers; whoever holds it calls it from one thread at a time.
+class BoundSession:
+    """A session and its buffers, for use by one thread at a time.
 
     Attributes:
         session: ONNX Runtime's session.
@@ -114,51 +118,50 @@ class Bound:
         memory: str,
         stop: Stop | None = None,
     ) -> None:
-        """Bind everything.
+        """Create buffers for all inputs and outputs, and bind them.
 
         Args:
             session: ONNX Runtime's session.
             shapes: Input name → shape.
-            start: Input name → the tensor that it holds at first.
-            memory: Where buffers are: ``cpu``, ``gpu`` or ``cuda``.
+            start: Input name → initial value.
+            memory: Location of the buffers: ``cpu``, ``gpu`` or ``cuda``.
             stop: Ends its runs.
 
         Raises:
-            RunFailed: An output is too large to hold, or the session cannot be run even to learn
-                its outputs' shapes.
+            RunFailed: An output is too large, or the run that determines output shapes fails.
         """
         stop = stop or Stop()
         self.session = session
         self._memory = memory
         self._read: dict[str, np.ndarray] = {}
         self._binding = session.io_binding()
-        self._options, self._plainly = stop.options(), stop.options()
-        self._plainly.add_run_config_entry(*_NO_GRAPH)
+        self._options, self._uncaptured_options = stop.options(), stop.options()
+        self._uncaptured_options.add_run_config_entry(*_NO_GRAPH)
         self.inputs = {
-            one.name: self._bind_input(one, shapes[one.name])
-            for one in specs(session.get_inputs())
+            spec.name: self._bind_input(spec, shapes[spec.name])
+            for spec in tensor_specs(session.get_inputs())
         }
         self.write(start)
-        self.outputs = self._bind_outputs(specs(session.get_outputs()))
+        self.outputs = self._bind_outputs(tensor_specs(session.get_outputs()))
 
     def write(self, tensors: Mapping[str, np.ndarray]) -> frozenset[str]:
-        """Put tensors into the inputs' buffers; return which held something else before."""
+        """Copy tensors into the input buffers; return the names of those that changed."""
         return frozenset(
             [name for name, array in tensors.items() if self.inputs[name].write(array)]
         )
 
     def run(self) -> None:
-        """Compute a frame; a session that captures records the first and replays the others."""
+        """Compute a frame; a capturing session records the first frame and replays the others."""
         self._read.clear()
         self.session.run_with_iobinding(self._binding, self._options)
 
-    def run_plainly(self) -> None:
-        """Compute a frame by launching every kernel anew, whatever the session does else."""
+    def run_uncaptured(self) -> None:
+        """Compute a frame without capture or replay: every kernel is launched."""
         self._read.clear()
-        self.session.run_with_iobinding(self._binding, self._plainly)
+        self.session.run_with_iobinding(self._binding, self._uncaptured_options)
 
     def read(self, name: str) -> np.ndarray:
-        """Return an output, read-only; a frame's is copied from the device once."""
+        """Return an output, read-only; it is copied from the device once per frame."""
         if name not in self._read:
             self._read[name] = self.outputs[name].read()
         return self._read[name]
@@ -176,78 +179,83 @@ class Bound:
         self.inputs, self.outputs, self._read = {}, {}, {}
         del self._binding, self.session
 
-    def _bind_input(self, spec: Spec, shape: tuple[int, ...]) -> Buffer:
+    def _bind_input(self, spec: TensorSpec, shape: tuple[int, ...]) -> Buffer:
         buffer = make_buffer(self.session, shape, spec.dtype, self._memory)
         self._binding.bind_ortvalue_input(spec.name, buffer.value)
         return buffer
 
-    def _bind_outputs(self, wanted: tuple[Spec, ...]) -> dict[str, Buffer]:
-        known = {one.name: one.shape({}) for one in wanted if one.static}
-        if len(known) < len(wanted):
-            known = self._learn_shapes(wanted)
-        _refuse_giants(wanted, known, self._memory)
-        # ONNX Runtime fills no buffer for an output that is an input itself: there, it is the same.
-        made = {
-            one.name: self.inputs.get(one.name)
-            or make_buffer(self.session, known[one.name], one.dtype, self._memory)
-            for one in wanted
+    def _bind_outputs(self, output_specs: tuple[TensorSpec, ...]) -> dict[str, Buffer]:
+        shapes = {spec.name: spec.shape({}) for spec in output_specs if spec.static}
+        if len(shapes) < len(output_specs):
+            shapes = self._learn_shapes(output_specs)
+        _check_output_sizes(output_specs, shapes, self._memory)
+        # An output that is also an input has no buffer of its own in ONNX Runtime: share the input's.
+        buffers = {
+            spec.name: self.inputs.get(spec.name)
+            or make_buffer(self.session, shapes[spec.name], spec.dtype, self._memory)
+            for spec in output_specs
         }
-        for name, buffer in made.items():
+        for name, buffer in buffers.items():
             self._binding.bind_ortvalue_output(name, buffer.value)
-        return made
+        return buffers
 
-    def _learn_shapes(self, wanted: tuple[Spec, ...]) -> dict[str, tuple[int, ...]]:
-        """Run once without buffers for outputs, to see how large they are."""
-        for one in wanted:
-            self._binding.bind_output(one.name, "cpu")
+    def _learn_shapes(
+        self, output_specs: tuple[TensorSpec, ...]
+    ) -> dict[str, tuple[int, ...]]:
+        """Run once without output buffers, and return the shapes of the outputs."""
+        for spec in output_specs:
+            self._binding.bind_output(spec.name, "cpu")
         try:
-            self.run_plainly()
+            self.run_uncaptured()
         except Exception as error:  # ONNX Runtime's errors share no base class of their own
-            raise failed(error) from error
-        made = self._binding.get_outputs()
+            raise translate_error(error) from error
+        values = self._binding.get_outputs()
         shapes = {
-            one.name: tuple(value.shape()) for one, value in zip(wanted, made, strict=True)
+            spec.name: tuple(value.shape())
+            for spec, value in zip(output_specs, values, strict=True)
         }
         self._binding.clear_binding_outputs()
         return shapes
 
 
-def _refuse_giants(
-    wanted: tuple[Spec, ...], shapes: Mapping[str, tuple[int, ...]], memory: str
+def _check_output_sizes(
+    output_specs: tuple[TensorSpec, ...], shapes: Mapping[str, tuple[int, ...]], memory: str
 ) -> None:
-    """Raise where outputs cannot be held; allocating them might hang a driver or a machine."""
-    limit, whose = _host_bytes(), "this machine's memory"
+    """Raise if outputs are too large; allocating them might hang a driver or the machine."""
+    limit, limit_name = _host_bytes(), "this machine's memory"
     if memory == "gpu" and limit > _BUFFER_BYTES:
-        limit, whose = _BUFFER_BYTES, "the largest buffer of WebGPU"
-    for one in wanted:
-        size = math.prod(shapes[one.name]) * one.dtype.itemsize
+        limit, limit_name = _BUFFER_BYTES, "the largest buffer of WebGPU"
+    for spec in output_specs:
+        size = math.prod(shapes[spec.name]) * spec.dtype.itemsize
         if size > limit:
-            what = f"shape {list(shapes[one.name])} takes {size / 1e9:.1f} GB"
-            raise RunFailed(f"{what}, more than {whose}", where=f"output {one.name}")
+            message = f"shape {list(shapes[spec.name])} takes {size / 1e9:.1f} GB"
+            raise RunFailed(
+                f"{message}, more than {limit_name}", where=f"output {spec.name}"
+            )
 
 
 def _host_bytes() -> int:
     if hasattr(os, "sysconf"):
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return sys.maxsize  # no such question on Windows
+    return sys.maxsize  # Windows has no sysconf
 
 
-def failed(error: Exception) -> GsgenError:
-    """Return an error of ONNX Runtime as one that a user can read."""
+def translate_error(error: Exception) -> GsgenError:
+    """Convert an error of ONNX Runtime to a GsgenError with a readable message."""
     if isinstance(error, GsgenError):
         return error
-    other = _OTHER_SIZE.search(str(error))
-    if other is not None:
-        return _resized(*other.groups())
-    hint = "`gsgen validate --level live` says which rule the model breaks."
-    return RunFailed(words(error), where="ONNX Runtime", hint=hint)
+    mismatch = _OTHER_SIZE.search(str(error))
+    if mismatch is not None:
+        return _shape_changed(*mismatch.groups())
+    hint = "`gsgen validate --level live` reports the rule that the model violates."
+    return RunFailed(error_text(error), where="ONNX Runtime", hint=hint)
 
 
-def _resized(output: str, bound: str, computed: str) -> RunFailed:
+def _shape_changed(output: str, bound: str, computed: str) -> RunFailed:
     return RunFailed(
-        f"has shape [{computed}], and had [{bound}] when the session was opened: its size depends "
-        "on the values of inputs, but frames stay in buffers of one size",
+        f"has shape [{computed}], but had [{bound}] when the session was opened: its size depends "
+        "on input values, and buffers have a fixed size",
         where=f"output {output}",
-        hint="Export it with a capacity: rows of one number, of which num_points says how many "
-        "are live. `gsgen explain GO004` says why.",
+        hint="Export it with a capacity: a fixed number of rows, num_points of which are live. "
+        "`gsgen explain GO004` gives the reason.",
     )

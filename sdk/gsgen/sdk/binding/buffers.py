@@ -1,4 +1,4 @@
-"""Memory that a session's inputs and outputs stay in, on the host or on a device."""
+"""Buffers for a session's inputs and outputs, on the host or on a device."""
 
 __all__ = ["Buffer", "DeviceBuffer", "HostBuffer", "make_buffer"]
 
@@ -10,12 +10,12 @@ import numpy as np
 
 
 class Buffer(ABC):
-    """One tensor that is bound once.
+    """The memory of one tensor, which is bound once.
 
     Attributes:
-        value: ONNX Runtime's handle, which says where the memory is.
-        shape: Its size along each axis.
-        dtype: Its dtype.
+        value: ONNX Runtime's handle of the memory.
+        shape: Size along each axis.
+        dtype: The tensor's dtype.
     """
 
     value: Any
@@ -25,7 +25,7 @@ class Buffer(ABC):
 
     @property
     def nbytes(self) -> int:
-        """Its size in bytes."""
+        """The size in bytes."""
         return math.prod(self.shape) * self.dtype.itemsize
 
     @abstractmethod
@@ -33,24 +33,24 @@ class Buffer(ABC):
         """Copy ``array``, of the same shape and dtype, into the memory.
 
         Returns:
-            Whether the memory held other bits before.
+            Whether any bit of the memory changed.
         """
 
     @abstractmethod
     def read(self) -> np.ndarray:
-        """Return what is in the memory, read-only; a later call may reuse the array."""
+        """Return the content, read-only; a later call may reuse the array."""
 
 
 @final
 class HostBuffer(Buffer):
-    """Memory of the host, which ONNX Runtime reads and writes in place: nothing is copied."""
+    """Host memory that ONNX Runtime reads and writes in place, without copies."""
 
     def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
         import onnxruntime
 
         super().__init__(shape, dtype)
         self._array = np.zeros(shape, dtype)
-        self._shown = _read_only(self._array)
+        self._view = _read_only(self._array)
         self.value = onnxruntime.OrtValue.ortvalue_from_numpy(self._array)
 
     def write(self, array: np.ndarray) -> bool:
@@ -61,12 +61,12 @@ class HostBuffer(Buffer):
 
     def read(self) -> np.ndarray:
         """Return a view of the memory."""
-        return self._shown
+        return self._view
 
 
 @final
 class DeviceBuffer(Buffer):
-    """Memory of a device, and a stable place on the host that it is copied from or to."""
+    """Device memory with a fixed host array that it is copied from and to."""
 
     def __init__(
         self, session: Any, shape: tuple[int, ...], dtype: np.dtype[Any], memory: str
@@ -84,7 +84,7 @@ class DeviceBuffer(Buffer):
         self.value = make(list(shape), dtype.type, memory, 0)
 
     def write(self, array: np.ndarray) -> bool:
-        """Copy ``array`` to the device, unless it is there."""
+        """Copy ``array`` to the device, unless the device holds the same bits."""
         host = self._host()
         if self._written and _same_bits(host, array):
             return False
@@ -94,23 +94,23 @@ class DeviceBuffer(Buffer):
         return True
 
     def read(self) -> np.ndarray:
-        """Copy the memory to the host, always to the same place."""
+        """Copy the memory to the host, always to the same array."""
         import onnxruntime
 
         host = self._host()
         if self._of_webgpu:
             onnxruntime.copy_tensors([self.value], [self._mirror])
-        else:  # built-in providers bring no transfer that copy_tensors knows
+        else:  # copy_tensors does not support the built-in providers
             host[...] = self.value.numpy()
-        return self._shown
+        return self._view
 
     def _host(self) -> np.ndarray:
-        """Return the place on the host, which is made when it is first needed."""
+        """Return the host array, which is allocated at its first use."""
         import onnxruntime
 
         if self._array is None:
             self._array = np.zeros(self.shape, self.dtype)
-            self._shown = _read_only(self._array)
+            self._view = _read_only(self._array)
             self._mirror = onnxruntime.OrtValue.ortvalue_from_numpy(self._array)
         return self._array
 
@@ -129,6 +129,6 @@ def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
-    shown = array.view()
-    shown.flags.writeable = False
-    return shown
+    view = array.view()
+    view.flags.writeable = False
+    return view

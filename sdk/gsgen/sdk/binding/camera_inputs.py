@@ -1,6 +1,6 @@
-"""A camera as a session takes it: matrices as they are written in mathematics."""
+"""Cameras that a session accepts, and the values of camera inputs derived from them."""
 
-__all__ = ["Camera", "CameraLike", "Pinhole", "camera_values", "pinhole_projection"]
+__all__ = ["FAR_RATIO", "Camera", "CameraLike", "Pinhole", "camera_values", "pinhole_projection"]
 
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
@@ -11,15 +11,15 @@ from jaxtyping import Float
 from gsgen.sdk.binding.providers.errors import InputInvalid
 
 _VIEWPORT = ("width", "height")
-# Where a camera names no far plane, this many times the near plane; 1000 units from 0.01.
-_FAR = 1e5
+# The far plane of a camera without one, in multiples of the near plane: 1000 units for 0.01.
+FAR_RATIO = 1e5
 
 Matrix = Float[np.ndarray, "4 4"]
 
 
 @runtime_checkable
 class CameraLike(Protocol):
-    """Anything with the two matrices of a camera; ``width`` and ``height`` are used if there.
+    """An object with a view and a projection matrix; ``width`` and ``height`` are optional.
 
     Both matrices multiply column vectors: the translation of ``view`` is in its last column.
     """
@@ -35,7 +35,7 @@ class CameraLike(Protocol):
 
 @runtime_checkable
 class Pinhole(Protocol):
-    """A camera by its intrinsics, such as :class:`gsgen.runtime.Camera`; ``far`` is used if there."""
+    """A camera with intrinsics, such as :class:`gsgen.runtime.Camera`; ``far`` is optional."""
 
     @property
     def view(self) -> Matrix:
@@ -74,20 +74,20 @@ Camera = CameraLike | Pinhole | Sequence[Matrix]
 
 
 def camera_values(camera: Camera) -> dict[str, np.ndarray]:
-    """Return what a camera tells each role: view, projection, camera_position, viewport.
+    """Return the value for each camera role: view, projection, camera_position, viewport.
 
     Args:
         camera: An object with both matrices or with a view and intrinsics, or the pair
             (view, projection).
 
     Raises:
-        InputInvalid: It is none of these.
+        InputInvalid: ``camera`` is not one of these.
     """
     view, projection = _matrices(camera)
     world = np.asarray(view, np.float64)
     if world.shape != (4, 4):
-        what = f"has shape {list(world.shape)}, wanted [4, 4]"
-        raise InputInvalid(what, where="camera.view")
+        message = f"has shape {list(world.shape)}, expected [4, 4]"
+        raise InputInvalid(message, where="camera.view")
     values = {"view": world, "projection": np.asarray(projection)}
     values["camera_position"] = -world[:3, :3].T @ world[:3, 3]
     if all(hasattr(camera, name) for name in _VIEWPORT):
@@ -103,21 +103,21 @@ def _matrices(camera: Camera) -> tuple[Matrix, Matrix]:
     try:
         view, projection = camera
     except (TypeError, ValueError) as error:
-        what = f"is a {type(camera).__name__}"
+        actual = f"is a {type(camera).__name__}"
         expected = (
-            "wanted .view and .projection, .view and intrinsics, or the pair of matrices"
+            "expected .view and .projection, .view and intrinsics, or the pair of matrices"
         )
-        raise InputInvalid(f"{what}, {expected}", where="camera") from error
+        raise InputInvalid(f"{actual}, {expected}", where="camera") from error
     return view, projection
 
 
 def pinhole_projection(camera: Pinhole) -> Matrix:
-    """Return the camera→clip matrix: as the specification of conventions has it, off-centre too.
+    """Return the camera→clip matrix of a pinhole camera, as the specification of conventions defines it.
 
     A pixel (u, v) = (fx x/z + cx, fy y/z + cy) is at (2u/width − 1, 1 − 2v/height) in clip space.
     """
     near = float(camera.near)
-    far = float(getattr(camera, "far", _FAR * near))
+    far = float(getattr(camera, "far", FAR_RATIO * near))
     matrix = np.zeros((4, 4))
     matrix[0, [0, 2]] = 2 * camera.fx / camera.width, 2 * camera.cx / camera.width - 1
     matrix[1, [1, 2]] = -2 * camera.fy / camera.height, 1 - 2 * camera.cy / camera.height

@@ -1,65 +1,82 @@
-"""One computed frame: outputs by name, decoded when asked."""
+"""One computed frame: outputs by name, decoded on request."""
 
 __all__ = ["Frame"]
 
 from collections.abc import Iterator, Mapping
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from gsgen.contract.errors import LayoutMismatch, UnknownName
 from gsgen.contract.spec.layout import DecodedGaussians, decode
-from gsgen.contract.spec.manifest import GeneratorManifest, GeneratorOutputs
+from gsgen.contract.spec.manifest import GeneratorManifest, GeneratorOutputs, Manifest
+from gsgen.sdk.binding.buffers import Buffer
 
-if TYPE_CHECKING:
-    from gsgen.sdk.binding.session import FrameSession
+
+class FrameSource(Protocol):
+    """The session that computed a frame and holds its outputs."""
+
+    manifest: Manifest | None
+
+    @property
+    def outputs(self) -> Mapping[str, Buffer]:
+        """Output name → buffer."""
+
+    def read(self, name: str, number: int) -> np.ndarray:
+        """Return an output of frame ``number``."""
+
+    def handle(self, name: str, number: int) -> Any:
+        """Return ONNX Runtime's handle of an output of frame ``number``."""
+
+    def hold_frame(self, number: int) -> AbstractContextManager[None]:
+        """Prevent other threads from computing while frame ``number`` is read."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """What a session computed for one set of inputs.
+    """The outputs that a session computed for one set of inputs.
 
-    Arrays are views of the session's buffers, read-only, and hold until the session's next run;
-    a frame that was made with ``copy=True`` has arrays of its own.
+    Arrays are read-only views of the session's buffers and valid until its next run; a frame
+    computed with ``copy=True`` has arrays of its own.
 
     Attributes:
-        session: Where it comes from.
-        number: It was the session's n-th, counted from 0.
-        kept: Output name → array of its own; None where outputs lie in the session's buffers.
+        session: The session that computed the frame.
+        number: Number of the frame in the session, from 0.
+        copies: Output name → array of its own; None if outputs are in the session's buffers.
     """
 
-    session: "FrameSession"
+    session: FrameSource
     number: int
-    kept: Mapping[str, np.ndarray] | None = None
+    copies: Mapping[str, np.ndarray] | None = None
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return an output; from a device it is copied to the host, always to the same place.
+        """Return an output; a device output is copied to the host, always to the same array.
 
         Raises:
             UnknownName: The model has no such output.
-            FrameGone: The session has computed a newer frame since.
+            FrameGone: The session has computed a newer frame.
         """
-        if self.kept is None:
+        if self.copies is None:
             return self.session.read(name, self.number)
-        if name not in self.kept:
-            raise UnknownName.among("output", name, self.kept)
-        return self.kept[name]
+        if name not in self.copies:
+            raise UnknownName.among("output", name, self.copies)
+        return self.copies[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self.session.outputs if self.kept is None else self.kept)
+        return iter(self.session.outputs if self.copies is None else self.copies)
 
     def handle(self, name: str) -> Any:
         """Return ONNX Runtime's ``OrtValue`` of an output, on the device, without copying.
 
-        It is the same object in every frame.
+        The handle is the same object in every frame.
         """
         return self.session.handle(name, self.number)
 
     @property
     def count(self) -> int:
-        """How many rows are live: what the model says, else all that there are.
+        """The number of live rows: the count output if declared, else all rows.
 
         Raises:
             LayoutMismatch: The manifest declares no packed rows.
@@ -72,7 +89,7 @@ class Frame:
 
     @property
     def rows(self) -> np.ndarray:
-        """The packed rows that are live, [count, 10], as the model gave them."""
+        """The live packed rows, [count, 10], in the model's dtype."""
         outputs = self._declared()
         if outputs.gaussians is None:
             raise _undeclared("gaussians")
@@ -80,7 +97,7 @@ class Frame:
 
     @property
     def appearance(self) -> np.ndarray:
-        """The appearance of the live rows, [count, C], as the model gave it."""
+        """The appearance of the live rows, [count, C], in the model's dtype."""
         outputs = self._declared()
         if outputs.appearance is None:
             raise _undeclared("appearance")
@@ -88,28 +105,28 @@ class Frame:
 
     @property
     def cells(self) -> np.ndarray:
-        """The packed cells that have a live row, [cells, 10], as the model gave them."""
+        """The packed cells that have a live row, [cells, 10], in the model's dtype."""
         outputs = self._declared()
         if outputs.cells is None:
             raise _undeclared("cells")
         return self[outputs.cells.name][: -(-self.count // outputs.cells.per_cell)]
 
     def gaussians(self) -> DecodedGaussians:
-        """Return the live rows, unpacked into float32 arrays of their own.
+        """Return the live rows, decoded to new float32 arrays.
 
         Raises:
-            LayoutMismatch: The manifest does not declare both outputs, or their shapes are others.
+            LayoutMismatch: The manifest does not declare both outputs, or their shapes differ.
         """
         appearance = self._declared().appearance
         if appearance is None:
             raise _undeclared("appearance")
-        with self.session.still(self.number) if self.kept is None else nullcontext():
+        with self.session.hold_frame(self.number) if self.copies is None else nullcontext():
             return decode(self.rows, self.appearance, appearance.space)
 
     def _capacity(self, name: str) -> int:
-        """Return how many rows an output has, without copying it from the device."""
-        held = self.session.outputs if self.kept is None else self.kept
-        return held[name].shape[0]
+        """Return the number of rows of an output, without copying it from the device."""
+        tensors = self.session.outputs if self.copies is None else self.copies
+        return tensors[name].shape[0]
 
     def _declared(self) -> GeneratorOutputs:
         manifest = self.session.manifest
@@ -119,8 +136,8 @@ class Frame:
 
 
 def _undeclared(output: str) -> LayoutMismatch:
-    what = f"no manifest says which output holds the {output}"
+    message = f"no manifest declares the output that holds the {output}"
     hint = (
         "Embed one (`gsgen inspect --emit-manifest`), or read outputs by name: frame[NAME]."
     )
-    return LayoutMismatch(what, where="frame", hint=hint)
+    return LayoutMismatch(message, where="frame", hint=hint)

@@ -1,4 +1,4 @@
-"""One input of a model: what may be fed to it, and how a value becomes its tensor."""
+"""One input of a model: its shape, dtype and range, and the conversion of values to its tensor."""
 
 __all__ = ["InputBinding", "default_tensor"]
 
@@ -14,15 +14,15 @@ from gsgen.sdk.binding.providers.errors import InputInvalid
 _MATRICES = ("view", "projection")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class InputBinding:
-    """An input tensor, and what the manifest says of it.
+    """An input tensor and its declaration in the manifest.
 
     Attributes:
         name: The tensor's name.
-        dtype: Its dtype.
-        shape: Its static shape.
-        declared: Its entry in the manifest, or None.
+        dtype: The tensor's dtype.
+        shape: The tensor's static shape.
+        declared: Its entry in the manifest, if any.
         order: Memory order of matrices, ``column`` or ``row``.
     """
 
@@ -34,72 +34,71 @@ class InputBinding:
 
     @property
     def role(self) -> str:
-        """The declared role; empty where nothing is declared."""
+        """The declared role; empty without a declaration."""
         return self.declared.role if self.declared else ""
 
     @property
     def nbytes(self) -> int:
-        """Its size in bytes."""
+        """The size in bytes."""
         return math.prod(self.shape) * self.dtype.itemsize
 
     @property
     def transposed(self) -> bool:
-        """Whether the tensor holds Mᵀ where M is given."""
+        """Whether the tensor holds the transpose of a given matrix."""
         return self.role in _MATRICES and self.order == "column"
 
     def tensor(self, value: object) -> np.ndarray:
-        """Return ``value`` as this input's tensor: a number fills a tensor of one element.
+        """Convert ``value`` to this input's tensor; a number fills a tensor of one element.
 
-        Matrices are given as in mathematics, and laid out as the manifest declares.
+        Matrices are passed as in mathematics, and stored as the manifest declares.
 
         Raises:
-            InputInvalid: Its shape, dtype or range is another.
+            InputInvalid: The shape, dtype or range does not fit.
         """
-        made = self.fitting(value)
+        array = self.fitting(value)
         limits = self.declared.range if self.declared else None
-        if limits is not None and made.size:
+        if limits is not None and array.size:
             low, high = np.asarray(limits).astype(self.dtype)
             if not (
-                made.min() >= low and made.max() <= high
+                array.min() >= low and array.max() <= high
             ):  # so that NaN is refused, too
                 actual = (
-                    f"{made.min():g}"
-                    if made.size == 1
-                    else f"{made.min():g} … {made.max():g}"
+                    f"{array.min():g}"
+                    if array.size == 1
+                    else f"{array.min():g} … {array.max():g}"
                 )
-                raise self._invalid(f"is {actual}, wanted {limits[0]:g} … {limits[1]:g}")
-        return made.T if self.transposed else made
+                raise self._invalid(f"is {actual}, expected {limits[0]:g} … {limits[1]:g}")
+        return array.T if self.transposed else array
 
     def fitting(self, value: object) -> np.ndarray:
-        """Return ``value`` as an array of this shape and dtype, as it lies in memory.
+        """Convert ``value`` to an array of this shape and dtype, without transposing it.
 
         Raises:
-            InputInvalid: Its shape is another, or its dtype cannot be converted without loss of
-                kind.
+            InputInvalid: The shape differs, or the dtype is of another kind.
         """
         try:
             array = np.asarray(value)
         except ValueError as error:  # a list of rows of unequal length
-            raise self._invalid(f"is no array ({error})") from error
+            raise self._invalid(f"is not an array: {error}") from error
         if array.shape != self.shape:
             if array.ndim or self.shape.count(1) != len(self.shape):
                 actual = f"has shape {list(array.shape)}"
-                raise self._invalid(f"{actual}, wanted {list(self.shape)}")
+                raise self._invalid(f"{actual}, expected {list(self.shape)}")
             array = array.reshape(self.shape)
         if array.dtype == self.dtype:
             return array
         if array.dtype.kind not in "biuf" or not np.can_cast(
             array.dtype, self.dtype, "same_kind"
         ):
-            raise self._invalid(f"is {array.dtype}, wanted {self.dtype}")
+            raise self._invalid(f"is {array.dtype}, expected {self.dtype}")
         return self._converted(array)
 
     def default(self) -> np.ndarray:
-        """Return what is fed as long as nobody says more."""
+        """Return the tensor that is used until a value is set."""
         if self.declared is None:
             return np.zeros(self.shape, self.dtype)
-        made = default_tensor(self.declared, self.shape)
-        return np.ascontiguousarray(made.T if self.transposed else made, self.dtype)
+        tensor = default_tensor(self.declared, self.shape)
+        return np.ascontiguousarray(tensor.T if self.transposed else tensor, self.dtype)
 
     def _converted(self, array: np.ndarray) -> np.ndarray:
         if self.dtype.kind in "iu" and array.size:
@@ -109,15 +108,15 @@ class InputBinding:
                 raise self._invalid(f"is {actual}, which {self.dtype} cannot hold")
         return np.asarray(array.astype(self.dtype))
 
-    def _invalid(self, what: str) -> InputInvalid:
+    def _invalid(self, message: str) -> InputInvalid:
         role = f" (role {self.role})" if self.role and self.role != self.name else ""
-        return InputInvalid(what, where=f"input {self.name}{role}")
+        return InputInvalid(message, where=f"input {self.name}{role}")
 
 
 def default_tensor(declared: Input, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the value that the contract gives to an input before anybody does.
+    """Return the contract's default value of an input.
 
-    Specified under "default" in the manifest's specification; matrices as in mathematics.
+    The manifest's specification defines it under "default"; matrices are as in mathematics.
 
     Raises:
         InputInvalid: The declared default does not fill ``shape``.
@@ -131,8 +130,8 @@ def default_tensor(declared: Input, shape: tuple[int, ...]) -> np.ndarray:
         return _identity(declared.role, shape)
     values = np.asarray(default, np.float64)
     if values.ndim and values.size != np.prod(shape):
-        what = f"default has {values.size} numbers, wanted {int(np.prod(shape))}"
-        raise InputInvalid(what, where=f"input {declared.name}")
+        message = f"default has {values.size} numbers, expected {int(np.prod(shape))}"
+        raise InputInvalid(message, where=f"input {declared.name}")
     return values.reshape(shape) if values.ndim else np.full(shape, values)
 
 
@@ -141,10 +140,10 @@ def _low(declared: Input) -> float:
 
 
 def _identity(role: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the transform that changes nothing, in the form that ``shape`` has."""
+    """Return the identity transform as a matrix, quaternions or rotation vectors, by ``shape``."""
     if role != "pose" and len(shape) == 2 and shape[0] == shape[1]:
         return np.eye(shape[0])
-    made = np.zeros(shape)  # rotation vectors
+    identity = np.zeros(shape)  # rotation vectors
     if shape[-1:] == (4,):
-        made[..., 0] = 1.0  # quaternions (w, x, y, z)
-    return made
+        identity[..., 0] = 1.0  # quaternions (w, x, y, z)
+    return identity

@@ -1,6 +1,6 @@
-"""Which input is meant by a word: a tensor's name, or a role that one input has."""
+"""Resolves a tensor name or a role to an input of the model."""
 
-__all__ = ["Names"]
+__all__ = ["InputNames"]
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ from gsgen.sdk.binding.providers.errors import InputInvalid
 
 
 @dataclass(frozen=True, slots=True)
-class Names:
-    """The inputs of one model.
+class InputNames:
+    """The names and roles of the inputs of one model.
 
     Attributes:
-        tensors: Names of the tensors.
-        roles: Role → the tensors that have it.
-        where: What an error calls the model.
+        tensors: Names of the input tensors.
+        roles: Role → names of the tensors that have it.
+        where: Name of the model in errors.
     """
 
     tensors: frozenset[str]
@@ -25,7 +25,7 @@ class Names:
     where: str
 
     @classmethod
-    def of(cls, ports: Iterable[InputBinding], where: str) -> "Names":
+    def of(cls, ports: Iterable[InputBinding], where: str) -> "InputNames":
         """Return the names and roles of a model's inputs."""
         entries = list(ports)
         roles = {port.role for port in entries if port.role}
@@ -36,21 +36,19 @@ class Names:
         )
 
     def find(self, word: str) -> str:
-        """Return the tensor that ``word`` means; a tensor's name comes before a role.
+        """Return the name of the input that ``word`` names; tensor names take precedence over roles.
 
         Raises:
-            UnknownName: There is none.
-            InputInvalid: Several inputs have that role.
+            UnknownName: No input has this name or role.
+            InputInvalid: Several inputs have this role.
         """
         if word in self.tensors:
             return word
-        found = self.roles.get(word, ())
-        if not found:
+        matches = self.roles.get(word, ())
+        if not matches:
             known = {*self.tensors, *self.roles}
             raise UnknownName.among("input", word, known, where=self.where)
-        if len(found) > 1:
-            what = (
-                f"{len(found)} inputs have role {word!r}, wanted one of {', '.join(found)}"
-            )
-            raise InputInvalid(what, where=self.where)
-        return found[0]
+        if len(matches) > 1:
+            message = f"{len(matches)} inputs have role {word!r}, expected one of {', '.join(matches)}"
+            raise InputInvalid(message, where=self.where)
+        return matches[0]

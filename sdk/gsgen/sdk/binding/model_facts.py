@@ -1,6 +1,6 @@
-"""What is known of a model before it runs: its structure, its manifest, and what to try it with."""
+"""Facts about a model before it runs: structure, manifest, open dimensions and probes."""
 
-__all__ = ["Sources", "Tensors", "read_sources"]
+__all__ = ["ModelFacts", "Tensors", "read_model_facts"]
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -15,24 +15,24 @@ from gsgen.contract.model.model_file import ModelFile, open_model
 from gsgen.contract.probing.probes import default_probes
 from gsgen.contract.spec.manifest import GeneratorManifest, Input, Manifest
 from gsgen.contract.spec.manifest_io import loads
-from gsgen.sdk.binding.bound_session import Spec
+from gsgen.sdk.binding.bound_session import TensorSpec
 from gsgen.sdk.binding.input_binding import InputBinding
-from gsgen.sdk.binding.replay_check import maker
+from gsgen.sdk.binding.replay_check import output_origin
 
-# Of this many probes, two are used that differ even where time loops.
-_PROBES, _CHOSEN = 4, (1, 3)
+# Two of this many probes are used; they differ even if time loops.
+_PROBES, _PROBE_INDICES = 4, (1, 3)
 
 Tensors = Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Sources:
-    """A model's file, and what its tensors mean.
+class ModelFacts:
+    """A model file and its manifest.
 
     Attributes:
         path: The ONNX file.
-        file: Its structure.
-        manifest: What its tensors mean; None where nobody says.
+        file: The file's structure.
+        manifest: The meaning of its tensors; None without a manifest.
     """
 
     path: Path
@@ -41,15 +41,15 @@ class Sources:
 
     @cached_property
     def graph(self) -> Graph:
-        """The graph, read when something has to be explained."""
+        """The graph, which is read at its first use, to explain a fault."""
         return read_graph(self.file)
 
-    def blame(self, output: str) -> str:
-        """Say where an output comes from."""
-        return maker(self.graph, output)
+    def output_origin(self, output: str) -> str:
+        """Return the operator that an output comes from, as text."""
+        return output_origin(self.graph, output)
 
-    def port(self, spec: Spec, sizes: Mapping[str, int]) -> InputBinding:
-        """Return an input with what the manifest says of it.
+    def input_binding(self, spec: TensorSpec, sizes: Mapping[str, int]) -> InputBinding:
+        """Return an input with its declaration in the manifest.
 
         Raises:
             SizeUnknown: A dimension has no size.
@@ -60,36 +60,40 @@ class Sources:
         order = space.matrix_order if space else "column"
         shape = spec.shape(sizes)
         return InputBinding(
-            spec.name, spec.dtype, shape, self._declared.get(spec.name), order
+            name=spec.name,
+            dtype=spec.dtype,
+            shape=shape,
+            declared=self._declared.get(spec.name),
+            order=order,
         )
 
-    def sizes(self, given: Mapping[str, int]) -> dict[str, int]:
-        """Return the size of each open dimension that is known: as given, else as declared.
+    def sizes(self, sizes: Mapping[str, int]) -> dict[str, int]:
+        """Return the known sizes of open dimensions: from ``sizes``, else as declared.
 
         Raises:
-            UnknownName: A size is given for what is no open dimension.
+            UnknownName: A size names no open dimension.
             ConfigInvalid: A size is not positive.
         """
         opened = dict(self.open_dimensions())
-        for name, size in given.items():
+        for name, size in sizes.items():
             if not opened:
-                what = f"the model has no open dimension, so {name!r} needs no size"
-                raise ConfigInvalid(what, where=str(self.path))
+                message = f"the model has no open dimension, so {name!r} needs no size"
+                raise ConfigInvalid(message, where=str(self.path))
             if name not in opened:
                 raise UnknownName.among("open dimension", name, opened, str(self.path))
             if not size > 0:
-                raise ConfigInvalid(f"is {size}, wanted at least 1", where=f"size {name}")
+                raise ConfigInvalid(f"is {size}, expected at least 1", where=f"size {name}")
         declared = {name: size for name, size in opened.items() if size is not None}
-        return declared | dict(given)
+        return declared | dict(sizes)
 
     def probes(self, ports: Iterable[InputBinding]) -> list[Tensors]:
-        """Return two sets of inputs that differ: the manifest's probes, else random numbers."""
+        """Return two different sets of inputs: probes of the manifest, else random numbers."""
         entries = list(ports)
         if self.manifest is not None and set(self._declared) == {p.name for p in entries}:
             shapes = {port.name: port.shape for port in entries}
             dtypes = {port.name: port.dtype.name for port in entries}
-            made = default_probes(self.manifest, shapes, dtypes, count=_PROBES)
-            return [made[min(k, len(made) - 1)].inputs for k in _CHOSEN]
+            probes = default_probes(self.manifest, shapes, dtypes, count=_PROBES)
+            return [probes[min(k, len(probes) - 1)].inputs for k in _PROBE_INDICES]
         rng = np.random.default_rng(0)
         return [{port.name: _random(port, rng, top) for port in entries} for top in (1, 2)]
 
@@ -98,9 +102,9 @@ class Sources:
         return {i.name: i for i in self.manifest.inputs} if self.manifest else {}
 
     def open_dimensions(self) -> Iterator[tuple[str, int | None]]:
-        """Yield each dimension of an input that the graph leaves open, with its declared size.
+        """Yield the open dimensions of all inputs with their declared sizes.
 
-        One that has no symbol is called ``NAME[AXIS]``.
+        A dimension without a symbol is called ``NAME[AXIS]``.
         """
         weights = {tensor.name for tensor in self.file.proto.graph.initializer}
         for value in self.file.proto.graph.input:
@@ -116,14 +120,14 @@ def _random(port: InputBinding, rng: np.random.Generator, top: int) -> np.ndarra
     return np.asarray(rng.uniform(0, top, port.shape).round(3)).astype(port.dtype)
 
 
-def read_sources(path: Path, manifest: Manifest | None) -> Sources:
-    """Open a model's structure, and read its manifest unless one is given.
+def read_model_facts(path: Path, manifest: Manifest | None) -> ModelFacts:
+    """Read a model's structure, and its embedded manifest unless one is passed.
 
     Raises:
-        ModelUnreadable: The file is no ONNX model.
+        ModelUnreadable: The file is not an ONNX model.
         ManifestInvalid: The embedded manifest cannot be read.
     """
     file = open_model(path)
     if manifest is None and file.manifest_text is not None:
         manifest = loads(file.manifest_text)
-    return Sources(path, file, manifest)
+    return ModelFacts(path, file, manifest)

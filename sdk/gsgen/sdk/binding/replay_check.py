@@ -1,6 +1,6 @@
-"""Whether replayed frames are what a plain run computes; and which operator is to blame if not."""
+"""Compares replayed frames with frames computed without capture, and names the faulty operator."""
 
-__all__ = ["WrongReplay", "agree", "largest_difference", "maker", "wrong_outputs"]
+__all__ = ["WrongReplay", "agree", "largest_difference", "output_origin", "wrong_outputs"]
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ Outputs = Mapping[str, np.ndarray]
 
 # Two runs on one adapter use the same kernels, so they agree to the last bits.
 _SAME = {"float32": 1e-5, "float16": 2e-3}
-# Capture records kernels; these are mere copies, or write where the frame before wrote.
+# Operators that are buffer copies, which capture does not record, or that update in place.
 _CULPRITS = frozenset(
     {
         "Flatten",
@@ -36,46 +36,48 @@ _CULPRITS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class WrongReplay:
-    """An output whose replays are not what a plain run computes.
+    """An output whose replays differ from a run without capture.
 
     Attributes:
-        place: The output.
-        actual: How its replays differ, and which operator made it.
+        output: The output, as a location.
+        actual: How its replays differ, and the operator that computes it.
     """
 
-    place: str
+    output: str
     actual: str
 
 
 def wrong_outputs(
-    plain: Sequence[Outputs], replayed: Sequence[Outputs], blame: Callable[[str], str]
+    uncaptured: Sequence[Outputs], replayed: Sequence[Outputs], origin: Callable[[str], str]
 ) -> Iterator[WrongReplay]:
-    """Yield every output that replays wrongly.
+    """Yield every output whose replayed frames are wrong.
 
     Args:
-        plain: The outputs of each frame, computed without capture.
-        replayed: The same frames; the first was captured, the others were replayed.
-        blame: Says of an output's name where it comes from.
+        uncaptured: Outputs of each frame, computed without capture.
+        replayed: Outputs of the same frames; the first was captured, the others replayed.
+        origin: Describes the operator that an output, given by name, comes from.
     """
-    for name in plain[0] if plain else ():
-        wanted = [np.asarray(one[name]) for one in plain]
-        given = [np.asarray(one[name]) for one in replayed]
+    for name in uncaptured[0] if uncaptured else ():
+        expected = [np.asarray(outputs[name]) for outputs in uncaptured]
+        actual = [np.asarray(outputs[name]) for outputs in replayed]
         wrong = [
-            k for k, pair in enumerate(zip(wanted, given, strict=True)) if not agree(*pair)
+            k
+            for k, pair in enumerate(zip(expected, actual, strict=True))
+            if not agree(*pair)
         ]
         if not wrong:
             continue
-        changing = any(not _same_bits(one, wanted[0]) for one in wanted)
-        still = all(_same_bits(one, given[0]) for one in given)
-        if changing and still and agree(wanted[0], given[0]):
-            how = f"repeats frame 0 in all {len(given) - 1} replays"
+        changing = any(not _same_bits(array, expected[0]) for array in expected)
+        repeats_first = all(_same_bits(array, actual[0]) for array in actual)
+        if changing and repeats_first and agree(expected[0], actual[0]):
+            difference = f"repeats frame 0 in all {len(actual) - 1} replays"
         else:
-            how = f"{len(wrong)} of {len(wanted)} frames differ, the first is frame {wrong[0]}"
-        yield WrongReplay(f"output {name}", f"{how}; {blame(name)}")
+            difference = f"{len(wrong)} of {len(expected)} frames differ, the first is frame {wrong[0]}"
+        yield WrongReplay(f"output {name}", f"{difference}; {origin(name)}")
 
 
 def agree(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
-    """Say whether two arrays agree; where ``a`` is not finite, anything does."""
+    """Return whether two arrays agree within the tolerance where ``a`` is finite."""
     if a.shape != b.shape or a.dtype != b.dtype:
         return False
     if _same_bits(a, b):
@@ -88,7 +90,7 @@ def agree(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
 
 
 def largest_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the largest difference where ``a`` is finite; infinity where only ``b`` is not."""
+    """Return the largest difference where ``a`` is finite; infinity if ``b`` is not finite there."""
     if a.shape != b.shape:
         return float("inf")
     x, y = a.astype(np.float64), b.astype(np.float64)
@@ -102,23 +104,23 @@ def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
     return a.shape == b.shape and a.tobytes() == b.tobytes()
 
 
-def maker(graph: "Graph", name: str) -> str:
-    """Name the operator that is to blame: the output's own, else a suspect before it."""
+def output_origin(graph: "Graph", name: str) -> str:
+    """Describe the operator that probably breaks an output: its own, or an ancestor."""
     if graph.input(name) is not None:
-        return "it is an input passed through"
+        return "it is an unchanged input"
     producer = graph.producers.get(name)
     if producer is None:
-        return "no node makes it"
+        return "no node computes it"
     if producer.op_type in _CULPRITS:
         return f"made by {producer.op_type} (node {producer.name or producer.op_type})"
     suspects = [n for n in graph.ancestors(name)[1] if n.op_type.startswith("Scatter")]
     if suspects:
-        found = suspects[0]
-        return f"computed from {found.op_type} (node {found.name or found.op_type})"
-    wide = [n for n in graph.ancestors(name)[1] if _has_int64(graph, list(n.output))]
-    if wide:
-        found = wide[0]
-        return f"computed from int64 {found.op_type} (node {found.name or found.op_type})"
+        suspect = suspects[0]
+        return f"computed from {suspect.op_type} (node {suspect.name or suspect.op_type})"
+    int64_nodes = [n for n in graph.ancestors(name)[1] if _has_int64(graph, list(n.output))]
+    if int64_nodes:
+        suspect = int64_nodes[0]
+        return f"computed from int64 {suspect.op_type} (node {suspect.name or suspect.op_type})"
     return f"made by {producer.op_type} (node {producer.name or producer.op_type})"
 
 

@@ -1,20 +1,21 @@
-"""Open a session and prove that its capture is right, or do without capture and say why.
+"""Opens a session and verifies its capture; if the capture is wrong, opens it without capture.
 
-Capture records kernels and not buffer copies, so a captured model may repeat its first frame for
-ever, and nothing reports it. Two different inputs are therefore computed plainly, then captured
-and replayed, and compared, before the first frame is given to anybody.
+Capture records kernels and not buffer copies, so a captured model may repeat its first frame
+forever without an error. Therefore, before the first frame, two different inputs are computed
+without capture, then captured and replayed, and the outputs compared.
 """
 
-__all__ = ["Ready", "get_ready"]
+__all__ = ["WarmSession", "warm_up"]
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from gsgen.contract.errors import GsgenError
-from gsgen.sdk.binding.bound_session import Bound, failed, specs
+from gsgen.contract.spec.onnx_facts import CONTROL_FLOW
+from gsgen.sdk.binding.bound_session import BoundSession, tensor_specs, translate_error
 from gsgen.sdk.binding.input_binding import InputBinding
-from gsgen.sdk.binding.model_facts import Sources, Tensors
-from gsgen.sdk.binding.providers.node_placement import CPU, Node, placement, words
+from gsgen.sdk.binding.model_facts import ModelFacts, Tensors
+from gsgen.sdk.binding.providers.node_placement import CPU, Node, error_text, node_placement
 from gsgen.sdk.binding.providers.selection import (
     MEMORY,
     Choice,
@@ -23,34 +24,32 @@ from gsgen.sdk.binding.providers.selection import (
 )
 from gsgen.sdk.binding.replay_check import Outputs, wrong_outputs
 
-_CONTROL_FLOW = frozenset({"If", "Loop", "Scan"})
 
-
-@dataclass(frozen=True, slots=True)
-class Ready:
-    """A bound session that has run.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WarmSession:
+    """A bound session that has run at least once.
 
     Attributes:
-        choice: The provider that it is on.
+        choice: The chosen provider.
         bound: The session and its buffers.
-        ports: Its inputs by name.
-        nodes: Where ONNX Runtime put each node.
-        captured: Frames are replayed.
-        cause: Why they are not; empty where they are, or where nobody asked.
+        ports: Input name → binding.
+        nodes: The execution provider of each node.
+        captured: Whether frames are replayed.
+        cause: The reason why they are not; empty if they are, or if capture is off.
     """
 
     choice: Choice
-    bound: Bound
+    bound: BoundSession
     ports: Mapping[str, InputBinding]
     nodes: tuple[Node, ...]
     captured: bool
     cause: str = ""
 
 
-def get_ready(sources: Sources, opening: SessionOptions) -> Ready:
-    """Open a session that gives right frames: captured if that can be, else plainly.
+def warm_up(sources: ModelFacts, opening: SessionOptions) -> WarmSession:
+    """Open a session that computes correct frames, with capture if possible.
 
-    Where nobody asked for the provider, the CPU stands in for one that fails.
+    If a provider that was chosen automatically fails, the CPU is used instead.
 
     Raises:
         ProviderUnavailable: The provider cannot be opened.
@@ -59,85 +58,96 @@ def get_ready(sources: Sources, opening: SessionOptions) -> Ready:
     """
     choice = opening.choice
     try:
-        return _best(sources, opening)
+        return _captured_or_uncaptured(sources, opening)
     except GsgenError as error:
-        if choice.asked or choice.provider == "cpu":
+        if choice.is_requested or choice.provider == "cpu":
             raise
         cpu = Choice("cpu", f"{choice.provider} failed: {error.message}")
-        return _plain(sources, replace(opening, choice=cpu, capture=False), "")
+        return _without_capture(sources, replace(opening, choice=cpu, capture=False), "")
 
 
-def _best(sources: Sources, opening: SessionOptions) -> Ready:
+def _captured_or_uncaptured(sources: ModelFacts, opening: SessionOptions) -> WarmSession:
     if not opening.capture:
-        return _plain(sources, opening, "")
+        return _without_capture(sources, opening, "")
     try:
         ready = _open(sources, opening)
     except GsgenError:
         raise
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
-        ready = _plain(sources, replace(opening, capture=False), "")
-        return replace(ready, cause=_explained(words(error), ready.nodes))
-    cause = _fault(sources, ready)
+        ready = _without_capture(sources, replace(opening, capture=False), "")
+        return replace(ready, cause=_with_operators(error_text(error), ready.nodes))
+    cause = _capture_fault(sources, ready)
     if not cause:
         return ready
     ready.bound.close()
-    return _plain(sources, replace(opening, capture=False), cause)
+    return _without_capture(sources, replace(opening, capture=False), cause)
 
 
-def _plain(sources: Sources, opening: SessionOptions, cause: str) -> Ready:
+def _without_capture(
+    sources: ModelFacts, opening: SessionOptions, cause: str
+) -> WarmSession:
     try:
         ready = _open(sources, opening)
         ready.bound.run()
     except Exception as error:
-        raise failed(error) from error
+        raise translate_error(error) from error
     return replace(ready, captured=False, cause=cause)
 
 
-def _open(sources: Sources, opening: SessionOptions) -> Ready:
+def _open(sources: ModelFacts, opening: SessionOptions) -> WarmSession:
     session = open_session(sources.path, opening)
-    inputs = [sources.port(one, opening.sizes) for one in specs(session.get_inputs())]
+    inputs = [
+        sources.input_binding(spec, opening.sizes)
+        for spec in tensor_specs(session.get_inputs())
+    ]
     ports = {port.name: port for port in inputs}
     shapes = {port.name: port.shape for port in inputs}
     memory = MEMORY[opening.choice.provider]
-    bound = Bound(session, shapes, _defaults(ports), memory, opening.stop)
-    return Ready(opening.choice, bound, ports, placement(session), captured=True)
+    bound = BoundSession(session, shapes, _defaults(ports), memory, opening.stop)
+    return WarmSession(
+        choice=opening.choice,
+        bound=bound,
+        ports=ports,
+        nodes=node_placement(session),
+        captured=True,
+    )
 
 
 def _defaults(ports: Mapping[str, InputBinding]) -> Tensors:
     return {name: port.default() for name, port in ports.items()}
 
 
-def _fault(sources: Sources, ready: Ready) -> str:
-    """Run two frames plainly, then captured; return what is wrong with the latter, or nothing."""
+def _capture_fault(sources: ModelFacts, ready: WarmSession) -> str:
+    """Run two frames without and with capture; return the fault of the capture, or an empty text."""
     probes = sources.probes(ready.ports.values())
     try:
-        plain = _frames(ready.bound, probes, captured=False)
+        uncaptured = _frames(ready.bound, probes, captured=False)
     except Exception as error:
-        raise failed(error) from error
+        raise translate_error(error) from error
     try:
         replayed = _frames(ready.bound, probes, captured=True)
         ready.bound.write(_defaults(ready.ports))
-    except Exception as error:  # refused at the first run, not at creation
-        return words(error)
-    wrong = wrong_outputs(plain, replayed, sources.blame)
-    return "; ".join(f"{one.place} {one.actual}" for one in wrong)
+    except Exception as error:  # capture was refused at the first run, not at creation
+        return error_text(error)
+    wrong = wrong_outputs(uncaptured, replayed, sources.output_origin)
+    return "; ".join(f"{replay.output} {replay.actual}" for replay in wrong)
 
 
-def _frames(bound: Bound, probes: list[Tensors], *, captured: bool) -> list[Outputs]:
-    made: list[Outputs] = []
+def _frames(bound: BoundSession, probes: list[Tensors], *, captured: bool) -> list[Outputs]:
+    frames: list[Outputs] = []
     for probe in probes:
         bound.write(probe)
         if captured:
             bound.run()
         else:
-            bound.run_plainly()
-        made.append(bound.copies())
-    return made
+            bound.run_uncaptured()
+        frames.append(bound.copies())
+    return frames
 
 
-def _explained(said: str, nodes: tuple[Node, ...]) -> str:
-    """Add to ONNX Runtime's refusal which operators it is about."""
-    guilty = [node.operator for node in nodes if node.operator in _CONTROL_FLOW]
-    guilty += [node.operator for node in nodes if node.provider == CPU]
-    named = ", ".join(dict.fromkeys(guilty))
-    return f"{said} ({named})" if named else said
+def _with_operators(message: str, nodes: tuple[Node, ...]) -> str:
+    """Append the operators that prevent capture to ONNX Runtime's message."""
+    culprits = [node.operator for node in nodes if node.operator in CONTROL_FLOW]
+    culprits += [node.operator for node in nodes if node.provider == CPU]
+    operators = ", ".join(dict.fromkeys(culprits))
+    return f"{message} ({operators})" if operators else message

@@ -1,4 +1,4 @@
-"""`gsgen bench`: what a frame costs on each execution provider."""
+"""`gsgen bench`: measure the cost of a frame on each execution provider."""
 
 __all__ = ["bench"]
 
@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gsgen.contract.errors import ModelUnreadable
+from gsgen.contract.errors import ExitCode, ModelUnreadable
 
 if TYPE_CHECKING:
-    from gsgen.sdk.binding.benchmark import Timed
+    from gsgen.sdk.binding.benchmark import BenchmarkResult
 
-_UNREADABLE = 4
 _MILLION = 1e6
 
 
 class ProviderName(StrEnum):
-    """What can be asked for; typer takes lists of an Enum alone."""
+    """The providers that users can select; typer accepts lists of an Enum only."""
 
     CPU = "cpu"
     WEBGPU = "webgpu"
@@ -32,48 +31,47 @@ def bench(
     provider: Annotated[
         list[ProviderName] | None,
         typer.Option(
-            help="Measure this one only; repeatable. [default: all that are here]"
+            help="Measure this provider only; repeatable. [default: all available ones]"
         ),
     ] = None,
-    frames: Annotated[int, typer.Option(help="How many frames are measured.", min=1)] = 100,
+    frames: Annotated[int, typer.Option(help="Number of measured frames.", min=1)] = 100,
     size: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="SYMBOL=SIZE", help="Give an open dimension a size; repeatable."
-        ),
+        typer.Option(metavar="SYMBOL=SIZE", help="Size of an open dimension; repeatable."),
     ] = None,
     capture: Annotated[
         bool,
         typer.Option("--capture/--no-capture", help="Record a frame once and replay it."),
     ] = True,
     timeout: Annotated[
-        float, typer.Option(help="Seconds for one model on one provider.", min=1)
+        float,
+        typer.Option(help="Time limit in seconds for one model on one provider.", min=1),
     ] = 300,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="Write the JSON to this file, too."),
+        typer.Option("-o", "--output", help="Also write the JSON to this file."),
     ] = None,
 ) -> None:
-    """Measure what a frame of each MODEL costs, on each execution provider.
+    """Measure the cost of a frame of each MODEL on each execution provider.
 
     Prints the time of a frame (median and 95th percentile) from new inputs to outputs on the host,
-    of the first frame with everything before it, the bytes that go in and out, the share of time
-    spent copying them, and millions of Gaussians a second.
-    Each provider runs in a process of its own; one that crashes is reported as crashed.
-    Exits 0 if all were measured, 1 if one failed or crashed, or is not here and was asked for.
+    the time of the first frame including loading, the bytes of inputs and outputs, the share of
+    time spent copying them, and millions of Gaussians per second.
+    Each provider runs in its own process; a crash of one is reported as its result.
+    Exits 0 if all were measured, 1 if one failed or crashed, or if a requested one is unavailable.
     """
     from gsgen.contract.commands.output import write_text
     from gsgen.contract.process.atomic_files import refuse_model
-    from gsgen.sdk.binding.providers.selection import installed
+    from gsgen.sdk.binding.providers.selection import installed_providers
     from gsgen.sdk.commands.sizes import sizes_of
 
     if output is not None:
         refuse_model(output, models)
     _need_models(models)
     sizes = sizes_of(size, "--size")
-    chosen = [str(one) for one in provider or installed()]
-    jobs = [(model, one) for model in models for one in chosen]
+    providers = [str(name) for name in provider or installed_providers()]
+    jobs = [(model, provider_name) for model in models for provider_name in providers]
     results = _measure(jobs, frames=frames, sizes=sizes, capture=capture, seconds=timeout)
     text = json.dumps(_document(results), indent=2, ensure_ascii=False)
     if output is not None:
@@ -82,12 +80,16 @@ def bench(
         typer.echo(text)
     else:
         _show(results)
-    bad = {"failed", "crashed"} | ({"unavailable"} if provider else set())
-    raise typer.Exit(int(any(one.state in bad for one in results)))
+    failure_states = {"failed", "crashed"} | ({"unavailable"} if provider else set())
+    raise typer.Exit(
+        ExitCode.FAILURE
+        if any(result.state in failure_states for result in results)
+        else ExitCode.SUCCESS
+    )
 
 
 def _need_models(models: list[Path]) -> None:
-    """Refuse what is no model before minutes are spent on the others."""
+    """Exit with an error if a file is not a model, before minutes are spent on the others."""
     from gsgen.contract.model.model_file import open_model
 
     try:
@@ -95,7 +97,7 @@ def _need_models(models: list[Path]) -> None:
             open_model(model)
     except ModelUnreadable as error:
         typer.echo(f"gsgen: {error}", err=True)
-        raise typer.Exit(_UNREADABLE) from error
+        raise typer.Exit(ExitCode.UNREADABLE) from error
 
 
 def _measure(
@@ -105,7 +107,7 @@ def _measure(
     sizes: dict[str, int],
     capture: bool,
     seconds: float,
-) -> "list[Timed]":
+) -> "list[BenchmarkResult]":
     from rich.console import Console
     from rich.progress import Progress
 
@@ -114,31 +116,36 @@ def _measure(
     results = []
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("", total=len(jobs))
-        for model, one in jobs:
-            progress.update(task, description=f"{model.name} on {one}")
+        for model, provider in jobs:
+            progress.update(task, description=f"{model.name} on {provider}")
             results.append(
                 time_frames(
-                    model, one, frames=frames, sizes=sizes, capture=capture, seconds=seconds
+                    model,
+                    provider,
+                    frames=frames,
+                    sizes=sizes,
+                    capture=capture,
+                    seconds=seconds,
                 )
             )
             progress.advance(task)
     return results
 
 
-def _document(results: "list[Timed]") -> dict[str, object]:
+def _document(results: "list[BenchmarkResult]") -> dict[str, object]:
     tools = {name: version(name) for name in ("gsgen", "onnxruntime")}
     return {
         "tools": tools,
         "results": [
-            {"model": one.model, "provider": one.provider, "state": one.state}
-            | ({"why": one.why} if one.why else {})
-            | dict(one.facts)
-            for one in results
+            {"model": result.model, "provider": result.provider, "state": result.state}
+            | ({"why": result.reason} if result.reason else {})
+            | dict(result.facts)
+            for result in results
         ],
     }
 
 
-def _show(results: "list[Timed]") -> None:
+def _show(results: "list[BenchmarkResult]") -> None:
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
@@ -156,53 +163,53 @@ def _show(results: "list[Timed]") -> None:
         "M/s",
     ):
         table.add_column(name, justify="right", no_wrap=True)
-    for one in results:
-        table.add_row(Path(one.model).name, one.provider, *_cells(one))
+    for result in results:
+        table.add_row(Path(result.model).name, result.provider, *_cells(result))
     console = Console(highlight=False)
     console.print(table)
-    for one in results:
-        for note in _notes(one):
-            line = f"{Path(one.model).name} on {one.provider}: {note}"
+    for result in results:
+        for note in _notes(result):
+            line = f"{Path(result.model).name} on {result.provider}: {note}"
             console.print(line, markup=False, soft_wrap=True)
 
 
-def _cells(one: "Timed") -> list[str]:
-    if one.state != "measured":
-        return [one.state, *("–" for _ in range(6))]
-    facts = one.facts
+def _cells(result: "BenchmarkResult") -> list[str]:
+    if result.state != "measured":
+        return [result.state, *("–" for _ in range(6))]
+    facts = result.facts
     rate = facts["gaussians_per_second"]
     return [
         f"{1000 * facts['p50_seconds']:.3f}",
         f"{1000 * facts['p95_seconds']:.3f}",
         f"{1000 * facts['first_frame_seconds']:.0f}",
-        _bytes(facts["bytes_in"]),
-        _bytes(facts["bytes_out"]),
+        _decimal_size(facts["bytes_in"]),
+        _decimal_size(facts["bytes_out"]),
         f"{100 * facts['copy_share']:.0f} %",
         "–" if rate is None else f"{rate / _MILLION:.3g}",
     ]
 
 
-def _bytes(count: int) -> str:
-    """Return a size in three digits and a unit."""
+def _decimal_size(count: int) -> str:
+    """Return a size with three digits and a decimal unit."""
     size, units = float(count), ["B", "kB", "MB", "GB", "TB"]
     while size >= 1000 and len(units) > 1:
         size, units = size / 1000, units[1:]
     return f"{size:.3g} {units[0]}"
 
 
-def _notes(one: "Timed") -> list[str]:
-    """Say what the figures do not."""
-    if one.state != "measured":
-        return [one.why]
-    facts, notes = one.facts, []
-    if one.provider != "cpu":
-        how = "captured and replayed" if facts["captured"] else "not captured"
+def _notes(result: "BenchmarkResult") -> list[str]:
+    """Return remarks about a result that the figures do not show."""
+    if result.state != "measured":
+        return [result.reason]
+    facts, notes = result.facts, []
+    if result.provider != "cpu":
+        capture = "captured and replayed" if facts["captured"] else "not captured"
         notes.append(
-            f"{facts['device']}, {how}" + (f": {facts['cause']}" * bool(facts["cause"]))
+            f"{facts['device']}, {capture}" + (f": {facts['cause']}" * bool(facts["cause"]))
         )
     if facts["nodes_on_cpu"]:
-        named = ", ".join(dict.fromkeys(facts["nodes_on_cpu"]))
+        operators = ", ".join(dict.fromkeys(facts["nodes_on_cpu"]))
         notes.append(
-            f"{len(facts['nodes_on_cpu'])} of {facts['nodes']} nodes on the CPU ({named})"
+            f"{len(facts['nodes_on_cpu'])} of {facts['nodes']} nodes on the CPU ({operators})"
         )
     return notes

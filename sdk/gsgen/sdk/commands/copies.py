@@ -1,4 +1,4 @@
-"""Where a command that changes a model puts its copy: `-o OUT.onnx`, or nowhere (`--dry-run`)."""
+"""The output path of commands that change a model: `-o OUT.onnx`, or none with `--dry-run`."""
 
 __all__ = ["copy_of"]
 
@@ -7,15 +7,17 @@ from pathlib import Path
 from gsgen.contract.errors import ConfigInvalid
 
 
-def copy_of(output: Path | None, dry_run: bool) -> Path | None:
-    """Return where to write; None for a dry run, which may be added to any command line.
+def copy_of(output: Path | None, *, dry_run: bool) -> Path | None:
+    """Return the output path; None for a dry run.
 
     Raises:
-        ConfigInvalid: No place was given for what would be written.
+        ConfigInvalid: The output path is missing.
     """
     if dry_run:
         return None
     if output is None:
-        hint = "Give -o OUT.onnx, or --dry-run to see what would change."
-        raise ConfigInvalid("where should the copy go?", where="--output", hint=hint)
+        hint = "Give -o OUT.onnx, or --dry-run to list the changes."
+        raise ConfigInvalid(
+            "is missing, expected the path of the copy", where="--output", hint=hint
+        )
     return output

@@ -1,4 +1,4 @@
-"""`gsgen export`: turn a module of yours, or a method's files, into a generator."""
+"""`gsgen export`: export a generator from a torch module, or from the files of a method."""
 
 __all__ = ["app"]
 
@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from gsgen.contract._extensions import escaped
+from gsgen.contract._extensions import escape_markup
 from gsgen.contract.errors import GsgenError, UnknownName
 from gsgen.sdk.plugins.export_options import with_common_options
 from gsgen.sdk.plugins.factory import is_target
@@ -20,24 +20,24 @@ _HELP = """Export a Gaussian Generator from your torch module, or from the files
 TARGET is package.module:factory, a callable of yours that returns a GaussianGenerator (modules
 of the current folder can be imported), or one of the methods below.
 """
-# A command that only says why it cannot run takes whatever was typed behind it.
+# A command that only reports why it cannot run accepts all arguments.
 _ANY_WORDS = {"ignore_unknown_options": True, "allow_extra_args": True}
 _SCENES = (".ply", ".npz", ".splat", ".spz", ".ksplat")
 
 
 class _Targets(TyperGroup):
-    """The installed plugins, and any ``module:factory``."""
+    """The command group of all installed plugins and any ``module:factory``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Take the target first, wherever it stands among options."""
+        """Move the target to the front if options precede it."""
         known = [word for word in args if word in self.commands or is_target(word)]
         if args and args[0].startswith("-") and known:
-            at = args.index(known[0])
-            args = [args[at], *args[:at], *args[at + 1 :]]
+            position = args.index(known[0])
+            args = [args[position], *args[:position], *args[position + 1 :]]
         return super().parse_args(ctx, args)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Say what may have been meant by a word that is neither."""
+        """Return the target's command; raise with suggestions for an unknown target."""
         word = args[0]
         if word not in self.commands and is_target(word):
             wants_help = bool({"-h", "--help"} & set(args))
@@ -51,11 +51,11 @@ def _unknown(word: str, plugins: list[str]) -> UnknownName:
     error = UnknownName.among("target", word, plugins, "TARGET")
     path = Path(word)
     if path.suffix.lower() in _SCENES:
-        hint = f"Say which method the file belongs to: gsgen export static {word} -o …"
+        hint = f"Name the method that the file belongs to: gsgen export static {word} -o …"
     elif path.suffix == ".onnx":
-        hint = f"It is exported already: gsgen validate {word}"
+        hint = f"It is already exported: gsgen validate {word}"
     elif path.suffix == ".py" or path.with_suffix(".py").is_file():
-        hint = f"Say what in it makes the generator: {word}:NAME"
+        hint = f"Name the callable that returns the generator: {word}:NAME"
     elif "." in word and "Did you mean" not in error.hint:
         hint = f"Write {word.rpartition('.')[0]}:{word.rpartition('.')[2]}"
     else:
@@ -64,7 +64,7 @@ def _unknown(word: str, plugins: list[str]) -> UnknownName:
 
 
 def _command_for(target: str, *, wants_help: bool) -> Any:
-    """Return the command that exports what ``target`` names; only help imports it at once."""
+    """Return the command that exports ``target``; only its help imports the target at once."""
     single = typer.Typer(add_completion=False)
     entry = typer.Option(
         "--arg",
@@ -78,66 +78,66 @@ def _command_for(target: str, *, wants_help: bool) -> Any:
         factory = load_factory(target)
         return factory.build(factory.arguments(arg or []))
 
-    def run(made: Any, request: Any) -> None:
+    def run(module: Any, request: Any) -> None:
         from gsgen.sdk.plugins.export_job import run_export
 
-        run_export(made, request, target)
+        run_export(module, request, target)
 
     function = with_common_options(build, run)
-    help = f"Export what {target} gives."
+    help = f"Export the result of {target}."
     if wants_help:
         help += f"\n\n{_described(target)}"
-    single.command(target, help=escaped(help))(function)
+    single.command(target, help=escape_markup(help))(function)
     command: Any = typer.main.get_command(single)
     return command
 
 
 def _described(target: str) -> str:
-    """Say which arguments the factory takes."""
+    """Return a sentence about the arguments of the factory."""
     from gsgen.sdk.plugins.factory import load_factory
 
     parameters = load_factory(target).parameters.values()
     if not parameters:
         return "It takes no arguments."
-    return f"It takes --arg {', --arg '.join(str(one) for one in parameters)}."
+    return f"It takes --arg {', --arg '.join(str(parameter) for parameter in parameters)}."
 
 
 def _function_of(plugin: Plugin) -> tuple[Callable[..., Any], dict[str, Any]]:
-    """Return a plugin's function; one that cannot be made spoils only that plugin."""
+    """Return a plugin's function; for a broken plugin, a function that raises its error."""
     try:
         return plugin.function, {}
     except TypeError as error:
-        what = f"plugin {plugin.name!r} cannot be used: {error}"
+        message = f"plugin {plugin.name!r} cannot be used: {error}"
 
     def refuse() -> None:
-        raise GsgenError(what)
+        raise GsgenError(message)
 
     return refuse, _ANY_WORDS
 
 
 def _build() -> typer.Typer:
-    made = typer.Typer(
+    group = typer.Typer(
         cls=_Targets,
         help=_HELP,
         no_args_is_help=True,
         subcommand_metavar="TARGET -o OUTPUT [OPTIONS]",
     )
 
-    @made.callback()
+    @group.callback()
     def _root() -> None:
         pass
 
     for name, command in find_plugins().items():
         loaded = command.load()
         if isinstance(loaded, Plugin):
-            help = f"{loaded.summary}\n\n{loaded.reads}"
+            help = f"{loaded.headline}\n\n{loaded.reads}"
             function, context = _function_of(loaded)
-            made.command(name, help=help, context_settings=context)(function)
+            group.command(name, help=help, context_settings=context)(function)
         elif isinstance(loaded, typer.Typer):
-            made.add_typer(loaded, name=name)
-        else:  # a plugin that cannot be used here says so itself
-            made.command(name, context_settings=_ANY_WORDS)(loaded)
-    return made
+            group.add_typer(loaded, name=name)
+        else:  # a plugin that cannot be used reports the reason itself
+            group.command(name, context_settings=_ANY_WORDS)(loaded)
+    return group
 
 
 app = _build()

@@ -1,4 +1,4 @@
-"""`gsgen float16`: compute in float16 wherever that does not show."""
+"""`gsgen float16`: convert a model to float16 within its tolerances."""
 
 __all__ = ["float16"]
 
@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.contract.commands.progress import clear, progress
-from gsgen.contract.errors import ConfigInvalid, GsgenError, ModelUnreadable
+from gsgen.contract.errors import ConfigInvalid, ExitCode, GsgenError, ModelUnreadable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from gsgen.sdk.float16.convert_model import Float16Result
+    from gsgen.sdk.float16.precision_policy import RetainedFloat32
 
 
-_UNREADABLE = 4
-_SHOWN = 6
+_MAX_NAMES = 6
 
 
 def float16(
@@ -30,31 +30,31 @@ def float16(
         Path | None, typer.Option("-o", "--output", help="The float16 copy.")
     ] = None,
     keep_outputs: Annotated[
-        bool, typer.Option("--keep-outputs", help="Outputs stay float32.")
+        bool, typer.Option("--keep-outputs", help="Keep outputs in float32.")
     ] = False,
     budget: Annotated[
-        int, typer.Option(help="How many choices of nodes may be measured.", min=4)
+        int, typer.Option(help="Maximum number of measured choices of nodes.", min=4)
     ] = 200,
     timeout: Annotated[
-        float, typer.Option(help="Seconds that running the copy may take.", min=0.1)
+        float, typer.Option(help="Time limit in seconds for running the copy.", min=0.1)
     ] = 120.0,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Write nothing; say what would change.")
+        bool, typer.Option("--dry-run", help="Write nothing; list the changes.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
-    """Write a float16 copy of MODEL; what would show stays float32, which is measured.
+    """Write a float16 copy of MODEL; nodes whose rounding error is measured as too large stay float32.
 
-    Exits 0 if the copy keeps the tolerances, 1 if none does (then nothing is written), 4 if MODEL
-    is no model.
+    Exits 0 if the copy keeps the tolerances, 1 if no copy does (then nothing is written), 4 if
+    MODEL is not a model.
     """
     from gsgen.contract.process.limits import Limits
     from gsgen.sdk.commands.copies import copy_of
     from gsgen.sdk.float16.convert_model import write_float16
 
-    output = copy_of(output, dry_run)
+    output = copy_of(output, dry_run=dry_run)
     try:
-        done = write_float16(
+        result = write_float16(
             model,
             output,
             outputs=not keep_outputs,
@@ -67,46 +67,52 @@ def float16(
     except GsgenError as error:
         clear()
         typer.echo(f"gsgen: {error}", err=True)
-        code = _UNREADABLE if isinstance(error, ModelUnreadable) else 1
+        code = (
+            ExitCode.UNREADABLE if isinstance(error, ModelUnreadable) else ExitCode.FAILURE
+        )
         raise typer.Exit(code) from error
     clear()
     if as_json:
-        typer.echo(json.dumps(_document(done), indent=2, ensure_ascii=False))
+        typer.echo(json.dumps(_document(result), indent=2, ensure_ascii=False))
         return
-    for line in _report(done):
+    for line in _report(result):
         typer.echo(line)
 
 
-def _report(done: "Float16Result") -> "Iterator[str]":
-    total = done.halved + len(done.kept)
-    yield f"{done.halved} of {total} nodes compute in float16, with {done.casts} Casts between"
+def _report(result: "Float16Result") -> "Iterator[str]":
+    total = result.halved + len(result.retained)
+    yield f"{result.halved} of {total} nodes compute in float16, with {result.casts} Casts between"
     reasons: dict[str, list[str]] = {}
-    for one in done.kept:
-        reasons.setdefault(one.why, []).append(one.node)
-    for why, names in reasons.items():
-        more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-        yield f"  float32 for {why}: {', '.join(names[:_SHOWN])}{more}"
-    if done.kept_weights:
-        names = [one.node for one in done.kept_weights]
-        more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-        yield f"  stored in float32: {', '.join(names[:_SHOWN])}{more}"
-    yield f"weights {done.bytes_before} → {done.bytes_after} bytes"
-    yield f"outputs {done.outputs_before} → {done.outputs_after} bytes a frame"
-    yield f"largest errors: {done.parity.describe()}"
-    yield f"measured {done.measured} choices"
-    if done.path is not None:
-        yield f"wrote {done.path}"
+    for entry in result.retained:
+        reasons.setdefault(entry.reason, []).append(entry.node)
+    for reason, names in reasons.items():
+        suffix = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+        yield f"  float32 for {reason}: {', '.join(names[:_MAX_NAMES])}{suffix}"
+    if result.retained_weights:
+        names = [entry.node for entry in result.retained_weights]
+        suffix = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+        yield f"  stored in float32: {', '.join(names[:_MAX_NAMES])}{suffix}"
+    yield f"weights {result.bytes_before} → {result.bytes_after} bytes"
+    yield f"outputs {result.outputs_before} → {result.outputs_after} bytes per frame"
+    yield f"largest errors: {result.parity.describe()}"
+    yield f"measured {result.measured} choices"
+    if result.path is not None:
+        yield f"wrote {result.path}"
 
 
-def _document(done: "Float16Result") -> dict[str, object]:
+def _entry(entry: "RetainedFloat32") -> dict[str, object]:
+    return {"node": entry.node, "why": entry.reason, "excess": entry.excess}
+
+
+def _document(result: "Float16Result") -> dict[str, object]:
     return {
-        "path": str(done.path) if done.path else None,
-        "halved": done.halved,
-        "kept": [asdict(one) for one in done.kept],
-        "kept_weights": [asdict(one) for one in done.kept_weights],
-        "casts": done.casts,
-        "fields": [asdict(one) for one in done.parity.fields],
-        "weights": {"before": done.bytes_before, "after": done.bytes_after},
-        "outputs": {"before": done.outputs_before, "after": done.outputs_after},
-        "measured": done.measured,
+        "path": str(result.path) if result.path else None,
+        "halved": result.halved,
+        "kept": [_entry(entry) for entry in result.retained],
+        "kept_weights": [_entry(entry) for entry in result.retained_weights],
+        "casts": result.casts,
+        "fields": [asdict(field_error) for field_error in result.parity.fields],
+        "weights": {"before": result.bytes_before, "after": result.bytes_after},
+        "outputs": {"before": result.outputs_before, "after": result.outputs_after},
+        "measured": result.measured,
     }

@@ -1,4 +1,4 @@
-"""`gsgen new`: the package of a plugin, ready to be changed."""
+"""`gsgen new`: create the package of a plugin from a template."""
 
 __all__ = ["new"]
 
@@ -11,19 +11,19 @@ import typer
 def new(
     name: Annotated[
         str,
-        typer.Argument(help="Of the package and of the plugin, such as my-method."),
+        typer.Argument(help="Name of the package and of the plugin, such as my-method."),
     ],
     into: Annotated[
-        Path, typer.Option(help="Folder in which the package's own folder is made.")
+        Path, typer.Option(help="Folder that will contain the package's folder.")
     ] = Path(),
 ) -> None:
-    """Write the package of a plugin NAME: a method, its export command, and tests that pass.
+    """Create the package of a plugin NAME: a method, its export command, and passing tests.
 
-    Exits 0 if it was written, 2 if the name cannot be used or something stands there.
+    Exits 0 if it was created, 2 if the name is not valid or the folder exists.
     """
-    from gsgen.sdk.plugins.plugin_template import scaffold
+    from gsgen.sdk.plugins.plugin_template import write_plugin_package
 
-    made = scaffold(name, into)
-    for file in made.files:
-        typer.echo(made.folder / file)
-    typer.echo(f"\nNext:\n  cd {made.folder}\n  pip install -e '.[test]'\n  pytest")
+    package = write_plugin_package(name, into)
+    for file in package.files:
+        typer.echo(package.folder / file)
+    typer.echo(f"\nNext:\n  cd {package.folder}\n  pip install -e '.[test]'\n  pytest")

@@ -1,4 +1,4 @@
-"""`gsgen plugins`: list what `gsgen export` can read."""
+"""`gsgen plugins`: list the methods that `gsgen export` can read."""
 
 __all__ = ["plugins"]
 
@@ -15,23 +15,27 @@ from gsgen.sdk.plugins.plugin import Plugin, find_plugins
 def plugins(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAMES]…", help="Only these.", show_default="all"),
+        typer.Argument(
+            metavar="[NAMES]…", help="List these plugins only.", show_default="all"
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
     """List the installed plugins: what each exports, its inputs, and the files it reads.
 
-    Exits 2 if there is no plugin of a given name.
+    Exits 2 if no plugin has a given name.
     """
-    found = find_plugins()
+    commands = find_plugins()
     for name in names or ():
-        if name not in found:
-            raise UnknownName.among("plugin", name, found)
-    listed = [_facts(one) for name, one in found.items() if not names or name in names]
+        if name not in commands:
+            raise UnknownName.among("plugin", name, commands)
+    entries = [
+        _facts(command) for name, command in commands.items() if not names or name in names
+    ]
     if as_json:
-        typer.echo(json.dumps(listed, indent=2, ensure_ascii=False))
+        typer.echo(json.dumps(entries, indent=2, ensure_ascii=False))
         return
-    typer.echo("\n\n".join(_text(one) for one in listed))
+    typer.echo("\n\n".join(_text(entry) for entry in entries))
 
 
 def _facts(command: Command) -> dict[str, Any]:
@@ -51,7 +55,7 @@ def _facts(command: Command) -> dict[str, Any]:
     loaded = _loaded(command)
     if loaded is None:
         return facts
-    if not isinstance(loaded, Plugin):  # a command of another shape, or one that is broken
+    if not isinstance(loaded, Plugin):  # another kind of command, or a broken plugin
         summary = (getattr(loaded, "__doc__", None) or "").strip().partition("\n")[0]
         return facts | {"summary": summary or None}
     return facts | {
@@ -64,12 +68,12 @@ def _facts(command: Command) -> dict[str, Any]:
 
 
 def _loaded(command: Command) -> Any:
-    """Return the plugin, even where it lacks something: importing one imports no torch."""
+    """Return the plugin, or None if its import fails; the import does not import torch."""
     if not command.missing:
         return command.load()
     try:
         return command.point.load()
-    except ImportError:  # it needs what is missing to be imported at all
+    except ImportError:  # the missing package is needed for the import
         return None
 
 

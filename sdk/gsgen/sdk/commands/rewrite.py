@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from gsgen.sdk.rewriting.rewrite import Change, Rewritten
 
-_SHOWN = 4
+_MAX_NAMES = 4
 
 
 def rewrite(
@@ -28,11 +28,11 @@ def rewrite(
         Path | None, typer.Option("-o", "--output", help="The rewritten copy.")
     ] = None,
     target: Annotated[
-        str, typer.Option(help="Consumer to rewrite for; core means all that are known.")
+        str, typer.Option(help="Consumer to rewrite for; core means all known ones.")
     ] = "core",
     only: Annotated[
         list[str] | None,
-        typer.Option("--pass", metavar="NAME", help="Run this pass alone; repeatable."),
+        typer.Option("--pass", metavar="NAME", help="Run only this pass; repeatable."),
     ] = None,
     skip: Annotated[
         list[str] | None,
@@ -41,48 +41,48 @@ def rewrite(
     opset: Annotated[
         int | None,
         typer.Option(
-            help="Operator set of the copy; by default the kernels decide.", min=7
+            help="Operator set of the copy; the kernels decide by default.", min=7
         ),
     ] = None,
     size: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="SYMBOL=SIZE", help="Give an open dimension a size; repeatable."
-        ),
+        typer.Option(metavar="SYMBOL=SIZE", help="Size of an open dimension; repeatable."),
     ] = None,
     freeze: Annotated[
-        list[str] | None, typer.Option(hidden=True, help="What --size was called.")
+        list[str] | None, typer.Option(hidden=True, help="Former name of --size.")
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Write nothing; say what would change.")
+        bool, typer.Option("--dry-run", help="Write nothing; list the changes.")
     ] = False,
     listed: Annotated[
-        bool, typer.Option("--list", help="List the passes, in the order they run.")
+        bool, typer.Option("--list", help="List the passes in the order in which they run.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
-    """Rewrite MODEL's graph so that a consumer's GPU runs it, and prove that it computes the same.
+    """Rewrite MODEL's graph for a consumer's GPU, and verify that it computes the same outputs.
 
-    Exits 0 if it does, 1 if it would not (then nothing is written), 4 if MODEL is no model.
+    Exits 0 if it does, 1 if it does not (then nothing is written), 4 if MODEL is not a model.
     """
     from gsgen.contract.spec.targets import load_target
     from gsgen.sdk.commands.copies import copy_of
     from gsgen.sdk.commands.sizes import sizes_of
     from gsgen.sdk.rewriting.rewrite import rewrite_file
 
-    chosen = load_target(target)
+    consumer = load_target(target)
     if listed:
-        _list(target, as_json)
+        _list(target, as_json=as_json)
         return
     if model is None:
-        raise ConfigInvalid("no MODEL was given", where="gsgen rewrite")
-    output = copy_of(output, dry_run)
+        raise ConfigInvalid(
+            "MODEL is missing, expected an ONNX file", where="gsgen rewrite"
+        )
+    output = copy_of(output, dry_run=dry_run)
     sizes = sizes_of(size, "--size") | sizes_of(freeze, "--freeze")
     try:
-        done = rewrite_file(
+        result = rewrite_file(
             model,
             output,
-            chosen,
+            consumer,
             only=_split(only),
             skip=_split(skip),
             opset=opset,
@@ -94,28 +94,33 @@ def rewrite(
     except GsgenError as error:
         clear()
         typer.echo(f"gsgen: {error}", err=True)
-        raise typer.Exit(
-            ExitCode.UNREADABLE if isinstance(error, ModelUnreadable) else ExitCode.FAILURE
-        ) from error
+        raise typer.Exit(_exit_code(error)) from error
     clear()
     if as_json:
-        typer.echo(json.dumps(_document(done), indent=2, ensure_ascii=False))
+        typer.echo(json.dumps(_document(result), indent=2, ensure_ascii=False))
         return
-    for line in _report(done):
+    _show(result)
+
+
+def _show(result: "Rewritten") -> None:
+    """Print the report, and a warning for outputs that could not be compared."""
+    for line in _report(result):
         typer.echo(line)
-    if done.uncompared:
-        typer.echo(
-            f"gsgen: {', '.join(done.uncompared)}: no finite number at any of {done.probes} probes, "
-            "so the rewrite is not proven",
-            err=True,
-        )
+    if result.uncompared:
+        names = ", ".join(result.uncompared)
+        message = f"no finite number at any of {result.probes} probes, so the rewrite is not verified"
+        typer.echo(f"gsgen: {names}: {message}", err=True)
+
+
+def _exit_code(error: GsgenError) -> ExitCode:
+    return ExitCode.UNREADABLE if isinstance(error, ModelUnreadable) else ExitCode.FAILURE
 
 
 def _split(names: list[str] | None) -> list[str]:
     return [name for entry in names or () for name in entry.split(",") if name]
 
 
-def _list(target: str, as_json: bool) -> None:
+def _list(target: str, *, as_json: bool) -> None:
     from gsgen.contract.spec.targets import load_target
     from gsgen.sdk.passes.framework.base import RewriteTarget
     from gsgen.sdk.passes.registry import REWRITES
@@ -123,13 +128,13 @@ def _list(target: str, as_json: bool) -> None:
     goal = RewriteTarget.of(load_target(target))
     rows = [
         {
-            "name": one.name,
-            "summary": one.summary(),
-            "exactness": one.exactness.describe(),
-            "wanted_by": one.wanted_by,
-            "runs": one.for_target(goal) is not None,
+            "name": rewrite_class.name,
+            "summary": rewrite_class.summary(),
+            "exactness": rewrite_class.exactness.describe(),
+            "wanted_by": rewrite_class.wanted_by,
+            "runs": rewrite_class.for_target(goal) is not None,
         }
-        for one in REWRITES
+        for rewrite_class in REWRITES
     ]
     if as_json:
         typer.echo(json.dumps(rows, indent=2, ensure_ascii=False))
@@ -139,59 +144,63 @@ def _list(target: str, as_json: bool) -> None:
         mark = " " if row["runs"] else "-"
         typer.echo(f"{mark} {row['name']:<{width}}  {row['summary']} ({row['exactness']}).")
     if not all(row["runs"] for row in rows):
-        typer.echo(f"\n- marks what target {target} does not want.")
+        typer.echo(f"\n- marks passes that target {target} does not need.")
 
 
-def _report(done: "Rewritten") -> "Iterator[str]":
-    for change in done.changes:
+def _report(result: "Rewritten") -> "Iterator[str]":
+    for change in result.changes:
         yield f"{change.rewrite}: {_counted(change)}"
-    before, after = done.before, done.after
-    if not done.changes:
+    before, after = result.before, result.after
+    if not result.changes:
         yield "nothing to rewrite"
     else:
         yield f"nodes {before.nodes} → {after.nodes}, operator set {before.opset} → {after.opset}"
     yield f"not captured: {len(before.uncaptured)} nodes → {len(after.uncaptured)}"
     for line in after.uncaptured:
         yield f"  {line}"
-    for one in done.refusals[:_SHOWN]:
-        yield f"left by {one.rewrite}: {one.where}: {one.reason}"
-    if len(done.refusals) > _SHOWN:
-        yield f"… and {len(done.refusals) - _SHOWN} more were left, which --json lists"
-    if done.changes:
-        yield f"outputs were compared at {done.probes} probes: {_compared(done)}"
-    if done.path is not None:
-        yield f"wrote {done.path}"
+    for refusal in result.refusals[:_MAX_NAMES]:
+        yield f"left by {refusal.rewrite}: {refusal.where}: {refusal.reason}"
+    if len(result.refusals) > _MAX_NAMES:
+        yield f"… and {len(result.refusals) - _MAX_NAMES} more were left, which --json lists"
+    if result.changes:
+        yield f"outputs were compared at {result.probes} probes: {_compared(result)}"
+    if result.path is not None:
+        yield f"wrote {result.path}"
 
 
 def _counted(change: "Change") -> str:
-    shown = ", ".join(change.nodes[:_SHOWN])
-    more = len(change.nodes) - _SHOWN
-    return f"{len(change.nodes)}× {shown}" + (f" and {more} more" if more > 0 else "")
-
-
-def _compared(done: "Rewritten") -> str:
-    parts = [f"{one.output} differs by {one.largest:.2g}" for one in done.differences]
-    if not done.uncompared:
-        return ", ".join(parts) or "equal bits"
-    blank = (
-        f"{', '.join(done.uncompared)} could not be judged, for want of any finite number"
+    names = ", ".join(change.nodes[:_MAX_NAMES])
+    remaining_count = len(change.nodes) - _MAX_NAMES
+    return f"{len(change.nodes)}× {names}" + (
+        f" and {remaining_count} more" if remaining_count > 0 else ""
     )
+
+
+def _compared(result: "Rewritten") -> str:
+    parts = [
+        f"{difference.output} differs by {difference.largest:.2g}"
+        for difference in result.differences
+    ]
+    if not result.uncompared:
+        return ", ".join(parts) or "equal bits"
+    blank = f"{', '.join(result.uncompared)} could not be compared: no finite number"
     return "; ".join([", ".join(parts) or "nothing differs", blank])
 
 
-def _document(done: "Rewritten") -> dict[str, object]:
+def _document(result: "Rewritten") -> dict[str, object]:
     return {
-        "path": str(done.path) if done.path else None,
+        "path": str(result.path) if result.path else None,
         "passes": [
             {"name": c.rewrite, "exactness": c.exactness.describe(), "nodes": c.nodes}
-            for c in done.changes
+            for c in result.changes
         ],
-        "before": asdict(done.before),
-        "after": asdict(done.after),
-        "probes": done.probes,
-        "differences": [asdict(one) for one in done.differences],
-        "unjudged": done.uncompared,
+        "before": asdict(result.before),
+        "after": asdict(result.after),
+        "probes": result.probes,
+        "differences": [asdict(difference) for difference in result.differences],
+        "unjudged": result.uncompared,
         "left": [
-            {"rewrite": r.rewrite, "where": r.where, "why": r.reason} for r in done.refusals
+            {"rewrite": r.rewrite, "where": r.where, "why": r.reason}
+            for r in result.refusals
         ],
     }

@@ -1,4 +1,4 @@
-"""Sizes of open dimensions, as several commands take them: SYMBOL=SIZE, repeated."""
+"""Parses sizes of open dimensions from repeated options SYMBOL=SIZE."""
 
 __all__ = ["sizes_of"]
 
@@ -8,14 +8,14 @@ from gsgen.contract.errors import ConfigInvalid
 
 
 def sizes_of(entries: Iterable[str] | None, option: str) -> dict[str, int]:
-    """Return symbol → size.
+    """Parse entries SYMBOL=SIZE, and return symbol → size.
 
     Args:
-        entries: As they were typed; None for none.
-        option: What they were typed after.
+        entries: The option's values; None if it was not used.
+        option: Name of the option, for errors.
 
     Raises:
-        ConfigInvalid: One is not SYMBOL=SIZE.
+        ConfigInvalid: An entry is not SYMBOL=SIZE.
     """
     return dict(_sized(entry, option) for entry in entries or ())
 
@@ -23,5 +23,7 @@ def sizes_of(entries: Iterable[str] | None, option: str) -> dict[str, int]:
 def _sized(entry: str, option: str) -> tuple[str, int]:
     symbol, sign, size = entry.partition("=")
     if not sign or not (size.isascii() and size.isdigit() and int(size) > 0):
-        raise ConfigInvalid(f"{entry!r} is not SYMBOL=SIZE, such as J=24", where=option)
+        raise ConfigInvalid(
+            f"is {entry!r}, expected SYMBOL=SIZE, such as J=24", where=option
+        )
     return symbol, int(size)

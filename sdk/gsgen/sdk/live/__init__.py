@@ -1,1 +1,1 @@
-"""Does a model still compute the same when a GPU captures and replays it (level live)?"""
+"""Does a model compute the same if a GPU captures and replays it (level live)?"""

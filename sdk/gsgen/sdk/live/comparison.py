@@ -1,4 +1,4 @@
-"""Compare what the WebGPU provider gave with the CPU, and replays with plain runs."""
+"""Compares outputs of the WebGPU provider with the CPU, and replays with uncaptured runs."""
 
 __all__ = ["disagreements", "wrong_replays"]
 
@@ -15,52 +15,59 @@ from gsgen.sdk.binding.replay_check import (
     WrongReplay,
     agree,
     largest_difference,
-    maker,
+    output_origin,
     wrong_outputs,
 )
 from gsgen.sdk.live.level import Frame, Live, Outputs
 from gsgen.sdk.parity import ModelOutput, Parity, Reference, compare
 
-# Rows beyond this many are compared at even distances.
+# Of more rows than this, evenly spaced ones are compared.
 _MOST_ROWS = 1 << 14
 # Companion models declare no tolerances; relative to the largest value of an output.
 _TOLERANCE = 2e-3
+_EXPECTED = "the CPU's value"
 
 
 def wrong_replays(live: Live) -> Iterator[WrongReplay]:
-    """Yield every output that replays wrongly, those that no manifest declares included."""
+    """Yield every output whose replays are wrong, including undeclared outputs."""
     graph = live.subject.graph
-    pairs = [(f.plain, f.replayed) for f in live.frames if f.plain and f.replayed]
-    plain, replayed = [one for one, _ in pairs], [other for _, other in pairs]
-    yield from wrong_outputs(plain, replayed, lambda name: maker(graph, name))
+    pairs = [(f.uncaptured, f.replayed) for f in live.frames if f.uncaptured and f.replayed]
+    uncaptured, replayed = (
+        [expected for expected, _ in pairs],
+        [actual for _, actual in pairs],
+    )
+    yield from wrong_outputs(uncaptured, replayed, lambda name: output_origin(graph, name))
 
 
 def disagreements(live: Live) -> Iterator[tuple[str, str, str]]:
-    """Yield (place, what was seen, what was wanted) wherever CPU and GPU differ too much."""
-    frames = [frame for frame in live.frames if frame.plain is not None]
-    packed = _packed(live, frames)
+    """Yield (location, actual, expected) for each field or output where CPU and GPU disagree."""
+    frames = [frame for frame in live.frames if frame.uncaptured is not None]
+    packed = _compare_rows(live, frames)
     if packed is not None:
         for field in packed.fields:
             if not field.excess <= 1:
-                times = f"{field.excess:.3g} times what is allowed"
+                times = f"{field.excess:.3g} times the tolerance"
                 actual = (
                     f"off by {field.error:.3g} at row {field.row}, {times} ({field.probe})"
                 )
-                yield f"field {field.field}", actual, "what the CPU gives"
-    judged = _declared_names(live) if packed is not None else set()
+                yield f"field {field.field}", actual, _EXPECTED
+    compared = _declared_names(live) if packed is not None else set()
     for name in frames[0].cpu if frames else ():
-        if name not in judged:
-            yield from _loose(name, frames)
+        if name not in compared:
+            yield from _compare_whole(name, frames)
 
 
-def _packed(live: Live, frames: list[Frame]) -> Parity | None:
-    """Compare packed rows field by field; None where the model does not give them."""
+def _compare_rows(live: Live, frames: list[Frame]) -> Parity | None:
+    """Compare packed rows field by field; None if the model has no packed rows."""
     generator = live.subject.generator
     if generator is None:
         return None
-    references, outputs = [], []
+    references, gpu_outputs = [], []
     for frame in frames:
-        cpu, gpu = (_emission(live, frame, one) for one in (frame.cpu, frame.plain))
+        cpu, gpu = (
+            _model_outputs(live, frame, outputs)
+            for outputs in (frame.cpu, frame.uncaptured)
+        )
         space = cpu.declared.space if cpu.declared else None
         if cpu.gaussians is None or cpu.appearance is None or space is None:
             return None
@@ -70,37 +77,37 @@ def _packed(live: Live, frames: list[Frame]) -> Parity | None:
         if cells is not None and gpu.cells is None:
             return None
         try:
-            wanted = layout.decode(cpu.gaussians[rows], cpu.appearance[rows], space)
+            expected = layout.decode(cpu.gaussians[rows], cpu.appearance[rows], space)
         except LayoutMismatch:
             return None
         alive = int(np.count_nonzero(rows < cpu.count))
         count = alive if gpu.count == cpu.count else gpu.count
-        made = ModelOutput(gpu.gaussians[rows], gpu.appearance[rows], count)
-        known = Reference(frame.probe, wanted, alive)
+        output = ModelOutput(gpu.gaussians[rows], gpu.appearance[rows], count)
+        reference = Reference(frame.probe, expected, alive)
         if cells is not None and cpu.cells is not None and gpu.cells is not None:
-            known = replace(known, cells=layout.decode_cells(cpu.cells[cells]))
-            made = replace(made, cells=gpu.cells[cells])
-        references.append(known)
-        outputs.append(made)
-    return compare(references, outputs, as_tolerances(live.subject), roundings=2)
+            reference = replace(reference, cells=layout.decode_cells(cpu.cells[cells]))
+            output = replace(output, cells=gpu.cells[cells])
+        references.append(reference)
+        gpu_outputs.append(output)
+    return compare(references, gpu_outputs, as_tolerances(live.subject), roundings=2)
 
 
-def _emission(live: Live, frame: Frame, outputs: Outputs | None) -> ModelOutputs:
+def _model_outputs(live: Live, frame: Frame, outputs: Outputs | None) -> ModelOutputs:
     probe = frame.probe
     return read_outputs(live.subject, probe.label, probe.zeros, dict(outputs or {}))
 
 
-def _some_rows(emission: ModelOutputs) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return which rows to compare, and which cells; of cells, all rows, in order."""
-    if emission.cells is None or emission.gaussians is None:
-        return _spread(emission.count, _MOST_ROWS), None
-    per_cell = len(emission.gaussians) // len(emission.cells)
-    cells = _spread(-(-emission.count // per_cell), max(1, _MOST_ROWS // per_cell))
+def _some_rows(outputs: ModelOutputs) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the indices of the rows and cells to compare; selected cells have all their rows."""
+    if outputs.cells is None or outputs.gaussians is None:
+        return _even_indices(outputs.count, _MOST_ROWS), None
+    per_cell = len(outputs.gaussians) // len(outputs.cells)
+    cells = _even_indices(-(-outputs.count // per_cell), max(1, _MOST_ROWS // per_cell))
     return (cells[:, None] * per_cell + np.arange(per_cell)).ravel(), cells
 
 
-def _spread(count: int, most: int) -> np.ndarray:
-    """Return numbers below ``count``, at even distances where they are more than ``most``."""
+def _even_indices(count: int, most: int) -> np.ndarray:
+    """Return at most ``most`` evenly spaced indices below ``count``."""
     if count <= most:
         return np.arange(count)
     return np.linspace(0, count - 1, most).astype(np.int64)
@@ -116,11 +123,11 @@ def _declared_names(live: Live) -> set[str]:
     return {part.name for part in parts if part is not None}
 
 
-def _loose(name: str, frames: list[Frame]) -> Iterator[tuple[str, str, str]]:
-    """Compare one output as a whole, in the scale of its largest value."""
+def _compare_whole(name: str, frames: list[Frame]) -> Iterator[tuple[str, str, str]]:
+    """Compare one whole output, relative to its largest value."""
     for frame in frames:
-        cpu, gpu = np.asarray(frame.cpu[name]), np.asarray((frame.plain or {})[name])
+        cpu, gpu = np.asarray(frame.cpu[name]), np.asarray((frame.uncaptured or {})[name])
         if not agree(cpu, gpu, _TOLERANCE):
             actual = f"off by {largest_difference(cpu, gpu):.3g} ({frame.probe.label})"
-            yield f"output {name}", actual, "what the CPU gives"
+            yield f"output {name}", actual, _EXPECTED
             return

@@ -1,6 +1,6 @@
-"""Example models that break a rule of level ``live``, and show nothing wrong before.
+"""Example models that violate a rule of level ``live`` and pass all lower levels.
 
-They stand beside the corpus of :mod:`gsgen.conformance.fixtures`, whose models need no GPU.
+They extend the corpus of :mod:`gsgen.conformance.fixtures`, whose models need no GPU.
 """
 
 __all__ = ["live_fixtures"]
@@ -16,22 +16,22 @@ from gsgen.conformance.fixtures.builders.moving import drifting
 from gsgen.conformance.fixtures.builders.sketch import ModelSpec
 from gsgen.contract.spec.severity import Level
 
-_SHIFT = "shift = Mul (speed, time)"
-_END = "gaussians = Concat <axis = 1> (moved, opacity, spread)"
-# More results than any adapter's default number of storage buffers a stage.
+_SHIFT_NODE = "shift = Mul (speed, time)"
+_OUTPUT_NODE = "gaussians = Concat <axis = 1> (moved, opacity, spread)"
+# More outputs than the default number of storage buffers per stage of any adapter.
 _PARTS = 64
 
 
 def live_fixtures() -> list[Fixture]:
-    """Return the models, one a rule."""
+    """Return the example models, one per rule."""
     return fixtures_in(sys.modules[__name__])
 
 
 @invalid("GB011", level=Level.LIVE)
 def integers_of_64_bits() -> ModelSpec:
-    """A number above 2³² comes and goes; the GPU keeps its lower half."""
+    """A number above 2³² is added and removed; the GPU keeps only its lower half."""
     counted = drifting().reworded(
-        _SHIFT,
+        _SHIFT_NODE,
         "scaled = Mul (time, thousand) whole = Cast <to = 7> (scaled) far = Add (whole, big) "
         "back = Cast <to = 1> (far) near = Div (back, size) shift = Mul (speed, near)",
     )
@@ -41,9 +41,9 @@ def integers_of_64_bits() -> ModelSpec:
 
 @invalid("GB014", level=Level.LIVE)
 def branches_by_if() -> ModelSpec:
-    """An If whose branches differ; a rule of the graph warns of it, too."""
+    """An If whose branches differ; a graph rule warns about it, too."""
     branched = drifting().reworded(
-        _SHIFT,
+        _SHIFT_NODE,
         "late = Greater (time, half) turned = If (late) <then_branch = t () => (float[1] a) { a = Neg (time) }, "
         "else_branch = e () => (float[1] b) { b = Abs (time) }> "
         "shift = Mul (speed, turned)",
@@ -53,9 +53,9 @@ def branches_by_if() -> ModelSpec:
 
 @invalid("GB015", level=Level.LIVE)
 def round_on_the_cpu() -> ModelSpec:
-    """Time is rounded to tenths by an operator that no GPU kernel exists for."""
+    """Time is rounded to tenths by Round, which has no GPU kernel."""
     stepped = drifting().reworded(
-        _SHIFT,
+        _SHIFT_NODE,
         "scaled = Mul (time, ten) whole = Round (scaled) step = Div (whole, ten) "
         "shift = Mul (speed, step)",
     )
@@ -64,9 +64,9 @@ def round_on_the_cpu() -> ModelSpec:
 
 @invalid("GB016", level=Level.LIVE)
 def output_from_idle_sum() -> ModelSpec:
-    """Rows are made by a ReduceSum over no axis, a mere copy; a rule of the graph warns of it, too."""
+    """The output is a ReduceSum over no axis, which is a copy; a graph rule warns about it, too."""
     return drifting().reworded(
-        _END,
+        _OUTPUT_NODE,
         "packed = Concat <axis = 1> (moved, opacity, spread) "
         "gaussians = ReduceSum <noop_with_empty_axes = 1> (packed)",
     )
@@ -74,11 +74,11 @@ def output_from_idle_sum() -> ModelSpec:
 
 @invalid("GB017", level=Level.LIVE)
 def split_into_many() -> ModelSpec:
-    """A Split has more results than a kernel may bind; that shows only when it is launched."""
+    """A Split has more outputs than a kernel may bind, which only fails at its launch."""
     parts = ", ".join(f"part_{index}" for index in range(_PARTS))
-    wide = drifting().reworded(
-        _SHIFT,
+    wide_split = drifting().reworded(
+        _SHIFT_NODE,
         f"many = Expand (time, parts) {parts} = Split <axis = 0, num_outputs = {_PARTS}> (many) "
         "again = Add (part_0, part_1) twice = Mul (speed, again) shift = Mul (twice, half)",
     )
-    return wide.weighing(parts=i64(_PARTS), half=f32(0.5))
+    return wide_split.weighing(parts=i64(_PARTS), half=f32(0.5))

@@ -1,11 +1,11 @@
-"""Run a model as a viewer does: in ONNX Runtime's WebGPU provider, captured once and replayed.
+"""Runs a model as viewers do: in ONNX Runtime's WebGPU provider, captured once and replayed.
 
-The model runs in a child process (:mod:`gsgen.sdk.live.worker`), on a GPU or on a software driver.
-Each frame is computed by a plain session and by one that replays captured commands, with inputs
-that change from frame to frame; the CPU's outputs for the same inputs are known already.
+The model runs in a child process (:mod:`gsgen.sdk.live.worker`), on a GPU or a software driver.
+Each frame is computed without capture and by a session that replays captured commands. Inputs
+change from frame to frame; the CPU's outputs for them are already known.
 """
 
-__all__ = ["Frame", "Live", "Node", "Stop", "prepare_live", "survey"]
+__all__ = ["EarlyStop", "Frame", "Live", "Node", "prepare_live", "survey"]
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -34,13 +34,13 @@ Event = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Stop:
-    """Why a session ended before the last frame.
+class EarlyStop:
+    """The reason why a session ended before the last frame.
 
     Attributes:
         phase: ``plain`` or ``captured``.
-        frame: Number of the frame; -1 while the session was being made.
-        message: ONNX Runtime's words, or how the process ended.
+        frame: Number of the frame; -1 during the creation of the session.
+        message: ONNX Runtime's message, or how the process ended.
     """
 
     phase: str
@@ -50,72 +50,72 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One frame, computed three ways.
+    """The outputs of one frame, computed in three ways.
 
     Attributes:
-        probe: Its inputs.
-        cpu: What the CPU gave: the outputs that the manifest declares.
-        plain: What the WebGPU provider gave, or None.
-        replayed: What a captured session gave, or None.
+        probe: The inputs.
+        cpu: The CPU's outputs that the manifest declares.
+        uncaptured: The WebGPU provider's outputs without capture, if it ran.
+        replayed: The outputs of a capturing session, if it ran.
     """
 
     probe: Probe
     cpu: Outputs
-    plain: Outputs | None
+    uncaptured: Outputs | None
     replayed: Outputs | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Live:
-    """What became of a model in the WebGPU provider.
+    """The results of running a model in the WebGPU provider.
 
     Attributes:
         subject: The model.
-        adapter: What it ran on.
-        nodes: Where every node of the plain session went; None where there was no session.
-        accepted: ONNX Runtime agreed to capture the model.
-        stop: What ended the run early, if anything did.
-        frames: The first is the one that was captured.
+        adapter: The adapter that it ran on.
+        nodes: Execution provider of each node without capture; None without a session.
+        accepted: Whether ONNX Runtime accepted to capture the model.
+        stop: The reason for an early end, if any.
+        frames: All frames; the first one was captured, the others were replayed.
     """
 
     subject: InspectedModel
     adapter: str
     nodes: tuple[Node, ...] | None
     accepted: bool
-    stop: Stop | None
+    stop: EarlyStop | None
     frames: tuple[Frame, ...]
 
     @property
     def refusal(self) -> str:
-        """Why ONNX Runtime would not capture the model; empty if it did not say no."""
+        """The reason why ONNX Runtime refused to capture the model; empty if it did not refuse."""
         stop = self.stop
         early = stop is not None and stop.phase == "captured" and not self.accepted
         return stop.message if stop is not None and early else ""
 
     @property
     def state(self) -> str:
-        """What became of the capture, in one line."""
+        """The result of the capture, in one line."""
         if self.accepted:
-            done = sum(frame.replayed is not None for frame in self.frames)
-            return f"accepted, {max(done - 1, 0)} replays"
+            replayed = sum(frame.replayed is not None for frame in self.frames)
+            return f"accepted, {max(replayed - 1, 0)} replays"
         return f"refused: {self.refusal}" if self.refusal else "not tried"
 
 
 @contextmanager
 def prepare_live(trial: ProbeRuns) -> Iterator[LevelContext]:
-    """Run the model of ``trial`` live; the arrays live as long as the block.
+    """Run the model of ``trial`` in WebGPU; the arrays are valid within the ``with`` block.
 
     Raises:
-        LevelUnavailable: A package, a driver or a feature of the adapter is missing here.
-        RuntimeError: ONNX Runtime fell back to the CPU without saying so.
+        LevelUnavailable: A package, a driver or a feature of the adapter is missing.
+        RuntimeError: ONNX Runtime silently fell back to the CPU.
     """
     _need_package()
-    runs = _chosen_runs(trial)
+    runs = _select_runs(trial)
     subject, probes = trial.subject, [trial.plan.probes[run] for run in runs]
     half = any(tensor.dtype == "float16" for tensor in subject.graph.tensors.values())
     path, limits = subject.file.path, subject.granted
     with execute(path, [], probes, limits, _WORKER, half=half) as execution:
-        _refuse(execution)
+        _raise_if_unavailable(execution)
         live = _read(trial, execution, runs)
         yield LevelContext(
             context=live,
@@ -126,37 +126,37 @@ def prepare_live(trial: ProbeRuns) -> Iterator[LevelContext]:
 
 
 def survey(seconds: float = 60) -> dict[str, str]:
-    """Return what is here to run WebGPU with: versions, and which adapter; in a child process.
+    """Return versions and adapter of the WebGPU provider, found out by a child process.
 
     Raises:
         LevelUnavailable: A package or a driver is missing.
     """
     _need_package()
     with execute(Path(), [], [], Limits(seconds=seconds), _WORKER, half=False) as execution:
-        _refuse(execution)
+        _raise_if_unavailable(execution)
         return _environment(execution.events)
 
 
 def _need_package() -> None:
     if find_spec(PACKAGE) is None:
-        what = "onnxruntime-ep-webgpu is not installed"
-        raise LevelUnavailable(what, hint="pip install 'gsgen[live]'")
+        message = "onnxruntime-ep-webgpu is not installed"
+        raise LevelUnavailable(message, hint="pip install 'gsgen[live]'")
 
 
-def _chosen_runs(trial: ProbeRuns) -> list[int]:
-    """Choose runs whose inputs differ, and at the end the first again."""
+def _select_runs(trial: ProbeRuns) -> list[int]:
+    """Return runs with different inputs; the last one repeats the first."""
     plan = trial.plan
     runs = [run for run in range(plan.values) if not plan.probes[run].zeros]
     zeros = [run for run in range(plan.values) if plan.probes[run].zeros]
     if plan.values == 1:
         return [0] * _STILL_FRAMES
     spread = np.linspace(0, len(runs) - 1, min(len(runs), _FRAMES - 1)).round().astype(int)
-    chosen = [runs[index] for index in spread]
-    return [*chosen, *zeros, chosen[0]]
+    selected_runs = [runs[index] for index in spread]
+    return [*selected_runs, *zeros, selected_runs[0]]
 
 
-def _refuse(execution: Execution) -> None:
-    """Raise where the child never got to the model."""
+def _raise_if_unavailable(execution: Execution) -> None:
+    """Raise if the child process ended before it ran the model."""
     for event in execution.events:
         if event["event"] == "fell-back":
             raise RuntimeError(f"ONNX Runtime fell back to the CPU: {event['message']}")
@@ -164,8 +164,8 @@ def _refuse(execution: Execution) -> None:
             raise LevelUnavailable(event["message"], hint=event["hint"])
     ready = any(event["event"] == "adapter" for event in execution.events)
     if not ready and execution.fault is not None:
-        what = f"the WebGPU provider does not start ({execution.fault.message})"
-        raise LevelUnavailable(what, hint="ask `gsgen doctor`")
+        message = f"the WebGPU provider does not start ({execution.fault.message})"
+        raise LevelUnavailable(message, hint="run `gsgen doctor`")
 
 
 def _environment(events: tuple[Event, ...]) -> dict[str, str]:
@@ -177,7 +177,7 @@ def _environment(events: tuple[Event, ...]) -> dict[str, str]:
 
 
 def _adapter(events: tuple[Event, ...]) -> str:
-    """Return the name of the adapter and what is to be known of it."""
+    """Return the adapter's name, its kind and its float16 support, as text."""
     device = next((e["name"] for e in events if e["event"] == "device"), "")
     for event in events:
         if event["event"] == "adapter":
@@ -190,7 +190,7 @@ def _adapter(events: tuple[Event, ...]) -> str:
 def _read(trial: ProbeRuns, execution: Execution, runs: list[int]) -> Live:
     events = execution.events
     samples = {sample.index: sample.outputs for sample in execution.samples}
-    given = {
+    outputs = {
         (event["phase"], event["frame"]): samples[event["sample"]]
         for event in events
         if event["event"] == "frame"
@@ -200,8 +200,8 @@ def _read(trial: ProbeRuns, execution: Execution, runs: list[int]) -> Live:
         Frame(
             trial.plan.probes[run],
             cpu.samples[cpu.runs[run].sample].outputs,
-            given.get(("plain", index)),
-            given.get(("captured", index)),
+            outputs.get(("plain", index)),
+            outputs.get(("captured", index)),
         )
         for index, run in enumerate(runs)
     )
@@ -216,12 +216,12 @@ def _read(trial: ProbeRuns, execution: Execution, runs: list[int]) -> Live:
     )
 
 
-def _stop(execution: Execution) -> Stop | None:
+def _stop(execution: Execution) -> EarlyStop | None:
     for event in execution.events:
         if event["event"] == "stopped":
-            return Stop(event["phase"], event["frame"], event["message"])
+            return EarlyStop(event["phase"], event["frame"], event["message"])
     if execution.fault is None:
         return None
     begun = [event for event in execution.events if event["event"] == "begin"]
     phase = begun[-1]["phase"] if begun else "plain"
-    return Stop(phase, execution.fault.probe or 0, execution.fault.message)
+    return EarlyStop(phase, execution.fault.probe or 0, execution.fault.message)

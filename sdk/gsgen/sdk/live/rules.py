@@ -1,6 +1,6 @@
-"""GB, live: the model does on the GPU, captured and replayed, what it does on the CPU.
+"""GB rules of level live: on the GPU, captured and replayed, the model computes the same as on the CPU.
 
-Registered under the entry point group ``gsgen.rules``; importing this costs little.
+Registered in the entry point group ``gsgen.rules``; the module imports nothing heavy.
 """
 
 from collections.abc import Iterator
@@ -28,11 +28,11 @@ _MOST_FRAMES = "every frame of several, with inputs that change"
     kinds=KINDS,
 )
 def ep_agreement(live: Live) -> Iterator[Violation]:
-    """The WebGPU provider gives what the CPU gives, within the tolerances that hold for the model.
+    """The outputs of the WebGPU provider equal those of the CPU, within the model's tolerances.
 
     Why:
-        The model is checked on the CPU and shown by a GPU, whose kernels round otherwise, cut
-        integers of 64 bits to 32, and may be wrong.
+        The model is checked on the CPU and shown by a GPU, whose kernels round differently,
+        truncate 64-bit integers to 32 bits, and may be wrong.
 
     Hint:
         Replace the operator that differs; keep integers small, and arguments of Sin and Cos within
@@ -40,8 +40,8 @@ def ep_agreement(live: Live) -> Iterator[Violation]:
     """
     from gsgen.sdk.live.comparison import disagreements
 
-    for place, actual, expected in disagreements(live):
-        yield Violation.at(place, actual, expected)
+    for location, actual, expected in disagreements(live):
+        yield Violation.at(location, actual, expected)
 
 
 @rule(
@@ -57,11 +57,11 @@ def capture_accepted(live: Live) -> Iterator[Violation]:
     """ONNX Runtime agrees to capture the graph.
 
     Why:
-        Without capture, every kernel is launched anew in every frame, which takes longer than the
+        Without capture, every kernel is launched again in every frame, which takes longer than the
         kernels of a small model.
 
     Hint:
-        Remove If, Loop and Scan, and whatever else ONNX Runtime's words name.
+        Remove If, Loop and Scan, and any operator that ONNX Runtime's message names.
     """
     if not live.accepted:
         yield Violation.at("graph", live.refusal or live.state, "a session that captures")
@@ -77,23 +77,23 @@ def capture_accepted(live: Live) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def all_nodes_on_gpu(live: Live) -> Iterator[Violation]:
-    """The WebGPU provider takes every node; none is left to the CPU.
+    """The WebGPU provider runs every node; no node runs on the CPU.
 
     Why:
-        One node on the CPU costs a round trip through memory in every frame, and ONNX Runtime then
-        refuses to capture the graph.
+        One node on the CPU costs a round trip through memory in every frame, and makes ONNX Runtime
+        refuse to capture the graph.
 
     Hint:
         Write the operation with operators that have WebGPU kernels at this operator set: Round as
-        Floor and Where, Sign as Where, integers of 64 bits as 32, and export at operator set 18.
+        Floor and Where, Sign as Where, 64-bit integers as 32-bit ones, and export at operator set 18.
     """
-    left = [node for node in live.nodes or () if node.provider != WEBGPU]
-    for operator in dict.fromkeys(node.operator for node in left):
-        first, *others = [node for node in left if node.operator == operator]
-        more = f", and {len(others)} more like it" if others else ""
-        place = f"node {first.name or operator} ({operator})"
-        actual = f"runs in {first.provider}{more}"
-        yield Violation.at(place, actual, "a kernel in the WebGPU provider")
+    cpu_nodes = [node for node in live.nodes or () if node.provider != WEBGPU]
+    for operator in dict.fromkeys(node.operator for node in cpu_nodes):
+        first, *similar = [node for node in cpu_nodes if node.operator == operator]
+        count = f", and {len(similar)} more like it" if similar else ""
+        location = f"node {first.name or operator} ({operator})"
+        actual = f"runs in {first.provider}{count}"
+        yield Violation.at(location, actual, "a kernel in the WebGPU provider")
 
 
 @rule(
@@ -106,21 +106,23 @@ def all_nodes_on_gpu(live: Live) -> Iterator[Violation]:
     kinds=KINDS,
 )
 def replay_not_stale(live: Live) -> Iterator[Violation]:
-    """Replayed frames are what a session without capture computes for the same inputs.
+    """Replayed frames equal those of a session without capture for the same inputs.
 
     Why:
         Capture records kernels, not buffer copies, so an output that an operator merely copies
-        repeats the first frame for ever; integers of 64 bits are cut to 32; updates in place by
-        Scatter meet what the frame before left. Nothing reports any of that.
+        repeats the first frame forever. 64-bit integers are truncated to 32 bits. Scatter updates
+        in place, and meets the values of the previous frame. No error reports any of this.
 
     Hint:
         End the output on an operator that computes, such as Mul by one; replace Scatter by Concat,
-        Where or Gather; keep integers below 2147483648. `gsgen export` ends outputs so.
+        Where or Gather; keep integers below 2147483648. `gsgen export` ends outputs in this way.
     """
     from gsgen.sdk.live.comparison import wrong_replays
 
     for replay in wrong_replays(live):
-        yield Violation.at(replay.place, replay.actual, "what the plain session gives")
+        yield Violation.at(
+            replay.output, replay.actual, "the output of the session without capture"
+        )
 
 
 @rule(
@@ -136,14 +138,16 @@ def runs_on_webgpu(live: Live) -> Iterator[Violation]:
     """ONNX Runtime's WebGPU provider runs the model to the end.
 
     Why:
-        Limits of a GPU show only when a kernel is launched: a Split into more outputs than a stage
-        has storage buffers, or a tensor larger than a buffer. Viewers then show nothing.
+        Limits of a GPU only take effect when a kernel is launched: a Split into more outputs than a
+        stage has storage buffers, or a tensor larger than a buffer. Viewers then show nothing.
 
     Hint:
-        Split wide operators and large tensors into several; rule pages GG007 and GL001 say how far.
+        Split wide operators and large tensors; the rule pages GG007 and GL001 give the limits.
     """
     stop = live.stop
     if stop is not None and not live.refusal:
-        when = "while the session was made" if stop.frame < 0 else f"in frame {stop.frame}"
+        when = (
+            "at the creation of the session" if stop.frame < 0 else f"in frame {stop.frame}"
+        )
         actual = f"stopped {when} ({stop.phase} session): {stop.message}"
         yield Violation.at("graph", actual, _MOST_FRAMES)

@@ -1,8 +1,8 @@
-"""The child of :mod:`gsgen.sdk.live.level`: run one model in ONNX Runtime's WebGPU provider, then exit.
+"""The worker process of level live: runs one model in ONNX Runtime's WebGPU provider, then exits.
 
-Every frame is computed twice: by a plain session, then by one that captures its commands with the
-first frame and replays them for the others. Both write down what they gave, so that the parent
-can compare; whatever stops this process leaves all that was done before.
+Every frame is computed twice: by a session without capture, then by one that captures its commands
+with the first frame and replays them for the others. Both write their outputs to files for the
+parent; a crash keeps everything that was written before.
 """
 
 __all__ = ["main"]
@@ -13,16 +13,16 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import astuple
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from gsgen.contract.probing.sandbox_worker import Emit, keep_outputs, read_inputs, serve
 from gsgen.contract.process.limits import limit_memory
 from gsgen.contract.process.parent_watchdog import exit_with_parent
-from gsgen.sdk.binding.bound_session import Bound
+from gsgen.sdk.binding.bound_session import BoundSession
 from gsgen.sdk.binding.providers.errors import FellBack, ProviderUnavailable
-from gsgen.sdk.binding.providers.node_placement import placement, words
+from gsgen.sdk.binding.providers.node_placement import error_text, node_placement
 from gsgen.sdk.binding.providers.selection import (
     MEMORY,
     Choice,
@@ -31,23 +31,26 @@ from gsgen.sdk.binding.providers.selection import (
 )
 from gsgen.sdk.binding.providers.webgpu import DRIVER, AdapterMissing, find_adapter
 
-# What drivers and shader compilers may take beside the model.
+# Memory for drivers and shader compilers, in addition to the model's.
 _DRIVER_BYTES = 2 << 30
-# The loader tells, on demand, which device was opened.
+# The Vulkan loader logs the opened device if VK_LOADER_DEBUG is set.
 _OPENED = re.compile(r'Using "([^"]+)" with driver')
 _SOFTWARE = re.compile("llvmpipe|swiftshader|basic render|warp", re.IGNORECASE)
 
-# Opens a session for a model, capturing or not.
-Opener = Callable[[Path | bytes, bool], Any]
+
+class Opener(Protocol):
+    """Opens a session for a model, with or without capture."""
+
+    def __call__(self, model: Path | bytes, *, capture: bool) -> Any: ...
 
 
 def main(folder: Path) -> int:
-    """Do the job described in ``folder/job.json``."""
+    """Run the job that ``folder/job.json`` describes, and return the exit code."""
     return serve(folder, _work)
 
 
 def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
-    _set_surroundings(folder)
+    _set_driver_environment(folder)
     try:
         import onnxruntime
 
@@ -66,8 +69,8 @@ def _work(folder: Path, job: dict[str, Any], emit: Emit) -> int:
     return 0
 
 
-def _set_surroundings(folder: Path) -> None:
-    """Say what drivers need to hear; what the user set already wins."""
+def _set_driver_environment(folder: Path) -> None:
+    """Set environment variables for drivers, unless the user already did."""
     usual = {
         "ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER": "1",
         "VK_LOADER_DEBUG": "driver",
@@ -78,27 +81,29 @@ def _set_surroundings(folder: Path) -> None:
 
 
 def _find_provider(emit: Emit) -> Opener:
-    """Say which device there is, and return what opens sessions on it, capturing or not."""
+    """Report the device, and return a function that opens sessions on it."""
     adapter = find_adapter()
     emit("device", name=adapter.name, version=adapter.version)
-    choice = Choice("webgpu", "asked for", adapter, asked=True)
+    choice = Choice("webgpu", "requested", adapter, is_requested=True)
 
-    def open_one(model: Path | bytes, capture: bool) -> Any:
-        return open_session(model, SessionOptions(choice, capture))
+    def open_with_adapter(model: Path | bytes, *, capture: bool) -> Any:
+        return open_session(model, SessionOptions(choice=choice, capture=capture))
 
-    return open_one
+    return open_with_adapter
 
 
 def _try_adapter(opener: Opener, folder: Path, emit: Emit, *, half: bool) -> None:
-    """Run the smallest model, in float16 too if the model needs that; say on which adapter."""
+    """Run a minimal model in float32 and float16, and report the adapter that ran it."""
     try:
         _run_smallest(opener, "float32")
     except FellBack:
         raise
     except Exception as error:  # ONNX Runtime's errors share no base class of their own
-        said = error.message if isinstance(error, ProviderUnavailable) else words(error)
+        reason = (
+            error.message if isinstance(error, ProviderUnavailable) else error_text(error)
+        )
         raise AdapterMissing(
-            f"there is no usable WebGPU adapter ({said})", DRIVER
+            f"there is no usable WebGPU adapter ({reason})", DRIVER
         ) from error
     log = (folder / "log").read_text(errors="replace")
     opened = _OPENED.findall(log)
@@ -108,8 +113,10 @@ def _try_adapter(opener: Opener, folder: Path, emit: Emit, *, half: bool) -> Non
     except Exception as error:
         emit("adapter", name=name, software=bool(_SOFTWARE.search(name)), half=False)
         if half:
-            what = f"the model has float16 tensors, and adapter {name or '?'} no shader-f16"
-            raise AdapterMissing(what, "use a newer driver") from error
+            message = (
+                f"the model has float16 tensors, and adapter {name or '?'} no shader-f16"
+            )
+            raise AdapterMissing(message, "use a newer driver") from error
     else:
         emit("adapter", name=name, software=bool(_SOFTWARE.search(name)), half=True)
 
@@ -126,14 +133,14 @@ def _run_smallest(opener: Opener, dtype: str) -> None:
         tensor = values.add(name=name).type.tensor_type
         tensor.elem_type = kind
         tensor.shape.dim.add(dim_value=4)
-    session = opener(model.SerializeToString(), False)
-    (made,) = session.run(None, {"x": np.arange(4, dtype=dtype)})
-    if made.tolist() != [0, 2, 4, 6]:
-        raise RuntimeError(f"0..3 doubled are {made.tolist()}")
+    session = opener(model.SerializeToString(), capture=False)
+    (doubled,) = session.run(None, {"x": np.arange(4, dtype=dtype)})
+    if doubled.tolist() != [0, 2, 4, 6]:
+        raise RuntimeError(f"0..3 doubled is {doubled.tolist()}, expected [0, 2, 4, 6]")
 
 
 class _Frames:
-    """The frames of one model, computed plainly and by replay."""
+    """Computes the frames of one model, without capture and by replay."""
 
     def __init__(
         self, folder: Path, job: dict[str, Any], emit: Emit, opener: Opener
@@ -142,48 +149,48 @@ class _Frames:
         self.known: dict[str, int] = {}
 
     def run(self) -> None:
-        if self._phase("plain", self._plain):
+        if self._phase("plain", self._uncaptured):
             self._phase("captured", self._captured)
 
     def _phase(self, name: str, work: Callable[[], None]) -> bool:
-        """Do ``work``, and say if it was done; what stops it is a fact about the model."""
-        self.at = -1
+        """Run a phase and return whether it finished; report an error as a fact about the model."""
+        self.index = -1
         try:
             work()
         except FellBack:
             raise
         except Exception as error:
-            self.emit("stopped", phase=name, frame=self.at, message=words(error))
+            self.emit("stopped", phase=name, frame=self.index, message=error_text(error))
             return False
         return True
 
     def _frames(self, phase: str) -> Iterator[dict[str, np.ndarray]]:
-        for at, names in enumerate(self.job["probes"]):
-            self.at = at
-            self.emit("begin", phase=phase, probe=at)
-            yield read_inputs(self.folder / f"probe_{self.at}.npz", names)
+        for index, names in enumerate(self.job["probes"]):
+            self.index = index
+            self.emit("begin", phase=phase, probe=index)
+            yield read_inputs(self.folder / f"probe_{self.index}.npz", names)
 
     def _keep(self, phase: str, outputs: dict[str, np.ndarray]) -> None:
         sample = keep_outputs(self.folder, outputs, self.known, self.emit)
-        self.emit("frame", phase=phase, frame=self.at, sample=sample)
+        self.emit("frame", phase=phase, frame=self.index, sample=sample)
 
-    def _plain(self) -> None:
-        session = self.opener(Path(self.job["model"]), False)
-        self.emit("placed", nodes=[astuple(node) for node in placement(session)])
-        names = [one.name for one in session.get_outputs()]
+    def _uncaptured(self) -> None:
+        session = self.opener(Path(self.job["model"]), capture=False)
+        self.emit("placed", nodes=[astuple(node) for node in node_placement(session)])
+        names = [output.name for output in session.get_outputs()]
         for inputs in self._frames("plain"):
             outputs = session.run(names, inputs)
             self._keep("plain", dict(zip(names, outputs, strict=True)))
 
     def _captured(self) -> None:
-        """Capture the first frame and replay it for the others; all buffers stay in place."""
-        session = self.opener(Path(self.job["model"]), True)
+        """Capture the first frame and replay it for the others, with the same buffers."""
+        session = self.opener(Path(self.job["model"]), capture=True)
         self.emit("accepted")
-        bound: Bound | None = None
+        bound: BoundSession | None = None
         for inputs in self._frames("captured"):
             if bound is None:
                 shapes = {name: array.shape for name, array in inputs.items()}
-                bound = Bound(session, shapes, inputs, MEMORY["webgpu"])
+                bound = BoundSession(session, shapes, inputs, MEMORY["webgpu"])
             bound.write(inputs)
             bound.run()
             self._keep("captured", bound.copies())

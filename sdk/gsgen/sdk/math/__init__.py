@@ -1,15 +1,10 @@
-"""The mathematics that generators share, in torch, in forms that survive export and capture.
+"""Which torch functions can generators share that survive export and graph capture?
 
 Three hazards shape these functions. The exporter removes ``x + c`` for c below 1e-8, so an epsilon
-that guards a norm disappears: a clamp under the square root stays. Boolean indexing and its kin
-give shapes that depend on data, which graph capture refuses: masks multiply, and rows are moved by
-gathers of a fixed number. And some operators have no kernel on a GPU, or one that is wrong when it
-is replayed (GridSample, Round, NonZero, Scatter): there is arithmetic instead.
-
-By subject: :mod:`~gsgen.sdk.math.rotations`, :mod:`~gsgen.sdk.math.covariance`,
-:mod:`~gsgen.sdk.math.harmonics`, :mod:`~gsgen.sdk.math.cameras`,
-:mod:`~gsgen.sdk.math.compaction`, :mod:`~gsgen.sdk.math.planes` and
-:mod:`~gsgen.sdk.math.skinning`; all of it can be used from here.
+that guards a norm disappears; a clamp under the square root stays. Boolean indexing gives shapes
+that depend on data, which graph capture refuses; instead, values are multiplied by masks, and a
+fixed number of rows is gathered. Some operators have no GPU kernel, or one that is wrong in replays
+(GridSample, Round, NonZero, Scatter); arithmetic replaces them.
 """
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Where a camera stands and what it can see, from matrices in either memory order."""
+"""Camera centre and frustum test, from matrices in either memory order."""
 
 __all__ = ["camera_centre", "frustum_mask"]
 
@@ -22,7 +22,7 @@ def camera_centre(
         view: World→camera: a rotation times a uniform scale s, and a translation.
         order: The generator's ``space.matrix_order``: ``column`` if the tensor holds Mᵀ.
 
-    A tensor of zeros, which runtimes feed before they know better, gives the origin.
+    A tensor of zeros, which runtimes feed initially, gives the origin.
     """
     matrix = _matrix(view, order)
     turn, shift = matrix[:3, :3], matrix[:3, 3:4]
@@ -39,27 +39,27 @@ def frustum_mask(
     margin: float = 0.1,
     order: Order = "column",
 ) -> Float[Tensor, " n"]:
-    """Return 1 for what may be seen and 0 for what surely is not.
+    """Return 1 for Gaussians that may be visible and 0 for those outside the view frustum.
 
-    A sphere around each position is compared with the six planes of the frustum (Gribb and
-    Hartmann 2001), so some of what stays is not seen, and nothing that is seen goes. Multiply
-    opacity by it, or move what stays forward with :func:`gsgen.sdk.math.keep_rows`.
+    A sphere around each position is tested against the six planes of the frustum (Gribb and
+    Hartmann 2001). The test is conservative: some invisible Gaussians stay, but no visible one is
+    removed. Multiply opacity by the result, or pass it to :func:`gsgen.sdk.math.keep_rows`.
 
     Args:
         position: Centres.
         view: World→camera.
         projection: Camera→clip, depth 0..1; the sign of y does not matter.
-        radius: How far a Gaussian reaches: three standard deviations of its longest axis.
-        margin: How much wider and higher than the image the frustum is taken, as a share: a
-            renderer's blur reaches over the border.
+        radius: Extent of a Gaussian: three standard deviations of its longest axis.
+        margin: Enlargement of the frustum as a fraction of the image: a renderer's blur extends
+            over the border.
         order: The generator's ``space.matrix_order``, of both matrices.
 
-    Where all matrices are zero everything stays; where a position is NaN it goes.
+    If all matrices are zero, every Gaussian stays; a NaN position is removed.
     """
     clip = _matrix(projection, order) @ _matrix(view, order)
     x, y, z, w = clip.unbind(dim=0)
-    wide = (1 + margin) * w
-    planes = torch.stack([wide + x, wide - x, wide + y, wide - y, z, w - z], dim=0)
+    limit = (1 + margin) * w
+    planes = torch.stack([limit + x, limit - x, limit + y, limit - y, z, w - z], dim=0)
     normal = planes[:, :3]
     length = torch.sqrt((normal * normal).sum(dim=1))
     distance = position @ normal.transpose(0, 1) + planes[:, 3]
@@ -71,10 +71,10 @@ def frustum_mask(
 
 
 def _product(columns: Float[Tensor, "n k"]) -> Float[Tensor, " n"]:
-    """Multiply columns; bool has fewer kernels than float, and ReduceProd fewer than Mul."""
-    first, *others = columns.unbind(dim=1)
-    for one in others:
-        first = first * one
+    """Multiply all columns; float Mul has more kernels than boolean operators or ReduceProd."""
+    first, *factors = columns.unbind(dim=1)
+    for factor in factors:
+        first = first * factor
     return first
 
 

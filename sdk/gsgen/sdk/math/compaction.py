@@ -1,7 +1,7 @@
-"""Choose rows without a shape that depends on data: a fixed number of them, and a count.
+"""Selection of rows with static shapes: a fixed number of row indices, and a count.
 
 Rows are sorted by TopK, which ONNX Runtime's WebGPU provider captures; onnxruntime-web 1.22 has no
-kernel for it. Where that matters, multiply opacity by the mask instead.
+kernel for it. If that matters, multiply opacity by the mask instead.
 """
 
 __all__ = ["keep_rows", "top_rows"]
@@ -12,40 +12,40 @@ from torch import Tensor
 
 from gsgen.sdk.errors import GeneratorInvalid
 
-# Row numbers are sorted as float32, which holds all of them up to here.
+# Row indices are sorted as float32, which represents integers up to this number.
 _MOST_ROWS = 1 << 24
 
 
 def keep_rows(
     mask: Float[Tensor, " n"], capacity: int
 ) -> tuple[Int[Tensor, " c"], Int[Tensor, "1"]]:
-    """Return the numbers of the rows to keep, in order and in front, and how many they are.
+    """Return the indices of the rows to keep, in order, followed by other rows, and their count.
 
     Args:
-        mask: Above zero where a row stays.
-        capacity: How many rows can stay; of more than that, the first do.
+        mask: Above zero for rows to keep.
+        capacity: Maximum number of rows to keep; of more rows, the first ones are kept.
 
     Returns:
-        Row numbers int32 [min(capacity, n)], of which those at and behind the count are rows that
-        do not stay, and the count, int32 [1]. :meth:`gsgen.sdk.Gaussians.take` takes both.
+        Row indices int32 [min(capacity, n)] and the count int32 [1]. From the count on, the
+        indices are those of removed rows. :meth:`gsgen.sdk.Gaussians.take` takes both.
 
     Raises:
         GeneratorInvalid: The capacity is below one, or there are more than 2²⁴ rows.
     """
     n, size = _sizes(mask, capacity, "keep_rows")
     order = torch.arange(n, 0, -1, dtype=torch.float32, device=mask.device)
-    kept = (mask > 0).to(torch.float32)
-    rows = torch.topk(kept * order, size).indices.to(torch.int32)
-    count = kept.sum(dim=0, keepdim=True).clamp(max=size).to(torch.int32)
+    retained = (mask > 0).to(torch.float32)
+    rows = torch.topk(retained * order, size).indices.to(torch.int32)
+    count = retained.sum(dim=0, keepdim=True).clamp(max=size).to(torch.int32)
     return rows, count
 
 
 def top_rows(score: Float[Tensor, " n"], capacity: int) -> Int[Tensor, " c"]:
-    """Return the numbers of the rows with the highest scores, highest first.
+    """Return the indices of the rows with the highest scores, highest first.
 
     Args:
-        score: Such as opacity times size on the image.
-        capacity: How many rows to take; all where there are fewer.
+        score: A number per row, such as opacity times size on the image.
+        capacity: Number of rows to take; all rows if there are fewer.
 
     Raises:
         GeneratorInvalid: The capacity is below one.
@@ -57,8 +57,8 @@ def top_rows(score: Float[Tensor, " n"], capacity: int) -> Int[Tensor, " c"]:
 def _sizes(values: Tensor, capacity: int, where: str) -> tuple[int, int]:
     n = values.shape[0]
     if capacity < 1:
-        raise GeneratorInvalid(f"capacity is {capacity}, wanted 1 or more", where=where)
+        raise GeneratorInvalid(f"capacity is {capacity}, expected 1 or more", where=where)
     if n > _MOST_ROWS:
-        what = f"{n} rows, wanted {_MOST_ROWS} at most"
-        raise GeneratorInvalid(what, where=where, hint="Choose in several parts.")
+        message = f"{n} rows, expected {_MOST_ROWS} at most"
+        raise GeneratorInvalid(message, where=where, hint="Select rows in several parts.")
     return n, min(capacity, n)

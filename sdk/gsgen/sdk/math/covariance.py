@@ -1,4 +1,4 @@
-"""Covariances of Gaussians, as the upper triangle xx xy xz yy yz zz that the contract packs."""
+"""Covariances of Gaussians, as the upper triangle xx xy xz yy yz zz of the packed layout."""
 
 __all__ = ["covariance_matrix", "covariance_upper", "rotate_covariance", "upper_triangle"]
 
@@ -6,9 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from gsgen.contract.spec.layout import UPPER_TRIANGLE
 from gsgen.sdk.math.rotations import quaternion_to_matrix
-
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def covariance_upper(
@@ -20,11 +19,11 @@ def covariance_upper(
         scale: Linear standard deviations along the local axes.
         rotation: Quaternions (w, x, y, z), normalised here.
 
-    Written out entry by entry: six dot products of rows of R S, and no batched 3×3 product,
+    Written out entry by entry: six dot products of rows of R S instead of a batched 3×3 product,
     which costs more than twice the arithmetic.
     """
     rows = (quaternion_to_matrix(rotation) * scale[:, None, :]).unbind(dim=1)
-    return torch.stack([(rows[a] * rows[b]).sum(dim=-1) for a, b in _PAIRS], dim=-1)
+    return torch.stack([(rows[a] * rows[b]).sum(dim=-1) for a, b in UPPER_TRIANGLE], dim=-1)
 
 
 def covariance_matrix(upper: Float[Tensor, "n 6"]) -> Float[Tensor, "n 3 3"]:
@@ -37,7 +36,7 @@ def covariance_matrix(upper: Float[Tensor, "n 6"]) -> Float[Tensor, "n 3 3"]:
 def upper_triangle(matrix: Float[Tensor, "n 3 3"]) -> Float[Tensor, "n 6"]:
     """Return xx xy xz yy yz zz of symmetric matrices."""
     rows = matrix.unbind(dim=-2)
-    return torch.stack([rows[a][..., b] for a, b in _PAIRS], dim=-1)
+    return torch.stack([rows[a][..., b] for a, b in UPPER_TRIANGLE], dim=-1)
 
 
 def rotate_covariance(
@@ -47,7 +46,7 @@ def rotate_covariance(
 
     Args:
         upper: Upper triangles of Σ.
-        turn: T, one for all or one a row; it need not be orthonormal.
+        turn: T, one for all rows or one per row; it need not be orthonormal.
     """
     rows, half = turn.unbind(dim=-2), (turn @ covariance_matrix(upper)).unbind(dim=-2)
-    return torch.stack([(half[a] * rows[b]).sum(dim=-1) for a, b in _PAIRS], dim=-1)
+    return torch.stack([(half[a] * rows[b]).sum(dim=-1) for a, b in UPPER_TRIANGLE], dim=-1)

@@ -1,4 +1,4 @@
-"""Spherical harmonics, from the layouts that methods store into the contract's [N, K, 3]."""
+"""Conversion of spherical harmonics from the layouts of methods to the contract's [N, K, 3]."""
 
 __all__ = [
     "sh_from_channel_major",
@@ -23,10 +23,10 @@ def sh_from_channel_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 3"]:
     """Reorder coefficients that are stored red first, then green, then blue.
 
     Args:
-        sh: [N, 3, K], or [N, 3K] with all of red in front.
+        sh: [N, 3, K], or [N, 3K] with all red coefficients first.
 
     Raises:
-        GeneratorInvalid: The shape is neither, or K is not 1, 4, 9 or 16.
+        GeneratorInvalid: The shape is another one, or K is not 1, 4, 9 or 16.
     """
     parts = sh.reshape(sh.shape[0], 3, -1) if _is_flat(sh) else sh
     if parts.ndim != 3 or parts.shape[1] != 3 or parts.shape[2] not in COEFFICIENTS:
@@ -35,13 +35,13 @@ def sh_from_channel_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 3"]:
 
 
 def sh_from_coefficient_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 3"]:
-    """Return coefficients that are stored one after the other, each as red, green, blue.
+    """Reshape coefficients that are stored in sequence, each as red, green, blue.
 
     Args:
-        sh: [N, K, 3], or [N, 3K] with the colour of the constant term in front.
+        sh: [N, K, 3], or [N, 3K] with the constant term first.
 
     Raises:
-        GeneratorInvalid: The shape is neither, or K is not 1, 4, 9 or 16.
+        GeneratorInvalid: The shape is another one, or K is not 1, 4, 9 or 16.
     """
     parts = sh.reshape(sh.shape[0], -1, 3) if _is_flat(sh) else sh
     if parts.ndim != 3 or parts.shape[2] != 3 or parts.shape[1] not in COEFFICIENTS:
@@ -50,48 +50,50 @@ def sh_from_coefficient_major(sh: Float[Tensor, "n ..."]) -> Float[Tensor, "n k 
 
 
 def sh_from_ply(
-    constant: Float[Tensor, "n 3"], rest: Float[Tensor, "n m"]
+    constant: Float[Tensor, "n 3"], f_rest: Float[Tensor, "n m"]
 ) -> Float[Tensor, "n k 3"]:
-    """Join the columns of a 3DGS PLY.
+    """Join the SH columns of a 3DGS PLY file.
 
     Args:
-        constant: f_dc_0 … f_dc_2, one column a channel.
-        rest: f_rest_0 …, in the order of their numbers: all of red, then green, then blue;
-            0, 9, 24 or 45 columns.
+        constant: f_dc_0 … f_dc_2, one column per channel.
+        f_rest: f_rest_0 …, in the order of their numbers: all red columns, then green, then
+            blue; 0, 9, 24 or 45 columns.
 
     Raises:
-        GeneratorInvalid: The columns are of another number.
+        GeneratorInvalid: The number of columns is another one.
     """
-    n, columns = rest.shape
+    n, columns = f_rest.shape
     if constant.shape != (n, 3) or columns % 3 or columns // 3 + 1 not in COEFFICIENTS:
-        raise _misshapen("sh_from_ply, rest", rest, "[N, 0], [N, 9], [N, 24] or [N, 45]")
+        raise _misshapen("sh_from_ply, rest", f_rest, "[N, 0], [N, 9], [N, 24] or [N, 45]")
     if not columns:
         return constant[:, None, :]
-    return torch.cat([constant[:, None, :], rest.reshape(n, 3, -1).transpose(1, 2)], dim=1)
+    return torch.cat(
+        [constant[:, None, :], f_rest.reshape(n, 3, -1).transpose(1, 2)], dim=1
+    )
 
 
 def sh_from_rgb(rgb: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1 3"]:
-    """Return SH of degree 0 that show ``rgb`` from everywhere: ½ + Y₀ c₀ = rgb."""
+    """Return SH of degree 0 with the colour ``rgb`` in every direction: ½ + Y₀ c₀ = rgb."""
     return ((rgb - 0.5) / _Y0)[:, None, :]
 
 
 def sh_of_degree(sh: Float[Tensor, "n k 3"], degree: int) -> Float[Tensor, "n l 3"]:
-    """Cut SH to a degree, or fill up to it with zeros.
+    """Truncate SH to a degree, or pad them to it with zeros.
 
     Args:
         sh: Coefficient-major coefficients.
         degree: From 0 to 3.
 
     Raises:
-        GeneratorInvalid: There is no such degree.
+        GeneratorInvalid: The degree is not 0 to 3.
     """
     if not 0 <= degree <= MAX_DEGREE:
-        what = f"degree is {degree}, wanted 0 to {MAX_DEGREE}"
-        raise GeneratorInvalid(what, where="sh_of_degree")
-    wanted = coefficients(degree)
-    missing = wanted - sh.shape[1]
+        message = f"degree is {degree}, expected 0 to {MAX_DEGREE}"
+        raise GeneratorInvalid(message, where="sh_of_degree")
+    count = coefficients(degree)
+    missing = count - sh.shape[1]
     if missing <= 0:
-        return sh[:, :wanted]
+        return sh[:, :count]
     return torch.cat([sh, sh.new_zeros(sh.shape[0], missing, 3)], dim=1)
 
 
@@ -99,6 +101,6 @@ def _is_flat(sh: Tensor) -> bool:
     return sh.ndim == 2 and sh.shape[1] % 3 == 0
 
 
-def _misshapen(where: str, seen: Tensor, wanted: str) -> GeneratorInvalid:
-    what = f"shape is {list(seen.shape)}, wanted {wanted} with K = 1, 4, 9 or 16"
-    return GeneratorInvalid(what, where=where)
+def _misshapen(where: str, sh: Tensor, expected: str) -> GeneratorInvalid:
+    message = f"shape is {list(sh.shape)}, expected {expected} with K = 1, 4, 9 or 16"
+    return GeneratorInvalid(message, where=where)

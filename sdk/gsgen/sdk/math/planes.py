@@ -1,7 +1,7 @@
-"""Features that lie on planes: bilinear samples by gathers, which every runtime captures.
+"""Bilinear sampling of feature planes by gathers, which every runtime captures.
 
 ``F.grid_sample`` becomes GridSample, which is not captured above operator set 19 and wrong in
-float16 in older browsers. Here four rows of a table are gathered and mixed.
+float16 in older browsers. Here four rows of a table are gathered and interpolated.
 """
 
 __all__ = ["hex_plane", "sample_plane", "to_unit_cube", "tri_plane"]
@@ -18,7 +18,7 @@ from gsgen.sdk.errors import GeneratorInvalid
 Padding = Literal["border", "zeros"]
 Combine = Literal["product", "sum", "concat"]
 
-# Which coordinates (of x, y, z, t) span each plane; the first runs along the width.
+# The coordinates (of x, y, z, t) that span each plane; the first one is along the width.
 _TRI = ((0, 1), (0, 2), (1, 2))
 _HEX = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 
@@ -32,7 +32,7 @@ def to_unit_cube(
 
 def sample_plane(
     plane: Float[Tensor, "c h w"],
-    at: Float[Tensor, "n 2"],
+    coordinates: Float[Tensor, "n 2"],
     *,
     align_corners: bool = True,
     padding: Padding = "border",
@@ -41,39 +41,43 @@ def sample_plane(
 
     Args:
         plane: Features of H × W texels.
-        at: Coordinates in [−1, 1]: the first along the width, the second along the height.
-        align_corners: ±1 are the middles of the outer texels; else their outer edges.
-        padding: What lies outside: the nearest texel, or zeros.
+        coordinates: Coordinates in [−1, 1]: the first along the width, the second along the height.
+        align_corners: ±1 are the centres of the outer texels; else their outer edges.
+        padding: Value outside the plane: the nearest texel (``border``), or zeros.
 
     Raises:
-        GeneratorInvalid: The plane has more texels than float32 can count, or another shape.
+        GeneratorInvalid: The shape is wrong, or the plane has more than 2²⁴ texels.
     """
     if plane.ndim != 3 or plane.shape[1] * plane.shape[2] > 1 << 24:
-        what = f"shape is {list(plane.shape)}, wanted [C, H, W] with H·W up to 2²⁴"
-        raise GeneratorInvalid(what, where="sample_plane")
+        message = f"shape is {list(plane.shape)}, expected [C, H, W] with H·W up to 2²⁴"
+        raise GeneratorInvalid(message, where="sample_plane")
     _, height, width = plane.shape
     table = plane.permute(1, 2, 0).reshape(height * width, -1)
-    columns, across = _neighbours(at[:, 0:1], width, align_corners, padding)
-    rows, down = _neighbours(at[:, 1:2], height, align_corners, padding)
+    columns, across = _neighbours(
+        coordinates[:, 0:1], width, align_corners=align_corners, padding=padding
+    )
+    rows, down = _neighbours(
+        coordinates[:, 1:2], height, align_corners=align_corners, padding=padding
+    )
     texels = (rows * width)[:, :, None] + columns[:, None, :]
     shares = down[:, :, None] * across[:, None, :]
-    # One gather of all four corners: a kernel each would cost more than the arithmetic.
+    # One gather for all four corners: four kernels would cost more than the arithmetic.
     corners = table.index_select(0, texels.reshape(-1).to(torch.int32))
     weighed = corners.reshape(-1, 4, table.shape[1]) * shares.reshape(-1, 4, 1)
     return weighed.sum(dim=1)
 
 
 def _neighbours(
-    at: Float[Tensor, "n 1"], size: int, align_corners: bool, padding: Padding
+    coordinate: Float[Tensor, "n 1"], size: int, *, align_corners: bool, padding: Padding
 ) -> tuple[Float[Tensor, "n 2"], Float[Tensor, "n 2"]]:
-    """Return both neighbours of a coordinate, as float indices inside, and their shares."""
+    """Return both neighbouring texels of a coordinate as float indices, and their weights."""
     half = 0.5 * (size - 1 if align_corners else size)
-    texel = at * half + 0.5 * (size - 1)
+    texel = coordinate * half + 0.5 * (size - 1)
     if padding == "border":
         texel = texel.clamp(0, size - 1)
     low = torch.floor(texel)
     share = texel - low
-    low = low.clamp(-2, size)  # far outside is like just outside, and fits an integer
+    low = low.clamp(-2, size)  # far outside equals just outside, and fits an integer
     index = torch.cat([low, low + 1], dim=1)
     shares = torch.cat([1 - share, share], dim=1)
     if padding == "zeros":
@@ -98,14 +102,22 @@ def tri_plane(
     Args:
         planes: Spanned by xy, xz and yz, the first coordinate along the width.
         position: In [−1, 1]³; :func:`to_unit_cube` maps a box to it.
-        combine: Add, multiply or join what the planes hold.
+        combine: Add, multiply or concatenate the features of the planes.
         align_corners: See :func:`sample_plane`.
         padding: See :func:`sample_plane`.
 
     Raises:
-        GeneratorInvalid: There are not three planes.
+        GeneratorInvalid: The number of planes is not three.
     """
-    return _sampled(planes, _TRI, position, combine, align_corners, padding, "tri_plane")
+    return _sample_planes(
+        planes,
+        _TRI,
+        position,
+        combine,
+        align_corners=align_corners,
+        padding=padding,
+        where="tri_plane",
+    )
 
 
 def hex_plane(
@@ -123,43 +135,52 @@ def hex_plane(
         planes: Spanned by xy, xz, xt, yz, yt and zt, the first coordinate along the width; the
             order of 4D Gaussian Splatting, whose planes are [1, C, H, W].
         position: In [−1, 1]³; :func:`to_unit_cube` maps a box to it.
-        time: In [−1, 1], one for all positions.
-        combine: Multiply, add or join what the planes hold.
+        time: In [−1, 1], one number for all positions.
+        combine: Multiply, add or concatenate the features of the planes.
         align_corners: See :func:`sample_plane`.
         padding: See :func:`sample_plane`.
 
     Raises:
-        GeneratorInvalid: There are not six planes.
+        GeneratorInvalid: The number of planes is not six.
     """
     moment = time.reshape(1, 1).expand(position.shape[0], 1)
-    at = torch.cat([position, moment], dim=1)
-    return _sampled(planes, _HEX, at, combine, align_corners, padding, "hex_plane")
+    coordinates = torch.cat([position, moment], dim=1)
+    return _sample_planes(
+        planes,
+        _HEX,
+        coordinates,
+        combine,
+        align_corners=align_corners,
+        padding=padding,
+        where="hex_plane",
+    )
 
 
-def _sampled(
+def _sample_planes(
     planes: Sequence[Tensor],
     axes: Sequence[tuple[int, int]],
-    at: Tensor,
+    coordinates: Tensor,
     combine: Combine,
+    *,
     align_corners: bool,
     padding: Padding,
     where: str,
 ) -> Tensor:
     if len(planes) != len(axes):
-        what = f"{len(planes)} planes, wanted {len(axes)}"
-        raise GeneratorInvalid(what, where=where)
-    made = [
+        message = f"{len(planes)} planes, expected {len(axes)}"
+        raise GeneratorInvalid(message, where=where)
+    samples = [
         sample_plane(
             plane.squeeze(0) if plane.ndim == 4 else plane,
-            torch.stack([at[:, a], at[:, b]], dim=1),
+            torch.stack([coordinates[:, a], coordinates[:, b]], dim=1),
             align_corners=align_corners,
             padding=padding,
         )
         for plane, (a, b) in zip(planes, axes, strict=True)
     ]
     if combine == "concat":
-        return torch.cat(made, dim=1)
-    first, *others = made
-    for one in others:
-        first = first * one if combine == "product" else first + one
+        return torch.cat(samples, dim=1)
+    first, *following = samples
+    for sample in following:
+        first = first * sample if combine == "product" else first + sample
     return first

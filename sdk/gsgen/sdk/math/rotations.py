@@ -19,7 +19,7 @@ _SMALL_ANGLE = 1e-12
 def safe_normalize(
     vector: Float[Tensor, "... k"], *, smallest: float = _TINY
 ) -> Float[Tensor, "... k"]:
-    """Return ``vector`` at unit length; the zero vector stays zero instead of becoming NaN.
+    """Scale vectors to unit length; a zero vector stays zero instead of becoming NaN.
 
     Args:
         vector: Any vectors, along the last axis.
@@ -30,7 +30,7 @@ def safe_normalize(
 
 
 def quaternion_to_matrix(quaternion: Float[Tensor, "... 4"]) -> Float[Tensor, "... 3 3"]:
-    """Turn quaternions (w, x, y, z), normalised here, into rotation matrices."""
+    """Convert quaternions (w, x, y, z), which are normalised here, to rotation matrices."""
     w, x, y, z = safe_normalize(quaternion).unbind(dim=-1)
     entries = (
         1 - 2 * (y * y + z * z),
@@ -62,10 +62,10 @@ def quaternion_multiply(
 
 
 def axis_angle_to_matrix(vector: Float[Tensor, "... 3"]) -> Float[Tensor, "... 3 3"]:
-    """Turn rotation vectors (axis times angle, in radians) into rotation matrices.
+    """Convert rotation vectors (axis times angle, in radians) to rotation matrices.
 
-    Rodrigues' formula with the vector as it is: R = I + a K + b K² with a = sin θ / θ and
-    b = 2 (sin ½θ / θ)². It needs no unit axis, so that no rotation at all is no special case.
+    Rodrigues' formula without normalisation: R = I + a K + b K² with a = sin θ / θ and
+    b = 2 (sin ½θ / θ)². It needs no unit axis, so a zero vector is not a special case.
     """
     x, y, z = vector.unbind(dim=-1)
     angle = torch.sqrt((x * x + y * y + z * z).clamp(min=_SMALL_ANGLE))

@@ -1,9 +1,9 @@
-"""Linear blend skinning: joints turn, and Gaussians follow the joints they hang on.
+"""Linear blend skinning: joints rotate, and Gaussians follow them by their skinning weights.
 
-A kinematic chain is a loop over joints, and graph capture knows no loops. Here every joint's
-transform is multiplied by that of its parent, the products by those of their parents, and so on:
-after k rounds of one gather and one batched product each, 2ᵏ joints of the chain are joined (pointer
-jumping), so the 24 joints of SMPL take four rounds.
+A kinematic chain is a loop over joints, which graph capture does not support. Here every joint's
+transform is multiplied by that of its parent, the products by those of their parents, and so on.
+After k rounds of one gather and one batched product, 2ᵏ joints of a chain are combined (pointer
+jumping), so the 24 joints of SMPL need four rounds.
 """
 
 __all__ = ["skin", "skinning_transforms"]
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from gsgen.sdk.errors import GeneratorInvalid
 
-# What stands for "no parent" in kinematic trees that were stored as unsigned integers.
+# The number for "no parent" in kinematic trees that are stored as unsigned integers.
 _NO_PARENT = (1 << 32) - 1
 
 
@@ -31,21 +31,21 @@ def skinning_transforms(
     Args:
         turns: Rotation of each joint in its parent's frame; see
             :func:`gsgen.sdk.math.axis_angle_to_matrix`.
-        joints: Where the joints are at rest.
+        joints: Joint positions in the rest pose.
         parents: The parent of each joint; −1 for a root.
         translation: Added to the whole body.
 
     Returns:
-        [R | t] of every joint, so that a point p of the rest pose goes to R p + t.
+        [R | t] of every joint, so that a point p of the rest pose moves to R p + t.
 
     Raises:
-        GeneratorInvalid: The parents are of another number, are none, or form a circle.
+        GeneratorInvalid: The parents have another number, are not joints, or form a cycle.
     """
     count = turns.shape[0]
-    known = _checked(parents, count, tuple(joints.shape))
-    chain = _chained(_local(turns, joints, known), known)
-    turn, place = chain[:, :3, :3], chain[:, :3, 3:4]
-    shift = place - (turn * joints[:, None, :]).sum(dim=2, keepdim=True)
+    parent_indices = _parent_indices(parents, count, tuple(joints.shape))
+    chain = _chained(_local(turns, joints, parent_indices), parent_indices)
+    turn, origin = chain[:, :3, :3], chain[:, :3, 3:4]
+    shift = origin - (turn * joints[:, None, :]).sum(dim=2, keepdim=True)
     if translation is not None:
         shift = shift + translation.reshape(1, 3, 1)
     return torch.cat([turn, shift], dim=2)
@@ -56,16 +56,16 @@ def skin(
     weights: Float[Tensor, "n j"],
     transforms: Float[Tensor, "j 3 4"],
 ) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3 3"]]:
-    """Move points with the joints they hang on.
+    """Move points with the joints, by their skinning weights.
 
     Args:
         position: Points of the rest pose.
-        weights: How much each point hangs on each joint; rows add up to 1.
-        transforms: What :func:`skinning_transforms` returns.
+        weights: Skinning weight of each joint for each point; rows add up to 1.
+        transforms: The result of :func:`skinning_transforms`.
 
     Returns:
-        The points in the pose, and each point's blended linear map, by which
-        :func:`gsgen.sdk.math.rotate_covariance` turns its Gaussian.
+        The points in the pose, and each point's blended linear map for
+        :func:`gsgen.sdk.math.rotate_covariance`.
     """
     blended = (weights @ transforms.reshape(-1, 12)).reshape(-1, 3, 4)
     turn, shift = blended[:, :, :3], blended[:, :, 3]
@@ -87,40 +87,45 @@ def _chained(
 ) -> Float[Tensor, "j 4 4"]:
     """Multiply every transform by those of all its ancestors."""
     root = torch.eye(4, dtype=local.dtype, device=local.device)[None]
-    made = torch.cat([local, root], dim=0)
-    for ancestors in _jumps(parents):
-        made = made.index_select(0, _indices(ancestors, local)) @ made
-    return made[: len(parents)]
+    transforms = torch.cat([local, root], dim=0)
+    for ancestors in _ancestor_rounds(parents):
+        transforms = transforms.index_select(0, _indices(ancestors, local)) @ transforms
+    return transforms[: len(parents)]
 
 
-def _jumps(parents: Sequence[int]) -> Iterator[list[int]]:
-    """Yield, for each round, the joint whose product comes before each; the last means none."""
+def _ancestor_rounds(parents: Sequence[int]) -> Iterator[list[int]]:
+    """Yield the ancestor of each joint for each round; the last index means no ancestor."""
     none = len(parents)
     ancestors = [*parents, none]
-    while any(one != none for one in ancestors):
+    while any(ancestor != none for ancestor in ancestors):
         yield ancestors
-        ancestors = [ancestors[one] for one in ancestors]
+        ancestors = [ancestors[ancestor] for ancestor in ancestors]
 
 
 def _indices(values: Sequence[int], like: Tensor) -> Tensor:
     return torch.tensor(list(values), dtype=torch.int32, device=like.device)
 
 
-def _checked(parents: Sequence[int], count: int, shape: tuple[int, ...]) -> list[int]:
-    """Return the parents with ``count`` for none."""
+def _parent_indices(
+    parents: Sequence[int], count: int, shape: tuple[int, ...]
+) -> list[int]:
+    """Validate the parents, and return them with ``count`` for roots."""
     where = "skinning_transforms, parents"
     if len(parents) != count or shape != (count, 3):
-        what = f"{count} turns, {len(parents)} parents and joints of shape {list(shape)}"
-        raise GeneratorInvalid(f"{what} do not fit each other", where=where)
+        message = f"{count} turns, {len(parents)} parents and joints of shape {list(shape)}"
+        raise GeneratorInvalid(f"{message} differ in number", where=where)
     for joint, parent in enumerate(parents):
         if parent not in (-1, _NO_PARENT) and not 0 <= parent < count:
-            what = f"joint {joint} has parent {parent}, wanted -1 to {count - 1}"
-            raise GeneratorInvalid(what, where=where)
-    known = [count if one in (-1, _NO_PARENT) else int(one) for one in parents]
+            message = f"joint {joint} has parent {parent}, expected -1 to {count - 1}"
+            raise GeneratorInvalid(message, where=where)
+    indices = [
+        count if parent_index in (-1, _NO_PARENT) else int(parent_index)
+        for parent_index in parents
+    ]
     for joint in range(count):
-        steps, at = 0, joint
-        while at != count:
-            at, steps = known[at], steps + 1
+        steps, ancestor = 0, joint
+        while ancestor != count:
+            ancestor, steps = indices[ancestor], steps + 1
             if steps > count:
                 raise GeneratorInvalid(f"joint {joint} is its own ancestor", where=where)
-    return known
+    return indices

@@ -1,43 +1,43 @@
-"""What ends a computation that may never end by itself."""
+"""Cancels the runs of a session from another thread."""
 
 __all__ = ["Stop"]
 
 from typing import Any, Final, final
 
-_FATAL: Final = 4  # what is less is in the error that is raised, and not printed besides
+FATAL: Final = 4  # the log level; lesser messages are in the raised error and need no log
 
 
 @final
 class Stop:
-    """Ends the runs of a session, from another thread than theirs.
+    """Cancels the runs of a session from another thread.
 
-    ONNX Runtime asks between two operators, those in a loop's body included; an operator that has
-    begun is finished.
+    ONNX Runtime checks for cancellation between two operators, including those in a loop's body;
+    a running operator is finished.
     """
 
     def __init__(self) -> None:
         self._options: list[Any] = []
-        self._wanted = False
+        self._terminate = False
 
     def options(self) -> Any:
-        """Return new options for runs that are to be ended."""
+        """Return new run options that this object can cancel."""
         import onnxruntime
 
-        made = onnxruntime.RunOptions()
-        made.log_severity_level = _FATAL
-        made.terminate = self._wanted
-        self._options.append(made)
-        return made
+        options = onnxruntime.RunOptions()
+        options.log_severity_level = FATAL
+        options.terminate = self._terminate
+        self._options.append(options)
+        return options
 
     def now(self) -> None:
-        """End what runs; what is run after fails at once, until :meth:`reset`."""
-        self._set(True)
+        """Cancel current runs; later runs fail at once until :meth:`reset`."""
+        self._set(terminate=True)
 
     def reset(self) -> None:
-        """Let runs go on as if nothing had been said."""
-        self._set(False)
+        """Allow runs again."""
+        self._set(terminate=False)
 
-    def _set(self, wanted: bool) -> None:
-        self._wanted = wanted
-        for one in self._options:
-            one.terminate = wanted
+    def _set(self, *, terminate: bool) -> None:
+        self._terminate = terminate
+        for options in self._options:
+            options.terminate = terminate

@@ -1,4 +1,4 @@
-"""What can go wrong while a model runs every frame."""
+"""Errors and warnings of sessions that run a model every frame."""
 
 __all__ = [
     "CaptureOff",
@@ -24,19 +24,19 @@ class FrameGone(GsgenError):
 
 
 class InputInvalid(GsgenError):
-    """A value does not fit the input that it was given for."""
+    """A value does not fit its input in shape, dtype or range."""
 
 
 class SizeUnknown(GsgenError):
-    """A symbolic dimension has no size, so that no buffer can be made for its tensor."""
+    """A symbolic dimension has no size, so its tensor's buffer cannot be allocated."""
 
 
 class ProviderUnavailable(GsgenError):
-    """The execution provider that was asked for cannot be had here."""
+    """The requested execution provider is not available on this machine."""
 
 
 class FellBack(ProviderUnavailable):
-    """ONNX Runtime opened a session without the provider that it was told to use."""
+    """ONNX Runtime opened a session on another provider than the requested one."""
 
 
 class RunFailed(GsgenError):
@@ -48,4 +48,4 @@ class CaptureOff(UserWarning):
 
 
 class NodesOnCpu(UserWarning):
-    """Some of the model's nodes run on the CPU though the session is on a GPU."""
+    """Some of the model's nodes run on the CPU although the session is on a GPU."""

@@ -1,6 +1,6 @@
-"""What ONNX Runtime says: where it put nodes, and what it complains of."""
+"""Reads node placement and error messages from ONNX Runtime."""
 
-__all__ = ["CPU", "Node", "placement", "words"]
+__all__ = ["CPU", "Node", "error_text", "node_placement"]
 
 import re
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ _LONGEST = 500
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """Where ONNX Runtime put one node.
+    """The execution provider of one node.
 
     Attributes:
-        provider: The execution provider that runs it.
-        operator: Its operator.
-        name: Its name; empty where the model gives none.
+        provider: The execution provider that runs the node.
+        operator: The node's operator.
+        name: The node's name; empty if the model gives none.
     """
 
     provider: str
@@ -29,10 +29,11 @@ class Node:
     name: str
 
 
-def placement(session: Any) -> tuple[Node, ...]:
-    """Return every node of a session, made with ``session.record_ep_graph_assignment_info``.
+def node_placement(session: Any) -> tuple[Node, ...]:
+    """Return the placement of every node of a session.
 
-    ONNX Runtime below 1.24 does not tell; then there is none.
+    The session needs ``session.record_ep_graph_assignment_info``. Before ONNX Runtime 1.24, the
+    result is empty.
     """
     if not hasattr(session, "get_provider_graph_assignment_info"):
         return ()
@@ -43,6 +44,6 @@ def placement(session: Any) -> tuple[Node, ...]:
     )
 
 
-def words(error: Exception) -> str:
-    """Return what ONNX Runtime says, without its codes, source files and conditions."""
+def error_text(error: Exception) -> str:
+    """Return ONNX Runtime's message without codes, source files and conditions."""
     return _CODES.sub("", " ".join(str(error).split()))[:_LONGEST] or type(error).__name__

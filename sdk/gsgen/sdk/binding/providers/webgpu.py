@@ -1,6 +1,6 @@
-"""ONNX Runtime's WebGPU provider: find its device, and know where nodes went.
+"""Finds the device of ONNX Runtime's WebGPU provider.
 
-It is a plug-in (onnxruntime-ep-webgpu) that a process registers once.
+The provider is a plug-in (onnxruntime-ep-webgpu) that a process registers once.
 """
 
 __all__ = ["DRIVER", "PACKAGE", "WEBGPU", "Adapter", "AdapterMissing", "find_adapter"]
@@ -15,19 +15,19 @@ PACKAGE = "onnxruntime_ep_webgpu"
 DRIVER = "install a Vulkan driver, such as mesa-vulkan-drivers 25"
 _SOFTWARE = "ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER"
 
-# A name of our own: a name that is registered twice kills the process at the next session, and
-# one that ends in ".virtual" aborts it at once.
+# A unique name: registering a name twice kills the process at the next session, and a name that
+# ends in ".virtual" aborts it at once.
 _NAME = "gsgen.webgpu"
 _registering = threading.Lock()
 _registered = False
 
 
 class AdapterMissing(Exception):
-    """The provider or a device for it is missing here, which is no fault of any model.
+    """The WebGPU provider or a device for it is missing on this machine.
 
     Attributes:
-        message: What is missing.
-        hint: What to type to install it.
+        message: The missing part.
+        hint: How to install it.
     """
 
     def __init__(self, message: str, hint: str) -> None:
@@ -41,9 +41,9 @@ class Adapter:
 
     Attributes:
         device: ONNX Runtime's handle.
-        name: What its driver calls it; may be empty.
+        name: The driver's name for the device; may be empty.
         version: Version of the provider.
-        hardware: It is a GPU, not a driver that computes on the CPU.
+        hardware: Whether it is a GPU, not a software driver.
     """
 
     device: Any
@@ -55,8 +55,8 @@ class Adapter:
 def find_adapter() -> Adapter:
     """Return the best device of the provider, registering the provider at the first call.
 
-    Software drivers are welcome unless the environment says
-    ``ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER=0`` before the first call.
+    Software drivers are allowed unless the environment variable
+    ``ORT_WEBGPU_EP_ALLOW_SOFTWARE_ADAPTER`` is 0 before the first call.
 
     Raises:
         AdapterMissing: The package or a driver is missing, or ONNX Runtime is too old.
@@ -66,19 +66,23 @@ def find_adapter() -> Adapter:
     try:
         import onnxruntime_ep_webgpu as provider
     except ImportError as error:
-        what = "onnxruntime-ep-webgpu is not installed"
-        raise AdapterMissing(what, "pip install 'gsgen[live]'") from error
+        message = "onnxruntime-ep-webgpu is not installed"
+        raise AdapterMissing(message, "pip install 'gsgen[live]'") from error
     if not hasattr(onnxruntime, "register_execution_provider_library"):
-        what = f"onnxruntime {onnxruntime.__version__} takes no plug-in providers"
-        raise AdapterMissing(what, "pip install -U onnxruntime")
+        message = (
+            f"onnxruntime {onnxruntime.__version__} does not support plug-in providers"
+        )
+        raise AdapterMissing(message, "pip install -U onnxruntime")
     _register(provider.get_library_path())
     name = provider.get_ep_name()
-    devices = [one for one in onnxruntime.get_ep_devices() if one.ep_name == name]
+    devices = [
+        candidate for candidate in onnxruntime.get_ep_devices() if candidate.ep_name == name
+    ]
     if not devices:
-        what = "ONNX Runtime lists no device for WebGPU"
-        raise AdapterMissing(what, DRIVER)
+        message = "ONNX Runtime lists no device for WebGPU"
+        raise AdapterMissing(message, DRIVER)
     gpu = onnxruntime.OrtHardwareDeviceType.GPU
-    device = min(devices, key=lambda one: one.device.type != gpu)
+    device = min(devices, key=lambda candidate: candidate.device.type != gpu)
     return Adapter(
         device=device,
         name=device.device.metadata.get("Description", device.device.vendor),
