@@ -111,7 +111,7 @@ def test_an_adapter_without_float16_refuses_only_models_that_need_it(half, tmp_p
         told.append((event, facts))
 
     def attempt():
-        worker._try_adapter(lambda *_: Session(), tmp_path, emit, half=half)
+        worker._try_adapter(lambda *_, **__: Session(), tmp_path, emit, half=half)
 
     if half:
         with pytest.raises(AdapterMissing, match="adapter Old Card no shader-f16"):
@@ -139,7 +139,7 @@ def behaving(monkeypatch):
 def test_a_provider_that_dies_before_the_model_is_loaded_skips_the_level(good, behaving):
     behaving("crash at once")
     assert reason_to_skip(validate(good, LIVE)) == (
-        "the WebGPU provider does not start (ended by signal SIGSEGV): ask `gsgen doctor`"
+        "the WebGPU provider does not start (ended by signal SIGSEGV): run `gsgen doctor`"
     )
 
 
