@@ -18,7 +18,7 @@ from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
 
 COUNT = 300_000
-CAMERA = Camera(np.eye(4), 600.0, 600.0, 480.0, 270.0, 960, 540)
+CAMERA = Camera(np.eye(4), fx=600.0, fy=600.0, cx=480.0, cy=270.0, width=960, height=540)
 AROUND = Camera.panorama((0, 0, 0), width=1024)
 
 

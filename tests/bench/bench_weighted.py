@@ -71,7 +71,13 @@ def bench_sums_beside_sorting(
 ) -> None:
     width, height = size
     seen_by = Camera(
-        np.eye(4), width * 0.7, width * 0.7, width / 2, height / 2, width, height
+        np.eye(4),
+        fx=width * 0.7,
+        fy=width * 0.7,
+        cx=width / 2,
+        cy=height / 2,
+        width=width,
+        height=height,
     )
     weighted = WeightedSum(background=0.15, depth_range=20.0)
     say(f"{len(data):,} Gaussians in {CELLS:,} cells at {width}×{height}")

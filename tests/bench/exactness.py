@@ -70,7 +70,7 @@ def splats(renderer: Renderer, scene: Scene, camera: Camera) -> Splats:
     naive = (rows[:, :3].astype(np.float32) - camera.eye.astype(np.float32)) @ camera.view[
         2, :3
     ].astype(np.float32)
-    inverse = np.linalg.inv(found.wide)
+    inverse = np.linalg.inv(found.dilated)
     return Splats(
         found.mean, inverse, rows[:, 3], found.depth, naive, keys[drawn], lows[drawn]
     )

@@ -271,8 +271,15 @@ def cropped(camera: Camera, size: tuple[int, int]) -> tuple[Camera, int, int]:
     width, height = min(size[0], camera.width), min(size[1], camera.height)
     x = (camera.width - width) // 2 // TILE * TILE
     y = (camera.height - height) // 2 // TILE * TILE
-    center = camera.cx - x, camera.cy - y
-    part = Camera(camera.view, camera.fx, camera.fy, *center, width, height)
+    part = Camera(
+        camera.view,
+        fx=camera.fx,
+        fy=camera.fy,
+        cx=camera.cx - x,
+        cy=camera.cy - y,
+        width=width,
+        height=height,
+    )
     return part, x, y
 
 
@@ -432,7 +439,13 @@ def main() -> int:
     report.part("sort", lambda: sorting(device, words.gaussians))
     report.part("probe", lambda: _probed(device))
     camera = Camera(
-        np.eye(4), 0.8 * width, 0.8 * width, width / 2, height / 2, width, height
+        np.eye(4),
+        fx=0.8 * width,
+        fy=0.8 * width,
+        cx=width / 2,
+        cy=height / 2,
+        width=width,
+        height=height,
     )
     say(f"{words.gaussians:,} Gaussians of degree {words.degree}")
     scene = Scene([crowd(words.gaussians, camera, words.degree)])

@@ -90,7 +90,15 @@ def test_the_picture_is_that_of_the_oracle(
     scene = Scene([SplatSet(data, antialias=manifest.get("antialias", "classic"))])
     view, _ = viewer.look_at(np.array(eye), np.zeros(3), (0, 1, 0), SIZE, FOV)
     focal = SIZE[0] / 2 / np.tan(FOV / 2)
-    camera = Camera(view, focal, focal, SIZE[0] / 2, SIZE[1] / 2, *SIZE)
+    camera = Camera(
+        view,
+        fx=focal,
+        fy=focal,
+        cx=SIZE[0] / 2,
+        cy=SIZE[1] / 2,
+        width=SIZE[0],
+        height=SIZE[1],
+    )
     wanted = oracle.render(scene, camera)
     assert wanted.visible > 0
     apart = np.abs(picture - wanted.rgba)[~wanted.fragile]

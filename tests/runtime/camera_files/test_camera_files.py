@@ -37,7 +37,7 @@ def some_cameras(n: int = 5, seed: int = 0, *, centred: bool = False) -> list[Ca
         cx, cy = (rng.uniform(0.3, 0.7, 2) * [width, height]).tolist()
         if centred:
             cx, cy = width / 2, height / 2
-        made.append(Camera(view, fx, fy, cx, cy, width, height))
+        made.append(Camera(view, fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height))
     return made
 
 
@@ -284,7 +284,7 @@ def test_lenses_of_colmap(model: str, tmp_path: Path) -> None:
         assert camera.fy == (50 if "fy" in names else 40)
         assert bool(file.notes) == (bending > 0 and "PINHOLE" not in model)
     (tmp_path / "cameras.txt").write_text(f"1 {model} 64 48 1.0\n")
-    with pytest.raises(ConfigInvalid, match=r"which no pinhole|has 1 parameters, wanted"):
+    with pytest.raises(ConfigInvalid, match=r"which no pinhole|has 1 parameters, expected"):
         open_cameras(tmp_path)
 
 
@@ -314,8 +314,8 @@ def test_picking_by_name_number_and_slice() -> None:
         "one": r"2 cameras are called 'one': a/one.png, b/one.png",
         "4": "numbered from 0 to 3; 4 is none",
         "-5": "-5 is none",
-        "9:": "takes none of the 4",
-        "::0": "takes none of the 4",
+        "9:": "selects none of the 4",
+        "::0": "selects none of the 4",
         "tow.png": r"unknown camera 'tow.png'\n  Did you mean 'two.png'\? It has a/one.png, a/two",
         "": "unknown camera ''",
     }.items():
@@ -339,31 +339,31 @@ def test_words_pick_from_files(tmp_path: Path) -> None:
 
 
 WRONG = {
-    "[]": "holds no camera",
-    "{": "is no JSON",
-    "[" * 100_000: "is no JSON",
+    "[]": "has no cameras",
+    "{": "is not valid JSON",
+    "[" * 100_000: "is not valid JSON",
     "ply\n": "begins with b'ply",
-    '{"a": 1}': "is JSON, but of no cameras: it has a",
-    "[3]": "is JSON, but of no cameras: it has 3",
+    '{"a": 1}': "is JSON without cameras: it has a",
+    "[3]": "is JSON without cameras: it has 3",
     '{"frames": []}': "has no frames",
     '{"frames": [3]}': "frame 0: is a int",
-    '{"w": 2, "h": 2, "frames": [{}]}': "frame 0: lacks transform_matrix: 4×4 finite",
-    '{"w": 1e999, "h": 2, "frames": [{}]}': "w is inf, wanted a finite number",
-    '{"w": 2.5, "h": 2, "frames": [{}]}': "w is 2.5, wanted whole pixels",
+    '{"w": 2, "h": 2, "frames": [{}]}': "frame 0: lacks transform_matrix: expected 4×4 finite",
+    '{"w": 1e999, "h": 2, "frames": [{}]}': "w is inf, expected a finite number",
+    '{"w": 2.5, "h": 2, "frames": [{}]}': "w is 2.5, expected whole pixels",
     '{"w": 2, "h": 2, "camera_angle_x": 0, "frames": [{"transform_matrix": '
-    "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}": "camera_angle_x is 0.0, wanted radians",
+    "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}": "camera_angle_x is 0.0, expected radians",
     '{"w": 2, "h": 2, "frames": [{"transform_matrix": '
     "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}": "lacks fl_x and camera_angle_x",
     '{"w": 2, "h": 2, "fl_x": 3, "frames": [{"transform_matrix": '
-    "[[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]}]}": "no rotation with a translation",
-    '[{"rotation": [[1,0],[0,1]], "position": [0,0,0]}]': "rotation is .* wanted 3×3 finite",
-    '[{"rotation": [[1,0,0],[0,1,0],[0,0,1]], "position": "x"}]': "position is 'x', wanted 3 f",
-    '{"camera_path": [], "camera_type": "fisheye"}': "camera_type is 'fisheye', wanted persp",
+    "[[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]}]}": "not a rigid transform",
+    '[{"rotation": [[1,0],[0,1]], "position": [0,0,0]}]': "rotation is .* expected 3×3 finite",
+    '[{"rotation": [[1,0,0],[0,1,0],[0,0,1]], "position": "x"}]': "position is 'x', expected 3 f",
+    '{"camera_path": [], "camera_type": "fisheye"}': "camera_type is 'fisheye', expected persp",
     '{"camera_path": []}': "has no frames",
     '{"camera_path": [{}]}': "lacks render_width",
     '{"camera_path": [{}], "render_width": 4, "render_height": 4}': "frame 0: lacks camera_to_w",
     '{"camera_path": [{"camera_to_world": [1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1], "fov": 180}], '
-    '"render_width": 4, "render_height": 4}': "fov is 180.0, wanted degrees",
+    '"render_width": 4, "render_height": 4}': "fov is 180.0, expected degrees",
     '[{"view": 1}, {"fx": 2}]': "camera 0, camera: lacks fx",
     '[{"rotation": 1, "position": 2}, 5]': "camera 0: rotation is 1",
 }

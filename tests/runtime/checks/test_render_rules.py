@@ -97,7 +97,7 @@ def drawn_reference(renderer: Renderer) -> bytes:
     data = SplatData(weights["rows"], weights["colors"], "sh")
     view = np.eye(4)
     view[2, 3] = 4
-    camera = Camera(view, 50, 50, 32, 18, 64, 36)
+    camera = Camera(view, fx=50, fy=50, cx=32, cy=18, width=64, height=36)
     frame = renderer.render(Scene([data]), camera, background=(0, 0, 0, 1))
     return png_of(frame.srgb8[..., :3])
 

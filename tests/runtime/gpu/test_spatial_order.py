@@ -148,10 +148,10 @@ def test_an_order_is_found_anew_when_neighbours_have_parted(
 def test_nothing_is_said_of_neighbours_that_are_nowhere(far: float) -> None:
     data = cloud(200, 9)
     data.rows[::2, :2] = far
-    order = SpatialOrder.found(data)
+    order = SpatialOrder.of(data)
     assert 0 < order.apart < 10
     data.rows[:, 0] = far
-    assert SpatialOrder.found(data).apart == 0
+    assert SpatialOrder.of(data).apart == 0
 
 
 @pytest.mark.parametrize("change", ["rows", "appearance", "count"])

@@ -1,4 +1,4 @@
-"""Rows come into buffers as they are wanted, whether the device maps its memory or not."""
+"""Rows come into buffers as they are expected, whether the device maps its memory or not."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def test_rows_are_where_they_belong(
     monkeypatch.setattr(device, "maps", maps)
     rng = np.random.default_rng(0)
     array = rng.normal(size=(15_000, 4)).astype(np.float16 if made else np.float32)
-    buffer = device.filled("rows", 16 * ROOM)
+    buffer = device.dynamic_storage("rows", 16 * ROOM)
     before = np.full((ROOM, 4), 7, np.float32)
     upload(device, Target(buffer, 0, 16), before)
     order = rng.permutation(15_000)[:12_345].astype(np.uint32) if ordered else None
@@ -38,14 +38,14 @@ def test_rows_are_where_they_belong(
 
 def test_a_device_that_is_gone_is_told() -> None:
     device = Device.open()
-    buffer = device.filled("rows", 16 * ROOM)
+    buffer = device.dynamic_storage("rows", 16 * ROOM)
     device.raw.destroy()
     with pytest.raises(DeviceLost, match="was lost"), device.translate_errors():
         upload(device, Target(buffer, 0, 16), np.ones((1, 4), np.float32))
 
 
 def test_what_goes_wrong_on_the_way_leaves_the_buffer_to_the_device(device: Device) -> None:
-    buffer = device.filled("rows", 16 * ROOM)
+    buffer = device.dynamic_storage("rows", 16 * ROOM)
 
     def fail(rows: np.ndarray) -> np.ndarray:
         raise ValueError(rows.shape)

@@ -165,7 +165,7 @@ def test_blend(renderer: Renderer, name: str) -> None:
     order = np.argsort(all_of_them.depth.astype(np.float32), kind="stable")
     order = order[all_of_them.drawn[order]]
     fields = Projected.__slots__
-    splats = Projected(*(getattr(all_of_them, field)[order] for field in fields))
+    splats = Projected(**{field: getattr(all_of_them, field)[order] for field in fields})
     origin = project.frame_uniform(seen_by, NOTHING_BEHIND)["origin"]
     wanted = blend_reference(splats, origin, (seen_by.width, seen_by.height))
     error = np.abs(image - wanted)

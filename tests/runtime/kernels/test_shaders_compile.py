@@ -8,7 +8,7 @@ import pytest
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.kernels.project.project import NO_HARMONICS
 from gsgen.runtime.kernels.raster.draw_meshes import AMBIENT
-from gsgen.runtime.kernels.shared.counts import PLACES
+from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
 from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, source
 from gsgen.runtime.kernels.sort.order_ties import MOST_TIED
 
@@ -20,7 +20,7 @@ SHADERS = {
     if file.name.endswith(".wgsl")
 }
 CONSTANTS: dict[str, int | float | bool] = {
-    **PLACES,
+    **COUNT_CONSTANTS,
     "THREADS": 8,
     "RUN": 4,
     "BLOCK": 32,

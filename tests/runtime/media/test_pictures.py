@@ -52,9 +52,8 @@ def test_a_real_scene(renderer: Renderer) -> None:
     rows[:, :3], rows[:, 3], rows[:, [4, 7, 9]] = points, 0.8, 4e-5
     scene = Scene([SplatData(rows, colors.astype(np.float32) / 255, "rgb")])
     for view, k in zip(views[:2], intrinsics[:2], strict=True):
-        full = Camera(
-            view, *(float(k[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2))), 648, 420
-        )
+        fx, fy, cx, cy = (float(k[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        full = Camera(view, fx=fx, fy=fy, cx=cx, cy=cy, width=648, height=420)
         camera = full.scaled(162, 105)
         seen, wanted = renderer.render(scene, camera), oracle.render(scene, camera)
         assert decibels(seen.rgba, wanted.rgba) >= 80

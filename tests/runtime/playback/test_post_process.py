@@ -31,7 +31,7 @@ def frame(
     alpha = np.clip(rng.uniform(-0.3, 1.3, size), 0, 1).astype(np.float32)
     straight = rng.uniform(-0.2, 1.2, (*size, 3)).astype(np.float32)
     rgba = np.concatenate([straight * alpha[..., None], alpha[..., None]], axis=-1)
-    return Frame(rgba, alpha, None, None, None, None, 5, 9, space)
+    return Frame(rgba=rgba, alpha=alpha, depth=None, median_depth=None, ids=None, normal=None, visible=5, pairs=9, color_space=space)
 
 
 def straight(shown: Frame) -> np.ndarray:

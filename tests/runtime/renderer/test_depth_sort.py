@@ -138,7 +138,7 @@ def ordered(
     counts = counting.initial(len(keys), 0)
     counts[Counts.VISIBLE] = len(keys)
     buffers = [filled(device, words) for words in (counts, keys, lows, order, *origins)]
-    ties = OrderTies(device, walk, bool(origins))
+    ties = OrderTies(device, walk, arranged=bool(origins))
     submit(device, [ties.step(len(keys), *buffers)])
     told = device.read(buffers[0], np.uint32, 8)
     flags = bool(told[Counts.UNSORTED]), bool(told[Counts.TIED])

@@ -225,7 +225,9 @@ def test_two_layers_are_the_twins(device: Device, variant: str) -> None:
     splats = project_reference(scene.sets[0].data, frame, page)
     order = np.argsort(splats.depth.astype(np.float32), kind="stable")
     order = order[splats.drawn[order]]
-    splats = Projected(*(getattr(splats, field)[order] for field in Projected.__slots__))
+    splats = Projected(
+        **{field: getattr(splats, field)[order] for field in Projected.__slots__}
+    )
     wanted = blend_reference(
         splats, frame["origin"], (61, 47), list(zip(shown, depths, strict=True))
     )
@@ -280,7 +282,7 @@ def test_vertices_may_move(renderer: Renderer) -> None:
     wanted = renderer.render(Scene([scene.sets[0]], meshes=[fresh]), camera())
     assert np.array_equal(after.rgba, wanted.rgba)
     with pytest.raises(
-        SceneInvalid, match=r"vertices: float32 \[3, 3\], wanted .* \[4, 3\]"
+        SceneInvalid, match=r"vertices: float32 \[3, 3\], expected .* \[4, 3\]"
     ):
         shape.update(other.vertices[:3])
 
@@ -347,7 +349,7 @@ def test_slivers_have_the_colours_of_their_pixels(renderer: Renderer) -> None:
         rng.uniform(0, (160, 120), (40, 3, 2)),
         np.exp(rng.uniform(0, 3, (40, 3))),
     )
-    seen_by = Camera(np.eye(4), 100.0, 100.0, 80.0, 60.0, 160, 120)
+    seen_by = Camera(np.eye(4), fx=100.0, fy=100.0, cx=80.0, cy=60.0, width=160, height=120)
     points = np.concatenate([(pixel - (80, 60)) / 100, np.ones((40, 3, 1))], -1)
     points *= depth[..., None]
     apart = rng.choice([0.003, 0.01, 0.03], (40, 1, 1))
@@ -449,10 +451,10 @@ def _with_nan() -> np.ndarray:
             lambda: MeshData(np.full((3, 3), np.inf), FACE),
             "vertices: 3 of 3 rows are not finite",
         ),
-        (lambda: MeshData(POINTS[:, :2], FACE), r"vertices: float32 \[3, 2\], wanted"),
+        (lambda: MeshData(POINTS[:, :2], FACE), r"vertices: float32 \[3, 2\], expected"),
         (lambda: MeshData(POINTS, FACE + 1), r"row 0 is \[1, 2, 3\], but there are 3 vert"),
         (lambda: MeshData(POINTS, FACE - 1), r"row 0 is \[-1, 0, 1\]"),
-        (lambda: MeshData(POINTS, FACE / 1), r"faces: float64 \[1, 3\], wanted integers"),
+        (lambda: MeshData(POINTS, FACE / 1), r"faces: float64 \[1, 3\], expected integers"),
         (lambda: MeshData(POINTS, FACE, POINTS[:2]), r"colors: float32 \[2, 3\]"),
         (lambda: MeshData(POINTS, FACE, uv=POINTS[:, :2]), "texture: is absent"),
         (
@@ -461,11 +463,11 @@ def _with_nan() -> np.ndarray:
         ),
         (
             lambda: MeshData(POINTS, FACE, uv=POINTS[:, :2], texture=np.zeros((1, 1, 3))),
-            r"texture: float64 \[1, 1, 3\], wanted uint8",
+            r"texture: float64 \[1, 1, 3\], expected uint8",
         ),
         (lambda: MeshData(POINTS, FACE, color_space="rgb"), "color_space: is 'rgb'"),
         (lambda: Mesh(wall(1), np.diag([1.0, 0, 1, 1])), "flattens space"),
-        (lambda: Mesh(wall(1), shading="phong"), "shading: is 'phong', wanted unlit or"),
+        (lambda: Mesh(wall(1), shading="phong"), "shading: is 'phong', expected unlit or"),
     ],
 )
 def test_meshes_that_cannot_be_drawn_say_so(make: object, match: str) -> None:

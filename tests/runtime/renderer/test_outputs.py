@@ -94,7 +94,7 @@ def test_ids_name_the_set_and_the_row(renderer: Renderer) -> None:
 
 @pytest.mark.parametrize("outputs", [(), ("colour",)])
 def test_unknown_outputs_are_named(renderer: Renderer, outputs: tuple[str, ...]) -> None:
-    with pytest.raises(SceneInvalid, match="wanted some of color, depth, normal"):
+    with pytest.raises(SceneInvalid, match="expected some of color, depth, normal"):
         renderer.render(Scene([single()]), camera(), outputs=outputs)
 
 

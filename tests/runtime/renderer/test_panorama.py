@@ -89,7 +89,10 @@ def test_a_camera_is_placed_and_level() -> None:
         ({"latitudes": (10, 10)}, "latitudes: are 10 to 10"),
         ({"latitudes": (-80, 100)}, r"camera\.cy: .*latitudes from -80 to 100 degrees"),
         ({"toward": (0, 3, 0)}, "no direction on the horizon"),
-        ({"toward": (0, 0, 0)}, r"camera\.toward: is \[0, 0, 0\], which is no direction"),
+        (
+            {"toward": (0, 0, 0)},
+            r"camera\.toward: is \[0, 0, 0\], which is not a direction",
+        ),
         ({"width": 0}, r"camera\.width: is 0"),
         ({"height": 0}, r"camera\.height: is 0"),
         ({"near": 0}, r"camera\.near: is 0"),
@@ -105,7 +108,16 @@ def test_more_than_a_turn_is_refused() -> None:
     with pytest.raises(
         SceneInvalid, match=r"camera\.fx: .* a turn, but the image is 100 wide"
     ):
-        Camera(whole.view, 10, whole.fy, 50, whole.cy, 100, 50, kind="panorama")
+        Camera(
+            whole.view,
+            fx=10,
+            fy=whole.fy,
+            cx=50,
+            cy=whole.cy,
+            width=100,
+            height=50,
+            kind="panorama",
+        )
     with pytest.raises(SceneInvalid, match="panorama, which cannot be flat"):
         whole.flattened(3)
 

@@ -151,7 +151,15 @@ def test_the_probe_draws_both_ways(device: Device, kernels: Kernels, clock: bool
 
 def test_probed_scenes_are_crowded(device: Device) -> None:
     width, height = rasteriser_choice._SIZE
-    camera = Camera(np.eye(4), width, width, width / 2, height / 2, width, height)
+    camera = Camera(
+        np.eye(4),
+        fx=width,
+        fy=width,
+        cx=width / 2,
+        cy=height / 2,
+        width=width,
+        height=height,
+    )
     data = rasteriser_choice._crowd(rasteriser_choice._GAUSSIANS, height / width)
     own = Renderer(device, rasteriser="tiles")  # it keeps the room that it has made
     frame = own.render(Scene([data]), camera)

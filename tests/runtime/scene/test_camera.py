@@ -85,15 +85,15 @@ GOOD = {
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"fx": 0}, "camera.fx: is 0, wanted a positive number"),
-        ({"cy": "five"}, "camera.cy: is 'five', wanted a finite number"),
-        ({"width": 0}, "camera.width: is 0, wanted an integer from 1 to 16384"),
+        ({"fx": 0}, "camera.fx: is 0, expected a positive number"),
+        ({"cy": "five"}, "camera.cy: is 'five', expected a finite number"),
+        ({"width": 0}, "camera.width: is 0, expected an integer from 1 to 16384"),
         ({"height": 10.5}, "camera.height: is 10.5"),
         ({"near": -1}, "camera.near: is -1"),
-        ({"view": [1, 2]}, "camera.view: is .*, wanted 4 rows"),
-        ({"view": [[1, 2], [3]]}, "camera.view: is no matrix"),
-        ({"view": (2 * np.eye(4)).tolist()}, "no rotation with a translation"),
-        ({"view": np.diag([1.0, 1, -1, 1]).tolist()}, "no rotation"),
+        ({"view": [1, 2]}, "camera.view: is .*, expected 4 rows"),
+        ({"view": [[1, 2], [3]]}, "camera.view: is not a matrix"),
+        ({"view": (2 * np.eye(4)).tolist()}, "not a rigid transform"),
+        ({"view": np.diag([1.0, 1, -1, 1]).tolist()}, "not a rigid transform"),
         ({"fov": 3}, "has unknown fov\n.*Fields: view, fx"),
     ],
 )
@@ -105,11 +105,11 @@ def test_a_camera_that_is_none_says_why(change: dict[str, object], words: str) -
 def test_missing_fields_and_other_json_are_named() -> None:
     with pytest.raises(SceneInvalid, match="lacks fx, cy"):
         Camera.from_dict({key: GOOD[key] for key in GOOD if key not in ("fx", "cy")})
-    with pytest.raises(SceneInvalid, match="is a list, wanted an object"):
+    with pytest.raises(SceneInvalid, match="is a list, expected an object"):
         Camera.from_json("[1]")
-    with pytest.raises(SceneInvalid, match="is no JSON"):
+    with pytest.raises(SceneInvalid, match="is not valid JSON"):
         Camera.from_json("{")
-    with pytest.raises(SceneInvalid, match="which is no direction"):
+    with pytest.raises(SceneInvalid, match="which is not a direction"):
         Camera.look_at((1, 1, 1), (1, 1, 1))
     with pytest.raises(SceneInvalid, match=r"camera\.fov_y: is 180"):
         Camera.look_at((1, 1, 1), (0, 1, 1), fov_y=180)

@@ -93,7 +93,7 @@ def test_values_may_change_and_buffers_stay(renderer: Renderer) -> None:
     data.update(second.rows, second.appearance, count=0)
     assert renderer.render(Scene([data]), camera()).visible == 0
     with pytest.raises(
-        SceneInvalid, match=r"\[99, 10\], wanted float32 \[100, 10\] as before"
+        SceneInvalid, match=r"\[99, 10\], expected float32 \[100, 10\] as before"
     ):
         data.update(second.rows[:99], second.appearance[:99])
 
@@ -120,15 +120,15 @@ def test_sets_that_cannot_be_drawn_say_so() -> None:
     flat = np.diag([1.0, 1, 0, 1])
     with pytest.raises(SceneInvalid, match="flattens space: it scales by 1, 1, 0"):
         SplatSet(data, flat)
-    with pytest.raises(SceneInvalid, match="wanted 0 0 0 1"):
+    with pytest.raises(SceneInvalid, match="expected 0 0 0 1"):
         SplatSet(data, np.ones((4, 4)))
     with pytest.raises(SceneInvalid, match="finite"):
         SplatSet(data, np.full((4, 4), np.nan))
     with pytest.raises(SceneInvalid, match="opacity_scale: is -1"):
         SplatSet(data, opacity_scale=-1)
-    with pytest.raises(SceneInvalid, match="degree: is 4, wanted 0 to 3"):
+    with pytest.raises(SceneInvalid, match="degree: is 4, expected 0 to 3"):
         SplatSet(data, degree=4)
-    with pytest.raises(SceneInvalid, match="wanted classic or mip"):
+    with pytest.raises(SceneInvalid, match="expected classic or mip"):
         SplatSet(data, antialias="none")
 
 
@@ -137,7 +137,7 @@ def test_rows_that_cannot_be_drawn_say_so() -> None:
     with pytest.raises(SceneInvalid, match=r"rows: float64 \[1, 10\]"):
         SplatData(rows.astype(np.float64), color, "rgb")
     with pytest.raises(
-        SceneInvalid, match=r"appearance: float32 \[1, 2\], wanted .* 3, 12"
+        SceneInvalid, match=r"appearance: float32 \[1, 2\], expected .* 3, 12"
     ):
         SplatData(rows, color[:, :2], "sh")
     with pytest.raises(SceneInvalid, match="count: 2 is not within 0 to 1"):

@@ -236,11 +236,11 @@ WRONG = {
     ),
     "background": (
         {"models": [A], "background": "puce"},
-        "background: 'puce' is no colour",
+        "background: 'puce' is not a colour",
     ),
     "numbers": (
         {"models": [A], "background": [1, 2, 3]},
-        "background: '1,2,3' is no colour",
+        "background: '1,2,3' is not a colour",
     ),
     "camera": ({"models": [A], "camera": {"fx": 1}}, r"camera: lacks view"),
     "width": ({"models": [A], "width": 0}, "width: is 0, wanted a whole number from 1"),

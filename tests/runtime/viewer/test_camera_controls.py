@@ -95,7 +95,14 @@ def test_a_tilted_camera_goes_on_tilted() -> None:
     tilted = orbit(azimuth=20)
     roll = np.array([[0.8, 0.6, 0, 0], [-0.6, 0.8, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     tilted = Camera(
-        roll @ upright.view, upright.fx, upright.fy, 160, 90, 320, 180, upright.near
+        roll @ upright.view,
+        fx=upright.fx,
+        fy=upright.fy,
+        cx=160,
+        cy=90,
+        width=320,
+        height=180,
+        near=upright.near,
     )
     made = controls(tilted)
     made.orbit(5, 0)

@@ -17,7 +17,7 @@ from gsgen.runtime.scene.scene import Scene
 from support.checkpoints.golden_case import golden_case
 from support.rendering.mesh_scenes import MESH_SCENES
 from support.rendering.near_ties import NEAR_TIES
-from support.rendering.sorting import KEYS, ConformanceSession, keys_of, scanned
+from support.rendering.sorting import KEYS, Bench, keys_of, scanned
 
 
 def ways(device: Device) -> dict[str, Renderer]:
@@ -71,7 +71,7 @@ def unsorted(device: Device, sizes: list[int]) -> list[str]:
     """Sort all keys of all sizes, in two cuts; return where NumPy finds another order."""
     wrong = []
     for n, cut in product(sizes, (cut_for(device), SortConfig(256, 4, 4, 4))):
-        sort = ConformanceSession(device, cut, 32, max(n, 1), compact=True)
+        sort = Bench(device, cut, 32, max(n, 1), compact=True)
         for kind in KEYS:
             keys = keys_of(n, kind) if n else np.full(1, 0xFFFFFFFF, np.uint32)
             taken = [time.process_time(), time.perf_counter()]

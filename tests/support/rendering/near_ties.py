@@ -46,7 +46,14 @@ def seen_through(place: np.ndarray, **changes: float) -> Camera:
     view = np.eye(4)
     view[:3, :3], view[:3, 3] = linear.T, -linear.T @ place[:3, 3]
     return Camera(
-        view, here.fx, here.fy, here.cx, here.cy, here.width, here.height, near=here.near
+        view,
+        fx=here.fx,
+        fy=here.fy,
+        cx=here.cx,
+        cy=here.cy,
+        width=here.width,
+        height=here.height,
+        near=here.near,
     )
 
 

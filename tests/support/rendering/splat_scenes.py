@@ -250,7 +250,15 @@ def far_from_the_origin() -> tuple[Scene, Camera]:
     here = camera()
     view = np.eye(4)
     view[:3, 3] = -away[:3, 3]
-    there = Camera(view, here.fx, here.fy, here.cx, here.cy, here.width, here.height)
+    there = Camera(
+        view,
+        fx=here.fx,
+        fy=here.fy,
+        cx=here.cx,
+        cy=here.cy,
+        width=here.width,
+        height=here.height,
+    )
     return Scene([SplatSet(cloud(200, 47, degree=3), away)]), there
 
 

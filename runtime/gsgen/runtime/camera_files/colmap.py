@@ -1,64 +1,33 @@
-"""A model of COLMAP: a folder with cameras and images, as .bin or as .txt.
+"""COLMAP models: folders with cameras and images as .bin or .txt.
 
 An image has the pose world → camera, as a quaternion (w, x, y, z) and a translation, of the camera
 that we have, too: +x right, +y down, +z forward. Written down in COLMAP's documentation, "Output
 Format".
 """
 
-__all__ = ["FOLDERS", "ColmapImage", "ColmapLens", "model_folder", "read_colmap"]
+__all__ = ["FOLDERS", "model_folder", "read_colmap"]
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, final
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.camera_files.colmap_models import PINHOLES, parameters
-from gsgen.runtime.camera_files.fields import made_camera
+from gsgen.runtime.camera_files import colmap_binary, colmap_text
+from gsgen.runtime.camera_files.colmap_models import (
+    PINHOLES,
+    ColmapImage,
+    ColmapLens,
+    parameters,
+)
+from gsgen.runtime.camera_files.fields import camera_at
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.scene.camera import Camera
 
 FOLDERS: Final = ("", "sparse/0", "sparse", "colmap/sparse/0", "0")
-"""Where a model may lie in the folder of a data set."""
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class ColmapLens:
-    """One of COLMAP's cameras: a lens, that is.
-
-    Attributes:
-        model: Its name, such as PINHOLE.
-        width: In pixels.
-        height: In pixels.
-        values: Parameters of the model.
-    """
-
-    model: str
-    width: int
-    height: int
-    values: tuple[float, ...]
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class ColmapImage:
-    """One of COLMAP's images: where the camera was, and which lens it had.
-
-    Attributes:
-        name: Of the picture.
-        quaternion: World → camera: w, x, y, z, of any length but 0.
-        translation: World → camera.
-        lens: Number of the lens.
-    """
-
-    name: str
-    quaternion: tuple[float, ...]
-    translation: tuple[float, ...]
-    lens: int
+"""Folders of a data set in which a model may be."""
 
 
 def model_folder(folder: Path) -> Path | None:
@@ -72,14 +41,12 @@ def model_folder(folder: Path) -> Path | None:
 
 
 def read_colmap(folder: Path) -> CameraFile:
-    """Read the model in ``folder``, which :func:`model_folder` found.
+    """Read the COLMAP model in a folder that :func:`model_folder` returned.
 
     Raises:
-        ConfigInvalid: A file is damaged, has no images, or a lens that no pinhole can stand for.
-        SceneInvalid: The numbers make no camera.
+        ConfigInvalid: A file is damaged, has no images, or a lens that no pinhole approximates.
+        SceneInvalid: A camera's numbers are invalid.
     """
-    from gsgen.runtime.camera_files import colmap_binary, colmap_text
-
     if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file():
         lenses = colmap_binary.lenses(folder / "cameras.bin")
         images = colmap_binary.images(folder / "images.bin")
@@ -87,10 +54,12 @@ def read_colmap(folder: Path) -> CameraFile:
         lenses = colmap_text.lenses(folder / "cameras.txt")
         images = colmap_text.images(folder / "images.txt")
     if not images:
-        raise ConfigInvalid("holds no images", where=str(folder))
-    ordered = sorted(images, key=lambda one: one.name)
-    cameras = tuple(NamedCamera(one.name, _camera(one, lenses, folder)) for one in ordered)
-    used = {number: lenses[number] for number in sorted({one.lens for one in images})}
+        raise ConfigInvalid("has no images", where=str(folder))
+    ordered = sorted(images, key=lambda image: image.name)
+    cameras = tuple(
+        NamedCamera(image.name, _camera(image, lenses, folder)) for image in ordered
+    )
+    used = {number: lenses[number] for number in sorted({image.lens for image in images})}
     return CameraFile(str(folder), "a model of COLMAP", cameras, _notes(used, folder))
 
 
@@ -104,7 +73,7 @@ def _camera(image: ColmapImage, lenses: dict[int, ColmapLens], folder: Path) -> 
     fx, fy, cx, cy, _ = parameters(lens.model, lens.values, where)
     view = np.eye(4)
     view[:3, :3], view[:3, 3] = _rotation(image.quaternion, where), image.translation
-    return made_camera(
+    return camera_at(
         where, view=view, fx=fx, fy=fy, cx=cx, cy=cy, width=lens.width, height=lens.height
     )
 
@@ -116,8 +85,8 @@ def _rotation(quaternion: tuple[float, ...], where: str) -> Float[np.ndarray, "3
         raise ConfigInvalid(
             f"has the quaternion {list(quaternion)}: no rotation", where=where
         )
-    w, *rest = np.asarray(quaternion) / length
-    x, y, z = rest
+    w, *vector = np.asarray(quaternion) / length
+    x, y, z = vector
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross)
 

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.camera_files.colmap import ColmapImage, ColmapLens
-from gsgen.runtime.camera_files.colmap_models import MODELS, NAMES
+from gsgen.runtime.camera_files.colmap_models import MODELS, NAMES, ColmapImage, ColmapLens
 
 _LENS: Final = struct.Struct("<iiQQ")  # number, model, width, height
 _IMAGE: Final = struct.Struct("<i7di")  # number, quaternion, translation, lens
@@ -30,34 +29,34 @@ def lenses(path: Path) -> dict[int, ColmapLens]:
         ConfigInvalid: It ends too early, or has a model that COLMAP has not.
     """
     with _opened(path) as data:
-        made: dict[int, ColmapLens] = {}
-        for at in range(data.count(_LENS.size)):
+        by_number: dict[int, ColmapLens] = {}
+        for index in range(data.count(_LENS.size)):
             number, model, width, height = data.take(_LENS)
             if not 0 <= model < len(NAMES):
                 raise ConfigInvalid(
-                    f"camera {at} has the model {model}, wanted 0 to {len(NAMES) - 1}",
+                    f"camera {index} has the model {model}, expected 0 to {len(NAMES) - 1}",
                     where=str(path),
                 )
-            wanted = len(MODELS[NAMES[model]].split())
-            values = data.take(struct.Struct(f"<{wanted}d"))
-            made[number] = ColmapLens(NAMES[model], width, height, values)
-        return made
+            expected = len(MODELS[NAMES[model]].split())
+            values = data.take(struct.Struct(f"<{expected}d"))
+            by_number[number] = ColmapLens(NAMES[model], width, height, values)
+        return by_number
 
 
 def images(path: Path) -> list[ColmapImage]:
     """Read images.bin; the points that the images show are left out.
 
     Raises:
-        ConfigInvalid: It ends too early, or a name is none.
+        ConfigInvalid: The file ends too early, or a name is not valid UTF-8.
     """
     with _opened(path) as data:
-        made = []
+        records = []
         for _ in range(data.count(_IMAGE.size + 1 + _COUNT.size)):
             _, *pose, lens = data.take(_IMAGE)
             name = data.name()
             data.skip(data.take(_COUNT)[0] * _POINT)
-            made.append(ColmapImage(name, tuple(pose[:4]), tuple(pose[4:]), lens))
-        return made
+            records.append(ColmapImage(name, tuple(pose[:4]), tuple(pose[4:]), lens))
+        return records
 
 
 @final
@@ -80,9 +79,9 @@ class _Reader:
 
     def take(self, form: struct.Struct) -> tuple[Any, ...]:
         """Take the numbers of a record."""
-        at = self._at
+        offset = self._at
         self.skip(form.size)
-        return form.unpack_from(self._data, at)
+        return form.unpack_from(self._data, offset)
 
     def skip(self, size: int) -> None:
         """Go on."""
@@ -101,9 +100,9 @@ class _Reader:
             raise ConfigInvalid(
                 f"has a name from byte {self._at} that does not end", where=str(self._path)
             )
-        held = self._data[self._at : end]
+        content = self._data[self._at : end]
         self._at = end + 1
-        return held.decode("utf-8", errors="replace")
+        return content.decode("utf-8", errors="replace")
 
 
 @contextmanager

@@ -1,8 +1,9 @@
-"""The camera models of COLMAP: which of their parameters a pinhole has."""
+"""The camera models of COLMAP with their parameters, and the records of its files."""
 
-__all__ = ["MODELS", "NAMES", "PINHOLES", "parameters"]
+__all__ = ["MODELS", "NAMES", "PINHOLES", "ColmapImage", "ColmapLens", "parameters"]
 
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, final
 
 from gsgen.contract.errors import ConfigInvalid
 
@@ -25,6 +26,42 @@ NAMES: Final = tuple(MODELS)
 PINHOLES: Final = ("SIMPLE_PINHOLE", "PINHOLE")
 
 
+@final
+@dataclass(frozen=True, slots=True)
+class ColmapLens:
+    """The lens of an image, which COLMAP calls a camera.
+
+    Attributes:
+        model: Name of the camera model, such as PINHOLE.
+        width: Image width in pixels.
+        height: Image height in pixels.
+        values: Parameters of the model.
+    """
+
+    model: str
+    width: int
+    height: int
+    values: tuple[float, ...]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class ColmapImage:
+    """The pose and the lens of an image.
+
+    Attributes:
+        name: Name of the picture.
+        quaternion: Rotation from world to camera: w, x, y, z, of any length but 0.
+        translation: Translation from world to camera.
+        lens: Number of the lens.
+    """
+
+    name: str
+    quaternion: tuple[float, ...]
+    translation: tuple[float, ...]
+    lens: int
+
+
 def parameters(
     model: str, values: tuple[float, ...], where: str
 ) -> tuple[float, float, float, float, tuple[float, ...]]:
@@ -42,11 +79,13 @@ def parameters(
     names = MODELS[model].split()
     if len(values) != len(names):
         raise ConfigInvalid(
-            f"{model} has {len(values)} parameters, wanted {len(names)}: {MODELS[model]}",
+            f"{model} has {len(values)} parameters, expected {len(names)}: {MODELS[model]}",
             where=where,
         )
-    held = dict(zip(names, values, strict=True))
-    fx = held.get("fx", held.get("f", 0.0))
-    fy = held.get("fy", held.get("f", 0.0))
-    bending = tuple(held[one] for one in names if one not in ("f", "fx", "fy", "cx", "cy"))
-    return fx, fy, held["cx"], held["cy"], bending
+    by_name = dict(zip(names, values, strict=True))
+    fx = by_name.get("fx", by_name.get("f", 0.0))
+    fy = by_name.get("fy", by_name.get("f", 0.0))
+    bending = tuple(
+        by_name[name] for name in names if name not in ("f", "fx", "fy", "cx", "cy")
+    )
+    return fx, fy, by_name["cx"], by_name["cy"], bending

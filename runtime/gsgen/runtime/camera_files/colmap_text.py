@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.camera_files.colmap import ColmapImage, ColmapLens
+from gsgen.runtime.camera_files.colmap_models import ColmapImage, ColmapLens
 
 _LONGEST: Final = 1 << 26  # characters of a line: an image may show a million points
 
@@ -19,19 +19,21 @@ def lenses(path: Path) -> dict[int, ColmapLens]:
     Raises:
         ConfigInvalid: A line says something else.
     """
-    made = {}
+    by_number = {}
     for number, line in _lines(path):
         if not line or line.startswith("#"):
             continue
         words, where = line.split(), f"{path}, line {number}"
         if len(words) < 5:
             raise ConfigInvalid(
-                f"has {len(words)} words, wanted CAMERA_ID MODEL WIDTH HEIGHT PARAMS",
+                f"has {len(words)} words, expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS",
                 where=where,
             )
-        own, width, height = _integers([words[0], *words[2:4]], where)
-        made[own] = ColmapLens(words[1], width, height, _numbers(words[4:], where))
-    return made
+        lens_number, width, height = _integers([words[0], *words[2:4]], where)
+        by_number[lens_number] = ColmapLens(
+            words[1], width, height, _numbers(words[4:], where)
+        )
+    return by_number
 
 
 def images(path: Path) -> list[ColmapImage]:
@@ -40,7 +42,7 @@ def images(path: Path) -> list[ColmapImage]:
     Raises:
         ConfigInvalid: A line says something else.
     """
-    made = []
+    records = []
     points = False  # whether the line is one of points
     for number, line in _lines(path):
         if points or not line or line.startswith("#"):
@@ -50,14 +52,14 @@ def images(path: Path) -> list[ColmapImage]:
         words, where = line.split(maxsplit=9), f"{path}, line {number}"
         if len(words) < 10:
             raise ConfigInvalid(
-                f"has {len(words)} words, wanted "
+                f"has {len(words)} words, expected "
                 "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
                 where=where,
             )
         pose = _numbers(words[1:8], where)
         _, lens = _integers([words[0], words[8]], where)
-        made.append(ColmapImage(words[9], pose[:4], pose[4:], lens))
-    return made
+        records.append(ColmapImage(words[9], pose[:4], pose[4:], lens))
+    return records
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -79,7 +81,7 @@ def _numbers(words: list[str], where: str) -> tuple[float, ...]:
     except ValueError as error:
         raise ConfigInvalid(f"{error}", where=where) from error
     if not all(map(math.isfinite, numbers)):
-        raise ConfigInvalid(f"has {words}, wanted finite numbers", where=where)
+        raise ConfigInvalid(f"has {words}, expected finite numbers", where=where)
     return numbers
 
 

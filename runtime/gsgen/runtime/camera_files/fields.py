@@ -1,6 +1,6 @@
-"""Read what a camera file says, and name the place where it says something else."""
+"""Read typed fields of a camera file's JSON, with errors that name the place."""
 
-__all__ = ["made_camera", "matrix", "number", "side", "text"]
+__all__ = ["camera_at", "matrix", "number", "side", "text"]
 
 import math
 from collections.abc import Mapping
@@ -14,61 +14,61 @@ from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.camera import Camera
 
 
-def number(made: Mapping[str, Any], name: str, where: str) -> float:
-    """Return a finite number.
+def number(document: Mapping[str, Any], name: str, where: str) -> float:
+    """Return the finite number of a field.
 
     Raises:
-        ConfigInvalid: It is missing or none.
+        ConfigInvalid: The field is missing or not a finite number.
     """
-    value = made.get(name)
+    value = document.get(name)
     # An integer may be too large for a float.
     good = isinstance(value, int | float) and not isinstance(value, bool)
     if not good or not abs(value) <= 1e300:  # type: ignore[arg-type]
-        raise ConfigInvalid(_seen(made, name, "a finite number"), where=where)
+        raise ConfigInvalid(_mismatch(document, name, "a finite number"), where=where)
     return float(value)  # type: ignore[arg-type]
 
 
-def side(made: Mapping[str, Any], name: str, where: str) -> int:
-    """Return a number of pixels, which some writers give as 1920.0.
+def side(document: Mapping[str, Any], name: str, where: str) -> int:
+    """Return the pixels of a side; some writers store them as 1920.0.
 
     Raises:
-        ConfigInvalid: It is missing or no whole number.
+        ConfigInvalid: The field is missing or not a whole number.
     """
-    value = number(made, name, where)
+    value = number(document, name, where)
     if value != math.floor(value):
-        raise ConfigInvalid(f"{name} is {value}, wanted whole pixels", where=where)
+        raise ConfigInvalid(f"{name} is {value}, expected whole pixels", where=where)
     return int(value)
 
 
-def text(made: Mapping[str, Any], name: str, fallback: str) -> str:
-    """Return a text, or what stands for it."""
-    value = made.get(name)
+def text(document: Mapping[str, Any], name: str, fallback: str) -> str:
+    """Return the text of a field, or ``fallback`` where the field has none."""
+    value = document.get(name)
     return fallback if value is None or isinstance(value, list | dict) else str(value)
 
 
 def matrix(
-    made: Mapping[str, Any], name: str, shape: tuple[int, ...], where: str
+    document: Mapping[str, Any], name: str, shape: tuple[int, ...], where: str
 ) -> Float[np.ndarray, "..."]:
-    """Return an array of finite numbers.
+    """Return the array of finite numbers of a field.
 
     Raises:
-        ConfigInvalid: It is missing, or of another shape.
+        ConfigInvalid: The field is missing or has another shape.
     """
-    wanted = "×".join(map(str, shape)) + " finite numbers"
+    expected = "×".join(map(str, shape)) + " finite numbers"
     try:
-        array = np.array(made[name], np.float64)
+        array = np.array(document[name], np.float64)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise ConfigInvalid(_seen(made, name, wanted), where=where) from error
+        raise ConfigInvalid(_mismatch(document, name, expected), where=where) from error
     if array.shape != shape or not np.isfinite(array).all():
-        raise ConfigInvalid(_seen(made, name, wanted), where=where)
+        raise ConfigInvalid(_mismatch(document, name, expected), where=where)
     return array
 
 
-def made_camera(where: str, **values: Any) -> Camera:
-    """Return the camera of these attributes; what it refuses is said with its place.
+def camera_at(where: str, **values: Any) -> Camera:
+    """Build a camera; errors name the place in the file.
 
     Raises:
-        SceneInvalid: The numbers make no camera.
+        SceneInvalid: An attribute is invalid.
     """
     try:
         return Camera(**values)
@@ -78,8 +78,8 @@ def made_camera(where: str, **values: Any) -> Camera:
         ) from error
 
 
-def _seen(made: Mapping[str, Any], name: str, wanted: str) -> str:
-    if name not in made:
-        return f"lacks {name}: {wanted}"
-    shown = repr(made[name])
-    return f"{name} is {shown if len(shown) < 80 else shown[:77] + '…'}, wanted {wanted}"
+def _mismatch(document: Mapping[str, Any], name: str, expected: str) -> str:
+    if name not in document:
+        return f"lacks {name}: expected {expected}"
+    actual = repr(document[name])
+    return f"{name} is {actual if len(actual) < 80 else actual[:77] + '…'}, expected {expected}"

@@ -1,4 +1,4 @@
-"""What a file of cameras holds, and how one of them is picked."""
+"""The cameras of a camera file, and their selection by name, number or slice."""
 
 __all__ = ["CameraFile", "NamedCamera"]
 
@@ -10,7 +10,7 @@ from typing import Final, final
 from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.runtime.scene.camera import Camera
 
-_SHOWN: Final = 8  # names that an error lists
+_LISTED_NAMES: Final = 8  # names that an error lists
 _SLICE: Final = re.compile(r"(-?\d*):(-?\d*)(?::(-?\d*))?")
 
 
@@ -20,7 +20,7 @@ class NamedCamera:
     """A camera of a file.
 
     Attributes:
-        name: What the file calls it, most often its picture.
+        name: Name in the file, most often that of the picture.
         camera: The camera, in the file's world.
     """
 
@@ -34,10 +34,10 @@ class CameraFile:
     """The cameras of a file.
 
     Attributes:
-        path: Where they were read from.
-        format: What the file is, in words.
-        cameras: In the order of the file; at least one.
-        notes: What the cameras leave out, such as lens distortion: a sentence each.
+        path: Path of the file.
+        format: Title of the file's format.
+        cameras: At least one camera, in the order of the file.
+        notes: Sentences about what the cameras leave out, such as lens distortion.
     """
 
     path: str
@@ -45,63 +45,66 @@ class CameraFile:
     cameras: tuple[NamedCamera, ...]
     notes: tuple[str, ...] = ()
 
-    def pick(self, which: str | None) -> tuple[NamedCamera, ...]:
-        """Return the cameras that ``which`` names.
+    def pick(self, selection: str | None) -> tuple[NamedCamera, ...]:
+        """Return the cameras that ``selection`` names.
 
         Args:
-            which: A name, its last part with or without the suffix, a number from 0 (from the end
+            selection: A name, its last part with or without the suffix, a number from 0 (from the end
                 if negative), or a slice such as ``0:10``, ``::5``; None for all. A name comes
                 before a number.
 
         Raises:
-            ConfigInvalid: It names none, or several.
+            ConfigInvalid: The selection matches no camera, or a name matches several.
         """
-        if which is None:
+        if selection is None:
             return self.cameras
         for known_as in (_whole, _last, _stem):
-            found = [one for one in self.cameras if known_as(one.name) == which]
-            if len(found) > 1:
+            matches = [
+                camera for camera in self.cameras if known_as(camera.name) == selection
+            ]
+            if len(matches) > 1:
                 raise ConfigInvalid(
-                    f"{len(found)} cameras are called {which!r}: {_listed(found)}",
+                    f"{len(matches)} cameras are called {selection!r}: {_listed(matches)}",
                     where=self.path,
                     hint="Give a number from 0, or the whole name.",
                 )
-            if found:
-                return tuple(found)
-        if re.fullmatch(r"-?\d{1,9}", which):
-            return (self._numbered(int(which)),)
-        if match := _SLICE.fullmatch(which):
-            return self._slice(which, match)
-        raise self._unknown(which)
+            if matches:
+                return tuple(matches)
+        if re.fullmatch(r"-?\d{1,9}", selection):
+            return (self._numbered(int(selection)),)
+        if match := _SLICE.fullmatch(selection):
+            return self._slice(selection, match)
+        raise self._unknown(selection)
 
     def _numbered(self, number: int) -> NamedCamera:
         count = len(self.cameras)
         if not -count <= number < count:
             raise ConfigInvalid(
-                f"has {count} cameras, numbered from 0 to {count - 1}; {number} is none of them",
+                f"has {count} cameras, numbered from 0 to {count - 1}; {number} is out of range",
                 where=self.path,
             )
         return self.cameras[number]
 
-    def _slice(self, which: str, match: re.Match[str]) -> tuple[NamedCamera, ...]:
+    def _slice(self, selection: str, match: re.Match[str]) -> tuple[NamedCamera, ...]:
         first, last, step = (
-            int(one) if one and one != "-" else None for one in match.groups()
+            int(bound) if bound and bound != "-" else None for bound in match.groups()
         )
-        found = self.cameras[slice(first, last, step)] if step != 0 else ()
-        if not found:
+        matches = self.cameras[slice(first, last, step)] if step != 0 else ()
+        if not matches:
             raise ConfigInvalid(
-                f"{which!r} takes none of the {len(self.cameras)} cameras", where=self.path
+                f"{selection!r} selects none of the {len(self.cameras)} cameras",
+                where=self.path,
             )
-        return found
+        return matches
 
-    def _unknown(self, which: str) -> ConfigInvalid:
+    def _unknown(self, selection: str) -> ConfigInvalid:
         error = UnknownName.among(
-            "camera", which, (_last(one.name) for one in self.cameras), self.path
+            "camera", selection, (_last(camera.name) for camera in self.cameras), self.path
         )
         return ConfigInvalid(
             error.message,
             where=self.path,
-            hint=f"{error.hint} It has {_listed(self.cameras)}; a number from 0 will do, too.",
+            hint=f"{error.hint} It has {_listed(self.cameras)}; a number from 0 works, too.",
         )
 
 
@@ -118,6 +121,6 @@ def _stem(name: str) -> str:
 
 
 def _listed(cameras: list[NamedCamera] | tuple[NamedCamera, ...]) -> str:
-    names = ", ".join(one.name for one in cameras[:_SHOWN])
-    more = len(cameras) - _SHOWN
-    return f"{names} and {more} more" if more > 0 else names
+    names = ", ".join(camera.name for camera in cameras[:_LISTED_NAMES])
+    unlisted = len(cameras) - _LISTED_NAMES
+    return f"{names} and {unlisted} more" if unlisted > 0 else names

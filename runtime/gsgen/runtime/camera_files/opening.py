@@ -1,4 +1,4 @@
-"""Open a file of cameras, whatever its format."""
+"""Open a camera file of any supported format."""
 
 __all__ = ["open_cameras", "split_pick"]
 
@@ -17,7 +17,7 @@ from gsgen.runtime.camera_files.transforms_json import is_transforms, read_trans
 
 _LARGEST: Final = 256 << 20  # bytes of JSON: a hundred thousand cameras have a tenth of it
 _KNOWN: Final = (
-    "Known: cameras of gsgen, transforms.json (nerfstudio, Instant-NGP), camera paths of "
+    "Supported: cameras of gsgen, transforms.json (nerfstudio, Instant-NGP), camera paths of "
     "nerfstudio, cameras.json of 3D Gaussian Splatting, and folders of COLMAP with cameras and "
     "images as .bin or .txt."
 )
@@ -25,54 +25,54 @@ _IN_FOLDER: Final = ("transforms.json", "cameras.json", "transforms_train.json")
 
 
 def open_cameras(path: str | os.PathLike[str]) -> CameraFile:
-    """Read the cameras at ``path``, whose format its content tells and not its name.
+    """Read a camera file or a data set's cameras; the content decides the format, not the name.
 
     Args:
-        path: A file, or the folder of a data set or a model of COLMAP.
+        path: A file, or the folder of a data set or of a COLMAP model.
 
     Raises:
-        ConfigInvalid: It cannot be read, or is of no format that is known.
-        SceneInvalid: Its numbers make no camera.
+        ConfigInvalid: It cannot be read, or its format is not supported.
+        SceneInvalid: A camera's numbers are invalid.
     """
-    place = Path(path)
-    if place.is_dir():
-        return _in_folder(place)
+    location = Path(path)
+    if location.is_dir():
+        return _in_folder(location)
     try:
-        if not place.is_file():
-            missing = "is no file" if place.exists() else "does not exist"
-            raise ConfigInvalid(missing, where=str(place), hint=_KNOWN)
-        if place.stat().st_size > _LARGEST and place.suffix == ".json":
+        if not location.is_file():
+            missing = "is not a file" if location.exists() else "does not exist"
+            raise ConfigInvalid(missing, where=str(location), hint=_KNOWN)
+        if location.stat().st_size > _LARGEST and location.suffix == ".json":
             raise ConfigInvalid(
-                f"has {place.stat().st_size:,} bytes, more than {_LARGEST:,}",
-                where=str(place),
+                f"has {location.stat().st_size:,} bytes, more than {_LARGEST:,}",
+                where=str(location),
             )
-        with open(place, "rb") as file:
+        with open(location, "rb") as file:
             start = file.read(64)
             content = start + file.read(_LARGEST) if _may_be_json(start) else b""
     except (OSError, ValueError) as error:
-        raise ConfigInvalid(f"cannot be read: {error}", where=str(place)) from error
+        raise ConfigInvalid(f"cannot be read: {error}", where=str(location)) from error
     if content:
-        return _from_json(content, place)
-    model = model_folder(place.parent)
-    if model is not None and place.stem in ("cameras", "images", "points3D"):
+        return _from_json(content, location)
+    model = model_folder(location.parent)
+    if model is not None and location.stem in ("cameras", "images", "points3D"):
         return read_colmap(model)
     raise ConfigInvalid(
-        f"begins with {start[:16]!r}, which no file of cameras does",
-        where=str(place),
+        f"begins with {start[:16]!r}, which is not the start of any known camera file",
+        where=str(location),
         hint=_KNOWN,
     )
 
 
 def split_pick(text: str) -> tuple[Path, str | None]:
-    """Part ``FILE#WHICH``, unless there is a file of the whole name."""
+    """Split ``FILE#CAMERA`` into path and camera, unless a file with the whole name exists."""
     whole = Path(text)
-    name, mark, which = text.rpartition("#")
+    name, mark, selection = text.rpartition("#")
     try:
         if not mark or whole.exists():
             return whole, None
     except OSError:  # a name that is too long, say
         return whole, None
-    return Path(name), which
+    return Path(name), selection
 
 
 def _may_be_json(start: bytes) -> bool:
@@ -89,32 +89,32 @@ def _in_folder(folder: Path) -> CameraFile:
     raise ConfigInvalid(
         "is a folder without cameras",
         where=str(folder),
-        hint=f"Wanted {', '.join(_IN_FOLDER)}, or cameras and images of COLMAP as .bin or .txt, "
+        hint=f"Expected {', '.join(_IN_FOLDER)}, or cameras and images of COLMAP as .bin or .txt, "
         f"there or in {', '.join(FOLDERS[1:])}.",
     )
 
 
-def _from_json(content: bytes, place: Path) -> CameraFile:
+def _from_json(content: bytes, location: Path) -> CameraFile:
     try:
-        made = json.loads(content.decode("utf-8-sig"))
+        document = json.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
-        raise ConfigInvalid(f"is no JSON: {error}", where=str(place)) from error
-    if is_transforms(made):
-        return read_transforms(made, str(place))
-    if is_path(made):
-        return read_path(made, str(place))
-    if is_training(made):
-        return read_training(made, str(place))
-    if is_own(made):
-        return read_own(made, str(place))
-    if made in ([], {}):
-        raise ConfigInvalid("holds no camera", where=str(place), hint=_KNOWN)
-    first = made[0] if isinstance(made, list) else made
+        raise ConfigInvalid(f"is not valid JSON: {error}", where=str(location)) from error
+    if is_transforms(document):
+        return read_transforms(document, str(location))
+    if is_path(document):
+        return read_path(document, str(location))
+    if is_training(document):
+        return read_training(document, str(location))
+    if is_own(document):
+        return read_own(document, str(location))
+    if document in ([], {}):
+        raise ConfigInvalid("has no cameras", where=str(location), hint=_KNOWN)
+    first = document[0] if isinstance(document, list) else document
     keys = (
         ", ".join(map(str, list(first)[:8]))
         if isinstance(first, dict)
         else repr(first)[:60]
     )
     raise ConfigInvalid(
-        f"is JSON, but of no cameras: it has {keys}", where=str(place), hint=_KNOWN
+        f"is JSON without cameras: it has {keys}", where=str(location), hint=_KNOWN
     )

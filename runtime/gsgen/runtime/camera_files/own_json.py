@@ -1,4 +1,4 @@
-"""Our own JSON: the attributes of :class:`gsgen.runtime.Camera`, and a name if there is one."""
+"""Camera files of gsgen: JSON with the attributes of :class:`gsgen.runtime.Camera` and a name."""
 
 __all__ = ["is_own", "read_own"]
 
@@ -9,33 +9,33 @@ from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.camera import Camera
 
 
-def is_own(made: object) -> bool:
-    """Say whether the content is one camera, or begins a list of them."""
-    first = made[0] if isinstance(made, list) and made else made
+def is_own(document: object) -> bool:
+    """Return whether JSON is a gsgen camera or a list that begins with one."""
+    first = document[0] if isinstance(document, list) and document else document
     return isinstance(first, dict) and not first.keys().isdisjoint(("view", "fx", "fy"))
 
 
-def read_own(made: object, path: str) -> CameraFile:
-    """Read one camera, or a list of them.
+def read_own(document: object, path: str) -> CameraFile:
+    """Read one gsgen camera, or a list of them.
 
     Raises:
-        SceneInvalid: An object is no camera.
-        ConfigInvalid: There are none.
+        SceneInvalid: An object is not a valid camera.
+        ConfigInvalid: The list is empty.
     """
-    several = made if isinstance(made, list) else [made]
-    if not several:
-        raise ConfigInvalid("holds no camera", where=path)
-    cameras = tuple(_camera(one, number, path) for number, one in enumerate(several))
+    entries = document if isinstance(document, list) else [document]
+    if not entries:
+        raise ConfigInvalid("has no cameras", where=path)
+    cameras = tuple(_camera(entry, number, path) for number, entry in enumerate(entries))
     return CameraFile(path, "cameras of gsgen", cameras)
 
 
-def _camera(made: object, number: int, path: str) -> NamedCamera:
+def _camera(document: object, number: int, path: str) -> NamedCamera:
     name = str(number)
-    if isinstance(made, dict):
-        name = text(made, "name", name)
-        made = {key: value for key, value in made.items() if key != "name"}
+    if isinstance(document, dict):
+        name = text(document, "name", name)
+        document = {key: value for key, value in document.items() if key != "name"}
     try:
-        return NamedCamera(name, Camera.from_dict(made))
+        return NamedCamera(name, Camera.from_dict(document))
     except SceneInvalid as error:
         where = f"{path}, camera {number}, {error.where}"
         raise SceneInvalid(error.message, where=where, hint=error.hint) from error

@@ -1,4 +1,4 @@
-"""A camera path of nerfstudio's viewer: what a film shows, frame by frame.
+"""Camera paths of nerfstudio's viewer: one camera for every frame of a film.
 
 ``camera_to_world`` has the sixteen numbers of a matrix row by row, of an OpenGL camera; ``fov`` is
 the vertical angle in degrees. The other frames between the viewer's keyframes are in the file.
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.camera_files.fields import made_camera, matrix, number, side, text
+from gsgen.runtime.camera_files.fields import camera_at, matrix, number, side, text
 from gsgen.runtime.camera_files.file import CameraFile, NamedCamera
 from gsgen.runtime.camera_files.poses import view_from_opengl
 
@@ -19,42 +19,47 @@ _STRAIGHT: Final = "perspective"
 _PANORAMA: Final = "equirectangular"
 
 
-def is_path(made: object) -> bool:
-    """Say whether the content is such an object."""
-    return isinstance(made, dict) and isinstance(made.get("camera_path"), list)
+def is_path(document: object) -> bool:
+    """Return whether JSON is a camera path of nerfstudio."""
+    return isinstance(document, dict) and isinstance(document.get("camera_path"), list)
 
 
-def read_path(made: Mapping[str, Any], path: str) -> CameraFile:
-    """Read the frames.
+def read_path(document: Mapping[str, Any], path: str) -> CameraFile:
+    """Read a camera for each frame of the path.
 
     Raises:
         ConfigInvalid: Something is missing or of another shape, or the camera is neither a pinhole
             nor a panorama.
-        SceneInvalid: The numbers make no camera.
+        SceneInvalid: A camera's numbers are invalid.
     """
-    kind = text(made, "camera_type", _STRAIGHT).lower()
+    kind = text(document, "camera_type", _STRAIGHT).lower()
     if kind not in (_STRAIGHT, _PANORAMA):
         raise ConfigInvalid(
-            f"camera_type is {kind!r}, wanted {_STRAIGHT} or {_PANORAMA}", where=path
+            f"camera_type is {kind!r}, expected {_STRAIGHT} or {_PANORAMA}", where=path
         )
-    if not made["camera_path"]:
+    if not document["camera_path"]:
         raise ConfigInvalid("has no frames", where=path)
-    width, height = side(made, "render_width", path), side(made, "render_height", path)
+    width, height = (
+        side(document, "render_width", path),
+        side(document, "render_height", path),
+    )
     cameras = tuple(
-        _camera(frame, at, path, (width, height), kind)
-        for at, frame in enumerate(made["camera_path"])
+        _camera(frame, index, path, (width, height), kind)
+        for index, frame in enumerate(document["camera_path"])
     )
     return CameraFile(path, "a camera path of nerfstudio", cameras)
 
 
 def _camera(
-    made: object, at: int, path: str, size: tuple[int, int], kind: str
+    document: object, index: int, path: str, size: tuple[int, int], kind: str
 ) -> NamedCamera:
-    where = f"{path}, frame {at}"
-    if not isinstance(made, dict):
-        raise ConfigInvalid(f"is a {type(made).__name__}, wanted an object", where=where)
+    where = f"{path}, frame {index}"
+    if not isinstance(document, dict):
+        raise ConfigInvalid(
+            f"is a {type(document).__name__}, expected an object", where=where
+        )
     width, height = size
-    to_world = matrix(made, "camera_to_world", (16,), where).reshape(4, 4)
+    to_world = matrix(document, "camera_to_world", (16,), where).reshape(4, 4)
     values: dict[str, Any] = {
         "view": view_from_opengl(to_world),
         "cx": width / 2,
@@ -65,11 +70,11 @@ def _camera(
     if kind == _PANORAMA:
         values |= {"fx": width / (2 * math.pi), "fy": height / math.pi, "kind": "panorama"}
     else:
-        degrees = number(made, "fov", where)
+        degrees = number(document, "fov", where)
         if not 0 < degrees < 180:
             raise ConfigInvalid(
-                f"fov is {degrees}, wanted degrees between 0 and 180", where=where
+                f"fov is {degrees}, expected degrees between 0 and 180", where=where
             )
         focal = height / 2 / math.tan(math.radians(degrees) / 2)
         values |= {"fx": focal, "fy": focal}
-    return NamedCamera(str(at), made_camera(where, **values))
+    return NamedCamera(str(index), camera_at(where, **values))

@@ -262,12 +262,12 @@ def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
     if "projection" not in by_role:
         return Camera(
             view,
-            default_camera.fx,
-            default_camera.fy,
-            default_camera.cx,
-            default_camera.cy,
-            default_camera.width,
-            default_camera.height,
+            fx=default_camera.fx,
+            fy=default_camera.fy,
+            cx=default_camera.cx,
+            cy=default_camera.cy,
+            width=default_camera.width,
+            height=default_camera.height,
         )
     lens = as_tensor(np.asarray(by_role["projection"], np.float64), order).astype(
         np.float64
@@ -276,12 +276,12 @@ def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
     focal = _WIDTH / 2 * float(lens[0, 0])
     return Camera(
         view,
-        focal,
-        height / 2 * float(-lens[1, 1]),
-        _WIDTH / 2 * float(lens[0, 2] + 1),
-        height / 2 * float(1 - lens[1, 2]),
-        _WIDTH,
-        height,
+        fx=focal,
+        fy=height / 2 * float(-lens[1, 1]),
+        cx=_WIDTH / 2 * float(lens[0, 2] + 1),
+        cy=height / 2 * float(1 - lens[1, 2]),
+        width=_WIDTH,
+        height=height,
     )
 
 

@@ -80,7 +80,8 @@ def reference_camera(reference: ReferenceImage, width: int, height: int) -> Came
         raise SceneInvalid(f"has {len(reference.view)} rows, wanted 3", where="view")
     view = np.eye(4)
     view[:3] = reference.view
-    return Camera(view, *reference.focal, *reference.center, width, height)
+    (fx, fy), (cx, cy) = reference.focal, reference.center
+    return Camera(view, fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height)
 
 
 def _bytes(folder: Path, name: str) -> bytes:

@@ -1,1 +1,1 @@
-"""What lies in GPU memory, and how does it get there and back?"""
+"""Which data is in GPU memory, and how does it get there and back?"""

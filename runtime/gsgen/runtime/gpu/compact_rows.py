@@ -1,4 +1,4 @@
-"""Packs rows into 32 bytes: positions and opacity as they are, a root of the covariance in 16 bits."""
+"""Packs rows into 32 bytes: position and opacity unchanged, a Cholesky factor in 16 bits."""
 
 __all__ = ["PACKED_BYTES", "pack_rows", "unpack_rows"]
 
@@ -12,19 +12,21 @@ from gsgen.contract.spec import layout
 PACKED_BYTES: Final = 32
 """Of a row: x, y, z, opacity; six fixed-point numbers in [-1, 1]; what they are multiplied by."""
 
-_ONE: Final = 32767  # as unpack2x16snorm of WGSL has it
-_ROUNDING: Final = 1e-5  # of the largest variance: below zero by less is zero
+_FIXED_POINT_ONE: Final = 32767  # as unpack2x16snorm of WGSL has it
+_ROUNDING: Final = (
+    1e-5  # of the largest variance: negative pivots closer to zero are rounding
+)
 
 
 def pack_rows(rows: Float[np.ndarray, "n 10"]) -> UInt32[np.ndarray, "n 8"]:
-    """Return rows as page.wgsl reads packed ones.
+    """Pack rows into the 32 bytes that page.wgsl reads.
 
-    What is kept of a covariance is its Cholesky factor L, Σ = L Lᵀ, so that what is read is a
-    covariance again: rounded itself, a flat one of many pixels would be far thicker. Rows whose
-    covariance is none, or not finite, get a NaN, and are not drawn.
+    A covariance is stored by its Cholesky factor L, Σ = L Lᵀ, so that every stored value is a
+    covariance: a flat one of many pixels that is rounded itself would be far thicker. Rows whose
+    covariance is not positive semidefinite, or not finite, get a NaN, and are not drawn.
     """
-    made = np.empty((len(rows), PACKED_BYTES // 4), np.uint32)
-    made[:, :4] = rows[:, :4].astype(np.float32).view(np.uint32)
+    packed = np.empty((len(rows), PACKED_BYTES // 4), np.uint32)
+    packed[:, :4] = rows[:, :4].astype(np.float32).view(np.uint32)
     with np.errstate(all="ignore"):
         root = _root(rows[:, layout.COVARIANCE].astype(np.float64))
         scale = np.abs(root).max(axis=1).astype(np.float32)
@@ -32,14 +34,16 @@ def pack_rows(rows: Float[np.ndarray, "n 10"]) -> UInt32[np.ndarray, "n 8"]:
         share = np.divide(
             root, scale[:, None], where=scale[:, None] > 0, out=np.zeros_like(root)
         )
-        fixed = np.nan_to_num(np.rint(np.clip(share, -1, 1) * _ONE)).astype(np.int16)
-    made[:, 4:7] = fixed.view(np.uint32)
-    made[:, 7] = scale.view(np.uint32)
-    return made
+        fixed = np.nan_to_num(np.rint(np.clip(share, -1, 1) * _FIXED_POINT_ONE)).astype(
+            np.int16
+        )
+    packed[:, 4:7] = fixed.view(np.uint32)
+    packed[:, 7] = scale.view(np.uint32)
+    return packed
 
 
 def _root(covariance: Float64[np.ndarray, "n 6"]) -> Float64[np.ndarray, "n 6"]:
-    """Return the lower triangles xx, yx, zx, yy, zy, zz of L, or NaN where there is none."""
+    """Return the lower triangles xx, yx, zx, yy, zy, zz of L, or NaN where the covariance has no such factor."""
     xx, xy, xz, yy, yz, zz = covariance.T
     least = -_ROUNDING * np.maximum(xx, np.maximum(yy, zz))
     l_xx = _side(xx, least)
@@ -60,19 +64,19 @@ def _side(
 def _over(
     number: Float64[np.ndarray, " n"], side: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
-    made = np.zeros_like(number)
-    return np.asarray(np.divide(number, side, where=side != 0, out=made))
+    quotient = np.zeros_like(number)
+    return np.asarray(np.divide(number, side, where=side != 0, out=quotient))
 
 
 def unpack_rows(packed: UInt32[np.ndarray, "n 8"]) -> Float32[np.ndarray, "n 10"]:
-    """Return what page.wgsl reads of packed rows."""
-    made = np.empty((len(packed), layout.ROW), np.float32)
-    made[:, :4] = packed[:, :4].view(np.float32)
-    fixed = packed[:, 4:7].copy().view(np.int16).astype(np.float32) / _ONE
+    """Unpack rows as page.wgsl does."""
+    rows = np.empty((len(packed), layout.ROW), np.float32)
+    rows[:, :4] = packed[:, :4].view(np.float32)
+    fixed = packed[:, 4:7].copy().view(np.int16).astype(np.float32) / _FIXED_POINT_ONE
     scale = packed[:, 7:].view(np.float32)
     factor = np.zeros((len(packed), 3, 3), np.float32)
     columns, lines = np.triu_indices(3)
     factor[:, lines, columns] = fixed * scale
     full = factor @ factor.transpose(0, 2, 1)
-    made[:, layout.COVARIANCE] = full[:, columns, lines]
-    return made
+    rows[:, layout.COVARIANCE] = full[:, columns, lines]
+    return rows

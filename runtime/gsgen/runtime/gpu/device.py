@@ -1,10 +1,10 @@
-"""The graphics device: opened once, shared by all that draws, with buffers that have names."""
+"""The graphics device: it creates labelled buffers and textures, and translates wgpu's errors."""
 
 __all__ = ["MAPPED_FROM", "MOST_GROUPS", "Device"]
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Final, Self, final
+from typing import Final, Self, final
 from weakref import WeakSet
 
 import numpy as np
@@ -12,26 +12,28 @@ from jaxtyping import Shaped, UInt8
 
 from gsgen.contract.errors import GsgenError
 from gsgen.runtime.errors import CapacityExceeded, DeviceLost, DeviceUnavailable, MemoryFull
+from gsgen.runtime.gpu.handles import Buffer, Encoder, RawDevice, Texture
 
 STORAGE_BUFFERS: Final = 8
-"""How many storage buffers a kernel may bind: what every WebGPU device has."""
+"""How many storage buffers a kernel may bind: the minimum of every WebGPU device."""
 
 MOST_GROUPS: Final = 65_535
-"""Workgroups that every WebGPU device dispatches in one dimension; more by a count are none."""
+"""Workgroups that every WebGPU device dispatches in one dimension; an indirect dispatch of more
+does nothing."""
 
 MAPPED_FROM: Final = 1 << 20
-"""Bytes from which on mapping a buffer takes less than the copies that it saves."""
+"""Bytes from which on mapping a buffer is faster than the copies that it saves."""
 
 _SUBGROUPS: Final = "subgroup"
 _BLENDING: Final = "float32-blendable"
 _CLOCK: Final = "timestamp-query"
 _MAPPED: Final = "mappable-primary-buffers"
-_AGAIN = (
+_RETRY_HINT = (
     "Try again; if that happens again, draw a smaller image or fewer Gaussians, or on another "
     "device: see `gsgen doctor`."
 )
 _LESS = "Draw fewer Gaussians or a smaller image, or close what else uses the device."
-_MEND = "Install a Vulkan driver; without a GPU, Mesa's lavapipe 25 or newer. See `gsgen doctor`."
+_DRIVER_HINT = "Install a Vulkan driver; without a GPU, Mesa's lavapipe 25 or newer. See `gsgen doctor`."
 
 
 @final
@@ -40,18 +42,18 @@ class Device:
 
     Attributes:
         raw: The ``wgpu.GPUDevice``.
-        name: What the adapter calls itself.
-        software: Whether the driver runs on the CPU; kernels are cut differently then.
+        name: Name of the adapter.
+        software: Whether the driver runs on the CPU; workgroups are shaped differently then.
         largest_binding: Bytes that one binding may have.
         largest_buffer: Bytes that one buffer may have.
         largest_texture: Pixels that a texture may have, a side.
-        subgroups: Whether shaders may use operations of subgroups; none has to.
+        subgroups: Whether shaders may use subgroup operations; no kernel requires them.
         blends_floats: Whether its rasteriser can blend 32-bit floats.
-        has_clock: Whether it can say when a pass begins and ends.
-        maps: Whether this process writes to where shaders read: its memory is the host's.
+        has_clock: Whether it has timestamps of passes.
+        maps: Whether this process can map the buffers that shaders read: device memory is host memory.
     """
 
-    def __init__(self, raw: Any) -> None:
+    def __init__(self, raw: RawDevice) -> None:
         info = raw.adapter.info
         self.raw = raw
         self.name: str = info["device"]
@@ -65,7 +67,7 @@ class Device:
             int(raw.limits["max-storage-buffer-binding-size"]), self.largest_buffer
         )
         self.largest_texture = int(raw.limits["max-texture-dimension-2d"])
-        self._buffers: WeakSet[Any] = WeakSet()
+        self._buffers: WeakSet[Buffer] = WeakSet()
         self._alive = self.uniform("alive", 16)
 
     @classmethod
@@ -73,7 +75,7 @@ class Device:
         """Open the fastest adapter; the environment variable WGPUPY_WGPU_ADAPTER_NAME picks another.
 
         Raises:
-            DeviceUnavailable: wgpu is not installed, no adapter is there, or it refuses.
+            DeviceUnavailable: wgpu is not installed, or there is no usable adapter.
         """
         try:
             import wgpu
@@ -84,9 +86,11 @@ class Device:
         try:
             adapter = wgpu.gpu.request_adapter_sync(power_preference="high-performance")
         except (RuntimeError, OSError, ValueError) as error:
-            raise DeviceUnavailable(f"no graphics adapter: {error}", hint=_MEND) from error
+            raise DeviceUnavailable(
+                f"no graphics adapter: {error}", hint=_DRIVER_HINT
+            ) from error
         if adapter is None:
-            raise DeviceUnavailable("no graphics adapter", hint=_MEND)
+            raise DeviceUnavailable("no graphics adapter", hint=_DRIVER_HINT)
         limits = {
             name: adapter.limits[name]
             for name in ("max-storage-buffer-binding-size", "max-buffer-size")
@@ -105,16 +109,16 @@ class Device:
             )
         except (RuntimeError, wgpu.GPUError) as error:
             raise DeviceUnavailable(
-                f"{adapter.info['device']} refuses: {error}", hint=_MEND
+                f"{adapter.info['device']} refuses: {error}", hint=_DRIVER_HINT
             ) from error
 
-    def storage(self, label: str, size: int, *, extra: str = "") -> Any:
+    def storage(self, label: str, size: int, *, extra: str = "") -> Buffer:
         """Return a new storage buffer of ``size`` bytes, which is zero.
 
         Args:
-            label: What it holds; errors name it.
+            label: Name of the buffer or texture in errors.
             size: Rounded up to whole words of 16 bytes, which kernels may read it by.
-            extra: More usages, as wgpu spells them.
+            extra: Further wgpu usages, separated by ``|``.
 
         Raises:
             CapacityExceeded: No binding may be that large.
@@ -129,8 +133,8 @@ class Device:
         usage = "STORAGE|COPY_DST|COPY_SRC" + (f"|{extra}" if extra else "")
         return self._buffer(label, max(16, -(-size // 16) * 16), usage)
 
-    def filled(self, label: str, size: int) -> Any:
-        """Return a new storage buffer that is written often, and much at a time.
+    def dynamic_storage(self, label: str, size: int) -> Buffer:
+        """Return a new storage buffer for data that changes often.
 
         Raises:
             CapacityExceeded: No binding may be that large.
@@ -139,17 +143,17 @@ class Device:
         mapped = self.maps and size >= MAPPED_FROM
         return self.storage(label, size, extra="MAP_WRITE" if mapped else "")
 
-    def can_map(self, buffer: Any) -> bool:
-        """Say whether this process can write to a buffer's own memory: to a large ``filled`` one."""
+    def can_map(self, buffer: Buffer) -> bool:
+        """Return whether this process can map a buffer: a large one of :meth:`dynamic_storage`."""
         import wgpu
 
         return bool(buffer.usage & wgpu.BufferUsage.MAP_WRITE)
 
-    def uniform(self, label: str, size: int) -> Any:
+    def uniform(self, label: str, size: int) -> Buffer:
         """Return a new uniform buffer of ``size`` bytes."""
         return self._buffer(label, -(-size // 16) * 16, "UNIFORM|COPY_DST")
 
-    def readable(self, label: str, size: int) -> Any:
+    def readable(self, label: str, size: int) -> Buffer:
         """Return a new buffer of ``size`` bytes that this process can read.
 
         Raises:
@@ -158,7 +162,7 @@ class Device:
         """
         return self._buffer(label, size, "MAP_READ|COPY_DST")
 
-    def _buffer(self, label: str, size: int, usage: str) -> Any:
+    def _buffer(self, label: str, size: int, usage: str) -> Buffer:
         import wgpu
 
         if size > self.largest_buffer:
@@ -169,26 +173,28 @@ class Device:
                 hint="Draw a smaller image, or ask for fewer outputs.",
             )
         try:
-            made = self.raw.create_buffer(label=label, size=size, usage=usage)
+            buffer = self.raw.create_buffer(label=label, size=size, usage=usage)
         except wgpu.GPUOutOfMemoryError as error:
-            held = sum(buffer.size for buffer in self._buffers)
+            allocated = sum(buffer.size for buffer in self._buffers)
             raise MemoryFull(
                 f"needs {size:,} bytes, and the memory of {self.name} is full: buffers hold "
-                f"{held:,} bytes already",
+                f"{allocated:,} bytes already",
                 where=label,
                 hint=_LESS,
             ) from error
-        self._buffers.add(made)
-        return made
+        self._buffers.add(buffer)
+        return buffer
 
-    def texture(self, label: str, size: tuple[int, int], format: str, usage: str) -> Any:
+    def texture(
+        self, label: str, size: tuple[int, int], format: str, usage: str
+    ) -> Texture:
         """Return a new texture of one level.
 
         Args:
-            label: What it holds; errors name it.
+            label: Name of the buffer or texture in errors.
             size: Width and height, in pixels.
-            format: Of a pixel, as wgpu spells it.
-            usage: As wgpu spells it.
+            format: Pixel format in wgpu's spelling.
+            usage: Usages in wgpu's spelling.
 
         Raises:
             CapacityExceeded: No texture may be that large.
@@ -207,7 +213,7 @@ class Device:
 
     @property
     def lost(self) -> bool:
-        """Whether the device went away: it refuses what no device refuses.
+        """True if the device was lost: even a write of 16 bytes fails.
 
         wgpu-py 0.32 has no promise of a loss (``lost_async`` is not implemented).
         """
@@ -221,11 +227,11 @@ class Device:
 
     @contextmanager
     def translate_errors(self) -> Iterator[None]:
-        """Say in our words what the device refuses in the block.
+        """Translate wgpu's errors in the block to those of gsgen.
 
         Raises:
-            DeviceLost: It went away.
-            MemoryFull: It has no memory left.
+            DeviceLost: The device was lost.
+            MemoryFull: The device has no memory left.
         """
         import wgpu
 
@@ -240,41 +246,41 @@ class Device:
                 raise
             raise self._gone() from error
 
-    def submit(self, encoder: Any) -> None:
-        """Let the device do what an encoder has recorded.
+    def submit(self, encoder: Encoder) -> None:
+        """Submit the commands of an encoder.
 
         Raises:
-            DeviceLost: It went away; wgpu-native would end the process.
+            DeviceLost: The device was lost; wgpu-native would end the process.
         """
         self.require()
         self.raw.queue.submit([encoder.finish()])
 
     def require(self) -> None:
-        """Make sure that the device is there, before what would end the process without it.
+        """Raise if the device was lost, before calls that would end the process then.
 
         Raises:
-            DeviceLost: It went away.
+            DeviceLost: The device was lost.
         """
         if self.lost:
             raise self._gone()
 
     def _gone(self) -> DeviceLost:
-        what = f"the graphics device was lost: {self.name}"
-        return DeviceLost(what, hint=_AGAIN)
+        message = f"the graphics device was lost: {self.name}"
+        return DeviceLost(message, hint=_RETRY_HINT)
 
     @contextmanager
     def mapped(
-        self, buffer: Any, offset: int, size: int
+        self, buffer: Buffer, offset: int, size: int
     ) -> Iterator[UInt8[np.ndarray, " n"]]:
-        """Yield the memory of a buffer, to be written.
+        """Map a buffer and yield its memory for writing.
 
         Args:
-            buffer: One that it ``can_map``, and is not at work with.
+            buffer: A buffer that :meth:`can_map` accepts and that no submitted work uses.
             offset: The first byte.
             size: How many.
 
         Raises:
-            DeviceLost: It went away.
+            DeviceLost: The device was lost.
         """
         from wgpu.backends.wgpu_native import ffi, lib
 
@@ -287,16 +293,18 @@ class Device:
         finally:
             buffer.unmap()
 
-    def write(self, buffer: Any, data: Shaped[np.ndarray, "..."], offset: int = 0) -> None:
-        """Copy an array into a buffer; odd halves are filled up to a whole word."""
+    def write(
+        self, buffer: Buffer, data: Shaped[np.ndarray, "..."], offset: int = 0
+    ) -> None:
+        """Copy an array into a buffer, padded to whole words of four bytes."""
         raw = np.ascontiguousarray(data).reshape(-1).view(np.uint8)
         if raw.size % 4:
             raw = np.concatenate([raw, np.zeros(-raw.size % 4, np.uint8)])
         if raw.size:
             self.raw.queue.write_buffer(buffer, offset, raw)
 
-    def read(self, buffer: Any, dtype: type[np.generic], count: int) -> np.ndarray:
-        """Return the first ``count`` numbers of a buffer, once the device has made them."""
+    def read(self, buffer: Buffer, dtype: type[np.generic], count: int) -> np.ndarray:
+        """Return the first ``count`` numbers of a buffer, once all submitted work is done."""
         size = count * np.dtype(dtype).itemsize
         if size == 0:
             return np.zeros(0, dtype)

@@ -1,12 +1,13 @@
-"""A clock on the device: how long each stage of a frame takes there."""
+"""Measures the GPU time of each stage of a frame by timestamps."""
 
 __all__ = ["StageClock"]
 
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Encoder, PassTimestamps, RawDevice
 
 _MOST: Final = 64  # stages of a frame; there are about ten
 _TICK: Final = 8  # bytes
@@ -15,7 +16,7 @@ _NANO: Final = 1e-9
 
 @final
 class StageClock:
-    """Timestamps before and after each stage.
+    """Timestamps before and after each stage of a frame.
 
     Software drivers may have timestamps that do not move: then every stage takes 0.
 
@@ -34,41 +35,41 @@ class StageClock:
             size=2 * _MOST * _TICK,
             usage="QUERY_RESOLVE|COPY_SRC",
         )
-        self._period = _period(raw.queue)
+        self._period = _period(raw)
         self._names: list[str] = []
 
     def begin(self) -> None:
         """Forget the stages of the frame before."""
         self._names.clear()
 
-    def around(self, stage: str) -> dict[str, Any]:
-        """Return what the pass of a stage is to write, as wgpu takes it."""
-        place = 2 * len(self._names)
+    def around(self, stage: str) -> PassTimestamps:
+        """Return the timestamp writes for the pass of a stage."""
+        index = 2 * len(self._names)
         self._names.append(stage)
         return {
             "query_set": self._ticks,
-            "beginning_of_pass_write_index": place,
-            "end_of_pass_write_index": place + 1,
+            "beginning_of_pass_write_index": index,
+            "end_of_pass_write_index": index + 1,
         }
 
-    def encode(self, encoder: Any) -> None:
-        """Put the timestamps of all passes where they can be read."""
+    def encode(self, encoder: Encoder) -> None:
+        """Encode the copy of all timestamps to a readable buffer."""
         if self._names:
             count = 2 * len(self._names)
             encoder.resolve_query_set(self._ticks, 0, count, self._resolved, 0)
 
     def seconds(self) -> dict[str, float]:
-        """Return what each stage of the last frame took; passes of one name are added."""
+        """Return the seconds of each stage of the last frame; passes of one name are added."""
         ticks = self._device.read(self._resolved, np.uint64, 2 * len(self._names))
         spans = (ticks[1::2].astype(np.int64) - ticks[::2].astype(np.int64)) * self._period
-        made = dict.fromkeys(self._names, 0.0)
+        seconds = dict.fromkeys(self._names, 0.0)
         for name, span in zip(self._names, spans, strict=True):
-            made[name] += float(span) * _NANO
-        return made
+            seconds[name] += float(span) * _NANO
+        return seconds
 
 
-def _period(queue: Any) -> float:
+def _period(raw: RawDevice) -> float:
     """Return nanoseconds a tick, which wgpu-native knows and wgpu-py has no name for yet."""
     from wgpu.backends.wgpu_native import lib
 
-    return float(lib.wgpuQueueGetTimestampPeriod(queue._internal))
+    return float(lib.wgpuQueueGetTimestampPeriod(raw.queue._internal))

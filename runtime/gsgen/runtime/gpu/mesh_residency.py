@@ -1,15 +1,16 @@
-"""What of meshes is on the GPU: their triangles and colours, for as long as anybody holds them."""
+"""Mesh residency: triangles, colours and textures of meshes on the GPU while they exist."""
 
 __all__ = ["MeshBuffers", "MeshResidency"]
 
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import UInt8
 
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer, TextureView
 from gsgen.runtime.scene.mesh import MeshData
 
 _NO_UV = np.zeros((1, 2), np.float32)
@@ -17,7 +18,7 @@ _WHITE = np.full((1, 1, 4), 255, np.uint8)
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MeshBuffers:
     """The arrays of one :class:`MeshData` on the GPU.
 
@@ -30,17 +31,17 @@ class MeshBuffers:
         count: How many triangles there are.
     """
 
-    vertices: Any
-    faces: Any
-    colors: Any
-    uvs: Any
-    picture: Any
+    vertices: Buffer
+    faces: Buffer
+    colors: Buffer
+    uvs: Buffer
+    picture: TextureView
     count: int
 
 
 @final
 class MeshResidency:
-    """Keeps each ``MeshData`` on the GPU for as long as anybody holds it.
+    """Keeps each ``MeshData`` on the GPU for as long as it exists.
 
     Args:
         device: Where the buffers are.
@@ -59,32 +60,32 @@ class MeshResidency:
         """
         if data not in self._held:
             self._held[data] = MeshBuffers(
-                self._uploaded("mesh vertices", data.vertices),
-                self._uploaded("mesh faces", data.faces),
-                self._uploaded("mesh colors", data.colors),
-                self._uploaded("mesh uv", _NO_UV if data.uv is None else data.uv),
-                self._picture(_WHITE if data.texture is None else data.texture),
-                len(data),
+                vertices=self._uploaded("mesh vertices", data.vertices),
+                faces=self._uploaded("mesh faces", data.faces),
+                colors=self._uploaded("mesh colors", data.colors),
+                uvs=self._uploaded("mesh uv", _NO_UV if data.uv is None else data.uv),
+                picture=self._picture(_WHITE if data.texture is None else data.texture),
+                count=len(data),
             )
         elif self._versions[data] != data.version:
             self._device.write(self._held[data].vertices, data.vertices)
         self._versions[data] = data.version
         return self._held[data]
 
-    def _uploaded(self, label: str, values: np.ndarray) -> Any:
+    def _uploaded(self, label: str, values: np.ndarray) -> Buffer:
         buffer = self._device.storage(label, values.nbytes)
         self._device.write(buffer, values)
         return buffer
 
-    def _picture(self, texture: UInt8[np.ndarray, "h w 4"]) -> Any:
+    def _picture(self, texture: UInt8[np.ndarray, "h w 4"]) -> TextureView:
         height, width = texture.shape[:2]
-        made = self._device.texture(
+        uploaded = self._device.texture(
             "mesh texture", (width, height), "rgba8unorm", "TEXTURE_BINDING|COPY_DST"
         )
         self._device.raw.queue.write_texture(
-            {"texture": made},
+            {"texture": uploaded},
             np.ascontiguousarray(texture),
             {"bytes_per_row": 4 * width, "rows_per_image": height},
             (width, height, 1),
         )
-        return made.create_view()
+        return uploaded.create_view()

@@ -1,4 +1,4 @@
-"""Orders along a curve: what is near in space comes to be near in memory."""
+"""Morton order: neighbours in space become neighbours in memory."""
 
 __all__ = ["along_curve"]
 
@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int64, UInt64
 
 _BITS: Final = 21  # of each coordinate at most; three of them fill a word
-_BLOCK: Final = 1 << 14  # points at a time, so that what is made of them stays in a cache
+_BLOCK: Final = 1 << 14  # points at a time, so that their codes stay in a cache
 _LEAST: Final = 1e-30  # of a box that is not one point
 # How far the bits of a number are moved, and which are kept, to make room for two others between.
 _SPREAD: Final = (
@@ -48,6 +48,6 @@ def along_curve(position: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
 
 def _spread(number: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
     """Return numbers of 21 bits with two zeros between their bits."""
-    for shift, kept in _SPREAD:
-        number = (number | (number << np.uint64(shift))) & np.uint64(kept)
+    for shift, mask in _SPREAD:
+        number = (number | (number << np.uint64(shift))) & np.uint64(mask)
     return number

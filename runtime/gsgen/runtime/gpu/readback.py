@@ -1,37 +1,38 @@
-"""Staging: what comes back from the device, by one copy, through one buffer that stays."""
+"""Read back buffers of the device by one copy through one permanent staging buffer."""
 
 __all__ = ["Staging"]
 
 from collections.abc import Iterable, Mapping
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer, Encoder
 
 _ALIGNMENT = 256
 
 
 @final
 class Staging:
-    """A buffer that the CPU can read, with a place for each of several others.
+    """A mappable buffer with room for a copy of each source buffer.
 
     Args:
         device: Of the buffers.
         sources: Buffers to be read, by name.
     """
 
-    def __init__(self, device: Device, sources: Mapping[str, Any]) -> None:
+    def __init__(self, device: Device, sources: Mapping[str, Buffer]) -> None:
         self._sources = dict(sources)
         self._offsets: dict[str, int] = {}
         size = 0
         for name, buffer in self._sources.items():
             self._offsets[name] = size
             size += -(-buffer.size // _ALIGNMENT) * _ALIGNMENT
-        self._buffer = device.readable("what comes back from the device", size)
+        self._buffer = device.readable("staging", size)
 
-    def encode(self, encoder: Any, names: Iterable[str] | None = None) -> None:
-        """Copy sources, all where absent, once what is encoded before has run."""
+    def encode(self, encoder: Encoder, names: Iterable[str] | None = None) -> None:
+        """Encode the copy of the named sources, or of all."""
         for name in self._sources if names is None else names:
             source = self._sources[name]
             encoder.copy_buffer_to_buffer(

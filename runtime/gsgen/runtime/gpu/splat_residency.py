@@ -1,4 +1,4 @@
-"""What is on the GPU: the rows of every set, in pages that no binding outgrows."""
+"""Splat residency: the rows of every set on the GPU, in pages no larger than a binding."""
 
 __all__ = ["PAGE_ROWS", "Page", "Residency", "bytes_of", "stride"]
 
@@ -14,6 +14,7 @@ from jaxtyping import Float, Float32, UInt32
 from gsgen.contract.spec import layout
 from gsgen.runtime.gpu.compact_rows import PACKED_BYTES, pack_rows
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.spatial_order import ARRANGED_FROM, SpatialOrder
 from gsgen.runtime.gpu.upload import Target, upload
 from gsgen.runtime.scene.splat_data import SplatData
@@ -24,8 +25,8 @@ PAGE_ROWS: Final = 1 << 18
 _WORD: Final = 16
 
 
-def stride(channels: int, half: bool) -> int:
-    """Return how long a row of the appearance is on the GPU, in words of 16 bytes.
+def stride(channels: int, *, half: bool) -> int:
+    """Return the length of an appearance row on the GPU, in words of 16 bytes.
 
     Shaders read it by such words, so rows are filled up to whole ones; 0 means that two rows
     share one.
@@ -37,13 +38,13 @@ def stride(channels: int, half: bool) -> int:
 def bytes_of(data: SplatData, *, compact: bool) -> int:
     """Return how many bytes the rows of a set, their appearance and its cells take on the GPU."""
     half = compact or data.appearance.dtype == np.float16
-    row = _bytes_of_row(compact and data.cells is None)
-    row += _bytes_of_appearance(stride(data.appearance.shape[1], half))
+    row = _bytes_of_row(packed=compact and data.cells is None)
+    row += _bytes_of_appearance(stride(data.appearance.shape[1], half=half))
     cells = 0 if data.cells is None else 4 * layout.ROW * len(data.cells)
     return len(data) * row + cells
 
 
-def _bytes_of_row(packed: bool) -> int:
+def _bytes_of_row(*, packed: bool) -> int:
     return PACKED_BYTES if packed else 4 * layout.ROW
 
 
@@ -52,9 +53,9 @@ def _bytes_of_appearance(stride: int) -> int:
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Page:
-    """Some rows of one set, on the GPU.
+    """Consecutive rows of one set in GPU buffers.
 
     Attributes:
         first: Index of the page's first row in the set.
@@ -63,25 +64,25 @@ class Page:
         appearance: Buffer of their appearance.
         half: Whether the appearance is float16 there.
         stride: Of the appearance, in words of 16 bytes; 0 where two rows share one.
-        packed: Whether rows are, as packing.py says.
+        packed: Whether rows are, as compact_rows.py does.
         cells: Buffer of all cells of the set, where it has some.
         rows_of: Which row of the set each of the page's rows is, where they are arranged.
     """
 
     first: int
     capacity: int
-    rows: Any
-    appearance: Any
+    rows: Buffer
+    appearance: Buffer
     half: bool
     stride: int
     packed: bool = False
-    cells: Any = None
+    cells: Buffer | None = None
     rows_of: UInt32[np.ndarray, " n"] | None = None
 
 
 def _rows_of(page: Page, first: int, rows: Float[np.ndarray, "n 10"]) -> Target:
     make = pack_rows if page.packed else None if rows.dtype == np.float32 else _wide
-    return Target(page.rows, first, _bytes_of_row(page.packed), make)
+    return Target(page.rows, first, _bytes_of_row(packed=page.packed), make)
 
 
 def _wide(rows: Float[np.ndarray, "n 10"]) -> Float32[np.ndarray, "n 10"]:
@@ -100,16 +101,16 @@ def _typed(
     appearance: Float[np.ndarray, "n c"], dtype: np.dtype[Any], size: int
 ) -> Float[np.ndarray, "n d"]:
     """Return appearance of another type, with zeros up to rows of ``size`` bytes."""
-    made = np.zeros((len(appearance), size // dtype.itemsize), dtype)
+    converted = np.zeros((len(appearance), size // dtype.itemsize), dtype)
     with np.errstate(over="ignore"):  # what float16 cannot hold is infinite, and not drawn
-        made[:, : appearance.shape[1]] = appearance
-    return made
+        converted[:, : appearance.shape[1]] = appearance
+    return converted
 
 
 @final
 @dataclass(slots=True, eq=False)
 class _Filled:
-    """How much of one array is on the GPU.
+    """The uploaded part of one array.
 
     Attributes:
         version: Which version of it.
@@ -120,7 +121,7 @@ class _Filled:
     rows: int = 0
 
     def missing(self, version: int, live: int) -> Iterator[slice]:
-        """Yield the live rows that are not there, if any, and count them as there."""
+        """Yield the live rows that are not uploaded, if any, and count them as uploaded."""
         first = self.rows if self.version == version else 0
         if live > first:
             yield slice(first, live)
@@ -129,7 +130,7 @@ class _Filled:
 
 @final
 class _State(NamedTuple):
-    """What the values of a set were when a frame began: their versions, and how many are live."""
+    """Versions of a set's arrays at the start of a frame, and its count of live rows."""
 
     rows: int
     appearance: int
@@ -137,14 +138,14 @@ class _State(NamedTuple):
 
 
 @final
-@dataclass(slots=True, eq=False)
-class _Held:
-    """What is on the GPU of one ``SplatData``: its pages, and how far each array fills them.
+@dataclass(slots=True, eq=False, kw_only=True)
+class _Resident:
+    """The pages of one ``SplatData`` on the GPU, and the rows that are uploaded.
 
     Attributes:
-        state: What the values were when the last frame began.
-        order: Which row is where, if they are arranged.
-        left: Whether they stay in their own order.
+        state: Versions at the start of the last frame.
+        order: Spatial order of the rows, if they have one.
+        is_unordered: Whether the rows keep their own order for good.
     """
 
     pages: list[Page]
@@ -153,11 +154,11 @@ class _Held:
     cells: _Filled
     state: _State | None = None
     order: SpatialOrder | None = None
-    left: bool = False
+    is_unordered: bool = False
 
 
 def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
-    """Yield which rows of ``live`` each page has, and from which of its own rows on."""
+    """Yield each page with its part of ``live`` and the index of its first such row."""
     for page in pages:
         first = max(live.start, page.first)
         last = min(live.stop, page.first + page.capacity)
@@ -167,7 +168,7 @@ def _parts(pages: list[Page], live: slice) -> Iterator[tuple[Page, slice, int]]:
 
 @final
 class Residency:
-    """Keeps each ``SplatData`` on the GPU for as long as anybody holds it.
+    """Keeps each ``SplatData`` on the GPU for as long as it exists.
 
     Args:
         device: Where the buffers are.
@@ -181,7 +182,7 @@ class Residency:
         self._compact = compact
         self._device = device
         self._page_rows = page_rows
-        self._held: WeakKeyDictionary[SplatData, _Held]
+        self._held: WeakKeyDictionary[SplatData, _Resident]
         self._held = WeakKeyDictionary()
 
     def begin(self, data: SplatData) -> None:
@@ -193,116 +194,130 @@ class Residency:
         order costs as much as another. Elsewhere they go back to their own for good, and so do
         those of a set whose count changes.
         """
-        held = self._hold(data)
+        resident = self._hold(data)
         now = _State(data.rows_version, data.appearance_version, data.count)
-        if held.state is not None:
-            self._follow(data, held, held.state, now)
-        held.state = (
+        if resident.state is not None:
+            self._follow(data, resident, resident.state, now)
+        resident.state = (
             now  # not before: where there is no memory, the next frame has to follow
         )
 
-    def _follow(self, data: SplatData, held: _Held, before: _State, now: _State) -> None:
-        """Have the rows as they should be after another frame."""
+    def _follow(
+        self, data: SplatData, resident: _Resident, before: _State, now: _State
+    ) -> None:
+        """Choose the order and the packing of rows after a frame."""
         moved = before.rows != now.rows
         if moved:
-            self._unpack(held)
+            self._unpack(resident)
         if before != now and not (self._device.maps and before.live == now.live):
-            if held.order is not None:
-                self.leave(data)
-        elif held.left or len(data) < ARRANGED_FROM or data.cells is not None:
+            if resident.order is not None:
+                self.restore_order(data)
+        elif resident.is_unordered or len(data) < ARRANGED_FROM or data.cells is not None:
             return
-        elif held.order is None or (moved and not held.order.lasts(data)):
-            self._arrange(held, SpatialOrder.found(data))
+        elif resident.order is None or (
+            moved and not resident.order.is_valid_after_change(data)
+        ):
+            self._arrange(resident, SpatialOrder.of(data))
 
-    def leave(self, data: SplatData) -> None:
-        """Have the rows in their own order, now and from now on."""
-        held = self._hold(data)
-        held.left = True
-        self._arrange(held, None)
+    def restore_order(self, data: SplatData) -> None:
+        """Restore the rows' own order for good."""
+        resident = self._hold(data)
+        resident.is_unordered = True
+        self._arrange(resident, None)
 
-    def _unpack(self, held: _Held) -> None:
-        """Have rows as they are, since they change: packing them takes longer than a frame."""
-        if any(page.packed for page in held.pages):
-            size = _bytes_of_row(False)
-            held.rows = _Filled()
-            held.pages = [
+    def _unpack(self, resident: _Resident) -> None:
+        """Store rows unpacked, since they change: packing them takes longer than a frame."""
+        if any(page.packed for page in resident.pages):
+            size = _bytes_of_row(packed=False)
+            resident.rows = _Filled()
+            resident.pages = [
                 replace(
                     page,
                     packed=False,
-                    rows=self._device.filled("rows", size * page.capacity),
+                    rows=self._device.dynamic_storage("rows", size * page.capacity),
                 )
-                for page in held.pages
+                for page in resident.pages
             ]
 
-    def _arrange(self, held: _Held, order: SpatialOrder | None) -> None:
-        """Have the rows in another order; they are to be written again."""
-        held.order = order
-        held.rows, held.appearance = _Filled(), _Filled()
-        held.pages = [
+    def _arrange(self, resident: _Resident, order: SpatialOrder | None) -> None:
+        """Set another order of the rows; all are uploaded again."""
+        resident.order = order
+        resident.rows, resident.appearance = _Filled(), _Filled()
+        resident.pages = [
             replace(
                 page,
                 rows_of=None
                 if order is None
                 else order.rows[page.first : page.first + page.capacity],
             )
-            for page in held.pages
+            for page in resident.pages
         ]
 
-    def _hold(self, data: SplatData) -> _Held:
+    def _hold(self, data: SplatData) -> _Resident:
         if data not in self._held:
-            filled = (_Filled(), _Filled(), _Filled())
-            self._held[data] = _Held(list(self._allocate(data)), *filled)
+            self._held[data] = _Resident(
+                pages=list(self._allocate(data)),
+                rows=_Filled(),
+                appearance=_Filled(),
+                cells=_Filled(),
+            )
         return self._held[data]
 
     def pages(self, data: SplatData) -> list[Page]:
         """Return the pages of ``data``, with its present values in all live rows of them."""
-        held = self._hold(data)
-        for live in held.rows.missing(data.rows_version, data.count):
-            self._upload(held, live, data.rows, _rows_of)
-        for live in held.appearance.missing(data.appearance_version, data.count):
-            self._upload(held, live, data.appearance, _appearance_of)
-        self._write_cells(data, held)
-        return held.pages
+        resident = self._hold(data)
+        for live in resident.rows.missing(data.rows_version, data.count):
+            self._upload(resident, live, data.rows, _rows_of)
+        for live in resident.appearance.missing(data.appearance_version, data.count):
+            self._upload(resident, live, data.appearance, _appearance_of)
+        self._write_cells(data, resident)
+        return resident.pages
 
     def _upload(
         self,
-        held: _Held,
+        resident: _Resident,
         live: slice,
         array: Float[np.ndarray, "n c"],
         target: Callable[[Page, int, np.ndarray], Target],
     ) -> None:
         """Write live rows of an array into what pages have for it."""
-        for page, part, first in _parts(held.pages, live):
+        for page, part, first in _parts(resident.pages, live):
             to = target(page, first, array)
-            if held.order is None:
+            if resident.order is None:
                 upload(self._device, to, array[part])
             else:
-                upload(self._device, to, array, held.order.rows[part])
+                upload(self._device, to, array, resident.order.rows[part])
 
-    def _write_cells(self, data: SplatData, held: _Held) -> None:
-        if data.cells is None or not held.pages:
+    def _write_cells(self, data: SplatData, resident: _Resident) -> None:
+        if data.cells is None or not resident.pages:
             return
-        for part in held.cells.missing(data.cells_version, len(data.cells)):
+        for part in resident.cells.missing(data.cells_version, len(data.cells)):
             make = None if data.cells.dtype == np.float32 else _wide
-            to = Target(held.pages[0].cells, part.start, _bytes_of_row(False), make)
+            to = Target(
+                resident.pages[0].cells, part.start, _bytes_of_row(packed=False), make
+            )
             upload(self._device, to, data.cells[part])
 
     def _allocate(self, data: SplatData) -> Iterator[Page]:
         half = self._compact or data.appearance.dtype == np.float16
-        words = stride(data.appearance.shape[1], half)
+        words = stride(data.appearance.shape[1], half=half)
         packed = self._compact and data.cells is None
         cells = None
         if data.cells is not None:
-            cells = self._device.filled("cells", 4 * layout.ROW * len(data.cells))
+            cells = self._device.dynamic_storage("cells", 4 * layout.ROW * len(data.cells))
         for first in range(0, len(data), self._page_rows):
             capacity = min(self._page_rows, len(data) - first)
             yield Page(
-                first,
-                capacity,
-                self._device.filled("rows", capacity * _bytes_of_row(packed)),
-                self._device.filled("appearance", capacity * _bytes_of_appearance(words)),
-                half,
-                words,
-                packed,
-                cells,
+                first=first,
+                capacity=capacity,
+                rows=self._device.dynamic_storage(
+                    "rows", capacity * _bytes_of_row(packed=packed)
+                ),
+                appearance=self._device.dynamic_storage(
+                    "appearance", capacity * _bytes_of_appearance(words)
+                ),
+                half=half,
+                stride=words,
+                packed=packed,
+                cells=cells,
             )

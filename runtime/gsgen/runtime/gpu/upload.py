@@ -1,15 +1,16 @@
-"""Uploading: rows of an array on their way into a buffer, by as few copies as the device allows."""
+"""Upload rows of an array into a buffer with as few copies as the device allows."""
 
 __all__ = ["Target", "upload"]
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import Shaped, UInt32
 
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
 
 _BLOCK: Final = 1 << 13  # rows that are made at a time, so that they stay in a cache
 
@@ -20,13 +21,13 @@ class Target:
     """Rows of a buffer.
 
     Attributes:
-        buffer: A ``filled`` one.
+        buffer: A buffer of ``Device.dynamic_storage``.
         first: The first of them.
         size: Bytes of each.
         make: Turns rows of an array into such rows; None where they are the same, bit by bit.
     """
 
-    buffer: Any
+    buffer: Buffer
     first: int
     size: int
     make: Callable[[Shaped[np.ndarray, "n c"]], Shaped[np.ndarray, "n d"]] | None = None
@@ -44,35 +45,35 @@ def upload(
     Elsewhere wgpu copies them to memory that it claims for that, and from there to the device.
 
     Args:
-        device: Of the buffer; it is not at work with it.
-        target: Where they come.
-        array: All rows that there are.
-        order: Which of them, one after the other; all where absent.
+        device: Device of the buffer; no submitted work may use it.
+        target: Rows of the buffer.
+        array: All rows.
+        order: Indices of the rows to write, in order; all rows if None.
     """
     start, make = target.first * target.size, target.make
     count = len(array) if order is None else len(order)
     if not device.can_map(target.buffer):
-        some = array if order is None else array.take(order, axis=0)
-        device.write(target.buffer, some if make is None else make(some), start)
+        rows = array if order is None else array.take(order, axis=0)
+        device.write(target.buffer, rows if make is None else make(rows), start)
         return
     with device.mapped(target.buffer, start, count * target.size) as memory:
         if make is None:
-            place = memory.view(array.dtype).reshape(count, -1)
-            _copy(array, order, place)
+            destination = memory.view(array.dtype).reshape(count, -1)
+            _copy(array, order, destination)
             return
         for first in range(0, count, _BLOCK):
             part = slice(first, first + _BLOCK)
-            some = array[part] if order is None else array.take(order[part], axis=0)
-            place = memory[first * target.size : (first + len(some)) * target.size]
-            place[:] = make(some).reshape(-1).view(np.uint8)
+            rows = array[part] if order is None else array.take(order[part], axis=0)
+            destination = memory[first * target.size : (first + len(rows)) * target.size]
+            destination[:] = make(rows).reshape(-1).view(np.uint8)
 
 
 def _copy(
     array: Shaped[np.ndarray, "n c"],
     order: UInt32[np.ndarray, " m"] | None,
-    place: Shaped[np.ndarray, "m c"],
+    destination: Shaped[np.ndarray, "m c"],
 ) -> None:
     if order is None:
-        np.copyto(place, array)
+        np.copyto(destination, array)
     else:  # "clip" alone writes without a copy between; all are within the array
-        array.take(order, axis=0, out=place, mode="clip")
+        array.take(order, axis=0, out=destination, mode="clip")

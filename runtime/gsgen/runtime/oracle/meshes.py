@@ -19,8 +19,8 @@ from gsgen.runtime.scene.mesh import Mesh
 
 _AMBIENT: Final = 0.2
 # What changes within so many pixels, rounding may decide.
-_BESIDE: Final = 1 / 1024
-_SHIFTS: Final = np.array([[0, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]]) * _BESIDE
+_SAMPLE_OFFSET: Final = 1 / 1024
+_SHIFTS: Final = np.array([[0, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]]) * _SAMPLE_OFFSET
 _JUMP: Final = 1e-2  # of colours, normals, and depths by their share
 
 
@@ -30,10 +30,10 @@ class Surface:
     """The first surface that each pixel's ray meets.
 
     Attributes:
-        depth: Along the camera's +z, or from a panorama's centre; infinite where there is none.
+        depth: Along the camera's +z, or from a panorama's centre; infinite where no mesh is.
         color: In the scene's colour space.
         normal: Unit vectors in world space that point towards the camera.
-        fragile: Pixels at an edge of what is seen, where rounding may decide otherwise.
+        fragile: Pixels at an edge of a visible surface, where rounding may decide otherwise.
     """
 
     depth: Float[np.ndarray, "h w"]
@@ -67,17 +67,19 @@ def cast(
             met = _met(triangle, start[part], ahead[part], camera.near)
             if met is None:
                 continue
-            at, weights, upright = met
-            nearer = at < depth[part]
-            depth[part] = np.where(nearer, at, depth[part])
+            hit_depth, weights, upright = met
+            nearer = hit_depth < depth[part]
+            depth[part] = np.where(nearer, hit_depth, depth[part])
             facing = (ahead[part] @ upright)[..., None]
             toward = np.where(facing > 0, -upright, upright)
             normal[part] = np.where(nearer[..., None], toward, normal[part])
-            own = _converted(_color(mesh, face, weights), mesh, color_space)
+            mesh_color = _converted(_color(mesh, face, weights), mesh, color_space)
             if mesh.shading == "headlight":
                 length = np.linalg.norm(ahead[part], axis=-1, keepdims=True)
-                own = own * (_AMBIENT + (1 - _AMBIENT) * np.abs(facing) / length)
-            color[part] = np.where(nearer[..., None], own, color[part])
+                mesh_color = mesh_color * (
+                    _AMBIENT + (1 - _AMBIENT) * np.abs(facing) / length
+                )
+            color[part] = np.where(nearer[..., None], mesh_color, color[part])
     return Surface(depth[0], color[0], normal[0], _edges(depth, color, normal))
 
 
@@ -88,31 +90,31 @@ def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     shape = (len(_SHIFTS), camera.height, camera.width)
     across = np.broadcast_to(((x - camera.cx) / camera.fx)[:, None, :], shape)
     down = np.broadcast_to(((y - camera.cy) / camera.fy)[:, :, None], shape)
-    none, one = np.zeros(shape), np.ones(shape)
+    none, ones = np.zeros(shape), np.ones(shape)
     to_world = camera.view[:3, :3]  # rows times R are Rᵀ times columns
     if camera.kind == "orthographic":
         start = np.stack([across, down, none], -1) @ to_world + camera.eye
-        return start, np.stack([none, none, one], -1) @ to_world
+        return start, np.stack([none, none, ones], -1) @ to_world
     start = np.broadcast_to(camera.eye, (*shape, 3))
     if camera.kind == "panorama":  # points of the unit sphere by longitude and latitude
         level = np.cos(down)
         around = [level * np.sin(across), np.sin(down), level * np.cos(across)]
         return start, np.stack(around, -1) @ to_world
-    return start, np.stack([across, down, one], -1) @ to_world
+    return start, np.stack([across, down, ones], -1) @ to_world
 
 
 def _window(triangle: np.ndarray, camera: Camera) -> tuple[slice, slice]:
     """Return rows and columns that the triangle may cover: all, where that is not plain."""
-    at = triangle @ camera.view[:3, :3].T + camera.view[:3, 3]
+    corners = triangle @ camera.view[:3, :3].T + camera.view[:3, 3]
     everything = slice(0, camera.height), slice(0, camera.width)
     if camera.kind == "panorama":
         return everything
     if camera.kind == "pinhole":
-        if not (at[:, 2] > 0.5 * camera.near).all():
+        if not (corners[:, 2] > 0.5 * camera.near).all():
             return everything
-        at = at[:, :2] / at[:, 2:]
-    x = camera.fx * at[:, 0] + camera.cx
-    y = camera.fy * at[:, 1] + camera.cy
+        corners = corners[:, :2] / corners[:, 2:]
+    x = camera.fx * corners[:, 0] + camera.cx
+    y = camera.fy * corners[:, 1] + camera.cy
     low = np.clip(np.floor([y.min() - 1, x.min() - 1]), 0, None).astype(int)
     high = np.clip(np.ceil([y.max() + 1, x.max() + 1]), 0, None).astype(int)
     return slice(low[0], high[0]), slice(low[1], high[1])
@@ -129,8 +131,8 @@ def _met(
         return None
     upright = area / size
     with np.errstate(all="ignore"):
-        at = ((a - start) @ upright) / (ahead @ upright)
-        point = start + at[..., None] * ahead
+        distance = ((a - start) @ upright) / (ahead @ upright)
+        point = start + distance[..., None] * ahead
         weights = np.stack(
             [
                 np.cross(second - point, third - point) @ upright / size
@@ -138,8 +140,8 @@ def _met(
             ],
             -1,
         )
-        hit = (weights >= 0).all(axis=-1) & (at > near)
-    return np.where(hit, at, np.inf), np.where(hit[..., None], weights, 0), upright
+        hit = (weights >= 0).all(axis=-1) & (distance > near)
+    return np.where(hit, distance, np.inf), np.where(hit[..., None], weights, 0), upright
 
 
 def _color(mesh: Mesh, face: int, weights: np.ndarray) -> np.ndarray:
@@ -155,7 +157,7 @@ def _color(mesh: Mesh, face: int, weights: np.ndarray) -> np.ndarray:
 def _texel(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Return the texture between its texels, which repeats; (0, 0) is its lower left corner."""
     height, width = texture.shape[:2]
-    made = np.zeros((*uv.shape[:-1], 3))
+    blended = np.zeros((*uv.shape[:-1], 3))
     x, y = uv[..., 0] * width - 0.5, (1 - uv[..., 1]) * height - 0.5
     for right in (0, 1):
         for below in (0, 1):
@@ -163,9 +165,9 @@ def _texel(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
             share = np.maximum(1 - np.abs(x - column), 0) * np.maximum(
                 1 - np.abs(y - row), 0
             )
-            own = texture[(row % height).astype(int), (column % width).astype(int), :3]
-            made += share[..., None] * (own / 255.0)
-    return made
+            color = texture[(row % height).astype(int), (column % width).astype(int), :3]
+            blended += share[..., None] * (color / 255.0)
+    return blended
 
 
 def _converted(color: np.ndarray, mesh: Mesh, space: str) -> np.ndarray:
@@ -179,9 +181,9 @@ def _converted(color: np.ndarray, mesh: Mesh, space: str) -> np.ndarray:
 
 def _edges(depth: np.ndarray, color: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Say which pixels see something else a little beside their centres."""
-    there = np.isfinite(depth)
-    edge = (there != there[0]).any(axis=0)
-    near = np.where(there, depth, 0)
+    is_hit = np.isfinite(depth)
+    edge = (is_hit != is_hit[0]).any(axis=0)
+    near = np.where(is_hit, depth, 0)
     edge |= (np.abs(near - near[0]) > _JUMP * near[0]).any(axis=0)
     for image in (color, normal):
         edge |= (np.abs(image - image[0]) > _JUMP).any(axis=(0, 3))

@@ -16,27 +16,32 @@ from typing import Final
 import numpy as np
 
 from gsgen.runtime.oracle.meshes import Surface, cast
-from gsgen.runtime.oracle.projection import Picture, across, colors, ellipses, normals
+from gsgen.runtime.oracle.projection import (
+    BAND,
+    MOST_ALPHA,
+    TIE,
+    Picture,
+    across,
+    colors,
+    ellipses,
+    normals,
+)
 from gsgen.runtime.oracle.weighted_sums import Veil, alone, sums
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 
 _CULL: Final = 1 / 255
-_MOST: Final = 0.99
 _FINISHED: Final = 1e-4
 
-# Within these shares of a threshold, float32 may decide otherwise.
-_BAND: Final = 2e-3
-_TIE: Final = 1e-12  # of a depth: two floats tell more, even where they are added up
 _TOUCH: Final = 1e-4  # a Gaussian and a mesh so near to each other
 # Within so many pixels of half a turn, it may find the other side of a Gaussian.
 _HALF_TURN: Final = 2e-3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Splats:
-    """Projected Gaussians: mean, 2D covariance, opacity, depth, colour, normal, place."""
+    """Projected Gaussians: mean, 2D covariance, opacity, depth, colour, normal, index."""
 
     mean: np.ndarray
     covariance: np.ndarray
@@ -44,7 +49,7 @@ class _Splats:
     depth: np.ndarray
     color: np.ndarray
     normal: np.ndarray
-    place: np.ndarray
+    index: np.ndarray
 
 
 def render(
@@ -64,18 +69,23 @@ def render(
     """
     walls = cast(scene.meshes, camera, scene.color_space)
     veil = sums(scene, camera, walls.depth)
-    if not scene.meshes and scene.sets and all(one.weighted for one in scene.sets):
-        return alone(veil, background, published)
+    if (
+        not scene.meshes
+        and scene.sets
+        and all(splat_set.weighted for splat_set in scene.sets)
+    ):
+        return alone(veil, background, published=published)
     first, parts = 0, [_project(SplatSet(_nobody()), camera, 0)]
-    for one in scene.sets:
-        if one.weighted is None:
-            parts.append(_project(one, camera, first))
-        first += len(one.data)
+    for splat_set in scene.sets:
+        if splat_set.weighted is None:
+            parts.append(_project(splat_set, camera, first))
+        first += len(splat_set.data)
     names = _Splats.__slots__
-    joined = [np.concatenate([getattr(part, name) for part in parts]) for name in names]
-    splats = _Splats(*joined)
-    order = np.argsort(splats.depth, kind="stable")
-    ordered = _Splats(*(column[order] for column in joined))
+    joined = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in names
+    }
+    order = np.argsort(joined["depth"], kind="stable")
+    ordered = _Splats(**{name: column[order] for name, column in joined.items()})
     return _blend(ordered, camera, background, walls, veil.veil())
 
 
@@ -83,26 +93,37 @@ def _nobody() -> SplatData:
     return SplatData(np.zeros((0, 10), np.float32), np.zeros((0, 3), np.float32), "rgb")
 
 
-def _project(one: SplatSet, camera: Camera, first: int) -> _Splats:
-    data = one.data
+def _project(splat_set: SplatSet, camera: Camera, first: int) -> _Splats:
+    data = splat_set.data
     rows = data.rows[: data.count].astype(np.float64)
-    found = ellipses(rows, one, camera)
+    shapes = ellipses(rows, splat_set, camera)
     with np.errstate(all="ignore"):  # rows that are not finite are dropped at the end
-        opacity = np.minimum(rows[:, 3] * one.opacity_scale, 1)
-        if one.antialias == "mip":
-            ratio = np.linalg.det(found.bare) / np.linalg.det(found.wide)
+        opacity = np.minimum(rows[:, 3] * splat_set.opacity_scale, 1)
+        if splat_set.antialias == "mip":
+            ratio = np.linalg.det(shapes.covariance) / np.linalg.det(shapes.dilated)
             opacity = opacity * np.sqrt(np.maximum(ratio, 0))
-        color = colors(one, camera)
-        low, high = (-np.inf, np.inf) if one.clip is None else (one.clip.low, one.clip.high)
-        kept = found.sound & (found.depth > camera.near) & (opacity >= _CULL)
-        kept &= ((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)
-        kept &= np.isfinite(color).all(axis=1)
+        color = colors(splat_set, camera)
+        low, high = (
+            (-np.inf, np.inf)
+            if splat_set.clip is None
+            else (splat_set.clip.low, splat_set.clip.high)
+        )
+        drawn = shapes.sound & (shapes.depth > camera.near) & (opacity >= _CULL)
+        drawn &= ((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)
+        drawn &= np.isfinite(color).all(axis=1)
     normal = np.zeros((len(rows), 3))
-    normal[kept] = normals(found, kept, camera)
-    place = np.arange(first, first + len(rows))
-    shown = np.maximum(color, 0)
-    columns = (found.mean, found.wide, opacity, found.depth, shown, normal, place)
-    return _Splats(*(column[kept] for column in columns))
+    normal[drawn] = normals(shapes, drawn, camera)
+    index = np.arange(first, first + len(rows))
+    clamped = np.maximum(color, 0)
+    return _Splats(
+        mean=shapes.mean[drawn],
+        covariance=shapes.dilated[drawn],
+        opacity=opacity[drawn],
+        depth=shapes.depth[drawn],
+        color=clamped[drawn],
+        normal=normal[drawn],
+        index=index[drawn],
+    )
 
 
 def _blend(
@@ -117,47 +138,40 @@ def _blend(
     through, depth = np.ones((height, width)), np.zeros((height, width))
     median = np.full((height, width), np.inf)
     ids = np.full((height, width), -1)
-    done = np.zeros((height, width), bool)
-    fragile, fragile_median = walls.fragile | veil.fragile, done.copy()
+    finished = np.zeros((height, width), bool)
+    fragile, fragile_median = walls.fragile | veil.fragile, finished.copy()
     waiting = np.isfinite(veil.depth)
     close = _ties(splats.depth)
-    nearer_hit = done.copy()
+    nearer_hit = finished.copy()
     visible = 0
     for i in range(len(splats.depth)):
         window = _window(splats, i, camera)
         if window is None:
             nearer_hit[:] = False
             continue
-        rows, columns = window
-        dx = across(np.arange(columns.start, columns.stop) + 0.5, splats.mean[i, 0], camera)
-        dy = np.arange(rows.start, rows.stop)[:, None] + 0.5 - splats.mean[i, 1]
-        (a, b), (_, c) = np.linalg.inv(splats.covariance[i])
-        bare = splats.opacity[i] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy)
-        alpha = np.minimum(bare, _MOST)
+        unclamped, dx = _opacity(splats, i, window, camera)
+        alpha = np.minimum(unclamped, MOST_ALPHA)
         covered = np.zeros_like(waiting)
         covered[window] = (waiting[window]) & (splats.depth[i] > veil.depth[window])
         _cover(covered, veil, color, normal, depth, through, median, fragile_median)
         waiting &= ~covered
         before = through[window].copy()
         in_front = splats.depth[i] <= walls.depth[window]
-        hit = (alpha >= _CULL) & ~done[window] & in_front
+        hit = (alpha >= _CULL) & ~finished[window] & in_front
         visible += bool((alpha >= _CULL).any())
         after = before * (1 - alpha)
         stop = hit & (after <= _FINISHED)
-        near_edge = np.abs(bare / _CULL - 1) <= _BAND
-        if camera.kind == "panorama":
-            behind = np.abs(np.abs(dx) - np.pi * camera.fx) <= _HALF_TURN
-            near_edge |= behind & (alpha >= _CULL * (1 - _BAND))
-        beside = np.abs(splats.depth[i] - walls.depth[window]) <= _TOUCH * splats.depth[i]
-        beside |= np.abs(splats.depth[i] - veil.depth[window]) <= _TOUCH * splats.depth[i]
-        fragile[window] |= ~done[window] & (alpha >= _CULL) & beside
-        near_stop = hit & (np.abs(after / _FINISHED - 1) <= _BAND)
-        fragile[window] |= ~done[window] & (near_edge | near_stop)
+        near_edge = _is_near_edge(unclamped, dx, camera)
+        near_wall = _touches(splats.depth[i], walls.depth[window])
+        near_wall |= _touches(splats.depth[i], veil.depth[window])
+        fragile[window] |= ~finished[window] & (alpha >= _CULL) & near_wall
+        near_stop = hit & (np.abs(after / _FINISHED - 1) <= BAND)
+        fragile[window] |= ~finished[window] & (near_edge | near_stop)
         if close[i]:
             fragile[window] |= hit & nearer_hit[window]
         nearer_hit[:] = False
         nearer_hit[window] = hit
-        done[window] |= stop
+        finished[window] |= stop
         drawn = hit & ~stop
         amount = np.where(drawn, alpha * before, 0)
         color[window] += amount[..., None] * splats.color[i]
@@ -165,34 +179,66 @@ def _blend(
         depth[window] += amount * splats.depth[i]
         halved = hit & (before >= 0.5) & (after < 0.5)
         median[window] = np.where(halved, splats.depth[i], median[window])
-        ids[window] = np.where(halved, splats.place[i], ids[window])
-        fragile_median[window] |= hit & (np.abs(after - 0.5) <= _BAND)
+        ids[window] = np.where(halved, splats.index[i], ids[window])
+        fragile_median[window] |= hit & (np.abs(after - 0.5) <= BAND)
         through[window] = np.where(drawn, after, before)
     _cover(waiting, veil, color, normal, depth, through, median, fragile_median)
-    # What is left goes to the meshes, and behind them there is nothing to see.
+    # The remaining light goes to the meshes, and nothing behind them is visible.
     wall = np.isfinite(walls.depth)
-    rest = np.where(wall, through, 0)
-    color += rest[..., None] * walls.color
-    normal += rest[..., None] * walls.normal
-    depth += rest * np.where(wall, walls.depth, 0)
+    remaining = np.where(wall, through, 0)
+    color += remaining[..., None] * walls.color
+    normal += remaining[..., None] * walls.normal
+    depth += remaining * np.where(wall, walls.depth, 0)
     median = np.where(wall & (through >= 0.5), walls.depth, median)
-    through = through - rest
+    through = through - remaining
     alpha_all = 1 - through
-    red, green, blue, opaque = background
-    color += through[..., None] * np.array([red, green, blue]) * opaque
-    rgba = np.concatenate([color, (alpha_all + through * opaque)[..., None]], axis=-1)
     covered = alpha_all > 0
     size = np.linalg.norm(normal, axis=-1, keepdims=True)
     return Picture(
-        rgba,
-        np.where(covered, depth / np.where(covered, alpha_all, 1), np.inf),
-        median,
-        ids,
-        normal / np.where(size > 0, size, 1),
-        fragile,
-        fragile_median | fragile,
-        visible,
+        rgba=_over(background, color, through),
+        depth=np.where(covered, depth / np.where(covered, alpha_all, 1), np.inf),
+        median_depth=median,
+        ids=ids,
+        normal=normal / np.where(size > 0, size, 1),
+        fragile=fragile,
+        fragile_median=fragile_median | fragile,
+        visible=visible,
     )
+
+
+def _opacity(
+    splats: _Splats, i: int, window: tuple[slice, slice], camera: Camera
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a Gaussian's opacity at the pixels of a window, and their horizontal distances."""
+    rows, columns = window
+    dx = across(np.arange(columns.start, columns.stop) + 0.5, splats.mean[i, 0], camera)
+    dy = np.arange(rows.start, rows.stop)[:, None] + 0.5 - splats.mean[i, 1]
+    (a, b), (_, c) = np.linalg.inv(splats.covariance[i])
+    return splats.opacity[i] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy), dx
+
+
+def _over(
+    background: Sequence[float], color: np.ndarray, through: np.ndarray
+) -> np.ndarray:
+    """Return colours over the background, with alpha."""
+    red, green, blue, opaque = background
+    mixed = color + through[..., None] * np.array([red, green, blue]) * opaque
+    alpha = 1 - through + through * opaque
+    return np.concatenate([mixed, alpha[..., None]], axis=-1)
+
+
+def _is_near_edge(unclamped: np.ndarray, dx: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return the pixels where rounding decides if a Gaussian is drawn."""
+    near_edge = np.abs(unclamped / _CULL - 1) <= BAND
+    if camera.kind == "panorama":
+        behind = np.abs(np.abs(dx) - np.pi * camera.fx) <= _HALF_TURN
+        near_edge |= behind & (np.minimum(unclamped, MOST_ALPHA) >= _CULL * (1 - BAND))
+    return np.asarray(near_edge)
+
+
+def _touches(depth: float, surface: np.ndarray) -> np.ndarray:
+    """Return the pixels where a surface is as far as a Gaussian, but for rounding."""
+    return np.asarray(np.abs(depth - surface) <= _TOUCH * depth)
 
 
 def _cover(
@@ -206,24 +252,24 @@ def _cover(
     fragile_median: np.ndarray,
 ) -> None:
     """Blend the veil into some pixels, in place."""
-    rest = through[pixels]
-    color[pixels] += rest[:, None] * veil.color[pixels]
-    normal[pixels] += rest[:, None] * veil.normal[pixels]
-    depth[pixels] += rest * veil.alpha[pixels] * veil.depth[pixels]
-    through[pixels] = rest * (1 - veil.alpha[pixels])
-    halved = (rest >= 0.5) & (through[pixels] < 0.5)
+    remaining = through[pixels]
+    color[pixels] += remaining[:, None] * veil.color[pixels]
+    normal[pixels] += remaining[:, None] * veil.normal[pixels]
+    depth[pixels] += remaining * veil.alpha[pixels] * veil.depth[pixels]
+    through[pixels] = remaining * (1 - veil.alpha[pixels])
+    halved = (remaining >= 0.5) & (through[pixels] < 0.5)
     median[pixels] = np.where(halved, veil.depth[pixels], median[pixels])
-    fragile_median[pixels] |= np.abs(through[pixels] - 0.5) <= _BAND
+    fragile_median[pixels] |= np.abs(through[pixels] - 0.5) <= BAND
 
 
 def _ties(depth: np.ndarray) -> np.ndarray:
     """Say which depths differ so little from the one before that rounding may swap the two."""
     gap = np.diff(depth, prepend=-np.inf)
-    return np.asarray((gap > 0) & (gap < _TIE * np.abs(depth)))
+    return np.asarray((gap > 0) & (gap < TIE * np.abs(depth)))
 
 
 def _window(splats: _Splats, i: int, camera: Camera) -> tuple[slice, slice] | None:
-    """Return the rows and columns that Gaussian ``i`` may reach, or None if there are none."""
+    """Return the rows and columns that Gaussian ``i`` may reach, or None if it reaches no pixel."""
     spread = 2 * np.log(splats.opacity[i] / _CULL) * np.diagonal(splats.covariance[i])
     reach = np.sqrt(np.maximum(spread, 0)) + 0.01
     limits = np.array([camera.width, camera.height])

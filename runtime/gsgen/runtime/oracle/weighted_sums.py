@@ -13,24 +13,29 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Bool, Float, Int64
 
-from gsgen.runtime.oracle.projection import Picture, across, colors, ellipses, normals
+from gsgen.runtime.oracle.projection import (
+    BAND,
+    MOST_ALPHA,
+    TIE,
+    Picture,
+    across,
+    colors,
+    ellipses,
+    normals,
+)
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 
 _CULL: Final = 1 / 255
-_MOST: Final = 0.99
 _FINISHED: Final = 0.01
 _TILE: Final = 16
 
-# Within these shares of a threshold, float32 may decide otherwise.
-_BAND: Final = 2e-3
-_TIE: Final = 1e-12  # of a depth: two floats tell more, even where they are added up
 _PIXELS: Final = 2e-3
 _EQUAL: Final = 1e-4
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Sums:
     """What :func:`sums` makes, of every pixel.
 
@@ -39,7 +44,7 @@ class Sums:
         normal: Σ w n, in world space.
         depth: Σ w z.
         total: Σ w.
-        behind: Σ w b, b being the weight of what is behind.
+        behind: Σ w b, b being the weight of the background.
         through: The light that passes.
         median_depth: Depth of what covers most in the cell where half of the light is gone.
         ids: Its place in the scene; −1 for none.
@@ -62,7 +67,7 @@ class Sums:
 
     @property
     def weight_behind(self) -> Float[np.ndarray, "h w"]:
-        """The weight of what is behind; where nothing was summed, it is alone and 1 will do."""
+        """The weight of the background; where nothing was summed, it is alone and 1 will do."""
         mean = np.divide(
             self.behind, self.total, out=np.ones_like(self.total), where=self.total > 0
         )
@@ -75,24 +80,24 @@ class Sums:
 
     def veil(self) -> "Veil":
         """Return the translucent image that the sums are among other things."""
-        some = self.total > 0
+        covered = self.total > 0
         return Veil(
-            self.color / self.scale[..., None],
-            self.total / self.scale,
-            self.normal / self.scale[..., None],
-            np.where(some, self.depth / np.where(some, self.total, 1), np.inf),
-            self.fragile,
+            color=self.color / self.scale[..., None],
+            alpha=self.total / self.scale,
+            normal=self.normal / self.scale[..., None],
+            depth=np.where(covered, self.depth / np.where(covered, self.total, 1), np.inf),
+            fragile=self.fragile,
         )
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Veil:
     """A translucent image somewhere in space.
 
     Attributes:
         color: Colours multiplied by alpha.
-        alpha: How much of what is behind it is covered.
+        alpha: Share of the background that is covered.
         normal: Normals in world space, multiplied by alpha.
         depth: Mean depth; infinite where nothing is.
         fragile: Pixels where float32 may decide otherwise.
@@ -105,7 +110,7 @@ class Veil:
     fragile: Bool[np.ndarray, "h w"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Cell:
     """A cell, and its Gaussians: one row of each array."""
 
@@ -118,36 +123,38 @@ class _Cell:
     opacity: np.ndarray
     radius: np.ndarray
     ring: np.ndarray
-    away: np.ndarray
+    distance: np.ndarray
     color: np.ndarray
     normal: np.ndarray
-    place: np.ndarray
+    index: np.ndarray
 
 
-def alone(made: Sums, background: Sequence[float], published: bool = False) -> Picture:
+def alone(
+    partial: Sums, background: Sequence[float], *, published: bool = False
+) -> Picture:
     """Return the picture of sums with nothing but a background behind them.
 
     Args:
-        made: The sums.
+        partial: The sums.
         background: Red, green, blue and alpha.
         published: Let the background keep its whole weight in the numerator.
     """
-    veil, rest = made.veil(), made.weight_behind / made.scale
-    share = rest if published else rest * made.through
+    veil, backdrop = partial.veil(), partial.weight_behind / partial.scale
+    share = backdrop if published else backdrop * partial.through
     *color, opaque = background
-    shown = veil.color + share[..., None] * np.array(color) * opaque
+    image = veil.color + share[..., None] * np.array(color) * opaque
     size = np.linalg.norm(veil.normal, axis=-1, keepdims=True)
     return Picture(
-        np.concatenate(
-            [shown, (veil.alpha + (1 - veil.alpha) * opaque)[..., None]], axis=-1
+        rgba=np.concatenate(
+            [image, (veil.alpha + (1 - veil.alpha) * opaque)[..., None]], axis=-1
         ),
-        veil.depth,
-        made.median_depth,
-        made.ids,
-        veil.normal / np.where(size > 0, size, 1),
-        made.fragile,
-        made.fragile_median | made.fragile,
-        made.visible,
+        depth=veil.depth,
+        median_depth=partial.median_depth,
+        ids=partial.ids,
+        normal=veil.normal / np.where(size > 0, size, 1),
+        fragile=partial.fragile,
+        fragile_median=partial.fragile_median | partial.fragile,
+        visible=partial.visible,
     )
 
 
@@ -164,32 +171,32 @@ def sums(
     shape = (camera.height, camera.width)
     limit = np.full(shape, np.inf) if walls is None else walls
     first, cells = 0, []
-    for one in scene.sets:
-        if one.weighted is not None:
-            cells += _cells(one, camera, first)
-        first += len(one.data)
+    for splat_set in scene.sets:
+        if splat_set.weighted is not None:
+            cells += _cells(splat_set, camera, first)
+        first += len(splat_set.data)
     cells.sort(key=lambda cell: cell.depth)  # stable
     state = _State(shape)
     before: _Cell | None = None
     touched = np.zeros(shape, bool)
     for cell in cells:
         gap = np.inf if before is None else cell.depth - before.depth
-        tied = touched if 0 < gap < _TIE * cell.depth else np.zeros(shape, bool)
+        tied = touched if 0 < gap < TIE * cell.depth else np.zeros(shape, bool)
         touched = state.add(cell, camera, limit, tied)
         before = cell
-    end = np.abs(state.through / _FINISHED - 1) <= _BAND
+    end = np.abs(state.through / _FINISHED - 1) <= BAND
     return Sums(
-        state.color,
-        state.normal,
-        state.depth,
-        state.total,
-        state.behind,
-        state.through,
-        state.median,
-        state.ids,
-        state.fragile | end,
-        state.fragile_median,
-        state.visible,
+        color=state.color,
+        normal=state.normal,
+        depth=state.depth,
+        total=state.total,
+        behind=state.behind,
+        through=state.through,
+        median_depth=state.median,
+        ids=state.ids,
+        fragile=state.fragile | end,
+        fragile_median=state.fragile_median,
+        visible=state.visible,
     )
 
 
@@ -209,132 +216,149 @@ class _State:
         """Sum a cell, and say which pixels it touches."""
         divisor, behind = cell.weighted
         entered = self.through.copy()
-        seen = cell.box & (entered >= _FINISHED)
-        some, most = np.zeros_like(seen), np.zeros(seen.shape)
-        second, strongest = np.zeros(seen.shape), np.full(seen.shape, -1)
+        entered_pixels = cell.box & (entered >= _FINISHED)
+        changed, most = np.zeros_like(entered_pixels), np.zeros(entered_pixels.shape)
+        second, strongest = (
+            np.zeros(entered_pixels.shape),
+            np.full(entered_pixels.shape, -1),
+        )
         x, y = np.arange(camera.width) + 0.5, np.arange(camera.height)[:, None] + 0.5
         for k in range(len(cell.opacity)):
             dx = across(x, cell.mean[k, 0], camera)
             dy = y - cell.mean[k, 1]
             (a, b), (_, c) = cell.conic[k]
-            bare = cell.opacity[k] * np.exp(-0.5 * (a * dx**2 + c * dy**2) - b * dx * dy)
+            unclamped = cell.opacity[k] * np.exp(
+                -0.5 * (a * dx**2 + c * dy**2) - b * dx * dy
+            )
             far = np.hypot(dx, dy)
-            reached = (bare >= _CULL) & (far <= cell.radius[k])
-            hit = reached & seen & (cell.away[k] <= limit)
-            near = np.abs(bare / _CULL - 1) <= _BAND
+            reached = (unclamped >= _CULL) & (far <= cell.radius[k])
+            hit = reached & entered_pixels & (cell.distance[k] <= limit)
+            near = np.abs(unclamped / _CULL - 1) <= BAND
             near |= np.abs(far - cell.radius[k]) <= cell.ring[k]
-            near |= np.abs(cell.away[k] - limit) <= _EQUAL * cell.away[k]
-            wide = bare >= _CULL * (1 - _BAND)
+            near |= np.abs(cell.distance[k] - limit) <= _EQUAL * cell.distance[k]
+            is_reached = unclamped >= _CULL * (1 - BAND)
             around = cell.box | cell.unsure
-            self.fragile |= wide & near & around & (entered >= _FINISHED * (1 - _BAND))
+            self.fragile |= is_reached & near & around & (entered >= _FINISHED * (1 - BAND))
             self.fragile |= reached & cell.unsure
-            alpha = np.where(hit, np.minimum(bare, _MOST) / divisor, 0)
+            alpha = np.where(hit, np.minimum(unclamped, MOST_ALPHA) / divisor, 0)
             self.through *= np.maximum(1 - alpha, 0)
             amount = alpha * entered
             self.color += amount[..., None] * cell.color[k]
             self.normal += amount[..., None] * cell.normal[k]
-            self.depth += amount * cell.away[k]
+            self.depth += amount * cell.distance[k]
             self.total += amount
             self.behind += amount * behind
-            some |= reached & cell.box
+            changed |= reached & cell.box
             self.visible += bool((reached & cell.box).any())
-            more = alpha > most
-            second = np.where(more, most, np.maximum(second, alpha))
-            most = np.where(more, alpha, most)
-            strongest = np.where(more, k, strongest)
-        near_end = np.abs(entered / _FINISHED - 1) <= _BAND
-        self.fragile |= some & (near_end | tied)
+            is_larger = alpha > most
+            second = np.where(is_larger, most, np.maximum(second, alpha))
+            most = np.where(is_larger, alpha, most)
+            strongest = np.where(is_larger, k, strongest)
+        near_end = np.abs(entered / _FINISHED - 1) <= BAND
+        self.fragile |= changed & (near_end | tied)
         halved = (entered >= 0.5) & (self.through < 0.5)
-        self.median[halved] = cell.away[strongest[halved]]
-        self.ids[halved] = cell.place[strongest[halved]]
-        near_half = np.abs(self.through - 0.5) <= _BAND
+        self.median[halved] = cell.distance[strongest[halved]]
+        self.ids[halved] = cell.index[strongest[halved]]
+        near_half = np.abs(self.through - 0.5) <= BAND
         doubtful = halved & (second >= most * (1 - _EQUAL))
-        self.fragile_median |= some & (near_half | doubtful)
-        return some
+        self.fragile_median |= changed & (near_half | doubtful)
+        return changed
 
 
-def _cells(one: SplatSet, camera: Camera, first: int) -> list[_Cell]:
+def _cells(splat_set: SplatSet, camera: Camera, first: int) -> list[_Cell]:
     """Return the cells of a set that have tiles in the image."""
-    data, weighted = one.data, one.weighted
+    data, weighted = splat_set.data, splat_set.weighted
     assert data.cells is not None
     assert weighted is not None
     live = -(-data.count // data.per_cell)
     rows = data.cells[:live].astype(np.float64)
-    found = ellipses(rows, one, camera)
-    shown = found.sound & (found.depth > camera.near) & (rows[:, 3] > 0)
-    splats = _splats(one, camera, first, rows[:, 3])
-    belongs = splats["place"] - first
-    made = []
-    for number in np.flatnonzero(shown):
-        box, unsure = _box(found.mean[number], found.wide[number], camera)
+    shapes = ellipses(rows, splat_set, camera)
+    drawn = shapes.sound & (shapes.depth > camera.near) & (rows[:, 3] > 0)
+    splats = _splats(splat_set, camera, first, rows[:, 3])
+    belongs = splats["index"] - first
+    cells = []
+    for number in np.flatnonzero(drawn):
+        box, unsure = _box(shapes.mean[number], shapes.dilated[number], camera)
         if not box.any() and not unsure.any():
             continue
-        own = belongs // data.per_cell == number
-        columns = {name: column[own] for name, column in splats.items()}
+        members = belongs // data.per_cell == number
+        columns = {name: column[members] for name, column in splats.items()}
         factors = (weighted.opacity_divisor, weighted.background)
-        made.append(_Cell(float(found.depth[number]), box, unsure, factors, **columns))
-    return made
+        cells.append(
+            _Cell(
+                depth=float(shapes.depth[number]),
+                box=box,
+                unsure=unsure,
+                weighted=factors,
+                **columns,
+            )
+        )
+    return cells
 
 
 def _splats(
-    one: SplatSet, camera: Camera, first: int, visibility: np.ndarray
+    splat_set: SplatSet, camera: Camera, first: int, visibility: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Return the Gaussians of a set that are drawn where their cells are."""
-    data = one.data
+    data = splat_set.data
     rows = data.rows[: data.count].astype(np.float64)
-    found, far = ellipses(rows, one, camera), one.depth_range
+    shapes, far = ellipses(rows, splat_set, camera), splat_set.depth_range
     with np.errstate(all="ignore"):
         opacity = (
             rows[:, 3]
-            * one.opacity_scale
+            * splat_set.opacity_scale
             * np.repeat(visibility, data.per_cell)[: len(rows)]
         )
         if far is not None:
-            opacity = opacity * (1 - found.depth / far)
+            opacity = opacity * (1 - shapes.depth / far)
         opacity = np.minimum(opacity, 1)
-        if one.antialias == "mip":
-            ratio = np.linalg.det(found.bare) / np.linalg.det(found.wide)
+        if splat_set.antialias == "mip":
+            ratio = np.linalg.det(shapes.covariance) / np.linalg.det(shapes.dilated)
             opacity = opacity * np.sqrt(np.maximum(ratio, 0))
-        color = colors(one, camera)
-        low, high = (-np.inf, np.inf) if one.clip is None else (one.clip.low, one.clip.high)
-        kept = found.sound & (found.depth > camera.near) & (opacity >= _CULL)
-        kept &= ((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)
-        kept &= np.isfinite(color).all(axis=1)
-    radius, ring = _reach(found.wide[kept], 3)
+        color = colors(splat_set, camera)
+        low, high = (
+            (-np.inf, np.inf)
+            if splat_set.clip is None
+            else (splat_set.clip.low, splat_set.clip.high)
+        )
+        drawn = shapes.sound & (shapes.depth > camera.near) & (opacity >= _CULL)
+        drawn &= ((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)
+        drawn &= np.isfinite(color).all(axis=1)
+    radius, ring = _reach(shapes.dilated[drawn], 3)
     return {
-        "mean": found.mean[kept],
-        "conic": np.linalg.inv(found.wide[kept]),
-        "opacity": opacity[kept],
+        "mean": shapes.mean[drawn],
+        "conic": np.linalg.inv(shapes.dilated[drawn]),
+        "opacity": opacity[drawn],
         "radius": radius,
         "ring": ring,
-        "away": found.depth[kept],
-        "color": np.maximum(color[kept], 0),
-        "normal": normals(found, kept, camera),
-        "place": first + np.flatnonzero(kept),
+        "distance": shapes.depth[drawn],
+        "color": np.maximum(color[drawn], 0),
+        "normal": normals(shapes, drawn, camera),
+        "index": first + np.flatnonzero(drawn),
     }
 
 
-def _reach(wide: np.ndarray, deviations: float) -> tuple[np.ndarray, np.ndarray]:
+def _reach(covariance: np.ndarray, deviations: float) -> tuple[np.ndarray, np.ndarray]:
     """Return radii of whole pixels, and within how many pixels of each float32 may err."""
-    middle = (wide[:, 0, 0] + wide[:, 1, 1]) / 2
-    longest = middle + np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(wide)))
-    bare = deviations * np.sqrt(longest)
-    unsure = np.abs(bare - np.round(bare)) <= 1e-5 * bare + 1e-5
-    return np.ceil(bare), np.where(unsure, 1.1, _PIXELS)
+    middle = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2
+    longest = middle + np.sqrt(np.maximum(0.1, middle**2 - np.linalg.det(covariance)))
+    radius = deviations * np.sqrt(longest)
+    unsure = np.abs(radius - np.round(radius)) <= 1e-5 * radius + 1e-5
+    return np.ceil(radius), np.where(unsure, 1.1, _PIXELS)
 
 
 def _box(
-    mean: np.ndarray, wide: np.ndarray, camera: Camera
+    mean: np.ndarray, covariance: np.ndarray, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the pixels of a cell's tiles, and those that float32 may add or leave out."""
-    (radius,), (ring,) = _reach(wide[None], 2)
-    every = [
+    (radius,), (ring,) = _reach(covariance[None], 2)
+    boxes = [
         _tiles(mean + shift * np.array(way), radius, camera)
         for shift in ([-_PIXELS, _PIXELS] if ring < 1 else [-_PIXELS, _PIXELS, -1.1, 1.1])
         for way in ((1, 1), (1, -1))
     ]
     box = _tiles(mean, radius, camera)
-    return box, np.any([one != box for one in every], axis=0)
+    return box, np.any([candidate != box for candidate in boxes], axis=0)
 
 
 def _tiles(mean: np.ndarray, radius: float, camera: Camera) -> np.ndarray:

@@ -1,11 +1,12 @@
-"""The order of depth: drawn splats, nearest first, to the last bit of two floats."""
+"""Depth sort: drawn splats, nearest first, by depths of two floats."""
 
 __all__ = ["DepthOrder"]
 
 from functools import cache
-from typing import Any, final
+from typing import final
 
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import Counts
 from gsgen.runtime.kernels.shared.kernel import Step
 from gsgen.runtime.kernels.sort.gather_keys import GatherKeys
@@ -15,49 +16,49 @@ from gsgen.runtime.kernels.sort.sort import KEY_BITS, Columns, RadixSort, SortCo
 
 @final
 class DepthOrder:
-    """What sorts splats by depth.
+    """Sorts splats by depth: by keys first, and equal keys by the rest of their depths.
 
-    Their keys are sorted, and then those that are the same are put in order by the rest of their
-    depths: a few, for of a million centres most have a key of their own. Where more are the same
-    than that is good for, as in a plane that is turned a little, the frame is sorted by the rests
-    first, which takes twice as long: such a sort is deep.
+    A key has the 32 bits of the rounded depth, so of a million centres most have a key of their
+    own, and the tie pass orders the few others. Where ties are longer than MOST_TIED, as in a
+    plane that is turned a little, the tie pass announces UNSORTED and the frame is drawn again
+    with a deep sort: by the rests first and then, stably, by the keys. That takes twice as long.
 
     Args:
         device: Where it runs.
-        cut: How work is cut.
-        sort: The sort.
+        cut: Configuration of the sort.
+        sort: The radix sort.
     """
 
     def __init__(self, device: Device, cut: SortConfig, sort: RadixSort) -> None:
         self._sort = sort
-        self._ties = cache(lambda arranged: OrderTies(device, cut.walk, arranged))
+        self._ties = cache(lambda arranged: OrderTies(device, cut.walk, arranged=arranged))
         self._gather = cache(lambda: GatherKeys(device, cut.block))
 
     def steps(
         self,
         capacity: int,
-        counts: Any,
+        counts: Buffer,
         columns: tuple[Columns, Columns],
-        lows: Any,
-        origins: Any = None,
-        spare: Any = None,
-    ) -> tuple[list[Step], Any]:
+        lows: Buffer,
+        origins: Buffer | None = None,
+        spare: Buffer | None = None,
+    ) -> tuple[list[Step], Buffer]:
         """Return the steps, and the buffer of drawn splats, nearest first.
 
         Args:
-            capacity: For how many splats there is room.
+            capacity: Number of splats that there is room for.
             counts: The frame's counts.
-            columns: The first has the keys of all splats, ABSENT where one is not drawn; and as
-                much room again. All are overwritten, except for the keys where the sort is deep.
-            lows: Of all splats, bits that sort as what their keys leave of their depths; ABSENT
-                likewise.
-            origins: Where each splat is by the order of the sets, if rows are arranged.
-            spare: Room for more keys, if the sort is deep.
+            columns: First the keys of all splats, ABSENT where one is not drawn; second as much room
+                again. Both are overwritten, but a deep sort leaves the keys.
+            lows: Remainders of the depths beyond the keys, as bits that sort alike; ABSENT where
+                a splat is not drawn.
+            origins: Index of each splat in the order of the sets, if rows are arranged.
+            spare: Room for more keys; the sort is deep if it is given.
         """
         histogram = self._sort.histogram(capacity)
         if spare is None:
-            steps, at = self._by_key(capacity, counts, list(columns), histogram)
-            sorted_ = columns[at]
+            steps, side = self._by_key(capacity, counts, list(columns), histogram)
+            sorted_ = columns[side]
         else:
             steps, sorted_ = self._deep(capacity, counts, columns, lows, spare, histogram)
         arranged = () if origins is None else (origins,)
@@ -68,12 +69,12 @@ class DepthOrder:
     def _by_key(
         self,
         capacity: int,
-        counts: Any,
+        counts: Buffer,
         columns: list[Columns],
-        histogram: Any,
-        given: Any = None,
+        histogram: Buffer,
+        first_keys: Buffer | None = None,
     ) -> tuple[list[Step], int]:
-        """Sort by the keys in the first of ``columns``, or by those given, which stay."""
+        """Return the steps of a sort by ``first_keys``, or by the keys of the first columns."""
         return self._sort.steps(
             counts,
             histogram,
@@ -82,31 +83,31 @@ class DepthOrder:
             source=Counts.VISIBLE,
             groups=Counts.SORT_VISIBLE_GROUPS,
             compacting=capacity,
-            given=given,
+            first_keys=first_keys,
         )
 
     def _deep(
         self,
         capacity: int,
-        counts: Any,
+        counts: Buffer,
         columns: tuple[Columns, Columns],
-        lows: Any,
-        spare: Any,
-        histogram: Any,
+        lows: Buffer,
+        spare: Buffer,
+        histogram: Buffer,
     ) -> tuple[list[Step], Columns]:
-        """Sort by what is left of depths, and then, stably, by keys."""
-        keys, rest = columns[0].keys, [columns[0]._replace(keys=spare), columns[1]]
-        first, at = self._by_key(capacity, counts, rest, histogram, given=lows)
-        place = rest[at]
-        gather = self._gather().step(counts, keys, place.values, place.keys)
-        if at:
-            rest.reverse()
-        then, at = self._sort.steps(
+        """Return the steps of a sort by the rests of depths and then, stably, by keys."""
+        keys, by_low = columns[0].keys, [columns[0]._replace(keys=spare), columns[1]]
+        first, side = self._by_key(capacity, counts, by_low, histogram, first_keys=lows)
+        sorted_lows = by_low[side]
+        gather = self._gather().step(counts, keys, sorted_lows.values, sorted_lows.keys)
+        if side:
+            by_low.reverse()
+        then, side = self._sort.steps(
             counts,
             histogram,
-            rest,
+            by_low,
             bits=KEY_BITS,
             source=Counts.VISIBLE,
             groups=Counts.SORT_VISIBLE_GROUPS,
         )
-        return [*first, gather, *then], rest[at]
+        return [*first, gather, *then], by_low[side]

@@ -1,10 +1,10 @@
-"""A plan: all buffers and dispatches of a frame, made once and run every frame."""
+"""The frame plan: all buffers and dispatches of a frame, recorded once and run every frame."""
 
 __all__ = ["Kernels", "Placed", "Plan"]
 
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, Final, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float, UInt32
@@ -12,6 +12,7 @@ from jaxtyping import Float, UInt32
 from gsgen.runtime.errors import CapacityExceeded
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
 from gsgen.runtime.gpu.gpu_timer import StageClock
+from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.readback import Staging
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.normals import NormalsKernel
@@ -25,14 +26,14 @@ from gsgen.runtime.kernels.project.project import (
 from gsgen.runtime.kernels.raster.draw_meshes import DrawMeshes, MeshesStep
 from gsgen.runtime.kernels.raster.draw_quads import DrawQuads, QuadsStep
 from gsgen.runtime.kernels.raster.mesh_place import (
-    PLACE,
+    MESH_UNIFORM,
     PlacedMesh,
     mesh_rays,
     mesh_uniform,
 )
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.kernel import Step, run
+from gsgen.runtime.kernels.shared.kernel import VEC4, Step, run
 from gsgen.runtime.kernels.shared.shader import ABSENT, TILE
 from gsgen.runtime.kernels.sort.scan import Scan
 from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, cut_for
@@ -45,10 +46,8 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import SplatSet
 
-_VEC4: Final = 16
-
 Placed = tuple[SplatSet, Page]
-"""A page, and the set that it is drawn as a part of."""
+"""A page with the set that it is a part of."""
 
 
 @final
@@ -59,47 +58,53 @@ class Kernels:
         self.cut = cut_for(device)
         self.scan = Scan(device, self.cut.block, WALK_THREADS * self.cut.walk, RANGE_BLOCK)
         self.sort = RadixSort(device, self.cut, self.scan)
-        self.bin = cache(lambda panorama: BinTiles(device, self.cut.walk, panorama))
+        self.bin = cache(
+            lambda panorama: BinTiles(device, self.cut.walk, panorama=panorama)
+        )
         self.ranges = TileRanges(device)
         self.blend = cache(
-            lambda pick, panorama, layers: BlendTiles(device, pick, panorama, layers)
+            lambda pick, panorama, layers: BlendTiles(
+                device, pick=pick, panorama=panorama, layers=layers
+            )
         )
         self.project = cache(
             lambda half, words, panorama, packed: ProjectKernel(
-                device, half, words, panorama, packed=packed
+                device, words, half=half, panorama=panorama, packed=packed
             )
         )
-        self.normals = cache(lambda packed: NormalsKernel(device, packed))
+        self.normals = cache(lambda packed: NormalsKernel(device, packed=packed))
         self.order = DepthOrder(device, self.cut, self.sort)
         self.weighted = cache(
             lambda: WeightedKernels(
                 device, self.cut, self.scan, self.sort, self.order, self.ranges
             )
         )
-        self.quads = cache(lambda tested, panorama: DrawQuads(device, tested, panorama))
-        self.meshes = cache(lambda panorama: DrawMeshes(device, panorama))
+        self.quads = cache(
+            lambda tested, panorama: DrawQuads(device, tested=tested, panorama=panorama)
+        )
+        self.meshes = cache(lambda panorama: DrawMeshes(device, panorama=panorama))
 
 
 @final
 class Plan:
-    """The frame of some pages at one size of image.
+    """The buffers and steps that draw certain pages at one image size.
 
     Args:
-        device: Where it runs.
-        kernels: Of the device.
-        placed: The pages; nothing but their buffers and types is kept.
+        device: Device of the buffers.
+        kernels: Kernels of the device.
+        placed: The pages; only their buffers and types are kept.
         size: Width and height of the image, in pixels.
-        outputs: What is asked for.
-        pair_capacity: For how many pairs of a splat and a tile there is room.
+        outputs: Requested outputs.
+        pair_capacity: Number of pairs of a splat and a tile that there is room for.
         quads: Whether colours come from the hardware's rasteriser.
-        panorama: Whether the image is one.
-        meshes: Meshes among the Gaussians; nothing but their buffers is kept.
+        panorama: Whether the image is a panorama.
+        meshes: Meshes among the Gaussians; only their buffers are kept.
         published: Whether weighted sums count backgrounds as the method's own renderer does.
-        deep: Whether depths are sorted by all their bits, for very many share the leading ones.
+        deep: Whether depths are sorted by all their bits, because very many share the leading ones.
 
     Attributes:
-        stages: What a frame does, stage by stage.
-        buffers: What it does it with, by name.
+        stages: Steps of a frame, by stage.
+        buffers: Buffers of the plan, by name.
         images: The buffers that :meth:`collect` reads, by output.
 
     Raises:
@@ -114,9 +119,10 @@ class Plan:
         size: tuple[int, int],
         outputs: frozenset[Output],
         pair_capacity: int,
+        *,
+        meshes: Sequence[PlacedMesh] = (),
         quads: bool = False,
         panorama: bool = False,
-        meshes: Sequence[PlacedMesh] = (),
         published: bool = False,
         deep: bool = False,
     ) -> None:
@@ -134,19 +140,23 @@ class Plan:
         self._frame = device.uniform("frame", FRAME.itemsize)
         self._bare_frame = device.uniform("frame with nothing behind", FRAME.itemsize)
         self._slots = device.uniform("pages", PAGE.itemsize * max(1, len(placed)))
-        self._mesh_slots = device.uniform("meshes", PLACE.itemsize * max(1, len(meshes)))
-        self.buffers: dict[str, Any] = {}
+        self._mesh_slots = device.uniform(
+            "meshes", MESH_UNIFORM.itemsize * max(1, len(meshes))
+        )
+        self.buffers: dict[str, Buffer] = {}
         n = self._gaussians
         self._counts = self._storage("counts", counting.BYTES, extra="INDIRECT")
-        device.write(self._counts, counting.initial(n, pair_capacity, panorama))
-        self._splats = [self._storage(name, _VEC4 * n) for name in ("shapes", "weights")]
+        device.write(self._counts, counting.initial(n, pair_capacity, panorama=panorama))
+        self._splats = [self._storage(name, VEC4 * n) for name in ("shapes", "weights")]
         self._ranges = self._storage("ranges", 8 * self._tiles[0] * self._tiles[1])
-        self.images: dict[str, Any] = {}
-        quads = quads and not summed  # the hardware's blending knows no layers
+        self.images: dict[str, Buffer] = {}
+        # Weighted sets become a layer, and the hardware's blending knows no layers.
+        quads = quads and not summed
+        # Weighted sums alone write the image themselves: no layer has to be blended.
         alone = bool(summed) and not placed and not meshes
         tiled = outputs - {"color"} if quads else outputs
         if tiled and not alone and (meshes or summed):
-            self._layers = self._lay(bool(summed) + bool(meshes), "normal" in tiled)
+            self._layers = self._lay(bool(summed) + bool(meshes), normal="normal" in tiled)
         self.stages: dict[str, list[Step]] = {}
         if meshes:
             self.stages["meshes"] = self._draw_meshes(meshes)
@@ -156,77 +166,83 @@ class Plan:
                 kernels.weighted(),
                 summed,
                 size,
-                panorama,
                 outputs,
                 pair_capacity,
                 (self._frame, self._bare_frame),
                 self._layers,
-                published,
-                deep,
+                panorama=panorama,
+                published=published,
+                deep=deep,
             )
             self.buffers |= self._weighted.buffers
             self.images |= self._weighted.images
             self.stages |= self._weighted.stages
         if not alone:
-            self.stages |= self._record(placed, outputs, quads)
+            self.stages |= self._record(placed, outputs, quads=quads)
         self._held = {"counts": self._counts}
         if self._weighted is not None:
             self._held["counts of cells"] = self._weighted.counts
         self._staging = Staging(device, self._held | self.images)
 
-    def _storage(self, name: str, size: int, *, extra: str = "") -> Any:
+    def _storage(self, name: str, size: int, *, extra: str = "") -> Buffer:
         self.buffers[name] = self._device.storage(name, size, extra=extra)
         return self.buffers[name]
 
     def _record(
-        self, placed: Sequence[Placed], outputs: frozenset[Output], quads: bool
+        self, placed: Sequence[Placed], outputs: frozenset[Output], *, quads: bool
     ) -> dict[str, list[Step]]:
-        """Record the frame, stage by stage."""
+        """Record the stages that draw sorted sets, in the order in which they run."""
         n = self._gaussians
+        # Stage 1: a splat, a sort key and the rest of the depth for every Gaussian.
         columns = (self._columns("Gaussians a", n), self._columns("Gaussians b", n))
-        colors = self._storage("colors", _VEC4 * n)
+        colors = self._storage("colors", VEC4 * n)
         lows = self._storage("lows", 4 * n)
         stages = {"project": self._project(placed, columns[0].keys, colors, lows)}
+        # Stage 2: drawn splats, nearest first. Blending front to back needs the exact order.
         stages["sort"], order = self._sort_by_depth(columns, lows)
+        # Stage 3, by the hardware: quads need no tiles, so colours end here.
         if quads and "color" in outputs:
             self._quads = self._draw_quads(order, colors)
             outputs = outputs - {"color"}
         if not outputs:
             return stages
+        # Stage 3, by tiles: list the pairs of splat and tile. They are in order of depth, and …
         pairs = [self._columns(f"pairs {side}", self.pair_capacity) for side in "ab"]
         stages["bin"] = self._bin(order, colors, pairs[0])
+        # Stage 4: … a stable sort by tile keeps that order within every tile.
         stages["group"], members = self._group(pairs)
+        # Stage 5: blend each tile, once for every output.
         if "color" in outputs:
             stages["blend"] = [self._blend("color", members, colors, pick=False)]
         if "depth" in outputs:
             stages["depth"] = [self._blend("depth", members, colors, pick=True)]
         if "normal" in outputs:
-            # `project` leaves which Gaussians are absent in keys that the sort overwrites:
-            # normals are found before, and blended as colours are.
-            normals = self._storage("normals", _VEC4 * n)
+            # Only the keys that the sort overwrites say which Gaussians are absent, so normals
+            # are computed in stage 1; then they are blended as colours are.
+            normals = self._storage("normals", VEC4 * n)
             stages["project"] += self._normals(placed, columns[0].keys, normals)
             stages["normal"] = [self._blend("normal", members, normals, pick=False)]
         return stages
 
-    def _lay(self, count: int, normal: bool) -> Layers:
-        """Return room for layers."""
+    def _lay(self, count: int, *, normal: bool) -> Layers:
+        """Allocate the layers."""
         pixels = count * self._size[0] * self._size[1]
         return Layers(
             count,
-            self._storage("layer colors", _VEC4 * pixels),
+            self._storage("layer colors", VEC4 * pixels),
             self._storage("layer depths", 4 * pixels),
-            self._storage("layer normals", _VEC4 * pixels) if normal else None,
+            self._storage("layer normals", VEC4 * pixels) if normal else None,
         )
 
     def _draw_meshes(self, meshes: Sequence[PlacedMesh]) -> list[Step]:
-        """Make what draws meshes; return what makes a layer of them, if tiles are blended."""
+        """Record the drawing of meshes; return the steps that make a layer of them, if any."""
         self._mesh_rays = self._storage("rays of meshes", 8 * sum(self._size))
         self._meshes = self._kernels.meshes(self._panorama).step(
             self._size, meshes, self._mesh_slots, self._mesh_rays, self._layers
         )
         return list(self._meshes.layers)
 
-    def _draw_quads(self, order: Any, colors: Any) -> QuadsStep:
+    def _draw_quads(self, order: Buffer, colors: Buffer) -> QuadsStep:
         kernel = self._kernels.quads(self._meshes is not None, self._panorama)
         size = kernel.row_bytes(self._size[0]) * self._size[1]
         self.images["color"] = self._storage("color image", size)
@@ -241,26 +257,28 @@ class Plan:
         )
 
     def _project(
-        self, placed: Sequence[Placed], keys: Any, colors: Any, lows: Any
+        self, placed: Sequence[Placed], keys: Buffer, colors: Buffer, lows: Buffer
     ) -> list[Step]:
-        made = []
+        recorded = []
         outputs = (self._frame, keys, *self._splats, colors, lows)
         for slot, (_, page) in enumerate(placed):
             kernel = self._kernels.project(
                 page.half, page.stride, self._panorama, page.packed
             )
-            made.append(kernel.step(outputs, self._slots, slot, page))
-        return made
+            recorded.append(kernel.step(outputs, self._slots, slot, page))
+        return recorded
 
-    def _normals(self, placed: Sequence[Placed], keys: Any, normals: Any) -> list[Step]:
+    def _normals(
+        self, placed: Sequence[Placed], keys: Buffer, normals: Buffer
+    ) -> list[Step]:
         return [
             self._kernels.normals(page.packed).step(keys, normals, self._slots, slot, page)
             for slot, (_, page) in enumerate(placed)
         ]
 
     def _sort_by_depth(
-        self, columns: tuple[Columns, Columns], lows: Any
-    ) -> tuple[list[Step], Any]:
+        self, columns: tuple[Columns, Columns], lows: Buffer
+    ) -> tuple[list[Step], Buffer]:
         """Return the steps, and the buffer of drawn Gaussians, nearest first."""
         n, origins = self._gaussians, None
         if self._origins is not None:
@@ -269,7 +287,7 @@ class Plan:
         spare = self._storage("keys of Gaussians c", 4 * n) if self._deep else None
         return self._kernels.order.steps(n, self._counts, columns, lows, origins, spare)
 
-    def _bin(self, order: Any, colors: Any, pairs: Columns) -> list[Step]:
+    def _bin(self, order: Buffer, colors: Buffer, pairs: Columns) -> list[Step]:
         walk = self._kernels.cut.walk
         run_pairs = self._storage("run pairs", 4 * -(-self._gaussians // walk))
         measure, emit = self._kernels.bin(self._panorama).steps(
@@ -289,10 +307,10 @@ class Plan:
         )
         return [measure, *add, emit]
 
-    def _group(self, pairs: list[Columns]) -> tuple[list[Step], Any]:
+    def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
         """Return the steps, and the buffer of the splats of each tile after the other."""
         last = self._tiles[0] * self._tiles[1] - 1
-        steps, at = self._kernels.sort.steps(
+        steps, side = self._kernels.sort.steps(
             self._counts,
             self._kernels.sort.histogram(self.pair_capacity),
             pairs,
@@ -300,20 +318,20 @@ class Plan:
             source=Counts.PAIRS,
             groups=Counts.SORT_PAIRS_GROUPS,
         )
-        mark = self._kernels.ranges.step(self._counts, pairs[at].keys, self._ranges)
-        return [*steps, mark], pairs[at].values
+        mark = self._kernels.ranges.step(self._counts, pairs[side].keys, self._ranges)
+        return [*steps, mark], pairs[side].values
 
-    def _blend(self, name: str, members: Any, colors: Any, *, pick: bool) -> Step:
+    def _blend(self, name: str, members: Buffer, colors: Buffer, *, pick: bool) -> Step:
         pixels = self._size[0] * self._size[1]
-        self.images[name] = self._storage(f"{name} image", _VEC4 * pixels)
+        self.images[name] = self._storage(f"{name} image", VEC4 * pixels)
         frame = self._frame if name == "color" else self._bare_frame
         resources = (frame, self._ranges, members, *self._splats, colors)
         layers = self._layers
         kernel = self._kernels.blend(pick, self._panorama, layers.count if layers else 0)
         among = None
         if layers is not None:
-            shown = layers.normals if name == "normal" else layers.colors
-            among = (shown, layers.depths)
+            layer_colors = layers.normals if name == "normal" else layers.colors
+            among = (layer_colors, layers.depths)
         return kernel.step(self._tiles, (*resources, self.images[name]), among)
 
     def submit(
@@ -327,15 +345,15 @@ class Plan:
         clock: StageClock | None = None,
         fetch: bool = True,
     ) -> None:
-        """Write what changes from frame to frame, and let the device draw.
+        """Write the uniforms of a frame, and submit its commands.
 
         Args:
-            placed: The pages that the plan was made of, and how they are drawn now.
+            placed: The pages of the plan with their present sets.
             camera: Whose image it is; of the plan's size.
             background: Red, green, blue behind it all, multiplied by their alpha.
-            meshes: The meshes that the plan was made of, and how they are drawn now.
-            only: Stages to run; all where absent.
-            clock: What notes how long each stage takes.
+            meshes: The meshes of the plan with their present transforms.
+            only: Stages to run; all if None.
+            clock: Measures the time of each stage.
             fetch: Whether :meth:`collect` will read images, too.
         """
         device = self._device
@@ -345,16 +363,16 @@ class Plan:
         device.write(self._frame, frame_uniform(camera, background))
         device.write(self._bare_frame, frame_uniform(camera, np.zeros(3)))
         pages, base = list[tuple[SplatSet, int, int, int]](), 0
-        for one, page in placed:
-            live = min(max(one.data.count - page.first, 0), page.capacity)
-            pages.append((one, base, page.capacity, live))
+        for splat_set, page in placed:
+            live = min(max(splat_set.data.count - page.first, 0), page.capacity)
+            pages.append((splat_set, base, page.capacity, live))
             base += page.capacity
         device.write(self._slots, page_uniforms(pages, camera))
         if self._meshes is not None:
             device.write(self._mesh_rays, mesh_rays(camera))
         for slot, mesh in enumerate(meshes):
             device.write(
-                self._mesh_slots, mesh_uniform(mesh, camera), slot * PLACE.itemsize
+                self._mesh_slots, mesh_uniform(mesh, camera), slot * MESH_UNIFORM.itemsize
             )
         encoder = device.raw.create_command_encoder(label="frame")
         if clock is not None:
@@ -377,18 +395,18 @@ class Plan:
         self._staging.encode(encoder, None if fetch else self._held)
         device.submit(encoder)
 
-    def collect(self, fetch: bool = True) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def collect(self, *, fetch: bool = True) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Wait for the frame; return the counts, and each image as [height, width, 4] words.
 
         Args:
-            fetch: Whether images are read; as :meth:`submit` was told.
+            fetch: Whether images are read; the same as in :meth:`submit`.
 
         Raises:
-            CapacityExceeded: More is drawn than the device takes at once.
+            CapacityExceeded: More splats are drawn than the device dispatches at once.
         """
         names = [*self._held, *(self.images if fetch else ())]
-        made = self._staging.read(dict.fromkeys(names, np.uint32))
-        parts = [made.pop(name) for name in self._held]
+        words_by_name = self._staging.read(dict.fromkeys(names, np.uint32))
+        parts = [words_by_name.pop(name) for name in self._held]
         for part in parts:
             self._require_walked(int(part[Counts.VISIBLE]))
         counts = _together(parts)
@@ -396,7 +414,7 @@ class Plan:
         images = {
             # Rows that a texture was copied to are longer than the image is wide.
             name: words[: words.size // height * height].reshape(height, -1, 4)[:, :width]
-            for name, words in made.items()
+            for name, words in words_by_name.items()
         }
         if self._origins is not None and "depth" in images:
             ids = images["depth"][..., 2]
@@ -405,7 +423,7 @@ class Plan:
         return counts, images
 
     def _require_walked(self, visible: int) -> None:
-        """Make sure that what is drawn was binned: a dispatch that is too large does nothing."""
+        """Raise if too many splats are drawn to be binned: such a dispatch does nothing."""
         most = MOST_GROUPS * WALK_THREADS * self._kernels.cut.walk
         if visible > most:
             raise CapacityExceeded(
@@ -416,30 +434,34 @@ class Plan:
 
 
 def _origins(placed: Sequence[Placed]) -> UInt32[np.ndarray, " n"] | None:
-    """Return where each row of the pages is by the order of the sets, or None: it is there."""
+    """Return each row's index in the order of the sets; None if rows are in that order."""
     if all(page.rows_of is None for _, page in placed):
         return None
     parts, base = [], 0
     for _, page in placed:
-        own = np.arange(page.first, page.first + page.capacity)
-        parts.append((own if page.rows_of is None else page.rows_of) + (base - page.first))
+        row_indices = np.arange(page.first, page.first + page.capacity)
+        parts.append(
+            (row_indices if page.rows_of is None else page.rows_of) + (base - page.first)
+        )
         base += page.capacity
     return np.concatenate(parts).astype(np.uint32)
 
 
 def _weighted(placed: Sequence[Placed]) -> list[Placed]:
-    return [(one, page) for one, page in placed if one.weighted is not None]
+    return [
+        (splat_set, page) for splat_set, page in placed if splat_set.weighted is not None
+    ]
 
 
 def _sorted(placed: Sequence[Placed]) -> list[Placed]:
-    return [(one, page) for one, page in placed if one.weighted is None]
+    return [(splat_set, page) for splat_set, page in placed if splat_set.weighted is None]
 
 
 def _together(
     counts: Sequence[UInt32[np.ndarray, " n"]],
 ) -> UInt32[np.ndarray, " n"]:
-    """Return the counts of all parts as one; each part has its own room for pairs."""
-    made = np.asarray(np.sum(counts, axis=0), np.uint32)
-    made[Counts.VISIBLE] = counts[0][Counts.VISIBLE] + made[Counts.DRAWN]
-    made[Counts.WANTED_PAIRS] = max(part[Counts.WANTED_PAIRS] for part in counts)
-    return made
+    """Add up the counts of all parts; each part has its own capacity for pairs."""
+    total = np.asarray(np.sum(counts, axis=0), np.uint32)
+    total[Counts.VISIBLE] = counts[0][Counts.VISIBLE] + total[Counts.DRAWN]
+    total[Counts.WANTED_PAIRS] = max(part[Counts.WANTED_PAIRS] for part in counts)
+    return total

@@ -1,4 +1,4 @@
-"""Which rasteriser blends faster on a device: found by drawing one frame both ways, once.
+"""Choose the faster rasteriser of a device by drawing one frame with both, once.
 
 Compute tiles stop at pixels that are finished, and first list which splats each tile has. The
 hardware's quads need no list, and blend every fragment. Which is faster depends on how fast a GPU's
@@ -6,7 +6,7 @@ fixed units blend 32-bit floats, which varies more than tenfold between GPUs of 
 (those of data centres have few such units), and no limit or feature tells it.
 """
 
-__all__ = ["Asked", "Rasteriser", "Timings", "choose", "probe"]
+__all__ = ["Rasteriser", "RasteriserOption", "Timings", "choose", "probe"]
 
 import json
 import os
@@ -29,7 +29,7 @@ from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 
 Rasteriser = Literal["tiles", "quads"]
-Asked = Literal["auto", "tiles", "quads"]
+RasteriserOption = Literal["auto", "tiles", "quads"]
 
 _GAUSSIANS: Final = 1 << 17
 _SIZE: Final = (1280, 720)
@@ -44,7 +44,7 @@ _ONLY: Final[dict[Rasteriser, tuple[str, ...]]] = {
     "quads": ("quads",),
 }
 _NOTHING: Final = np.zeros(3)
-_VERSION: Final = 1  # of what is measured; another forgets what was kept
+_VERSION: Final = 1  # of the measurement; a new version invalidates cached timings
 _MOST_BYTES: Final = 1 << 16  # of the file
 
 
@@ -71,27 +71,27 @@ Measure = Callable[[Device, Kernels], Timings]
 
 
 def choose(device: Device, kernels: Kernels, measure: Measure | None = None) -> Rasteriser:
-    """Return the faster rasteriser of a device, measuring it if nobody has before.
+    """Return the faster rasteriser of a device, measured on the first call.
 
-    What was measured is kept for the process, and for later ones in ``rasterisers.json`` under
+    Timings are cached for the process, and for later ones in ``rasterisers.json`` under
     ``$XDG_CACHE_HOME/gsgen`` (``~/.cache/gsgen``), by adapter and driver. With the environment
     variable ``GSGEN_NO_CACHE`` set, no file is read or written.
 
     Args:
-        device: Where to draw. Software drivers, and devices that cannot blend 32-bit floats,
+        device: The device. Software drivers, and devices that cannot blend 32-bit floats,
             have tiles without being measured.
         kernels: Of the device.
-        measure: What measures; :func:`probe` where absent.
+        measure: Function that measures; :func:`probe` by default.
     """
     if device.software or not device.blends_floats:
         return "tiles"
     key = _key(device)
     if key not in _measured:
-        kept = _read().get(key)
-        if kept is None:
-            kept = (measure or probe)(device, kernels)
-            _write(_read() | {key: kept})
-        _measured[key] = kept
+        cached = _read().get(key)
+        if cached is None:
+            cached = (measure or probe)(device, kernels)
+            _write(_read() | {key: cached})
+        _measured[key] = cached
     return _measured[key].best
 
 
@@ -113,19 +113,27 @@ def probe(
         gaussians: How many.
         size: Width and height of the image.
     """
-    camera = Camera(np.eye(4), size[0], size[0], size[0] / 2, size[1] / 2, *size)
+    camera = Camera(
+        np.eye(4),
+        fx=size[0],
+        fy=size[0],
+        cx=size[0] / 2,
+        cy=size[1] / 2,
+        width=size[0],
+        height=size[1],
+    )
     data = _crowd(gaussians, size[1] / size[0])
     residency = Residency(device)
     residency.begin(data)
     placed = [(SplatSet(data), page) for page in residency.pages(data)]
-    taken = {
-        one: _seconds(device, plan, placed, camera, stages)
-        for one, stages in _ONLY.items()
-        for plan in [_roomy(device, kernels, placed, camera, one == "quads")]
+    seconds = {
+        candidate: _seconds(device, plan, placed, camera, stages)
+        for candidate, stages in _ONLY.items()
+        for plan in [_roomy(device, kernels, placed, camera, quads=candidate == "quads")]
     }
     # Timestamps of one and wall clock of the other would not compare.
-    by = 0 if min(told for told, _ in taken.values()) > 0 else 1
-    return Timings(taken["tiles"][by], taken["quads"][by])
+    by = 0 if min(on_device for on_device, _ in seconds.values()) > 0 else 1
+    return Timings(seconds["tiles"][by], seconds["quads"][by])
 
 
 def _crowd(n: int, tall: float) -> SplatData:
@@ -142,12 +150,12 @@ def _crowd(n: int, tall: float) -> SplatData:
 
 
 def _roomy(
-    device: Device, kernels: Kernels, placed: list[Placed], camera: Camera, quads: bool
+    device: Device, kernels: Kernels, placed: list[Placed], camera: Camera, *, quads: bool
 ) -> Plan:
     """Return a plan that has room for all pairs."""
     room, size = _PAIRS, (camera.width, camera.height)
     while True:
-        plan = Plan(device, kernels, placed, size, frozenset({"color"}), room, quads)
+        plan = Plan(device, kernels, placed, size, frozenset({"color"}), room, quads=quads)
         plan.submit(placed, camera, _NOTHING, fetch=False)
         counts, _ = plan.collect(fetch=False)
         if quads or counts[Counts.WANTED_PAIRS] <= room:
@@ -166,14 +174,14 @@ def _seconds(
     clock = StageClock(device) if device.has_clock else None
     ticks, walls = [], []
     for number in range(_WARM + _FRAMES):
-        began = time.perf_counter()
+        started = time.perf_counter()
         plan.submit(placed, camera, _NOTHING, clock=clock, fetch=False)
         plan.collect(fetch=False)
-        wall = time.perf_counter() - began
-        told = clock.seconds() if clock is not None else dict.fromkeys(stages, 0.0)
+        wall = time.perf_counter() - started
+        on_device = clock.seconds() if clock is not None else dict.fromkeys(stages, 0.0)
         if number >= _WARM:
             walls.append(wall)
-            ticks.append(sum(told[name] for name in stages))
+            ticks.append(sum(on_device[name] for name in stages))
     return float(np.median(ticks)), float(np.median(walls))
 
 
@@ -201,18 +209,22 @@ def _read() -> dict[str, Timings]:
     try:
         if path is None or path.stat().st_size > _MOST_BYTES:
             return {}
-        held = json.loads(path.read_text("utf-8"))
+        document = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError):
         return {}
-    if not isinstance(held, dict):
+    if not isinstance(document, dict):
         return {}
-    return {key: made for key, one in held.items() if (made := _timings(one)) is not None}
+    return {
+        key: timings
+        for key, entry in document.items()
+        if (timings := _timings(entry)) is not None
+    }
 
 
-def _timings(one: object) -> Timings | None:
-    if not isinstance(one, dict) or set(one) != {"tiles", "quads"}:
+def _timings(entry: object) -> Timings | None:
+    if not isinstance(entry, dict) or set(entry) != {"tiles", "quads"}:
         return None
-    numbers = [one["tiles"], one["quads"]]
+    numbers = [entry["tiles"], entry["quads"]]
     if not all(isinstance(number, float) and 0 < number < np.inf for number in numbers):
         return None
     return Timings(*cast("list[float]", numbers))
@@ -223,7 +235,7 @@ def _write(measured: dict[str, Timings]) -> None:
     path = _file()
     if path is None:
         return
-    text = json.dumps({key: asdict(one) for key, one in measured.items()}, indent=2)
+    text = json.dumps({key: asdict(entry) for key, entry in measured.items()}, indent=2)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,11 +1,11 @@
-"""The renderer: a scene and a camera in, a frame out."""
+"""The renderer: draws a scene as a camera sees it and returns a frame."""
 
 __all__ = ["Drawn", "Renderer"]
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import Float32, Int64, UInt32
@@ -17,23 +17,23 @@ from gsgen.runtime.errors import (
     SceneInvalid,
 )
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
+from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.gpu.mesh_residency import MeshResidency
 from gsgen.runtime.gpu.splat_residency import PAGE_ROWS, Residency, bytes_of
 from gsgen.runtime.kernels.raster.mesh_place import PlacedMesh
 from gsgen.runtime.kernels.shared.counts import Counts
+from gsgen.runtime.kernels.shared.kernel import VEC4
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.tiles.tile_ranges import RANGE_BLOCK
 from gsgen.runtime.renderer.frame_plan import Kernels, Placed, Plan
-from gsgen.runtime.renderer.rasteriser_choice import Asked, Rasteriser, choose
+from gsgen.runtime.renderer.rasteriser_choice import Rasteriser, RasteriserOption, choose
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.scene.frame import NOTHING, Frame, Output
+from gsgen.runtime.scene.frame import COLOR_ONLY, NOTHING, Frame, Output
 from gsgen.runtime.scene.scene import Scene
 
 _FIRST_PAIRS: Final = 1 << 16
 _ROOM: Final = 1.25  # over what a frame needed, so that the next need not grow again
-_PIXEL: Final = 16  # bytes
 _OUTPUTS: Final = ("color", "depth", "normal")
-_COLOR: Final[tuple[Output, ...]] = ("color",)
 
 
 @final
@@ -42,13 +42,13 @@ class Drawn:
     """An image that stayed on the device.
 
     Attributes:
-        image: The buffer: four 32-bit words a pixel, as the kernels blend them.
-        row: Pixels from the beginning of a row to that of the next.
+        image: Buffer of four 32-bit words a pixel, as the kernels blend them.
+        row: Pixels from the start of a row to that of the next.
         visible: How many Gaussians were drawn.
-        pairs: Of a tile and a splat that touches it.
+        pairs: Pairs of a tile and a splat that touches it.
     """
 
-    image: Any
+    image: Buffer
     row: int
     visible: int
     pairs: int
@@ -58,12 +58,12 @@ class Drawn:
 class Renderer:
     """Draws scenes of Gaussians on a graphics device.
 
-    What a frame needs is made once, and kept until another size, another choice of outputs or
-    other Gaussians are asked for: cameras, transforms, and values may change from frame to frame.
+    Buffers and pipelines of a frame are reused until the image size, the outputs or the sets
+    change: cameras, transforms and values may change from frame to frame.
 
     Args:
-        device: Where to draw; the fastest there is where absent.
-        rasteriser: What blends colours: compute shaders, tile by tile, or the hardware, a quad a
+        device: The device; the fastest adapter if None.
+        rasteriser: How colours are blended: compute shaders, tile by tile, or the hardware, a quad a
             splat. The hardware cannot stop at pixels that are finished. "auto" measures once which
             is faster on a GPU (:mod:`gsgen.runtime.renderer.rasteriser_choice`), and has tiles on a software
             driver, and wherever a frame is more than colours.
@@ -72,21 +72,21 @@ class Renderer:
             read; pictures differ by less than 1e-3, or 4e-3 where a threshold is met.
         page_rows: Gaussians of a page, which is what one dispatch and one binding have.
         published: Whether weighted sums count backgrounds as the method's own renderer does
-            (Liu et al. 2025): what is behind keeps its whole weight in the numerator. Such
+            (Liu et al. 2025): the background keeps its whole weight in the numerator. Such
             pictures compare with that renderer's, and compose with nothing.
 
     Attributes:
-        rasteriser: What blends colours, asked for or chosen.
+        rasteriser: The requested or chosen rasteriser of colours.
 
     Raises:
-        DeviceUnavailable: There is none, or it cannot blend what ``rasteriser`` asks for.
+        DeviceUnavailable: There is no device, or it does not support the ``rasteriser``.
     """
 
     def __init__(
         self,
         device: Device | None = None,
         *,
-        rasteriser: Asked = "auto",
+        rasteriser: RasteriserOption = "auto",
         compact: bool = False,
         page_rows: int = PAGE_ROWS,
         published: bool = False,
@@ -119,21 +119,21 @@ class Renderer:
         camera: Camera,
         *,
         background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
-        outputs: Collection[Output] = _COLOR,
+        outputs: Collection[Output] = COLOR_ONLY,
     ) -> Frame:
         """Draw ``scene`` as ``camera`` sees it.
 
         Args:
-            scene: What to draw.
-            camera: From where, and how large.
+            scene: The scene.
+            camera: The camera, with the image size.
             background: Red, green, blue and alpha behind it all.
-            outputs: What to make.
+            outputs: Images to compute.
 
         Raises:
             CapacityExceeded: The scene or the image is larger than the device's buffers.
-            DeviceLost: The device went away.
+            DeviceLost: The device was lost.
             MemoryFull: The device has no memory for the scene or the image.
-            SceneInvalid: The background or the outputs are none.
+            SceneInvalid: ``background`` or ``outputs`` is invalid.
         """
         _, counts, images = self._drawn(scene, camera, background, outputs)
         return _frame(scene, camera, counts, images, float(background[3]))
@@ -146,23 +146,23 @@ class Renderer:
         background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
         output: Output = "color",
     ) -> Drawn:
-        """Draw ``scene``, and leave the image on the device, for what shows it from there.
+        """Draw ``scene`` and leave the image on the device, to be shown from there.
 
         Args:
-            scene: What to draw.
-            camera: From where, and how large.
+            scene: The scene.
+            camera: The camera, with the image size.
             background: Red, green, blue and alpha behind it all.
-            output: What to make.
+            output: Image to compute.
 
         Raises:
             CapacityExceeded: The scene or the image is larger than the device's buffers.
-            DeviceLost: The device went away.
+            DeviceLost: The device was lost.
             MemoryFull: The device has no memory for the scene or the image.
-            SceneInvalid: The background or the output is none.
+            SceneInvalid: ``background`` or ``output`` is invalid.
         """
         plan, counts, _ = self._drawn(scene, camera, background, (output,), fetch=False)
         image = plan.images[output]
-        row = image.size // camera.height // _PIXEL
+        row = image.size // camera.height // VEC4
         return Drawn(image, row, int(counts[Counts.VISIBLE]), int(counts[Counts.PAIRS]))
 
     def _drawn(
@@ -171,52 +171,54 @@ class Renderer:
         camera: Camera,
         background: Sequence[float],
         outputs: Collection[Output],
+        *,
         fetch: bool = True,
     ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
-        """Draw until there is room for everything; images are empty without ``fetch``."""
-        wanted = _known(outputs)
+        """Draw until all pairs fit and all ties are in order; images are empty without ``fetch``."""
+        requested = _known(outputs)
         if self._published:
             _require_alone(scene)
         behind = _premultiplied(background)
-        with self._minding(scene, camera):
-            return self._fitted(scene, camera, behind, wanted, fetch)
+        with self._device_errors(scene, camera):
+            return self._fitted(scene, camera, behind, requested, fetch=fetch)
 
     @contextmanager
-    def _minding(self, scene: Scene, camera: Camera) -> Iterator[None]:
-        """Add to an error of the device what the scene takes."""
+    def _device_errors(self, scene: Scene, camera: Camera) -> Iterator[None]:
+        """Add the scene's memory to errors of the device."""
         try:
             with self.device.translate_errors():
                 yield
         except MemoryFull as error:
-            # Whoever draws something smaller needs it, and the rows that would stay with it.
+            # A smaller scene needs this memory, and that of the rows that the plan keeps alive.
             self._plan, self._key, self._rows = None, None, None
             self._pairs = _FIRST_PAIRS
-            raise _too_large(scene, camera, error, self._compact) from error
+            raise _too_large(scene, camera, error, compact=self._compact) from error
 
     def _fitted(
         self,
         scene: Scene,
         camera: Camera,
         behind: np.ndarray,
-        wanted: frozenset[Output],
+        requested: frozenset[Output],
+        *,
         fetch: bool,
     ) -> tuple[Plan, np.ndarray, dict[str, np.ndarray]]:
         placed, meshes = self.placed(scene), self.placed_meshes(scene)
-        plan = self.plan(placed, camera, wanted, meshes)
+        plan = self.plan(placed, camera, requested, meshes)
         plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
-        counts, images = plan.collect(fetch)
-        while self._wants(counts, plan):
+        counts, images = plan.collect(fetch=fetch)
+        while self._must_redraw(counts, plan):
             if counts[Counts.TIED]:
-                for one in scene.sets:
-                    self._residency.leave(one.data)
+                for splat_set in scene.sets:
+                    self._residency.restore_order(splat_set.data)
                 placed = self._pages(scene)
-            plan = self.plan(placed, camera, wanted, meshes)
+            plan = self.plan(placed, camera, requested, meshes)
             plan.submit(placed, camera, behind[:3], meshes=meshes, fetch=fetch)
-            counts, images = plan.collect(fetch)
+            counts, images = plan.collect(fetch=fetch)
         return plan, counts, images
 
-    def _wants(self, counts: np.ndarray, plan: Plan) -> bool:
-        """Say whether a frame has to be drawn again, and make room for what it was short of."""
+    def _must_redraw(self, counts: np.ndarray, plan: Plan) -> bool:
+        """Return whether a frame has to be drawn again, and provide the room that it lacked."""
         short = int(counts[Counts.WANTED_PAIRS]) > plan.pair_capacity
         if short:
             self._grow(int(counts[Counts.WANTED_PAIRS]))
@@ -226,20 +228,22 @@ class Renderer:
 
     def placed(self, scene: Scene) -> list[Placed]:
         """Return each page of the scene with its set, uploaded where it is new or has changed."""
-        for data in dict.fromkeys(one.data for one in scene.sets):
+        for data in dict.fromkeys(splat_set.data for splat_set in scene.sets):
             self._residency.begin(data)
         return self._pages(scene)
 
     def _pages(self, scene: Scene) -> list[Placed]:
         return [
-            (one, page) for one in scene.sets for page in self._residency.pages(one.data)
+            (splat_set, page)
+            for splat_set in scene.sets
+            for page in self._residency.pages(splat_set.data)
         ]
 
     def placed_meshes(self, scene: Scene) -> list[PlacedMesh]:
         """Return each mesh of the scene with its buffers, uploaded where it is new."""
         return [
-            PlacedMesh(one, self._mesh_residency.buffers(one.data), scene.color_space)
-            for one in scene.meshes
+            PlacedMesh(mesh, self._mesh_residency.buffers(mesh.data), scene.color_space)
+            for mesh in scene.meshes
         ]
 
     def plan(
@@ -249,14 +253,14 @@ class Renderer:
         outputs: frozenset[Output],
         meshes: Sequence[PlacedMesh] = (),
     ) -> Plan:
-        """Return the plan for such a frame: the present one if it fits."""
+        """Return the plan for a frame; the present one is reused if it fits."""
         size, panorama = (camera.width, camera.height), camera.kind == "panorama"
-        pages = tuple((page, one.weighted is None) for one, page in placed)
-        things = (pages, tuple(one.buffers for one in meshes))
+        pages = tuple((page, splat_set.weighted is None) for splat_set, page in placed)
+        contents = (pages, tuple(mesh.buffers for mesh in meshes))
         rows = [page.rows for _, page in placed]
         if rows != self._rows:
             self._rows, self._deep = rows, False  # others may have depths farther apart
-        key = (things, size, outputs, self._pairs, panorama, self._deep)
+        key = (contents, size, outputs, self._pairs, panorama, self._deep)
         if self._plan is None or key != self._key:
             self._plan, self._key = None, None  # its memory goes before the new one's comes
             self._plan = Plan(
@@ -266,50 +270,53 @@ class Renderer:
                 size,
                 outputs,
                 self._pairs,
-                self._takes_quads(outputs),
-                panorama,
-                meshes,
-                self._published,
-                self._deep,
+                meshes=meshes,
+                quads=self._takes_quads(outputs),
+                panorama=panorama,
+                published=self._published,
+                deep=self._deep,
             )
             self._key = key
         return self._plan
 
     def _takes_quads(self, outputs: frozenset[Output]) -> bool:
-        """Whether quads draw the colours; who has to list pairs for another output, blends them."""
+        """Whether quads draw the colours; "auto" takes tiles where another output lists pairs anyway."""
         return self.rasteriser == "quads" and (not self._chosen or outputs == {"color"})
 
-    def _grow(self, wanted: int) -> None:
-        """Make room for more pairs, or say why there can be none."""
+    def _grow(self, pairs: int) -> None:
+        """Make room for more pairs, or raise if the device cannot hold them."""
         most = min(self.device.largest_binding // 4, MOST_GROUPS * RANGE_BLOCK)
-        if wanted > most:
+        if pairs > most:
             raise CapacityExceeded(
-                f"the image needs {wanted:,} pairs of a splat and a tile; "
+                f"the image needs {pairs:,} pairs of a splat and a tile; "
                 f"{self.device.name} has room for {most:,}",
                 where="scene",
                 hint="Draw a smaller image, or step back from the largest Gaussians.",
             )
-        self._pairs = min(int(wanted * _ROOM), most)
+        self._pairs = min(int(pairs * _ROOM), most)
 
 
 def _too_large(
-    scene: Scene, camera: Camera, error: MemoryFull, compact: bool
+    scene: Scene, camera: Camera, error: MemoryFull, *, compact: bool
 ) -> MemoryFull:
-    """Return an error that says what the Gaussians take, and what would be less."""
-    sets = list(dict.fromkeys(one.data for one in scene.sets))
-    now, less = (sum(bytes_of(one, compact=how) for one in sets) for how in (compact, True))
+    """Return an error with the memory of the Gaussians and smaller alternatives."""
+    sets = list(dict.fromkeys(splat_set.data for splat_set in scene.sets))
+    now, less = (
+        sum(bytes_of(splat_set, compact=is_compact) for splat_set in sets)
+        for is_compact in (compact, True)
+    )
     count = sum(map(len, sets))
-    what = f"{error.message}; {count:,} Gaussians take {now:,} bytes of it"
+    message = f"{error.message}; {count:,} Gaussians take {now:,} bytes of it"
     hint = "Draw fewer of them, or without harmonics: `gsgen convert --sh-degree 0`."
     if less < now:
         hint = f"With `--compact` (`compact=True`) they take {less:,}. {hint}"
     hint = f"{hint} A smaller image than {camera.width}×{camera.height} takes less, too."
-    return MemoryFull(what, where=error.where, hint=hint)
+    return MemoryFull(message, where=error.where, hint=hint)
 
 
 def _require_alone(scene: Scene) -> None:
-    """Refuse other things beside weighted sums."""
-    summed = [one.weighted is not None for one in scene.sets]
+    """Raise if the scene has more than weighted sets."""
+    summed = [splat_set.weighted is not None for splat_set in scene.sets]
     if any(summed) and (scene.meshes or not all(summed)):
         raise SceneInvalid(
             "is True, which is defined for scenes of nothing but weighted sets",
@@ -319,19 +326,20 @@ def _require_alone(scene: Scene) -> None:
 
 
 def _known(outputs: Collection[Output]) -> frozenset[Output]:
-    wanted = frozenset(outputs)
-    if not wanted or wanted - set(_OUTPUTS):
+    requested = frozenset(outputs)
+    if not requested or requested - set(_OUTPUTS):
         raise SceneInvalid(
-            f"is {sorted(wanted)}, wanted some of {', '.join(_OUTPUTS)}", where="outputs"
+            f"is {sorted(requested)}, expected some of {', '.join(_OUTPUTS)}",
+            where="outputs",
         )
-    return wanted
+    return requested
 
 
 def _premultiplied(background: Sequence[float]) -> np.ndarray:
     color = np.asarray(background, np.float64)
     if color.shape != (4,) or not np.isfinite(color).all() or not 0 <= color[3] <= 1:
         raise SceneInvalid(
-            f"is {list(background)}, wanted red, green, blue and an alpha from 0 to 1",
+            f"is {list(background)}, expected red, green, blue and an alpha from 0 to 1",
             where="background",
         )
     return np.append(color[:3] * color[3], color[3])
@@ -344,7 +352,7 @@ def _frame(
     images: dict[str, np.ndarray],
     opacity_behind: float,
 ) -> Frame:
-    """Turn the words of the images into what they mean."""
+    """Convert the images' words to a frame."""
     color, pick, normal = (
         images[name].view(np.float32) if name in images else None
         for name in ("color", "depth", "normal")
@@ -380,14 +388,14 @@ def _median_depth(pick: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h 
 def _ids(words: UInt32[np.ndarray, "h w"], scene: Scene) -> Int64[np.ndarray, "h w"]:
     """Return places in the scene; the plan counts sets that are sorted by themselves."""
     ids = np.where(words == ABSENT, NOTHING, words.astype(np.int64))
-    summed = np.array([one.weighted is not None for one in scene.sets], bool)
+    summed = np.array([splat_set.weighted is not None for splat_set in scene.sets], bool)
     if not summed.any() or summed.all():
         return np.asarray(ids)
-    sizes = np.array([len(one.data) for one in scene.sets])
-    first, own = (np.cumsum(sizes) - sizes)[~summed], sizes[~summed]
-    start = np.cumsum(own) - own
-    which = np.searchsorted(start, ids, side="right") - 1
-    return np.asarray(np.where(ids < 0, NOTHING, ids + (first - start)[which]))
+    sizes = np.array([len(splat_set.data) for splat_set in scene.sets])
+    first, set_sizes = (np.cumsum(sizes) - sizes)[~summed], sizes[~summed]
+    start = np.cumsum(set_sizes) - set_sizes
+    set_index = np.searchsorted(start, ids, side="right") - 1
+    return np.asarray(np.where(ids < 0, NOTHING, ids + (first - start)[set_index]))
 
 
 def _in_world(

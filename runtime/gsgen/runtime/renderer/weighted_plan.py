@@ -1,26 +1,27 @@
-"""What a plan does with sets that are blended by weighted sums, cell by cell.
+"""The part of a frame plan that blends sets by weighted sums, cell by cell.
 
-Only cells are sorted, and only they are listed for tiles; their Gaussians are looked up from
-there. A Gaussian so needs neither the two columns of a sort nor any pairs of its own.
+Only cells are sorted and listed for tiles; their Gaussians are looked up through them. A Gaussian
+needs neither the two columns of a sort nor pairs of its own.
 """
 
 __all__ = ["WeightedKernels", "WeightedPart"]
 
 from collections.abc import Iterator, Sequence
 from functools import cache
-from typing import Any, Final, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Shaped
 
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer, Encoder
 from gsgen.runtime.gpu.splat_residency import Page
 from gsgen.runtime.kernels.project.normals import NormalsKernel
 from gsgen.runtime.kernels.project.project import PAGE, ProjectKernel, page_uniform
 from gsgen.runtime.kernels.project.project_cells import ProjectCells
 from gsgen.runtime.kernels.shared import counts as counting
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.kernel import Step
+from gsgen.runtime.kernels.shared.kernel import VEC4, Step
 from gsgen.runtime.kernels.shared.shader import TILE
 from gsgen.runtime.kernels.sort.scan import Scan
 from gsgen.runtime.kernels.sort.sort import Columns, RadixSort, SortConfig
@@ -33,20 +34,18 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Output
 from gsgen.runtime.scene.scene import SplatSet
 
-_VEC4: Final = 16
-
 
 @final
 class WeightedKernels:
     """The kernels of weighted sums, each compiled when it is first needed.
 
     Args:
-        device: Where they run.
-        cut: How work is cut.
-        scan: What is shared with the rest of the plan …
-        sort: …
-        order: …
-        ranges: …
+        device: Device of the kernels.
+        cut: Configuration of the sort.
+        scan: The scan, shared with the rest of the plan as the next three are.
+        sort: The radix sort.
+        order: The depth sort.
+        ranges: The tile ranges.
     """
 
     def __init__(
@@ -61,13 +60,17 @@ class WeightedKernels:
         self.cut, self.scan, self.sort = cut, scan, sort
         self.order, self.ranges = order, ranges
         self.project = cache(
-            lambda half, words, panorama: ProjectKernel(device, half, words, panorama, True)
+            lambda half, words, panorama: ProjectKernel(
+                device, words, half=half, panorama=panorama, weighted=True
+            )
         )
-        self.cells = cache(lambda panorama: ProjectCells(device, panorama))
-        self.bin = cache(lambda panorama: BinTiles(device, cut.walk, panorama, cells=True))
+        self.cells = cache(lambda panorama: ProjectCells(device, panorama=panorama))
+        self.bin = cache(
+            lambda panorama: BinTiles(device, cut.walk, panorama=panorama, cells=True)
+        )
         self.blend = cache(
             lambda pick, panorama, published, layers: BlendWsr(
-                device, pick, panorama, published, layers
+                device, pick=pick, panorama=panorama, published=published, layers=layers
             )
         )
         self.normals = cache(lambda: NormalsKernel(device))
@@ -78,23 +81,23 @@ class WeightedPart:
     """The part of a plan that draws sets with cells.
 
     Args:
-        device: Where it runs.
-        kernels: Of the device.
-        placed: Pages of sets that are weighted, and no others.
+        device: Device of the buffers.
+        kernels: Kernels of the device.
+        placed: Pages of weighted sets.
         size: Width and height of the image, in pixels.
-        panorama: Whether the image is one.
-        outputs: What is asked for.
-        pair_capacity: For how many pairs of a cell and a tile there is room.
-        frames: The uniforms of the frame: with what is behind, and with nothing there.
-        layers: Where the result stands among others as the front layer; None where it is alone.
+        panorama: Whether the image is a panorama.
+        outputs: Requested outputs.
+        pair_capacity: Number of pairs of a cell and a tile that there is room for.
+        frames: Uniforms of the frame with the background and without it.
+        layers: Layers whose first receives the result; None if the result is the image.
         published: Whether backgrounds count as in the method's own renderer.
-        deep: Whether depths are sorted by all their bits, for very many share the leading ones.
+        deep: Whether depths are sorted by all their bits, because very many share the leading ones.
 
     Attributes:
-        stages: What a frame does, stage by stage.
-        buffers: What it does it with, by name.
-        images: What it makes, by output; nothing where the result is a layer.
-        counts: Of cells and their pairs, and of Gaussians that are drawn.
+        stages: Steps of a frame, by stage.
+        buffers: Buffers of the part, by name.
+        images: Image buffers, by output; empty if the result is a layer.
+        counts: Counts of cells, of their pairs and of drawn Gaussians.
     """
 
     def __init__(
@@ -103,11 +106,12 @@ class WeightedPart:
         kernels: WeightedKernels,
         placed: Sequence[tuple[SplatSet, Page]],
         size: tuple[int, int],
-        panorama: bool,
         outputs: frozenset[Output],
         pair_capacity: int,
-        frames: tuple[Any, Any],
+        frames: tuple[Buffer, Buffer],
         layers: Layers | None,
+        *,
+        panorama: bool,
         published: bool,
         deep: bool,
     ) -> None:
@@ -116,10 +120,10 @@ class WeightedPart:
         self._frame, self._bare_frame = frames
         self._layers, self._deep = layers, deep
         self._tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
-        self.buffers: dict[str, Any] = {}
-        self.images: dict[str, Any] = {}
+        self.buffers: dict[str, Buffer] = {}
+        self.images: dict[str, Buffer] = {}
         self._pair_capacity = pair_capacity
-        self._cells = sum(_cells(one) for one, _ in _sets(placed))
+        self._cells = sum(_cells(splat_set) for splat_set, _ in _sets(placed))
         self.counts = self._storage("counts of cells", counting.BYTES, extra="INDIRECT")
         device.write(self.counts, counting.initial(self._cells, pair_capacity))
         self._ranges = self._storage("ranges of cells", 8 * self._tiles[0] * self._tiles[1])
@@ -127,7 +131,7 @@ class WeightedPart:
         self._cell_slots = device.uniform("sets of cells", PAGE.itemsize * len(placed))
         self.stages = self._record(placed, outputs)
 
-    def _storage(self, name: str, size: int, *, extra: str = "") -> Any:
+    def _storage(self, name: str, size: int, *, extra: str = "") -> Buffer:
         self.buffers[name] = self._device.storage(name, size, extra=extra)
         return self.buffers[name]
 
@@ -143,7 +147,7 @@ class WeightedPart:
         n = sum(page.capacity for _, page in placed)
         keys = self._storage("keys of weighted", 4 * n)
         shapes, weights, colors = (
-            self._storage(f"weighted {name}", _VEC4 * n)
+            self._storage(f"weighted {name}", VEC4 * n)
             for name in ("shapes", "weights", "colors")
         )
         columns = (
@@ -151,8 +155,8 @@ class WeightedPart:
             self._columns("cells b", self._cells),
         )
         lows = self._storage("lows of cells", 4 * self._cells)
-        circles = self._storage("circles of cells", _VEC4 * self._cells)
-        spans = self._storage("spans of cells", _VEC4 * self._cells)
+        circles = self._storage("circles of cells", VEC4 * self._cells)
+        spans = self._storage("spans of cells", VEC4 * self._cells)
         stages = {
             "project weighted": self._project(placed, (keys, shapes, weights, colors)),
             "project cells": self._project_cells(
@@ -171,32 +175,32 @@ class WeightedPart:
         if "depth" in outputs and self._layers is None:
             stages["sum depth"] = [self._blend("depth", (*known, colors), pick=True)]
         if "normal" in outputs:
-            normals = self._storage("weighted normals", _VEC4 * n)
+            normals = self._storage("weighted normals", VEC4 * n)
             stages["project weighted"] += self._normals(placed, keys, normals)
             stages["sum normal"] = [self._blend("normal", (*known, normals))]
         return stages
 
     def _project(
-        self, placed: Sequence[tuple[SplatSet, Page]], outputs: tuple[Any, ...]
+        self, placed: Sequence[tuple[SplatSet, Page]], outputs: tuple[Buffer, ...]
     ) -> list[Step]:
-        made = []
+        recorded = []
         for slot, (_, page) in enumerate(placed):
             kernel = self._kernels.project(page.half, page.stride, self._panorama)
             bound = (self._frame, *outputs)
-            made.append(kernel.step(bound, self._slots, slot, page, page.cells))
-        return made
+            recorded.append(kernel.step(bound, self._slots, slot, page, page.cells))
+        return recorded
 
     def _project_cells(
-        self, placed: Sequence[tuple[SplatSet, Page]], outputs: tuple[Any, ...]
+        self, placed: Sequence[tuple[SplatSet, Page]], outputs: tuple[Buffer, ...]
     ) -> list[Step]:
         kernel, bound = self._kernels.cells(self._panorama), (self._frame, *outputs)
         return [
-            kernel.step(bound, self._cell_slots, slot, page.cells, _cells(one))
-            for slot, (one, page) in enumerate(_sets(placed))
+            kernel.step(bound, self._cell_slots, slot, page.cells, _cells(splat_set))
+            for slot, (splat_set, page) in enumerate(_sets(placed))
         ]
 
     def _normals(
-        self, placed: Sequence[tuple[SplatSet, Page]], keys: Any, normals: Any
+        self, placed: Sequence[tuple[SplatSet, Page]], keys: Buffer, normals: Buffer
     ) -> list[Step]:
         kernel = self._kernels.normals()
         return [
@@ -204,13 +208,15 @@ class WeightedPart:
             for slot, (_, page) in enumerate(placed)
         ]
 
-    def _sort(self, columns: tuple[Columns, Columns], lows: Any) -> tuple[list[Step], Any]:
+    def _sort(
+        self, columns: tuple[Columns, Columns], lows: Buffer
+    ) -> tuple[list[Step], Buffer]:
         """Return the steps, and the buffer of cells, nearest first."""
         n = self._cells
         spare = self._storage("keys of cells c", 4 * n) if self._deep else None
         return self._kernels.order.steps(n, self.counts, columns, lows, None, spare)
 
-    def _bin(self, order: Any, circles: Any, pairs: Columns) -> list[Step]:
+    def _bin(self, order: Buffer, circles: Buffer, pairs: Columns) -> list[Step]:
         walk = self._kernels.cut.walk
         run_pairs = self._storage("run pairs of cells", 4 * -(-self._cells // walk))
         measure, emit = self._kernels.bin(self._panorama).steps(
@@ -221,10 +227,10 @@ class WeightedPart:
         )
         return [measure, *add, emit]
 
-    def _group(self, pairs: list[Columns]) -> tuple[list[Step], Any]:
+    def _group(self, pairs: list[Columns]) -> tuple[list[Step], Buffer]:
         """Return the steps, and the buffer of the cells of each tile after the other."""
         last = self._tiles[0] * self._tiles[1] - 1
-        steps, at = self._kernels.sort.steps(
+        steps, side = self._kernels.sort.steps(
             self.counts,
             self._kernels.sort.histogram(self._pair_capacity),
             pairs,
@@ -232,45 +238,49 @@ class WeightedPart:
             source=Counts.PAIRS,
             groups=Counts.SORT_PAIRS_GROUPS,
         )
-        mark = self._kernels.ranges.step(self.counts, pairs[at].keys, self._ranges)
-        return [*steps, mark], pairs[at].values
+        mark = self._kernels.ranges.step(self.counts, pairs[side].keys, self._ranges)
+        return [*steps, mark], pairs[side].values
 
-    def _blend(self, name: str, resources: tuple[Any, ...], *, pick: bool = False) -> Step:
+    def _blend(
+        self, name: str, resources: tuple[Buffer, ...], *, pick: bool = False
+    ) -> Step:
         if self._layers is not None:
             kernel = self._kernels.blend(False, self._panorama, False, self._layers.count)
             image = self._layers.normals if name == "normal" else self._layers.colors
             bound = (self._bare_frame, *resources, image)
             return kernel.step(self._tiles, bound, self._layers.depths)
         pixels = self._size[0] * self._size[1]
-        self.images[name] = self._storage(f"{name} image", _VEC4 * pixels)
+        self.images[name] = self._storage(f"{name} image", VEC4 * pixels)
         frame = self._frame if name == "color" else self._bare_frame
         kernel = self._kernels.blend(pick, self._panorama, self._published, 0)
         return kernel.step(self._tiles, (frame, *resources, self.images[name]))
 
-    def clear(self, encoder: Any) -> None:
-        """Encode that what is added up starts at zero."""
+    def clear(self, encoder: Encoder) -> None:
+        """Encode the clearing of ranges and counts."""
         encoder.clear_buffer(self._ranges)
         encoder.clear_buffer(self.counts, 4 * Counts.DRAWN, 12)  # to UNSORTED
 
     def write(self, placed: Sequence[tuple[SplatSet, Page]], camera: Camera) -> None:
-        """Write what changes from frame to frame.
+        """Write the uniforms of a frame.
 
         Args:
-            placed: The pages that the part was made of, and how they are drawn now.
-            camera: Whose image it is.
+            placed: The pages of the part with their present sets.
+            camera: Camera of the frame.
         """
         slots, base = np.zeros(len(placed), PAGE), 0
         cell_slots, cell_base, number = np.zeros(len(placed), PAGE), 0, 0
-        for slot, (one, page) in enumerate(placed):
+        for slot, (splat_set, page) in enumerate(placed):
             if page.first == 0:
-                live = -(-one.data.count // one.data.per_cell)
-                made = page_uniform(one, camera, cell_base, _cells(one), live)
-                cell_slots[number] = _weighing(made, one)
+                live = -(-splat_set.data.count // splat_set.data.per_cell)
+                uniform = page_uniform(
+                    splat_set, camera, cell_base, _cells(splat_set), live
+                )
+                cell_slots[number] = _weighing(uniform, splat_set)
                 cell_slots[number]["first_gaussian"] = base
-                cell_base, number = cell_base + _cells(one), number + 1
-            live = min(max(one.data.count - page.first, 0), page.capacity)
-            made = page_uniform(one, camera, base, page.capacity, live)
-            slots[slot] = _weighing(made, one)
+                cell_base, number = cell_base + _cells(splat_set), number + 1
+            live = min(max(splat_set.data.count - page.first, 0), page.capacity)
+            uniform = page_uniform(splat_set, camera, base, page.capacity, live)
+            slots[slot] = _weighing(uniform, splat_set)
             slots[slot]["first_row"] = page.first
             base += page.capacity
         self._device.write(self._slots, slots)
@@ -279,21 +289,23 @@ class WeightedPart:
 
 def _sets(placed: Sequence[tuple[SplatSet, Page]]) -> Iterator[tuple[SplatSet, Page]]:
     """Yield each set with its first page."""
-    return ((one, page) for one, page in placed if page.first == 0)
+    return ((splat_set, page) for splat_set, page in placed if page.first == 0)
 
 
-def _cells(one: SplatSet) -> int:
-    return 0 if one.data.cells is None else len(one.data.cells)
+def _cells(splat_set: SplatSet) -> int:
+    return 0 if splat_set.data.cells is None else len(splat_set.data.cells)
 
 
-def _weighing(made: Shaped[np.ndarray, ""], one: SplatSet) -> Shaped[np.ndarray, ""]:
-    """Add to a page's uniform how a set's Gaussians are weighed."""
-    weighted, depth_range = one.weighted, one.depth_range
+def _weighing(
+    uniform: Shaped[np.ndarray, ""], splat_set: SplatSet
+) -> Shaped[np.ndarray, ""]:
+    """Add the parameters of a set's weighted sum to a page's uniform."""
+    weighted, depth_range = splat_set.weighted, splat_set.depth_range
     assert weighted is not None
-    made["per_cell"] = one.data.per_cell
-    made["inverse_range"] = 0 if depth_range is None else 1 / depth_range
-    made["inverse_divisor"], made["behind"] = (
+    uniform["per_cell"] = splat_set.data.per_cell
+    uniform["inverse_range"] = 0 if depth_range is None else 1 / depth_range
+    uniform["inverse_divisor"], uniform["behind"] = (
         1 / weighted.opacity_divisor,
         weighted.background,
     )
-    return made
+    return uniform

@@ -5,7 +5,7 @@ __all__ = ["Camera"]
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import KW_ONLY, dataclass, fields, replace
 from typing import Any, Literal, final, get_args
 
 import numpy as np
@@ -13,11 +13,11 @@ from jaxtyping import Float
 
 from gsgen.contract.spec import geometry
 from gsgen.runtime.errors import SceneInvalid
-from gsgen.sdk.binding.camera_inputs import pinhole_projection
+from gsgen.sdk.binding.camera_inputs import FAR_RATIO, pinhole_projection
 
-_NEAR = 0.01
+DEFAULT_NEAR = 0.01
+"""Near plane of a camera without one, in world units."""
 _LARGEST_SIDE = 16_384
-_FAR = 1e5  # near planes to the far plane, which nothing but clip space needs
 _ROTATION_TOLERANCE = 1e-3
 _UP = (0.0, -1.0, 0.0)  # +y is down in the worlds that COLMAP makes
 _ROUNDING = 1e-6  # by this share a panorama may be wider than a turn
@@ -44,29 +44,30 @@ class Camera:
         cy: Principal point from the upper edge, in pixels.
         width: Of the image, in pixels.
         height: Of the image, in pixels.
-        near: What is nearer along +z than this, in world units, is not drawn; in a panorama,
-            what is nearer in any direction.
+        near: Least distance along +z, in world units, at which Gaussians are drawn; in a
+            panorama the least distance in any direction.
         kind: ``pinhole``, ``orthographic`` or ``panorama``.
 
     Raises:
-        SceneInvalid: A number is not finite or out of range, or ``view`` is no rigid motion.
+        SceneInvalid: A number is not finite or out of range, or ``view`` is not a rigid transform.
     """
 
     view: Float[np.ndarray, "4 4"]
+    _: KW_ONLY
     fx: float
     fy: float
     cx: float
     cy: float
     width: int
     height: int
-    near: float = _NEAR
+    near: float = DEFAULT_NEAR
     kind: Kind = "pinhole"
 
     def __post_init__(self) -> None:
         view = np.array(self.view, np.float64)
         if view.shape != (4, 4) or not np.isfinite(view).all():
             raise SceneInvalid(
-                f"is {view.tolist()}, wanted 4 rows of 4 finite numbers",
+                f"is {view.tolist()}, expected 4 rows of 4 finite numbers",
                 where="camera.view",
             )
         object.__setattr__(self, "view", view)
@@ -78,7 +79,7 @@ class Camera:
             _require_side(name, getattr(self, name))
         if self.kind not in get_args(Kind):
             raise SceneInvalid(
-                f"is {self.kind!r}, wanted pinhole, orthographic or panorama",
+                f"is {self.kind!r}, expected pinhole, orthographic or panorama",
                 where="camera.kind",
             )
         if self.kind == "panorama":
@@ -89,7 +90,7 @@ class Camera:
             rigid = off <= _ROTATION_TOLERANCE and np.linalg.det(turn) > 0
         if not (rigid and np.array_equal(view[3], [0, 0, 0, 1])):
             raise SceneInvalid(
-                f"is no rotation with a translation: {view.tolist()}",
+                f"is not a rigid transform: {view.tolist()}",
                 where="camera.view",
                 hint="It maps world to camera and acts on column vectors; its last row is 0 0 0 1.",
             )
@@ -104,13 +105,13 @@ class Camera:
         width: int = 1280,
         height: int = 720,
         fov_y: float = 50.0,
-        near: float = _NEAR,
+        near: float = DEFAULT_NEAR,
     ) -> "Camera":
         """Return the camera at ``eye`` that looks at ``target``.
 
         Args:
             eye: The camera centre, in world units.
-            target: What is in the middle of the image.
+            target: The point in the middle of the image.
             up: The world's upward direction.
             width: Of the image, in pixels.
             height: Of the image, in pixels.
@@ -121,18 +122,29 @@ class Camera:
             SceneInvalid: ``eye`` and ``target`` are one point, or a number is out of range.
         """
         if not 0 < fov_y < 180:
-            raise SceneInvalid(f"is {fov_y} degrees, wanted 0 to 180", where="camera.fov_y")
-        _require_side("height", height)
-        at, goal = np.asarray(eye, np.float64), np.asarray(target, np.float64)
-        if not np.linalg.norm(goal - at) > 0:
             raise SceneInvalid(
-                f"looks from {at.tolist()} at {goal.tolist()}, which is no direction",
+                f"is {fov_y} degrees, expected 0 to 180", where="camera.fov_y"
+            )
+        _require_side("height", height)
+        position, goal = np.asarray(eye, np.float64), np.asarray(target, np.float64)
+        if not np.linalg.norm(goal - position) > 0:
+            raise SceneInvalid(
+                f"looks from {position.tolist()} at {goal.tolist()}, which is not a direction",
                 where="camera",
             )
         upward = _direction("up", up)
         focal = height / 2 / math.tan(math.radians(fov_y) / 2)
-        view = geometry.look_at(at, goal, upward)
-        return cls(view, focal, focal, width / 2, height / 2, width, height, near)
+        view = geometry.look_at(position, goal, upward)
+        return cls(
+            view,
+            fx=focal,
+            fy=focal,
+            cx=width / 2,
+            cy=height / 2,
+            width=width,
+            height=height,
+            near=near,
+        )
 
     @classmethod
     def orbit(
@@ -146,7 +158,7 @@ class Camera:
         width: int = 1280,
         height: int = 720,
         fov_y: float = 50.0,
-        near: float = _NEAR,
+        near: float = DEFAULT_NEAR,
     ) -> "Camera":
         """Return the camera on a sphere around ``center`` that looks at it.
 
@@ -170,12 +182,12 @@ class Camera:
         side /= np.linalg.norm(side)
         turn, lift = math.radians(azimuth), math.radians(elevation)
         level = math.cos(turn) * np.cross(side, axis) + math.sin(turn) * side
-        away = math.cos(lift) * level + math.sin(lift) * axis
+        offset = math.cos(lift) * level + math.sin(lift) * axis
         middle = np.asarray(center, np.float64)
         # Straight above, `up` says nothing: the horizon's direction does.
         upward = axis if abs(lift) < math.pi / 2 - 1e-6 else -math.copysign(1, lift) * level
         return cls.look_at(
-            (middle + radius * away).tolist(),
+            (middle + radius * offset).tolist(),
             middle.tolist(),
             up=upward.tolist(),
             width=width,
@@ -195,7 +207,7 @@ class Camera:
         height: int | None = None,
         longitudes: tuple[float, float] = (-180.0, 180.0),
         latitudes: tuple[float, float] = (-90.0, 90.0),
-        near: float = _NEAR,
+        near: float = DEFAULT_NEAR,
     ) -> "Camera":
         """Return the camera at ``eye`` that sees all around: an equirectangular panorama.
 
@@ -209,7 +221,7 @@ class Camera:
             height: Of the image, in pixels; None for square pixels.
             longitudes: Degrees at the left and the right edge; positive is to the right.
             latitudes: Degrees at the lower and the upper edge; positive is up.
-            near: What is nearer than this is not drawn.
+            near: Least distance at which Gaussians are drawn.
 
         Raises:
             SceneInvalid: The angles are not in order or too far apart, ``toward`` is along ``up``,
@@ -221,7 +233,7 @@ class Camera:
         ):
             if not 0 < high - low <= most:
                 raise SceneInvalid(
-                    f"are {low} to {high} degrees, wanted low to high, {most} apart at most",
+                    f"are {low} to {high} degrees, expected low to high, {most} apart at most",
                     where=f"camera.{name}",
                 )
         across = math.radians(longitudes[1] - longitudes[0])
@@ -241,49 +253,59 @@ class Camera:
         view = geometry.look_at(np.zeros(3), ahead, upward)
         view[:3, 3] = -view[:3, :3] @ np.asarray(eye, np.float64)
         cx, cy = -math.radians(longitudes[0]) * fx, math.radians(latitudes[1]) * fy
-        return cls(view, fx, fy, cx, cy, width, tall, near, "panorama")
+        return cls(
+            view,
+            fx=fx,
+            fy=fy,
+            cx=cx,
+            cy=cy,
+            width=width,
+            height=tall,
+            near=near,
+            kind="panorama",
+        )
 
     @classmethod
     def from_json(cls, text: str) -> "Camera":
-        """Return the camera that a JSON object of this class's attributes describes.
+        """Read a camera from a JSON object with this class's attributes.
 
         Raises:
-            SceneInvalid: The text is no such object.
+            SceneInvalid: The text is not a valid camera.
         """
         try:
-            made = json.loads(text)
+            document = json.loads(text)
         except json.JSONDecodeError as error:
-            raise SceneInvalid(f"is no JSON: {error}", where="camera") from error
-        return cls.from_dict(made)
+            raise SceneInvalid(f"is not valid JSON: {error}", where="camera") from error
+        return cls.from_dict(document)
 
     @classmethod
-    def from_dict(cls, made: object) -> "Camera":
-        """Return the camera that a mapping of this class's attributes describes.
+    def from_dict(cls, document: object) -> "Camera":
+        """Build a camera from a mapping with this class's attributes.
 
         Raises:
             SceneInvalid: A field is missing, unknown or invalid.
         """
         known = [field.name for field in fields(cls)]
-        if not isinstance(made, Mapping):
+        if not isinstance(document, Mapping):
             raise SceneInvalid(
-                f"is a {type(made).__name__}, wanted an object with {', '.join(known)}",
+                f"is a {type(document).__name__}, expected an object with {', '.join(known)}",
                 where="camera",
             )
         missing = [
-            name for name in known if name not in made and name not in ("near", "kind")
+            name for name in known if name not in document and name not in ("near", "kind")
         ]
-        unknown = [name for name in made if name not in known]
+        unknown = [name for name in document if name not in known]
         if missing or unknown:
             parts = [f"lacks {', '.join(missing)}"] if missing else []
             parts += [f"has unknown {', '.join(map(str, unknown))}"] if unknown else []
             raise SceneInvalid(
                 "; ".join(parts), where="camera", hint=f"Fields: {', '.join(known)}."
             )
-        values: dict[str, Any] = dict(made)
+        values: dict[str, Any] = dict(document)
         try:
             values["view"] = np.array(values["view"], np.float64)
         except (TypeError, ValueError) as error:
-            raise SceneInvalid(f"is no matrix: {error}", where="camera.view") from error
+            raise SceneInvalid(f"is not a matrix: {error}", where="camera.view") from error
         return cls(**values)
 
     def to_json(self) -> str:
@@ -298,35 +320,35 @@ class Camera:
 
     @property
     def projection(self) -> Float[np.ndarray, "4 4"]:
-        """Camera → clip, depth 0..1, as generators get it.
+        """The matrix from camera to clip space, depth 0..1, that generators receive.
 
-        A panorama has no such matrix: it gives that of a box of 1e5 units around the camera, so
-        that models that hide what is out of view hide nothing.
+        A panorama has no such matrix: it returns that of a box of 1e5 units around the camera, so
+        that models that cull by the view cull nothing.
         """
         if self.kind == "pinhole":
             return np.asarray(pinhole_projection(self))
         if self.kind == "panorama":
-            # A box around the camera: what is behind it is in view, too, and nothing is culled.
-            box = np.diag([1 / _FAR, -1 / _FAR, 0.5 / _FAR, 1])
+            # A box around the camera: points behind it are in view, too, and nothing is culled.
+            box = np.diag([1 / FAR_RATIO, -1 / FAR_RATIO, 0.5 / FAR_RATIO, 1])
             box[2, 3] = 0.5
             return np.asarray(box)
-        made = np.eye(4)
-        made[0, [0, 3]] = 2 * self.fx / self.width, 2 * self.cx / self.width - 1
-        made[1, [1, 3]] = -2 * self.fy / self.height, 1 - 2 * self.cy / self.height
-        depth = _FAR * self.near - self.near
-        made[2, 2:] = 1 / depth, -self.near / depth
-        return made
+        projection = np.eye(4)
+        projection[0, [0, 3]] = 2 * self.fx / self.width, 2 * self.cx / self.width - 1
+        projection[1, [1, 3]] = -2 * self.fy / self.height, 1 - 2 * self.cy / self.height
+        depth = FAR_RATIO * self.near - self.near
+        projection[2, 2:] = 1 / depth, -self.near / depth
+        return projection
 
     @property
     def period(self) -> float:
-        """How many pixels a panorama has for a whole turn; 0 for other kinds."""
+        """The pixels of a whole turn of a panorama; 0 for other kinds."""
         return 2 * math.pi * self.fx if self.kind == "panorama" else 0.0
 
     def flattened(self, distance: float) -> "Camera":
-        """Return the orthographic camera that shows what is at ``distance`` as large as this one.
+        """Return an orthographic camera that shows things at ``distance`` in this camera's scale.
 
         Raises:
-            SceneInvalid: The distance is no positive number, or this is a panorama.
+            SceneInvalid: The distance is not positive, or the camera is a panorama.
         """
         _require_number("distance", distance, positive=True)
         if self.kind == "panorama":
@@ -335,13 +357,21 @@ class Camera:
         return replace(self, fx=self.fx / scale, fy=self.fy / scale, kind="orthographic")
 
     def all_around(self, width: int, height: int) -> "Camera":
-        """Return the full panorama from the same place, whose middle is this one's axis."""
-        fx, fy = width / (2 * math.pi), height / math.pi
-        center = (width / 2, height / 2)
-        return Camera(self.view, fx, fy, *center, width, height, self.near, "panorama")
+        """Return the full panorama from the same position, centred on the camera's axis."""
+        return Camera(
+            self.view,
+            fx=width / (2 * math.pi),
+            fy=height / math.pi,
+            cx=width / 2,
+            cy=height / 2,
+            width=width,
+            height=height,
+            near=self.near,
+            kind="panorama",
+        )
 
     def scaled(self, width: int, height: int) -> "Camera":
-        """Return the camera with the same view in an image of another size."""
+        """Return the camera with the same field of view in an image of another size."""
         across, down = width / self.width, height / self.height
         return replace(
             self,
@@ -357,22 +387,22 @@ class Camera:
 def _require_number(name: str, value: object, *, positive: bool = False) -> None:
     good = isinstance(value, int | float) and math.isfinite(value)
     if not good or (positive and not float(value) > 0):  # type: ignore[arg-type]
-        wanted = "a positive number" if positive else "a finite number"
-        raise SceneInvalid(f"is {value!r}, wanted {wanted}", where=f"camera.{name}")
+        expected = "a positive number" if positive else "a finite number"
+        raise SceneInvalid(f"is {value!r}, expected {expected}", where=f"camera.{name}")
 
 
-def _direction(name: str, given: Sequence[float]) -> Float[np.ndarray, "3"]:
-    vector = np.asarray(given, np.float64)
+def _direction(name: str, components: Sequence[float]) -> Float[np.ndarray, "3"]:
+    vector = np.asarray(components, np.float64)
     length = np.linalg.norm(vector)
     if vector.shape != (3,) or not 0 < length < math.inf:
         raise SceneInvalid(
-            f"is {list(given)}, which is no direction", where=f"camera.{name}"
+            f"is {list(components)}, which is not a direction", where=f"camera.{name}"
         )
     return np.asarray(vector / length)
 
 
 def _require_sphere(camera: Camera) -> None:
-    """Refuse a panorama that shows a direction twice, or one beyond a pole."""
+    """Raise if a panorama shows a direction twice, or one beyond a pole."""
     if camera.width > camera.period * (1 + _ROUNDING):
         raise SceneInvalid(
             f"is {camera.fx} pixels a radian, {camera.period:.6g} a turn, but the image is "
@@ -384,7 +414,7 @@ def _require_sphere(camera: Camera) -> None:
     if max(-top, bottom) > math.pi / 2 * (1 + _ROUNDING):
         raise SceneInvalid(
             f"and fy show latitudes from {math.degrees(-bottom):.6g} to "
-            f"{math.degrees(-top):.6g} degrees, wanted −90 to 90 at most",
+            f"{math.degrees(-top):.6g} degrees, expected −90 to 90 at most",
             where="camera.cy",
             hint="A full panorama has cy = height / 2 and fy = height / π.",
         )
@@ -393,6 +423,6 @@ def _require_sphere(camera: Camera) -> None:
 def _require_side(name: str, value: object) -> None:
     if not (isinstance(value, int | np.integer) and 1 <= value <= _LARGEST_SIDE):
         raise SceneInvalid(
-            f"is {value!r}, wanted an integer from 1 to {_LARGEST_SIDE}",
+            f"is {value!r}, expected an integer from 1 to {_LARGEST_SIDE}",
             where=f"camera.{name}",
         )

@@ -6,7 +6,7 @@ from typing import Final
 
 from gsgen.contract.errors import ConfigInvalid
 
-_NAMED: Final = {
+_COLOR_NAMES: Final = {
     "black": (0.0, 0.0, 0.0, 1.0),
     "white": (1.0, 1.0, 1.0, 1.0),
     "transparent": (0.0, 0.0, 0.0, 0.0),
@@ -21,21 +21,21 @@ def color_of(text: str, where: str) -> tuple[float, float, float, float]:
         where: What an error calls its place.
 
     Raises:
-        ConfigInvalid: It is none of these.
+        ConfigInvalid: The text is not a colour in one of these forms.
     """
-    if text.lower() in _NAMED:
-        return _NAMED[text.lower()]
+    if text.lower() in _COLOR_NAMES:
+        return _COLOR_NAMES[text.lower()]
     try:
         if text.startswith("#") and len(text) == 7:
             hexed = bytes.fromhex(text[1:])
             return hexed[0] / 255, hexed[1] / 255, hexed[2] / 255, 1.0
-        red, green, blue, *rest = (float(one) for one in text.split(","))
-        (alpha,) = rest or (1.0,)
-        if not all(0 <= one <= 1 for one in (red, green, blue, alpha)):
+        red, green, blue, *alphas = (float(channel) for channel in text.split(","))
+        (alpha,) = alphas or (1.0,)
+        if not all(0 <= channel <= 1 for channel in (red, green, blue, alpha)):
             raise ValueError(text)
     except ValueError as error:
         raise ConfigInvalid(
-            f"{text!r} is no colour",
+            f"{text!r} is not a colour",
             where=where,
             hint="Give black, white, transparent, #rrggbb or R,G,B[,A] from 0 to 1.",
         ) from error

@@ -1,6 +1,6 @@
-"""A frame: what a camera sees of a scene."""
+"""A frame: the image of a scene with depths, ids and normals."""
 
-__all__ = ["NOTHING", "Frame", "Output"]
+__all__ = ["COLOR_ONLY", "NOTHING", "Frame", "Output"]
 
 from dataclasses import dataclass
 from typing import Final, Literal, final
@@ -9,31 +9,34 @@ import numpy as np
 from jaxtyping import Float, Float32, Int64, UInt8
 
 Output = Literal["color", "depth", "normal"]
-"""What can be asked for; ``depth`` brings both depths and the ids."""
+"""Outputs of a frame; ``depth`` includes both depths and the ids."""
+
+COLOR_ONLY: Final[tuple[Output, ...]] = ("color",)
+"""The default outputs of a frame."""
 
 NOTHING: Final = -1
 """The id where no Gaussian took half of the light."""
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Frame:
-    """An image and what belongs to it. What was not asked for is None.
+    """An image with its depths, ids and normals; outputs that were not requested are None.
 
     Attributes:
         rgba: Red, green, blue multiplied by alpha, and alpha, [height, width, 4], as blended:
             in the colour space of the Gaussians, neither clipped nor quantised.
         alpha: How much of the background is covered, [height, width], in [0, 1].
         depth: Mean distance along the camera's +z, in a panorama from the camera, weighted as the
-            colours are, in world units; infinite where nothing is.
-        median_depth: Distance of the Gaussian that took half of the light; infinite where none
-            did.
-        ids: That Gaussian's place in the scene, or NOTHING; see ``Scene.locate``.
+            colours are, in world units; infinite where nothing is drawn.
+        median_depth: Distance of the Gaussian that took half of the light; infinite where no
+            Gaussian did.
+        ids: That Gaussian's index in the scene, or NOTHING; see ``Scene.locate``.
         normal: Unit vectors in world space that point towards the camera, [height, width, 3];
-            zero where nothing is.
+            zero where nothing is drawn.
         visible: How many Gaussians were drawn; of those in cells, all that are in the image.
-        pairs: Of a tile and a splat, or a cell, that touches it; what drawing costs grows with them.
-        color_space: Of ``rgba``.
+        pairs: Pairs of a tile and a splat or cell that touches it; the cost grows with them.
+        color_space: Colour space of ``rgba``.
     """
 
     rgba: Float32[np.ndarray, "h w 4"] | None

@@ -82,7 +82,7 @@ class MeshData:
         self.version = 0
 
     def update(self, vertices: Float[np.ndarray, "v 3"]) -> None:
-        """Move the vertices; how many there are stays, so that no buffer is made anew.
+        """Move the vertices; how many there are stays, so that buffers are reused.
 
         Raises:
             SceneInvalid: There are more or fewer, or one is not finite.
@@ -126,58 +126,65 @@ class Mesh:
 
 def _require_one_of(value: str, known: tuple[str, ...], where: str) -> None:
     if value not in known:
-        raise SceneInvalid(f"is {value!r}, wanted {' or '.join(known)}", where=where)
+        raise SceneInvalid(f"is {value!r}, expected {' or '.join(known)}", where=where)
 
 
 def _floats(
-    given: np.ndarray, where: str, widths: tuple[int, ...], rows: int | None = None
+    array: np.ndarray, where: str, widths: tuple[int, ...], rows: int | None = None
 ) -> Float32[np.ndarray, "n c"]:
     """Return finite rows of one of some widths as float32, in C order."""
-    made = np.asarray(given)
-    fits = made.ndim == 2 and made.shape[1] in widths and made.dtype.kind in "fiu"
-    if not fits or (rows is not None and len(made) != rows):
-        wanted = " or ".join(map(str, widths))
+    converted = np.asarray(array)
+    fits = (
+        converted.ndim == 2
+        and converted.shape[1] in widths
+        and converted.dtype.kind in "fiu"
+    )
+    if not fits or (rows is not None and len(converted) != rows):
+        expected = " or ".join(map(str, widths))
         raise SceneInvalid(
-            f"{made.dtype} {list(made.shape)}, wanted numbers "
-            f"[{'N' if rows is None else rows}, {wanted}]",
+            f"{converted.dtype} {list(converted.shape)}, expected numbers "
+            f"[{'N' if rows is None else rows}, {expected}]",
             where=where,
         )
-    wrong = ~(np.abs(made) <= _LARGEST).all(axis=1)
+    wrong = ~(np.abs(converted) <= _LARGEST).all(axis=1)
     if wrong.any():
         row = int(wrong.argmax())
         raise SceneInvalid(
-            f"{wrong.sum():,} of {len(made):,} rows are not finite or beyond {_LARGEST:g}; "
-            f"row {row} is {made[row].tolist()}",
+            f"{wrong.sum():,} of {len(converted):,} rows are not finite or beyond {_LARGEST:g}; "
+            f"row {row} is {converted[row].tolist()}",
             where=where,
             hint="Leave out these vertices and the faces that use them.",
         )
-    return np.ascontiguousarray(made, np.float32)
+    return np.ascontiguousarray(converted, np.float32)
 
 
-def _faces(given: np.ndarray, vertices: int) -> UInt32[np.ndarray, "f 3"]:
-    made = np.asarray(given)
-    if made.ndim != 2 or made.shape[1] != 3 or made.dtype.kind not in "iu":
+def _faces(array: np.ndarray, vertices: int) -> UInt32[np.ndarray, "f 3"]:
+    converted = np.asarray(array)
+    if converted.ndim != 2 or converted.shape[1] != 3 or converted.dtype.kind not in "iu":
         raise SceneInvalid(
-            f"{made.dtype} {list(made.shape)}, wanted integers [F, 3]", where="faces"
+            f"{converted.dtype} {list(converted.shape)}, expected integers [F, 3]",
+            where="faces",
         )
-    wrong = ~((made >= 0) & (made < vertices)).all(axis=1)
+    wrong = ~((converted >= 0) & (converted < vertices)).all(axis=1)
     if wrong.any():
         row = int(wrong.argmax())
         raise SceneInvalid(
-            f"row {row} is {made[row].tolist()}, but there are {vertices:,} vertices",
+            f"row {row} is {converted[row].tolist()}, but there are {vertices:,} vertices",
             where="faces",
         )
-    return np.ascontiguousarray(made, np.uint32)
+    return np.ascontiguousarray(converted, np.uint32)
 
 
-def _texture(given: np.ndarray) -> UInt8[np.ndarray, "h w 4"]:
-    made = np.asarray(given)
-    fits = made.ndim == 3 and made.shape[2] in (3, 4) and made.dtype == np.uint8
-    if not fits or 0 in made.shape:
+def _texture(array: np.ndarray) -> UInt8[np.ndarray, "h w 4"]:
+    converted = np.asarray(array)
+    fits = (
+        converted.ndim == 3 and converted.shape[2] in (3, 4) and converted.dtype == np.uint8
+    )
+    if not fits or 0 in converted.shape:
         raise SceneInvalid(
-            f"{made.dtype} {list(made.shape)}, wanted uint8 [height, width, 3 or 4]",
+            f"{converted.dtype} {list(converted.shape)}, expected uint8 [height, width, 3 or 4]",
             where="texture",
         )
-    opaque = np.full((*made.shape[:2], 4), 255, np.uint8)
-    opaque[..., :3] = made[..., :3]
+    opaque = np.full((*converted.shape[:2], 4), 255, np.uint8)
+    opaque[..., :3] = converted[..., :3]
     return opaque

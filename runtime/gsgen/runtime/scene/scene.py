@@ -3,7 +3,7 @@
 __all__ = ["Box", "Scene", "SplatSet"]
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Literal, final
 
 import numpy as np
@@ -34,15 +34,15 @@ class Box:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SplatSet:
-    """Gaussians, and how they are drawn.
+    """Gaussians with a transform and the settings of their drawing.
 
     Attributes:
         data: The Gaussians. Several sets may share them; they are on the GPU once.
         transform: Local → world, [4, 4], affine and invertible. Covariances follow it;
             harmonics follow its rotation (the orthogonal factor of its polar decomposition).
-        opacity_scale: Factor of all opacities, ≥ 0; what comes out above 1 is as 1.
+        opacity_scale: Factor of all opacities, ≥ 0; results above 1 are clamped to 1.
         degree: Use no harmonics above this degree; None for all there are.
-        antialias: What makes up for the 0.3 pixels² of dilation: nothing in ``classic``, less
+        antialias: Compensation of the 0.3 pixels² of dilation: none in ``classic``, less
             opacity in ``mip`` (Yu et al. 2023, "Mip-Splatting").
         clip: Centres outside of this box are not drawn; None for no box.
         weighted: How Gaussians are weighed where they are summed cell by cell; None where they
@@ -54,6 +54,7 @@ class SplatSet:
 
     data: SplatData
     transform: Float[np.ndarray, "4 4"] = field(default_factory=identity)
+    _: KW_ONLY
     opacity_scale: float = 1.0
     degree: int | None = None
     antialias: Literal["classic", "mip"] = "classic"
@@ -66,15 +67,15 @@ class SplatSet:
         require_affine(matrix)
         if not (np.isfinite(self.opacity_scale) and self.opacity_scale >= 0):
             raise SceneInvalid(
-                f"is {self.opacity_scale}, wanted a number from 0", where="opacity_scale"
+                f"is {self.opacity_scale}, expected a number from 0", where="opacity_scale"
             )
         if self.degree is not None and not 0 <= self.degree <= MAX_DEGREE:
             raise SceneInvalid(
-                f"is {self.degree}, wanted 0 to {MAX_DEGREE}", where="degree"
+                f"is {self.degree}, expected 0 to {MAX_DEGREE}", where="degree"
             )
         if self.antialias not in ("classic", "mip"):
             raise SceneInvalid(
-                f"is {self.antialias!r}, wanted classic or mip", where="antialias"
+                f"is {self.antialias!r}, expected classic or mip", where="antialias"
             )
         if self.weighted is not None:
             _require_weights(self.weighted, self.data)
@@ -100,12 +101,12 @@ def _require_weights(weighted: WeightedSum, data: SplatData) -> None:
     if not all(np.isfinite(size) and size > 0 for size in sizes):
         raise SceneInvalid(
             f"divides by {weighted.opacity_divisor} within {weighted.depth_range}, "
-            "wanted numbers above 0",
+            "expected numbers above 0",
             where="weighted",
         )
     if not (np.isfinite(weighted.background) and weighted.background >= 0):
         raise SceneInvalid(
-            f"weighs the background {weighted.background}, wanted a number from 0",
+            f"weighs the background {weighted.background}, expected a number from 0",
             where="weighted",
         )
 
@@ -132,10 +133,13 @@ class Scene:
         color_space: Literal["srgb", "linear"] = "srgb",
         meshes: Iterable[Mesh | MeshData] = (),
     ) -> None:
-        made = tuple(one if isinstance(one, SplatSet) else SplatSet(one) for one in sets)
-        object.__setattr__(self, "sets", made)
+        splat_sets = tuple(
+            splat_set if isinstance(splat_set, SplatSet) else SplatSet(splat_set)
+            for splat_set in sets
+        )
+        object.__setattr__(self, "sets", splat_sets)
         object.__setattr__(self, "color_space", color_space)
-        stood = tuple(one if isinstance(one, Mesh) else Mesh(one) for one in meshes)
+        stood = tuple(mesh if isinstance(mesh, Mesh) else Mesh(mesh) for mesh in meshes)
         object.__setattr__(self, "meshes", stood)
 
     def locate(self, index: int) -> tuple[int, int]:
@@ -144,12 +148,12 @@ class Scene:
         Raises:
             IndexError: The scene has fewer Gaussians.
         """
-        rest = index
-        for number, one in enumerate(self.sets):
-            if 0 <= rest < len(one.data):
-                return number, rest
-            rest -= len(one.data)
+        remaining = index
+        for number, splat_set in enumerate(self.sets):
+            if 0 <= remaining < len(splat_set.data):
+                return number, remaining
+            remaining -= len(splat_set.data)
         raise IndexError(f"Gaussian {index} of {len(self)}")
 
     def __len__(self) -> int:
-        return sum(len(one.data) for one in self.sets)
+        return sum(len(splat_set.data) for splat_set in self.sets)

@@ -1,4 +1,4 @@
-"""Gaussians to be drawn: packed rows of the contract, whose values may change from frame to frame."""
+"""Gaussians to be drawn: packed rows of the contract; their values may change between frames."""
 
 __all__ = ["SplatData"]
 
@@ -25,10 +25,10 @@ class SplatData:
         appearance: SH coefficients or RGB, [N, C], float32 or float16.
         space: What ``appearance`` holds.
         count: How many of the first rows are drawn.
-        rows_version: Grows when the rows change; who keeps a copy compares it.
+        rows_version: Grows when the rows change; holders of a copy compare it.
         appearance_version: The same of the appearance.
-        cells: What Gaussians may be summed by, [C, 10]: rows as those of Gaussians, with a
-            visibility for opacity; None where there are none.
+        cells: Cells of weighted sums, [C, 10]: rows as those of Gaussians, with a visibility in
+            place of the opacity; None for sets without cells.
         per_cell: Gaussians of each cell: row r is of cell r // per_cell.
         cells_version: Grows when the cells change.
     """
@@ -51,7 +51,7 @@ class SplatData:
 
     @classmethod
     def from_splats(cls, splats: Splats) -> "SplatData":
-        """Activate what a splat file holds; harmonics above degree 3 are left out.
+        """Convert the parameters of a splat file to rows; harmonics above degree 3 are left out.
 
         Opacity by the sigmoid, scale by the exponential, covariance by equation 6 of Kerbl
         et al. 2023.
@@ -59,13 +59,13 @@ class SplatData:
         with np.errstate(over="ignore"):  # the sigmoid of -inf is the 0 that it means
             opacity = 1 / (1 + np.exp(-splats.logit_opacity.astype(np.float64)))
         scale = np.exp(splats.log_scale.astype(np.float64))
-        made = layout.DecodedGaussians(
+        gaussians = layout.DecodedGaussians(
             position=splats.position,
             opacity=opacity,
             covariance=covariance_upper(scale, splats.rotation),
             sh=splats.sh[:, : coefficients(MAX_DEGREE)],
         )
-        return cls(*layout.encode(made), "sh")
+        return cls(*layout.encode(gaussians), "sh")
 
     @classmethod
     def from_packed(
@@ -84,10 +84,10 @@ class SplatData:
     def from_points(cls, points: PointCloud, opacity: float = 0.8) -> "SplatData":
         """Draw bare points as balls, each half as large as its three nearest neighbours are far.
 
-        Lonely points would hide the others: none is larger than four times the median.
+        A ball is at most four times the median size: lonely points would hide the others.
 
         Raises:
-            SceneInvalid: SciPy, whose search tree is used, is not installed.
+            SceneInvalid: SciPy is not installed.
         """
         spacing = _spacing(points.position)
         variance = (0.5 * np.minimum(spacing, 4 * np.median(spacing))) ** 2
@@ -104,7 +104,7 @@ class SplatData:
         count: int | None = None,
         cells: Float[np.ndarray, "c 10"] | None = None,
     ) -> None:
-        """Replace values; shapes and dtypes stay, so that no buffer is made anew.
+        """Replace values; shapes and dtypes stay, so that buffers are reused.
 
         Args:
             rows: New rows; None where they are as before.
@@ -113,24 +113,24 @@ class SplatData:
             cells: New cells; None where they are as before.
 
         Raises:
-            SceneInvalid: A shape or a dtype is another than before.
+            SceneInvalid: A shape or a dtype changed.
         """
-        made = _checked(
+        arrays = _checked(
             self.rows if rows is None else rows,
             self.appearance if appearance is None else appearance,
             self.space,
             count,
         )
         for name, new, old in (
-            ("rows", made[0], self.rows),
-            ("appearance", made[1], self.appearance),
+            ("rows", arrays[0], self.rows),
+            ("appearance", arrays[1], self.appearance),
         ):
             if new.shape != old.shape or new.dtype != old.dtype:
                 raise SceneInvalid(
-                    f"{new.dtype} {list(new.shape)}, wanted {old.dtype} {list(old.shape)} as before",
+                    f"{new.dtype} {list(new.shape)}, expected {old.dtype} {list(old.shape)} as before",
                     where=name,
                 )
-        self.rows, self.appearance, self.count = made
+        self.rows, self.appearance, self.count = arrays
         if cells is not None:
             self.cells = self._next_cells(cells)
             self.cells_version += 1
@@ -138,11 +138,13 @@ class SplatData:
         self.appearance_version += appearance is not None
 
     def _next_cells(self, cells: np.ndarray) -> np.ndarray:
-        made = _checked_cells(cells, self.per_cell, len(self.rows))
-        if self.cells is None or made.dtype != self.cells.dtype:
+        checked = _checked_cells(cells, self.per_cell, len(self.rows))
+        if self.cells is None or checked.dtype != self.cells.dtype:
             before = "none" if self.cells is None else str(self.cells.dtype)
-            raise SceneInvalid(f"{made.dtype}, wanted {before} as before", where="cells")
-        return made
+            raise SceneInvalid(
+                f"{checked.dtype}, expected {before} as before", where="cells"
+            )
+        return checked
 
     @property
     def degree(self) -> int | None:
@@ -162,11 +164,11 @@ def _spacing(points: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
             "sizes of bare points need scipy, which is not installed",
             hint="pip install 'gsgen[runtime]'",
         ) from error
-    wide = points.astype(np.float64)
-    k = min(3, len(wide) - 1)
+    positions = points.astype(np.float64)
+    k = min(3, len(positions) - 1)
     if k < 1:
-        return np.full(len(wide), 1e-2)
-    distances, _ = KDTree(wide).query(wide, k=k + 1, workers=-1)
+        return np.full(len(positions), 1e-2)
+    distances, _ = KDTree(positions).query(positions, k=k + 1, workers=-1)
     return np.asarray(np.sqrt(np.square(distances[:, 1:]).mean(axis=1)))
 
 
@@ -180,13 +182,13 @@ def _checked(
     allowed = layout.APPEARANCE_CHANNELS[space]
     if rows.ndim != 2 or rows.shape[1] != layout.ROW or rows.dtype not in _HALVES:
         raise SceneInvalid(
-            f"{rows.dtype} {list(rows.shape)}, wanted float16 or float32 [N, {layout.ROW}]",
+            f"{rows.dtype} {list(rows.shape)}, expected float16 or float32 [N, {layout.ROW}]",
             where="rows",
         )
     fits = appearance.ndim == 2 and appearance.shape[1] in allowed
     if not fits or len(appearance) != len(rows) or appearance.dtype not in _HALVES:
         raise SceneInvalid(
-            f"{appearance.dtype} {list(appearance.shape)}, wanted float16 or float32 "
+            f"{appearance.dtype} {list(appearance.shape)}, expected float16 or float32 "
             f"[{len(rows)}, C] with C one of {', '.join(map(str, allowed))} for {space}",
             where="appearance",
         )
@@ -201,7 +203,7 @@ def _checked_cells(cells: np.ndarray, per_cell: int, rows: int) -> np.ndarray:
     fits = cells.ndim == 2 and cells.shape[1] == layout.ROW and cells.dtype in _HALVES
     if per_cell < 1 or not fits or len(cells) * per_cell != rows:
         raise SceneInvalid(
-            f"{cells.dtype} {list(cells.shape)} of {per_cell} Gaussians each, wanted float16 or "
+            f"{cells.dtype} {list(cells.shape)} of {per_cell} Gaussians each, expected float16 or "
             f"float32 [C, {layout.ROW}] with C times as many the {rows} rows",
             where="cells",
         )

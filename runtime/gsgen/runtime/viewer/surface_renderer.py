@@ -12,7 +12,7 @@ import numpy as np
 from gsgen.runtime.errors import DeviceUnavailable
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.media.pictures import MODES, Mode
-from gsgen.runtime.renderer.rasteriser_choice import Asked
+from gsgen.runtime.renderer.rasteriser_choice import RasteriserOption
 from gsgen.runtime.renderer.renderer import Drawn, Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame
@@ -67,11 +67,11 @@ class SurfaceRenderer:
         self,
         open_device: Callable[[], Device] = Device.open,
         *,
-        rasteriser: Asked = "auto",
+        rasteriser: RasteriserOption = "auto",
         compact: bool = False,
     ) -> None:
         self._open = open_device
-        self._rasteriser: Asked = rasteriser
+        self._rasteriser: RasteriserOption = rasteriser
         self._compact = compact
         self._uploads: Any = None
         self.seconds = 0.0

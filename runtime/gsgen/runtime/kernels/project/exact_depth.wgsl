@@ -1,8 +1,8 @@
 // Exact depth: how far away a centre is, as the sum of two floats.
 //
 // Among a million centres many are nearer to each other than the last bit of a float tells. So
-// what roundings lose is kept: it is the dot product of Ogita, Rump and Oishi 2005 ("Accurate sum
-// and dot product"), with Knuth's sum of two numbers and Dekker's product. What is left is about
+// the rounding errors are kept: it is the dot product of Ogita, Rump and Oishi 2005 ("Accurate sum
+// and dot product"), with Knuth's sum of two numbers and Dekker's product. The remaining error is about
 // 2⁻⁴⁶ of the distance.
 //
 // WGSL lets compilers take (a + b) − a for b, and round a · b + c once. So numbers that such steps
@@ -40,7 +40,7 @@ fn product_rest(a: vec3f, b: vec3f, product: vec3f) -> vec3f {
     return (((a_high * b_high - product) + a_high * b_low) + a_low * b_high) + a_low * b_low;
 }
 
-// The sum of three numbers and of what is small beside them.
+// The sum of three numbers and of a small rest.
 fn exact_total(large: vec3f, small: f32) -> vec2f {
     let two = exact_sum(large.x, large.y);
     let three = exact_sum(two.x, large.z);
@@ -77,7 +77,7 @@ fn exact_length(x: vec2f, y: vec2f, z: vec2f) -> vec2f {
     let squares = hidden_each(high * high);
     let small = product_rest(high, high, squares) + 2.0 * high * low;
     let total = exact_total(squares, (small.x + small.y) + small.z);
-    // One step of Newton's method: what is left of the square, over twice the root.
+    // One step of Newton's method: the rest of the square, over twice the root.
     let root = hidden(sqrt(total.x));
     let square = hidden(root * root);
     let square_rest = product_rest(vec3f(root), vec3f(root), vec3f(square)).x;
@@ -85,7 +85,7 @@ fn exact_length(x: vec2f, y: vec2f, z: vec2f) -> vec2f {
     return exact_sum(root, left / (2.0 * root)) * bitcast<f32>(unit);
 }
 
-// The depth of a centre. Where numbers overflow on the way, it is `rounded`, and no more is known.
+// The depth of a centre. Where numbers overflow on the way, it is `rounded` with a rest of 0.
 fn exact_depth(position: vec3f, rounded: f32) -> vec2f {
     let from_eye = exact_offset(position);
     let rows = transpose(page.linear);
@@ -99,7 +99,7 @@ fn exact_depth(position: vec3f, rounded: f32) -> vec2f {
     return select(vec2f(rounded, 0.0), depth, abs(depth.y) <= 1e-6 * abs(depth.x));
 }
 
-// Bits that sort as what is left of a depth does.
+// Bits of a depth's rest that sort as it does.
 fn order_of(low: f32) -> u32 {
     let bits = bitcast<u32>(low);
     let ordered = select(bits ^ 0x80000000u, ~bits, low < 0.0);

@@ -1,4 +1,4 @@
-"""Project: turn Gaussians into splats, and say how far away each is."""
+"""Project: turn Gaussians into splats with depths."""
 
 __all__ = [
     "FRAME",
@@ -13,7 +13,7 @@ __all__ = [
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt32
@@ -22,7 +22,9 @@ from gsgen.contract.spec import layout
 from gsgen.contract.spec.geometry import symmetric
 from gsgen.contract.spec.spherical_harmonics import basis
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.kernels.shared.kernel import Kernel, Step
+from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.gpu.splat_residency import Page
+from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import (
     DILATION,
     JACOBIAN_MARGIN,
@@ -35,9 +37,7 @@ from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 
 NO_HARMONICS: Final = 0xFF
-"""The degree of raw colours."""
-
-_THREADS = 64
+"""The harmonics degree that stands for raw colours."""
 
 
 def _bytes(size: int, fields: dict[str, tuple[str, int]]) -> np.dtype[np.void]:
@@ -109,35 +109,35 @@ def tiles_of(camera: Camera) -> tuple[int, int]:
 def frame_uniform(
     camera: Camera, background: Float[np.ndarray, "3"]
 ) -> Shaped[np.ndarray, ""]:
-    """Return what all Gaussians of a frame share.
+    """Return the uniform that all Gaussians of a frame share.
 
     Args:
         camera: Whose image it is.
         background: Red, green, blue behind it all, multiplied by their alpha.
     """
-    made = np.zeros((), FRAME)
+    uniform = np.zeros((), FRAME)
     focal = np.array([camera.fx, camera.fy])
     center = np.array([camera.cx, camera.cy])
     size = np.array([camera.width, camera.height])
     margin = JACOBIAN_MARGIN * size / 2
     origin = np.clip(np.floor(center), 0, size)
-    made["focal"], made["center"], made["origin"] = focal, center - origin, origin
-    made["slope_low"] = -(center + margin) / focal
-    made["slope_high"] = (size - center + margin) / focal
-    made["near"], made["size"], made["tiles"] = camera.near, size, tiles_of(camera)
-    made["period"] = camera.period
-    made["background"][:3] = background
-    return made
+    uniform["focal"], uniform["center"], uniform["origin"] = focal, center - origin, origin
+    uniform["slope_low"] = -(center + margin) / focal
+    uniform["slope_high"] = (size - center + margin) / focal
+    uniform["near"], uniform["size"], uniform["tiles"] = camera.near, size, tiles_of(camera)
+    uniform["period"] = camera.period
+    uniform["background"][:3] = background
+    return uniform
 
 
 def page_uniform(
     placed: SplatSet, camera: Camera, base: int, capacity: int, count: int
 ) -> Shaped[np.ndarray, ""]:
-    """Return what all Gaussians of a page share; see :func:`page_uniforms`.
+    """Return the uniform that all Gaussians of a page share; see :func:`page_uniforms`.
 
     Args:
         placed: The set that the page is of.
-        camera: Who looks at it.
+        camera: Camera of the frame.
         base: Index of the page's first Gaussian in the frame.
         capacity: Gaussians of the page.
         count: How many of them are live.
@@ -148,52 +148,56 @@ def page_uniform(
 def page_uniforms(
     pages: Sequence[tuple[SplatSet, int, int, int]], camera: Camera
 ) -> Shaped[np.ndarray, " n"]:
-    """Return what all Gaussians of each page share, worked out in float64.
+    """Return the uniforms of pages, computed in float64.
 
     All at once, because numpy takes as long for one matrix as for thirty.
 
     Args:
         pages: The set of each page, the index of the page's first Gaussian in the frame, how many
             Gaussians it has, and how many of them are live.
-        camera: Who looks at them.
+        camera: Camera of the frame.
     """
-    made = np.zeros(len(pages), PAGE)
+    uniforms = np.zeros(len(pages), PAGE)
     if not pages:
-        return made
-    sets, made["base"], made["capacity"], made["count"] = zip(*pages, strict=True)
-    places = np.stack([one.transform for one in sets])
-    linear, offset = places[:, :3, :3], places[:, :3, 3]
+        return uniforms
+    sets, uniforms["base"], uniforms["capacity"], uniforms["count"] = zip(
+        *pages, strict=True
+    )
+    transforms = np.stack([splat_set.transform for splat_set in sets])
+    linear, offset = transforms[:, :3, :3], transforms[:, :3, 3]
     turned = camera.view[:3, :3] @ linear
-    made["linear"][:, :, :3] = turned.transpose(0, 2, 1)  # WGSL matrices are columns
+    uniforms["linear"][:, :, :3] = turned.transpose(0, 2, 1)  # WGSL matrices are columns
     # The polar decomposition A = Q S: directions of the harmonics are Qᵀ(A d) = S d.
     _, stretch, axes = np.linalg.svd(linear)
     share = (stretch / stretch[:, :1])[:, :, None]
-    made["local_to_sh"][:, :, :3] = axes.transpose(0, 2, 1) @ (share * axes)
+    uniforms["local_to_sh"][:, :, :3] = axes.transpose(0, 2, 1) @ (share * axes)
     eye = np.linalg.solve(linear, (camera.eye - offset)[:, :, None])[:, :, 0]
     if camera.kind == "orthographic":
-        made["forward"] = np.linalg.solve(linear, camera.view[2, :3][:, None])[:, :, 0]
-    made["eye"] = eye
-    eye_rest = eye - made["eye"].astype(np.float64)
-    made["eye_rest"] = eye_rest
+        uniforms["forward"] = np.linalg.solve(linear, camera.view[2, :3][:, None])[:, :, 0]
+    uniforms["eye"] = eye
+    eye_rest = eye - uniforms["eye"].astype(np.float64)
+    uniforms["eye_rest"] = eye_rest
     columns = turned.transpose(0, 2, 1)
-    made["linear_rest"][:, :, :3] = columns - made["linear"][:, :, :3].astype(np.float64)
+    uniforms["linear_rest"][:, :, :3] = columns - uniforms["linear"][:, :, :3].astype(
+        np.float64
+    )
     eye_at = -(turned @ eye_rest[:, :, None])[:, :, 0]
-    made["eye_at"] = eye_at
-    made["eye_at_rest"] = eye_at - made["eye_at"].astype(np.float64)
-    clips = [one.clip for one in sets]
-    made["clip_low"] = [(-np.inf,) * 3 if one is None else one.low for one in clips]
-    made["clip_high"] = [(np.inf,) * 3 if one is None else one.high for one in clips]
-    made["opacity_scale"] = [one.opacity_scale for one in sets]
-    made["mip"] = [one.antialias == "mip" for one in sets]
-    made["degree"] = [_degree(one) for one in sets]
-    return made
+    uniforms["eye_at"] = eye_at
+    uniforms["eye_at_rest"] = eye_at - uniforms["eye_at"].astype(np.float64)
+    clips = [splat_set.clip for splat_set in sets]
+    uniforms["clip_low"] = [(-np.inf,) * 3 if clip is None else clip.low for clip in clips]
+    uniforms["clip_high"] = [(np.inf,) * 3 if clip is None else clip.high for clip in clips]
+    uniforms["opacity_scale"] = [splat_set.opacity_scale for splat_set in sets]
+    uniforms["mip"] = [splat_set.antialias == "mip" for splat_set in sets]
+    uniforms["degree"] = [_degree(splat_set) for splat_set in sets]
+    return uniforms
 
 
-def _degree(one: SplatSet) -> int:
-    degree = one.data.degree
+def _degree(splat_set: SplatSet) -> int:
+    degree = splat_set.data.degree
     if degree is None:
         return NO_HARMONICS
-    return degree if one.degree is None else min(degree, one.degree)
+    return degree if splat_set.degree is None else min(degree, splat_set.degree)
 
 
 @final
@@ -202,18 +206,19 @@ class ProjectKernel:
 
     Args:
         device: Where it runs.
+        stride: Length of an appearance row, in words of 16 bytes; 0 if two rows share one.
         half: Whether the appearance is float16.
-        stride: Of its rows, in words of 16 bytes; 0 where two rows share one.
         panorama: Whether the image is one.
         weighted: Whether its Gaussians are blended by weighted sums.
-        packed: Whether rows are, as packing.py says.
+        packed: Whether rows are, as compact_rows.py does.
     """
 
     def __init__(
         self,
         device: Device,
-        half: bool,
         stride: int,
+        *,
+        half: bool,
         panorama: bool = False,
         weighted: bool = False,
         packed: bool = False,
@@ -223,7 +228,7 @@ class ProjectKernel:
             "project_weighted" if weighted else "project",
             "project",
             ("uwwww", "urrr") if weighted else ("uwwwww", "urr"),
-            THREADS=_THREADS,
+            THREADS=THREADS,
             HALF_APPEARANCE=half,
             STRIDE=stride,
             NO_HARMONICS=NO_HARMONICS,
@@ -233,32 +238,37 @@ class ProjectKernel:
         )
 
     def step(
-        self, outputs: tuple[Any, ...], uniform: Any, slot: int, page: Any, *cells: Any
+        self,
+        outputs: tuple[Buffer, ...],
+        uniform: Buffer,
+        slot: int,
+        page: Page,
+        *cells: Buffer,
     ) -> Step:
         """Return the step for a page.
 
         Args:
-            outputs: What group 0 of ``project.wgsl`` binds, in its order.
+            outputs: Resources of group 0 of ``project.wgsl``, in order.
             uniform: Uniforms of all pages.
             slot: Which of them is this page's.
             page: Has ``rows``, ``appearance`` and ``capacity``.
             cells: Where the kernel is for weighted sums, the cells of the page's set.
         """
-        own = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
+        page_binding = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
         binds = (
             self.kernel.bind(*outputs),
-            self.kernel.bind(own, page.rows, page.appearance, *cells, group=1),
+            self.kernel.bind(page_binding, page.rows, page.appearance, *cells, group=1),
         )
-        return Step(self.kernel, binds, (-(-page.capacity // _THREADS), 1, 1))
+        return Step(self.kernel, binds, (-(-page.capacity // THREADS), 1, 1))
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Projected:
     """Splats in float64.
 
     Attributes:
-        drawn: Which Gaussians are; of the others nothing else holds.
+        drawn: Mask of drawn Gaussians; other fields are undefined for the rest.
         mean: Pixels, relative to the frame's origin.
         conic: Inverse 2D covariance: xx, xy, yy.
         strength: Logarithm of the opacity over CULL_OPACITY.
@@ -277,37 +287,41 @@ class Projected:
 def project_reference(
     data: SplatData, frame: Shaped[np.ndarray, ""], page: Shaped[np.ndarray, ""]
 ) -> Projected:
-    """What ``project.wgsl`` must make of ``data`` and the two uniforms."""
+    """Project Gaussians in float64 as ``project.wgsl`` must."""
     rows = data.rows.astype(np.float64)
-    linear, rest, to_sh = (
+    linear, linear_rest, to_sh = (
         np.asarray(page[name], np.float64)[:, :3].T
         for name in ("linear", "linear_rest", "local_to_sh")
     )
-    linear = linear + rest
+    linear = linear + linear_rest
     offset = rows[:, :3] - np.float64(page["eye"]) - np.float64(page["eye_rest"])
     with np.errstate(all="ignore"):
-        at = offset @ linear.T
+        position = offset @ linear.T
         flat = bool(np.any(page["forward"]))
-        depth, place, jacobian = (
-            _unrolled(at, linear) if frame["period"] else _straight(at, linear, flat, frame)
+        depth, slope, jacobian = (
+            _unrolled(position, linear)
+            if frame["period"]
+            else _straight(position, linear, frame, flat=flat)
         )
         jacobian = frame["focal"][:, None] * jacobian
-        plain = (
+        covariance = (
             jacobian @ symmetric(rows[:, layout.COVARIANCE]) @ jacobian.transpose(0, 2, 1)
         )
-        wide = plain + DILATION * np.eye(2)
+        dilated = covariance + DILATION * np.eye(2)
         opacity = rows[:, layout.OPACITY] * page["opacity_scale"]
         if data.cells is not None and page["per_cell"]:
             cell = (page["first_row"] + np.arange(len(rows))) // page["per_cell"]
-            seen = data.cells[cell, layout.VISIBILITY].astype(np.float64)
-            opacity = opacity * seen * (1 - depth * page["inverse_range"])
+            visibility = data.cells[cell, layout.VISIBILITY].astype(np.float64)
+            opacity = opacity * visibility * (1 - depth * page["inverse_range"])
         opacity = np.minimum(opacity, 1)
         if page["mip"]:
-            share = np.linalg.det(plain) / np.linalg.det(wide)
+            share = np.linalg.det(covariance) / np.linalg.det(dilated)
             opacity = opacity * np.sqrt(np.maximum(share, 0))
         color = data.appearance[:, :3].astype(np.float64)
         if page["degree"] != NO_HARMONICS:
-            toward = (np.tile(page["forward"], (len(at), 1)) if flat else offset) @ to_sh.T
+            toward = (
+                np.tile(page["forward"], (len(position), 1)) if flat else offset
+            ) @ to_sh.T
             weights = basis(
                 toward / np.linalg.norm(toward, axis=1, keepdims=True), int(page["degree"])
             )
@@ -317,23 +331,32 @@ def project_reference(
         drawn &= np.isfinite(rows).all(axis=1) & np.isfinite(color).all(axis=1)
         drawn &= (rows[:, :3] >= page["clip_low"]).all(axis=1)
         drawn &= (rows[:, :3] <= page["clip_high"]).all(axis=1)
-        drawn &= (np.linalg.det(wide) > 0) & (wide[:, 0, 0] > 0) & (wide[:, 1, 1] > 0)
+        drawn &= (
+            (np.linalg.det(dilated) > 0) & (dilated[:, 0, 0] > 0) & (dilated[:, 1, 1] > 0)
+        )
         drawn &= np.arange(len(rows)) < page["count"]
         strength = np.log(opacity / layout.CULL_OPACITY)
         conic = np.full((len(rows), 3), np.nan)
-        conic[drawn] = np.linalg.inv(wide[drawn])[:, [0, 0, 1], [0, 1, 1]]
-        mean = frame["focal"] * place + frame["center"]
+        conic[drawn] = np.linalg.inv(dilated[drawn])[:, [0, 0, 1], [0, 1, 1]]
+        mean = frame["focal"] * slope + frame["center"]
         if frame["period"]:
             middle = frame["size"][0] / 2 - frame["origin"][0]
             turns = np.round((mean[:, 0] - middle) / frame["period"])
             mean[:, 0] -= turns * frame["period"]
-    return Projected(drawn, mean, conic, strength, depth, np.maximum(color, 0))
+    return Projected(
+        drawn=drawn,
+        mean=mean,
+        conic=conic,
+        strength=strength,
+        depth=depth,
+        color=np.maximum(color, 0),
+    )
 
 
 def depth_reference(
     depth: Float[np.ndarray, " n"],
 ) -> tuple[UInt32[np.ndarray, " n"], UInt32[np.ndarray, " n"]]:
-    """What ``exact_depth.wgsl`` must make of depths: keys, and the bits of what they leave."""
+    """Split depths into keys and the sortable bits of their remainder, as ``exact_depth.wgsl`` must."""
     high = depth.astype(np.float32)
     low = (depth - high.astype(np.float64)).astype(np.float32)
     bits = low.view(np.uint32)
@@ -342,26 +365,31 @@ def depth_reference(
 
 
 def _straight(
-    at: np.ndarray, linear: np.ndarray, flat: bool, frame: Shaped[np.ndarray, ""]
+    position: np.ndarray, linear: np.ndarray, frame: Shaped[np.ndarray, ""], *, flat: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return depths, places in units of the focal length, and how those move."""
-    away = np.ones((len(at), 1)) if flat else at[:, 2:]
-    slope = at[:, :2] / away
+    """Return depths, slopes and their Jacobians for straight cameras."""
+    divisor = np.ones((len(position), 1)) if flat else position[:, 2:]
+    slope = position[:, :2] / divisor
     bent = np.clip(slope, frame["slope_low"], frame["slope_high"]) * (not flat)
-    moved = (linear[:2] - bent[:, :, None] * linear[2]) / away[:, :, None]
-    return at[:, 2], slope, moved
+    moved = (linear[:2] - bent[:, :, None] * linear[2]) / divisor[:, :, None]
+    return position[:, 2], slope, moved
 
 
 def _unrolled(
-    at: np.ndarray, linear: np.ndarray
+    position: np.ndarray, linear: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return distances, longitudes and latitudes, and how those move."""
-    distance, level = np.linalg.norm(at, axis=1), np.hypot(at[:, 0], at[:, 2])
-    angles = np.stack([np.arctan2(at[:, 0], at[:, 2]), np.arctan2(at[:, 1], level)], 1)
+    """Return distances, longitudes with latitudes, and their Jacobians for panoramas."""
+    distance, level = (
+        np.linalg.norm(position, axis=1),
+        np.hypot(position[:, 0], position[:, 2]),
+    )
+    angles = np.stack(
+        [np.arctan2(position[:, 0], position[:, 2]), np.arctan2(position[:, 1], level)], 1
+    )
     sin, cos = np.sin(angles[:, 0]), np.cos(angles[:, 0])
-    zero = np.zeros(len(at))
-    wide = np.maximum(level / distance, POLE)
-    high = at[:, 1] / distance
-    across = np.stack([cos / wide, zero, -sin / wide], 1)
+    zero = np.zeros(len(position))
+    width = np.maximum(level / distance, POLE)
+    high = position[:, 1] / distance
+    across = np.stack([cos / width, zero, -sin / width], 1)
     down = np.stack([-sin * high, level / distance, -cos * high], 1)
     return distance, angles, np.stack([across, down], 1) @ linear / distance[:, None, None]

@@ -1,23 +1,22 @@
-"""Project cells: say how far away each is, and which tiles it has."""
+"""Project cells: compute the depth, the circle and the number of tiles of each cell."""
 
 __all__ = ["ProjectCells", "box_reference", "circle_reference"]
 
-from typing import Any, Final, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.project.project import PAGE
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.kernel import Kernel, Step
+from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import (
     MIN_EIGENVALUE_GAP,
     PANORAMA_CONSTANTS,
     TILE,
 )
-
-_THREADS: Final = 64
 
 
 @final
@@ -29,19 +28,24 @@ class ProjectCells:
         panorama: Whether the image is one.
     """
 
-    def __init__(self, device: Device, panorama: bool = False) -> None:
+    def __init__(self, device: Device, *, panorama: bool = False) -> None:
         self.kernel = Kernel(
             device,
             "project_cells",
             "project_cells",
             ("uwwwrww", "ur"),
-            THREADS=_THREADS,
+            THREADS=THREADS,
             DRAWN=int(Counts.DRAWN),
             **(PANORAMA_CONSTANTS if panorama else {}),
         )
 
     def step(
-        self, outputs: tuple[Any, ...], uniform: Any, slot: int, cells: Any, count: int
+        self,
+        outputs: tuple[Buffer, ...],
+        uniform: Buffer,
+        slot: int,
+        cells: Buffer,
+        count: int,
     ) -> Step:
         """Return the step for the cells of a set.
 
@@ -52,15 +56,15 @@ class ProjectCells:
             cells: Their rows.
             count: How many there are.
         """
-        own = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
-        binds = (self.kernel.bind(*outputs), self.kernel.bind(own, cells, group=1))
-        return Step(self.kernel, binds, (-(-count // _THREADS), 1, 1))
+        page_uniform = (uniform, slot * PAGE.itemsize, PAGE.itemsize)
+        binds = (self.kernel.bind(*outputs), self.kernel.bind(page_uniform, cells, group=1))
+        return Step(self.kernel, binds, (-(-count // THREADS), 1, 1))
 
 
 def circle_reference(
     covariance: Float[np.ndarray, "n 2 2"], reach: float
 ) -> Float[np.ndarray, " n"]:
-    """What ``circle.wgsl`` must find: a radius of whole pixels.
+    """Return circle radii in whole pixels as ``circle.wgsl`` must.
 
     Args:
         covariance: In pixels², with the dilation.
@@ -74,7 +78,7 @@ def circle_reference(
 def box_reference(
     mean: Float[np.ndarray, "2"], radius: float, size: tuple[int, int]
 ) -> Bool[np.ndarray, "rows columns"]:
-    """Say which tiles ``cell_box.wgsl`` must find, where the image is no panorama.
+    """Return the mask of tiles that ``cell_box.wgsl`` must find, for images other than panoramas.
 
     Args:
         mean: In pixels of the image.

@@ -10,12 +10,12 @@
 
 @group(0) @binding(1) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(2) var<storage, read_write> circles: array<vec4f>;  // middle, radius, how many tiles
-@group(0) @binding(3) var<storage, read_write> spans: array<vec4u>;    // first Gaussian, how many, 1 / divisor, weight of what is behind
+@group(0) @binding(3) var<storage, read_write> spans: array<vec4u>;    // first Gaussian, how many, 1 / divisor, weight of the background
 @group(0) @binding(4) var<storage, read> gaussian_keys: array<u32>;
 @group(0) @binding(5) var<storage, read_write> counts: array<atomic<u32>>;
 @group(0) @binding(6) var<storage, read_write> lows: array<u32>;       // the rest of depths, as bits that sort as it does
 
-var<private> low: u32;  // what the key of this invocation's cell leaves of its depth
+var<private> low: u32;  // the rest of the cell's depth beyond its key
 
 fn count_drawn(first: u32) {
     var drawn = 0u;

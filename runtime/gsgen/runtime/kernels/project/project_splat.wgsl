@@ -46,7 +46,7 @@ fn tiles_touched(ellipse: Outline) -> u32 {
 // Write the splat of row `own` at `index` and return its key, or ABSENT if it is not drawn.
 // at: the centre in camera space; distance: its depth as flatten.wgsl takes it.
 fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, depth: f32, alpha: f32) -> u32 {
-    // Step 1: drop what is transparent.
+    // Step 1: drop transparent Gaussians.
     if (!(alpha >= CULL_OPACITY && alpha <= LARGEST)) {
         return ABSENT;
     }
@@ -66,7 +66,7 @@ fn write_splat(own: u32, index: u32, position: vec3f, at: vec3f, distance: f32, 
         }
     }
 
-    // Step 3: drop what lies beside the image.
+    // Step 3: drop ellipses outside of the image.
     let strength = log(opacity / CULL_OPACITY);
     var half_extent = sqrt(2.0 * strength * flat.dilated.xz);
     if (PANORAMA) {

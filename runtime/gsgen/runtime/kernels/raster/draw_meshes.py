@@ -4,35 +4,46 @@ __all__ = ["DrawMeshes", "MeshesStep", "seen_reference"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import Float, Float32, Shaped, UInt32
 
 from gsgen.runtime.errors import DeviceUnavailable
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import (
+    BindGroup,
+    Buffer,
+    Encoder,
+    PassTimestamps,
+    RenderPipeline,
+    Texture,
+    TextureView,
+)
 from gsgen.runtime.gpu.mesh_residency import MeshBuffers
-from gsgen.runtime.kernels.raster.mesh_place import PLACE, TO_LINEAR, TO_SRGB, PlacedMesh
-from gsgen.runtime.kernels.shared.kernel import Kernel, Step
+from gsgen.runtime.kernels.raster.mesh_place import (
+    MESH_UNIFORM,
+    TO_LINEAR,
+    TO_SRGB,
+    PlacedMesh,
+)
+from gsgen.runtime.kernels.shared.kernel import VEC4, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import NOWHERE, TILE, source
 from gsgen.runtime.kernels.tiles.blend_tiles import Layers
 from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.runtime.scene.mesh import MeshData
 
 AMBIENT: Final = 0.2
-"""What a headlight leaves of a colour where the surface is seen from the side."""
+"""The share of a colour that a headlight leaves where the surface is seen edge-on."""
 _CORNERS: Final = 3
 _CORNERS_AROUND: Final = 6  # of a box that has a triangle of a panorama
-_PIXEL: Final = 16  # bytes, of four floats
-_ROW: Final = (
-    256 // _PIXEL
-)  # pixels: what a row of a copied texture has to be a multiple of
+_ROW: Final = 256 // VEC4  # pixels: what a row of a copied texture has to be a multiple of
 _FLOATS: Final = "rgba32float"
 DEPTHS: Final = "depth32float"
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MeshesStep:
     """One drawing of all meshes.
 
@@ -49,22 +60,22 @@ class MeshesStep:
         layers: What makes layers of the copies.
     """
 
-    pipeline: Any
-    draws: tuple[tuple[Any, int], ...]
+    pipeline: RenderPipeline
+    draws: tuple[tuple[BindGroup, int], ...]
     corners: int
-    color: Any
-    surface: Any
-    depth: Any
-    copies: tuple[Any, Any]
+    color: Texture
+    surface: Texture
+    depth: TextureView
+    copies: tuple[Buffer, ...]
     row: int
     size: tuple[int, int]
     layers: tuple[Step, ...]
 
     def encode(
         self,
-        encoder: Any,
+        encoder: Encoder,
         background: Float[np.ndarray, "3"],
-        stamps: dict[str, Any] | None = None,
+        stamps: PassTimestamps | None = None,
     ) -> None:
         """Draw over ``background``; the copies are made where there are layers."""
         targets = [
@@ -92,12 +103,12 @@ class MeshesStep:
             for texture, copy in zip((self.color, self.surface), self.copies, strict=True):
                 encoder.copy_texture_to_buffer(
                     {"texture": texture},
-                    {"buffer": copy, "bytes_per_row": self.row * _PIXEL},
+                    {"buffer": copy, "bytes_per_row": self.row * VEC4},
                     (*self.size, 1),
                 )
 
 
-def _cleared(texture: Any, value: tuple[float, ...]) -> dict[str, Any]:
+def _cleared(texture: Texture, value: tuple[float, ...]) -> dict[str, object]:
     return {
         "view": texture.create_view(),
         "clear_value": value,
@@ -106,8 +117,8 @@ def _cleared(texture: Any, value: tuple[float, ...]) -> dict[str, Any]:
     }
 
 
-def _pipeline(device: Device, **parts: Any) -> Any:
-    """Return a render pipeline; nothing but asking for one tells whether floats can be drawn."""
+def _pipeline(device: Device, **parts: object) -> RenderPipeline:
+    """Create a render pipeline; only trying shows whether the device can draw 32-bit floats."""
     import wgpu
 
     try:
@@ -123,7 +134,7 @@ def _pipeline(device: Device, **parts: Any) -> Any:
 
 @final
 class DrawMeshes:
-    """``draw_meshes.wgsl``, and ``lay_meshes.wgsl`` for what comes of it.
+    """Draws meshes (``draw_meshes.wgsl``) and copies them to a layer (``lay_meshes.wgsl``).
 
     Args:
         device: Where it runs.
@@ -133,15 +144,15 @@ class DrawMeshes:
         DeviceUnavailable: It cannot draw into textures of 32-bit floats.
     """
 
-    def __init__(self, device: Device, panorama: bool = False) -> None:
+    def __init__(self, device: Device, *, panorama: bool = False) -> None:
         self._device = device
         raw = device.raw
         kinds = [{"buffer": {"type": "uniform"}}]
         kinds += [{"buffer": {"type": "read-only-storage"}} for _ in range(5)]
         kinds += [{"texture": {"sample_type": "float"}}]
         entries = [
-            {"binding": at, "visibility": "VERTEX|FRAGMENT", **kind}
-            for at, kind in enumerate(kinds)
+            {"binding": binding, "visibility": "VERTEX|FRAGMENT", **kind}
+            for binding, kind in enumerate(kinds)
         ]
         self._layout = raw.create_bind_group_layout(label="meshes", entries=entries)
         self._corners = _CORNERS_AROUND if panorama else _CORNERS
@@ -176,18 +187,18 @@ class DrawMeshes:
         self,
         size: tuple[int, int],
         meshes: Sequence[PlacedMesh],
-        slots: Any,
-        rays: Any,
+        slots: Buffer,
+        rays: Buffer,
         layers: Layers | None,
     ) -> MeshesStep:
         """Return the drawing of meshes.
 
         Args:
             size: Width and height of the image, in pixels.
-            meshes: What is drawn; nothing but their buffers is kept.
-            slots: Uniform buffer with a :data:`PLACE` for each.
-            rays: Buffer of what :func:`mesh_rays` makes.
-            layers: Where the layer goes, or None where nobody reads it.
+            meshes: The meshes; only their buffers are kept.
+            slots: Uniform buffer with a :data:`MESH_UNIFORM` for each.
+            rays: Buffer with the result of :func:`mesh_rays`.
+            layers: Target of the layer, or None without one.
         """
         usage = "RENDER_ATTACHMENT|COPY_SRC"
         color, surface, depth = (
@@ -201,36 +212,38 @@ class DrawMeshes:
             )
         )
         row = -(-size[0] // _ROW) * _ROW
-        copies: tuple[Any, ...] = ()
+        copies: tuple[Buffer, ...] = ()
         if layers is not None:
             copies = tuple(
-                self._device.storage(f"{name} of meshes", _PIXEL * row * size[1])
+                self._device.storage(f"{name} of meshes", VEC4 * row * size[1])
                 for name in ("colors", "surfaces")
             )
         return MeshesStep(
-            self._pipeline,
-            tuple(
-                (self._bound(one.buffers, slots, slot, rays), one.buffers.count)
-                for slot, one in enumerate(meshes)
-                if one.buffers.count
+            pipeline=self._pipeline,
+            draws=tuple(
+                (self._bound(mesh.buffers, slots, slot, rays), mesh.buffers.count)
+                for slot, mesh in enumerate(meshes)
+                if mesh.buffers.count
             ),
-            self._corners,
-            color,
-            surface,
-            depth.create_view(),
-            copies,
-            row,
-            size,
-            () if layers is None else self._laid(size, row, copies, layers),
+            corners=self._corners,
+            color=color,
+            surface=surface,
+            depth=depth.create_view(),
+            copies=copies,
+            row=row,
+            size=size,
+            layers=() if layers is None else self._laid(size, row, copies, layers),
         )
 
-    def _bound(self, one: MeshBuffers, slots: Any, slot: int, rays: Any) -> Any:
-        buffers = [(slots, slot * PLACE.itemsize, PLACE.itemsize)]
+    def _bound(
+        self, mesh: MeshBuffers, slots: Buffer, slot: int, rays: Buffer
+    ) -> BindGroup:
+        buffers = [(slots, slot * MESH_UNIFORM.itemsize, MESH_UNIFORM.itemsize)]
         buffers += [
             (buffer, 0, buffer.size)
-            for buffer in (rays, one.vertices, one.faces, one.colors, one.uvs)
+            for buffer in (rays, mesh.vertices, mesh.faces, mesh.colors, mesh.uvs)
         ]
-        resources: list[Any] = [
+        resources: list[object] = [
             {"buffer": buffer, "offset": offset, "size": length}
             for buffer, offset, length in buffers
         ]
@@ -238,15 +251,15 @@ class DrawMeshes:
             label="mesh",
             layout=self._layout,
             entries=[
-                {"binding": at, "resource": resource}
-                for at, resource in enumerate([*resources, one.picture])
+                {"binding": binding, "resource": resource}
+                for binding, resource in enumerate([*resources, mesh.picture])
             ],
         )
 
     def _laid(
-        self, size: tuple[int, int], row: int, copies: tuple[Any, ...], layers: Layers
+        self, size: tuple[int, int], row: int, copies: tuple[Buffer, ...], layers: Layers
     ) -> tuple[Step, ...]:
-        """Return what makes the last layer of the copies."""
+        """Return the steps that copy the meshes to the last layer."""
         shape = self._device.uniform("mesh layer", 16)
         first = (layers.count - 1) * size[0] * size[1]
         self._device.write(shape, np.array([*size, row, first], np.uint32))
@@ -256,92 +269,96 @@ class DrawMeshes:
             kernel.bind(shape, *copies, layers.colors),
             kernel.bind(layers.depths, group=1),
         )
-        made = [Step(kernel, binds, groups)]
+        steps = [Step(kernel, binds, groups)]
         if layers.normals is not None:
             kernel = self._lay["lay_normals"]
-            made.append(
+            steps.append(
                 Step(kernel, (kernel.bind(shape, *copies, layers.normals),), groups)
             )
-        return tuple(made)
+        return tuple(steps)
 
 
 def seen_reference(
-    data: MeshData, place: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
+    data: MeshData, uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "h w 8"]:
-    """What ``draw_meshes.wgsl`` must see of a mesh: colour and 1, normal, depth.
+    """Return the image of a mesh as ``draw_meshes.wgsl`` must: colour and 1, normal, depth.
 
     Args:
         data: The triangles.
-        place: What :func:`mesh_uniform` makes.
-        rays: What :func:`mesh_rays` makes.
+        uniform: Result of :func:`mesh_uniform`.
+        rays: Result of :func:`mesh_rays`.
     """
-    width, height = (int(side) for side in place["size"])
-    ray = _direction_reference(place, rays)
-    linear = np.asarray(place["linear"], np.float64)[:, :3].T
-    offset = data.vertices - np.float64(place["eye"]) - np.float64(place["eye_rest"])
-    at = offset @ linear.T
-    made = np.zeros((height, width, 8))
-    made[..., 7] = NOWHERE
+    width, height = (int(side) for side in uniform["size"])
+    ray = _direction_reference(uniform, rays)
+    linear = np.asarray(uniform["linear"], np.float64)[:, :3].T
+    offset = data.vertices - np.float64(uniform["eye"]) - np.float64(uniform["eye_rest"])
+    corners = offset @ linear.T
+    image = np.zeros((height, width, 8))
+    image[..., 7] = NOWHERE
     for face in data.faces:
-        upright = np.cross(at[face[1]] - at[face[0]], at[face[2]] - at[face[0]])
+        upright = np.cross(
+            corners[face[1]] - corners[face[0]], corners[face[2]] - corners[face[0]]
+        )
         size = np.linalg.norm(upright)
         if not size > 0:
             continue
-        beside = np.stack([_beside_reference(one, place, rays) for one in at[face]])
-        x, y, z = np.moveaxis(beside, -1, 0)
+        offsets = np.stack(
+            [_beside_reference(corner, uniform, rays) for corner in corners[face]]
+        )
+        x, y, z = np.moveaxis(offsets, -1, 0)
         after, last = [1, 2, 0], [2, 0, 1]
         areas = x[after] * y[last] - y[after] * x[last]
         with np.errstate(all="ignore"):
             weights = np.moveaxis(areas / areas.sum(axis=0), 0, -1)
             depth = (weights * np.moveaxis(z, 0, -1)).sum(axis=-1)
-            inside = (weights >= 0).all(axis=-1) & (depth > place["near"])
-        nearer = inside & (depth < made[..., 7])
+            inside = (weights >= 0).all(axis=-1) & (depth > uniform["near"])
+        nearer = inside & (depth < image[..., 7])
         toward = ray[nearer] @ upright / size
         facing = upright / size * np.where(toward > 0, -1, 1)[:, None]
-        color = _color_reference(data, face, weights[nearer], int(place["conversion"]))
-        if place["shaded"]:
+        color = _color_reference(data, face, weights[nearer], int(uniform["conversion"]))
+        if uniform["shaded"]:
             slant = np.abs(toward) / np.linalg.norm(ray[nearer], axis=-1)
             color = color * (AMBIENT + (1 - AMBIENT) * slant)[:, None]
-        one = np.ones((len(color), 1))
-        made[nearer] = np.concatenate([color, one, facing, depth[nearer][:, None]], -1)
-    return made
+        ones = np.ones((len(color), 1))
+        image[nearer] = np.concatenate([color, ones, facing, depth[nearer][:, None]], -1)
+    return image
 
 
 def _beside_reference(
-    at: Float[np.ndarray, "3"],
-    place: Shaped[np.ndarray, ""],
+    point: Float[np.ndarray, "3"],
+    uniform: Shaped[np.ndarray, ""],
     rays: Float32[np.ndarray, "n 2"],
 ) -> Float[np.ndarray, "h w 3"]:
     """Return how far a point is to the right of each pixel's ray, how far below, and its depth."""
-    (sine, cosine), (down_sine, down_cosine) = _angles(place, rays)
-    x, y, z = at
-    if place["period"]:
+    (sine, cosine), (down_sine, down_cosine) = _angles(uniform, rays)
+    x, y, z = point
+    if uniform["period"]:
         level = sine * x + cosine * z
         right, below = cosine * x - sine * z, down_cosine * y - down_sine * level
-        made = np.broadcast_arrays(right, below, down_sine * y + down_cosine * level)
+        offsets = np.broadcast_arrays(right, below, down_sine * y + down_cosine * level)
     else:
-        scale = 1 if place["is_flat"] else z
-        made = np.broadcast_arrays(x - sine * scale, y - down_sine * scale, z)
-    return np.stack(made, -1)
+        scale = 1 if uniform["is_flat"] else z
+        offsets = np.broadcast_arrays(x - sine * scale, y - down_sine * scale, z)
+    return np.stack(offsets, -1)
 
 
 def _direction_reference(
-    place: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
+    uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "h w 3"]:
     """Return the direction of each pixel's ray, along which depths are counted."""
-    (x, z), (y, level) = _angles(place, rays)
-    if place["period"]:
+    (x, z), (y, level) = _angles(uniform, rays)
+    if uniform["period"]:
         return np.stack(np.broadcast_arrays(x * level, y, z * level), -1)
-    slope = 0 if place["is_flat"] else 1
+    slope = 0 if uniform["is_flat"] else 1
     return np.stack(np.broadcast_arrays(slope * x, slope * y, 1.0), -1)
 
 
 def _angles(
-    place: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
+    uniform: Shaped[np.ndarray, ""], rays: Float32[np.ndarray, "n 2"]
 ) -> tuple[Float[np.ndarray, "2 1 w"], Float[np.ndarray, "2 h 1"]]:
     """Return the two numbers that columns have, and those that rows have."""
-    width, wide = int(place["size"][0]), rays.T.astype(np.float64)
-    return wide[:, None, :width], wide[:, width:, None]
+    width, angles = int(uniform["size"][0]), rays.T.astype(np.float64)
+    return angles[:, None, :width], angles[:, width:, None]
 
 
 def _color_reference(
@@ -351,11 +368,11 @@ def _color_reference(
     if data.texture is not None and data.uv is not None:
         size = np.array(data.texture.shape[1::-1])
         inside = weights @ data.uv[face].astype(np.float64) % 1
-        place = np.stack([inside[:, 0], 1 - inside[:, 1]], -1) * size - 0.5
-        low = np.floor(place).astype(int)
+        texels = np.stack([inside[:, 0], 1 - inside[:, 1]], -1) * size - 0.5
+        low = np.floor(texels).astype(int)
         sums = np.zeros_like(color)
         for step in ((0, 0), (1, 0), (0, 1), (1, 1)):
-            share = np.prod(1 - np.abs(place - low - step), axis=-1)
+            share = np.prod(1 - np.abs(texels - low - step), axis=-1)
             column, row = ((low + step) % size).T
             sums += share[:, None] * data.texture[row, column, :3] / 255
         color = color * sums

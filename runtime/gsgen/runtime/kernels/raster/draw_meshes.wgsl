@@ -1,12 +1,12 @@
-// Draw meshes: the hardware's rasteriser goes to the pixels that a triangle may cover, and keeps what
-// is nearest; what is seen at a pixel is worked out from its ray and the triangle's corners.
+// Draw meshes: the hardware's rasteriser visits the pixels that a triangle may cover, and keeps the
+// nearest surface; a pixel's colour and depth come from its ray and the triangle's corners.
 //
 // Seen along a ray, a triangle is flat: its corners are so far to the right of the ray and so far
 // below it. The areas that they span with the ray are the weights of the corners at the point
 // that the ray meets, wherever they are, behind the camera, too (Woop et al. 2013).
 //
-// The rasteriser gets a little more than the triangle, and the areas say whether a ray meets it:
-// what grid a rasteriser snaps corners to shows nowhere, and edges may be bent, as panoramas have
+// The rasteriser gets a little more than the triangle, and the areas decide if a ray meets it:
+// the grid that a rasteriser snaps corners to shows nowhere, and edges may be bent, as panoramas have
 // them. Triangles that share an edge leave no gap: both compare the same two products.
 
 //!include mesh_cover
@@ -25,7 +25,7 @@ struct Corner {
     @location(1) @interpolate(flat) a: vec3f,  // the corners in camera space
     @location(2) @interpolate(flat) b: vec3f,
     @location(3) @interpolate(flat) c: vec3f,
-    @location(4) @interpolate(flat) upright: vec3f,  // the unit normal; zero where there is none
+    @location(4) @interpolate(flat) upright: vec3f,  // the unit normal; zero without an area
     @location(5) @interpolate(flat) height: f32,     // of the plane over the camera, along it
 }
 

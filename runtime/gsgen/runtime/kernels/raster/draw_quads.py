@@ -3,14 +3,23 @@
 __all__ = ["DrawQuads", "QuadsStep"]
 
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import Float
 
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import (
+    BindGroup,
+    Buffer,
+    Encoder,
+    PassTimestamps,
+    RenderPipeline,
+    Texture,
+    TextureView,
+)
 from gsgen.runtime.kernels.raster.draw_meshes import DEPTHS, MeshesStep
-from gsgen.runtime.kernels.shared.counts import PLACES, Counts
+from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
 from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, source
 
 _ROW_BYTES: Final = 256  # what a row of a copied texture has to be a multiple of
@@ -28,7 +37,7 @@ _VISIBILITY: Final = "VERTEX|FRAGMENT"
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class QuadsStep:
     """One drawing of all splats.
 
@@ -44,21 +53,21 @@ class QuadsStep:
         depth: View of the meshes' depths, or None; then ``texture`` is theirs, too.
     """
 
-    pipeline: Any
-    bind: Any
-    texture: Any
-    view: Any
-    counts: Any
-    image: Any
+    pipeline: RenderPipeline
+    bind: BindGroup
+    texture: Texture
+    view: TextureView
+    counts: Buffer
+    image: Buffer
     row_bytes: int
     size: tuple[int, int]
-    depth: Any
+    depth: TextureView | None
 
     def encode(
         self,
-        encoder: Any,
+        encoder: Encoder,
         background: Float[np.ndarray, "3"],
-        stamps: dict[str, Any] | None = None,
+        stamps: PassTimestamps | None = None,
     ) -> None:
         """Draw over ``background``, or over the meshes, and copy the picture to the image."""
         target = {
@@ -98,14 +107,14 @@ class DrawQuads:
     """
 
     def __init__(
-        self, device: Device, tested: bool = False, panorama: bool = False
+        self, device: Device, *, tested: bool = False, panorama: bool = False
     ) -> None:
         self._device = device
         raw = self._raw = device.raw
         kinds = ["uniform"] + ["read-only-storage"] * 5
         entries = [
-            {"binding": at, "visibility": _VISIBILITY, "buffer": {"type": kind}}
-            for at, kind in enumerate(kinds)
+            {"binding": binding, "visibility": _VISIBILITY, "buffer": {"type": kind}}
+            for binding, kind in enumerate(kinds)
         ]
         self._layout = raw.create_bind_group_layout(label="quads", entries=entries)
         module = raw.create_shader_module(
@@ -113,7 +122,7 @@ class DrawQuads:
             code=source(
                 "draw_quads",
                 TESTED=tested,
-                **PLACES,
+                **COUNT_CONSTANTS,
                 **(PANORAMA_CONSTANTS if panorama else {}),
             ),
         )
@@ -140,42 +149,45 @@ class DrawQuads:
     def step(
         self,
         size: tuple[int, int],
-        resources: tuple[Any, ...],
-        counts: Any,
-        image: Any,
+        resources: tuple[Buffer, ...],
+        counts: Buffer,
+        image: Buffer,
         meshes: MeshesStep | None = None,
     ) -> QuadsStep:
         """Return the drawing of a picture.
 
         Args:
             size: Width and height, in pixels.
-            resources: What ``draw_quads.wgsl`` binds, in its order.
+            resources: Resources of ``draw_quads.wgsl``, in order.
             counts: The frame's counts.
             image: A buffer with rows of :meth:`row_bytes`.
-            meshes: What is drawn before, and hides splats, or None.
+            meshes: Drawing of the meshes that hide splats, or None.
         """
         texture = meshes.color if meshes else self._texture(size)
         bind = self._raw.create_bind_group(
             label="quads",
             layout=self._layout,
             entries=[
-                {"binding": at, "resource": {"buffer": one, "offset": 0, "size": one.size}}
-                for at, one in enumerate(resources)
+                {
+                    "binding": binding,
+                    "resource": {"buffer": resource, "offset": 0, "size": resource.size},
+                }
+                for binding, resource in enumerate(resources)
             ],
         )
         return QuadsStep(
-            self._pipeline,
-            bind,
-            texture,
-            texture.create_view(),
-            counts,
-            image,
-            self.row_bytes(size[0]),
-            size,
-            meshes.depth if meshes else None,
+            pipeline=self._pipeline,
+            bind=bind,
+            texture=texture,
+            view=texture.create_view(),
+            counts=counts,
+            image=image,
+            row_bytes=self.row_bytes(size[0]),
+            size=size,
+            depth=meshes.depth if meshes else None,
         )
 
-    def _texture(self, size: tuple[int, int]) -> Any:
+    def _texture(self, size: tuple[int, int]) -> Texture:
         return self._device.texture(
             "image of quads", size, "rgba32float", "RENDER_ATTACHMENT|COPY_SRC"
         )

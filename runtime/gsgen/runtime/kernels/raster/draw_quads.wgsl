@@ -47,7 +47,7 @@ fn corner_of(@builtin(vertex_index) vertex: u32, @builtin(instance_index) instan
         shape.x += (f32(numbers.y) - 1.0) * frame.period;
     }
     let weight = weights[id];
-    // The covariance from what is kept: its yy, and the conic.
+    // The covariance, from its yy and the conic.
     let yy = weight.w;
     let xy = -shape.w / shape.z * yy;
     let xx = weight.x / shape.z * yy;

@@ -1,4 +1,4 @@
-// What a rasteriser is given, so that it comes to all pixels that a triangle may cover: the triangle
+// The area of a triangle for the rasteriser, which has to visit all pixels that may be covered: the triangle
 // a little larger or, where that is not plain, one around a box that has all of it. It may be too
 // large: each pixel's ray decides.
 
@@ -39,7 +39,7 @@ fn box_at(at: vec3f, extent: f32) -> Box {
     return Box(pixel_of(at) - slack_at(at, extent), pixel_of(at) + slack_at(at, extent));
 }
 
-// What of an edge is ahead of the near plane.
+// The box of an edge's part ahead of the near plane.
 fn box_along(a: vec3f, b: vec3f, extent: f32) -> Box {
     if (!(max(a.z, b.z) > place.near)) {
         return Box(vec2f(FAR_AWAY), vec2f(-FAR_AWAY));
@@ -123,7 +123,7 @@ fn inside_image(box: Box) -> Box {
     return Box(low, clamp(box.high + MARGIN, low, place.size));
 }
 
-// A corner of what covers a triangle that is no panorama's, in pixels.
+// A corner of the cover of a triangle, in pixels, except in panoramas.
 fn cover_ahead(which: u32, a: vec3f, b: vec3f, c: vec3f) -> vec2f {
     let extent = max(distance_of(a), max(distance_of(b), distance_of(c)));
     let p = pixel_of(a);
@@ -146,7 +146,7 @@ fn cover_ahead(which: u32, a: vec3f, b: vec3f, c: vec3f) -> vec2f {
     return box.low + 2.0 * (box.high - box.low) * vec2f(vec2u(which & 1u, which >> 1u));
 }
 
-// A corner of what covers a triangle: of three, or in a panorama of the six of two triangles.
+// A corner of the cover of a triangle: of three, or in a panorama of the six of two triangles.
 fn cover(which: u32, a: vec3f, b: vec3f, c: vec3f) -> vec2f {
     if (!PANORAMA) {
         return cover_ahead(which, a, b, c);

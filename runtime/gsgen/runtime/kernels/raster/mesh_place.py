@@ -1,7 +1,7 @@
-"""What all triangles of a mesh share in a frame, and the rays of its pixels."""
+"""The uniform of a mesh in a frame, and the rays of the image's pixels."""
 
 __all__ = [
-    "PLACE",
+    "MESH_UNIFORM",
     "TO_LINEAR",
     "TO_SRGB",
     "PlacedMesh",
@@ -34,7 +34,7 @@ _FIELDS: Final = {
     "textured": ("u4", 160),
     "period": ("f4", 164),
 }
-PLACE: Final = np.dtype(
+MESH_UNIFORM: Final = np.dtype(
     {
         "names": list(_FIELDS),
         "formats": [form for form, _ in _FIELDS.values()],
@@ -51,12 +51,12 @@ TO_SRGB: Final = 2
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedMesh:
-    """A mesh of a scene, and where its arrays are on the GPU.
+    """A mesh of a scene with its GPU buffers.
 
     Attributes:
-        mesh: What is drawn.
-        buffers: Of its data.
-        color_space: Of the scene.
+        mesh: The mesh.
+        buffers: GPU buffers of its data.
+        color_space: Colour space of the scene.
     """
 
     mesh: Mesh
@@ -65,31 +65,37 @@ class PlacedMesh:
 
 
 def mesh_uniform(placed: PlacedMesh, camera: Camera) -> Shaped[np.ndarray, ""]:
-    """Return what all triangles of a mesh share, worked out in float64."""
-    made = np.zeros((), PLACE)
+    """Return the uniform that all triangles of a mesh share, computed in float64."""
+    uniform = np.zeros((), MESH_UNIFORM)
     mesh, data = placed.mesh, placed.mesh.data
     linear, offset = mesh.transform[:3, :3], mesh.transform[:3, 3]
     eye = np.linalg.solve(linear, camera.eye - offset)
-    seen = camera.view[:3, :3] @ linear
-    made["linear"][:, :3] = seen.T  # WGSL matrices are columns
-    made["upright"][:, :3] = np.linalg.inv(seen)  # … and this is a transpose already
-    made["eye"] = eye
-    made["eye_rest"] = eye - made["eye"].astype(np.float64)
-    made["shaded"] = mesh.shading == "headlight"
+    to_camera = camera.view[:3, :3] @ linear
+    uniform["linear"][:, :3] = to_camera.T  # WGSL matrices are columns
+    uniform["upright"][:, :3] = np.linalg.inv(
+        to_camera
+    )  # … and this is a transpose already
+    uniform["eye"] = eye
+    uniform["eye_rest"] = eye - uniform["eye"].astype(np.float64)
+    uniform["shaded"] = mesh.shading == "headlight"
     if data.color_space != placed.color_space:
-        made["conversion"] = TO_LINEAR if placed.color_space == "linear" else TO_SRGB
+        uniform["conversion"] = TO_LINEAR if placed.color_space == "linear" else TO_SRGB
     center, period = np.array([camera.cx, camera.cy]), camera.period
     if period:  # of the places a whole turn apart, the one next to the image
         center[0] -= period * np.round((camera.cx - camera.width / 2) / period)
-    made["focal"], made["center"], made["period"] = (camera.fx, camera.fy), center, period
-    made["size"], made["near"] = (camera.width, camera.height), camera.near
-    made["is_flat"] = camera.kind == "orthographic"
-    made["textured"] = data.texture is not None
-    return made
+    uniform["focal"], uniform["center"], uniform["period"] = (
+        (camera.fx, camera.fy),
+        center,
+        period,
+    )
+    uniform["size"], uniform["near"] = (camera.width, camera.height), camera.near
+    uniform["is_flat"] = camera.kind == "orthographic"
+    uniform["textured"] = data.texture is not None
+    return uniform
 
 
 def mesh_rays(camera: Camera) -> Float32[np.ndarray, "n 2"]:
-    """Return where the pixels of each column look, and then of each row, rounded once.
+    """Return the ray directions of all pixel columns, then of all rows.
 
     In a panorama that is the sine and the cosine of an angle; elsewhere a slope, and nothing.
     """

@@ -13,8 +13,8 @@ struct Showing {
     scale: vec2f,   // pixels of the image for each of the surface
     row: u32,       // pixels from one row to the next
     mode: u32,
-    near: f32,      // what is white
-    far: f32,       // what is nearly black
+    near: f32,      // the depth shown white
+    far: f32,       // the depth shown nearly black
     is_linear: u32,
 }
 
@@ -53,7 +53,7 @@ fn color_at(@builtin(position) place: vec4f) -> @location(0) vec4f {
     }
 }
 
-// A depth that is 0 is none.
+// A depth of 0 means that nothing is there.
 fn grey(depth: f32) -> vec4f {
     let share = clamp((depth - showing.near) / max(showing.far - showing.near, 1e-12), 0.0, 1.0);
     return vec4f(vec3f(select(0.0, 1.0 - 0.9 * share, depth > 0.0)), 1.0);

@@ -1,9 +1,9 @@
-"""Where the counts of a frame are: numbers that stay on the GPU, and what is dispatched by them.
+"""The counts of a frame, which stay on the GPU: their indices, and arguments of indirect dispatches.
 
-Kernels know the places as constants of the same names.
+Kernels get the indices as constants of the same names.
 """
 
-__all__ = ["BYTES", "PLACES", "Counts"]
+__all__ = ["BYTES", "COUNT_CONSTANTS", "Counts"]
 
 from enum import IntEnum
 from typing import Final
@@ -19,20 +19,20 @@ class Counts(IntEnum):
     """
 
     GAUSSIANS = 0
-    """In the scene, drawn or not."""
+    """Gaussians of the scene, drawn or not."""
     VISIBLE = 1
     """Splats that are drawn."""
     PAIRS = 2
-    """Pairs of a splat and a tile that it touches, no more than there is room for."""
+    """Pairs of a splat and a tile that it touches, limited to PAIR_CAPACITY."""
     WANTED_PAIRS = 3
-    """The same, room or not."""
+    """The same without that limit."""
     PAIR_CAPACITY = 4
     DRAWN = 5
-    """Gaussians of the cells that are drawn, where it is cells that are sorted."""
+    """Gaussians of the drawn cells, for weighted sums."""
     TIED = 6
-    """Whether more splats are at one depth than are put in order as their sets have them."""
+    """1 if more splats share one depth than the tie pass puts in the order of their sets."""
     UNSORTED = 7
-    """Whether more splats have one key than are put in order by the rest of their depths."""
+    """1 if more splats share one key than the tie pass orders by the rest of their depths."""
     SORT_VISIBLE_GROUPS = 8
     WALK_VISIBLE_GROUPS = 12
     SORT_PAIRS_GROUPS = 16
@@ -42,14 +42,14 @@ class Counts(IntEnum):
 
 
 BYTES: Final = 4 * 28
-PLACES: Final = {member.name: int(member) for member in Counts}
-"""The same as constants for a shader."""
+COUNT_CONSTANTS: Final = {member.name: int(member) for member in Counts}
+"""The indices as constants for a shader."""
 
 
 def initial(
-    gaussians: int, pair_capacity: int, panorama: bool = False
+    gaussians: int, pair_capacity: int, *, panorama: bool = False
 ) -> UInt32[np.ndarray, " 28"]:
-    """Return the counts as they are before the first frame."""
+    """Return the counts before the first frame."""
     counts = np.zeros(BYTES // 4, np.uint32)
     counts[Counts.GAUSSIANS] = gaussians
     counts[Counts.PAIR_CAPACITY] = pair_capacity

@@ -1,13 +1,31 @@
 """A kernel: one entry point of a shader, with the layout of what it binds."""
 
-__all__ = ["Kernel", "Step", "run"]
+__all__ = ["THREADS", "VEC4", "Dispatch", "Kernel", "Step", "run"]
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Final, TypeAlias, final
 
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import (
+    BindGroup,
+    BindGroupLayout,
+    Buffer,
+    Encoder,
+    PassTimestamps,
+    RawDevice,
+    Resource,
+)
 from gsgen.runtime.kernels.shared.shader import source
+
+Dispatch: TypeAlias = tuple[int, int, int] | tuple[Buffer, int]
+"""Workgroups in x, y and z, or the buffer and the offset that they are read from."""
+
+THREADS: Final = 64
+"""Invocations of a workgroup, in kernels of one invocation per row."""
+
+VEC4: Final = 16
+"""Bytes of four 32-bit words, which is a pixel of every image."""
 
 _TYPES: Final = {"u": "uniform", "r": "read-only-storage", "w": "storage"}
 
@@ -17,12 +35,12 @@ class Kernel:
     """A compute pipeline.
 
     Args:
-        device: Where it runs.
-        name: Of the shader file.
-        entry: Of its entry point.
+        device: Device of the pipeline.
+        name: Name of the shader file.
+        entry: Name of its entry point.
         groups: For each bind group a letter per binding: u uniform, r read-only storage,
             w storage.
-        constants: What the shader is compiled with.
+        constants: Constants of the shader.
     """
 
     def __init__(
@@ -44,27 +62,29 @@ class Kernel:
             compute={"module": module, "entry_point": entry},
         )
 
-    def bind(self, *resources: Any, group: int = 0) -> Any:
+    def bind(self, *resources: Resource, group: int = 0) -> BindGroup:
         """Return a bind group; a resource is a buffer, or (buffer, offset, size)."""
         entries = [
-            {"binding": place, "resource": _resource(one)}
-            for place, one in enumerate(resources)
+            {"binding": binding, "resource": _resource(resource)}
+            for binding, resource in enumerate(resources)
         ]
         return self._raw.create_bind_group(
             label=self.label, layout=self.layouts[group], entries=entries
         )
 
 
-def _layout(raw: Any, label: str, kinds: str) -> Any:
+def _layout(raw: RawDevice, label: str, kinds: str) -> BindGroupLayout:
     entries = [
-        {"binding": place, "visibility": "COMPUTE", "buffer": {"type": _TYPES[kind]}}
-        for place, kind in enumerate(kinds)
+        {"binding": binding, "visibility": "COMPUTE", "buffer": {"type": _TYPES[kind]}}
+        for binding, kind in enumerate(kinds)
     ]
     return raw.create_bind_group_layout(label=label, entries=entries)
 
 
-def _resource(one: Any) -> dict[str, Any]:
-    buffer, offset, size = one if isinstance(one, tuple) else (one, 0, one.size)
+def _resource(resource: Resource) -> dict[str, object]:
+    buffer, offset, size = (
+        resource if isinstance(resource, tuple) else (resource, 0, resource.size)
+    )
     return {"buffer": buffer, "offset": offset, "size": size}
 
 
@@ -74,18 +94,21 @@ class Step:
     """One dispatch of a frame, recorded once and encoded every frame.
 
     Attributes:
-        kernel: What runs.
+        kernel: The kernel.
         binds: Its bind groups.
-        groups: Workgroups in x, y and z, or the buffer and the offset they are read from.
+        groups: How many workgroups run.
     """
 
     kernel: Kernel
-    binds: tuple[Any, ...]
-    groups: tuple[int, int, int] | tuple[Any, int]
+    binds: tuple[BindGroup, ...]
+    groups: Dispatch
 
 
 def run(
-    encoder: Any, steps: Iterable[Step], label: str, stamps: dict[str, Any] | None = None
+    encoder: Encoder,
+    steps: Iterable[Step],
+    label: str,
+    stamps: PassTimestamps | None = None,
 ) -> None:
     """Encode ``steps`` as one compute pass, which may write timestamps."""
     compute = encoder.begin_compute_pass(label=label, timestamp_writes=stamps)
@@ -94,8 +117,8 @@ def run(
         if step.kernel is not last:
             compute.set_pipeline(step.kernel.pipeline)
             last = step.kernel
-        for place, bind in enumerate(step.binds):
-            compute.set_bind_group(place, bind)
+        for group, bind in enumerate(step.binds):
+            compute.set_bind_group(group, bind)
         if len(step.groups) == 2:
             compute.dispatch_workgroups_indirect(*step.groups)
         elif min(step.groups) > 0:

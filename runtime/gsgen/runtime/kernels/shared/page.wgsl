@@ -22,7 +22,7 @@ struct Page {
     first_gaussian: u32,  // index in the frame of the set's first Gaussian
     inverse_range: f32,   // 1 / the depth where weights end; 0 where they do not
     inverse_divisor: f32, // 1 / what opacity is divided by
-    behind: f32,          // weight of what is behind
+    behind: f32,          // weight of the background
     // For exact depths:
     linear_rest: mat3x3f, // what rounding `linear` left
     eye_at: vec3f,        // where the rounded `eye` is in camera space …

@@ -82,15 +82,15 @@ def source(name: str, **constants: int | float | bool) -> str:
     return "\n".join(lines) + "\n" + text
 
 
-def _included(name: str, seen: set[str]) -> str:
+def _included(name: str, included_names: set[str]) -> str:
     """Return the text of a shader; includes are replaced by their files, or by nothing if seen."""
 
     def replacement(match: re.Match[str]) -> str:
         included = match[1]
-        if included in seen:
+        if included in included_names:
             return ""
-        seen.add(included)
-        return _included(included, seen)
+        included_names.add(included)
+        return _included(included, included_names)
 
     return _INCLUDE.sub(replacement, _shader_files()[name])
 

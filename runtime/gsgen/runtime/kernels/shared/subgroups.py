@@ -1,4 +1,4 @@
-"""Subgroups: how many invocations of a workgroup run as one, which some drivers tell."""
+"""Measures the subgroup size: how many invocations of a workgroup run in lockstep."""
 
 __all__ = ["lanes"]
 
@@ -13,9 +13,9 @@ _THREADS: Final = 8
 
 
 def lanes(device: Device) -> int:
-    """Return the size of the subgroups of a workgroup of eight, or 0 where there are none.
+    """Return the size of the subgroups of a workgroup of eight, or 0 without subgroups.
 
-    It is measured: adapters only tell a range.
+    It is measured: adapters only report a range.
     """
     if not device.subgroups:
         return 0
@@ -24,5 +24,5 @@ def lanes(device: Device) -> int:
     encoder = device.raw.create_command_encoder(label="subgroups")
     run(encoder, [Step(kernel, (kernel.bind(sizes),), (1, 1, 1))], "subgroups")
     device.submit(encoder)
-    found = device.read(sizes, np.uint32, _THREADS)
-    return int(found[0]) if (found == found[0]).all() else 0
+    measured = device.read(sizes, np.uint32, _THREADS)
+    return int(measured[0]) if (measured == measured[0]).all() else 0

@@ -1,17 +1,16 @@
-"""Gather keys: sorted splats get other keys than those they were sorted by."""
+"""Gather keys: replace the sort keys by a second key, gathered in sorted order."""
 
 __all__ = ["GatherKeys", "gather_reference"]
 
-from typing import Any, Final, final
+from typing import final
 
 import numpy as np
 from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.kernels.shared.counts import PLACES, Counts
-from gsgen.runtime.kernels.shared.kernel import Kernel, Step
-
-_THREADS: Final = 64
+from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
+from gsgen.runtime.kernels.shared.kernel import THREADS, Kernel, Step
 
 
 @final
@@ -29,12 +28,12 @@ class GatherKeys:
             "gather_keys",
             "gather_keys",
             ("rrrw",),
-            THREADS=_THREADS,
+            THREADS=THREADS,
             BLOCK=block,
-            **PLACES,
+            **COUNT_CONSTANTS,
         )
 
-    def step(self, counts: Any, keys: Any, order: Any, keys_out: Any) -> Step:
+    def step(self, counts: Buffer, keys: Buffer, order: Buffer, keys_out: Buffer) -> Step:
         """Return the step: ``keys_out`` gets the key of each visible splat of ``order``."""
         bind = self.kernel.bind(counts, keys, order, keys_out)
         return Step(self.kernel, (bind,), (counts, 4 * Counts.SORT_VISIBLE_GROUPS))
@@ -43,5 +42,5 @@ class GatherKeys:
 def gather_reference(
     keys: UInt32[np.ndarray, " m"], order: UInt32[np.ndarray, " n"]
 ) -> UInt32[np.ndarray, " n"]:
-    """What ``gather_keys.wgsl`` must make."""
+    """Return the keys of ``order`` as ``gather_keys.wgsl`` must."""
     return np.asarray(keys[order])

@@ -1,19 +1,20 @@
-"""Order ties: splats of one key stand by the rest of their depths, then by their sets."""
+"""Order ties: sort splats of equal keys by the rest of their depths, then by their sets."""
 
 __all__ = ["MOST_TIED", "OrderTies", "order_ties_reference"]
 
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import MOST_GROUPS, Device
-from gsgen.runtime.kernels.shared.counts import PLACES
+from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 from gsgen.runtime.kernels.tiles.bin_tiles import WALK_THREADS
 
 MOST_TIED: Final = 64
-"""Splats of one key that are put in order; where there are more, that is left to the sort."""
+"""The longest tie that the kernel puts in order; the sort is repeated for longer ones."""
 
 
 @final
@@ -26,7 +27,7 @@ class OrderTies:
         arranged: Whether splats are elsewhere in memory than their sets have them.
     """
 
-    def __init__(self, device: Device, walk: int, arranged: bool) -> None:
+    def __init__(self, device: Device, walk: int, *, arranged: bool) -> None:
         self._block = WALK_THREADS * walk
         self.kernel = Kernel(
             device,
@@ -37,26 +38,32 @@ class OrderTies:
             RUN=walk,
             MOST_TIED=MOST_TIED,
             ARRANGED=arranged,
-            **PLACES,
+            **COUNT_CONSTANTS,
         )
 
     def step(
-        self, capacity: int, counts: Any, keys: Any, lows: Any, order: Any, *origins: Any
+        self,
+        capacity: int,
+        counts: Buffer,
+        keys: Buffer,
+        lows: Buffer,
+        order: Buffer,
+        *origins: Buffer,
     ) -> Step:
         """Return the ordering.
 
         Args:
-            capacity: For how many splats there is room.
+            capacity: Number of splats that there is room for.
             counts: The frame's counts.
             keys: Of the visible splats, in ascending order.
-            lows: What the key of each splat leaves of its depth, as bits that sort as it does.
+            lows: Remainder of each splat's depth beyond its key, as bits that sort alike.
             order: The sorted splats.
             origins: Where rows are arranged, where each splat is by the order of the sets.
         """
         if not origins:
             origins = (lows,)  # something has to be bound, and is not read
         bind = self.kernel.bind(counts, keys, lows, order, *origins)
-        # Not by the counts: what is written by a dispatch cannot say how large it is.
+        # A direct dispatch: the kernel writes the counts, so they cannot be its indirect arguments.
         groups = max(1, -(-capacity // self._block))
         lines = -(-groups // MOST_GROUPS)
         return Step(self.kernel, (bind,), (-(-groups // lines), lines, 1))
@@ -68,5 +75,5 @@ def order_ties_reference(
     origins: UInt32[np.ndarray, " m"],
     order: UInt32[np.ndarray, " n"],
 ) -> UInt32[np.ndarray, " n"]:
-    """What ``order_ties.wgsl`` must make of ``order`` where no tie is longer than MOST_TIED."""
+    """Return ``order`` as ``order_ties.wgsl`` must sort it if no tie is longer than MOST_TIED."""
     return order[np.lexsort((origins[order], lows[order], keys))]

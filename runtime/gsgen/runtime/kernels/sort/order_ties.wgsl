@@ -9,7 +9,7 @@
 
 @group(0) @binding(0) var<storage, read_write> counts: array<atomic<u32>>;
 @group(0) @binding(1) var<storage, read> keys: array<u32>;
-@group(0) @binding(2) var<storage, read> lows: array<u32>;     // by splat: bits that sort as what a key leaves of a depth
+@group(0) @binding(2) var<storage, read> lows: array<u32>;     // by splat: bits that sort as the rest of its depth does
 @group(0) @binding(3) var<storage, read_write> order: array<u32>;
 @group(0) @binding(4) var<storage, read> origins: array<u32>;  // by splat: its index in the order of the sets, if ARRANGED
 

@@ -3,13 +3,14 @@
 __all__ = ["Scan", "scan_reference"]
 
 from functools import cache
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.kernels.shared.counts import PLACES, Counts
+from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 
 _THREADS: Final = 256
@@ -40,7 +41,7 @@ class Scan:
             "SORT_BLOCK": sort_block,
             "WALK_BLOCK": walk_block,
             "RANGE_BLOCK": range_block,
-        } | PLACES
+        } | COUNT_CONSTANTS
         self._whole, self._sums = (
             cache(
                 lambda share=share: Kernel(
@@ -66,8 +67,8 @@ class Scan:
 
     def steps(
         self,
-        counts: Any,
-        numbers: Any,
+        counts: Buffer,
+        numbers: Buffer,
         *,
         source: Counts,
         block: int,
@@ -78,11 +79,11 @@ class Scan:
 
         Args:
             counts: The frame's counts.
-            numbers: What is scanned, in place; its size says how many there can be.
-            source: Which count the length follows from.
+            numbers: Buffer that is scanned in place; its size is the capacity.
+            source: Count that determines the length.
             block: See above.
             rows: See above.
-            total: What the sum of all is announced as: VISIBLE, PAIRS or nothing.
+            total: Count that receives the sum of all: VISIBLE, PAIRS or None.
         """
         uniform = self._device.uniform("scan", 16)
         words = np.array([source, block, rows, _EFFECTS[total]], np.uint32)
@@ -93,15 +94,15 @@ class Scan:
             return [Step(kernel, (kernel.bind(uniform, counts, numbers),), (1, 1, 1))]
         sums = self._device.storage("sums of blocks", 4 * blocks)
         reduce, scan, spread = self._reduce(), self._sums(), self._spread()
-        every = (uniform, counts, numbers, sums)
+        resources = (uniform, counts, numbers, sums)
         return [
-            Step(reduce, (reduce.bind(*every),), (blocks, 1, 1)),
+            Step(reduce, (reduce.bind(*resources),), (blocks, 1, 1)),
             Step(scan, (scan.bind(uniform, counts, sums),), (1, 1, 1)),
-            Step(spread, (spread.bind(*every),), (blocks, 1, 1)),
+            Step(spread, (spread.bind(*resources),), (blocks, 1, 1)),
         ]
 
 
 def scan_reference(numbers: UInt32[np.ndarray, " n"]) -> UInt32[np.ndarray, " n"]:
-    """What a scan must leave: sums stop at 2³¹ − 1 instead of wrapping around."""
+    """Return exclusive prefix sums as a scan must: they stop at 2³¹ − 1 instead of wrapping."""
     before = np.cumsum(numbers, dtype=np.uint64) - numbers
     return np.asarray(np.minimum(before, 0x7FFFFFFF), np.uint32)

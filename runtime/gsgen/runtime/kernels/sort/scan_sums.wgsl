@@ -1,4 +1,4 @@
-// Scan: what its kernels share, the length of what is scanned and the sums within a workgroup.
+// Scan, the part that its kernels share: the length of the numbers and sums within a workgroup.
 
 struct Scan {
     source: u32,      // index of the count that the length follows from

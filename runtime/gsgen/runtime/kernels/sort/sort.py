@@ -3,14 +3,15 @@
 __all__ = ["KEY_BITS", "Columns", "RadixSort", "SortConfig", "cut_for", "sort_reference"]
 
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.shared.counts import Counts
-from gsgen.runtime.kernels.shared.kernel import Kernel, Step
+from gsgen.runtime.kernels.shared.kernel import Dispatch, Kernel, Step
 from gsgen.runtime.kernels.shared.shader import ABSENT
 from gsgen.runtime.kernels.sort.scan import Scan
 
@@ -21,14 +22,14 @@ KEY_BITS: Final = 32
 class Columns(NamedTuple):
     """Two buffers of words that are sorted together."""
 
-    keys: Any
-    values: Any
+    keys: Buffer
+    values: Buffer
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class SortConfig:
-    """How work is cut into workgroups.
+    """How a sort is divided into workgroups.
 
     Attributes:
         threads: Invocations of a workgroup of the sort.
@@ -49,7 +50,7 @@ class SortConfig:
 
 
 def cut_for(device: Device) -> SortConfig:
-    """Return the cut that suits a device: a CPU likes long runs, a GPU many invocations."""
+    """Return the configuration for a device: a CPU is fast with long runs, a GPU with many invocations."""
     return SortConfig(8, 512, 8, 64) if device.software else SortConfig(256, 16, 4, 4)
 
 
@@ -73,7 +74,7 @@ class RadixSort:
         self._count = Kernel(device, "sort", "count", ("urrrwww",), **constants)
         self._scatter = Kernel(device, "sort", "scatter", ("urrrwww",), **constants)
 
-    def histogram(self, capacity: int) -> Any:
+    def histogram(self, capacity: int) -> Buffer:
         """Return a histogram buffer for sorting up to ``capacity`` keys."""
         size = 4 * (1 << self._cut.digit_bits) * self.blocks(capacity)
         return self._device.storage("histogram", size)
@@ -84,15 +85,15 @@ class RadixSort:
 
     def steps(
         self,
-        counts: Any,
-        histogram: Any,
+        counts: Buffer,
+        histogram: Buffer,
         columns: list[Columns],
         *,
         bits: int,
         source: Counts,
         groups: Counts,
         compacting: int | None = None,
-        given: Any = None,
+        first_keys: Buffer | None = None,
     ) -> tuple[list[Step], int]:
         """Return the steps of a sort, and which of ``columns`` has the result.
 
@@ -106,25 +107,25 @@ class RadixSort:
             compacting: If given, the first pass takes as many keys as this, with their places
                 as values, leaves out those that are ABSENT, and announces the rest as
                 ``source``.
-            given: Keys that a compacting sort reads first, in place of those of ``columns``, and
+            first_keys: Keys that a compacting sort reads first, in place of those of ``columns``, and
                 leaves as they are.
         """
         passes = -(-bits // self._cut.digit_bits)
         width = -(-bits // passes)
-        made: list[Step] = []
+        recorded: list[Step] = []
         for number in range(passes):
             digits = min(width, bits - number * width)
             first = number == 0 and compacting is not None
             now = Counts.GAUSSIANS if first else source
-            dispatch: tuple[int, int, int] | tuple[Any, int] = (counts, 4 * groups)
+            dispatch: Dispatch = (counts, 4 * groups)
             if number == 0 and compacting is not None:
                 dispatch = (self.blocks(compacting), 1, 1)
             uniform = self._device.uniform("digit", 16)
             words = np.array([number * width, digits, now, first], np.uint32)
             self._device.write(uniform, words)
             before, after = columns[number % 2], columns[1 - number % 2]
-            if first and given is not None:
-                before = Columns(given, given)  # it reads no values
+            if first and first_keys is not None:
+                before = Columns(first_keys, first_keys)  # it reads no values
             resources = (uniform, counts, *before, histogram, *after)
             scan = self._scan.steps(
                 counts,
@@ -134,16 +135,16 @@ class RadixSort:
                 rows=1 << digits,
                 total=source if first else None,
             )
-            made += [
+            recorded += [
                 Step(self._count, (self._count.bind(*resources),), dispatch),
                 *scan,
                 Step(self._scatter, (self._scatter.bind(*resources),), dispatch),
             ]
-        return made, passes % 2
+        return recorded, passes % 2
 
 
 def sort_reference(keys: UInt32[np.ndarray, " n"], bits: int) -> UInt32[np.ndarray, " m"]:
-    """What the sort must make of places as values: ABSENT keys left out, equal keys in order."""
-    kept = np.flatnonzero(keys != ABSENT)
-    order = np.argsort(keys[kept] & ((1 << bits) - 1), kind="stable")
-    return kept[order].astype(np.uint32)
+    """Return indices sorted by key as the sort must: ABSENT keys left out, equal keys in order."""
+    present = np.flatnonzero(keys != ABSENT)
+    order = np.argsort(keys[present] & ((1 << bits) - 1), kind="stable")
+    return present[order].astype(np.uint32)

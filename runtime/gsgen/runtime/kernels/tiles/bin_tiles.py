@@ -2,13 +2,14 @@
 
 __all__ = ["WALK_THREADS", "BinTiles", "touched_reference"]
 
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.kernels.shared.counts import PLACES, Counts
+from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 from gsgen.runtime.kernels.shared.shader import PANORAMA_CONSTANTS, TILE
 
@@ -28,22 +29,22 @@ class BinTiles:
     """
 
     def __init__(
-        self, device: Device, walk: int, panorama: bool = False, *, cells: bool = False
+        self, device: Device, walk: int, *, panorama: bool = False, cells: bool = False
     ) -> None:
         shader = "bin_cells" if cells else "bin_tiles"
-        constants = {"THREADS": WALK_THREADS, "RUN": walk, **PLACES}
+        constants = {"THREADS": WALK_THREADS, "RUN": walk, **COUNT_CONSTANTS}
         constants |= PANORAMA_CONSTANTS if panorama else {}
         self._measure, self._emit = (
             Kernel(device, shader, entry, (_BINDINGS[shader],), **constants)
             for entry in ("measure", "emit")
         )
 
-    def steps(self, counts: Any, resources: tuple[Any, ...]) -> tuple[Step, Step]:
+    def steps(self, counts: Buffer, resources: tuple[Buffer, ...]) -> tuple[Step, Step]:
         """Return measuring and emitting; between them the measures are to be scanned.
 
         Args:
             counts: The frame's counts, or those of its cells.
-            resources: What the shader binds, in its order.
+            resources: Resources of the shader, in order.
         """
         dispatch = (counts, 4 * Counts.WALK_VISIBLE_GROUPS)
         return (
@@ -59,7 +60,7 @@ def touched_reference(
     size: tuple[int, int],
     period: float = 0.0,
 ) -> Bool[np.ndarray, "rows columns"]:
-    """Say which tiles have a pixel that a splat reaches: those that must be listed.
+    """Return the mask of tiles with a pixel that a splat reaches.
 
     Args:
         mean: In pixels of the image.

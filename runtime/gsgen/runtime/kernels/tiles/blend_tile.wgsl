@@ -158,7 +158,7 @@ fn is_open() -> bool {
     return any(most > ZERO);
 }
 
-// A layer behind all splats of some pixels gets what is left there. So does one behind a finished
+// A layer behind all splats of some pixels gets the remaining light. So does one behind a finished
 // pixel: its small rest passes on to the layer, as it does to the background.
 fn ended(cell: Cell, layer: LayerCell, light: vec4f, is_last: vec4<bool>) -> Cell {
     var result = cell;

@@ -1,16 +1,17 @@
 """Blend: composite each tile's splats, front to back."""
 
-__all__ = ["BlendTiles", "Layers", "blend_reference", "grain"]
+__all__ = ["BlendTiles", "Layers", "blend_reference", "workgroup_shape"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.spec import layout
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.project.project import Projected
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 from gsgen.runtime.kernels.shared.shader import (
@@ -26,10 +27,10 @@ from gsgen.runtime.kernels.shared.subgroups import lanes
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Layers:
-    """Images among the splats, the front one first; each is blended before what is behind it.
+    """Images among the splats, the front one first; each is blended before the splats behind it.
 
     A pixel of a layer is its colour multiplied by its alpha, and its alpha; its depth is along +z,
-    or NOWHERE or infinite where the layer has nothing. A later layer is nowhere in front of an
+    or NOWHERE or infinite where the layer is empty. A later layer is nowhere in front of an
     earlier one; of several, only the last may be opaque.
 
     Attributes:
@@ -41,15 +42,15 @@ class Layers:
     """
 
     count: int
-    colors: Any
-    depths: Any
-    normals: Any = None
+    colors: Buffer
+    depths: Buffer
+    normals: Buffer | None = None
 
 
-def grain(
-    device: Device, panorama: bool, layers: int
+def workgroup_shape(
+    device: Device, layers: int, *, panorama: bool
 ) -> tuple[bool, dict[str, int | float | bool]]:
-    """Say how a tile is shared among invocations, whichever way it is blended.
+    """Return how a tile's pixels are divided among invocations.
 
     Returns:
         Whether its invocations are one subgroup that reads splats together, and the constants of
@@ -82,9 +83,9 @@ class BlendTiles:
     """
 
     def __init__(
-        self, device: Device, pick: bool, panorama: bool = False, layers: int = 0
+        self, device: Device, *, pick: bool, panorama: bool = False, layers: int = 0
     ) -> None:
-        together, constants = grain(device, panorama, layers)
+        together, constants = workgroup_shape(device, layers, panorama=panorama)
         self.kernel = Kernel(
             device,
             "blend_subgroups" if together else "blend_tiles",
@@ -98,14 +99,14 @@ class BlendTiles:
     def step(
         self,
         tiles: tuple[int, int],
-        resources: tuple[Any, ...],
-        layers: tuple[Any, Any] | None = None,
+        resources: tuple[Buffer, ...],
+        layers: tuple[Buffer, Buffer] | None = None,
     ) -> Step:
         """Return the blending of an image.
 
         Args:
             tiles: How many there are across and down.
-            resources: What ``blend_tiles.wgsl`` binds, in its order.
+            resources: Resources of ``blend_tiles.wgsl``, in order.
             layers: Colours, or normals, and depths of the layers, where there are any.
         """
         binds = [self.kernel.bind(*resources)]
@@ -120,7 +121,7 @@ def blend_reference(
     size: tuple[int, int],
     layers: Sequence[tuple[Float[np.ndarray, "h w 4"], Float[np.ndarray, "h w"]]] = (),
 ) -> Float[np.ndarray, "h w 4"]:
-    """What ``blend_tiles.wgsl`` must make of splats that are sorted, nearest first.
+    """Blend sorted splats in float64 as ``blend_tiles.wgsl`` must.
 
     Args:
         splats: All of them drawn.
@@ -137,13 +138,13 @@ def blend_reference(
 
     def meet(reach: float) -> None:
         nonlocal through, color
-        for number, (shown, depth) in enumerate(layers):
+        for number, (layer_color, depth) in enumerate(layers):
             met = waiting[number] & (depth < reach)
             waiting[number] = waiting[number] & ~met
-            color = color + np.where(met, through, 0)[..., None] * shown[..., :3]
-            through = np.where(met, through * (1 - shown[..., 3]), through)
+            color = color + np.where(met, through, 0)[..., None] * layer_color[..., :3]
+            through = np.where(met, through * (1 - layer_color[..., 3]), through)
 
-    for mean, conic, strength, own, far in zip(
+    for mean, conic, strength, splat_color, far in zip(
         splats.mean, splats.conic, splats.strength, splats.color, splats.depth, strict=True
     ):
         meet(float(far))
@@ -153,7 +154,7 @@ def blend_reference(
         after = through * (1 - alpha)
         live &= ~((above >= 0) & (after <= MIN_TRANSMITTANCE))
         drawn = live & (above >= 0)
-        color += np.where(drawn, alpha * through, 0)[..., None] * own
+        color += np.where(drawn, alpha * through, 0)[..., None] * splat_color
         through = np.where(drawn, after, through)
     meet(np.inf)
     return np.concatenate([color, 1 - through[..., None]], axis=-1)

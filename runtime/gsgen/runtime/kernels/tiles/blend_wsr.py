@@ -3,17 +3,18 @@
 __all__ = ["BlendWsr", "blend_wsr_reference"]
 
 from collections.abc import Sequence
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from gsgen.contract.spec import layout
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.kernels.project.project import Projected
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 from gsgen.runtime.kernels.shared.shader import FINISHED, MAX_ALPHA, TILE
-from gsgen.runtime.kernels.tiles.blend_tiles import grain
+from gsgen.runtime.kernels.tiles.blend_tiles import workgroup_shape
 
 
 @final
@@ -31,13 +32,14 @@ class BlendWsr:
     def __init__(
         self,
         device: Device,
+        *,
         pick: bool,
         panorama: bool = False,
         published: bool = False,
         layers: int = 0,
     ) -> None:
         self._no_depths = device.storage("no layer depths", 16)
-        together, constants = grain(device, panorama, layers)
+        together, constants = workgroup_shape(device, layers, panorama=panorama)
         self.kernel = Kernel(
             device,
             "blend_wsr_subgroups" if together else "blend_wsr",
@@ -51,13 +53,16 @@ class BlendWsr:
         )
 
     def step(
-        self, tiles: tuple[int, int], resources: tuple[Any, ...], depths: Any = None
+        self,
+        tiles: tuple[int, int],
+        resources: tuple[Buffer, ...],
+        depths: Buffer | None = None,
     ) -> Step:
         """Return the blending of an image.
 
         Args:
             tiles: How many there are across and down.
-            resources: What ``blend_wsr.wgsl`` binds, in its order.
+            resources: Resources of ``blend_wsr.wgsl``, in order.
             depths: Of the layers, where there are any.
         """
         if depths is None:
@@ -74,13 +79,13 @@ def blend_wsr_reference(
     origin: Float[np.ndarray, "2"],
     size: tuple[int, int],
 ) -> Float[np.ndarray, "h w 4"]:
-    """What ``blend_wsr.wgsl`` must make of one set with nothing behind it.
+    """Blend one set without a background in float64 as ``blend_wsr.wgsl`` must.
 
     Args:
         splats: Its Gaussians, drawn or not.
         radius: Of the circle that each ends at, in pixels.
         cells: The Gaussians and the tiles of each cell, nearest first.
-        factors: What opacity is divided by, and the weight of what is behind.
+        factors: Divisor of the opacity, and the weight of the background.
         origin: Of the means, in pixels of the image.
         size: Width and height of the image.
     """
@@ -89,10 +94,10 @@ def blend_wsr_reference(
     y = np.arange(height)[:, None] + 0.5 - origin[1]
     through, total = np.ones((height, width)), np.zeros((height, width))
     color = np.zeros((height, width, 3))
-    for own, tiles in cells:
+    for members, tiles in cells:
         inside = np.kron(tiles, np.ones((TILE, TILE), bool))[:height, :width]
         entered = np.where(inside & (through >= FINISHED), through, 0)
-        for i in np.flatnonzero(splats.drawn[own]) + own.start:
+        for i in np.flatnonzero(splats.drawn[members]) + members.start:
             dx, dy = x - splats.mean[i, 0], y - splats.mean[i, 1]
             xx, xy, yy = splats.conic[i]
             above = splats.strength[i] - 0.5 * (xx * dx**2 + yy * dy**2) - xy * dx * dy
@@ -102,6 +107,6 @@ def blend_wsr_reference(
             through *= np.maximum(1 - alpha, 0)
             total += alpha * entered
             color += (alpha * entered)[..., None] * splats.color[i]
-    left = np.where(through < FINISHED, 0, behind * through)
-    scale = np.where(total > 0, total + left, 1)
+    backdrop = np.where(through < FINISHED, 0, behind * through)
+    scale = np.where(total > 0, total + backdrop, 1)
     return np.concatenate([color, total[..., None]], axis=-1) / scale[..., None]

@@ -4,7 +4,7 @@
 //
 // Within a cell every Gaussian is weighed by the light that passed before the cell, `open`, so the
 // order of a cell's Gaussians does not count. Once less than FINISHED is left, further cells are
-// left out, and so is what is behind.
+// left out, and so is the background.
 //
 // An invocation has PARTS = COLUMNS × QUADS parts, each of four pixels above each other. `repeat`
 // writes a variable for each part: on Mesa's llvmpipe, sums in an array of parts took 4.4 times as
@@ -15,14 +15,14 @@
 
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
 @group(0) @binding(2) var<storage, read> pair_cells: array<u32>;
-@group(0) @binding(3) var<storage, read> spans: array<vec4u>;    // first Gaussian, how many, 1 / divisor, weight of what is behind
+@group(0) @binding(3) var<storage, read> spans: array<vec4u>;    // first Gaussian, how many, 1 / divisor, weight of the background
 @group(0) @binding(4) var<storage, read> shapes: array<vec4f>;   // mean, conic xx xy
 @group(0) @binding(5) var<storage, read> weights: array<vec4f>;  // conic yy, strength, depth, the circle's radius²
 @group(0) @binding(6) var<storage, read> colors: array<vec4f>;
 @group(0) @binding(7) var<storage, read_write> image: array<vec4u>;
 
 // Where the image is LAYERED, it is the first of LAYERS layers. Meshes, if there are any, are the
-// last, whose depths are here already: what is behind them does not count.
+// last, whose depths are here already: splats behind them do not count.
 @group(1) @binding(0) var<storage, read_write> layer_depths: array<f32>;
 
 const ZERO = vec4f(0.0);
@@ -33,7 +33,7 @@ struct Part {
     transmittance: vec4f,   // light that still passes
     open: vec4f,            // the same before the present cell; 0 once the pixel is finished
     total: vec4f,           // Σ w
-    behind: vec4f,          // Σ w b, with b the weight that the Gaussian's set gives to what is behind
+    behind: vec4f,          // Σ w b, with b the weight that the Gaussian's set gives to the background
     red: vec4f,             // with PICK: Σ w z
     green: vec4f,           // with PICK: the depth where half of the light is gone
     blue: vec4f,
@@ -119,7 +119,7 @@ fn reaches_tile(shape: vec4f, weight: vec4f) -> bool {
     return weight.y >= 0.0 && squares.x + squares.y <= CIRCLE_SLACK * weight.w && !is_beyond;
 }
 
-// factors: 1 / divisor of the opacity, and the weight of what is behind.
+// factors: 1 / divisor of the opacity, and the weight of the background.
 fn added(part: Part, number: u32, id: u32, shape: vec4f, weight: vec4f, color: vec3f, factors: vec2f) -> Part {
     let offset = offset_of(number);
     let dx = nearest(x + f32(offset.x) - shape.x);
@@ -206,7 +206,7 @@ fn write_part(number: u32, part: Part) {
     }
 }
 
-// Step 5: write each pixel, and what is behind it.
+// Step 5: write each pixel over the background.
 fn end_tile() {
 //!repeat PART PARTS
     write_part(PARTu, part_PART);

@@ -2,13 +2,14 @@
 
 __all__ = ["RANGE_BLOCK", "TileRanges", "ranges_reference"]
 
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import UInt32
 
 from gsgen.runtime.gpu.device import Device
-from gsgen.runtime.kernels.shared.counts import PLACES, Counts
+from gsgen.runtime.gpu.handles import Buffer
+from gsgen.runtime.kernels.shared.counts import COUNT_CONSTANTS, Counts
 from gsgen.runtime.kernels.shared.kernel import Kernel, Step
 
 _THREADS: Final = 128
@@ -23,10 +24,16 @@ class TileRanges:
 
     def __init__(self, device: Device) -> None:
         self.kernel = Kernel(
-            device, "tile_ranges", "mark", ("rrw",), THREADS=_THREADS, RUN=_RUN, **PLACES
+            device,
+            "tile_ranges",
+            "mark",
+            ("rrw",),
+            THREADS=_THREADS,
+            RUN=_RUN,
+            **COUNT_CONSTANTS,
         )
 
-    def step(self, counts: Any, tiles: Any, ranges: Any) -> Step:
+    def step(self, counts: Buffer, tiles: Buffer, ranges: Buffer) -> Step:
         """Return the marking of where each tile's pairs begin and end.
 
         Args:
@@ -41,8 +48,8 @@ class TileRanges:
 def ranges_reference(
     tiles: UInt32[np.ndarray, " n"], count: int
 ) -> UInt32[np.ndarray, "t 2"]:
-    """What ``tile_ranges.wgsl`` must find for ``count`` tiles."""
-    every = np.arange(count)
-    ends = [np.searchsorted(tiles, every, side) for side in ("left", "right")]
-    made = np.stack(ends, axis=1)
-    return np.where(made[:, :1] < made[:, 1:], made, 0).astype(np.uint32)
+    """Return the ranges of ``count`` tiles as ``tile_ranges.wgsl`` must."""
+    tile_ids = np.arange(count)
+    ends = [np.searchsorted(tiles, tile_ids, side) for side in ("left", "right")]
+    bounds = np.stack(ends, axis=1)
+    return np.where(bounds[:, :1] < bounds[:, 1:], bounds, 0).astype(np.uint32)

@@ -1,0 +1,35 @@
+"""Type names for the objects of wgpu, which is not imported before a device is opened."""
+
+__all__ = [
+    "BindGroup",
+    "BindGroupLayout",
+    "Buffer",
+    "Encoder",
+    "PassTimestamps",
+    "RawDevice",
+    "RenderPipeline",
+    "Resource",
+    "Texture",
+    "TextureView",
+]
+
+from typing import TYPE_CHECKING, TypeAlias
+
+if TYPE_CHECKING:
+    from wgpu import GPUBindGroup as BindGroup
+    from wgpu import GPUBindGroupLayout as BindGroupLayout
+    from wgpu import GPUBuffer as Buffer
+    from wgpu import GPUCommandEncoder as Encoder
+    from wgpu import GPUDevice as RawDevice
+    from wgpu import GPURenderPipeline as RenderPipeline
+    from wgpu import GPUTexture as Texture
+    from wgpu import GPUTextureView as TextureView
+else:
+    BindGroup = BindGroupLayout = Buffer = Encoder = object
+    RawDevice = RenderPipeline = Texture = TextureView = object
+
+Resource: TypeAlias = Buffer | tuple[Buffer, int, int]
+"""What a kernel binds: a whole buffer, or a buffer with an offset and a size in bytes."""
+
+PassTimestamps: TypeAlias = dict[str, object]
+"""Where a pass writes its timestamps, in the words of wgpu's ``timestamp_writes``."""
