@@ -219,7 +219,7 @@ def test_distortion_is_noted_and_a_fisheye_refused(tmp_path: Path) -> None:
     assert viewpoint(str(tmp_path)).notes == noted.notes
     for wrong in ({"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}):
         with pytest.raises(
-            ConfigInvalid, match=r"frame 0: .*which no pinhole can stand for"
+            ConfigInvalid, match=r"frame 0: .*which no pinhole camera approximates"
         ):
             open_cameras(transforms(tmp_path, wrong, **pinhole))
 
@@ -312,7 +312,7 @@ def test_picking_by_name_number_and_slice() -> None:
     assert file.pick(None) == file.cameras
     for which, words in {
         "one": r"2 cameras are called 'one': a/one.png, b/one.png",
-        "4": "numbered from 0 to 3; 4 is none",
+        "4": "numbered from 0 to 3; 4 is out of range",
         "-5": "-5 is none",
         "9:": "selects none of the 4",
         "::0": "selects none of the 4",
