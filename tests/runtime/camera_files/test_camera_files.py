@@ -313,7 +313,7 @@ def test_picking_by_name_number_and_slice() -> None:
     for which, words in {
         "one": r"2 cameras are called 'one': a/one.png, b/one.png",
         "4": "numbered from 0 to 3; 4 is out of range",
-        "-5": "-5 is none",
+        "-5": "-5 is out of range",
         "9:": "selects none of the 4",
         "::0": "selects none of the 4",
         "tow.png": r"unknown camera 'tow.png'\n  Did you mean 'two.png'\? It has a/one.png, a/two",
