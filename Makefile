@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.gsgen-ready
 
-.PHONY: setup demo test check types style drivers bench exactness fuzz fuzz-formats fuzz-sort pictures gallery docs wheel clean
+.PHONY: setup demo test check types style drivers bench exactness fuzz fuzz-formats fuzz-tiles fuzz-sort pictures gallery docs wheel clean
 
 setup: $(READY)
 
@@ -27,6 +27,7 @@ $(READY): pyproject.toml constraints.txt
 drivers:
 	scripts/drivers.sh
 	scripts/swiftshader.sh
+	scripts/cesium.sh
 
 demo: setup
 	@scripts/drivers.sh || echo "demo: going on, with pictures only where there is a GPU"
@@ -68,6 +69,10 @@ fuzz: setup
 FORMAT_COUNT ?= 5000
 fuzz-formats: setup
 	PYTHONPATH=tests $(BIN)/python -m fuzz.formats --count $(FORMAT_COUNT) --seed $(SEED)
+
+# Damaged tilesets and tiles, which must be reported or refused within 1 GiB and 20 s each.
+fuzz-tiles: setup
+	PYTHONPATH=tests $(BIN)/python -m fuzz.tilesets --count $(COUNT) --seed $(SEED)
 
 # Sorts of up to four million keys on every software driver: some minutes.
 fuzz-sort: setup drivers

@@ -16,12 +16,25 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from docs_parts import commands, contract, corpus, manifest, passes, report, rules, runs
+from docs_parts import (
+    commands,
+    contract,
+    corpus,
+    formats,
+    manifest,
+    passes,
+    report,
+    rooms,
+    rules,
+    runs,
+)
 
 from gsgen.contract.reporters.document import schema
 from gsgen.contract.reporters.rule_pages import index, page
 from gsgen.contract.spec.manifest_io import schemas
 from gsgen.contract.validation.report import REPORT_SCHEMA_FILE
+from gsgen.tiles.neural import EXTENSION as NEURAL_TILE
+from gsgen.tiles.neural import neural_schema
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -46,11 +59,13 @@ PARTS: dict[str, Part] = {
     "probes": contract.probes,
     "report-fields": report.fields,
     "roles": contract.roles,
+    "rooms": rooms.table,
     "row": contract.row,
     "rows-of-color": contract.rows_of_color,
     "rules-by-level": rules.by_level,
     "run": runs.run,
     "severities": contract.severities,
+    "splat-formats": formats.splat_formats,
     "targets": contract.targets,
     "tolerances": contract.tolerances,
     "waiver-keys": contract.waiver_keys,
@@ -85,6 +100,7 @@ def generated() -> dict[Path, str]:
     }
     pages[DOCS / "passes" / "index.md"] = passes.index()
     published = schemas() | {REPORT_SCHEMA_FILE: schema()}
+    published[f"{NEURAL_TILE}.schema.json"] = neural_schema()
     for name, document in published.items():
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         pages[DOCS / "spec" / "schemas" / name] = text

@@ -61,7 +61,7 @@ def decoder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     outputs = GeneratorOutputs(
         GaussiansOutput("gaussians", GAUSSIANS), AppearanceOutput("color", "rgb")
     )
-    inputs = (Input("time", "time", range=(0.0, 1.0), default=0.0),)
+    inputs = (Input(name="time", role="time", range=(0.0, 1.0), default=0.0),)
     manifest = GeneratorManifest(
         name="decoder", inputs=inputs, outputs=outputs, space=Space()
     )

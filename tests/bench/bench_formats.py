@@ -53,7 +53,13 @@ def many(count: int) -> Splats:
     def draw(*shape: int) -> np.ndarray:
         return rng.standard_normal((count, *shape), dtype=np.float32)
 
-    return Splats(draw(3), draw(4), draw(3) - 4, draw(), draw(16, 3) / 4)
+    return Splats(
+        position=draw(3),
+        rotation=draw(4),
+        log_scale=draw(3) - 4,
+        logit_opacity=draw(),
+        sh=draw(16, 3) / 4,
+    )
 
 
 def bench_ply_beside_reading_its_bytes(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from gsgen.contract.commands.options import (
     TargetName,
     Timeout,
 )
-from gsgen.contract.errors import ExitCode, ModelUnreadable
+from gsgen.contract.errors import ExitCode, InputUnreadable
 
 if TYPE_CHECKING:
     from gsgen.contract.validation.baseline import Baseline
@@ -52,7 +52,13 @@ _REPORTERS = {
 
 
 def validate(
-    models: Annotated[list[Path], typer.Argument(help="ONNX files.", show_default=False)],
+    models: Annotated[
+        list[Path],
+        typer.Argument(
+            help="ONNX files; tilesets (.json, .3tz) and their contents (.glb, .gltf).",
+            show_default=False,
+        ),
+    ],
     level: LevelName = None,
     target: TargetName = None,
     format: Annotated[Format, typer.Option(help="How to print the report.")] = Format.TEXT,
@@ -137,7 +143,7 @@ def _validated(
 
     try:
         report = validate_model(model, settings, registry=registry, progress=progress)
-    except ModelUnreadable as error:
+    except InputUnreadable as error:
         return Unreadable(str(model), error)
     return known.apply(report) if known else report
 

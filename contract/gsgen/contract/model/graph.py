@@ -72,7 +72,7 @@ class _Facts:
     inference: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Graph:
     """The main graph of a model.
 

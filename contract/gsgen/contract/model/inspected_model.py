@@ -26,7 +26,7 @@ from gsgen.contract.spec.operator_tables import operator_table
 from gsgen.contract.spec.targets import Target
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class InspectedModel:
     """A model whose file, graph and manifest have been read.
 
@@ -161,4 +161,12 @@ def inspect_model(
     text = file.manifest_text
     parsed = parse(text) if text is not None else None
     candidate = infer_manifest(graph, file.path.stem) if parsed is None else None
-    return InspectedModel(file, graph, parsed, candidate, target, limits, tolerances or {})
+    return InspectedModel(
+        file=file,
+        graph=graph,
+        parsed=parsed,
+        candidate=candidate,
+        target=target,
+        limits=limits,
+        tolerances=tolerances or {},
+    )

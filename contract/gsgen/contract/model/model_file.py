@@ -53,15 +53,13 @@ _METADATA_FIELD = 14  # ModelProto.metadata_props
 _LONGEST = (1 << 63) - 1
 _DIGITS = 100  # Python refuses to read numbers of thousands
 
+_SPLATS = ": `gsgen export static` turns splats into a model"
 # First bytes of files that people pass by mistake.
 _LOOKALIKES = (
-    (b"PK\x03\x04", "a zip archive (a torch checkpoint, an npz or SOG splats)"),
-    (b"ply", "a PLY point cloud: turn it into a model with `gsgen export static`"),
-    (b"glTF", "a GLB: turn its splats into a model with `gsgen export static`"),
-    (
-        b"\x1f\x8b",
-        "a gzip file (SPZ splats, which `gsgen export static` takes, or an archive)",
-    ),
+    (b"PK\x03\x04", f"a zip archive, such as a torch checkpoint{_SPLATS}"),
+    (b"ply", f"a PLY file{_SPLATS}"),
+    (b"glTF", f"a binary glTF file{_SPLATS}"),
+    (b"\x1f\x8b", f"a gzip file{_SPLATS}"),
     (b"\x93NUMPY", "a NumPy array"),
     (b"\x89HDF", "an HDF5 file"),
     (b"\x89PNG", "a picture"),
@@ -92,7 +90,7 @@ class ExternalRef:
     length: int | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ModelFile:
     """A model's structure. Its weights stay in the file.
 
@@ -174,7 +172,14 @@ def open_model(path: str | os.PathLike[str]) -> ModelFile:
     _check_texts(path, proto, parts, bones.data[:32])
     external = tuple(_detach_external(parts))
     whole = not (bones.stripped or external or any(map(_has_sparse, parts)))
-    return ModelFile(path, size, proto, bones.stripped, external, whole)
+    return ModelFile(
+        path=path,
+        size=size,
+        proto=proto,
+        stripped=bones.stripped,
+        external=external,
+        whole=whole,
+    )
 
 
 def _size(path: Path) -> int:

@@ -55,7 +55,7 @@ class WireFault(ValueError):
         super().__init__(f"byte {offset}: {message}")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Field:
     """One field of a message: where its tag starts, and where its value lies."""
 
@@ -120,7 +120,7 @@ def scan(data: Buffer, start: int, end: int) -> Iterator[Field]:
             raise WireFault(
                 tag_at, f"field {number} needs {stop - end} more bytes than the message has"
             )
-        yield Field(number, wire, tag_at, offset, stop)
+        yield Field(number=number, wire=wire, start=tag_at, value=offset, end=stop)
         offset = stop
 
 

@@ -10,6 +10,7 @@ from onnx import ModelProto, NodeProto, TensorProto
 
 from gsgen.contract.model.graph import Graph, reads
 from gsgen.contract.model.small_weights import small_array
+from gsgen.contract.spec.onnx_facts import CONTROL_FLOW, MAIN_DOMAIN, RANDOM_OPERATORS
 from gsgen.contract.spec.operator_tables import CAPTURE, OperatorTable
 
 # Why a node is not captured. Each has one rule, so that one node makes one finding.
@@ -17,20 +18,8 @@ Cause = Literal[
     "", "control flow", "shape", "float64", "int64", "norm", "opset", "operator", "unknown"
 ]
 
-_MAIN_DOMAIN = ("", "ai.onnx")
-_CONTROL_FLOW = frozenset({"If", "Loop", "Scan"})
 # Outputs that depend on shapes alone, and are folded once shapes are fixed.
 _OF_SHAPES = frozenset({"Shape", "Size"})
-_DRAWS = frozenset(
-    {
-        "Bernoulli",
-        "Multinomial",
-        "RandomNormal",
-        "RandomNormalLike",
-        "RandomUniform",
-        "RandomUniformLike",
-    }
-)
 # Operators whose output size depends on values.
 _SIZED_BY_DATA = frozenset({"Compress", "NonMaxSuppression", "NonZero", "Unique"})
 # Arguments that decide the shape of the result.
@@ -87,7 +76,7 @@ def frame_nodes(graph: Graph) -> list[NodeProto]:
     varying = {tensor.name for tensor in graph.inputs}
     running: list[NodeProto] = []
     for node in graph.nodes:
-        draws = node.op_type in _DRAWS and node.domain in _MAIN_DOMAIN
+        draws = node.op_type in RANDOM_OPERATORS and node.domain in MAIN_DOMAIN
         is_varying = node.op_type not in _OF_SHAPES and not varying.isdisjoint(reads(node))
         if draws or is_varying:
             varying.update(node.output)
@@ -114,7 +103,7 @@ def placements(
     nodes = frame_nodes(graph)
     varying = {tensor.name for tensor in graph.inputs}
     varying.update(name for node in nodes for name in node.output)
-    opset = next((o.version for o in proto.opset_import if o.domain in _MAIN_DOMAIN), 0)
+    opset = next((o.version for o in proto.opset_import if o.domain in MAIN_DOMAIN), 0)
     backwards = _negative_weights(proto)
     return [
         _place(
@@ -133,13 +122,13 @@ def _place(
     tables: Sequence[OperatorTable],
 ) -> Placement:
     dtype = _kernel_dtype(graph, node)
-    if node.op_type in _CONTROL_FLOW:
+    if node.op_type in CONTROL_FLOW:
         return Placement(node, dtype, "control flow", {})
     if node.op_type in _SIZED_BY_DATA or not varying.isdisjoint(shape_arguments(node)):
         return Placement(node, dtype, "shape", {})
     if "float64" in (dtype, variant.removeprefix("to ")):
         return Placement(node, dtype, "float64", {})
-    domain = node.domain in _MAIN_DOMAIN
+    domain = node.domain in MAIN_DOMAIN
     outcomes = {
         table.runtime: table.outcome(node.op_type, variant, dtype, opset) if domain else ""
         for table in tables

@@ -53,7 +53,7 @@ def trial_probes(
 
 
 def _changed(base: Probe, words: str, **inputs: Array) -> Probe:
-    return Probe(f"{base.label} {words}", base.inputs | inputs, extra=True)
+    return Probe(label=f"{base.label} {words}", inputs=base.inputs | inputs, extra=True)
 
 
 def _of_role(manifest: Manifest, role: str) -> list[Input]:

@@ -24,7 +24,7 @@ _MAGNITUDE = {2: 0x7FFF, 4: 0x7FFFFFFF}
 _WORD: dict[int, type[np.unsignedinteger]] = {2: np.uint16, 4: np.uint32}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ModelOutputs:
     """The outputs of one probe.
 
@@ -94,9 +94,20 @@ class ModelOutputs:
 
 
 def read_outputs(
-    subject: InspectedModel, probe: str, zeros: bool, outputs: dict[str, np.ndarray]
+    subject: InspectedModel,
+    probe: str,
+    outputs: dict[str, np.ndarray],
+    *,
+    zeros: bool = False,
 ) -> ModelOutputs:
-    """Assign the outputs of a run to the roles that the manifest declares."""
+    """Assign the outputs of a run to the roles that the manifest declares.
+
+    Args:
+        subject: The model.
+        probe: The label of the probe.
+        outputs: Name → array.
+        zeros: Whether all inputs of the probe are zero.
+    """
 
     def take(name: str | None) -> np.ndarray | None:
         return outputs.get(name) if name else None
@@ -116,7 +127,15 @@ def read_outputs(
         cells = None  # another rule reports it
     declared = subject.declared_appearance
     return ModelOutputs(
-        probe, zeros, outputs, rows, color, clipped, declared, subject, cells
+        probe=probe,
+        zeros=zeros,
+        outputs=outputs,
+        gaussians=rows,
+        appearance=color,
+        count=clipped,
+        declared=declared,
+        subject=subject,
+        cells=cells,
     )
 
 

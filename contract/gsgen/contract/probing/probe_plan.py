@@ -28,7 +28,7 @@ _FETCHABLE = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
     """The probes in order, and the purpose of each.
 
@@ -61,7 +61,7 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
     count = _affordable(subject)
     first = default_probes(manifest, shapes, dtypes, seed, count)
     if level < Level.BEHAVIOUR:
-        return Plan(first, len(first), seed=seed)
+        return Plan(probes=first, values=len(first), seed=seed)
     base = len(first) - 1 if len(first) == 1 else 1
     probes = [*first, first[base], first[base]]
     repeated_count = len(first)
@@ -80,7 +80,15 @@ def make_plan(subject: InspectedModel, level: Level, seed: int = 0) -> Plan:
         probes.extend(group)
     revisited = (base, repeated_count) if len(first) > 1 else None
     repeated = (repeated_count, repeated_count + 1)
-    return Plan(tuple(probes), len(first), repeated, revisited, variants, trials, seed)
+    return Plan(
+        probes=tuple(probes),
+        values=len(first),
+        repeated=repeated,
+        revisited=revisited,
+        variants=variants,
+        trials=trials,
+        seed=seed,
+    )
 
 
 def fetched_outputs(subject: InspectedModel) -> list[str]:

@@ -29,7 +29,7 @@ _FARTHEST = 1e18
 _UP = {"x": 0, "y": 1, "z": 2}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Probe:
     """One set of inputs.
 
@@ -68,9 +68,9 @@ def default_probes(
     A model without inputs has one probe.
     """
     if not manifest.inputs:
-        return (Probe("no inputs", {}),)
+        return (Probe(label="no inputs", inputs={}),)
     zero = {i.name: np.zeros(shapes[i.name], dtypes[i.name]) for i in manifest.inputs}
-    probes = [Probe("all inputs zero", zero, zeros=True)]
+    probes = [Probe(label="all inputs zero", inputs=zero, zeros=True)]
     for index in range(count):
         rng = np.random.default_rng([seed, index])
         along = index / (count - 1)
@@ -78,7 +78,7 @@ def default_probes(
             i.name: _cast(_sample(i, manifest, shapes[i.name], along, rng), dtypes[i.name])
             for i in manifest.inputs
         }
-        probes.append(Probe(_label(manifest, inputs, index), inputs))
+        probes.append(Probe(label=_label(manifest, inputs, index), inputs=inputs))
     return tuple(probes)
 
 
@@ -90,8 +90,8 @@ def dependency_probes(
         changed = [i.name for i in manifest.inputs if i.role == name]
         variants = tuple(
             Probe(
-                f"{base.label} with the {name} of {variant.label}",
-                base.inputs | {key: variant.inputs[key] for key in changed},
+                label=f"{base.label} with the {name} of {variant.label}",
+                inputs=base.inputs | {key: variant.inputs[key] for key in changed},
             )
             for variant in other_probes
         )

@@ -80,7 +80,7 @@ class ProbeRun:
         return tuple(name for name, value in floats.items() if not np.isfinite(value).all())
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Behaviour:
     """Comparisons between runs.
 
@@ -166,7 +166,13 @@ def read_behaviour(trial: ProbeRuns) -> Behaviour:
     }
     revisited = _compare(trial, *plan.revisited) if plan.revisited else None
     repeated = _compare(trial, *plan.repeated)
-    return Behaviour(trial.subject, repeated, revisited, varied, trial)
+    return Behaviour(
+        subject=trial.subject,
+        repeated=repeated,
+        revisited=revisited,
+        varied=varied,
+        trial=trial,
+    )
 
 
 def _compare(trial: ProbeRuns, first: int, second: int) -> Comparison:

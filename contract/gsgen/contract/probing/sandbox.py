@@ -40,7 +40,7 @@ class Fault:
     probe: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Sample:
     """One distinct set of outputs; runs that gave the same bytes share it.
 
@@ -73,7 +73,7 @@ class Run:
     error: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Execution:
     """All runs of one child.
 
@@ -200,18 +200,25 @@ def _collect(folder: Path, status: int | None, seconds: float, limits: Limits) -
     )
     samples = tuple(
         Sample(
-            event["sample"],
-            _load(folder, event["outputs"]),
-            event["digest"],
-            event["thin"],
-            tuple(event["not_finite"]),
+            index=event["sample"],
+            outputs=_load(folder, event["outputs"]),
+            digest=event["digest"],
+            thin=event["thin"],
+            not_finite=tuple(event["not_finite"]),
         )
         for event in events
         if event["event"] == "sample"
     )
     version = next((e["version"] for e in events if e["event"] == "started"), "")
     fault = _fault(events, status, limits, folder / "log")
-    return Execution(runs, samples, fault, seconds, version, tuple(events))
+    return Execution(
+        runs=runs,
+        samples=samples,
+        fault=fault,
+        seconds=seconds,
+        version=version,
+        events=tuple(events),
+    )
 
 
 def _events(path: Path) -> list[dict[str, Any]]:

@@ -14,14 +14,16 @@ from gsgen.contract.spec.schema_text import Hint
 
 SCHEMA = "gsgen-report/1"
 
-SchemaName = Annotated[Literal["gsgen-report/1"], Hint("Name and major version.")]
+SchemaName = Annotated[Literal["gsgen-report/1"], Hint(text="Name and major version.")]
 SeverityName = Literal["error", "warning", "info"]
 RuleId = Annotated[
-    str, Hint("A rule's id.", pattern=r"^([a-z][a-z0-9-]*/)?[A-Z]{2}[0-9]{3}$")
+    str, Hint(text="A rule's id.", pattern=r"^([a-z][a-z0-9-]*/)?[A-Z]{2}[0-9]{3}$")
 ]
 Fingerprint = Annotated[
     str,
-    Hint("The same over runs, machines and numbers of rows.", pattern="^[0-9a-f]{16}$"),
+    Hint(
+        text="The same over runs, machines and numbers of rows.", pattern="^[0-9a-f]{16}$"
+    ),
 ]
 
 
@@ -34,7 +36,7 @@ class Tool:
     rules_digest: Annotated[
         str,
         Hint(
-            "SHA-256 of all rule declarations; equal for equal rules.",
+            text="SHA-256 of all rule declarations; equal for equal rules.",
             pattern="^sha256:[0-9a-f]{64}$",
         ),
     ]
@@ -44,24 +46,24 @@ class Tool:
 class SubjectEntry:
     """The validated model."""
 
-    uri: Annotated[str, Hint("The model, as given on the command line.")]
-    bytes: Annotated[int | None, Hint("Size of the file.", minimum=0)] = None
+    uri: Annotated[str, Hint(text="The model, as given on the command line.")]
+    bytes: Annotated[int | None, Hint(text="Size of the file.", minimum=0)] = None
     sha256: Annotated[
         str | None,
         Hint(
-            "Of the file, without its external data; absent if only the static level ran on a "
+            text="Of the file, without its external data; absent if only the static level ran on a "
             "file of 64 MiB or more.",
             pattern="^[0-9a-f]{64}$",
         ),
     ] = None
-    kind: Annotated[str | None, Hint("Kind of model, where known.")] = None
-    name: Annotated[str | None, Hint("The model's name in the manifest.")] = None
+    kind: Annotated[str | None, Hint(text="Kind of model, where known.")] = None
+    name: Annotated[str | None, Hint(text="The model's name in the manifest.")] = None
     contract: Annotated[
-        str | None, Hint("Contract version that the manifest declares.")
+        str | None, Hint(text="Contract version that the manifest declares.")
     ] = None
-    capacity: Annotated[int | None, Hint("Rows of the Gaussian output, where fixed.")] = (
-        None
-    )
+    capacity: Annotated[
+        int | None, Hint(text="Rows of the Gaussian output, where fixed.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,8 +73,8 @@ class Counts:
     error: int
     warning: int
     info: int
-    waived: Annotated[int, Hint("Findings that are ignored or waived.")]
-    known: Annotated[int, Hint("Findings that the baseline lists already.")]
+    waived: Annotated[int, Hint(text="Findings that are ignored or waived.")]
+    known: Annotated[int, Hint(text="Findings that the baseline lists already.")]
     rules: dict[str, int]
 
 
@@ -89,8 +91,8 @@ class LevelEntry:
 class WhereEntry:
     """The location of a finding."""
 
-    subject: Annotated[str, Hint("Such as `output gaussians` or `manifest bounds`.")]
-    field: Annotated[str | None, Hint("The field of a packed row.")] = None
+    subject: Annotated[str, Hint(text="Such as `output gaussians` or `manifest bounds`.")]
+    field: Annotated[str | None, Hint(text="The field of a packed row.")] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,16 +101,16 @@ class ExampleEntry:
 
     value: str
     row: int | None = None
-    probe: Annotated[str | None, Hint("Label of the probe that gave it.")] = None
+    probe: Annotated[str | None, Hint(text="Label of the probe that gave it.")] = None
 
 
 @dataclass(frozen=True, slots=True)
 class Stats:
     """Numbers and examples of a finding."""
 
-    count: Annotated[int, Hint("Rows or values that break the rule; never capped.")]
-    total: Annotated[int, Hint("Rows or values that were checked.")]
-    examples: Annotated[tuple[ExampleEntry, ...], Hint("The first few.")]
+    count: Annotated[int, Hint(text="Rows or values that break the rule; never capped.")]
+    total: Annotated[int, Hint(text="Rows or values that were checked.")]
+    examples: Annotated[tuple[ExampleEntry, ...], Hint(text="The first few.")]
     worst: ExampleEntry | None = None
 
 
@@ -117,30 +119,30 @@ class FindingEntry:
     """One rule that does not hold at one location."""
 
     rule: RuleId
-    slug: Annotated[str, Hint("The rule's readable name.")]
+    slug: Annotated[str, Hint(text="The rule's readable name.")]
     severity: SeverityName
     certainty: Literal["confirmed", "possible"]
     where: WhereEntry
-    message: Annotated[str, Hint("The actual and the expected value.")]
+    message: Annotated[str, Hint(text="The actual and the expected value.")]
     stats: Stats
-    why: Annotated[str, Hint("The damage that the fault causes.")]
-    hint: Annotated[str, Hint("How to repair the model.")]
-    source: Annotated[str, Hint("`contract`, or the target that raised it.")]
+    why: Annotated[str, Hint(text="The damage that the fault causes.")]
+    hint: Annotated[str, Hint(text="How to repair the model.")]
+    source: Annotated[str, Hint(text="`contract`, or the target that raised it.")]
     waived: Annotated[
-        bool, Hint("The finding does not count: its rule is ignored, or it is waived.")
+        bool, Hint(text="The finding does not count: its rule is ignored, or it is waived.")
     ]
     known: Annotated[
-        bool, Hint("The finding does not count: the baseline lists it already.")
+        bool, Hint(text="The finding does not count: the baseline lists it already.")
     ]
     truncated: Annotated[
-        bool, Hint("The finding also counts violations at further locations.")
+        bool, Hint(text="The finding also counts violations at further locations.")
     ]
     fingerprint: Fingerprint
     help: Annotated[
-        str | None, Hint("The rule's page, from the root of the documentation.")
+        str | None, Hint(text="The rule's page, from the root of the documentation.")
     ] = None
-    waiver: Annotated[str | None, Hint("The reason of its waiver.")] = None
-    evidence: Annotated[str | None, Hint("A documented case of such damage.")] = None
+    waiver: Annotated[str | None, Hint(text="The reason of its waiver.")] = None
+    evidence: Annotated[str | None, Hint(text="A documented case of such damage.")] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,8 +151,10 @@ class CauseEntry:
 
     rule: RuleId
     status: str
-    findings: Annotated[tuple[Fingerprint, ...], Hint("The findings of the rule.")]
-    blocked: Annotated[tuple[RuleId, ...], Hint("The rules that could not be checked.")]
+    findings: Annotated[tuple[Fingerprint, ...], Hint(text="The findings of the rule.")]
+    blocked: Annotated[
+        tuple[RuleId, ...], Hint(text="The rules that could not be checked.")
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,9 +163,11 @@ class RuleEntry:
 
     id: RuleId
     status: Literal["pass", "fail", "skipped", "not-applicable", "crashed"]
-    reason: Annotated[str | None, Hint("Why it was not checked, or how it crashed.")] = None
-    ms: Annotated[float | None, Hint("Milliseconds spent in its check.")] = None
-    items: Annotated[int | None, Hint("The number of checked rows or values.")] = None
+    reason: Annotated[
+        str | None, Hint(text="Why it was not checked, or how it crashed.")
+    ] = None
+    ms: Annotated[float | None, Hint(text="Milliseconds spent in its check.")] = None
+    items: Annotated[int | None, Hint(text="The number of checked rows or values.")] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,9 +185,9 @@ class GoneEntry:
     """A finding of the baseline that does not occur any more."""
 
     rule: RuleId
-    slug: Annotated[str, Hint("The rule's readable name.")]
+    slug: Annotated[str, Hint(text="The rule's readable name.")]
     where: WhereEntry
-    message: Annotated[str, Hint("The message of the earlier report.")]
+    message: Annotated[str, Hint(text="The message of the earlier report.")]
     fingerprint: Fingerprint
 
 
@@ -193,33 +199,35 @@ class Document:
     tool: Tool
     subject: SubjectEntry
     target: Annotated[
-        str, Hint("The consumer that the model was validated for, name@version.")
+        str, Hint(text="The consumer that the model was validated for, name@version.")
     ]
-    level: Annotated[str, Hint("The requested level.")]
-    fail_on: Annotated[SeverityName, Hint("The lowest severity that fails.")]
-    settings: Annotated[str, Hint("The source of the settings.")]
+    level: Annotated[str, Hint(text="The requested level.")]
+    fail_on: Annotated[SeverityName, Hint(text="The lowest severity that fails.")]
+    settings: Annotated[str, Hint(text="The source of the settings.")]
     verdict: Literal["conforms", "invalid", "internal-error"]
     counts: Counts
     levels: tuple[LevelEntry, ...]
-    findings: Annotated[tuple[FindingEntry, ...], Hint("Worst first.")]
+    findings: Annotated[tuple[FindingEntry, ...], Hint(text="Worst first.")]
     causes: tuple[CauseEntry, ...]
-    rules: Annotated[tuple[RuleEntry, ...], Hint("Every installed rule.")]
+    rules: Annotated[tuple[RuleEntry, ...], Hint(text="Every installed rule.")]
     tolerances: tuple[ToleranceEntry, ...]
     probes: Annotated[
-        tuple[str, ...], Hint("Labels of the probes whose outputs were checked.")
+        tuple[str, ...], Hint(text="Labels of the probes whose outputs were checked.")
     ]
     environment: Annotated[
-        dict[str, str], Hint("Versions of the libraries and drivers that ran.")
+        dict[str, str], Hint(text="Versions of the libraries and drivers that ran.")
     ]
     truncated: Annotated[
-        bool, Hint("A finding also counts violations at further locations.")
+        bool, Hint(text="A finding also counts violations at further locations.")
     ]
     seconds: float
-    baseline: Annotated[str | None, Hint("The report whose findings are known.")] = None
+    baseline: Annotated[str | None, Hint(text="The report whose findings are known.")] = (
+        None
+    )
     gone: Annotated[
         tuple[GoneEntry, ...] | None,
         Hint(
-            "Findings of the baseline that do not occur any more; absent without a baseline."
+            text="Findings of the baseline that do not occur any more; absent without a baseline."
         ),
     ] = None
 

@@ -17,6 +17,7 @@ FAMILIES = {
     "GS": "Safety",
     "TV": "The Visionary viewer",
     "GW": "Waivers",
+    "GT": "Tilesets",
 }
 
 

@@ -64,7 +64,7 @@ APPEARANCE_CHANNELS: dict[str, tuple[int, ...]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DecodedGaussians:
     """N Gaussians, unpacked, in the model's local space.
 

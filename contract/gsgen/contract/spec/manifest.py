@@ -43,10 +43,10 @@ from gsgen.contract.spec.schema_text import Hint
 
 CONTRACT = "1.1"
 
-RoleName = Annotated[str, Hint("What the input means.", enum=tuple(ROLES))]
-Name = Annotated[str, Hint("The tensor's name in the graph.", min_length=1)]
+RoleName = Annotated[str, Hint(text="What the input means.", enum=tuple(ROLES))]
+Name = Annotated[str, Hint(text="The tensor's name in the graph.", min_length=1)]
 Positive = Annotated[int, Hint(minimum=1)]
-Sha256 = Annotated[str, Hint("SHA-256, in lower-case hex.", pattern="^[0-9a-f]{64}$")]
+Sha256 = Annotated[str, Hint(text="SHA-256, in lower-case hex.", pattern="^[0-9a-f]{64}$")]
 Fraction = Annotated[float, Hint(minimum=0)]
 AboveZero = Annotated[float, Hint(above=0)]
 
@@ -57,16 +57,16 @@ class Space:
 
     handedness: Literal["right"] = "right"
     up: Annotated[
-        Literal["+x", "-x", "+y", "-y", "+z", "-z"], Hint("The world's upward axis.")
+        Literal["+x", "-x", "+y", "-y", "+z", "-z"], Hint(text="The world's upward axis.")
     ] = "-y"
     unit: Annotated[
         Literal["metre", "arbitrary"],
-        Hint("What one unit of length is; SfM scenes: arbitrary."),
+        Hint(text="What one unit of length is; SfM scenes: arbitrary."),
     ] = "arbitrary"
     matrix_order: Annotated[
         Literal["column", "row"],
         Hint(
-            "`column`: the [4,4] tensor holds Mᵀ, as column-major bytes do. `row`: it holds M."
+            text="`column`: the [4,4] tensor holds Mᵀ, as column-major bytes do. `row`: it holds M."
         ),
     ] = "column"
 
@@ -75,8 +75,8 @@ class Space:
 class Bounds:
     """An axis-aligned box that holds the Gaussians' centres at every probe."""
 
-    min: Annotated[tuple[float, float, float], Hint("Lower corner, x y z.")]
-    max: Annotated[tuple[float, float, float], Hint("Upper corner, x y z.")]
+    min: Annotated[tuple[float, float, float], Hint(text="Lower corner, x y z.")]
+    max: Annotated[tuple[float, float, float], Hint(text="Upper corner, x y z.")]
 
     @classmethod
     def around(cls, points: Float[np.ndarray, "n 3"], margin: float) -> "Bounds | None":
@@ -102,40 +102,42 @@ class Bounds:
 class Producer:
     """Who made the model, from what, and under which licence."""
 
-    tool: Annotated[str, Hint("Program and version.")]
+    tool: Annotated[str, Hint(text="Program and version.")]
     source: str | None = None
-    license: Annotated[str | None, Hint("An SPDX expression.")] = None
+    license: Annotated[str | None, Hint(text="An SPDX expression.")] = None
     weights_sha256: Sha256 | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Input:
     """One frame input."""
 
     name: Name
     role: RoleName
-    shape: Annotated[tuple[Positive, ...] | None, Hint("Static size of every axis.")] = None
+    shape: Annotated[
+        tuple[Positive, ...] | None, Hint(text="Static size of every axis.")
+    ] = None
     range: Annotated[
         tuple[float, float] | None,
-        Hint("Smallest and largest meaningful value, both included."),
+        Hint(text="Smallest and largest meaningful value, both included."),
     ] = None
     default: Annotated[
         float | Literal["zeros", "identity"] | tuple[float, ...] | None,
-        Hint("What a runtime feeds if it has nothing better; row-major where a list."),
+        Hint(text="What a runtime feeds if it has nothing better; row-major where a list."),
     ] = None
     convention: Annotated[
-        str | None, Hint("Which of the role's conventions it follows.")
+        str | None, Hint(text="Which of the role's conventions it follows.")
     ] = None
     loop: Annotated[
-        bool | None, Hint("Time: the end of the range continues at its start.")
+        bool | None, Hint(text="Time: the end of the range continues at its start.")
     ] = None
     frames: Annotated[
-        Positive | None, Hint("Time: how many distinct frames there are.")
+        Positive | None, Hint(text="Time: how many distinct frames there are.")
     ] = None
     fps: Annotated[
-        float | None, Hint("Time: frames per second at natural speed.", minimum=0)
+        float | None, Hint(text="Time: frames per second at natural speed.", minimum=0)
     ] = None
-    label: Annotated[str | None, Hint("What a user interface calls it.")] = None
+    label: Annotated[str | None, Hint(text="What a user interface calls it.")] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +145,7 @@ class GaussiansOutput:
     """The packed rows, [capacity, 10]: x y z opacity xx xy xz yy yz zz."""
 
     name: Name
-    capacity: Annotated[int, Hint("Rows of the tensor, padding included.", minimum=1)]
+    capacity: Annotated[int, Hint(text="Rows of the tensor, padding included.", minimum=1)]
     dtype: Literal["float32", "float16"] = "float32"
     layout: Literal["packed10"] = "packed10"
 
@@ -155,10 +157,12 @@ class AppearanceOutput:
     name: Name
     space: Annotated[
         Literal["sh", "rgb"],
-        Hint("`sh`: coefficient-major SH, RGB innermost. `rgb`: raw colour in [0, 1]."),
+        Hint(
+            text="`sh`: coefficient-major SH, RGB innermost. `rgb`: raw colour in [0, 1]."
+        ),
     ]
     degree: Annotated[
-        int | None, Hint("SH degree; required for `sh`.", minimum=0, maximum=3)
+        int | None, Hint(text="SH degree; required for `sh`.", minimum=0, maximum=3)
     ] = None
     color_space: Literal["srgb", "linear"] = "srgb"
 
@@ -171,7 +175,7 @@ class CountOutput:
     semantics: Annotated[
         Literal["exact", "upper-bound"],
         Hint(
-            "`exact`: every row before it is drawn. `upper-bound`: some of them may be inert."
+            text="`exact`: every row before it is drawn. `upper-bound`: some of them may be inert."
         ),
     ] = "exact"
 
@@ -184,7 +188,9 @@ class CellsOutput:
     """
 
     name: Name
-    per_cell: Annotated[int, Hint("Rows of Gaussians in a row to one cell.", minimum=1)]
+    per_cell: Annotated[
+        int, Hint(text="Rows of Gaussians in a row to one cell.", minimum=1)
+    ]
     dtype: Literal["float32", "float16"] = "float32"
 
 
@@ -202,15 +208,15 @@ class GeneratorOutputs:
 class WeightedSum:
     """How a renderer weighs Gaussians that it sums cell by cell; goes with `blend: wsr`."""
 
-    background: Annotated[Fraction, Hint("Weight of the background.")]
+    background: Annotated[Fraction, Hint(text="Weight of the background.")]
     depth_range: Annotated[
         AboveZero | None,
         Hint(
-            "Depth at which weights reach 0, in units of length; absent: they do not fall."
+            text="Depth at which weights reach 0, in units of length; absent: they do not fall."
         ),
     ] = None
     opacity_divisor: Annotated[
-        AboveZero, Hint("What opacity is divided by before it takes light away.")
+        AboveZero, Hint(text="What opacity is divided by before it takes light away.")
     ] = 1.0
 
 
@@ -225,11 +231,13 @@ class Capture:
 class Tolerances:
     """How closely two executions of the model agree, each field in its natural unit."""
 
-    position: Annotated[Fraction, Hint("In standard deviations of the Gaussian.")] = 1e-3
-    covariance: Annotated[Fraction, Hint("Relative to the covariance's trace.")] = 1e-3
-    opacity: Annotated[Fraction, Hint("Absolute.")] = 2e-3
+    position: Annotated[Fraction, Hint(text="In standard deviations of the Gaussian.")] = (
+        1e-3
+    )
+    covariance: Annotated[Fraction, Hint(text="Relative to the covariance's trace.")] = 1e-3
+    opacity: Annotated[Fraction, Hint(text="Absolute.")] = 2e-3
     appearance: Annotated[
-        Fraction, Hint("Absolute, of the colour seen from a direction.")
+        Fraction, Hint(text="Absolute, of the colour seen from a direction.")
     ] = 2e-3
 
 
@@ -237,9 +245,9 @@ class Tolerances:
 class TestVector:
     """Inputs and the digest of the outputs that they must give."""
 
-    inputs: Annotated[str, Hint("Which probe, by its label.")]
+    inputs: Annotated[str, Hint(text="Which probe, by its label.")]
     expected_sha256: Sha256
-    seed: Annotated[int, Hint("Seed of the probe set.", minimum=0)] = 0
+    seed: Annotated[int, Hint(text="Seed of the probe set.", minimum=0)] = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -249,32 +257,36 @@ class ReferenceImage:
     Its camera looks along +z, x is right and y down; colours are over black.
     """
 
-    path: Annotated[str, Hint("A PNG in the model's folder or below it.", min_length=1)]
+    path: Annotated[
+        str, Hint(text="A PNG in the model's folder or below it.", min_length=1)
+    ]
     sha256: Sha256
-    inputs: Annotated[str, Hint("Which probe, by its label.", min_length=1)]
+    inputs: Annotated[str, Hint(text="Which probe, by its label.", min_length=1)]
     view: Annotated[
         tuple[tuple[float, float, float, float], ...],
-        Hint("World to camera: the first three rows of the matrix."),
+        Hint(text="World to camera: the first three rows of the matrix."),
     ]
-    focal: Annotated[tuple[float, float], Hint("Focal lengths in x and y, in pixels.")]
-    center: Annotated[tuple[float, float], Hint("Principal point, in pixels.")]
-    psnr: Annotated[AboveZero, Hint("Least peak signal-to-noise ratio, in decibels.")] = (
-        40.0
-    )
+    focal: Annotated[tuple[float, float], Hint(text="Focal lengths in x and y, in pixels.")]
+    center: Annotated[tuple[float, float], Hint(text="Principal point, in pixels.")]
+    psnr: Annotated[
+        AboveZero, Hint(text="Least peak signal-to-noise ratio, in decibels.")
+    ] = 40.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Common:
     """What a manifest of any kind says."""
 
-    name: Annotated[str, Hint("What people call the model.", min_length=1)]
+    name: Annotated[str, Hint(text="What people call the model.", min_length=1)]
     inputs: tuple[Input, ...] = ()
-    version: Annotated[str, Hint("The model's own version.")] = "1.0.0"
-    family: Annotated[str | None, Hint("Method family: static, mlp, 4d, avatar, …")] = None
+    version: Annotated[str, Hint(text="The model's own version.")] = "1.0.0"
+    family: Annotated[
+        str | None, Hint(text="Method family: static, mlp, 4d, avatar, …")
+    ] = None
     producer: Producer | None = None
     test_vectors: tuple[TestVector, ...] = ()
     contract: Annotated[
-        str, Hint("Contract version, major.minor.", pattern=r"^[0-9]+\.[0-9]+$")
+        str, Hint(text="Contract version, major.minor.", pattern=r"^[0-9]+\.[0-9]+$")
     ] = CONTRACT
 
 
@@ -286,13 +298,16 @@ class GeneratorManifest(_Common):
     space: Space | None = None
     bounds: Bounds | None = None
     depends_on: Annotated[
-        dict[str, bool], Hint("Role → does any output change with it; absent means yes.")
+        dict[str, bool],
+        Hint(text="Role → does any output change with it; absent means yes."),
     ] = field(default_factory=dict)
     antialias: Annotated[
-        Literal["classic", "mip"], Hint("`classic`: 0.3 px dilation. `mip`: compensated.")
+        Literal["classic", "mip"],
+        Hint(text="`classic`: 0.3 px dilation. `mip`: compensated."),
     ] = "classic"
     blend: Annotated[
-        Literal["alpha", "wsr"], Hint("`alpha`: sorted. `wsr`: weighted sum with cells.")
+        Literal["alpha", "wsr"],
+        Hint(text="`alpha`: sorted. `wsr`: weighted sum with cells."),
     ] = "alpha"
     weighted_sum: WeightedSum | None = None
     capture: Capture = Capture()
@@ -307,7 +322,10 @@ class ImageOutput:
 
     name: Name
     dtype: Literal["float32", "float16"] = "float32"
-    range: Annotated[tuple[float, float], Hint("Values of black and white.")] = (0.0, 1.0)
+    range: Annotated[tuple[float, float], Hint(text="Values of black and white.")] = (
+        0.0,
+        1.0,
+    )
     color_space: Literal["srgb", "linear"] = "srgb"
 
 
@@ -324,7 +342,7 @@ class PostProcessManifest(_Common):
 
     outputs: PostProcessOutputs
     image_range: Annotated[
-        tuple[float, float], Hint("Values of black and white in the input image.")
+        tuple[float, float], Hint(text="Values of black and white in the input image.")
     ] = (0.0, 1.0)
     capture: Capture = Capture()
     kind: Literal["post-process"] = "post-process"
@@ -360,7 +378,9 @@ class TrajectoryManifest(_Common):
     """A trajectory predictor: past camera states → future ones, with uncertainty."""
 
     outputs: TrajectoryOutputs
-    step_seconds: Annotated[float, Hint("Time between two states, in seconds.", minimum=0)]
+    step_seconds: Annotated[
+        float, Hint(text="Time between two states, in seconds.", minimum=0)
+    ]
     kind: Literal["trajectory-predictor"] = "trajectory-predictor"
 
 

@@ -5,7 +5,7 @@ __all__ = ["Hint"]
 from dataclasses import dataclass
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Hint:
     """Metadata in ``Annotated[...]`` that the published JSON Schema repeats."""
 

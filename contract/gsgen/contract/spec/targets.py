@@ -14,7 +14,7 @@ from gsgen.contract.errors import ConfigInvalid, UnknownName
 from gsgen.contract.spec.severity import Severity
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
     """The limits of one consumer of models.
 

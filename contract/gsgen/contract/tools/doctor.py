@@ -83,7 +83,9 @@ def _sandbox() -> Check:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "smallest.onnx"
         path.write_bytes(model.SerializeToString())
-        with execute(path, ["y"], [Probe("none", {})], Limits(seconds=30)) as execution:
+        with execute(
+            path, ["y"], [Probe(label="none", inputs={})], Limits(seconds=30)
+        ) as execution:
             fault, seconds = execution.fault, execution.seconds
     purpose = "levels values and behaviour"
     if fault is not None:

@@ -195,7 +195,7 @@ class _Validation:
             visited.add(run.sample)
             probe = plan.probes[run.probe]
             outputs = execution.samples[run.sample].outputs
-            emission = read_outputs(self.subject, probe.label, probe.zeros, outputs)
+            emission = read_outputs(self.subject, probe.label, outputs, zeros=probe.zeros)
             whole = [
                 rule for rule in whole if self.results.check(rule, emission, probe.label)
             ]

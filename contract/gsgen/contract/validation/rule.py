@@ -23,7 +23,7 @@ from gsgen.contract.validation.level_backend import LevelBackend
 # outputs of one probe (ModelOutputs), a chunk of their rows (Rows), comparisons of all runs
 # (Behaviour), the context of a level backend, or the findings of all other rules (Review).
 Scope = Literal[
-    "model", "execution", "emission", "rows", "runs", "live", "render", "report"
+    "model", "execution", "emission", "rows", "runs", "live", "render", "report", "tileset"
 ]
 Check = Callable[[Any], Iterator[Violation]]
 
@@ -41,6 +41,7 @@ _LEVELS: dict[Scope, Level] = {
     "live": Level.LIVE,
     "render": Level.RENDER,
     "report": Level.STATIC,
+    "tileset": Level.STATIC,
 }
 
 
@@ -84,7 +85,7 @@ class Rule:
 
     @property
     def family(self) -> str:
-        """The letters of the id: GM, GI, GO, GG, GV, GB, GL, GS, TV or GW."""
+        """The letters of the id: GM, GI, GO, GG, GV, GB, GL, GS, GT, TV or GW."""
         return self.id.rpartition("/")[2][:2]
 
 
@@ -207,6 +208,15 @@ class Registry:
                 raise ValueError(f"level {backend.level.word} has two backends")
             by_level[backend.level] = backend
         return cls(by_id, by_level)
+
+    def of_scope(self, *, tilesets: bool) -> "Registry":
+        """Return only the rules of tilesets, or all others; a report lists one of the two."""
+        selected = {
+            id: rule
+            for id, rule in self.rules.items()
+            if (rule.scope == "tileset") == tilesets
+        }
+        return Registry(selected, self.backends)
 
     def find(self, name: str, where: str = "") -> Rule:
         """Return the rule with the id or slug ``name``, ignoring case.

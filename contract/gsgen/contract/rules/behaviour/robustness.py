@@ -106,7 +106,7 @@ def optimiser_agrees(behaviour: Behaviour) -> Iterator[Violation]:
         if not unoptimised.outputs:
             continue
         first, second = (
-            read_outputs(subject, compared_run.probe.label, False, compared_run.outputs)
+            read_outputs(subject, compared_run.probe.label, compared_run.outputs)
             for compared_run in (base, unoptimised)
         )
         for error in field_errors(first, second, tolerances):

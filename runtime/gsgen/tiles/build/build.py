@@ -1,0 +1,395 @@
+"""Build a tileset: scan, count, bin, partition, top, index, each phase after the other.
+
+Every task leaves a file as its marker, so that a build that was stopped goes on where it was.
+"""
+
+__all__ = ["BuildReport", "build_tileset"]
+
+import hashlib
+import json
+import math
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeVar, final
+
+import numpy as np
+
+from gsgen.contract.errors import ConfigInvalid, InputUnreadable
+from gsgen.tiles.build.assemble import is_complete, remove_stale, walk, write_index
+from gsgen.tiles.build.engines.engine import Engine
+from gsgen.tiles.build.files import sweep, write_json
+from gsgen.tiles.build.merging.morton import DEPTH, Cube
+from gsgen.tiles.build.octree import load_built
+from gsgen.tiles.build.parameters import VERSION, BuildParameters
+from gsgen.tiles.build.plan import Plan, depth_of, make_partitions
+from gsgen.tiles.build.plan_file import load_plan, save_plan
+from gsgen.tiles.build.progress import Progress
+from gsgen.tiles.build.scan import ChunkFacts
+from gsgen.tiles.build.source import (
+    CHUNK_BYTES,
+    Chunk,
+    SceneFile,
+    chunks_of,
+    open_scenes,
+    row_dtype,
+)
+from gsgen.tiles.build.tasks import (
+    CountTask,
+    PlanTask,
+    ScanTask,
+    run_bin,
+    run_count,
+    run_partition,
+    run_scan,
+    run_top,
+)
+from gsgen.tiles.index import BUILD_RECORD
+
+WORK: Final = ".gsgen-build"
+"""Folder in the output that holds spills and markers until the build is done."""
+
+PARTITION: Final = 500_000
+"""Splats that one task sorts and builds: enough to keep workers busy, few enough for many."""
+
+_PARTITION_BYTES: Final = 256 << 20
+_SPZ_LOG_SCALE: Final = 255 / 16 - 10
+_FIRST_DEPTH: Final = 7
+_DEEPER: Final = 5
+_Task = TypeVar("_Task")
+_Result = TypeVar("_Result")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BuildReport:
+    """What was built.
+
+    Attributes:
+        output: Folder of the tileset.
+        key: Of the build.
+        splats: Of the scenes, and of all leaves together.
+        skipped: Rows that cannot be drawn, which were left out.
+        tiles: Number of tiles; 0 if nothing had to be done.
+        files: Files of the tileset.
+        bytes: Of all files.
+        up_to_date: Whether the tileset was there already.
+    """
+
+    output: str
+    key: str
+    splats: int
+    skipped: int
+    tiles: int
+    files: int
+    bytes: int
+    up_to_date: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Run:
+    """An engine and a progress, as all phases use them."""
+
+    engine: Engine
+    progress: Progress
+
+    def phase(
+        self,
+        name: str,
+        total: int,
+        function: Callable[[_Task], tuple[int, _Result]],
+        tasks: Sequence[_Task],
+    ) -> list[_Result]:
+        """Run a phase; return the results in the order of the tasks."""
+        self.progress.begin(name, total)
+        results: dict[int, _Result] = {}
+        for index, (splats, result) in self.engine.run(function, tasks):
+            results[index] = result
+            self.progress.advance(splats)
+        return [results[index] for index in range(len(tasks))]
+
+
+def build_tileset(
+    scenes: Sequence[Path],
+    output: Path,
+    parameters: BuildParameters,
+    *,
+    engine: Engine,
+    progress: Progress,
+    fresh: bool = False,
+    chunk_bytes: int = CHUNK_BYTES,
+    partition: int = PARTITION,
+) -> BuildReport:
+    """Build the tileset of ``scenes`` in the folder ``output``.
+
+    A build of the same scenes and parameters that was stopped goes on where it was.
+
+    Args:
+        scenes: Files of splats, which are put together.
+        output: A folder that is new, empty, or of an earlier build.
+        parameters: What decides the bytes.
+        engine: Who runs the tasks.
+        progress: Is told of phases.
+        fresh: Delete what an earlier build has left, and begin again.
+        chunk_bytes: Bytes of a PLY file that one task reads. No byte of the result depends on it.
+        partition: Most splats that one task sorts and builds. No byte depends on it either.
+
+    Raises:
+        InputUnreadable: A scene cannot be read, or has no splat that can be drawn.
+        ConfigInvalid: The folder holds something else, or cannot be written to.
+        EngineFailed: Workers died again and again.
+    """
+    _require_output(output)
+    files = open_scenes([path.resolve() for path in scenes])
+    output = output.resolve()
+    chunks = chunks_of(files, chunk_bytes)
+    division = (chunk_bytes, partition)
+    work = _prepare(output, files, parameters, division, fresh=fresh)
+    run = _Run(engine=engine, progress=progress)
+    # 1. Scan: boxes, counts, digests.
+    total = sum(chunk.count for chunk in chunks)
+    tasks = [ScanTask(chunk=chunk, work=str(work)) for chunk in chunks]
+    facts = run.phase("scan", total, run_scan, tasks)
+    skipped = _note_skipped(facts, chunks, progress)
+    if parameters.codec == "spz":
+        _note_large(facts, progress)
+    splats = total - skipped
+    if splats == 0:
+        raise InputUnreadable("no splat can be drawn", where=files[0].path)
+    key = parameters.key(_content_digests(facts, chunks))
+    record = None if fresh else is_complete(output, key)
+    if record is not None:
+        shutil.rmtree(output / WORK, ignore_errors=True)
+        return _up_to_date(output, record, skipped)
+    # 2. Plan: cells, partitions, top.
+    plan_path = work / "plan.json"
+    if not plan_path.exists():
+        save_plan(
+            _plan(run, files, chunks, facts, parameters, partition, output, work), plan_path
+        )
+    plan = load_plan(str(plan_path))
+    if plan.count != splats:
+        raise AssertionError(f"{plan.count} splats counted of {splats}")
+    _carry_out(run, str(plan_path), total)
+    # 5. The index, and nothing else is left.
+    progress.begin("index", 0)
+    return _finish(plan, key, skipped)
+
+
+def _carry_out(run: _Run, path: str, rows: int) -> None:
+    """Write all tiles of the plan in the file ``path``; its chunks have ``rows`` rows."""
+    plan = load_plan(path)
+    # 3. Bin, with a barrier: every splat is in one spill.
+    items = [PlanTask(plan=path, item=chunk.index) for chunk in plan.chunks]
+    spilled = sum(run.phase("bin", rows, run_bin, items))
+    if spilled != plan.count:
+        raise AssertionError(f"{spilled} rows spilled of {plan.count}")
+    # 4. Partitions, the largest first; then the levels above, deepest first.
+    order = sorted(
+        plan.partitions, key=lambda partition: (-partition.count, partition.index)
+    )
+    items = [PlanTask(plan=path, item=partition.index) for partition in order]
+    run.phase("tiles", plan.count, run_partition, items)
+    for depth in sorted({depth_of(cell) for cell in plan.top}, reverse=True):
+        cells = [cell for cell in plan.top if depth_of(cell) == depth]
+        items = [PlanTask(plan=path, item=cell) for cell in cells]
+        run.phase("top", 0, run_top, items)
+
+
+def _finish(plan: Plan, key: str, skipped: int) -> BuildReport:
+    output = Path(plan.output)
+    (root,) = load_built(plan)
+    files = write_index(plan, root, key)
+    remove_stale(output, files)
+    shutil.rmtree(output / WORK)
+    sweep(output)
+    return BuildReport(
+        output=str(output),
+        key=key,
+        splats=plan.count,
+        skipped=skipped,
+        tiles=sum(1 for _ in walk(root)),
+        files=len(files) + 1,
+        bytes=sum(size for size, _ in files.values()),
+    )
+
+
+def _up_to_date(output: Path, record: dict[str, Any], skipped: int) -> BuildReport:
+    sizes = [entry["bytes"] for entry in record["files"].values()]
+    return BuildReport(
+        output=str(output),
+        key=record["key"],
+        splats=record["source_splats"],
+        skipped=skipped,
+        tiles=0,
+        files=len(sizes) + 1,
+        bytes=sum(sizes),
+        up_to_date=True,
+    )
+
+
+def _require_output(output: Path) -> None:
+    """Refuse a folder that holds what is not ours: stale files of a tileset are deleted."""
+    if output.exists() and not output.is_dir():
+        raise ConfigInvalid("is a file; expected a folder", where=str(output))
+    if not output.is_dir():
+        return
+    ours = {BUILD_RECORD, WORK} & {path.name for path in output.iterdir()}
+    if not ours and any(output.iterdir()):
+        raise ConfigInvalid(
+            "holds files that are not of a build; expected a new or empty folder",
+            where=str(output),
+            hint=f"Name a folder in it, such as {output / 'tiles'}.",
+        )
+
+
+def _prepare(
+    output: Path,
+    files: Sequence[SceneFile],
+    parameters: BuildParameters,
+    division: tuple[int, int],
+    *,
+    fresh: bool,
+) -> Path:
+    """Return the work folder of this build; those of other builds are deleted."""
+    content = {
+        "version": VERSION,
+        "parameters": parameters.as_dict(),
+        "division": division,
+        "files": [[file.path, file.size, file.modified] for file in files],
+    }
+    text = json.dumps(content, sort_keys=True)
+    name = hashlib.sha256(text.encode()).hexdigest()[:16]
+    folder = output / WORK
+    try:
+        for other in folder.glob("*"):
+            if fresh or other.name != name:
+                shutil.rmtree(other) if other.is_dir() else other.unlink()
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        sweep(output)
+    except OSError as error:
+        message = f"cannot be written: {error.strerror or error}"
+        raise ConfigInvalid(message, where=str(error.filename or folder)) from error
+    write_json(folder / name / "build.json", content)
+    return folder / name
+
+
+def _note_skipped(
+    facts: Sequence[ChunkFacts], chunks: Sequence[Chunk], progress: Progress
+) -> int:
+    skipped: dict[str, list[ChunkFacts]] = {}
+    for chunk, fact in zip(chunks, facts, strict=True):
+        if fact.skipped:
+            skipped.setdefault(chunk.file.path, []).append(fact)
+    for path, parts in skipped.items():
+        count = sum(fact.skipped for fact in parts)
+        first = parts[0].first_skipped
+        progress.note(
+            f"{path}: {count:,} rows are not finite and are left out; the first is row {first}"
+        )
+    return sum(fact.skipped for fact in facts)
+
+
+def _note_large(facts: Sequence[ChunkFacts], progress: Progress) -> None:
+    largest = max(fact.largest for fact in facts)
+    if largest > _SPZ_LOG_SCALE:
+        progress.note(
+            f"the largest splat has a standard deviation of {math.exp(largest):.6g} units, and "
+            f"SPZ stores {math.exp(_SPZ_LOG_SCALE):.0f} at most; --codec khr stores all"
+        )
+
+
+def _content_digests(facts: Sequence[ChunkFacts], chunks: Sequence[Chunk]) -> list[str]:
+    """Return what names the content of the scenes, wherever their files are."""
+    names: list[str] = []
+    for chunk, fact in zip(chunks, facts, strict=True):
+        if chunk.first == 0:
+            names.append(f"file of {chunk.file.count} splats")
+        names += fact.digests
+    return names
+
+
+def _plan(
+    run: _Run,
+    files: Sequence[SceneFile],
+    chunks: Sequence[Chunk],
+    facts: Sequence[ChunkFacts],
+    parameters: BuildParameters,
+    partition: int,
+    output: Path,
+    work: Path,
+) -> Plan:
+    filled = [fact for fact in facts if fact.count]
+    low = np.min([fact.low for fact in filled], axis=0)
+    cube = Cube.around(low, np.max([fact.high for fact in filled], axis=0))
+    degree = max(file.degree for file in files)
+    limit = min(partition, _PARTITION_BYTES // row_dtype(degree).itemsize)
+    cells, counts = _count(run, chunks, cube, limit, work, anchored=not parameters.implicit)
+    grouped = 0 if parameters.implicit else parameters.leaf
+    partitions, top = make_partitions(cells, counts, max(limit, parameters.leaf), grouped)
+    return Plan(
+        cube=cube,
+        degree=degree,
+        antialiased=files[0].antialiased,
+        color_space=files[0].color_space,
+        count=int(counts.sum()),
+        partitions=partitions,
+        top=top,
+        parameters=parameters,
+        chunks=tuple(chunks),
+        output=str(output),
+        work=str(work),
+    )
+
+
+def _count(
+    run: _Run,
+    chunks: Sequence[Chunk],
+    cube: Cube,
+    limit: int,
+    work: Path,
+    *,
+    anchored: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Count splats in cells that are fine enough for partitions.
+
+    Cells that hold too many are counted again, deeper: a scene with a few splats far away has
+    nearly all others in one cell.
+    """
+    known: dict[int, int] = {}
+    depth, within, within_depth = _FIRST_DEPTH, None, 0
+    while True:
+        tasks = [
+            CountTask(
+                chunk=chunk,
+                cube=cube,
+                depth=depth,
+                within=within,
+                within_depth=within_depth,
+                anchored=anchored,
+                work=str(work),
+            )
+            for chunk in chunks
+        ]
+        total = sum(chunk.count for chunk in chunks)
+        for cells, counts in run.phase("count", total, run_count, tasks):
+            for cell, count in zip(cells.tolist(), counts.tolist(), strict=True):
+                known[cell] = known.get(cell, 0) + count
+        crowded = [
+            cell
+            for cell, count in known.items()
+            if count > limit and depth_of(cell) == depth
+        ]
+        if not crowded or depth == DEPTH:
+            break
+        for cell in crowded:
+            del known[cell]
+        within_depth = depth
+        within = np.array(sorted(cell - (1 << 3 * depth) for cell in crowded), np.uint64)
+        depth = min(DEPTH, depth + _DEEPER)
+    table = sorted(known.items())
+    return (
+        np.array([cell for cell, _ in table], np.uint64),
+        np.array([count for _, count in table], np.int64),
+    )

@@ -1,0 +1,91 @@
+"""The engine ``processes``: worker processes of this machine."""
+
+__all__ = ["Processes"]
+
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+from typing import Final, TypeVar, final
+
+from gsgen.contract.process.parent_watchdog import exit_with_parent
+from gsgen.tiles.build.engines.engine import RETRIES, Engine, EngineFailed
+
+_Task = TypeVar("_Task")
+_Result = TypeVar("_Result")
+
+_AHEAD: Final = 2  # tasks a worker that wait with it: results arrive while it computes
+_MEMORY_HINT: Final = "A worker was killed, by lack of memory perhaps: use fewer --workers."
+
+
+def _start_worker() -> None:
+    # Ctrl-C reaches the whole process group, and the parent decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    exit_with_parent()
+
+
+@final
+class Processes(Engine):
+    """Processes of this machine; a killed one is replaced, and its tasks are run again.
+
+    Args:
+        workers: Processes.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self._workers = workers
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> "Processes":
+        """Return the engine; processes start with the first tasks."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """End the processes, at once if there was an error."""
+        if self._pool is not None:
+            if error[0] is not None:
+                self._kill(self._pool)
+            self._pool.shutdown(wait=error[0] is None, cancel_futures=True)
+            self._pool = None
+
+    @staticmethod
+    def _kill(pool: ProcessPoolExecutor) -> None:
+        for process in list((getattr(pool, "_processes", None) or {}).values()):
+            process.kill()
+
+    def _open(self) -> ProcessPoolExecutor:
+        if self._pool is None:
+            context = get_context("spawn")  # forking would copy locks of our threads
+            self._pool = ProcessPoolExecutor(self._workers, context, _start_worker)
+        return self._pool
+
+    def run(
+        self, function: Callable[[_Task], _Result], tasks: Sequence[_Task]
+    ) -> Iterator[tuple[int, _Result]]:
+        """Run the tasks on all processes, in order of their index as far as possible."""
+        pending = list(range(len(tasks)))[::-1]
+        failures = 0
+        running: dict[Future[_Result], int] = {}
+        while pending or running:
+            try:
+                pool = self._open()
+                while pending and len(running) < _AHEAD * self._workers:
+                    future: Future[_Result] = pool.submit(function, tasks[pending[-1]])
+                    running[future] = pending.pop()
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    result = future.result()
+                    yield running.pop(future), result
+            except BrokenProcessPool as error:
+                failures += 1
+                if failures > RETRIES:
+                    raise EngineFailed(
+                        f"workers died {failures} times", hint=_MEMORY_HINT
+                    ) from error
+                # What is done but was not yielded is found by its marker.
+                pending += sorted(running.values(), reverse=True)
+                running.clear()
+                if self._pool is not None:
+                    self._pool.shutdown(wait=True, cancel_futures=True)
+                self._pool = None

@@ -1,0 +1,78 @@
+"""Files that appear whole or not at all: each one is the marker of its own task."""
+
+__all__ = ["read_json", "save_array", "sweep", "write_bytes", "write_json"]
+
+import json
+import os
+import secrets
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+
+from gsgen.contract.errors import ConfigInvalid, InputUnreadable
+
+PART: Final = ".part"
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write ``data`` to ``path``, under a temporary name until it is whole.
+
+    Raises:
+        ConfigInvalid: The file cannot be written, for example because the disk is full.
+    """
+    _write(path, lambda file: file.write(data))
+
+
+def save_array(path: Path, array: np.ndarray) -> None:
+    """Save ``array`` as a ``.npy`` file, in the same way."""
+    _write(path, lambda file: np.save(file, array, allow_pickle=False))
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write ``content`` as JSON with sorted keys, in the same way."""
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    write_bytes(path, text.encode())
+
+
+def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    # Several workers may write one content-addressed file at once, so names are random.
+    part = path.parent / f".{path.name}.{secrets.token_hex(4)}{PART}"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with open(part, "xb") as file:
+                write(file)
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise ConfigInvalid(
+            f"cannot be written: {error.strerror or error}", where=str(path)
+        ) from error
+
+
+def read_json(path: Path) -> Any:
+    """Return the JSON value in ``path``.
+
+    Raises:
+        InputUnreadable: The file cannot be read or is not JSON.
+    """
+    try:
+        return json.loads(path.read_bytes())
+    except OSError as error:
+        message = f"cannot be read: {error.strerror or error}"
+        raise InputUnreadable(message, where=str(path)) from error
+    except ValueError as error:
+        raise InputUnreadable(
+            f"is not JSON: {error}", where=str(path), hint="Start again with --fresh."
+        ) from error
+
+
+def sweep(folder: Path) -> int:
+    """Delete unfinished files of workers that were killed; return how many."""
+    parts = list(folder.rglob(f".*{PART}"))
+    for part in parts:
+        part.unlink(missing_ok=True)
+    return len(parts)

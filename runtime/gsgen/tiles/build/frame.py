@@ -1,0 +1,100 @@
+"""Transforms of the root tile: where in the world, or on the globe, a scene is put."""
+
+__all__ = ["UPRIGHT", "globe_transform", "read_transform", "upright_transform"]
+
+import json
+import math
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.tiles.volumes import ecef
+
+UPRIGHT: Final[Float64[np.ndarray, "4 4"]] = np.array(
+    [[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
+)
+"""Scene → world: a scene has y down and z forward, the world of 3D Tiles has z up."""
+
+_TOLERANCE: Final = 1e-6
+
+
+def upright_transform() -> tuple[float, ...]:
+    """Return the transform of a scene that is nowhere in particular, column by column."""
+    return _columns(UPRIGHT)
+
+
+def globe_transform(longitude: float, latitude: float, height: float) -> tuple[float, ...]:
+    """Return the transform that puts the scene's origin on the globe, upright, x to the east.
+
+    Args:
+        longitude: In degrees.
+        latitude: In degrees.
+        height: Over the ellipsoid of WGS 84, in metres.
+
+    Raises:
+        ConfigInvalid: An angle or the height is out of range.
+    """
+    limits = {
+        "--lon": (longitude, 180.0),
+        "--lat": (latitude, 90.0),
+        "--height": (height, 1e7),
+    }
+    for option, (value, limit) in limits.items():
+        if not abs(value) <= limit:
+            raise ConfigInvalid(
+                f"is {value}; expected -{limit:g} to {limit:g}", where=option
+            )
+    east, north = math.radians(longitude), math.radians(latitude)
+    sin_e, cos_e, sin_n, cos_n = (
+        math.sin(east),
+        math.cos(east),
+        math.sin(north),
+        math.cos(north),
+    )
+    matrix = np.eye(4)
+    matrix[:3, 0] = -sin_e, cos_e, 0
+    matrix[:3, 1] = -sin_n * cos_e, -sin_n * sin_e, cos_n
+    matrix[:3, 2] = cos_n * cos_e, cos_n * sin_e, sin_n
+    matrix[:3, 3] = ecef(np.array([east]), np.array([north]), np.array([height]))[0]
+    return _columns(matrix @ UPRIGHT)
+
+
+def read_transform(path: Path) -> tuple[float, ...]:
+    """Read a transform, scene → world: a JSON array of 16 numbers, or of 4 rows of 4.
+
+    Sixteen numbers are column by column, as in ``tileset.json``; rows are rows.
+
+    Raises:
+        ConfigInvalid: It is not a rotation with a translation and one positive scale.
+    """
+    expected = "a JSON array of 16 numbers (column by column), or of 4 rows of 4"
+    try:
+        value = np.asarray(json.loads(path.read_text("utf-8")), np.float64)
+    except OSError as error:
+        message = f"cannot be read: {error.strerror or error}"
+        raise ConfigInvalid(message, where=str(path)) from error
+    except (ValueError, TypeError) as error:
+        raise ConfigInvalid(f"{error}; expected {expected}", where=str(path)) from error
+    if value.shape not in ((16,), (4, 4)):
+        shape = "×".join(map(str, value.shape))
+        raise ConfigInvalid(f"{shape} numbers; expected {expected}", where=str(path))
+    matrix = value if value.shape == (4, 4) else value.reshape(4, 4).T
+    linear = matrix[:3, :3]
+    if np.isfinite(matrix).all():
+        scale = float(np.cbrt(max(np.linalg.det(linear), 0.0)))
+        error_size = float(np.abs(linear @ linear.T - scale**2 * np.eye(3)).max())
+        similar = scale > 0 and error_size <= _TOLERANCE * scale**2
+        if similar and np.array_equal(matrix[3], [0, 0, 0, 1]):
+            return _columns(matrix)
+    raise ConfigInvalid(
+        f"{matrix.tolist()} is not a similarity: a rotation, one positive scale, a translation",
+        where=str(path),
+        hint="The last row is 0 0 0 1 and the other columns are at right angles.",
+    )
+
+
+def _columns(matrix: Float64[np.ndarray, "4 4"]) -> tuple[float, ...]:
+    return tuple(float(value) + 0.0 for value in matrix.T.ravel())

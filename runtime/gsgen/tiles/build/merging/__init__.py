@@ -1,0 +1,1 @@
+"""Merging: how do many Gaussians become few that look the same from afar?"""

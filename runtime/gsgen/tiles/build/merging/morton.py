@@ -1,0 +1,111 @@
+"""Morton codes of positions in the root cube, and the octree cells that they name.
+
+G. M. Morton 1966, "A computer oriented geodetic data base": the bits of the coordinates,
+interleaved. A cell at depth d of the octree is the first 3d bits of the codes of its points, so
+that sorting by code makes every cell of every depth a contiguous run.
+"""
+
+__all__ = ["DEPTH", "Cube", "cell_codes", "morton_codes", "separation_depths"]
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Float, Float64, Int64, UInt64
+
+DEPTH: Final = 21
+"""Bits of a code along each axis, and the deepest level of the octree."""
+
+_CELLS: Final = 1 << DEPTH
+_SPREADS: Final = (
+    (32, 0x001F00000000FFFF),
+    (16, 0x001F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Cube:
+    """An axis-parallel cube.
+
+    Attributes:
+        low: The corner with the least coordinates, in scene units.
+        side: Length of an edge, in scene units; above 0.
+    """
+
+    low: tuple[float, float, float]
+    side: float
+
+    @classmethod
+    def around(
+        cls, low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]
+    ) -> "Cube":
+        """Return a cube that holds the box from ``low`` to ``high``, with its centre.
+
+        The side is a little longer than the box, and never shorter than float64 can divide.
+        """
+        center = (low + high) / 2
+        reach = float(np.abs([low, high]).max())
+        side = max(float((high - low).max()), reach * 1e-9, 1e-9) * (1 + 1e-9)
+        corner = center - side / 2
+        return cls((float(corner[0]), float(corner[1]), float(corner[2])), side)
+
+    def cell(self, depth: int, prefix: int) -> "Cube":
+        """Return the octree cell whose codes begin with the 3 ``depth`` bits of ``prefix``."""
+        index = [0, 0, 0]
+        for bit in range(depth):
+            for axis in range(3):
+                index[axis] |= (prefix >> (3 * bit + axis) & 1) << bit
+        side = self.side / (1 << depth)
+        x, y, z = (self.low[axis] + index[axis] * side for axis in range(3))
+        return Cube((x, y, z), side)
+
+    @property
+    def center(self) -> Float64[np.ndarray, "3"]:
+        """The centre."""
+        return np.asarray(self.low) + self.side / 2
+
+
+def morton_codes(
+    position: Float[np.ndarray, "n 3"], cube: Cube
+) -> UInt64[np.ndarray, " n"]:
+    """Return the 63-bit Morton codes of positions in ``cube``; x has the lowest bit.
+
+    Positions beyond the cube have the code of its nearest cell.
+    """
+    share = (position.astype(np.float64) - np.asarray(cube.low)) / cube.side
+    cells = np.clip(np.floor(share * _CELLS), 0, _CELLS - 1).astype(np.uint64)
+    x, y, z = (_spread(cells[:, axis]) for axis in range(3))
+    return np.asarray(x | y << np.uint64(1) | z << np.uint64(2))
+
+
+def _spread(cells: UInt64[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
+    """Put two zeros between the 21 bits of each number."""
+    for shift, mask in _SPREADS:
+        cells = (cells | cells << np.uint64(shift)) & np.uint64(mask)
+    return cells
+
+
+def cell_codes(codes: UInt64[np.ndarray, " n"], depth: int) -> UInt64[np.ndarray, " n"]:
+    """Return the cells at ``depth`` of ``codes``: their first 3 ``depth`` bits."""
+    return np.asarray(codes >> np.uint64(3 * (DEPTH - depth)))
+
+
+def separation_depths(codes: UInt64[np.ndarray, " n"]) -> Int64[np.ndarray, " m"]:
+    """Return at which depth each of the sorted ``codes`` leaves the cell of the one before.
+
+    Returns:
+        For rows 1 … n−1, the least depth at which the row and its predecessor are in different
+        cells; DEPTH + 1 where they never are.
+    """
+    difference = codes[1:] ^ codes[:-1]
+    # The position of the highest bit, from float64's exponent; rounding up to the next power
+    # of two would shift it, so the lower bits are cleared first.
+    high = (difference >> np.uint64(32)).astype(np.int64)
+    low = (difference & np.uint64(0xFFFFFFFF)).astype(np.int64)
+    bits = np.where(high > 0, np.frexp(high.astype(np.float64))[1] + 32, 0)
+    bits = np.where(high > 0, bits, np.frexp(low.astype(np.float64))[1])
+    return np.asarray(DEPTH + 1 - (bits + 2) // 3, np.int64)

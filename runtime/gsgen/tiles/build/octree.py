@@ -1,0 +1,173 @@
+"""Build the tiles of a partition, leaves first, and the tiles above all partitions."""
+
+__all__ = ["build_partition", "build_top", "load_built"]
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int64, UInt64
+
+from gsgen.tiles.build.files import read_json, save_array, write_json
+from gsgen.tiles.build.merging.levels import merge_level
+from gsgen.tiles.build.merging.mixture import Mixture, concatenate
+from gsgen.tiles.build.merging.morton import DEPTH, cell_codes, morton_codes
+from gsgen.tiles.build.plan import Partition, Plan, depth_of, group_small
+from gsgen.tiles.build.spill import Rows, anchors_of, load_partition
+from gsgen.tiles.build.tile import Tile, tile_from_json, write_leaf, write_level
+
+Built = tuple[list[Tile], Mixture]
+"""Tiles that stand side by side, and what they show."""
+
+
+def build_partition(plan: Plan, partition: Partition) -> int:
+    """Write the tiles of a partition, unless they are there; return its splats."""
+    name = f"partition-{partition.index:06}"
+    if _marker(plan, name).exists():
+        return partition.count
+    rows = load_partition(plan, partition)
+    codes = morton_codes(rows["position"], plan.cube)
+    order = np.argsort(codes, kind="stable")  # rows are in the order of the scenes already
+    rows, codes = rows[order], codes[order]
+    location = partition.locations[0]
+    if partition.anchored:
+        built = _extra_leaves(plan, rows, codes, location)
+    elif len(partition.locations) > 1:
+        built = _leaf(plan, rows, codes, location)
+    else:
+        built = _build(plan, rows, codes, anchors_of(plan, rows), location)
+    _save(plan, name, *built)
+    return partition.count
+
+
+def _leaf(plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], location: int) -> Built:
+    tile, mixture = write_leaf(plan, rows, codes, location)
+    return [tile], mixture
+
+
+def _build(
+    plan: Plan,
+    rows: Rows,
+    codes: UInt64[np.ndarray, " n"],
+    anchors: Int64[np.ndarray, " n"],
+    location: int,
+) -> Built:
+    """Write the tile of the cell ``location`` and all tiles in it, depth first."""
+    depth, leaf = depth_of(location), plan.parameters.leaf
+    implicit = plan.parameters.implicit
+    if len(rows) <= leaf or (depth == DEPTH and implicit):
+        return _leaf(plan, rows, codes, location)
+    parts: list[Built] = []
+    # 1. Large splats stay at this cell, in extra leaves beside the children.
+    large = anchors == depth
+    extra = (
+        _extra_leaves(plan, rows[large], codes[large], location) if large.any() else None
+    )
+    if extra is not None:
+        rows, codes, anchors = rows[~large], codes[~large], anchors[~large]
+    # 2. The others go to the octants; small neighbours become one leaf.
+    octants = cell_codes(codes, min(depth + 1, DEPTH))
+    names, counts = np.unique(octants, return_counts=True)
+    limits = np.concatenate([[0], np.cumsum(counts)])
+    for group in group_small(counts.tolist(), 0 if implicit else leaf):
+        inside = slice(limits[group[0]], limits[group[-1] + 1])
+        child = 1 << 3 * (depth + 1) | int(names[group[0]])
+        if len(group) > 1:
+            parts.append(_leaf(plan, rows[inside], codes[inside], child))
+        else:
+            parts.append(_build(plan, rows[inside], codes[inside], anchors[inside], child))
+    if extra is not None:
+        parts.append(extra)
+    return _above(plan, location, parts)
+
+
+def _extra_leaves(
+    plan: Plan, rows: Rows, codes: UInt64[np.ndarray, " n"], location: int
+) -> Built:
+    """Write the large splats that stay at a cell, in as many leaves as they need."""
+    count = -(-len(rows) // plan.parameters.leaf)
+    limits = [len(rows) * index // count for index in range(count + 1)]
+    parts = (slice(*limits[index : index + 2]) for index in range(count))
+    leaves = [
+        write_leaf(plan, rows[part], codes[part], location, number)
+        for number, part in enumerate(parts, 1)
+    ]
+    return [tile for tile, _ in leaves], concatenate([mixture for _, mixture in leaves])
+
+
+def _above(plan: Plan, location: int, parts: list[Built]) -> Built:
+    """Write the tile that stands for ``parts``; a single tile stands for itself."""
+    tiles = [tile for part, _ in parts for tile in part]
+    mixture = concatenate([part for _, part in parts])
+    if len(tiles) == 1 and not plan.parameters.implicit:
+        return tiles, mixture
+    depth = depth_of(location)
+    level = merge_level(mixture, depth, plan.parameters.leaf, plan.cube.side)
+    return [write_level(plan, level, location, tiles)], level.mixture
+
+
+def build_top(plan: Plan, location: int) -> int:
+    """Write the tile of a cell above the partitions, unless it is there.
+
+    The cells below it have to be built. Returns 0: no splat of the scenes is new here.
+    """
+    name = f"top-{location}"
+    if _marker(plan, name).exists():
+        return 0
+    below = [name for name, above in _places(plan).items() if above == location]
+    _save(plan, name, *_above(plan, location, [_load(plan, name) for name in below]))
+    return 0
+
+
+def _places(plan: Plan) -> dict[str, int]:
+    """Return the names of all parts, in depth-first order, and the top cell above each."""
+    entries: list[tuple[int, int, bool, str]] = []
+    for partition in plan.partitions:
+        name = f"partition-{partition.index:06}"
+        key = partition.above, partition.locations[0], partition.anchored, name
+        entries.append(key)
+    entries += [(cell >> 3, cell, False, f"top-{cell}") for cell in plan.top]
+    # Octants in order, then the leaves of large splats.
+    entries.sort(key=lambda entry: (entry[0], entry[2], entry[1]))
+    return {name: above for above, _, _, name in entries}
+
+
+def load_built(plan: Plan) -> list[Tile]:
+    """Return the tiles at the root, when all parts are built."""
+    name = f"top-{plan.top[-1]}" if plan.top else "partition-000000"
+    return _load_tiles(plan, name)
+
+
+def _marker(plan: Plan, name: str) -> Path:
+    return Path(plan.work) / "tiles" / f"{name}.json"
+
+
+def _save(plan: Plan, name: str, tiles: list[Tile], mixture: Mixture) -> None:
+    folder = Path(plan.work) / "tiles"
+    save_array(folder / f"{name}.npy", _packed(mixture))
+    write_json(_marker(plan, name), [tile.as_json() for tile in tiles])
+
+
+def _load(plan: Plan, name: str) -> Built:
+    packed = np.load(Path(plan.work) / "tiles" / f"{name}.npy")
+    return _load_tiles(plan, name), _unpacked(packed)
+
+
+def _load_tiles(plan: Plan, name: str) -> list[Tile]:
+    return [tile_from_json(value) for value in read_json(_marker(plan, name))]
+
+
+def _packed(mixture: Mixture) -> np.ndarray:
+    fields = [
+        (name, value.dtype, value.shape[1:])
+        for name in Mixture.__slots__
+        for value in [getattr(mixture, name)]
+    ]
+    rows = np.empty(len(mixture), np.dtype(fields))
+    for name in Mixture.__slots__:
+        rows[name] = getattr(mixture, name)
+    return rows
+
+
+def _unpacked(rows: np.ndarray) -> Mixture:
+    names = Mixture.__slots__
+    return Mixture(**{name: np.ascontiguousarray(rows[name]) for name in names})

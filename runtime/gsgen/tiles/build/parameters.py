@@ -1,0 +1,48 @@
+"""What a build was asked for, and the key that says whether an earlier result is the same."""
+
+__all__ = ["VERSION", "BuildParameters"]
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final, final
+
+from gsgen.tiles.content import CodecName
+
+VERSION: Final = 1
+"""Of the algorithm: it grows when the same inputs and parameters give other bytes."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BuildParameters:
+    """What decides the bytes of a tileset, besides the scenes.
+
+    The engine, the number of workers and how the work is divided are missing on purpose: no byte
+    depends on them.
+
+    Attributes:
+        leaf: Most splats of a leaf.
+        codec: How contents are written.
+        qualities: Qualities of :data:`gsgen.tiles.content.QUALITIES` that are written, finest
+            first.
+        implicit: Whether the tree is an implicit octree.
+        transform: Of the root tile, scene → world: 16 numbers, column by column.
+    """
+
+    leaf: int = 65_536
+    codec: CodecName = "spz"
+    qualities: tuple[int, ...] = (0,)
+    implicit: bool = False
+    transform: tuple[float, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the parameters as JSON has them."""
+        return json.loads(json.dumps(asdict(self)))  # type: ignore[no-any-return]
+
+    def key(self, inputs: Sequence[str]) -> str:
+        """Return the sha256 of version, parameters and ``inputs``."""
+        content = {"version": VERSION, "parameters": self.as_dict(), "inputs": list(inputs)}
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,213 @@
+"""Plan: which cells of the octree are partitions, built by one task each, and which are above.
+
+A cell with at most ``partition`` splats is a partition: one task sorts its splats and builds all
+tiles in it. The cells above are *top* cells. Splats that are anchored at a top cell form a
+partition of their own, a few large splats that become extra leaves.
+"""
+
+__all__ = [
+    "Partition",
+    "Plan",
+    "coordinates_of",
+    "depth_of",
+    "group_small",
+    "make_partitions",
+    "partition_of",
+]
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Int64, UInt64
+
+from gsgen.tiles.build.merging.morton import Cube
+from gsgen.tiles.build.parameters import BuildParameters
+from gsgen.tiles.build.scan import location_codes
+from gsgen.tiles.build.source import Chunk
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Partition:
+    """Splats that one task builds.
+
+    Attributes:
+        index: Of the partition.
+        locations: Its cells, each as 1 followed by its Morton code: one, or neighbours in one
+            cell above that are so small that together they are a leaf.
+        anchored: Whether it holds only the splats that are anchored at the cell itself.
+        count: Splats.
+    """
+
+    index: int
+    locations: tuple[int, ...]
+    anchored: bool
+    count: int
+
+    @property
+    def above(self) -> int:
+        """The top cell that the partition is a part of; 0 for a whole scene."""
+        return self.locations[0] if self.anchored else self.locations[0] >> 3
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """What every task of a build has to know.
+
+    Attributes:
+        cube: The root cube.
+        degree: SH degree of the rows.
+        antialiased: See :class:`gsgen.formats.Splats`.
+        color_space: See :class:`gsgen.formats.Splats`.
+        count: Splats of all partitions.
+        partitions: All of them; none overlaps another.
+        top: Locations of the cells above the partitions, deepest first.
+        parameters: Of the build.
+        chunks: Of the scenes.
+        output: Folder of the tileset.
+        work: Folder for spills and markers.
+    """
+
+    cube: Cube
+    degree: int
+    antialiased: bool
+    color_space: str
+    count: int
+    partitions: tuple[Partition, ...]
+    top: tuple[int, ...]
+    parameters: BuildParameters
+    chunks: tuple[Chunk, ...]
+    output: str
+    work: str
+
+
+def depth_of(location: int) -> int:
+    """Return the depth of a cell that is given as 1 followed by its Morton code."""
+    return (location.bit_length() - 1) // 3
+
+
+def coordinates_of(location: int) -> tuple[int, int, int]:
+    """Return the coordinates of a cell among those of its depth."""
+    depth = depth_of(location)
+    x, y, z = (
+        sum((location >> (3 * bit + axis) & 1) << bit for bit in range(depth))
+        for axis in range(3)
+    )
+    return x, y, z
+
+
+def make_partitions(
+    cells: UInt64[np.ndarray, " c"], counts: Int64[np.ndarray, " c"], limit: int, leaf: int
+) -> tuple[tuple[Partition, ...], tuple[int, ...]]:
+    """Divide the octree into partitions of at most ``limit`` splats.
+
+    Args:
+        cells: Location codes of cells, each once, without the splats of deeper ones.
+        counts: Splats of each cell.
+        limit: Most splats of a partition; a cell that is not divided further may have more.
+        leaf: Neighbours that have no more together are one partition; 0 keeps all apart.
+
+    Returns:
+        The partitions, in depth-first order, and the top cells, deepest first.
+    """
+    own = dict(zip(cells.tolist(), counts.tolist(), strict=True))
+    total, children = _totals(own)
+    partitions: list[Partition] = []
+    top: list[int] = []
+
+    def add(locations: tuple[int, ...], count: int, *, anchored: bool) -> None:
+        index = len(partitions)
+        partitions.append(
+            Partition(index=index, locations=locations, anchored=anchored, count=count)
+        )
+
+    pending: list[tuple[int, ...]] = [(1,)]
+    while pending:
+        group = pending.pop()
+        cell = group[0]
+        if len(group) > 1 or total[cell] <= limit or cell not in children:
+            add(group, sum(total[member] for member in group), anchored=False)
+            continue
+        top.append(cell)
+        below = sorted(children[cell])
+        runs = group_small([total[child] for child in below], leaf)
+        pending += [tuple(below[index] for index in run) for run in reversed(runs)]
+        if own.get(cell, 0):
+            add((cell,), own[cell], anchored=True)
+    top.sort(key=lambda cell: (-depth_of(cell), cell))
+    return tuple(partitions), tuple(top)
+
+
+def _totals(own: dict[int, int]) -> tuple[dict[int, int], dict[int, list[int]]]:
+    """Return the splats in each cell and all cells in it, and the cells right below each."""
+    depths: dict[int, list[int]] = {}
+    for cell in own:
+        depths.setdefault(depth_of(cell), []).append(cell)
+    total: dict[int, int] = {}
+    children: dict[int, list[int]] = {}
+    below: dict[int, int] = {}
+    for depth in range(max(depths), -1, -1):
+        level = {cell: own[cell] for cell in depths.get(depth, ())}
+        for cell, count in below.items():
+            level[cell >> 3] = level.get(cell >> 3, 0) + count
+            children.setdefault(cell >> 3, []).append(cell)
+        total |= level
+        below = level
+    return total, children
+
+
+def group_small(counts: Sequence[int], limit: int) -> list[list[int]]:
+    """Group neighbours that have at most ``limit`` together.
+
+    Octants that a surface only touches would be leaves of a few splats, each a request.
+
+    Args:
+        counts: Splats of octants, in Morton order.
+        limit: Most splats of a group of several.
+
+    Returns:
+        The indices of each group, in order.
+    """
+    groups: list[list[int]] = []
+    size = 0
+    for index, count in enumerate(counts):
+        if groups and size + count <= limit:
+            groups[-1].append(index)
+            size += count
+        else:
+            groups.append([index])
+            size = count
+    return groups
+
+
+def partition_of(
+    codes: UInt64[np.ndarray, " n"],
+    anchors: Int64[np.ndarray, " n"],
+    partitions: Iterable[Partition],
+) -> Int64[np.ndarray, " n"]:
+    """Return the partition of each splat.
+
+    Args:
+        codes: Morton codes.
+        anchors: Deepest level of each splat.
+        partitions: All partitions.
+    """
+    result = np.full(len(codes), -1, np.int64)
+    groups: dict[tuple[int, bool], list[tuple[int, int]]] = {}
+    for partition in partitions:
+        for location in partition.locations:
+            key = depth_of(location), partition.anchored
+            groups.setdefault(key, []).append((location, partition.index))
+    for (depth, anchored), members in groups.items():
+        members.sort()
+        known = np.array([location for location, _ in members], np.uint64)
+        index = np.array([number for _, number in members], np.int64)
+        cells = location_codes(codes, np.full(len(codes), depth), depth)
+        slot = np.minimum(np.searchsorted(known, cells), len(known) - 1)
+        inside = known[slot] == cells
+        inside &= anchors == depth if anchored else anchors >= depth
+        result[inside] = index[slot[inside]]
+    return result

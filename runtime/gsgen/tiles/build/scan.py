@@ -1,0 +1,153 @@
+"""Scan: the box, the count and the digest of each chunk, then how many splats each cell holds.
+
+A splat is *anchored* at the deepest level whose tiles are at least twice as long as its radius
+of 3σ; there it stays, in an extra leaf, so that it is not in a tile far smaller than itself.
+"""
+
+__all__ = [
+    "ChunkFacts",
+    "anchor_depths",
+    "count_cells",
+    "location_codes",
+    "scan_chunk",
+]
+
+import hashlib
+import math
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Float32, Int64, UInt64
+
+from gsgen.formats import Splats
+from gsgen.tiles.build.merging.morton import DEPTH, Cube, cell_codes, morton_codes
+from gsgen.tiles.build.source import BLOCK_ROWS, Chunk, read_chunk, valid_rows
+
+SIGMAS: Final = 3.0
+_SMALLEST_LOG_SCALE: Final = -1e3  # e^-1000 is 0, and JSON has no infinity
+_ARRAYS: Final = ("position", "rotation", "log_scale", "logit_opacity", "sh")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChunkFacts:
+    """What a scan found out about a chunk.
+
+    Attributes:
+        index: Of the chunk.
+        count: Splats that can be drawn.
+        skipped: Rows that cannot, which are left out.
+        first_skipped: The first of them, as a row of the file; −1 without any.
+        low: Least coordinates of the centres.
+        high: Greatest coordinates of the centres.
+        largest: Logarithm of the largest standard deviation, −1000 or more.
+        digests: sha256 of the values of every ``BLOCK_ROWS`` rows, whatever the chunks are.
+    """
+
+    index: int
+    count: int
+    skipped: int
+    first_skipped: int
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    largest: float
+    digests: tuple[str, ...]
+
+
+def scan_chunk(chunk: Chunk) -> ChunkFacts:
+    """Return the facts of ``chunk``."""
+    splats = read_chunk(chunk)
+    valid = valid_rows(splats)
+    count = int(np.count_nonzero(valid))
+    low = high = np.zeros(3)
+    largest = 0.0
+    if count:
+        largest = max(float(column[valid].max()) for column in splats.log_scale.T)
+        position = splats.position[valid]
+        columns = np.ascontiguousarray(position.T)
+        low, high = columns.min(axis=1), columns.max(axis=1)
+    skipped = len(valid) - count
+    return ChunkFacts(
+        index=chunk.index,
+        count=count,
+        skipped=skipped,
+        first_skipped=chunk.first + int(np.argmin(valid)) if skipped else -1,
+        low=(float(low[0]), float(low[1]), float(low[2])),
+        high=(float(high[0]), float(high[1]), float(high[2])),
+        largest=max(largest, _SMALLEST_LOG_SCALE),
+        digests=tuple(
+            _digest(splats, first) for first in range(0, len(splats), BLOCK_ROWS)
+        ),
+    )
+
+
+def _digest(splats: Splats, first: int) -> str:
+    digest = hashlib.sha256()
+    for name in _ARRAYS:
+        block = getattr(splats, name)[first : first + BLOCK_ROWS]
+        digest.update(np.ascontiguousarray(block).data)
+    return digest.hexdigest()
+
+
+def anchor_depths(
+    log_scale: Float32[np.ndarray, "n 3"], cube: Cube
+) -> Int64[np.ndarray, " n"]:
+    """Return the deepest level at which a tile is twice as long as the splat's 3σ."""
+    x, y, z = log_scale.T  # a maximum along rows of three would take ten times as long
+    largest = np.maximum(np.maximum(x, y), z).astype(np.float64)
+    ratio = math.log(cube.side / (2 * SIGMAS)) - largest
+    with np.errstate(invalid="ignore"):
+        depth = np.floor(ratio / math.log(2))
+    return np.asarray(np.clip(depth, 0, DEPTH), np.int64)
+
+
+def location_codes(
+    codes: UInt64[np.ndarray, " n"], anchors: Int64[np.ndarray, " n"], depth: int
+) -> UInt64[np.ndarray, " n"]:
+    """Return the cell of each splat, no deeper than its anchor, as 1 followed by its code.
+
+    The leading 1 makes the number name the depth, too (I. Gargantini 1982, "An effective way to
+    represent quadtrees", in three dimensions).
+    """
+    levels = np.minimum(anchors, depth).astype(np.uint64)
+    shift = np.uint64(3) * (np.uint64(DEPTH) - levels)
+    return np.asarray(codes >> shift | np.uint64(1) << np.uint64(3) * levels)
+
+
+def count_cells(
+    chunk: Chunk,
+    cube: Cube,
+    depth: int,
+    within: UInt64[np.ndarray, " c"] | None,
+    within_depth: int,
+    *,
+    anchored: bool,
+) -> tuple[UInt64[np.ndarray, " m"], Int64[np.ndarray, " m"]]:
+    """Count the splats of ``chunk`` in each cell.
+
+    Args:
+        chunk: To be read.
+        cube: The root cube.
+        depth: Of the cells.
+        within: Count only in these cells, sorted codes at ``within_depth``; None for all.
+        within_depth: See ``within``.
+        anchored: Whether large splats stay at the depth of their anchor.
+
+    Returns:
+        Location codes, increasing, and the count of each.
+    """
+    splats = read_chunk(chunk)
+    valid = valid_rows(splats)
+    codes = morton_codes(splats.position[valid], cube)
+    anchors = (
+        anchor_depths(splats.log_scale[valid], cube)
+        if anchored
+        else np.full(len(codes), DEPTH, np.int64)
+    )
+    if within is not None:
+        inside = np.isin(cell_codes(codes, within_depth), within)
+        inside &= anchors >= within_depth
+        codes, anchors = codes[inside], anchors[inside]
+    cells, counts = np.unique(location_codes(codes, anchors, depth), return_counts=True)
+    return cells, counts.astype(np.int64)

@@ -1,0 +1,237 @@
+"""Scenes as chunks of rows: what one task reads at a time."""
+
+__all__ = [
+    "BLOCK_ROWS",
+    "CHUNK_BYTES",
+    "Chunk",
+    "SceneFile",
+    "chunks_of",
+    "open_scenes",
+    "read_chunk",
+    "row_dtype",
+    "valid_rows",
+]
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, final
+
+import numpy as np
+from jaxtyping import Bool
+
+from gsgen.contract.errors import ConfigInvalid, InputUnreadable
+from gsgen.formats import (
+    FormatError,
+    PackedRows,
+    PointCloud,
+    Splats,
+    open_splats,
+    splats_of_rows,
+)
+from gsgen.formats.ply.chunks import PlyTable, ply_table, read_ply_rows
+from gsgen.formats.shared.splats import SH_COUNTS
+from gsgen.tiles.content import MAX_DEGREE
+
+CHUNK_BYTES: Final = 64 << 20
+"""Bytes of a PLY file that one task reads."""
+
+BLOCK_ROWS: Final = 1 << 14
+"""Chunks begin at multiples of so many rows of a file."""
+
+_LARGEST_LOG_SCALE: Final = 80.0  # float32 holds e^88
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneFile:
+    """A file of splats.
+
+    Attributes:
+        path: Where it is.
+        count: Its splats, those that cannot be drawn included.
+        degree: Their SH degree, at most 3.
+        size: Bytes.
+        modified: When it was last written, in nanoseconds.
+        table: Where a PLY file has its rows; None for a file that is decoded as a whole.
+        antialiased: Whether the splats are trained with the filter of Mip-Splatting.
+        color_space: Of their colours.
+    """
+
+    path: str
+    count: int
+    degree: int
+    size: int
+    modified: int
+    table: PlyTable | None
+    antialiased: bool = False
+    color_space: Literal["srgb", "linear"] = "srgb"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chunk:
+    """A range of rows of a file.
+
+    Attributes:
+        index: Of the chunk, in the order of the scenes.
+        file: The file.
+        first: Row of the file to begin with.
+        count: Rows.
+        source: Index of the first row among the rows of all files.
+    """
+
+    index: int
+    file: SceneFile
+    first: int
+    count: int
+    source: int
+
+
+def open_scenes(paths: Sequence[Path]) -> list[SceneFile]:
+    """Look at the files of a scene; only those that are not PLY tables are decoded.
+
+    Raises:
+        InputUnreadable: A file is missing, damaged or holds something else than splats.
+        ConfigInvalid: Files disagree on the colour space or on antialiasing.
+    """
+    files = [_opened(path) for path in paths]
+    first = files[0]
+    for file in files:
+        for name in ("color_space", "antialiased"):
+            actual, expected = getattr(file, name), getattr(first, name)
+            if actual != expected:
+                raise ConfigInvalid(
+                    f"{name} is {actual}, expected {expected} as in {first.path}",
+                    where=file.path,
+                    hint="Build one tileset for each kind of scene.",
+                )
+    return files
+
+
+def _opened(path: Path) -> SceneFile:
+    try:
+        table = ply_table(path) if _is_ply(path) else None
+        status = path.stat()
+        if table is None:
+            return _decoded(path, status.st_size, status.st_mtime_ns)
+    except FormatError as error:
+        raise _unreadable(error) from error
+    except OSError as error:
+        raise InputUnreadable(
+            f"cannot be read: {error.strerror or error}", where=str(path)
+        ) from error
+    if table.count == 0:
+        raise InputUnreadable("0 splats; expected at least one", where=str(path))
+    return SceneFile(
+        path=str(path),
+        count=table.count,
+        degree=min(table.degree, MAX_DEGREE),
+        size=status.st_size,
+        modified=status.st_mtime_ns,
+        table=table,
+    )
+
+
+def _is_ply(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(4) in (b"ply\n", b"ply\r")
+
+
+def _decoded(path: Path, size: int, modified: int) -> SceneFile:
+    splats = _whole(path)
+    return SceneFile(
+        path=str(path),
+        count=len(splats),
+        degree=min(splats.degree, MAX_DEGREE),
+        size=size,
+        modified=modified,
+        table=None,
+        antialiased=splats.antialiased,
+        color_space=splats.color_space,
+    )
+
+
+def _whole(path: Path) -> Splats:
+    content = open_splats(path)
+    if isinstance(content, PackedRows):
+        return splats_of_rows(content)
+    if isinstance(content, PointCloud):
+        raise InputUnreadable(
+            "coloured points, which have no size and no opacity; expected splats",
+            where=str(path),
+            hint="Train splats from the points first.",
+        )
+    return content
+
+
+def _unreadable(error: FormatError) -> InputUnreadable:
+    expected = f"; expected {error.expected}" if error.expected else ""
+    where = ": ".join(part for part in (error.path, error.where) if part)
+    return InputUnreadable(f"{error.message}{expected}", where=where, hint=error.hint)
+
+
+def chunks_of(files: Sequence[SceneFile], chunk_bytes: int = CHUNK_BYTES) -> list[Chunk]:
+    """Return the chunks of ``files``, in order."""
+    parts = [
+        (file, first, count)
+        for file in files
+        for first, count in _ranges(file, chunk_bytes)
+    ]
+    source, chunks = 0, []
+    for index, (file, first, count) in enumerate(parts):
+        chunks.append(
+            Chunk(index=index, file=file, first=first, count=count, source=source)
+        )
+        source += count
+    return chunks
+
+
+def _ranges(file: SceneFile, chunk_bytes: int) -> Iterator[tuple[int, int]]:
+    step = file.count
+    if file.table is not None:
+        blocks = chunk_bytes // (file.table.row_bytes * BLOCK_ROWS)
+        step = max(1, blocks) * BLOCK_ROWS
+    for first in range(0, file.count, step):
+        yield first, min(step, file.count - first)
+
+
+def read_chunk(chunk: Chunk) -> Splats:
+    """Return all rows of ``chunk``, those that cannot be drawn included.
+
+    Raises:
+        InputUnreadable: The file was changed or cannot be read any more.
+    """
+    try:
+        if chunk.file.table is None:
+            return _whole(Path(chunk.file.path))
+        return read_ply_rows(chunk.file.path, chunk.file.table, chunk.first, chunk.count)
+    except FormatError as error:
+        raise _unreadable(error) from error
+
+
+def valid_rows(splats: Splats) -> Bool[np.ndarray, " n"]:
+    """Return which splats can be drawn: finite, except an opacity or a scale with a meaning."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        valid = ~np.isnan(splats.logit_opacity)
+        for axis in range(3):  # a NaN fails the comparison
+            valid &= splats.log_scale[:, axis] <= _LARGEST_LOG_SCALE
+        for array in (splats.position, splats.rotation, splats.sh):
+            # A NaN or an infinity would show in the sum; most scenes have none.
+            if not np.isfinite(array.sum()):
+                valid &= np.isfinite(array.reshape(len(splats), -1)).all(axis=1)
+    return np.asarray(valid)
+
+
+def row_dtype(degree: int) -> np.dtype[Any]:
+    """Return the type of a spilled row of SH ``degree``."""
+    return np.dtype(
+        [
+            ("source", "<u8"),
+            ("position", "<f4", (3,)),
+            ("rotation", "<f4", (4,)),
+            ("log_scale", "<f4", (3,)),
+            ("logit_opacity", "<f4"),
+            ("sh", "<f4", (SH_COUNTS[degree], 3)),
+        ]
+    )

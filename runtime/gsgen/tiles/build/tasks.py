@@ -1,0 +1,135 @@
+"""The tasks of a build, as functions that any engine can run in any process.
+
+A task is a plain value; it writes its result to a file that appears whole, and does nothing if
+that is there already. So it can be run twice, elsewhere, or again after a crash.
+"""
+
+__all__ = [
+    "CountTask",
+    "PlanTask",
+    "run_bin",
+    "run_count",
+    "run_partition",
+    "run_scan",
+    "run_top",
+]
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import final
+
+import numpy as np
+from jaxtyping import Int64, UInt64
+
+from gsgen.tiles.build.files import read_json, save_array, write_json
+from gsgen.tiles.build.merging.morton import Cube
+from gsgen.tiles.build.octree import build_partition, build_top
+from gsgen.tiles.build.plan_file import load_plan
+from gsgen.tiles.build.scan import ChunkFacts, count_cells, scan_chunk
+from gsgen.tiles.build.source import Chunk
+from gsgen.tiles.build.spill import bin_chunk
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanTask:
+    """Scan a chunk.
+
+    Attributes:
+        chunk: To be scanned.
+        work: Folder of markers.
+    """
+
+    chunk: Chunk
+    work: str
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CountTask:
+    """Count the splats of a chunk in octree cells.
+
+    Attributes:
+        chunk: To be read.
+        cube: The root cube.
+        depth: Of the cells.
+        within: Sorted codes of the cells to count in; None for all.
+        within_depth: Depth of ``within``.
+        anchored: Whether large splats stay at the depth of their anchor.
+        work: Folder of markers.
+    """
+
+    chunk: Chunk
+    cube: Cube
+    depth: int
+    within: UInt64[np.ndarray, " c"] | None
+    within_depth: int
+    anchored: bool
+    work: str
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanTask:
+    """A part of the plan to carry out.
+
+    Attributes:
+        plan: Path of ``plan.json``.
+        item: Index of the chunk or partition, or location of the top cell.
+    """
+
+    plan: str
+    item: int
+
+
+def run_scan(task: ScanTask) -> tuple[int, ChunkFacts]:
+    """Scan a chunk; return its rows and its facts."""
+    marker = Path(task.work) / "scan" / f"{task.chunk.index:06}.json"
+    if marker.exists():
+        content = read_json(marker)
+        content |= {name: tuple(content[name]) for name in ("low", "high", "digests")}
+        facts = ChunkFacts(**content)
+    else:
+        facts = scan_chunk(task.chunk)
+        write_json(marker, asdict(facts))
+    return task.chunk.count, facts
+
+
+def run_count(
+    task: CountTask,
+) -> tuple[int, tuple[UInt64[np.ndarray, " m"], Int64[np.ndarray, " m"]]]:
+    """Count splats in cells; return the rows of the chunk, the cells and their counts."""
+    folder = Path(task.work) / "cells"
+    marker = folder / f"{task.chunk.index:06}-{task.depth}.npy"
+    if marker.exists():
+        table = np.load(marker)
+    else:
+        cells, counts = count_cells(
+            task.chunk,
+            task.cube,
+            task.depth,
+            task.within,
+            task.within_depth,
+            anchored=task.anchored,
+        )
+        table = np.stack([cells, counts.astype(np.uint64)])
+        save_array(marker, table)
+    return task.chunk.count, (table[0], table[1].astype(np.int64))
+
+
+def run_bin(task: PlanTask) -> tuple[int, int]:
+    """Spill a chunk; return its rows, and those that were spilled."""
+    plan = load_plan(task.plan)
+    chunk = plan.chunks[task.item]
+    return chunk.count, bin_chunk(plan, chunk)
+
+
+def run_partition(task: PlanTask) -> tuple[int, None]:
+    """Write the tiles of a partition; return its splats."""
+    plan = load_plan(task.plan)
+    return build_partition(plan, plan.partitions[task.item]), None
+
+
+def run_top(task: PlanTask) -> tuple[int, None]:
+    """Write the tile of a top cell."""
+    return build_top(load_plan(task.plan), task.item), None

@@ -1,0 +1,206 @@
+"""Tiles as they are written: the files of their contents, and the record of each."""
+
+__all__ = [
+    "Content",
+    "Tile",
+    "mixture_of",
+    "splats_of",
+    "tile_from_json",
+    "write_leaf",
+    "write_level",
+]
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, cast, final
+
+import numpy as np
+from jaxtyping import UInt64
+
+from gsgen.contract.spec.geometry import covariance_upper
+from gsgen.formats import Splats
+from gsgen.formats.shared.quantities import log, logit, sigmoid, unit
+from gsgen.formats.shared.splats import SH_COUNTS
+from gsgen.tiles.build.files import write_bytes
+from gsgen.tiles.build.merging.levels import Level, stored_degree
+from gsgen.tiles.build.merging.mixture import Mixture
+from gsgen.tiles.build.plan import Plan, coordinates_of, depth_of
+from gsgen.tiles.build.spill import Rows
+from gsgen.tiles.content import write_content
+from gsgen.tiles.implicit_tiling.writing import implicit_uri
+from gsgen.tiles.index import content_uri
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Content:
+    """A file of a tile, at one quality.
+
+    Attributes:
+        path: Relative to the tileset.
+        size: Bytes.
+        sha256: Of the bytes.
+        low: Lower corner of the stored splats at 3σ, in the root frame.
+        high: Upper corner of the same.
+    """
+
+    path: str
+    size: int
+    sha256: str
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tile:
+    """A tile and all tiles below it.
+
+    Attributes:
+        location: Its octree cell, as 1 followed by the Morton code.
+        extra: 0, or the number of a leaf of large splats among those of the same cell.
+        splats: Of its content.
+        sh_degree: Of its content.
+        cell: Side of the cells that its splats were merged in, in scene units; 0 for a leaf.
+        contents: A file for each quality, finest first.
+        children: Tiles that replace it, in order of their cells.
+    """
+
+    location: int
+    extra: int = 0
+    splats: int
+    sh_degree: int
+    cell: float
+    contents: tuple[Content, ...]
+    children: tuple["Tile", ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the tile and those below it as JSON has them."""
+        return asdict(self)
+
+
+def tile_from_json(value: Mapping[str, Any]) -> Tile:
+    """Undo :meth:`Tile.as_json`."""
+    contents = (
+        Content(**{**item, "low": _point(item["low"]), "high": _point(item["high"])})
+        for item in value["contents"]
+    )
+    children = (tile_from_json(child) for child in value["children"])
+    return Tile(**{**value, "contents": tuple(contents), "children": tuple(children)})
+
+
+def _point(values: list[float]) -> tuple[float, float, float]:
+    return cast(tuple[float, float, float], tuple(values))
+
+
+def mixture_of(splats: Splats, codes: UInt64[np.ndarray, " n"]) -> Mixture:
+    """Return splats as Gaussians that a level can be merged of, in the order of the splats.
+
+    Args:
+        splats: To be merged.
+        codes: Their Morton codes.
+    """
+    scale = np.exp(splats.log_scale.astype(np.float64))
+    rotation = unit(splats.rotation)
+    return Mixture(
+        code=codes,
+        mean=splats.position.astype(np.float64),
+        covariance=covariance_upper(scale, rotation),
+        scale=scale,
+        rotation=rotation,
+        opacity=sigmoid(splats.logit_opacity).astype(np.float64),
+        sh=splats.sh,
+    )
+
+
+def splats_of(mixture: Mixture, degree: int) -> Splats:
+    """Return merged Gaussians as splats, with harmonics up to ``degree``."""
+    return Splats(
+        position=mixture.mean.astype(np.float32),
+        rotation=mixture.rotation,
+        log_scale=log(mixture.scale),
+        logit_opacity=logit(mixture.opacity),
+        sh=np.ascontiguousarray(mixture.sh[:, : SH_COUNTS[degree]]),
+    )
+
+
+def _leaf_splats(rows: Rows) -> Splats:
+    position, rotation, log_scale, logit_opacity, sh = (
+        np.ascontiguousarray(rows[name])
+        for name in ("position", "rotation", "log_scale", "logit_opacity", "sh")
+    )
+    return Splats(
+        position=position,
+        rotation=rotation,
+        log_scale=log_scale,
+        logit_opacity=logit_opacity,
+        sh=sh,
+    )
+
+
+def write_leaf(
+    plan: Plan,
+    rows: Rows,
+    codes: UInt64[np.ndarray, " n"],
+    location: int,
+    extra: int = 0,
+) -> tuple[Tile, Mixture]:
+    """Write source splats as the content of a leaf; return it with what it shows."""
+    splats = _leaf_splats(rows)
+    tile = _write(plan, splats, location, extra=extra, cell=0.0)
+    return tile, mixture_of(splats, codes)
+
+
+def write_level(plan: Plan, level: Level, location: int, children: list[Tile]) -> Tile:
+    """Write merged splats as the content of a tile above ``children``."""
+    splats = splats_of(level.mixture, stored_degree(level.mixture))
+    cell = plan.cube.side / (1 << level.depth)
+    return _write(plan, splats, location, cell=cell, children=tuple(children))
+
+
+def _write(
+    plan: Plan,
+    splats: Splats,
+    location: int,
+    *,
+    cell: float,
+    extra: int = 0,
+    children: tuple[Tile, ...] = (),
+) -> Tile:
+    space = cast(Any, plan.color_space)
+    splats = replace(splats, antialiased=plan.antialiased, color_space=space)
+    low, high = splats.position.min(axis=0), splats.position.max(axis=0)
+    center = (low.astype(np.float64) + high) / 2
+    contents: list[Content] = []
+    degree = splats.degree
+    for quality in plan.parameters.qualities:
+        encoded = write_content(
+            splats, center, codec=plan.parameters.codec, quality=quality
+        )
+        digest = hashlib.sha256(encoded.data).hexdigest()
+        depth, cell_index = depth_of(location), coordinates_of(location)
+        if plan.parameters.implicit:
+            path = implicit_uri(depth, cell_index, len(contents))
+        else:
+            path = content_uri(depth, cell_index, encoded.data)
+        write_bytes(Path(plan.output) / path, encoded.data)
+        content = Content(
+            path=path,
+            size=len(encoded.data),
+            sha256=digest,
+            low=_point(encoded.low.tolist()),
+            high=_point(encoded.high.tolist()),
+        )
+        contents.append(content)
+        degree = encoded.sh_degree
+    return Tile(
+        location=location,
+        extra=extra,
+        splats=len(splats),
+        sh_degree=degree,
+        cell=cell,
+        contents=tuple(contents),
+        children=children,
+    )

@@ -1,0 +1,72 @@
+"""Read the record of a build, ``gsgen.tiles.json``: sizes and digests of all files."""
+
+__all__ = ["BuildRecord", "RecordedFile", "read_build_record"]
+
+import posixpath
+import re
+from dataclasses import dataclass
+from typing import final
+
+from gsgen.tiles.errors import ContentMissing, Fault
+from gsgen.tiles.index import BUILD_RECORD
+from gsgen.tiles.json_values import MAX_JSON, parse_object
+from gsgen.tiles.stores.store import Store
+from gsgen.tiles.uris import resolve_uri
+
+_DIGEST = re.compile(r"^[0-9a-f]{64}$")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class RecordedFile:
+    """A file as it was written."""
+
+    size: int
+    sha256: str
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BuildRecord:
+    """What was built.
+
+    Attributes:
+        location: The file.
+        key: Digest of the inputs and parameters.
+        source_splats: How many splats went in.
+        files: Path → the file as it was written.
+    """
+
+    location: str
+    key: str
+    source_splats: int
+    files: dict[str, RecordedFile]
+
+
+def read_build_record(store: Store, index: str) -> BuildRecord | None:
+    """Return the record beside ``index``, or None where there is none.
+
+    Raises:
+        TilesetInvalid: It is not what was written.
+    """
+    path = posixpath.join(posixpath.dirname(index), BUILD_RECORD)
+    try:
+        data = store.read(path, limit=MAX_JSON)
+    except ContentMissing:
+        return None
+    document = parse_object(data, f"{path}, ", fault=Fault.SCHEMA)
+    files = document.child("files")
+    listed = {}
+    for uri in files.values:
+        entry = files.child(uri)
+        digest = entry.text("sha256")
+        if not _DIGEST.match(digest):
+            entry.refuse("sha256", "64 hexadecimal digits")
+        name = resolve_uri(index, uri, files.at(uri))
+        listed[name] = RecordedFile(entry.whole("bytes"), digest)
+    return BuildRecord(
+        location=path,
+        key=document.text("key"),
+        source_splats=document.whole("source_splats"),
+        files=listed,
+    )

@@ -1,0 +1,91 @@
+"""`gsgen tiles serve`: a folder as a web server would give it, on a network of one's choice."""
+
+__all__ = ["serve"]
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gsgen.contract.errors import ConfigInvalid, InputUnreadable
+
+
+def serve(
+    folder: Annotated[
+        Path,
+        typer.Argument(help="The folder of a tileset, or of several.", show_default=False),
+    ],
+    port: Annotated[
+        int, typer.Option(help="0 takes one that is free.", min=0, max=65535)
+    ] = 8000,
+    host: Annotated[str, typer.Option(help="The address to listen at.")] = "127.0.0.1",
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            help="Megabits a second, of all answers together. [default: no limit]",
+            min=0.001,
+            metavar="MBPS",
+        ),
+    ] = None,
+    latency: Annotated[
+        float, typer.Option(help="Milliseconds before an answer begins.", min=0)
+    ] = 0.0,
+    fail: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="STATUS:SHARE, cut:SHARE or stall:SHARE of answers that fail; repeatable.",
+            metavar="WHAT:SHARE",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the choice which answers fail.")] = 0,
+    verbose: Annotated[
+        bool, typer.Option("-v", "--verbose", help="Print each answer.")
+    ] = False,
+) -> None:
+    """Serve FOLDER until Ctrl-C, with ranges, CORS and ETags.
+
+    Prints the address first. Exits 130 at Ctrl-C, 2 for wrong options or a port that is taken,
+    4 if there is no such folder.
+    """
+    from gsgen.tiles.serving.faults import NetworkFaults, parse_failure
+    from gsgen.tiles.serving.server import serve_folder
+
+    if not folder.is_dir():
+        raise InputUnreadable(
+            "is not a folder", where=str(folder), hint="Name the folder of tileset.json."
+        )
+    faults = NetworkFaults(
+        bytes_per_second=rate * 1e6 / 8 if rate else None,
+        latency=latency / 1000,
+        failures=tuple(parse_failure(text) for text in fail or ()),
+        seed=seed,
+    )
+    try:
+        server = serve_folder(
+            folder,
+            host=host,
+            port=port,
+            faults=faults,
+            log=_print_answer if verbose else _print_nothing,
+        )
+    except OSError as error:
+        raise ConfigInvalid(
+            f"cannot listen: {error.strerror}",
+            where=f"{host}:{port}",
+            hint="Choose another --port; 0 takes one that is free.",
+        ) from error
+    with server:
+        typer.echo(server.address)
+        index = "tileset.json" if (folder / "tileset.json").is_file() else ""
+        typer.echo(
+            f"serving {folder}; try: gsgen tiles info {server.address}{index}", err=True
+        )
+        server.serve_forever(poll_interval=0.1)
+
+
+def _print_answer(line: str) -> None:
+    typer.echo(line, err=True)
+
+
+def _print_nothing(line: str) -> None:
+    del line

@@ -1,0 +1,26 @@
+"""`gsgen tiles`: tilesets, from building to looking at them."""
+
+__all__ = ["app"]
+
+import typer
+
+from gsgen.tiles.commands.build import build
+from gsgen.tiles.commands.info import info
+from gsgen.tiles.commands.score import score
+from gsgen.tiles.commands.serve import serve
+
+app = typer.Typer(
+    help="Build, look into and serve tilesets of splats: 3D Tiles 1.1, coarse above, fine below.",
+    no_args_is_help=True,
+)
+
+
+@app.callback()
+def _group() -> None:
+    pass
+
+
+app.command("build")(build)
+app.command("info")(info)
+app.command("score")(score)
+app.command("serve")(serve)

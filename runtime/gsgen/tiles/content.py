@@ -1,0 +1,208 @@
+"""Write the content of a tile: splats as a GLB file that 3D Tiles viewers draw.
+
+The codec can change behind :func:`write_content`; nothing else knows how bytes are made. Equal
+splats give equal bytes, on any machine.
+"""
+
+__all__ = ["CODECS", "QUALITIES", "CodecName", "EncodedContent", "write_content"]
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal, final
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.contract.spec.geometry import covariance_upper
+from gsgen.formats.glb.container import build
+from gsgen.formats.glb.splats import COLOR_SPACES, NAME, coefficient
+from gsgen.formats.shared.quantities import sigmoid, unit
+from gsgen.formats.shared.splat_values import linear_scale, require_drawable
+from gsgen.formats.shared.splats import SH_COUNTS, Splats
+from gsgen.tiles.gltf.axes import Z_UP_FROM_Y_UP, to_content_axes
+from gsgen.tiles.gltf.spz_quality import QUALITIES, encode_spz
+
+CodecName = Literal["spz", "khr"]
+SPZ_EXTENSION: Final = "KHR_gaussian_splatting_compression_spz_2"
+MAX_DEGREE: Final = 3
+
+_SIGMAS = 3.0
+_DIAGONAL = [0, 3, 5]  # xx, yy and zz of an upper triangle
+_FLOAT, _BYTE = 5126, 5121
+_WIDTHS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+_Parts = tuple[dict[str, Any], bytes, Splats]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EncodedContent:
+    """A written tile, and what was measured of the splats as they are stored.
+
+    Attributes:
+        data: The GLB file.
+        low: Lower corner of all stored splats at 3σ, in the root frame.
+        high: Upper corner of the same.
+        splats: How many splats are stored.
+        sh_degree: Degree of the spherical harmonics that are stored.
+    """
+
+    data: bytes
+    low: Float64[np.ndarray, " 3"]
+    high: Float64[np.ndarray, " 3"]
+    splats: int
+    sh_degree: int
+
+
+def write_content(
+    splats: Splats,
+    center: Float64[np.ndarray, " 3"],
+    *,
+    codec: CodecName = "spz",
+    quality: int = 0,
+) -> EncodedContent:
+    """Encode the splats of one tile as a GLB file.
+
+    The splats are stored relative to ``center``, which goes into the matrix of the node. Rows
+    keep their order. Harmonics above degree 3 are dropped: the extension has no names for them.
+
+    Args:
+        splats: In the root tile's frame, z up; at least one.
+        center: A point near the splats, in the same frame.
+        codec: ``spz`` for SPZ version 2, ``khr`` for plain float32 accessors.
+        quality: 0 is the finest, 4 the smallest; ``khr`` has one quality only.
+
+    Returns:
+        The file, and the box of what it stores.
+
+    Raises:
+        ValueInvalid: The splats are empty or cannot be drawn, or lie too far from ``center``.
+    """
+    require_drawable(splats)
+    position = splats.position.astype(np.float64) - center
+    cut = splats.sh[:, : SH_COUNTS[min(splats.degree, MAX_DEGREE)]]
+    local = to_content_axes(
+        replace(splats, position=position.astype(np.float32), sh=np.ascontiguousarray(cut))
+    )
+    document, binary, stored = CODECS[codec](local, quality)
+    document["nodes"] = [{"matrix": _translation(center), "mesh": 0}]
+    low, high = _extent(stored)
+    padded = binary + bytes(-len(binary) % 4)
+    return EncodedContent(
+        data=build(document, len(padded)) + padded,
+        low=low + center,
+        high=high + center,
+        splats=len(stored),
+        sh_degree=stored.degree,
+    )
+
+
+def _translation(center: Float64[np.ndarray, " 3"]) -> list[float]:
+    """Return the column-major matrix of glTF that moves content to ``center``."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = Z_UP_FROM_Y_UP[:3, :3].T @ center + 0.0
+    return [float(value) for value in matrix.T.ravel()]
+
+
+def _extent(
+    stored: Splats,
+) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
+    """Return the box of splats at 3σ, turned from glTF axes to those of the tile."""
+    scale = np.exp(stored.log_scale.astype(np.float64))
+    variance = covariance_upper(scale, stored.rotation)[:, _DIAGONAL]
+    reach = _SIGMAS * np.sqrt(variance)
+    low = (stored.position - reach).min(axis=0)
+    high = (stored.position + reach).max(axis=0)
+    x, y, z = range(3)
+    return (
+        np.array([low[x], -high[z], low[y]]),
+        np.array([high[x], -low[z], high[y]]),
+    )
+
+
+def _as_spz(local: Splats, quality: int) -> _Parts:
+    packed, stored = encode_spz(local, quality)
+    count = len(stored)
+    low, high = stored.position.min(axis=0), stored.position.max(axis=0)
+    accessors: dict[str, dict[str, Any]] = {
+        "POSITION": _accessor("VEC3", count)
+        | {"min": [float(v) for v in low], "max": [float(v) for v in high]},
+        "COLOR_0": {**_accessor("VEC4", count, _BYTE), "normalized": True},
+        f"{NAME}:SCALE": _accessor("VEC3", count),
+        f"{NAME}:ROTATION": _accessor("VEC4", count),
+    }
+    for band in range(1, stored.degree + 1):
+        for index in range(2 * band + 1):
+            accessors[coefficient(band, index)] = _accessor("VEC3", count)
+    document = _document(accessors, [len(packed)], stored)
+    extension = document["meshes"][0]["primitives"][0]["extensions"][NAME]
+    extension["extensions"] = {SPZ_EXTENSION: {"bufferView": 0}}
+    for key in ("extensionsUsed", "extensionsRequired"):
+        document[key] = [NAME, SPZ_EXTENSION]
+    return document, packed, stored
+
+
+def _as_floats(local: Splats, quality: int) -> _Parts:
+    del quality  # floats have one
+    arrays = {
+        "POSITION": local.position,
+        f"{NAME}:ROTATION": unit(local.rotation)[:, [1, 2, 3, 0]],
+        f"{NAME}:SCALE": linear_scale(local),
+        f"{NAME}:OPACITY": sigmoid(local.logit_opacity)[:, None],
+    }
+    pairs = [(band, n) for band in range(local.degree + 1) for n in range(2 * band + 1)]
+    for column, pair in enumerate(pairs):
+        arrays[coefficient(*pair)] = local.sh[:, column]
+    accessors = {}
+    for index, (name, array) in enumerate(arrays.items()):
+        accessors[name] = _accessor(_WIDTHS[array.shape[1]], len(array))
+        accessors[name]["bufferView"] = index
+    low, high = local.position.min(axis=0), local.position.max(axis=0)
+    accessors["POSITION"]["min"] = [float(value) for value in low]
+    accessors["POSITION"]["max"] = [float(value) for value in high]
+    document = _document(accessors, [array.nbytes for array in arrays.values()], local)
+    document["extensionsUsed"] = document["extensionsRequired"] = [NAME]
+    binary = b"".join(
+        np.ascontiguousarray(array, "<f4").tobytes() for array in arrays.values()
+    )
+    return document, binary, local
+
+
+def _accessor(width: str, count: int, component: int = _FLOAT) -> dict[str, Any]:
+    return {"componentType": component, "count": count, "type": width}
+
+
+def _document(
+    accessors: dict[str, dict[str, Any]], sizes: list[int], splats: Splats
+) -> dict[str, Any]:
+    spaces = {space: name for name, space in COLOR_SPACES.items()}
+    extension: dict[str, Any] = {
+        "kernel": "ellipse",
+        "colorSpace": spaces[splats.color_space],
+        "projection": "perspective",
+        "sortingMethod": "cameraDistance",
+    }
+    starts = [sum(sizes[:index]) for index in range(len(sizes))]
+    primitive = {
+        "mode": 0,
+        "attributes": {name: index for index, name in enumerate(accessors)},
+        "extensions": {NAME: extension},
+    }
+    return {
+        "asset": {"version": "2.0", "generator": "gsgen"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "meshes": [{"primitives": [primitive]}],
+        "buffers": [{"byteLength": sum(sizes)}],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": start, "byteLength": size}
+            for start, size in zip(starts, sizes, strict=True)
+        ],
+        "accessors": list(accessors.values()),
+    }
+
+
+CODECS: Final[dict[str, Callable[[Splats, int], _Parts]]] = {
+    "spz": _as_spz,
+    "khr": _as_floats,
+}
+"""Codec name → what turns splats with glTF axes into a document, its bytes and what is stored."""

@@ -1,0 +1,55 @@
+"""What can be wrong with a tileset, with the location in the file."""
+
+__all__ = ["ContentMissing", "Fault", "StoreUnavailable", "TilesetInvalid"]
+
+from enum import StrEnum
+
+from gsgen.contract.errors import InputUnreadable
+
+
+class Fault(StrEnum):
+    """The kinds of fault that reading can meet, by the rule of the validator that names them."""
+
+    SCHEMA = "GT001"
+    CONTENT = "GT005"
+    COUNTS = "GT006"
+    SPZ_VERSION = "GT009"
+    URI = "GT010"
+    TRANSFORM = "GT011"
+    VALUES = "GT012"
+    SUBTREE = "GT013"
+    NEURAL = "GT020"
+
+
+class TilesetInvalid(InputUnreadable):
+    """A tileset, or one of its files, does not follow 3D Tiles or the profile of splats.
+
+    Attributes:
+        actual: What the file holds.
+        location: The file and the JSON path or byte in it.
+        expected: What the specification asks for; may be empty.
+        hint: What to do next; may be empty.
+        fault: Which kind of fault it is.
+    """
+
+    def __init__(
+        self,
+        actual: str,
+        *,
+        location: str = "",
+        expected: str = "",
+        hint: str = "",
+        fault: Fault = Fault.SCHEMA,
+    ) -> None:
+        self.actual, self.location, self.expected = actual, location, expected
+        self.hint, self.fault = hint, fault
+        text = f"{actual}; expected {expected}" if expected else actual
+        super().__init__(text, where=location, hint=hint)
+
+
+class ContentMissing(TilesetInvalid):
+    """A file that the tileset refers to does not exist (404, 410, no such member)."""
+
+
+class StoreUnavailable(TilesetInvalid):
+    """A store cannot be read now: a server error, a timeout, a connection that broke."""

@@ -1,0 +1,70 @@
+"""Turn splats between the axes of a tile (z up) and those of the glTF file in it (y up).
+
+3D Tiles 1.1, section "glTF transforms": a viewer rotates glTF content about x by 90°, so
+(x, y, z) of the content is (x, −z, y) of the tile.
+"""
+
+__all__ = ["Z_UP_FROM_Y_UP", "rotate_splats", "to_content_axes"]
+
+from dataclasses import replace
+from functools import cache
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from gsgen.formats.shared.harmonics import rotate_sh
+from gsgen.formats.shared.quantities import rotations
+from gsgen.formats.shared.splats import SH_COUNTS, Splats
+
+Z_UP_FROM_Y_UP: Final[Float64[np.ndarray, "4 4"]] = np.array(
+    [[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]
+)
+"""Content (glTF) to tile coordinates."""
+
+_CONTENT_FROM_TILE: Final = Z_UP_FROM_Y_UP[:3, :3].T
+_DIGITS = 7
+
+
+def to_content_axes(splats: Splats) -> Splats:
+    """Return splats of a tile, z up, with the axes of glTF, y up."""
+    return rotate_splats(splats, _CONTENT_FROM_TILE)
+
+
+def rotate_splats(splats: Splats, rotation: Float64[np.ndarray, "3 3"]) -> Splats:
+    """Return ``splats`` after a rotation; their view-dependent colour rotates along.
+
+    Args:
+        splats: To rotate.
+        rotation: A proper rotation matrix.
+    """
+    key = tuple(float(value) for value in rotation.ravel())
+    (quaternion,) = rotations(np.asarray(rotation, np.float64)[None])
+    sh = splats.sh
+    if splats.degree:
+        matrix = _sh_rotation(splats.degree, key)
+        sh = np.einsum("lk,nkc->nlc", matrix, splats.sh, dtype=np.float64)
+    return replace(
+        splats,
+        position=(splats.position @ rotation.T).astype(np.float32),
+        rotation=_product(quaternion.astype(np.float64), splats.rotation),
+        sh=sh.astype(np.float32),
+    )
+
+
+@cache
+def _sh_rotation(degree: int, rotation: tuple[float, ...]) -> Float64[np.ndarray, "k k"]:
+    """Return the matrix that rotates harmonics, rounded: it is the same on all machines."""
+    count = SH_COUNTS[degree]
+    unit = np.eye(count, dtype=np.float32)[:, :, None].repeat(3, axis=2)
+    columns = rotate_sh(unit, np.array(rotation).reshape(3, 3))[:, :, 0]
+    return np.asarray(np.round(columns.T.astype(np.float64), _DIGITS))
+
+
+def _product(
+    left: Float64[np.ndarray, " 4"], right: Float32[np.ndarray, "n 4"]
+) -> Float32[np.ndarray, "n 4"]:
+    """Return the Hamilton products left · right of quaternions (w, x, y, z)."""
+    a, b, c, d = left
+    matrix = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]])
+    return np.asarray(right.astype(np.float64) @ matrix.T, np.float32)

@@ -1,0 +1,109 @@
+"""Open the content of a tile: a .glb file, or a .gltf file with all its buffers joined."""
+
+__all__ = ["Fetch", "as_fault", "open_content"]
+
+import base64
+import binascii
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+from urllib.parse import unquote_to_bytes
+
+from gsgen.formats.glb.container import Container, parse
+from gsgen.formats.shared.errors import FormatError
+from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.tiles.json_values import JsonObject, parse_object
+
+_DATA = re.compile(r"^data:([^,;]*)((?:;[^,;]*)*),", re.DOTALL)
+
+Fetch = Callable[[str, str, int], bytes]
+"""Takes a uri, the location it stands at and the bytes that are needed."""
+
+
+def open_content(data: bytes, location: str, fetch: Fetch | None = None) -> Container:
+    """Return the parts of a ``.glb`` or ``.gltf`` file, all buffers in one.
+
+    Args:
+        data: The file.
+        location: Its name, for errors.
+        fetch: Reads a buffer in a file of its own; without it, that is an error.
+
+    Raises:
+        TilesetInvalid: It is not glTF 2.0, or ends early.
+    """
+    if data[:4] == b"glTF":
+        with as_fault(location, Fault.CONTENT):
+            return parse(data)
+    document = parse_object(data, f"{location}, ", fault=Fault.CONTENT)
+    version = document.child("asset").text("version")
+    if version != "2.0":
+        document.child("asset").refuse("version", "2.0")
+    return _with_buffers(document, fetch)
+
+
+def _with_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
+    """Join the buffers of a .gltf file, and let its views refer to the one."""
+    starts, joined = [], bytearray()
+    for buffer in document.objects("buffers"):
+        size = buffer.whole("byteLength")
+        content = _buffer(buffer, size, fetch)
+        if len(content) < size:
+            raise TilesetInvalid(
+                f"{len(content)} bytes",
+                location=buffer.location,
+                expected=f"{size}",
+                fault=Fault.CONTENT,
+            )
+        starts.append(len(joined))
+        joined += content[:size]
+    views: list[dict[str, Any]] = []
+    for view in document.objects("bufferViews"):
+        index = view.whole("buffer")
+        if index >= len(starts):
+            view.refuse("buffer", f"less than the {len(starts)} buffers")
+        offset = view.whole("byteOffset") if "byteOffset" in view else 0
+        end = offset + view.whole("byteLength")
+        following = [*starts[index + 1 :], len(joined)][0]
+        if starts[index] + end > following:
+            view.refuse("byteLength", "less than the buffer is long")
+        views.append({**view.values, "buffer": 0, "byteOffset": starts[index] + offset})
+    values = {**document.values, "bufferViews": views}
+    values["buffers"] = [{"byteLength": len(joined)}]
+    return Container(values, bytes(joined), 0, len(joined))
+
+
+def _buffer(buffer: JsonObject, size: int, fetch: Fetch | None) -> bytes:
+    uri = buffer.text("uri")
+    match = _DATA.match(uri)
+    if match:
+        body = uri[match.end() :]
+        try:
+            if match[2].endswith(";base64"):
+                return base64.b64decode(unquote_to_bytes(body), validate=True)
+        except (ValueError, binascii.Error) as error:
+            raise TilesetInvalid(
+                f"base64 that cannot be decoded ({error})",
+                location=buffer.at("uri"),
+                expected="a data URI",
+                fault=Fault.CONTENT,
+            ) from error
+        return unquote_to_bytes(body)
+    if fetch is None:
+        buffer.refuse("uri", "a data URI")
+    return fetch(uri, buffer.at("uri"), size)
+
+
+@contextmanager
+def as_fault(location: str, fault: Fault) -> Iterator[None]:
+    """Turn a FormatError of the body into a TilesetInvalid of a kind."""
+    try:
+        yield
+    except FormatError as error:
+        raise TilesetInvalid(
+            error.message,
+            location=f"{location}, {error.where}" if error.where else location,
+            expected=error.expected,
+            hint=error.hint,
+            fault=fault,
+        ) from error

@@ -1,0 +1,59 @@
+"""Splats somewhere on the globe: float32 around an origin in float64."""
+
+__all__ = ["PlacedSplats", "join_placed", "place"]
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.formats.glb.nodes import moved
+from gsgen.formats.shared.joined import joined
+from gsgen.formats.shared.splats import Splats
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedSplats:
+    """Splats around an origin.
+
+    Attributes:
+        splats: Their positions are relative to ``origin``, so that float32 is enough.
+        origin: In the frame that they were placed in.
+    """
+
+    splats: Splats
+    origin: Float64[np.ndarray, " 3"]
+
+    def __len__(self) -> int:
+        return len(self.splats)
+
+    def positions(self) -> Float64[np.ndarray, "n 3"]:
+        """Return the centres in the frame, in float64."""
+        return np.asarray(self.splats.position.astype(np.float64) + self.origin)
+
+    def around(self, origin: Float64[np.ndarray, " 3"]) -> Splats:
+        """Return the splats relative to another origin; rounded there to float32."""
+        position = (self.positions() - origin).astype(np.float32)
+        return replace(self.splats, position=position)
+
+
+def place(splats: Splats, matrix: Float64[np.ndarray, "4 4"]) -> PlacedSplats:
+    """Return ``splats`` after ``matrix``, whose translation stays in float64.
+
+    Positions far from the file's own origin keep their digits: what is far becomes the origin.
+    """
+    low, high = splats.position.min(axis=0), splats.position.max(axis=0)
+    middle = (low.astype(np.float64) + high) / 2
+    near = replace(splats, position=(splats.position - middle).astype(np.float32))
+    linear = np.eye(4)
+    linear[:3, :3] = matrix[:3, :3]
+    origin = matrix[:3, :3] @ middle + matrix[:3, 3]
+    return PlacedSplats(moved(near, linear), origin)
+
+
+def join_placed(parts: Sequence[PlacedSplats], origin: Float64[np.ndarray, " 3"]) -> Splats:
+    """Return all splats as one set, relative to ``origin``."""
+    return joined([part.around(origin) for part in parts])

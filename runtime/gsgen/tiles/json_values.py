@@ -1,0 +1,159 @@
+"""Take typed values out of parsed JSON, each judged when it is asked for."""
+
+__all__ = ["JsonObject", "parse_object", "shorten"]
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final, Never, TypeGuard, final
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.tiles.errors import Fault, TilesetInvalid
+
+_MOST_SHOWN = 60
+_LARGEST = 1e300
+MAX_JSON: Final = 128 << 20
+"""How many bytes of JSON are parsed."""
+
+
+def parse_object(
+    data: bytes, location: str, *, fault: Fault = Fault.SCHEMA
+) -> "JsonObject":
+    """Parse a JSON document whose root is an object.
+
+    Raises:
+        TilesetInvalid: It is not JSON, nests too deeply, or holds something else.
+    """
+    try:
+        document = json.loads(data, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        reason = "it nests too deeply" if isinstance(error, RecursionError) else error
+        raise TilesetInvalid(
+            f"the text is not JSON ({reason})",
+            location=location,
+            expected="a JSON object",
+            fault=fault,
+        ) from error
+    if not isinstance(document, dict):
+        raise TilesetInvalid(
+            shorten(document), location=location, expected="a JSON object", fault=fault
+        )
+    return JsonObject(document, location, fault)
+
+
+def _refuse_constant(name: str) -> Never:
+    raise ValueError(f"{name} is not a JSON number")
+
+
+def shorten(value: object) -> str:
+    """Return ``value`` as one short line: a hostile file can hold anything."""
+    text = repr(value)
+    return text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 1]}…"
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class JsonObject:
+    """A JSON object, and where it stands.
+
+    Attributes:
+        values: The members.
+        location: The file and the JSON path, for errors.
+        fault: What kind of fault a wrong member is.
+    """
+
+    values: dict[str, Any]
+    location: str
+    fault: Fault = Fault.SCHEMA
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.values
+
+    def refuse(self, key: str, expected: str) -> Never:
+        """Raise TilesetInvalid that shows what stands at ``key``."""
+        actual = (
+            shorten(self.values[key]) if key in self.values else "the member is missing"
+        )
+        raise TilesetInvalid(
+            actual, location=self.at(key), expected=expected, fault=self.fault
+        )
+
+    def at(self, key: str) -> str:
+        """Return the location of a member."""
+        separator = "" if self.location.endswith(", ") else "."
+        return f"{self.location}{separator}{key}"
+
+    def child(self, key: str) -> "JsonObject":
+        """Return the object at ``key``, which has to be there."""
+        value = self.values.get(key)
+        if not isinstance(value, dict):
+            self.refuse(key, "an object")
+        return JsonObject(value, self.at(key), self.fault)
+
+    def optional(self, key: str) -> "JsonObject | None":
+        """Return the object at ``key``, or None where the member is missing."""
+        return self.child(key) if key in self.values else None
+
+    def objects(self, key: str) -> Iterator["JsonObject"]:
+        """Yield the objects of the array at ``key``; none where the member is missing."""
+        entries = self.values.get(key, [])
+        if not isinstance(entries, list):
+            self.refuse(key, "an array of objects")
+        for index, entry in enumerate(entries):
+            location = f"{self.at(key)}[{index}]"
+            if not isinstance(entry, dict):
+                raise TilesetInvalid(
+                    shorten(entry),
+                    location=location,
+                    expected="an object",
+                    fault=self.fault,
+                )
+            yield JsonObject(entry, location, self.fault)
+
+    def text(self, key: str) -> str:
+        """Return the string at ``key``, which has to be there and not be empty."""
+        value = self.values.get(key)
+        if not isinstance(value, str) or not value:
+            self.refuse(key, "a string")
+        return value
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """Return the strings of the array at ``key``; none where the member is missing."""
+        value = self.values.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+            self.refuse(key, "an array of strings")
+        return tuple(value)
+
+    def number(self, key: str, *, least: float = -_LARGEST) -> float:
+        """Return the finite number at ``key``, which is at least ``least``."""
+        value = self.values.get(key)
+        if not _is_number(value) or value < least:
+            self.refuse(key, "a number" if least < 0 else f"a number, {least:g} or more")
+        return float(value)
+
+    def whole(self, key: str, *, least: int = 0, most: int = 2**53) -> int:
+        """Return the whole number at ``key``, from ``least`` to ``most``."""
+        value = self.values.get(key)
+        if not _is_number(value) or value != int(value) or not least <= value <= most:
+            self.refuse(key, f"a whole number from {least} to {most}")
+        return int(value)
+
+    def numbers(self, key: str, count: int) -> Float64[np.ndarray, " n"]:
+        """Return the ``count`` finite numbers of the array at ``key``."""
+        value = self.values.get(key)
+        if (
+            not isinstance(value, list)
+            or len(value) != count
+            or not all(map(_is_number, value))
+        ):
+            self.refuse(key, f"{count} finite numbers")
+        return np.array(value, np.float64)
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) < _LARGEST and not math.isnan(value)

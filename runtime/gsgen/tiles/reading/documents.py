@@ -1,0 +1,102 @@
+"""Read the documents of a tileset: indices and their metadata schemas, within a budget."""
+
+__all__ = ["GLTF_EXTENSION", "Document", "DocumentReader"]
+
+from dataclasses import dataclass
+from typing import Final, final
+
+from gsgen.tiles.errors import TilesetInvalid
+from gsgen.tiles.implicit_tiling.property_table import PropertyClass, read_classes
+from gsgen.tiles.json_values import MAX_JSON, JsonObject, parse_object, shorten
+from gsgen.tiles.neural import EXTENSION as NEURAL
+from gsgen.tiles.reading.limits import Limits, LoadReport
+from gsgen.tiles.stores.store import Store
+from gsgen.tiles.uris import resolve_uri
+
+GLTF_EXTENSION: Final = "3DTILES_content_gltf"
+_UNDERSTOOD: Final = {GLTF_EXTENSION, "3DTILES_metadata", NEURAL}
+_VERSIONS: Final = ("1.0", "1.1")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Document:
+    """An index that is being read.
+
+    Attributes:
+        path: Of the file, relative to the tileset's folder.
+        classes: Of its metadata schema.
+        above: The indices that refer to it, the outermost first.
+    """
+
+    path: str
+    classes: dict[str, PropertyClass]
+    above: tuple[str, ...]
+
+
+@final
+class DocumentReader:
+    """Reads indices of one tileset, and counts them."""
+
+    def __init__(self, store: Store, limits: Limits, report: LoadReport) -> None:
+        self._store, self._limits, self._report = store, limits, report
+        self._left = limits.index_bytes
+        self._documents = 0
+
+    def spend(self, size: int, path: str) -> None:
+        """Count a document and its bytes; refuse too many."""
+        self._left -= size
+        self._documents += 1
+        if self._documents > self._limits.documents:
+            raise TilesetInvalid(
+                f"more than {self._limits.documents:,} indices and subtrees",
+                location=f"{self._store.name}: {path}",
+                expected="fewer",
+            )
+        if self._left < 0:
+            raise TilesetInvalid(
+                f"more than {self._limits.index_bytes:,} bytes of indices",
+                location=f"{self._store.name}: {path}",
+                expected="fewer",
+            )
+
+    def read_index(self, path: str) -> JsonObject:
+        """Read ``tileset.json``, and check what all indices share."""
+        data = self._store.read(path, limit=MAX_JSON)
+        self.spend(len(data), path)
+        document = parse_object(data, f"{path}, ")
+        asset = document.child("asset")
+        version = asset.text("version")
+        if version not in _VERSIONS:
+            asset.refuse("version", " or ".join(_VERSIONS))
+        unknown = set(document.texts("extensionsRequired")) - _UNDERSTOOD
+        if unknown:
+            raise TilesetInvalid(
+                shorten(sorted(unknown)),
+                location=document.at("extensionsRequired"),
+                expected=f"extensions that are understood: {', '.join(sorted(_UNDERSTOOD))}",
+            )
+        undeclared = set(document.texts("extensionsRequired")) - set(
+            document.texts("extensionsUsed")
+        )
+        if undeclared:
+            self._report.note(
+                TilesetInvalid(
+                    shorten(sorted(undeclared)),
+                    location=document.at("extensionsRequired"),
+                    expected="extensions that extensionsUsed lists, too",
+                )
+            )
+        document.number("geometricError", least=0)
+        return document
+
+    def describe(self, path: str, document: JsonObject, above: tuple[str, ...]) -> Document:
+        """Read the metadata schema of an index, and note which indices refer to it."""
+        schema = document.optional("schema")
+        if schema is None and "schemaUri" in document:
+            location = document.at("schemaUri")
+            uri = resolve_uri(path, document.text("schemaUri"), location)
+            data = self._store.read(uri, limit=MAX_JSON)
+            self.spend(len(data), uri)
+            schema = parse_object(data, f"{uri}, ")
+        return Document(path, read_classes(schema), (*above, path))

@@ -1,0 +1,235 @@
+"""Draw each level of a tileset beside the scene that it was made of, and compare."""
+
+__all__ = ["DISTANCES", "LevelScore", "TilesetScore", "level_cut", "score_tileset"]
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from gsgen.formats import PackedRows, PointCloud, Splats, open_splats
+from gsgen.formats.packed import splats_of_rows
+from gsgen.formats.shared.joined import joined
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.tiles.leaves import read_tile_content
+from gsgen.tiles.loading import load_tileset
+from gsgen.tiles.ssim import ssim
+from gsgen.tiles.stores.opening import open_store
+from gsgen.tiles.stores.store import Store
+from gsgen.tiles.tileset import Content, Tile, Tileset
+
+Picture = Float32[np.ndarray, "h w 3"]
+
+DISTANCES: Final = {"near": 1.5, "middle": 3.0, "far": 6.0}
+"""Name → distance of the camera from the middle, in radii of the scene."""
+
+_AZIMUTHS = (20.0, 140.0, 260.0)
+_ELEVATION = 20.0
+_FIELD_OF_VIEW = 50.0
+_SHARE_WITHIN = 0.9
+_ON_GLOBE = 1e6
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LevelScore:
+    """A level of detail, drawn everywhere.
+
+    Attributes:
+        level: How many times the root is refined.
+        tiles: Contents that are drawn.
+        splats: In all of them.
+        bytes: Of all their files.
+        ssim: Distance → mean structural similarity to the scene.
+    """
+
+    level: int
+    tiles: int
+    splats: int
+    bytes: int
+    ssim: dict[str, float]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TilesetScore:
+    """A tileset beside its scene.
+
+    Attributes:
+        splats: Of the scene.
+        levels: Coarsest first; the last one has all leaves.
+        pictures: Name of a column (``scene``, ``level 0`` …) → distance → what is seen.
+    """
+
+    splats: int
+    levels: tuple[LevelScore, ...]
+    pictures: dict[str, dict[str, Picture]]
+
+
+def score_tileset(
+    source: str | Path,
+    scene: Path,
+    *,
+    width: int = 320,
+    height: int = 240,
+    progress: Callable[[str], None] = lambda words: None,
+) -> TilesetScore:
+    """Draw a tileset, level by level, and its scene, and compare them.
+
+    Args:
+        source: The tileset.
+        scene: The file that it was made of, in the frame of the root tile.
+        width: Of the pictures, in pixels.
+        height: Of the pictures, in pixels.
+        progress: Called with a few words whenever a new stage begins.
+
+    Raises:
+        TilesetInvalid: A file of the tileset is missing or wrong.
+        FormatError: The scene cannot be read.
+        DeviceUnavailable: There is nothing to draw with.
+    """
+    content = open_splats(scene)
+    if isinstance(content, PointCloud):
+        raise TilesetInvalid(
+            "coloured points", location=str(scene), expected="splats to compare with"
+        )
+    splats = splats_of_rows(content) if isinstance(content, PackedRows) else content
+    renderer = Renderer()
+    store, index = open_store(source)
+    with store:
+        tileset = load_tileset(store, index, name=str(source))
+        cameras = _cameras(splats, _up(tileset), width, height)
+        progress("drawing the scene")
+        expected = _draw(renderer, splats, cameras)
+        pictures = {"scene": _first(expected)}
+        levels = []
+        for level in range(_depth(tileset) + 1):
+            progress(f"drawing level {level} of {_depth(tileset)}")
+            cut = list(level_cut(tileset, level))
+            drawn, size = _read(store, tileset, cut)
+            seen = _draw(renderer, drawn, cameras)
+            pictures[f"level {level}"] = _first(seen)
+            levels.append(
+                LevelScore(
+                    level=level,
+                    tiles=len(cut),
+                    splats=len(drawn),
+                    bytes=size,
+                    ssim={name: _similarity(seen[name], expected[name]) for name in seen},
+                )
+            )
+    return TilesetScore(splats=len(splats), levels=tuple(levels), pictures=pictures)
+
+
+def level_cut(tileset: Tileset, level: int) -> Iterator[tuple[Tile, Content]]:
+    """Yield the contents that are drawn where every tile is refined ``level`` times.
+
+    Tiles without content do not count: they are refined in any case.
+    """
+    pending = [(tileset.root, level)]
+    while pending:
+        tile, left = pending.pop()
+        stops = not tile.children or (left == 0 and bool(tile.contents))
+        if stops or tile.refine == "ADD":
+            for content in tile.contents:
+                yield tile, content
+        if not stops:
+            below = left - 1 if tile.contents else left
+            pending += [(child, below) for child in reversed(tile.children)]
+
+
+def _depth(tileset: Tileset) -> int:
+    """Return after how many levels nothing is refined any more."""
+    deepest, pending = 0, [(tileset.root, 0)]
+    while pending:
+        tile, depth = pending.pop()
+        below = depth + bool(tile.contents)
+        if tile.children:
+            pending += [(child, below) for child in tile.children]
+        else:
+            deepest = max(deepest, depth)
+    return deepest
+
+
+def _read(
+    store: Store, tileset: Tileset, cut: list[tuple[Tile, Content]]
+) -> tuple[Splats, int]:
+    """Return the splats of a cut as one set, and the bytes of its files."""
+    parts, size = [], 0
+    for tile, content in cut:
+        size += store.size(content.uri)
+        placed = read_tile_content(store, tileset, tile, content)
+        parts += [entry.around(np.zeros(3)) for entry in placed]
+    if not parts:
+        raise TilesetInvalid(
+            "a level without splats",
+            location=tileset.index,
+            expected="contents with KHR_gaussian_splatting",
+            fault=Fault.CONTENT,
+        )
+    return joined(parts), size
+
+
+def _up(tileset: Tileset) -> Float64[np.ndarray, " 3"]:
+    """Return the direction of the sky in the root frame: z of the world, or away from the globe."""
+    linear, origin = tileset.transform[:3, :3], tileset.transform[:3, 3]
+    world = np.array([0.0, 0.0, 1.0])
+    if np.linalg.norm(origin) > _ON_GLOBE:
+        world = origin
+    up = linear.T @ world
+    return np.asarray(up / np.linalg.norm(up))
+
+
+def _cameras(
+    splats: Splats, up: Float64[np.ndarray, " 3"], width: int, height: int
+) -> dict[str, list[Camera]]:
+    """Return cameras around the middle of the scene, by distance."""
+    center = np.median(splats.position.astype(np.float64), axis=0)
+    away = np.linalg.norm(splats.position - center, axis=1)
+    radius = max(float(np.quantile(away, _SHARE_WITHIN)), 1e-6)
+    return {
+        name: [
+            Camera.orbit(
+                center.tolist(),
+                distance * radius,
+                azimuth=azimuth,
+                elevation=_ELEVATION,
+                up=up.tolist(),
+                width=width,
+                height=height,
+                fov_y=_FIELD_OF_VIEW,
+                near=radius / 100,
+            )
+            for azimuth in _AZIMUTHS
+        ]
+        for name, distance in DISTANCES.items()
+    }
+
+
+def _draw(
+    renderer: Renderer, splats: Splats, cameras: dict[str, list[Camera]]
+) -> dict[str, list[Picture]]:
+    scene = Scene([SplatData.from_splats(splats)])
+    pictures: dict[str, list[Picture]] = {}
+    for name, views in cameras.items():
+        pictures[name] = []
+        for camera in views:
+            frame = renderer.render(scene, camera, background=(0, 0, 0, 1))
+            assert frame.rgba is not None
+            pictures[name].append(np.clip(frame.rgba[..., :3], 0, 1))
+    return pictures
+
+
+def _first(pictures: dict[str, list[Picture]]) -> dict[str, Picture]:
+    return {name: views[0] for name, views in pictures.items()}
+
+
+def _similarity(seen: list[Picture], expected: list[Picture]) -> float:
+    return float(np.mean([ssim(a, b) for a, b in zip(seen, expected, strict=True)]))

@@ -1,0 +1,106 @@
+"""Networks that are slow or fail: what a server does to its answers."""
+
+__all__ = ["FailureRule", "NetworkFaults", "parse_failure"]
+
+import random
+import re
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from threading import Lock
+from typing import Literal, final
+
+from gsgen.contract.errors import ConfigInvalid
+
+Failure = int | Literal["cut", "stall"]
+_FORM = re.compile(r"^(\d{3}|cut|stall):([0-9.]+)$")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class FailureRule:
+    """A share of answers that fails.
+
+    Attributes:
+        failure: The status; ``cut`` ends the answer half way, ``stall`` sends nothing.
+        share: Of all requests, in [0, 1].
+    """
+
+    failure: Failure
+    share: float
+
+
+def parse_failure(text: str) -> FailureRule:
+    """Return what ``404:0.01``, ``cut:0.05`` or ``stall:0.1`` says.
+
+    Raises:
+        ConfigInvalid: It says something else.
+    """
+    match = _FORM.match(text)
+    share = (
+        float(match[2]) if match and match[2].count(".") <= 1 and match[2] != "." else 2.0
+    )
+    failure = match[1] if match else ""
+    status = failure.isdigit() and 400 <= int(failure) <= 599
+    if not (0 <= share <= 1 and (status or failure in ("cut", "stall"))):
+        raise ConfigInvalid(
+            repr(text),
+            where="--fail",
+            hint="Write a status from 400 to 599, cut or stall, and a share: 404:0.01.",
+        )
+    if failure == "cut":
+        return FailureRule("cut", share)
+    return FailureRule("stall" if failure == "stall" else int(failure), share)
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class NetworkFaults:
+    """What happens to answers; safe to use from many threads.
+
+    Attributes:
+        bytes_per_second: Of all answers together; None for as fast as it goes.
+        latency: Seconds before an answer begins.
+        failures: Shares of answers that fail.
+        seed: Of the choice which fail.
+        clock: Gives seconds; tests give their own.
+        sleep: Waits for seconds.
+    """
+
+    bytes_per_second: float | None = None
+    latency: float = 0.0
+    failures: tuple[FailureRule, ...] = ()
+    seed: int = 0
+    clock: Callable[[], float] = time.monotonic
+    sleep: Callable[[float], None] = time.sleep
+    _lock: Lock = field(default_factory=Lock)
+    _random: random.Random = field(init=False)
+    _free_at: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._random = random.Random(self.seed)
+
+    def choose(self) -> Failure | None:
+        """Return how the next answer fails, or None."""
+        with self._lock:
+            value = self._random.random()
+        for rule in self.failures:
+            if value < rule.share:
+                return rule.failure
+            value -= rule.share
+        return None
+
+    def wait_to_begin(self) -> None:
+        """Wait for as long as an answer takes to begin."""
+        if self.latency > 0:
+            self.sleep(self.latency)
+
+    def wait_to_send(self, count: int) -> None:
+        """Wait until the link, which all answers share, has carried ``count`` more bytes."""
+        if self.bytes_per_second is None:
+            return
+        with self._lock:
+            now = self.clock()
+            self._free_at = max(self._free_at, now) + count / self.bytes_per_second
+            wait = self._free_at - now
+        self.sleep(wait)

@@ -1,0 +1,253 @@
+"""A local server of a folder: ranges, CORS, ETag, and faults as a network has them."""
+
+__all__ = ["TileServer", "serve_folder"]
+
+import re
+import stat
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import BinaryIO, Final, final
+from urllib.parse import unquote, urlsplit
+
+from gsgen.tiles.errors import TilesetInvalid
+from gsgen.tiles.serving.faults import NetworkFaults
+from gsgen.tiles.uris import resolve_uri
+
+_CHUNK = 16 << 10
+_STALL = 60.0
+_RANGE = re.compile(r"^bytes=(\d*)-(\d*)$")
+_LONGEST_NUMBER = 18
+_TYPES: Final = {
+    ".json": "application/json",
+    ".glb": "model/gltf-binary",
+    ".gltf": "model/gltf+json",
+    ".subtree": "application/octet-stream",
+    ".3tz": "application/vnd.maxar.archive.3tz+zip",
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript",
+    ".css": "text/css",
+    ".wasm": "application/wasm",
+    ".png": "image/png",
+    ".jpg": "image/jpeg",
+    ".svg": "image/svg+xml",
+}
+_NAMED_BY_DIGEST = re.compile(r"-[0-9a-f]{8}\.glb$")
+
+Log = Callable[[str], None]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Span:
+    """The bytes of a file that are asked for."""
+
+    start: int
+    size: int
+
+
+class TileServer(ThreadingHTTPServer):
+    """Serves the files below a folder.
+
+    Attributes:
+        folder: The folder.
+        faults: What happens to answers.
+        log: Is told of each answer in a line.
+    """
+
+    daemon_threads = True
+
+    def __init__(
+        self, folder: Path, *, host: str, port: int, faults: NetworkFaults, log: Log
+    ) -> None:
+        super().__init__((host, port), _Handler)
+        self.folder, self.faults, self.log = folder.resolve(), faults, log
+
+    @property
+    def address(self) -> str:
+        """Where the folder is served."""
+        host, port = self.server_address[:2]
+        return f"http://{host if isinstance(host, str) else host.decode()}:{port}/"
+
+
+def serve_folder(
+    folder: Path,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    faults: NetworkFaults | None = None,
+    log: Log = lambda line: None,
+) -> TileServer:
+    """Return a server of ``folder`` that listens; call ``serve_forever`` to answer.
+
+    Args:
+        folder: What is served, and nothing beside it.
+        host: The address to listen at.
+        port: The port; 0 for one that is free.
+        faults: What happens to answers; nothing where absent.
+        log: Is told of each answer in a line.
+
+    Raises:
+        OSError: The port is taken.
+    """
+    return TileServer(
+        folder, host=host, port=port, faults=faults or NetworkFaults(), log=log
+    )
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    server: TileServer
+    timeout = _STALL
+
+    def do_GET(self) -> None:
+        """Answer with a file, or a part of it."""
+        self._answer(with_body=True)
+
+    def do_HEAD(self) -> None:
+        """Answer with the headers alone."""
+        self._answer(with_body=False)
+
+    def do_OPTIONS(self) -> None:
+        """Answer the question of a browser whether it may ask."""
+        self.send_response(HTTPStatus.NO_CONTENT)
+        self._send_cors()
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing: each answer is logged once, below."""
+
+    def _answer(self, *, with_body: bool) -> None:
+        faults = self.server.faults
+        faults.wait_to_begin()
+        failure = faults.choose()
+        if isinstance(failure, int):
+            self._refuse(HTTPStatus(failure), with_body=with_body)
+            return
+        if failure == "stall":
+            faults.sleep(_STALL)
+            self.close_connection = True
+            return
+        file = self._file()
+        if file is None:
+            self._refuse(HTTPStatus.NOT_FOUND, with_body=with_body)
+            return
+        status = file.stat()
+        etag = f'"{status.st_mtime_ns:x}-{status.st_size:x}"'
+        if etag in (self.headers.get("If-None-Match") or ""):
+            self._head(HTTPStatus.NOT_MODIFIED, file, etag, [])
+            return
+        span = self._span(status.st_size, etag)
+        if span is None:
+            self._refuse(
+                HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE,
+                with_body=with_body,
+                headers=[("Content-Range", f"bytes */{status.st_size}")],
+            )
+            return
+        partial = span.size < status.st_size
+        headers = [("Content-Length", str(span.size))]
+        if partial:
+            last = span.start + span.size - 1
+            headers.append(("Content-Range", f"bytes {span.start}-{last}/{status.st_size}"))
+        code = HTTPStatus.PARTIAL_CONTENT if partial else HTTPStatus.OK
+        self._head(code, file, etag, headers)
+        if with_body:
+            self._send_body(file, span, cut=failure == "cut")
+
+    def _file(self) -> Path | None:
+        """Return the file that is asked for, if it is one below the folder."""
+        path = unquote(urlsplit(self.path).path).lstrip("/") or "index.html"
+        try:
+            file = self.server.folder / resolve_uri("", path, self.path)
+            inside = file.resolve().is_relative_to(self.server.folder)
+            regular = stat.S_ISREG(file.stat().st_mode)
+        except (TilesetInvalid, OSError, ValueError):
+            return None
+        return file if inside and regular else None
+
+    def _span(self, size: int, etag: str) -> _Span | None:
+        """Return the range that is asked for; all where none is; None where it is outside."""
+        match = _RANGE.match(self.headers.get("Range") or "")
+        condition = self.headers.get("If-Range")
+        if match is None or match[0] == "bytes=-" or condition not in (None, etag):
+            return _Span(0, size)
+        if max(len(match[1]), len(match[2])) > _LONGEST_NUMBER:
+            return None
+        if not match[1]:  # the last so many
+            count = min(int(match[2]), size)
+            return _Span(size - count, count) if count else None
+        start = int(match[1])
+        end = min(int(match[2]), size - 1) if match[2] else size - 1
+        return _Span(start, end - start + 1) if start <= end else None
+
+    def _head(
+        self, status: HTTPStatus, file: Path, etag: str, headers: list[tuple[str, str]]
+    ) -> None:
+        self.send_response(status)
+        kind = _TYPES.get(file.suffix.lower(), "application/octet-stream")
+        named = _NAMED_BY_DIGEST.search(file.name) is not None
+        caching = "public, max-age=31536000, immutable" if named else "no-cache"
+        for name, value in [
+            ("Content-Type", kind),
+            ("ETag", etag),
+            ("Accept-Ranges", "bytes"),
+            ("Cache-Control", caching),
+            *headers,
+        ]:
+            self.send_header(name, value)
+        self._send_cors()
+        self.end_headers()
+        self.server.log(f"{status.value} {self.path}")
+
+    def _send_cors(self) -> None:
+        self.send_header("Access-Control-Allow-Origin", "*")
+        self.send_header("Access-Control-Allow-Headers", "Range, If-None-Match, If-Range")
+        self.send_header("Access-Control-Allow-Methods", "GET, HEAD, OPTIONS")
+        exposed = "Content-Range, Content-Length, ETag, Accept-Ranges"
+        self.send_header("Access-Control-Expose-Headers", exposed)
+
+    def _refuse(
+        self,
+        status: HTTPStatus,
+        *,
+        with_body: bool,
+        headers: list[tuple[str, str]] | None = None,
+    ) -> None:
+        body = f"{status.value} {status.phrase}\n".encode()
+        self.send_response(status)
+        self.send_header("Content-Type", "text/plain")
+        self.send_header("Content-Length", str(len(body)))
+        for name, value in headers or []:
+            self.send_header(name, value)
+        self._send_cors()
+        self.end_headers()
+        if with_body:
+            self.wfile.write(body)
+        self.server.log(f"{status.value} {self.path}")
+
+    def _send_body(self, file: Path, span: _Span, *, cut: bool) -> None:
+        left = span.size // 2 if cut else span.size
+        try:
+            with file.open("rb") as stream:
+                stream.seek(span.start)
+                for chunk in _chunks(stream, left):
+                    self.server.faults.wait_to_send(len(chunk))
+                    self.wfile.write(chunk)
+        except (BrokenPipeError, ConnectionResetError):
+            self.close_connection = True  # the viewer went away
+        if cut:
+            self.close_connection = True
+
+
+def _chunks(stream: BinaryIO, size: int) -> Iterator[bytes]:
+    left = size
+    while left > 0:
+        chunk = stream.read(min(_CHUNK, left))
+        if not chunk:
+            return
+        left -= len(chunk)
+        yield chunk

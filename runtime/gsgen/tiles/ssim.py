@@ -1,0 +1,51 @@
+"""Structural similarity of two pictures.
+
+Z. Wang, A. C. Bovik, H. R. Sheikh, E. P. Simoncelli 2004, "Image Quality Assessment: From Error
+Visibility to Structural Similarity", equation 13, with the Gaussian window of that paper.
+"""
+
+__all__ = ["ssim"]
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+_SIGMA: Final = 1.5
+_RADIUS: Final = 5  # pixels: a window of 11
+_C1, _C2 = 0.01**2, 0.03**2
+
+
+def ssim(a: Float[np.ndarray, "h w c"], b: Float[np.ndarray, "h w c"]) -> float:
+    """Return the mean structural similarity of two pictures, 1 where they are equal.
+
+    Args:
+        a: A picture, values in [0, 1].
+        b: Another of the same shape.
+
+    Returns:
+        The mean over pixels and channels, less a margin where the window is cut.
+    """
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    mean_a, mean_b = _blur(a), _blur(b)
+    variance_a = _blur(a * a) - mean_a**2
+    variance_b = _blur(b * b) - mean_b**2
+    covariance = _blur(a * b) - mean_a * mean_b
+    structure = (2 * covariance + _C2) / (variance_a + variance_b + _C2)
+    luminance = (2 * mean_a * mean_b + _C1) / (mean_a**2 + mean_b**2 + _C1)
+    return float((structure * luminance).mean())
+
+
+def _blur(image: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "h w c"]:
+    """Convolve with the window, where it lies in the picture as a whole."""
+    steps = np.arange(-_RADIUS, _RADIUS + 1)
+    window = np.exp(-0.5 * (steps / _SIGMA) ** 2)
+    window /= window.sum()
+    for axis in (0, 1):
+        inner = image.shape[axis] - 2 * _RADIUS
+        parts = (
+            weight * np.take(image, range(shift, shift + inner), axis=axis)
+            for shift, weight in enumerate(window)
+        )
+        image = np.asarray(sum(parts), np.float64)
+    return image

@@ -1,0 +1,1 @@
+"""Stores: where do the files of a tileset lie, and how are they read?"""

@@ -1,0 +1,86 @@
+"""A tileset in a folder."""
+
+__all__ = ["FolderStore"]
+
+import stat
+from pathlib import Path
+from types import TracebackType
+from typing import Self, final
+
+from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
+from gsgen.tiles.stores.store import MAX_FILE, check_range, missing
+
+
+@final
+class FolderStore:
+    """Files below a folder; links that lead out of it are refused.
+
+    Attributes:
+        name: The folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.name = str(folder)
+        self._folder = folder
+        self._resolved = folder.resolve()
+
+    def size(self, path: str) -> int:
+        """Return how many bytes a file has."""
+        return self._open_check(path)[1]
+
+    def read(
+        self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
+    ) -> bytes:
+        """Return bytes of a file, see :class:`~gsgen.tiles.stores.store.Store`."""
+        file, whole = self._open_check(path)
+        count = check_range(self.name, path, whole, start, size, limit)
+        try:
+            with file.open("rb") as stream:
+                stream.seek(start)
+                return stream.read(count)
+        except OSError as error:
+            raise self._unreadable(path, error) from error
+
+    def close(self) -> None:
+        """Do nothing: no file stays open."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _open_check(self, path: str) -> tuple[Path, int]:
+        """Return a regular file within the folder, and its size."""
+        file = self._folder / path
+        try:
+            status = file.stat()
+            inside = file.resolve().is_relative_to(self._resolved)
+        except (FileNotFoundError, NotADirectoryError) as error:
+            raise missing(self.name, path) from error
+        except (OSError, ValueError) as error:
+            raise self._unreadable(path, error) from error
+        if not inside:
+            raise TilesetInvalid(
+                "a link that leads out of the folder",
+                location=f"{self.name}: {path}",
+                expected="a file within the folder of the tileset",
+                fault=Fault.URI,
+            )
+        if not stat.S_ISREG(status.st_mode):
+            raise missing(self.name, path, "it is a folder, device or pipe")
+        return file, status.st_size
+
+    def _unreadable(self, path: str, error: OSError | ValueError) -> StoreUnavailable:
+        reason = getattr(error, "strerror", None) or str(error)
+        return StoreUnavailable(
+            f"cannot be read: {reason}",
+            location=f"{self.name}: {path}",
+            expected="a file that can be read",
+            fault=Fault.CONTENT,
+        )

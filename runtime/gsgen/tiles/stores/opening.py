@@ -1,0 +1,40 @@
+"""Open the store of a tileset from what a user types."""
+
+__all__ = ["INDEX", "open_store"]
+
+from pathlib import Path
+from typing import Final
+from urllib.parse import unquote, urlsplit
+
+from gsgen.tiles.stores.folder_store import FolderStore
+from gsgen.tiles.stores.http_store import HttpStore
+from gsgen.tiles.stores.store import Store
+from gsgen.tiles.stores.zip_store import ZipStore
+
+INDEX: Final = "tileset.json"
+
+
+def open_store(source: str | Path) -> tuple[Store, str]:
+    """Return the store of a tileset, and the path of its index in it.
+
+    Args:
+        source: ``tileset.json``, the folder that holds one, a ``.3tz`` archive, or an address
+            (http, https) of a ``tileset.json``.
+
+    Raises:
+        TilesetInvalid: The archive cannot be read.
+        ConfigInvalid: An address is given and urllib3 is not installed.
+    """
+    text = str(source)
+    for scheme in ("http", "https"):
+        # A Path has made one slash of two.
+        if text.lower().startswith(f"{scheme}:/"):
+            address = f"{scheme}://{text[len(scheme) + 1 :].lstrip('/')}"
+            name = urlsplit(address).path.rpartition("/")[2]
+            return HttpStore(address if name else f"{address}/"), unquote(name) or INDEX
+    path = Path(source)
+    if path.suffix.lower() == ".3tz":
+        return ZipStore(path), INDEX
+    if path.is_dir():
+        return FolderStore(path), INDEX
+    return FolderStore(path.parent), path.name

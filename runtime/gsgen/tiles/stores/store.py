@@ -1,0 +1,94 @@
+"""What a store of files gives: bytes by name, within bounds."""
+
+__all__ = ["MAX_FILE", "Store", "check_range", "missing", "too_large"]
+
+from types import TracebackType
+from typing import Final, Protocol, Self
+
+from gsgen.tiles.errors import ContentMissing, Fault, TilesetInvalid
+
+MAX_FILE: Final = 1 << 30
+"""How many bytes of one file are read, unless the caller says less."""
+
+
+class Store(Protocol):
+    """Files by their paths relative to a folder; safe to use from many threads.
+
+    Attributes:
+        name: The folder, archive or address, for messages.
+    """
+
+    name: str
+
+    def size(self, path: str) -> int:
+        """Return how many bytes a file has.
+
+        Raises:
+            ContentMissing: There is no such file.
+            StoreUnavailable: The store cannot be read now.
+        """
+        ...
+
+    def read(
+        self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
+    ) -> bytes:
+        """Return bytes of a file.
+
+        Args:
+            path: Relative to the folder.
+            start: The first byte.
+            size: How many; all that follow where absent. Fewer come where the file ends.
+            limit: The most that is read; more is an error.
+
+        Raises:
+            ContentMissing: There is no such file.
+            StoreUnavailable: The store cannot be read now.
+            TilesetInvalid: The file is larger than ``limit``, or damaged.
+        """
+        ...
+
+    def close(self) -> None:
+        """Give back what the store holds open."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...
+
+
+def missing(
+    store: str, path: str, reason: str = "the file does not exist"
+) -> ContentMissing:
+    """Return the error of a file that is not there."""
+    return ContentMissing(
+        reason,
+        location=f"{store}: {path}",
+        expected="a file that can be read",
+        hint="Copy or build the tileset again: a part of it is missing.",
+        fault=Fault.CONTENT,
+    )
+
+
+def too_large(store: str, path: str, size: int, limit: int) -> TilesetInvalid:
+    """Return the error of a file that is larger than may be read."""
+    return TilesetInvalid(
+        f"{size:,} bytes",
+        location=f"{store}: {path}",
+        expected=f"{limit:,} bytes or fewer",
+        fault=Fault.CONTENT,
+    )
+
+
+def check_range(
+    store: str, path: str, whole: int, start: int, size: int | None, limit: int
+) -> int:
+    """Return how many bytes to read of a file of ``whole`` bytes; refuse too many."""
+    count = max(whole - start, 0) if size is None else max(min(size, whole - start), 0)
+    if count > limit:
+        raise too_large(store, path, count, limit)
+    return count

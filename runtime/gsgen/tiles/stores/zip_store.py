@@ -1,0 +1,174 @@
+"""A tileset in a .3tz archive: a zip file whose last member is an index by MD5 of the paths.
+
+The format is 3D Tiles Archive 1.3 (Maxar): members are stored as they are or deflated; the
+member ``@3dtilesIndex1@`` holds records of 24 bytes (MD5 of the path, offset of the member's
+local header), sorted by the digest as two little-endian 64-bit numbers.
+"""
+
+__all__ = ["INDEX_NAME", "ZipStore", "index_record", "index_sort_key"]
+
+import hashlib
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+from threading import Lock
+from types import TracebackType
+from typing import BinaryIO, Final, Self, final
+
+from gsgen.tiles.errors import Fault, StoreUnavailable, TilesetInvalid
+from gsgen.tiles.stores.store import MAX_FILE, check_range, missing, too_large
+
+INDEX_NAME: Final = "@3dtilesIndex1@"
+_RECORD = struct.Struct("<16sQ")
+_LOCAL = struct.Struct("<4s5H3I2H")
+_LOCAL_MAGIC = b"PK\x03\x04"
+_DEFLATED = 8
+_MOST_MEMBERS = 4_000_000
+
+
+def index_sort_key(digest: bytes) -> tuple[int, int]:
+    """Return what records of the index are sorted by."""
+    low, high = struct.unpack("<QQ", digest)
+    return low, high
+
+
+def index_record(path: str, offset: int) -> bytes:
+    """Return the record of a member."""
+    digest = hashlib.md5(path.encode(), usedforsecurity=False).digest()
+    return _RECORD.pack(digest, offset)
+
+
+@final
+class ZipStore:
+    """Members of a .3tz archive, each read alone.
+
+    Attributes:
+        name: The archive.
+    """
+
+    def __init__(self, archive: Path) -> None:
+        self.name = str(archive)
+        self._lock = Lock()
+        try:
+            self._file: BinaryIO = archive.open("rb")
+        except OSError as error:
+            raise StoreUnavailable(
+                f"cannot be read: {error.strerror}",
+                location=self.name,
+                expected="a .3tz archive",
+                fault=Fault.CONTENT,
+            ) from error
+        try:
+            self._members = self._list()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _list(self) -> dict[str, zipfile.ZipInfo]:
+        try:
+            with zipfile.ZipFile(self._file) as archive:
+                members = archive.infolist()
+        except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+            raise self._damaged(f"the zip archive cannot be listed ({error})") from error
+        if len(members) > _MOST_MEMBERS:
+            raise self._damaged(f"{len(members):,} members")
+        by_name = {member.filename: member for member in members}
+        index = by_name.get(INDEX_NAME)
+        if index is not None:
+            self._check_index(index, by_name)
+        return by_name
+
+    def _check_index(
+        self, index: zipfile.ZipInfo, by_name: dict[str, zipfile.ZipInfo]
+    ) -> None:
+        """Refuse an index that names other places than the directory of the archive."""
+        others = [member for name, member in by_name.items() if name != INDEX_NAME]
+        if index.file_size != _RECORD.size * len(others):
+            raise self._damaged(
+                f"an index of {index.file_size} bytes for {len(others)} members"
+            )
+        expected = {index_record(m.filename, m.header_offset) for m in others}
+        data = self._member(index, 0, index.file_size)
+        records = [data[at : at + 24] for at in range(0, len(data), _RECORD.size)]
+        if set(records) != expected:
+            raise self._damaged("an index that does not name the members of the archive")
+
+    def size(self, path: str) -> int:
+        """Return how many bytes a member has, unpacked."""
+        return self._info(path).file_size
+
+    def read(
+        self, path: str, *, start: int = 0, size: int | None = None, limit: int = MAX_FILE
+    ) -> bytes:
+        """Return bytes of a member, see :class:`~gsgen.tiles.stores.store.Store`."""
+        member = self._info(path)
+        count = check_range(self.name, path, member.file_size, start, size, limit)
+        if member.compress_type != zipfile.ZIP_STORED and start + count > limit:
+            raise too_large(self.name, path, start + count, limit)
+        return self._member(member, start, count)
+
+    def _info(self, path: str) -> zipfile.ZipInfo:
+        member = self._members.get(path)
+        if member is None or member.is_dir():
+            raise missing(self.name, path, "the archive has no such member")
+        return member
+
+    def _member(self, member: zipfile.ZipInfo, start: int, count: int) -> bytes:
+        """Read through the local header: offsets of the archive are not trusted."""
+        header = self._at(member.header_offset, _LOCAL.size)
+        if len(header) < _LOCAL.size or header[:4] != _LOCAL_MAGIC:
+            raise self._damaged(f"no member at byte {member.header_offset}")
+        *_, name_length, extra_length = _LOCAL.unpack(header)
+        first = member.header_offset + _LOCAL.size + name_length + extra_length
+        if member.flag_bits & 1:
+            raise self._damaged(f"{member.filename} is encrypted")
+        if member.compress_type == zipfile.ZIP_STORED:
+            data = self._at(first + start, count)
+        elif member.compress_type == _DEFLATED:
+            data = self._inflated(first, member.compress_size, start + count)[start:]
+        else:
+            raise self._damaged(f"compression method {member.compress_type}")
+        if len(data) < count:
+            raise self._damaged(f"{member.filename} ends early")
+        return data
+
+    def _inflated(self, first: int, packed: int, count: int) -> bytes:
+        unpacker = zlib.decompressobj(wbits=-15)
+        data = self._at(first, min(packed, count + (count >> 3) + (1 << 16)))
+        try:
+            return unpacker.decompress(data, count) if count else b""
+        except zlib.error as error:
+            raise self._damaged(f"a member cannot be unpacked ({error})") from error
+
+    def _at(self, start: int, count: int) -> bytes:
+        with self._lock:
+            try:
+                self._file.seek(start)
+                return self._file.read(count)
+            except (OSError, ValueError, OverflowError) as error:
+                raise self._damaged(f"cannot be read ({error})") from error
+
+    def _damaged(self, actual: str) -> TilesetInvalid:
+        return TilesetInvalid(
+            actual,
+            location=self.name,
+            expected="a .3tz archive: members stored or deflated, and an index of them",
+            hint="Copy or download the archive again.",
+            fault=Fault.CONTENT,
+        )
+
+    def close(self) -> None:
+        """Close the archive."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

@@ -1,0 +1,119 @@
+"""A tileset in memory: the tree of tiles, whatever files it was read from."""
+
+__all__ = ["Content", "Refine", "Tile", "Tileset"]
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, final
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.tiles.gltf.axes import Z_UP_FROM_Y_UP
+from gsgen.tiles.neural import NeuralTile
+from gsgen.tiles.volumes import Volume
+
+Refine = Literal["ADD", "REPLACE"]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Content:
+    """A file of a tile.
+
+    Attributes:
+        uri: Relative to the tileset's folder.
+        volume: Of the content alone; None where only the tile has one.
+        location: Where the uri stands.
+    """
+
+    uri: str
+    volume: Volume | None
+    location: str
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tile:
+    """A tile, explicit or of an implicit tree.
+
+    Attributes:
+        location: The file and the JSON path or the implicit coordinates.
+        volume: Bounds of the content and of all tiles below, in the tile's own frame.
+        geometric_error: Error where the tile is drawn and those below are not.
+        refine: Whether the tiles below replace the content, or add to it.
+        transform: From the tile's own frame to that of the root tile; identity for the root.
+        contents: The files to draw; more than one where the tileset says so.
+        children: The tiles below.
+        level: 0 for the root.
+        metadata: Properties by name, as far as they are numbers or arrays of them.
+        neural: The generator that the tile holds, if it does.
+    """
+
+    location: str
+    volume: Volume
+    geometric_error: float
+    refine: Refine
+    transform: Float64[np.ndarray, "4 4"]
+    contents: tuple[Content, ...] = ()
+    children: tuple["Tile", ...] = field(default=(), repr=False)
+    level: int = 0
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    neural: NeuralTile | None = None
+
+    @property
+    def is_finest(self) -> bool:
+        """Whether its content is drawn where everything is drawn as finely as it can be."""
+        return not self.children or self.refine == "ADD"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tileset:
+    """A tree of tiles and what the index says of it.
+
+    Attributes:
+        name: The file, address or archive, as the caller gave it.
+        index: Path of ``tileset.json`` relative to its folder.
+        version: Of 3D Tiles, such as ``1.1``.
+        geometric_error: Error where nothing is drawn.
+        transform: From the root frame to the globe (ECEF) or the world.
+        root: The root tile.
+        extensions_used: As declared.
+        extensions_required: As declared.
+        content_extensions: glTF extensions that ``3DTILES_content_gltf`` declares as required;
+            None where the tileset does not declare them.
+        metadata: Properties of the tileset by name.
+        y_up: Whether contents are y up, which glTF asks for, and have to be turned.
+    """
+
+    name: str
+    index: str
+    version: str
+    geometric_error: float
+    transform: Float64[np.ndarray, "4 4"]
+    root: Tile
+    extensions_used: tuple[str, ...] = ()
+    extensions_required: tuple[str, ...] = ()
+    content_extensions: tuple[str, ...] | None = None
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    y_up: bool = True
+
+    @property
+    def content_axes(self) -> Float64[np.ndarray, "4 4"]:
+        """From the frame of a content to that of its tile."""
+        return Z_UP_FROM_Y_UP if self.y_up else np.eye(4)
+
+    def tiles(self) -> Iterator[Tile]:
+        """Yield all tiles, each before those below it, depth first."""
+        pending = [self.root]
+        while pending:
+            tile = pending.pop()
+            yield tile
+            pending += reversed(tile.children)
+
+    def pairs(self) -> Iterator[tuple[Tile, Tile]]:
+        """Yield every tile with each of the tiles right below it."""
+        for tile in self.tiles():
+            for child in tile.children:
+                yield tile, child

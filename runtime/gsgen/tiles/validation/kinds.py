@@ -1,0 +1,8 @@
+"""What the rules GT are about."""
+
+__all__ = ["TILESET", "TILE_CONTENT"]
+
+from typing import Final
+
+TILESET: Final = "tileset"
+TILE_CONTENT: Final = "tile-content"

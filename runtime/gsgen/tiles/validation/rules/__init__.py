@@ -1,0 +1,53 @@
+"""The rules GT: what must hold for a tileset of splats?
+
+Registered under the entry point group ``gsgen.rules``; importing this costs little.
+"""
+
+from gsgen.tiles.validation.rules.contents import (
+    both_extensions_required,
+    content_whole,
+    counts_agree,
+    spz_version,
+)
+from gsgen.tiles.validation.rules.files import (
+    content_size,
+    draft_names,
+    empty_tiles,
+    hashes_match,
+    leaves_match_source,
+)
+from gsgen.tiles.validation.rules.neural import neural_content
+from gsgen.tiles.validation.rules.structure import (
+    child_in_parent,
+    error_does_not_grow,
+    leaf_error,
+    subtree_bitstreams,
+    tileset_schema,
+    transform_similarity,
+    uri_stays,
+)
+from gsgen.tiles.validation.rules.values import children_cover, splats_in_box, values_valid
+
+RULES = (
+    tileset_schema,
+    child_in_parent,
+    splats_in_box,
+    error_does_not_grow,
+    content_whole,
+    counts_agree,
+    both_extensions_required,
+    children_cover,
+    spz_version,
+    uri_stays,
+    transform_similarity,
+    values_valid,
+    subtree_bitstreams,
+    leaves_match_source,
+    hashes_match,
+    content_size,
+    leaf_error,
+    empty_tiles,
+    draft_names,
+    neural_content,
+)
+"""All rules, in order of their ids; the entry point names this."""

@@ -1,0 +1,154 @@
+"""GT, static: what the headers of contents say, and whether they agree."""
+
+from collections.abc import Iterator
+from typing import Final
+
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.rule import rule
+from gsgen.formats.glb.splats import NAME
+from gsgen.tiles.content import SPZ_EXTENSION
+from gsgen.tiles.errors import Fault
+from gsgen.tiles.index import GLTF_EXTENSION
+from gsgen.tiles.validation.inspected import InspectedTileset
+from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
+from gsgen.tiles.validation.rules.headers import headers, primitives
+from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, faults_of
+
+_SPZ_VERSION: Final = 2
+_BOTH: Final = (TILESET, TILE_CONTENT)
+
+
+@rule(
+    "GT005",
+    "content-whole",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_content_cut_short",
+    needs=(SCHEMA_RULE,),
+    kinds=_BOTH,
+)
+def content_whole(inspected: InspectedTileset) -> Iterator[Violation]:
+    """Every file that the tileset names is there, is whole, and is glTF 2.0 with splats.
+
+    Why:
+        A tile that cannot be loaded leaves a hole, or keeps its coarse parent for ever.
+
+    Hint:
+        Copy or build the tileset again. A file that ends early was most often cut by a copy.
+    """
+    yield from faults_of(inspected, Fault.CONTENT)
+    for content, header in headers(inspected):
+        if not header.primitives:
+            yield Violation.at(
+                f"content {content.content.uri}",
+                "no splats in the scene",
+                f"a mesh of points with {NAME}",
+            )
+    for primitive in primitives(inspected):
+        for text in primitive.conforms:
+            yield Violation.at(f"content {primitive.location}", text, f"as {NAME} says")
+
+
+@rule(
+    "GT006",
+    "counts-agree",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_counts_differ",
+    needs=(SCHEMA_RULE,),
+    kinds=_BOTH,
+)
+def counts_agree(inspected: InspectedTileset) -> Iterator[Violation]:
+    """Accessors, SPZ and metadata say the same number of splats.
+
+    Why:
+        Viewers allocate by one of the numbers and fill by another: what is between them is
+        rubbish on the screen, or a crash.
+
+    Hint:
+        Write the accessors' counts and the metadata from the splats that are stored.
+    """
+    yield from faults_of(inspected, Fault.COUNTS)
+    for primitive in primitives(inspected):
+        if len(set(primitive.counts.values())) > 1:
+            text = ", ".join(f"{name} {count}" for name, count in primitive.counts.items())
+            yield Violation.at(f"content {primitive.location}", text, "one number for all")
+    for content in inspected.contents:
+        tile, header = content.tile, content.header
+        if tile is None or header is None or len(tile.contents) > 1:
+            continue
+        declared = tile.metadata.get("splats")
+        if declared is not None and declared != header.splats:
+            yield Violation.at(
+                f"tile {tile.location}",
+                f"metadata says {declared!r:.40} splats",
+                f"{header.splats}, as {content.content.uri} has",
+            )
+
+
+@rule(
+    "GT007",
+    "extensions-required",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_extension_missing",
+    needs=(SCHEMA_RULE, "GT005"),
+    kinds=(TILESET,),
+)
+def both_extensions_required(inspected: InspectedTileset) -> Iterator[Violation]:
+    """3DTILES_content_gltf requires the extensions of splats that the contents use.
+
+    Why:
+        CesiumJS 1.145 decides by this list whether it draws splats at all: without it the
+        tileset loads, and nothing is seen.
+
+    Hint:
+        List KHR_gaussian_splatting, and for SPZ KHR_gaussian_splatting_compression_spz_2, under
+        extensions.3DTILES_content_gltf.extensionsRequired, and 3DTILES_content_gltf under
+        extensionsUsed.
+    """
+    tileset = inspected.tileset
+    sets = list(primitives(inspected))
+    if tileset is None or not sets:
+        return
+    needed = [NAME]
+    if any(primitive.spz_version is not None for primitive in sets):
+        needed.append(SPZ_EXTENSION)
+    declared = tileset.content_extensions or ()
+    missing = [name for name in needed if name not in declared]
+    location = f"tileset {tileset.index}, extensions.{GLTF_EXTENSION}.extensionsRequired"
+    if missing:
+        listed = ", ".join(declared) or "nothing"
+        yield Violation.at(location, f"{listed:.200}", " and ".join(needed))
+    elif GLTF_EXTENSION not in tileset.extensions_used:
+        location = f"tileset {tileset.index}, extensionsUsed"
+        yield Violation.at(location, f"no {GLTF_EXTENSION}", f"{GLTF_EXTENSION} among them")
+
+
+@rule(
+    "GT009",
+    "spz-version",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_spz_version",
+    needs=(SCHEMA_RULE,),
+    kinds=_BOTH,
+)
+def spz_version(inspected: InspectedTileset) -> Iterator[Violation]:
+    """SPZ in a content is of version 2.
+
+    Why:
+        The extension is written for version 2, and viewers decode no other: a later one loads
+        without a message and shows nothing, or wrong rotations.
+
+    Hint:
+        Encode the splats as SPZ version 2, say with `gsgen convert --spz-version 2`.
+    """
+    for primitive in primitives(inspected):
+        if primitive.spz_version not in (None, _SPZ_VERSION):
+            yield Violation.at(
+                f"content {primitive.location}",
+                f"SPZ version {primitive.spz_version}",
+                f"version {_SPZ_VERSION}",
+            )

@@ -1,0 +1,179 @@
+"""GT, static: the files of splats as a whole: counts, digests, sizes, names."""
+
+from collections.abc import Iterator
+from typing import Final
+
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.rule import rule
+from gsgen.formats.glb.splats import NAME
+from gsgen.tiles.validation.inspected import InspectedTileset
+from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
+from gsgen.tiles.validation.rules.headers import headers, primitives
+from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty
+
+MAX_SPLATS: Final = 262_144
+MAX_BYTES: Final = 8 << 20
+_BOTH: Final = (TILESET, TILE_CONTENT)
+_WHOLE: Final = (SCHEMA_RULE, "GT005", "GT010", "GT011", "GT013")
+
+
+@rule(
+    "GT014",
+    "leaves-match-source",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_leaf_lost",
+    needs=_WHOLE,
+    kinds=(TILESET,),
+)
+def leaves_match_source(inspected: InspectedTileset) -> Iterator[Violation]:
+    """All leaves together have as many splats as the tileset says that the scene has.
+
+    Why:
+        A build that lost a part, or wrote one twice, looks right from afar.
+
+    Hint:
+        Build the tileset again; if it is right, correct source_splats.
+    """
+    tileset = inspected.tileset
+    if tileset is None:
+        return
+    declared = {}
+    if "source_splats" in tileset.metadata:
+        declared["metadata.properties.source_splats"] = tileset.metadata["source_splats"]
+    if inspected.record is not None:
+        declared["gsgen.tiles.json, source_splats"] = inspected.record.source_splats
+    leaves = sum(
+        content.header.splats
+        for content in inspected.contents
+        if content.header and content.tile and content.tile.is_finest
+    )
+    for location, count in declared.items():
+        if count != leaves:
+            yield Violation.at(
+                f"tileset {location}", f"{count!r:.40}", f"{leaves}, as the leaves have"
+            )
+
+
+@rule(
+    "GT015",
+    "hashes-match",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_file_changed",
+    needs=(SCHEMA_RULE, "GT005", "GT010"),
+    kinds=(TILESET,),
+)
+def hashes_match(inspected: InspectedTileset) -> Iterator[Violation]:
+    """Every content has the size and SHA-256 that the build record lists for it.
+
+    Why:
+        Names of tiles are kept in caches for ever: a file that changed under its name is seen
+        by some and not by others.
+
+    Hint:
+        Build the tileset again, and copy all of it. Without a record nothing is compared.
+    """
+    record = inspected.record
+    if record is None:
+        return
+    for content, header in headers(inspected):
+        uri, digest = content.content.uri, content.sha256
+        entry = record.files.get(uri)
+        if entry is None:
+            yield Violation.at(
+                f"content {uri}", f"not in {record.location}", "an entry there"
+            )
+        elif (entry.size, entry.sha256) != (header.size, digest):
+            yield Violation.at(
+                f"content {uri}",
+                f"{header.size} bytes, SHA-256 {digest[:12]}…",
+                f"{entry.size} bytes, {entry.sha256[:12]}…, as {record.location} lists",
+            )
+
+
+@rule(
+    "GT016",
+    "content-size",
+    Severity.WARNING,
+    over="tileset",
+    fixture="tiles_too_many_splats",
+    needs=(SCHEMA_RULE,),
+    kinds=_BOTH,
+)
+def content_size(inspected: InspectedTileset) -> Iterator[Violation]:
+    """A content has at most 262,144 splats and 8 MiB.
+
+    Why:
+        A tile appears when all of it has come. Large ones come late and in jerks, and a viewer
+        that needs a corner pays for the whole.
+
+    Hint:
+        Divide the tile: build with a smaller --leaf.
+    """
+    for content, header in headers(inspected):
+        if header.splats > MAX_SPLATS or header.size > MAX_BYTES:
+            yield Violation.at(
+                f"content {content.content.uri}",
+                f"{header.splats:,} splats, {header.size / (1 << 20):.1f} MiB",
+                f"{MAX_SPLATS:,} splats and {MAX_BYTES >> 20} MiB at most",
+            )
+
+
+@rule(
+    "GT018",
+    "no-empty-tiles",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_empty_leaf",
+    needs=_WHOLE,
+    kinds=(TILESET,),
+)
+def empty_tiles(inspected: InspectedTileset) -> Iterator[Violation]:
+    """Every leaf has content, and every content has splats.
+
+    Why:
+        An empty leaf that replaces its parent makes a hole; an empty file costs a request.
+
+    Hint:
+        Leave the tile out.
+    """
+    for content, header in headers(inspected):
+        if header.primitives and not header.splats:
+            yield Violation.at(f"content {content.content.uri}", "0 splats", "one at least")
+    for tile in inspected.tileset.tiles() if inspected.tileset else ():
+        if not tile.children and not tile.contents:
+            yield Violation.at(
+                f"tile {tile.location}",
+                "a leaf without content",
+                "content, or no such tile",
+                certainty=certainty(inspected),
+            )
+
+
+@rule(
+    "GT019",
+    "draft-names",
+    Severity.WARNING,
+    over="tileset",
+    fixture="tiles_draft_names",
+    needs=(SCHEMA_RULE,),
+    kinds=_BOTH,
+)
+def draft_names(inspected: InspectedTileset) -> Iterator[Violation]:
+    """Contents use the names of the ratified extension, not those of its drafts.
+
+    Why:
+        Viewers drop the names of drafts, one after the other; CesiumJS has dropped the first.
+
+    Hint:
+        Write the content again: POSITION, KHR_gaussian_splatting:ROTATION and so on, and
+        KHR_gaussian_splatting_compression_spz_2 within KHR_gaussian_splatting.
+    """
+    for primitive in primitives(inspected):
+        if primitive.drafts:
+            names = ", ".join(primitive.drafts)
+            yield Violation.at(
+                f"content {primitive.location}", names, f"names of {NAME} as ratified"
+            )

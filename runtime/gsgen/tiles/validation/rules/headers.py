@@ -1,0 +1,25 @@
+"""The headers of contents, each file once."""
+
+__all__ = ["headers", "primitives"]
+
+from collections.abc import Iterator
+
+from gsgen.tiles.gltf.decoding import ContentHeader, SplatPrimitive
+from gsgen.tiles.validation.inspected import InspectedContent, InspectedTileset
+
+
+def headers(
+    inspected: InspectedTileset,
+) -> Iterator[tuple[InspectedContent, ContentHeader]]:
+    """Yield every file once, with its header."""
+    seen: set[str] = set()
+    for content in inspected.contents:
+        if content.header is not None and content.content.uri not in seen:
+            seen.add(content.content.uri)
+            yield content, content.header
+
+
+def primitives(inspected: InspectedTileset) -> Iterator[SplatPrimitive]:
+    """Yield the sets of splats of all files, each once."""
+    for _, header in headers(inspected):
+        yield from header.primitives

@@ -1,0 +1,24 @@
+"""Turn faults of reading into what rules yield."""
+
+__all__ = ["SCHEMA_RULE", "certainty", "faults_of"]
+
+from collections.abc import Iterator
+from typing import Final
+
+from gsgen.contract.validation.finding import Certainty, Violation
+from gsgen.tiles.errors import Fault
+from gsgen.tiles.validation.inspected import InspectedTileset
+
+SCHEMA_RULE: Final = Fault.SCHEMA.value
+
+
+def faults_of(inspected: InspectedTileset, fault: Fault) -> Iterator[Violation]:
+    """Yield what reading met of a kind."""
+    for error in inspected.faults.get(fault, ()):
+        expected = error.expected or "a file that follows the specification"
+        yield Violation.at(f"tileset {error.location}", error.actual, expected)
+
+
+def certainty(inspected: InspectedTileset) -> Certainty:
+    """Return how sure a breach of our own profile is: others' tilesets need not follow it."""
+    return "confirmed" if inspected.is_ours else "possible"

@@ -1,0 +1,202 @@
+"""GT, static: the index, its tree, volumes and transforms."""
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from gsgen.contract.spec.severity import Severity
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.rule import rule
+from gsgen.tiles.errors import Fault
+from gsgen.tiles.validation.inspected import InspectedTileset
+from gsgen.tiles.validation.kinds import TILESET
+from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty, faults_of
+
+_SHARE: Final = 5e-3  # of the parent's size: curved regions are compared at 18 points
+_RELATIVE: Final = 1e-6
+
+
+@rule(
+    "GT001",
+    "tileset-schema",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_without_error",
+    kinds=(TILESET,),
+)
+def tileset_schema(inspected: InspectedTileset) -> Iterator[Violation]:
+    """Every index follows the schema of 3D Tiles 1.1, and asks for no extension unknown here.
+
+    Why:
+        A viewer reads as far as it can: a tile with a wrong member is left out without a word,
+        or the whole tileset is.
+
+    Hint:
+        Correct the member that is named. The schema is part of the 3D Tiles specification (OGC
+        22-025r4).
+    """
+    yield from faults_of(inspected, Fault.SCHEMA)
+
+
+@rule(
+    "GT002",
+    "child-in-parent",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_child_outside",
+    needs=(SCHEMA_RULE,),
+    kinds=(TILESET,),
+)
+def child_in_parent(inspected: InspectedTileset) -> Iterator[Violation]:
+    """The volume of every tile lies in that of its parent.
+
+    Why:
+        Viewers skip a tile and all below it when its volume is out of sight. What sticks out
+        vanishes at the edges of the picture.
+
+    Hint:
+        Grow the volumes bottom up: a tile's holds its content and all its children.
+    """
+    tileset = inspected.tileset
+    if tileset is None:
+        return
+    for parent, child in tileset.pairs():
+        outer = parent.volume.transformed(tileset.transform @ parent.transform)
+        inner = child.volume.transformed(tileset.transform @ child.transform)
+        out = float(outer.outside(inner.samples()).max())
+        if not out <= _SHARE * outer.size + _RELATIVE:
+            yield Violation.at(
+                f"tile {child.location}",
+                f"its volume reaches {out:.4g} out of its parent's",
+                f"a volume within that of {parent.location}",
+            )
+
+
+@rule(
+    "GT004",
+    "geometric-error-falls",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_error_grows",
+    needs=(SCHEMA_RULE,),
+    kinds=(TILESET,),
+)
+def error_does_not_grow(inspected: InspectedTileset) -> Iterator[Violation]:
+    """The geometric error of a tile is not larger than that of its parent.
+
+    Why:
+        A viewer that refines down to an error would stop above a tile that is worse than what
+        it replaces, or refine it and never be content.
+
+    Hint:
+        Let errors fall from level to level, to 0 for the leaves.
+    """
+    for parent, child in inspected.tileset.pairs() if inspected.tileset else ():
+        if child.geometric_error > parent.geometric_error * (1 + _RELATIVE):
+            yield Violation.at(
+                f"tile {child.location}",
+                f"geometric error {child.geometric_error:g}",
+                f"{parent.geometric_error:g} or less, as {parent.location} has",
+            )
+
+
+@rule(
+    "GT010",
+    "uri-stays",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_uri_escapes",
+    needs=(SCHEMA_RULE,),
+    kinds=(TILESET,),
+)
+def uri_stays(inspected: InspectedTileset) -> Iterator[Violation]:
+    """Every uri stays in the folder of the tileset, and no tileset holds itself.
+
+    Why:
+        A downloaded tileset could make a viewer fetch from anywhere, or for ever.
+
+    Hint:
+        Put all files below the folder of tileset.json, and refer to them by relative uris.
+    """
+    yield from faults_of(inspected, Fault.URI)
+
+
+@rule(
+    "GT011",
+    "transform-similarity",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_mirrored",
+    needs=(SCHEMA_RULE,),
+    kinds=(TILESET,),
+)
+def transform_similarity(inspected: InspectedTileset) -> Iterator[Violation]:
+    """Every transform is a rotation, one positive scale and a translation.
+
+    Why:
+        Splats are ellipsoids with colours by direction: a mirrored or sheared frame changes
+        both in ways that viewers do not follow, and errors in metres mean nothing in it.
+
+    Hint:
+        Move shear and mirroring into the splats, and keep a similarity for the tile.
+    """
+    yield from faults_of(inspected, Fault.TRANSFORM)
+
+
+@rule(
+    "GT013",
+    "subtree-bitstreams",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_subtree_short",
+    needs=(SCHEMA_RULE,),
+    kinds=(TILESET,),
+)
+def subtree_bitstreams(inspected: InspectedTileset) -> Iterator[Violation]:
+    """Subtrees have the sizes, bitstreams and tables that their headers promise.
+
+    Why:
+        The tree of an implicit tileset stands in these bits alone: one that is shifted asks for
+        files that are not there, and hides those that are.
+
+    Hint:
+        Write the subtree again: a bit for each tile, level by level along Morton's curve, lowest
+        bit first, and every available tile below an available one.
+    """
+    yield from faults_of(inspected, Fault.SUBTREE)
+
+
+@rule(
+    "GT017",
+    "leaf-error",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_root_error_zero",
+    needs=(SCHEMA_RULE,),
+    kinds=(TILESET,),
+)
+def leaf_error(inspected: InspectedTileset) -> Iterator[Violation]:
+    """Leaves have a geometric error of 0, and a root with tiles below it more than 0.
+
+    Why:
+        A root with error 0 is never refined: the scene stays coarse. A leaf with an error looks
+        as if something finer were missing, so that viewers ask for it again.
+
+    Hint:
+        Give leaves 0. Give tiles above what they differ from the leaves by, in metres.
+    """
+    tileset = inspected.tileset
+    if tileset is None:
+        return
+    root = tileset.root
+    if root.children and not root.geometric_error > 0:
+        yield Violation.at(f"tile {root.location}", "geometric error 0", "more than 0")
+    for tile in tileset.tiles():
+        if not tile.children and tile.contents and tile.geometric_error > 0:
+            yield Violation.at(
+                f"tile {tile.location}",
+                f"a leaf with geometric error {np.float64(tile.geometric_error):g}",
+                "0",
+                certainty=certainty(inspected),
+            )

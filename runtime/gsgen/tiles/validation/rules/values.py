@@ -1,0 +1,103 @@
+"""GT, values: splats as they are decoded, against volumes and ranges."""
+
+from collections.abc import Iterator
+from typing import Final
+
+from gsgen.contract.spec.severity import Level, Severity
+from gsgen.contract.validation.finding import Violation
+from gsgen.contract.validation.rule import rule
+from gsgen.tiles.errors import Fault
+from gsgen.tiles.validation.inspected import InspectedTileset
+from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
+from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, certainty, faults_of
+
+_NEEDS: Final = (SCHEMA_RULE, "GT005", "GT011", "GT012")
+
+
+@rule(
+    "GT003",
+    "splats-in-box",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_splats_outside",
+    needs=_NEEDS,
+    kinds=(TILESET,),
+    level=Level.VALUES,
+)
+def splats_in_box(inspected: InspectedTileset) -> Iterator[Violation]:
+    """Splats lie in the volume of their content, out to three standard deviations.
+
+    Why:
+        Viewers cull by volumes: what sticks out of one blinks at the edges of the picture, and
+        is left out of what is chosen to be loaded.
+
+    Hint:
+        Measure the box of what is stored, 3√Σ along each axis around every centre, and grow the
+        volumes above it. A tileset that does not declare the profile of gsgen fails only where
+        centres are outside.
+    """
+    for content in inspected.contents:
+        outside = content.values.outside if content.values else None
+        if outside is not None:
+            sure = "confirmed" if outside.centers else certainty(inspected)
+            yield Violation.at(
+                f"content {content.content.uri}",
+                f"{outside.count} of {outside.total} splats reach out at 3σ "
+                f"({outside.centers} by their centre); row {outside.row} by "
+                f"{outside.distance:.3g}",
+                "all within the volume of the content, or of its tile",
+                certainty="confirmed" if sure == "confirmed" else "possible",
+            )
+
+
+@rule(
+    "GT008",
+    "children-cover",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_hole_in_children",
+    needs=(*_NEEDS, "GT010", "GT013"),
+    kinds=(TILESET,),
+    level=Level.VALUES,
+)
+def children_cover(inspected: InspectedTileset) -> Iterator[Violation]:
+    """Where children replace a tile, each of its splats has its centre in one of them.
+
+    Why:
+        Replacing takes the parent away: what no child covers is a hole that opens when the
+        viewer comes near.
+
+    Hint:
+        Add the missing children. Centres may lie outside by the geometric error of the tile.
+    """
+    for content in inspected.contents:
+        lost = content.values.uncovered if content.values else None
+        if lost is not None:
+            yield Violation.at(
+                f"content {content.content.uri}",
+                f"{lost.count} of {lost.total} splats lie in no child; row {lost.row} is "
+                f"{lost.distance:.3g} from the nearest",
+                "every centre in a child's volume",
+            )
+
+
+@rule(
+    "GT012",
+    "values-valid",
+    Severity.ERROR,
+    over="tileset",
+    fixture="tiles_opacity_above_one",
+    needs=(SCHEMA_RULE, "GT005", "GT006"),
+    kinds=(TILESET, TILE_CONTENT),
+    level=Level.VALUES,
+)
+def values_valid(inspected: InspectedTileset) -> Iterator[Violation]:
+    """Values are finite, quaternions unit, scales 0 or more, opacities in [0, 1].
+
+    Why:
+        One NaN can take a whole tile off the screen, and an opacity above 1 burns in.
+
+    Hint:
+        Activate what training leaves raw: σ(opacity), e^scale, normalised quaternions.
+    """
+    yield from faults_of(inspected, Fault.VALUES)

@@ -1,0 +1,237 @@
+"""Small tilesets made by code, to be changed and written: the stuff of fixtures and tests."""
+
+__all__ = [
+    "TilesetSketch",
+    "edit_glb",
+    "explicit_sketch",
+    "implicit_sketch",
+    "sample_splats",
+]
+
+import json
+import struct
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.formats.glb.container import build
+from gsgen.formats.shared.joined import joined
+from gsgen.formats.shared.splats import Splats
+from gsgen.tiles.content import CodecName, write_content
+from gsgen.tiles.implicit_tiling.writing import implicit_uri, write_implicit_tileset
+from gsgen.tiles.index import (
+    BUILD_RECORD,
+    ContentRecord,
+    TileRecord,
+    content_uri,
+    json_bytes,
+    tileset_document,
+    write_build_record,
+)
+
+_ROWS = 24
+_CENTERS = ((0.0, 0.0, 0.0), (10.0, 0.0, 0.0))
+_ERROR = 1.0
+_Edit = Callable[[dict[str, Any]], dict[str, Any]]
+
+
+@final
+@dataclass(slots=True)
+class TilesetSketch:
+    """A tileset in memory.
+
+    Attributes:
+        document: ``tileset.json``.
+        files: Path → bytes of all others.
+    """
+
+    document: dict[str, Any]
+    files: dict[str, bytes] = field(default_factory=dict)
+
+    def write(self, path: Path) -> None:
+        """Write the index to ``path``, and all other files below its folder."""
+        for uri, data in {**self.files, path.name: json_bytes(self.document)}.items():
+            file = path.parent / uri
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(data)
+
+
+def sample_splats(
+    rows: int, center: tuple[float, float, float], *, degree: int = 1, seed: int = 0
+) -> Splats:
+    """Return splats within 1.6 of a point, thinner than 0.1."""
+    rng = np.random.default_rng(seed)
+    offset = rng.uniform(-1.6, 1.6, (rows, 3))
+    return Splats(
+        position=(offset + center).astype(np.float32),
+        rotation=rng.normal(size=(rows, 4)).astype(np.float32),
+        log_scale=rng.uniform(-5.0, -2.5, (rows, 3)).astype(np.float32),
+        logit_opacity=rng.normal(1.0, 1.0, rows).astype(np.float32),
+        sh=rng.normal(0, 0.2, (rows, (degree + 1) ** 2, 3)).astype(np.float32),
+    )
+
+
+def explicit_sketch(
+    *,
+    codec: CodecName = "spz",
+    transform: Float64[np.ndarray, "4 4"] | None = None,
+    record: bool = True,
+    leaf_rows: int = _ROWS,
+) -> TilesetSketch:
+    """Return a root over two leaves.
+
+    Args:
+        codec: Of the contents.
+        transform: Of the root.
+        record: Whether there is a build record.
+        leaf_rows: Splats of the first leaf; where they are many, all are alike.
+    """
+    leaves = [sample_splats(_ROWS, center, seed=n) for n, center in enumerate(_CENTERS)]
+    coarse = joined([_rows(leaf, slice(None, None, 3)) for leaf in leaves])
+    if leaf_rows > _ROWS:
+        leaves[0] = _rows(leaves[0], np.zeros(leaf_rows, int))
+    files: dict[str, bytes] = {}
+    children = tuple(_leaf_record(leaf, n, codec, files) for n, leaf in enumerate(leaves))
+    root = _record(coarse, 0, (0, 0, 0), codec, files)
+    root = replace(root, geometric_error=_ERROR, cell=_ERROR / 4, children=children)
+    document = tileset_document(
+        root,
+        source_splats=sum(map(len, leaves)),
+        sh_degree=1,
+        codec=codec,
+        transform=transform,
+    )
+    sketch = TilesetSketch(document, files)
+    if record:
+        _add_record(sketch, sum(map(len, leaves)))
+    return sketch
+
+
+def _leaf_record(
+    splats: Splats, number: int, codec: CodecName, files: dict[str, bytes]
+) -> TileRecord:
+    leaf = _record(splats, 1, (number, 0, 0), codec, files)
+    center = np.array(_CENTERS[number])
+    return replace(leaf, low=center - 2.0, high=center + 2.0)
+
+
+def _record(
+    splats: Splats,
+    level: int,
+    coordinates: tuple[int, int, int],
+    codec: CodecName,
+    files: dict[str, bytes],
+    *,
+    implicit: bool = False,
+) -> TileRecord:
+    middle = splats.position.astype(np.float64).mean(axis=0)
+    encoded = write_content(splats, middle, codec=codec)
+    uri = content_uri(level, coordinates, encoded.data)
+    if implicit:
+        uri = implicit_uri(level, coordinates)
+    files[uri] = encoded.data
+    content = ContentRecord(
+        uri=uri, size=len(encoded.data), low=encoded.low, high=encoded.high
+    )
+    return TileRecord(
+        level=level,
+        coordinates=coordinates,
+        low=encoded.low,
+        high=encoded.high,
+        geometric_error=0.0,
+        splats=encoded.splats,
+        contents=(content,),
+    )
+
+
+def _rows(splats: Splats, rows: slice | np.ndarray) -> Splats:
+    names = ("position", "rotation", "log_scale", "logit_opacity", "sh")
+    return replace(splats, **{name: getattr(splats, name)[rows] for name in names})
+
+
+def implicit_sketch(*, codec: CodecName = "spz") -> TilesetSketch:
+    """Return an octree of three levels over a cube of 16, in subtrees of two levels."""
+    cells = [(0, 0, 0), (3, 0, 1), (3, 1, 1), (2, 3, 2)]
+    files: dict[str, bytes] = {}
+    leaves: dict[tuple[int, int, int], Splats] = {}
+    for number, cell in enumerate(cells):
+        x, y, z = (-8 + 4 * value + 2.0 for value in cell)
+        leaves[cell] = sample_splats(_ROWS, (x, y, z), seed=number)
+    records = {
+        (2, cell): _record(splats, 2, cell, codec, files, implicit=True)
+        for cell, splats in leaves.items()
+    }
+    for level in (1, 0):
+        for x, y, z in sorted({_above(cell, 2 - level) for cell in cells}):
+            inner = [cell for cell in cells if _above(cell, 2 - level) == (x, y, z)]
+            coarse = joined([_rows(leaves[cell], slice(0, 8)) for cell in inner])
+            below = [
+                entry
+                for (depth, cell), entry in records.items()
+                if depth == level + 1 and _above(cell, 1) == (x, y, z)
+            ]
+            entry = _record(coarse, level, (x, y, z), codec, files, implicit=True)
+            records[level, (x, y, z)] = replace(
+                entry, geometric_error=0.5 * (2 - level), children=tuple(below)
+            )
+    total = sum(map(len, leaves.values()))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "tileset.json"
+        uris = write_implicit_tileset(
+            path,
+            records[0, (0, 0, 0)],
+            source_splats=total,
+            sh_degree=1,
+            codec=codec,
+            subtree_levels=2,
+        )
+        files |= {uri: (path.parent / uri).read_bytes() for uri in uris}
+        sketch = TilesetSketch(json.loads(path.read_bytes()), files)
+    _add_record(sketch, total)
+    return sketch
+
+
+def _above(cell: tuple[int, int, int], levels: int) -> tuple[int, int, int]:
+    x, y, z = (value >> levels for value in cell)
+    return x, y, z
+
+
+def _add_record(sketch: TilesetSketch, source_splats: int) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / BUILD_RECORD
+        write_build_record(
+            path, key="example", source_splats=source_splats, files=sketch.files
+        )
+        sketch.files[BUILD_RECORD] = path.read_bytes()
+
+
+def edit_glb(
+    data: bytes,
+    *,
+    document: _Edit | None = None,
+    binary: Callable[[bytes], bytes] | None = None,
+) -> bytes:
+    """Return a GLB file with another document or another binary chunk.
+
+    Args:
+        data: The file.
+        document: Returns the JSON to write.
+        binary: Returns the binary chunk to write; lengths in the JSON follow it.
+    """
+    json_size = struct.unpack_from("<I", data, 12)[0]
+    values: dict[str, Any] = json.loads(data[20 : 20 + json_size])
+    chunk = data[28 + json_size :]
+    if binary is not None:
+        chunk = binary(chunk)
+        values["buffers"][0]["byteLength"] = len(chunk)
+        if len(values["bufferViews"]) == 1:
+            values["bufferViews"][0]["byteLength"] = len(chunk)
+        chunk += bytes(-len(chunk) % 4)
+    if document is not None:
+        values = document(values)
+    return build(values, len(chunk)) + chunk

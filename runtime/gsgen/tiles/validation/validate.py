@@ -1,0 +1,150 @@
+"""Judge a tileset, or one content, by the rules GT: the door that `gsgen validate` comes through.
+
+Registered under the entry point group ``gsgen.validators``.
+"""
+
+__all__ = ["recognises", "validate"]
+
+import hashlib
+import time
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final
+
+from gsgen.contract.spec.severity import Level
+from gsgen.contract.validation.outcomes import ResultCollector
+from gsgen.contract.validation.report import LevelOutcome, Report
+from gsgen.contract.validation.rule import Registry, Rule
+from gsgen.contract.validation.settings import Settings
+from gsgen.contract.validation.waivers import apply_waivers
+from gsgen.tiles.errors import TilesetInvalid
+from gsgen.tiles.stores.opening import INDEX, open_store
+from gsgen.tiles.stores.store import Store
+from gsgen.tiles.validation.inspected import (
+    InspectedTileset,
+    inspect_content_file,
+    inspect_tileset,
+)
+from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
+
+_CONTENTS: Final = (".glb", ".gltf")
+_INDICES: Final = (".json", ".3tz")
+_ADDRESSES: Final = ("http:/", "https:/")
+_NOT_DRAWN: Final = "tilesets are not drawn here: `gsgen tiles score` draws them"
+
+
+def recognises(path: Path) -> bool:
+    """Say whether ``path`` names a tileset or a content, by how it ends."""
+    address = str(path).lower().startswith(_ADDRESSES)
+    named = path.suffix.lower() in (*_CONTENTS, *_INDICES)
+    return named or address or (path.is_dir() and (path / INDEX).is_file())
+
+
+def validate(
+    path: Path, settings: Settings, registry: Registry, progress: Callable[[str], None]
+) -> Report:
+    """Judge the tileset or the content at ``path``; nothing is printed.
+
+    Args:
+        path: ``tileset.json``, its folder, ``.3tz``, ``.glb``, ``.gltf``, or an address.
+        settings: How far to go (static: JSON and headers; values: all splats), and severities.
+        registry: The rules.
+        progress: Called with a few words whenever a new stage begins.
+
+    Raises:
+        TilesetInvalid: The file cannot be judged at all.
+    """
+    began = time.perf_counter()
+    settings = settings.for_model(path)
+    progress(f"reading {path.name}")
+    registry = registry.of_scope(tilesets=True)
+    kind = TILE_CONTENT if path.suffix.lower() in _CONTENTS else TILESET
+    store, index = open_store(path)
+    with store:
+        inspected = _inspect(store, index, kind, path, settings, progress)
+        results = ResultCollector(registry=registry, settings=settings, kind=kind)
+        _judge(results, inspected, settings.level)
+        size, digest = _index_digest(store, index)
+    rules = [results.outcomes[id] for id in registry.rules]
+    return Report(
+        path=str(path),
+        size=size,
+        kind=kind,
+        name="",
+        contract="",
+        capacity=None,
+        target=settings.target,
+        level=settings.level,
+        fail_on=settings.fail_on,
+        findings=apply_waivers(results.findings(), settings.waivers, settings.today),
+        outcomes=tuple(rules),
+        levels=tuple(_levels(settings.level)),
+        environment={"gsgen": version("gsgen")},
+        settings=settings.source,
+        seconds=time.perf_counter() - began,
+        sha256=digest,
+    )
+
+
+def _inspect(
+    store: Store,
+    index: str,
+    kind: str,
+    path: Path,
+    settings: Settings,
+    progress: Callable[[str], None],
+) -> InspectedTileset:
+    decode, seconds = settings.level >= Level.VALUES, settings.limits.seconds
+    if kind == TILE_CONTENT:
+        store.size(index)  # raises where there is no such file
+        return inspect_content_file(store, index, decode=decode, seconds=seconds)
+    return inspect_tileset(
+        store, index, decode=decode, seconds=seconds, progress=progress, name=str(path)
+    )
+
+
+def _judge(results: ResultCollector, inspected: InspectedTileset, level: Level) -> None:
+    """Judge all rules of the level, each after those it needs; account for the others."""
+    items = max(len(inspected.contents), 1)
+    for rule in _needs_first(results.registry.rules.values()):
+        if rule.level > level:
+            if results.is_ready(rule):
+                results.skip([rule], f"level {rule.level.word} was not asked for")
+        elif results.is_ready(rule):
+            results.check(rule, inspected)
+            undecided = rule.level >= Level.VALUES and inspected.undecoded
+            if undecided and not results.fails(rule):
+                results.skip([rule], f"{inspected.undecoded} (see --timeout)")
+            results.settle([rule], items=items)
+
+
+def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
+    """Order rules so that each comes after those it needs."""
+    pending, ordered = list(rules), list[Rule]()
+    ids: set[str] = set()
+    while pending:
+        ready = [rule for rule in pending if ids.issuperset(rule.needs)]
+        ordered += ready
+        ids |= {rule.id for rule in ready}
+        pending = [rule for rule in pending if rule.id not in ids]
+        if not ready:
+            return ordered + pending
+    return ordered
+
+
+def _levels(asked: Level) -> Iterable[LevelOutcome]:
+    """Yield what became of the levels that were asked for and that tilesets have."""
+    yield LevelOutcome(Level.STATIC, ran=True)
+    if asked >= Level.VALUES:
+        yield LevelOutcome(Level.VALUES, ran=True)
+    if asked >= Level.RENDER:
+        yield LevelOutcome(Level.RENDER, ran=False, reason=_NOT_DRAWN)
+
+
+def _index_digest(store: Store, index: str) -> tuple[int, str]:
+    with suppress(TilesetInvalid):
+        data = store.read(index)
+        return len(data), hashlib.sha256(data).hexdigest()
+    return 0, ""

@@ -1,0 +1,192 @@
+"""What the values of a content say: splats outside of volumes, and numbers that cannot be."""
+
+__all__ = ["ContentValues", "OutsideSplats", "measure_content"]
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from gsgen.contract.spec.geometry import covariance_upper, symmetric
+from gsgen.formats.glb.accessors import read_accessor
+from gsgen.formats.glb.container import Container
+from gsgen.formats.glb.glb import _primitives as scene_primitives
+from gsgen.formats.glb.splats import NAME
+from gsgen.formats.shared.errors import FormatError
+from gsgen.formats.shared.splat_values import require_drawable
+from gsgen.formats.shared.splats import Splats
+from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.tiles.gltf.placement import PlacedSplats
+from gsgen.tiles.volumes import Box, Volume
+
+SIGMAS: Final = 3.0
+_SHARE_OF_SIZE: Final = 1e-3
+_SHARE_OF_REACH: Final = 0.04  # half a step of a scale in SPZ, and of its rotation
+_UNIT: Final = 0.02
+_SMALLEST: Final = 1e-6
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutsideSplats:
+    """Splats that reach out of a volume.
+
+    Attributes:
+        count: How many do, at 3σ.
+        total: Of how many.
+        row: The one that reaches out farthest.
+        distance: How far, in units of the root frame.
+        centers: How many have their centre outside.
+    """
+
+    count: int
+    total: int
+    row: int
+    distance: float
+    centers: int
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContentValues:
+    """What was measured of the splats of a content.
+
+    Attributes:
+        outside: Those that reach out of its volume; None where none does.
+        uncovered: Those whose centre lies in no child of a tile that children replace.
+    """
+
+    outside: OutsideSplats | None = None
+    uncovered: OutsideSplats | None = None
+
+
+def measure_content(
+    parts: list[PlacedSplats],
+    volume: Volume | None,
+    children: list[Volume],
+    margin: float,
+    to_world: Float64[np.ndarray, "4 4"],
+) -> ContentValues:
+    """Measure the splats of a content against volumes.
+
+    Args:
+        parts: In the root frame.
+        volume: Of the content, in the world; None where there is none.
+        children: The volumes of the tiles that replace it, in the world; may be empty.
+        margin: How far the children's volumes are grown, in units of the world.
+        to_world: From the root frame to the world, where volumes are.
+    """
+    outside = uncovered = None
+    if volume is not None:
+        outside = _merge([_outside(part, volume, to_world) for part in parts])
+    if children:
+        uncovered = _merge([_uncovered(part, children, margin, to_world) for part in parts])
+    return ContentValues(outside=outside, uncovered=uncovered)
+
+
+def _outside(
+    part: PlacedSplats, volume: Volume, to_world: Float64[np.ndarray, "4 4"]
+) -> tuple[Float64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Return how far each splat reaches out at 3σ, and whether its centre is out.
+
+    1. Box: along each axis u, |u·(μ − c)| + 3 √(uᵀ Σ u) beyond the half length.
+    2. Sphere and region: the distance of the centre, plus 3σ along the direction of the sphere's
+       centre; for a region the smallest σ, as its faces are curved.
+    """
+    linear = to_world[:3, :3]
+    centers = part.positions() @ linear.T + to_world[:3, 3]
+    allowed = _SHARE_OF_SIZE * volume.size + _SMALLEST
+    covariance = symmetric(
+        covariance_upper(
+            np.exp(part.splats.log_scale.astype(np.float64)), part.splats.rotation
+        )
+    )
+    covariance = linear @ covariance @ linear.T
+    center_out = volume.outside(centers) > allowed
+    if isinstance(volume, Box):
+        lengths = np.linalg.norm(volume.half_axes, axis=1)
+        axes = volume.half_axes / np.where(lengths > 0, lengths, 1)[:, None]
+        variance = np.einsum("ai,nij,aj->na", axes, covariance, axes)
+        reach = SIGMAS * np.sqrt(np.maximum(variance, 0))
+        along = np.abs((centers - volume.center) @ axes.T)
+        beyond = (along + reach * (1 - _SHARE_OF_REACH) - lengths).max(axis=1)
+    else:
+        least = np.linalg.eigvalsh(covariance)[:, 0]
+        reach = SIGMAS * np.sqrt(np.maximum(least, 0))
+        beyond = volume.outside(centers)
+        beyond = np.where(beyond > 0, beyond + reach * (1 - _SHARE_OF_REACH), 0)
+    return np.where(beyond > allowed, beyond, 0.0), center_out
+
+
+def _uncovered(
+    part: PlacedSplats,
+    children: list[Volume],
+    margin: float,
+    to_world: Float64[np.ndarray, "4 4"],
+) -> tuple[Float64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    centers = part.positions() @ to_world[:3, :3].T + to_world[:3, 3]
+    nearest = np.full(len(centers), np.inf)
+    for child in children:
+        allowed = margin + _SHARE_OF_SIZE * child.size + _SMALLEST
+        nearest = np.minimum(nearest, np.maximum(child.outside(centers) - allowed, 0))
+    return nearest, nearest > 0
+
+
+def _merge(
+    measured: list[tuple[Float64[np.ndarray, " n"], Bool[np.ndarray, " n"]]],
+) -> OutsideSplats | None:
+    distance = np.concatenate([entry[0] for entry in measured] or [np.zeros(0)])
+    centers = np.concatenate([entry[1] for entry in measured] or [np.zeros(0, bool)])
+    count = int(np.count_nonzero((distance > 0) | centers))
+    if not count:
+        return None
+    row = int(np.argmax(distance))
+    return OutsideSplats(
+        count=count,
+        total=len(distance),
+        row=row,
+        distance=float(distance[row]),
+        centers=int(np.count_nonzero(centers)),
+    )
+
+
+def check_values(container: Container, decoded: list[Splats], location: str) -> None:
+    """Refuse numbers that cannot be: not finite, quaternions that are not unit.
+
+    Raises:
+        TilesetInvalid: The first fault that is found.
+    """
+    try:
+        for splats in decoded:
+            if len(splats):
+                require_drawable(splats)
+        for primitive, _, where in scene_primitives(container):
+            index = primitive.get("attributes", {}).get(f"{NAME}:ROTATION")
+            accessor = (
+                container.item("accessors", index, where) if index is not None else {}
+            )
+            if "bufferView" in accessor:
+                rotation = read_accessor(container, index, (4,), where)
+                _check_unit(rotation.astype(np.float64), f"{location}, {where}")
+    except FormatError as error:
+        raise TilesetInvalid(
+            error.message,
+            location=f"{location}, {error.where}",
+            expected=error.expected,
+            fault=Fault.VALUES,
+        ) from error
+
+
+def _check_unit(rotation: Float64[np.ndarray, "n 4"], location: str) -> None:
+    length = np.linalg.norm(rotation, axis=1)
+    wrong = ~(np.abs(length - 1) <= _UNIT)
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        raise TilesetInvalid(
+            f"{np.count_nonzero(wrong)} of {len(length)} quaternions, the first (row {first}) "
+            f"of length {length[first]:g}",
+            location=f"{location}, attribute {NAME}:ROTATION",
+            expected="length 1",
+            fault=Fault.VALUES,
+        )

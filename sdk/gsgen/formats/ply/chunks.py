@@ -1,0 +1,106 @@
+"""Read a range of rows of a 3DGS PLY file, so that a scene need not fit into memory."""
+
+__all__ = ["PlyTable", "ply_table", "read_ply_rows"]
+
+import os
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from gsgen.formats.ply.binary import first_row
+from gsgen.formats.ply.header import parse_header
+from gsgen.formats.ply.layout import find_vertex, is_splat, splat_degree, splat_groups
+from gsgen.formats.ply.packed import is_packed
+from gsgen.formats.shared.errors import FileTruncated
+from gsgen.formats.shared.files import FilePath, mapped, naming
+from gsgen.formats.shared.splats import Splats
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlyTable:
+    """Where the splats of a binary PLY file of float32 properties are.
+
+    Attributes:
+        count: Splats.
+        degree: Their SH degree.
+        first_byte: Offset of the first row.
+        columns: Properties of a row, in the order of the file.
+    """
+
+    count: int
+    degree: int
+    first_byte: int
+    columns: tuple[str, ...]
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of a row."""
+        return 4 * len(self.columns)
+
+
+def ply_table(path: FilePath) -> PlyTable | None:
+    """Return the table of splats in the PLY file at ``path``.
+
+    Returns:
+        None where rows cannot be read by ranges: the numbers are text, big-endian, packed or of
+        several types, or the file holds points. :func:`~gsgen.formats.read_ply` reads those.
+
+    Raises:
+        FormatError: The file cannot be read, is not a PLY file, or ends early.
+    """
+    with mapped(path) as data:
+        header = parse_header(data)
+        if is_packed(header):
+            return None
+        vertex = find_vertex(header)
+        types = vertex.types
+        is_float32 = header.encoding == "binary_little_endian" and set(types.values()) == {
+            "f4"
+        }
+        if not (is_float32 and is_splat(types)):
+            return None
+        return PlyTable(
+            count=vertex.count,
+            degree=splat_degree(types),
+            first_byte=first_row(data, header, vertex),
+            columns=tuple(types),
+        )
+
+
+def read_ply_rows(path: FilePath, table: PlyTable, first: int, count: int) -> Splats:
+    """Read ``count`` splats of the PLY file at ``path`` from row ``first`` on, unchecked.
+
+    Args:
+        path: The file.
+        table: What :func:`ply_table` returned for it.
+        first: Row to begin with.
+        count: Rows to read, all of which are in the file.
+
+    Raises:
+        FileTruncated: The file has become shorter.
+    """
+    width = len(table.columns)
+    offset = table.first_byte + first * table.row_bytes
+    with naming(path):
+        rows = np.fromfile(os.fspath(path), "<f4", count * width, offset=offset)
+        if len(rows) < count * width:
+            raise FileTruncated(
+                f"{len(rows) // width} of {count} rows from row {first} on",
+                where="element 'vertex'",
+                hint="copy or download the file again",
+            )
+    rows = rows.reshape(count, width)
+    index = {name: column for column, name in enumerate(table.columns)}
+    arrays = {
+        array: np.take(rows, [index[name] for name in names], axis=1)
+        for array, names in splat_groups(table.degree).items()
+    }
+    return Splats(
+        position=arrays["position"],
+        rotation=arrays["rotation"],
+        log_scale=arrays["log_scale"],
+        logit_opacity=arrays["logit_opacity"].reshape(-1),
+        sh=arrays["sh"].reshape(count, -1, 3),
+    )

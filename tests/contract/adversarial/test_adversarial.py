@@ -1,0 +1,99 @@
+"""Measures the validator on the adversarial set, and compares with the first measurement."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from contract.adversarial.case import all_faults, all_right_models
+from contract.adversarial.runner import Measurement, measure, summary, table
+
+HERE = Path(__file__).parent
+SPECIFICATION = HERE.parents[2] / "docs" / "spec"
+FIRST_RUN = json.loads((HERE / "first_run.json").read_text("utf-8"))
+
+
+@pytest.fixture(scope="module")
+def measurement() -> Measurement:
+    return measure(all_faults(), all_right_models())
+
+
+def test_the_set_is_as_large_and_as_varied_as_it_claims() -> None:
+    faults, right = all_faults(), all_right_models()
+    assert len(faults) >= 150
+    assert len({case.family for case in faults}) >= 5
+    assert len(right) >= 60
+    assert len({case.tool for case in right}) >= 7
+    kinds = {"surface", "hair", "cloud", "room", "avatar"}
+    assert kinds <= {case.kind for case in right}
+    assert {case.statistics for case in right} == {"trained", "synthetic"}
+
+
+def test_every_fault_says_what_a_finding_should_name() -> None:
+    for case in all_faults():
+        assert case.cause, case.name
+        assert case.mistake.endswith("."), case.name
+        for expression in case.cause:
+            assert not re.search(expression, ""), (
+                f"{case.name}: {expression} matches anything"
+            )
+
+
+@pytest.mark.parametrize(
+    "case", [case for case in all_faults() if case.decidable], ids=lambda c: c.name
+)
+def test_the_violated_sentence_is_in_the_specification(case) -> None:
+    page = (SPECIFICATION / case.sentence.page).read_text("utf-8")
+    assert " ".join(case.sentence.text.split()) in " ".join(page.split())
+
+
+def test_models_load_and_pass_the_checker_where_they_claim_to(
+    measurement: Measurement,
+) -> None:
+    broken = [promise for model in measurement.models for promise in model.broken_promises]
+    assert not broken, "\n".join(broken)
+
+
+def test_no_rule_crashes(measurement: Measurement) -> None:
+    crashed = [
+        model.name for model in measurement.models if model.verdict == "internal-error"
+    ]
+    assert not crashed
+
+
+def test_no_right_model_is_refused(measurement: Measurement) -> None:
+    refused = [(m.name, m.errors) for m in measurement.of("right") if m.refused or m.errors]
+    assert not refused
+
+
+def test_the_verdict_is_at_least_as_true_as_at_first(
+    measurement: Measurement, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with capsys.disabled():
+        print("\n" + table(measurement))
+    now, first = summary(measurement), FIRST_RUN["summary"]
+    for key, whole in (
+        ("decidable_refused", "decidable"),
+        ("decidable_refused_with_right_cause_first", "decidable"),
+        ("heuristic_named", "heuristic"),
+    ):
+        assert now[key] / now[whole] >= first[key] / first[whole], key
+    assert (
+        now["warnings_on_right"] / now["right"]
+        <= first["warnings_on_right"] / first["right"]
+    )
+
+
+def test_the_first_measurement_counts_what_it_lists() -> None:
+    models, counts = FIRST_RUN["models"], FIRST_RUN["summary"]
+    for sort in ("decidable", "heuristic", "right"):
+        assert counts[sort] == sum(model["sort"] == sort for model in models)
+    decidable = [model for model in models if model["sort"] == "decidable"]
+    refused = [m for m in decidable if m["verdict"] in ("invalid", "unreadable")]
+    assert counts["decidable_refused"] == len(refused)
+    assert counts["decidable_refused_with_right_cause_first"] == sum(
+        model["cause_first"] for model in refused
+    )
+    heuristic = [model for model in models if model["sort"] == "heuristic"]
+    assert counts["heuristic_named"] == sum(model["cause_named"] for model in heuristic)

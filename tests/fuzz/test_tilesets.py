@@ -1,0 +1,31 @@
+"""A small share of the fuzzing of tilesets; ``make fuzz-tiles`` does the rest."""
+
+import subprocess
+import sys
+
+import pytest
+
+from fuzz.tilesets import _ENVIRONMENT, judge, mutant
+
+
+def test_mutants_are_judged_or_refused() -> None:
+    command = [sys.executable, "-m", "fuzz.tilesets", "--count", "250", "--seed", "11"]
+    done = subprocess.run(command, capture_output=True, text=True, env=_ENVIRONMENT)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "250 mutants" in done.stdout
+    assert " 0 failed" in done.stdout
+
+
+def test_a_mutant_is_always_the_same_and_not_the_original() -> None:
+    assert mutant(1, 5) == mutant(1, 5)
+    assert mutant(1, 5) != mutant(1, 6)
+
+
+def test_the_fuzzer_notices_a_crash(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(source: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("fuzz.tilesets._validate", broken)
+    files, packed = mutant(0, 0)
+    trial = judge(tmp_path, files, packed=packed)
+    assert trial.failure.startswith("ZeroDivisionError")

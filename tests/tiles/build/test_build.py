@@ -1,0 +1,504 @@
+"""Whole builds: counts, boxes, errors, identical bytes, and what goes wrong."""
+
+import json
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsgen.contract.errors import ConfigInvalid, GsgenError, InputUnreadable
+from gsgen.formats import PointCloud, Splats, write_glb, write_ply, write_spz
+from gsgen.tiles.build.build import WORK, BuildReport, build_tileset
+from gsgen.tiles.build.engines.opening import open_engine
+from gsgen.tiles.build.frame import upright_transform
+from gsgen.tiles.build.parameters import BuildParameters
+from gsgen.tiles.build.progress import Silent
+from gsgen.tiles.leaves import read_leaves
+from gsgen.tiles.loading import open_tileset
+from gsgen.tiles.volumes import Box
+from support.tiles.tile_scenes import digests, scattered
+
+SMALL = BuildParameters(leaf=700, transform=upright_transform())
+PARTITION = 4000
+CHUNK = 1 << 20  # bytes: a scene of 40,000 splats of degree 0 is three chunks
+
+
+def build(
+    scenes: list[Path],
+    output: Path,
+    parameters: BuildParameters = SMALL,
+    engine: str = "serial",
+    **options: object,
+) -> BuildReport:
+    with open_engine(engine, 2) as running:
+        return build_tileset(
+            scenes,
+            output,
+            parameters,
+            engine=running,
+            progress=Silent(),
+            chunk_bytes=CHUNK,
+            partition=PARTITION,
+            **options,
+        )
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scene") / "scene.ply"
+    write_ply(path, scattered(40_000))
+    return path
+
+
+@pytest.fixture(scope="module")
+def town(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    output = tmp_path_factory.mktemp("town") / "tiles"
+    build([scene], output)
+    return output
+
+
+def test_leaves_hold_every_splat_once(scene, town):
+    leaves = read_leaves(town / "tileset.json")
+    expected = scattered(40_000)
+    assert len(leaves) == len(expected)
+    tileset = open_tileset(town / "tileset.json")
+    assert tileset.metadata["source_splats"] == 40_000
+    # Positions are within a step of the codec; match them in order of x, y and z.
+    order = np.lexsort(np.round(leaves.position, 1).T)
+    order_expected = np.lexsort(np.round(expected.position, 1).T)
+    np.testing.assert_allclose(
+        np.sort(leaves.position, axis=0), np.sort(expected.position, axis=0), atol=0.01
+    )
+    assert len(order) == len(order_expected)
+
+
+def corners(box: Box) -> tuple[np.ndarray, np.ndarray]:
+    half = np.abs(box.half_axes).sum(axis=0)
+    return box.center - half, box.center + half
+
+
+def test_boxes_hold_what_is_below_and_errors_grow_upwards(town):
+    tileset = open_tileset(town / "tileset.json")
+    pairs = list(tileset.pairs())
+    assert len(pairs) > 50
+    for above, below in pairs:
+        (low, high), (low_below, high_below) = corners(above.volume), corners(below.volume)
+        slack = 1e-6 * np.abs(high - low).max()
+        assert (low <= low_below + slack).all()
+        assert (high_below <= high + slack).all()
+        assert above.geometric_error >= below.geometric_error
+    for tile in tileset.tiles():
+        assert (tile.geometric_error == 0) == (not tile.children)
+        if tile.children:
+            assert tile.geometric_error >= 4 * tile.metadata["cell"] > 0
+            assert tile.metadata["splats"] <= 2 * SMALL.leaf
+        else:
+            assert tile.metadata["splats"] <= SMALL.leaf
+
+
+def test_large_splats_are_in_leaves_of_large_tiles(town):
+    """No leaf but the root's own is far smaller than a splat in it."""
+    expected = scattered(40_000)
+    reach = 3 * np.exp(expected.log_scale.max(axis=1))
+    assert reach.max() > 20
+    tileset = open_tileset(town / "tileset.json")
+    sizes = [tile.volume.size for tile in tileset.tiles() if not tile.children]
+    assert np.median(sizes) < 0.2 * max(sizes)
+
+
+def test_the_tileset_declares_what_it_is(town):
+    document = json.loads((town / "tileset.json").read_text())
+    transform = document["root"]["transform"]
+    assert transform == [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]
+    record = json.loads((town / "gsgen.tiles.json").read_text())
+    assert record["source_splats"] == 40_000
+    actual = digests(town)
+    actual.pop("gsgen.tiles.json")
+    assert actual == {name: entry["sha256"] for name, entry in record["files"].items()}
+    assert not (town / WORK).exists()
+
+
+@pytest.mark.parametrize("engine", ["processes", "dask"])
+def test_every_engine_gives_the_same_bytes(scene, town, tmp_path, engine):
+    if engine == "dask":
+        pytest.importorskip("distributed")
+    build([scene], tmp_path / "tiles", engine=engine)
+    assert digests(tmp_path / "tiles") == digests(town)
+
+
+@pytest.mark.parametrize("partition", [700, 15_000, 10**6])
+def test_chunks_and_partitions_change_no_byte(scene, town, tmp_path, partition):
+    with open_engine("serial") as engine:
+        build_tileset(
+            [scene],
+            tmp_path / "a",
+            SMALL,
+            engine=engine,
+            progress=Silent(),
+            partition=partition,
+        )
+    assert digests(tmp_path / "a") == digests(town)
+
+
+def test_a_build_in_another_folder_of_a_copied_scene_is_the_same(scene, town, tmp_path):
+    shutil.copy(scene, tmp_path / "copy.ply")
+    os.utime(tmp_path / "copy.ply", (1, 1))
+    build([tmp_path / "copy.ply"], tmp_path / "deep" / "er")
+    assert digests(tmp_path / "deep" / "er") == digests(town)
+
+
+class Stop(Exception):
+    """Stops a build in the middle."""
+
+
+class Stopper(Silent):
+    """Stops after so many tasks."""
+
+    def __init__(self, tasks: int) -> None:
+        self.tasks = tasks
+
+    def advance(self, splats: int) -> None:
+        self.tasks -= 1
+        if self.tasks < 0:
+            raise Stop
+
+
+def test_a_stopped_build_goes_on_and_gives_the_same_bytes(scene, town, tmp_path):
+    output, stops = tmp_path / "tiles", 0
+    for tasks in (1, 4, 8, 10, 14, 20, 1000):
+        stopper = Stopper(tasks)
+        try:
+            with open_engine("serial") as engine:
+                build_tileset(
+                    [scene],
+                    output,
+                    SMALL,
+                    engine=engine,
+                    progress=stopper,
+                    chunk_bytes=CHUNK,
+                    partition=PARTITION,
+                )
+        except Stop:
+            stops += 1
+            assert (output / WORK).is_dir()
+            assert not (output / "gsgen.tiles.json").exists()
+            (output / "t").mkdir(exist_ok=True)
+            (output / "t" / ".x.glb.00ff.part").write_bytes(b"of a killed worker")
+    assert stops >= 4
+    assert digests(output) == digests(town)
+
+
+def _children(process: int) -> list[int]:
+    lists = Path(f"/proc/{process}/task").glob("*/children")  # each thread has its own
+    return [int(word) for path in lists for word in path.read_text().split()]
+
+
+_SCRIPT = """
+import sys
+from pathlib import Path
+from gsgen.tiles.build.build import build_tileset
+from gsgen.tiles.build.engines.opening import open_engine
+from gsgen.tiles.build.frame import upright_transform
+from gsgen.tiles.build.parameters import BuildParameters
+from gsgen.tiles.build.progress import JsonProgress
+
+if __name__ == "__main__":
+    parameters = BuildParameters(leaf=700, transform=upright_transform())
+    with open_engine(sys.argv[3], 2) as engine:
+        build_tileset([Path(sys.argv[1])], Path(sys.argv[2]), parameters, engine=engine,
+                      progress=JsonProgress(lambda line: print(line, flush=True)),
+                      chunk_bytes=1 << 20, partition=4000)
+"""
+
+
+def _started(tmp_path: Path, scene: Path, engine: str) -> "subprocess.Popen[str]":
+    (tmp_path / "run.py").write_text(_SCRIPT)
+    return subprocess.Popen(
+        [
+            sys.executable,
+            str(tmp_path / "run.py"),
+            str(scene),
+            str(tmp_path / "tiles"),
+            engine,
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def _wait_for(
+    folder: Path, pattern: str, count: int, process: "subprocess.Popen[str]"
+) -> None:
+    end = time.monotonic() + 100
+    while len(list(folder.glob(pattern))) < count:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+@pytest.mark.parametrize("engine", ["serial", "processes"])
+def test_a_build_that_was_killed_goes_on(scene, town, tmp_path, engine):
+    with _started(tmp_path, scene, engine) as process:
+        _wait_for(tmp_path / "tiles", f"{WORK}/*/tiles/*.json", 3, process)
+        process.kill()
+    assert not (tmp_path / "tiles" / "gsgen.tiles.json").exists()
+    build([scene], tmp_path / "tiles")
+    assert digests(tmp_path / "tiles") == digests(town)
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/task").exists(), reason="workers are found in /proc"
+)
+@pytest.mark.parametrize("engine", ["processes", "dask"])
+def test_a_killed_worker_changes_no_byte(scene, town, tmp_path, engine):
+    if engine == "dask":
+        pytest.importorskip("distributed")
+    with _started(tmp_path, scene, engine) as process:
+        _wait_for(tmp_path / "tiles", f"{WORK}/*/tiles/*.json", 2, process)
+        killed = 0
+        for child in _children(process.pid):
+            command = Path(f"/proc/{child}/cmdline").read_bytes()
+            if b"spawn_main" in command and not killed:
+                os.kill(child, signal.SIGKILL)
+                killed += 1
+        err = process.communicate(timeout=200)[1]
+    assert killed == 1
+    assert process.returncode == 0, err
+    assert digests(tmp_path / "tiles") == digests(town)
+
+
+def test_a_second_build_has_nothing_to_do(scene, tmp_path):
+    first = build([scene], tmp_path / "tiles")
+    times = {path: path.stat().st_mtime_ns for path in (tmp_path / "tiles").rglob("*.glb")}
+    second = build([scene], tmp_path / "tiles")
+    assert second.up_to_date
+    assert (second.key, second.splats, second.bytes) == (first.key, 40_000, first.bytes)
+    assert times == {p: p.stat().st_mtime_ns for p in (tmp_path / "tiles").rglob("*.glb")}
+    next(iter(times)).unlink()
+    assert not build([scene], tmp_path / "tiles").up_to_date
+    assert len(list((tmp_path / "tiles").rglob("*.glb"))) == len(times)
+
+
+def test_another_build_replaces_the_first_and_leaves_no_stale_file(scene, town, tmp_path):
+    other = replace(SMALL, leaf=2000, qualities=(0, 2, 4))
+    build([scene], tmp_path / "tiles", other)
+    assert len(list((tmp_path / "tiles").glob("tileset*.json"))) == 4
+    build([scene], tmp_path / "tiles")
+    assert digests(tmp_path / "tiles") == digests(town)
+
+
+def test_fresh_forgets_what_was_there(scene, town, tmp_path):
+    (tmp_path / "tiles" / WORK / "old").mkdir(parents=True)
+    report = build([scene], tmp_path / "tiles", fresh=True)
+    assert not report.up_to_date
+    assert not build([scene], tmp_path / "tiles", fresh=True).up_to_date
+    assert digests(tmp_path / "tiles") == digests(town)
+
+
+def test_qualities_have_the_same_tree_and_fewer_bytes(scene, tmp_path):
+    build([scene], tmp_path / "tiles", replace(SMALL, qualities=(0, 2, 4)))
+    sizes = []
+    for quality in (0, 2, 4):
+        tileset = open_tileset(tmp_path / "tiles" / f"tileset-q{quality}.json")
+        sizes.append(
+            sum(
+                (tmp_path / "tiles" / content.uri).stat().st_size
+                for tile in tileset.tiles()
+                for content in tile.contents
+            )
+        )
+        assert len(read_leaves(tmp_path / "tiles" / f"tileset-q{quality}.json")) == 40_000
+    assert sizes[0] > sizes[1] > sizes[2]
+
+
+@pytest.mark.parametrize("codec", ["spz", "khr"])
+def test_an_implicit_octree_has_all_splats(scene, tmp_path, codec):
+    build([scene], tmp_path / "tiles", replace(SMALL, implicit=True, codec=codec))
+    tileset = open_tileset(tmp_path / "tiles" / "tileset.json")
+    leaves = read_leaves(tmp_path / "tiles" / "tileset.json")
+    assert len(leaves) == 40_000
+    finest = [tile for tile in tileset.tiles() if tile.is_finest and tile.contents]
+    assert sum(tile.metadata["splats"] for tile in finest) == 40_000
+    assert all(tile.metadata["splats"] <= SMALL.leaf for tile in finest)
+
+
+def test_harmonics_and_other_formats_are_put_together(tmp_path):
+    near, far = scattered(1500, degree=1), scattered(800, degree=0, seed=1)
+    moved = replace(far, position=far.position + np.float32(30))
+    write_glb(tmp_path / "near.glb", near)
+    write_spz(tmp_path / "far.spz", moved)
+    build([tmp_path / "near.glb", tmp_path / "far.spz"], tmp_path / "tiles")
+    leaves = read_leaves(tmp_path / "tiles" / "tileset.json")
+    assert len(leaves) == 2300
+    assert leaves.degree == 1
+
+
+def test_a_single_splat_is_a_tileset(tmp_path):
+    splats = scattered(10)
+    names = ("position", "rotation", "log_scale", "logit_opacity", "sh")
+    write_ply(tmp_path / "one.ply", Splats(*(getattr(splats, name)[:1] for name in names)))
+    report = build([tmp_path / "one.ply"], tmp_path / "tiles")
+    assert (report.splats, report.tiles) == (1, 1)
+    np.testing.assert_allclose(
+        read_leaves(tmp_path / "tiles" / "tileset.json").position,
+        splats.position[:1],
+        atol=1e-3,
+    )
+
+
+def test_many_duplicates_are_divided_by_number(tmp_path):
+    same = scattered(10)
+    names = ("position", "rotation", "log_scale", "logit_opacity", "sh")
+    row = Splats(*(np.repeat(getattr(same, name)[:1], 3000, axis=0) for name in names))
+    write_ply(tmp_path / "same.ply", row)
+    report = build([tmp_path / "same.ply"], tmp_path / "tiles")
+    tileset = open_tileset(tmp_path / "tiles" / "tileset.json")
+    counts = [tile.metadata["splats"] for tile in tileset.tiles() if not tile.children]
+    assert sum(counts) == report.splats == 3000
+    assert max(counts) <= SMALL.leaf
+
+
+@pytest.mark.parametrize("origin", [1e5, -4e6])
+def test_a_scene_far_from_the_origin_keeps_its_digits(tmp_path, origin):
+    splats = scattered(3000, origin=origin)
+    write_ply(tmp_path / "far.ply", splats)
+    build([tmp_path / "far.ply"], tmp_path / "tiles")
+    tileset = open_tileset(tmp_path / "tiles" / "tileset.json")
+    assert tileset.root.volume.center[0] == pytest.approx(origin, abs=500)
+    assert sum(t.metadata["splats"] for t in tileset.tiles() if not t.children) == 3000
+
+
+def _with(splats: Splats, rows: slice, **values: float) -> Splats:
+    arrays = {name: getattr(splats, name).copy() for name in values}
+    for name, value in values.items():
+        arrays[name][rows] = value
+    return replace(splats, **arrays)
+
+
+def test_rows_that_cannot_be_drawn_are_left_out_and_told(tmp_path):
+    splats = _with(scattered(2000), slice(7, 10), position=math.nan)
+    splats = _with(splats, slice(20, 21), log_scale=math.inf)
+    splats = _with(splats, slice(30, 31), sh=-math.inf)
+    splats = _with(splats, slice(40, 41), logit_opacity=math.inf)  # opaque
+    splats = _with(splats, slice(50, 60), log_scale=-math.inf)  # a point
+    _write_unchecked(tmp_path / "bad.ply", splats)
+    notes: list[str] = []
+
+    class Notes(Silent):
+        def note(self, message: str) -> None:
+            notes.append(message)
+
+    with open_engine("serial") as engine:
+        report = build_tileset(
+            [tmp_path / "bad.ply"],
+            tmp_path / "tiles",
+            SMALL,
+            engine=engine,
+            progress=Notes(),
+        )
+    assert (report.splats, report.skipped) == (1995, 5)
+    assert len(notes) == 1
+    assert "5 rows" in notes[0]
+    assert "row 7" in notes[0]
+    assert len(read_leaves(tmp_path / "tiles" / "tileset.json")) == 1995
+
+
+def test_scales_beyond_the_codec_are_told(tmp_path):
+    write_ply(tmp_path / "huge.ply", _with(scattered(50), slice(3, 4), log_scale=8.0))
+    for codec, expected in (("spz", 1), ("khr", 0)):
+        notes: list[str] = []
+
+        class Notes(Silent):
+            def note(self, message: str, notes: list[str] = notes) -> None:
+                notes.append(message)
+
+        with open_engine("serial") as engine:
+            build_tileset(
+                [tmp_path / "huge.ply"],
+                tmp_path / codec,
+                replace(SMALL, codec=codec),
+                engine=engine,
+                progress=Notes(),
+            )
+        assert len(notes) == expected
+        assert all("2980.96" in note and "--codec khr" in note for note in notes)
+
+
+def _write_unchecked(path: Path, splats: Splats) -> None:
+    """Write a PLY file with values that ``write_ply`` refuses."""
+    write_ply(path, scattered(len(splats)))
+    header = path.read_bytes().partition(b"end_header\n")[0] + b"end_header\n"
+    columns = (splats.position, splats.sh.reshape(len(splats), -1))
+    columns += (splats.logit_opacity[:, None], splats.log_scale, splats.rotation)
+    rows = np.concatenate(columns, axis=1).astype("<f4")
+    names = [
+        line.split()[-1] for line in header.decode().splitlines() if "property" in line
+    ]
+    own = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"]
+    own += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    path.write_bytes(header + rows[:, [own.index(name) for name in names]].tobytes())
+
+
+def test_invisible_splats_are_kept_in_leaves_and_not_above(tmp_path):
+    splats = _with(scattered(3000), slice(None), logit_opacity=-math.inf)
+    write_ply(tmp_path / "dark.ply", splats)
+    report = build([tmp_path / "dark.ply"], tmp_path / "tiles")
+    assert report.splats == 3000
+    root = open_tileset(tmp_path / "tiles" / "tileset.json").root
+    assert root.metadata["splats"] == 1
+
+
+def test_one_enormous_splat_does_not_widen_the_tiles_below(tmp_path):
+    splats = _with(scattered(5000), slice(3, 4), log_scale=5.9)
+    write_ply(tmp_path / "huge.ply", splats)
+    build([tmp_path / "huge.ply"], tmp_path / "tiles")
+    tileset = open_tileset(tmp_path / "tiles" / "tileset.json")
+    sizes = sorted(tile.volume.size for tile in tileset.tiles() if not tile.children)
+    assert sizes[-1] == pytest.approx(6 * math.sqrt(3) * math.exp(5.9), rel=0.1)
+    assert sizes[-2] < 0.2 * sizes[-1]
+    assert sum(t.metadata["splats"] for t in tileset.tiles() if not t.children) == 5000
+
+
+def refused(
+    error: type[GsgenError], words: str, *arguments: object, **options: object
+) -> None:
+    with pytest.raises(error) as caught:
+        build(*arguments, **options)
+    assert words in str(caught.value)
+
+
+def test_what_is_wrong_with_scenes_is_said(tmp_path, scene):
+    refused(InputUnreadable, "No such file", [tmp_path / "missing.ply"], tmp_path / "tiles")
+    (tmp_path / "short.ply").write_bytes(scene.read_bytes()[:100_000])
+    refused(InputUnreadable, "bytes", [tmp_path / "short.ply"], tmp_path / "tiles")
+    points = PointCloud(np.zeros((2, 3), np.float32), np.zeros((2, 3), np.float32))
+    write_ply(tmp_path / "points.ply", points)
+    refused(
+        InputUnreadable, "coloured points", [tmp_path / "points.ply"], tmp_path / "tiles"
+    )
+    splats = scattered(50)
+    write_spz(tmp_path / "a.spz", replace(splats, antialiased=True))
+    refused(
+        ConfigInvalid,
+        "antialiased is False",
+        [tmp_path / "a.spz", scene],
+        tmp_path / "tiles",
+    )
+    _write_unchecked(tmp_path / "nan.ply", _with(splats, slice(None), position=math.nan))
+    refused(InputUnreadable, "no splat", [tmp_path / "nan.ply"], tmp_path / "tiles")
+
+
+def test_what_is_wrong_with_the_output_is_said(tmp_path, scene):
+    (tmp_path / "file").write_text("x")
+    refused(ConfigInvalid, "is a file", [scene], tmp_path / "file")
+    refused(ConfigInvalid, "not of a build", [scene], tmp_path)
+    assert (tmp_path / "file").read_text() == "x"

@@ -1,0 +1,83 @@
+"""Tilesets in CesiumJS, in a headless browser: every tile loads, and the scene stands upright."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsgen.formats import Splats
+from gsgen.tiles.validation import sketches
+from support.tiles import cesium
+from support.tiles.foreign_tiles import east_north_up
+
+pytestmark = pytest.mark.skipif(bool(cesium.missing()), reason=cesium.missing())
+_EACH = 1500
+
+
+def signpost(
+    rows: int, center: tuple[float, float, float], *, degree: int = 1, seed: int = 0
+) -> Splats:
+    """Green ground, a red tower up (+z), and a blue arrow to the east (+x)."""
+    rng = np.random.default_rng(seed)
+    ground = np.column_stack(
+        [rng.uniform(-1.8, 1.8, (_EACH, 2)), rng.normal(-1.5, 0.02, _EACH)]
+    )
+    tower = np.column_stack(
+        [rng.normal(0, 0.15, (_EACH, 2)), rng.uniform(-1.4, 1.6, _EACH)]
+    )
+    arrow = np.column_stack(
+        [rng.uniform(0.2, 1.8, _EACH), rng.normal([0, -1.3], 0.06, (_EACH, 2))]
+    )
+    colors = np.repeat([[0.1, 0.8, 0.1], [0.9, 0.1, 0.1], [0.1, 0.2, 1.0]], _EACH, axis=0)
+    count = 3 * _EACH
+    sh = np.zeros((count, (degree + 1) ** 2, 3))
+    sh[:, 0] = (colors - 0.5) / 0.28209479
+    return Splats(
+        (np.vstack([ground, tower, arrow]) + center).astype(np.float32),
+        np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+        np.full((count, 3), -3.2, np.float32),
+        np.full(count, 3.0, np.float32),
+        sh.astype(np.float32),
+    )
+
+
+@pytest.mark.parametrize("kind", ["explicit", "implicit"])
+def test_every_tile_loads_and_the_scene_stands_upright(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sketches, "sample_splats", signpost)
+    globe = east_north_up(2.2945, 48.8584, 35.0)
+    if kind == "explicit":
+        sketch = sketches.explicit_sketch(transform=globe)
+        tiles, leaves = 3, 2
+    else:
+        sketch = sketches.implicit_sketch()
+        sketch.document["root"]["transform"] = globe.T.ravel().tolist()
+        tiles, leaves = 8, 4
+    sketch.write(tmp_path / "tileset.json")
+    seen = cesium.view(tmp_path)
+    assert (seen.failed, seen.errors) == ([], [])
+    files = {url.partition("/set/")[2] for url in seen.loaded if url.endswith(".glb")}
+    assert files == {name for name in sketch.files if name.endswith(".glb")}
+    assert len(files) == tiles
+    assert seen.splats == leaves * 3 * _EACH
+    Image.fromarray(seen.picture).save(tmp_path / "seen.png")
+    red, green, blue = np.moveaxis(seen.picture.astype(int), 2, 0)
+    towers = (red > 120) & (green < 90) & (blue < 90)
+    ground = (green > 120) & (red < 90) & (blue < 90)
+    arrows = (blue > 120) & (red < 90) & (green < 120)
+    assert min(towers.sum(), ground.sum(), arrows.sum()) > 20
+    assert np.nonzero(towers)[0].mean() < np.nonzero(ground)[0].mean() - 3
+
+
+def test_a_missing_tile_is_seen_to_fail(tmp_path: Path) -> None:
+    """The test above would notice a tile that does not load."""
+    sketch = sketches.explicit_sketch(
+        transform=east_north_up(2.2945, 48.8584, 35.0), record=False
+    )
+    sketch.write(tmp_path / "tileset.json")
+    name = sketch.document["root"]["children"][0]["content"]["uri"]
+    (tmp_path / name).unlink()
+    seen = cesium.view(tmp_path)
+    assert [url for url in seen.failed if name in url]
