@@ -465,7 +465,7 @@ A = f"{P}/attributes/{NAME}"
             NotSupported,
             "meshes[0].primitives[0], attribute POSITI",
         ),
-        ("nodes/0/children", [0], HeaderMalformed, "nodes[0]: a node within itself"),
+        ("nodes/0/children", [0], HeaderMalformed, "nodes[0]: a node is within itself"),
         (
             "nodes/0/scale",
             [1, 0, 1],
@@ -581,7 +581,7 @@ def test_sets_of_both_colour_spaces_are_refused(tmp_path):
             "byte 12: a chunk b'JSON' of 4294967295",
         ),
         (16, b"TEXT", HeaderMalformed, "byte 12: a chunk b'TEXT' of "),
-        (20, b"!", HeaderMalformed, "chunk JSON: no JSON ("),
+        (20, b"!", HeaderMalformed, "chunk JSON: invalid JSON ("),
     ],
 )
 def test_a_frame_that_cannot_be_is_refused(tmp_path, at, value, kind, text):
