@@ -198,7 +198,9 @@ def test_files_that_hold_no_poses_say_so(tmp_path: Path, content: str, said: str
 
 
 def test_an_empty_folder_says_so(tmp_path: Path) -> None:
-    with pytest.raises(ConfigInvalid, match="is a folder without"):
+    with pytest.raises(
+        ConfigInvalid, match=r"is a folder without \.npy, \.npz or \.json files"
+    ):
         read(tmp_path)
 
 
