@@ -16,6 +16,8 @@ Data = bytes | bytearray | memoryview | mmap.mmap
 """The bytes of a file, in memory or mapped."""
 
 DOWNLOAD_HINT: Final = "copy or download the file again"
+MOST_SPLATS: Final = 2**31 - 1
+"""The most splats of a file whose counts other readers store as int32."""
 MAX_BYTES: Final = 8 << 30
 """The default limit of the bytes that a compressed file may unpack to."""
 

@@ -8,12 +8,13 @@ from typing import Any, Final, NoReturn, final
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from gsgen.formats.shared.bytes import MOST_SPLATS
 from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSupported, shown
 
 META: Final = "meta.json"
 """The file that describes the images."""
 
-_MOST_SPLATS = 2**31 - 1
+
 _MOST_PALETTE = 1 << 16
 _CODES = 256
 _BANDS = (1, 2, 3)
@@ -56,7 +57,7 @@ class Meta:
         version = data.get("version", 1)
         if version != 2:
             raise NotSupported(f"version {shown(str(version))}", where=META, expected="2")
-        return cls(data, _whole(data.get("count"), f"{META}, count", _MOST_SPLATS))
+        return cls(data, _whole(data.get("count"), f"{META}, count", MOST_SPLATS))
 
     def files(self, group: str, number: int) -> list[str]:
         """Return the names of the images of ``group``."""

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from gsgen.formats.shared.axes import RDF_RUB, Signs
-from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, require_room, take
+from gsgen.formats.shared.bytes import DOWNLOAD_HINT, MOST_SPLATS, Data, require_room, take
 from gsgen.formats.shared.errors import (
     ArchiveDamaged,
     FileTruncated,
@@ -39,7 +39,7 @@ _HEADER, _LONG_HEADER = struct.Struct("<4sIIBBBx"), struct.Struct("<4sIIBBBBI12x
 _TOC_ENTRY = struct.Struct("<QQ")
 _RECORD = struct.Struct("<II")
 _MOST_PER_NINE_BYTES = 1024
-_MOST_SPLATS = 2**31 - 1
+
 _MOST_DEGREE, _MOST_FRACTION = 4, 24
 _MOST_EXTENSIONS = 1 << 20
 _CHUNK = 1 << 20
@@ -242,7 +242,7 @@ def _require_header(
 
 def require_count(count: int, size: int) -> None:
     """Raise FileTruncated if a file of ``size`` bytes cannot hold ``count`` splats."""
-    if count > min(_MOST_SPLATS, size * _MOST_PER_NINE_BYTES // 9):
+    if count > min(MOST_SPLATS, size * _MOST_PER_NINE_BYTES // 9):
         raise FileTruncated(
             f"{count} splats in a file of {size} bytes",
             where="byte 8",
