@@ -49,7 +49,7 @@ def scene_viewpoint(
     has_kind = orthographic or panorama or camera is not None
     kind = None if has_kind else first_setting([file.kind for file in files])
     cameras: list[str | Camera | None] = [camera, *(file.camera for file in files)]
-    scene_camera: str | Camera | None = first_setting(cameras)
+    scene_camera = next((entry for entry in cameras if entry is not None), None)
     text = None if isinstance(scene_camera, Camera) else scene_camera
     degrees = first_setting([fov, *(file.fov for file in files)])
     try:

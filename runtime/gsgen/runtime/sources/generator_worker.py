@@ -131,7 +131,7 @@ class GeneratorWorker:
         self.session.close()
 
     def _forget(self) -> None:
-        """Forget the last outputs, so that the next frame is compared with none."""
+        """Forget the last outputs, so that the next frame is copied as a whole."""
         self._buffers = tuple(_OutputBuffer() for _ in self._names)
         self._count = -1
 

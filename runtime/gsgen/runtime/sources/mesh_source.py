@@ -9,15 +9,14 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.mesh import Mesh
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.mesh_files import read_mesh
-from gsgen.runtime.sources.source import Source, Values
+from gsgen.runtime.sources.source import StaticSource
 
 
 @final
-class MeshSource(Source):
+class MeshSource(StaticSource):
     """The triangles of a file; a source without Gaussians.
 
     Args:
@@ -31,19 +30,6 @@ class MeshSource(Source):
         no_rows = np.zeros((0, 10), np.float32)
         self.data = SplatData(no_rows, np.zeros((0, 3), np.float32), "rgb")
 
-    def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Do nothing: a file never changes."""
-
-    def finish(self) -> None:
-        """Do nothing: a file never changes."""
-
-    def abandon(self) -> None:
-        """Do nothing: a file never changes."""
-
-    def shape(self, name: str) -> tuple[int, ...]:
-        """Raise KeyError: a file has no inputs."""
-        raise KeyError(name)
-
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
         """Return the centre of the box around the triangles, and half its diagonal."""
         corners = np.concatenate(
@@ -51,9 +37,6 @@ class MeshSource(Source):
         )
         low, high = corners.min(axis=0), corners.max(axis=0)
         return (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0
-
-    def close(self) -> None:
-        """Do nothing: the file is closed already."""
 
 
 def _vertices(mesh: Mesh) -> Float[np.ndarray, "n 3"]:

@@ -10,17 +10,16 @@ from typing import Literal, final
 import numpy as np
 from jaxtyping import Float
 
-from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.mesh_source import MeshSource
 from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.scene_file import is_scene_file, open_scene
-from gsgen.runtime.sources.source import Source, Values
+from gsgen.runtime.sources.source import Source, StaticSource
 
 
 @final
-class SceneSource(Source):
+class SceneSource(StaticSource):
     """A set of Gaussians in memory, which its owner may change.
 
     Args:
@@ -42,28 +41,12 @@ class SceneSource(Source):
         degree = self._set.degree if sh_degree is None else sh_degree
         return replace(self._set, degree=degree, antialias=antialias or self.antialias)
 
-    def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Do nothing: the owner of the set changes it."""
-
-    def finish(self) -> None:
-        """Do nothing: the owner of the set changes it."""
-
-    def abandon(self) -> None:
-        """Do nothing: the owner of the set changes it."""
-
-    def shape(self, name: str) -> tuple[int, ...]:
-        """Raise KeyError: a set has no inputs."""
-        raise KeyError(name)
-
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
         """Return the centre of a box around most Gaussians, in the world, and half its diagonal."""
         center, reach = super().extent()
         linear, offset = self._set.transform[:3, :3], self._set.transform[:3, 3]
         scale = float(np.cbrt(abs(np.linalg.det(linear))))
         return linear @ center + offset, reach * scale
-
-    def close(self) -> None:
-        """Do nothing: a set holds no resources."""
 
 
 def sources_of(

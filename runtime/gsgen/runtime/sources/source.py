@@ -3,6 +3,7 @@
 __all__ = [
     "GeneratorSource",
     "Source",
+    "StaticSource",
     "StillSource",
     "Values",
     "axis_direction",
@@ -184,8 +185,28 @@ def _around(frames: Sequence[Float64[np.ndarray, "n 3"]]) -> tuple[Center, float
     return (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0
 
 
+class StaticSource(Source):
+    """Base of sources that compute nothing: splat files, meshes and scenes in memory."""
+
+    def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
+        """Do nothing: the Gaussians are the same in every frame."""
+
+    def finish(self) -> None:
+        """Do nothing: no frame is pending."""
+
+    def abandon(self) -> None:
+        """Do nothing: no frame is pending."""
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Raise KeyError: the source has no inputs."""
+        raise KeyError(name)
+
+    def close(self) -> None:
+        """Do nothing: no file is open."""
+
+
 @final
-class StillSource(Source):
+class StillSource(StaticSource):
     """The Gaussians of a file, which stay the same in every frame.
 
     Args:
@@ -202,22 +223,6 @@ class StillSource(Source):
         if isinstance(content, Splats):
             self.antialias = "mip" if content.antialiased else "classic"
             self.color_space = content.color_space
-
-    def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Do nothing: a file never changes."""
-
-    def finish(self) -> None:
-        """Do nothing: a file never changes."""
-
-    def abandon(self) -> None:
-        """Do nothing: a file never changes."""
-
-    def shape(self, name: str) -> tuple[int, ...]:
-        """Raise KeyError: a file has no inputs."""
-        raise KeyError(name)
-
-    def close(self) -> None:
-        """Do nothing: the file is closed already."""
 
 
 @final
