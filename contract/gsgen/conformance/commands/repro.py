@@ -1,4 +1,4 @@
-"""`gsgen repro`: show one failure again."""
+"""`gsgen repro`: reproduce one failure."""
 
 __all__ = ["repro"]
 
@@ -22,7 +22,7 @@ def repro(
     rule: Annotated[str, typer.Option(help="The rule, by id or name.", show_default=False)],
     probe: Annotated[
         str | None,
-        typer.Option(help="The probe, by label or number; all of them where left out."),
+        typer.Option(help="The probe, by label or number. [default: all probes]"),
     ] = None,
     target: TargetName = None,
     config: Config = None,
@@ -34,9 +34,9 @@ def repro(
     timeout: Timeout = None,
     memory: Memory = None,
 ) -> None:
-    """Judge one rule of MODEL again, by one probe where that is enough.
+    """Check one rule of MODEL again, with one probe if that is enough.
 
-    Exits 1 if the rule is broken, 0 if it holds, 2 if it cannot be judged, 4 if no model.
+    Exits 1 if the rule is broken, 0 if it holds, 2 if it cannot be checked, 4 if MODEL is unreadable.
     """
     from gsgen.conformance.reproduction import reproduce
     from gsgen.contract.errors import ModelUnreadable
