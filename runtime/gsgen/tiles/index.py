@@ -20,7 +20,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import Float64
@@ -28,6 +28,7 @@ from jaxtyping import Float64
 from gsgen.formats.glb.splats import NAME
 from gsgen.formats.shared.files import replacing
 from gsgen.tiles.gltf.encoding import SPZ_EXTENSION, CodecName
+from gsgen.tiles.json_values import JsonDict
 from gsgen.tiles.metadata import TILE_CLASS, TILESET_CLASS, metadata_schema
 from gsgen.tiles.neural import EXTENSION as NEURAL
 
@@ -92,15 +93,15 @@ class TileRecord:
     children: tuple["TileRecord", ...] = ()
     refine: str = "REPLACE"
     oversized: bool = False
-    neural: Mapping[str, Any] | None = None
+    neural: Mapping[str, object] | None = None
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class _Written:
-    """A tile as JSON, and the box that it got."""
+    """The JSON of a tile, and its bounding box."""
 
-    document: dict[str, Any] = field(repr=False)
+    document: JsonDict = field(repr=False)
     low: Corner
     high: Corner
 
@@ -115,7 +116,7 @@ def morton(coordinates: tuple[int, int, int]) -> int:
 
 
 def content_uri(level: int, coordinates: tuple[int, int, int], data: bytes) -> str:
-    """Return the name of a tile's file, which changes with its bytes: caches keep it for ever."""
+    """Return the name of a tile's file, which contains a digest of its bytes for caching."""
     digest = hashlib.sha256(data).hexdigest()[:8]
     return f"t/{level}/{morton(coordinates)}-{digest}.glb"
 
@@ -164,7 +165,7 @@ def tileset_document(
     codec: CodecName = "spz",
     quality: int = 0,
     transform: Float64[np.ndarray, "4 4"] | None = None,
-) -> dict[str, Any]:
+) -> JsonDict:
     """Return the JSON of :func:`write_tileset`."""
     written = _tile(root, quality)
     tree = written.document
@@ -204,7 +205,7 @@ def _tile(tile: TileRecord, quality: int) -> _Written:
         np.asarray(tile.low, np.float64),
         np.asarray(tile.high, np.float64),
     )
-    document: dict[str, Any] = {"geometricError": float(tile.geometric_error)}
+    document: JsonDict = {"geometricError": float(tile.geometric_error)}
     if tile.contents:
         content = tile.contents[min(quality, len(tile.contents) - 1)]
         volume = box_numbers(content.low, content.high)
@@ -222,8 +223,8 @@ def _tile(tile: TileRecord, quality: int) -> _Written:
     return _Written(document, low, high)
 
 
-def _properties(tile: TileRecord) -> dict[str, Any]:
-    properties: dict[str, Any] = {
+def _properties(tile: TileRecord) -> JsonDict:
+    properties: JsonDict = {
         "bytes": [content.size for content in tile.contents],
         "cell": float(tile.cell),
         "splats": tile.splats,
@@ -270,7 +271,7 @@ def write_build_record(
         file.write(json_bytes(document))
 
 
-def json_bytes(document: Mapping[str, Any]) -> bytes:
+def json_bytes(document: Mapping[str, object]) -> bytes:
     """Return JSON with sorted keys and no spaces, which is the same on every machine."""
     text = json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return text.encode() + b"\n"

@@ -1,18 +1,18 @@
 """Neural tiles: the extension GSGEN_neural_tile, a generator in a tile.
 
-The content of such a tile stays a file of splats, which everyone can draw; who knows the
-extension may run the model instead. It is used and never required.
+The content of such a tile stays a file of splats, which every viewer can draw; a viewer that
+knows the extension may run the model instead. It is used and never required.
 """
 
 __all__ = ["EXTENSION", "NeuralTile", "neural_schema", "read_neural_tile"]
 
 import re
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Final, final
 
 from gsgen.contract.spec.roles import ROLES
 from gsgen.tiles.errors import Fault
-from gsgen.tiles.json_values import JsonObject
+from gsgen.tiles.json_values import JsonDict, JsonObject
 from gsgen.tiles.uris import resolve_uri
 
 EXTENSION: Final = "GSGEN_neural_tile"
@@ -89,7 +89,7 @@ def read_neural_tile(extension: JsonObject, base: str) -> NeuralTile:
     )
 
 
-def neural_schema() -> dict[str, Any]:
+def neural_schema() -> JsonDict:
     """Return the JSON Schema of the extension's object."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

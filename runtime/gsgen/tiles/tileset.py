@@ -70,7 +70,7 @@ class Tile:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tileset:
-    """A tree of tiles and what the index says of it.
+    """A tree of tiles with the declarations of its index.
 
     Attributes:
         name: The file, address or archive, as the caller gave it.

@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeVar, final
+from typing import Final, TypeVar, final
 
 import numpy as np
 
@@ -46,6 +46,7 @@ from gsgen.tiles.build.tasks import (
     run_top,
 )
 from gsgen.tiles.index import BUILD_RECORD
+from gsgen.tiles.json_values import JsonDict
 
 WORK: Final = ".gsgen-build"
 """Folder in the output that holds spills and markers until the build is done."""
@@ -171,14 +172,14 @@ def build_tileset(
     plan = load_plan(str(plan_path))
     if plan.count != splats:
         raise AssertionError(f"{plan.count} splats counted of {splats}")
-    _carry_out(run, str(plan_path), total)
+    _write_tiles(run, str(plan_path), total)
     # 5. The index, and nothing else is left.
     progress.begin("index", 0)
     return _finish(plan, key, skipped)
 
 
-def _carry_out(run: _Run, path: str, rows: int) -> None:
-    """Write all tiles of the plan in the file ``path``; its chunks have ``rows`` rows."""
+def _write_tiles(run: _Run, path: str, rows: int) -> None:
+    """Run the phases bin, tiles and top of the plan in the file ``path``."""
     plan = load_plan(path)
     # 3. Bin, with a barrier: every splat is in one spill.
     items = [PlanTask(plan=path, item=chunk.index) for chunk in plan.chunks]
@@ -215,7 +216,7 @@ def _finish(plan: Plan, key: str, skipped: int) -> BuildReport:
     )
 
 
-def _up_to_date(output: Path, record: dict[str, Any], skipped: int) -> BuildReport:
+def _up_to_date(output: Path, record: JsonDict, skipped: int) -> BuildReport:
     sizes = [entry["bytes"] for entry in record["files"].values()]
     return BuildReport(
         output=str(output),

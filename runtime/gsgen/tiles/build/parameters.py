@@ -6,9 +6,10 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Final, final
+from typing import Final, final
 
 from gsgen.tiles.gltf.encoding import CodecName
+from gsgen.tiles.json_values import JsonDict
 
 ALGORITHM_VERSION: Final = 1
 """Version of the algorithm: increased when equal inputs and parameters give other bytes."""
@@ -37,12 +38,12 @@ class BuildParameters:
     implicit: bool = False
     transform: tuple[float, ...]
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the parameters as JSON has them."""
+    def as_dict(self) -> JsonDict:
+        """Return the parameters as a JSON object."""
         return json.loads(json.dumps(asdict(self)))  # type: ignore[no-any-return]
 
     def key(self, inputs: Sequence[str]) -> str:
-        """Return the sha256 of version, parameters and ``inputs``."""
+        """Return the SHA-256 of version, parameters and ``inputs``."""
         content = {
             "version": ALGORITHM_VERSION,
             "parameters": self.as_dict(),

@@ -1,4 +1,4 @@
-"""Plan: which cells of the octree are partitions, built by one task each, and which are above.
+"""The plan of a build: cells of the octree that one task builds each, and the cells above them.
 
 A cell with at most ``partition`` splats is a partition: one task sorts its splats and builds all
 tiles in it. The cells above are *top* cells. Splats that are anchored at a top cell form a
@@ -31,7 +31,7 @@ from gsgen.tiles.build.source import Chunk
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Partition:
-    """Splats that one task builds.
+    """A part of the octree whose tiles one task writes.
 
     Attributes:
         index: Of the partition.
@@ -48,14 +48,14 @@ class Partition:
 
     @property
     def above(self) -> int:
-        """The top cell that the partition is a part of; 0 for a whole scene."""
+        """The top cell that contains the partition; 0 for a whole scene."""
         return self.locations[0] if self.anchored else self.locations[0] >> 3
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """What every task of a build has to know.
+    """The plan of a build, which every task reads.
 
     Attributes:
         cube: The root cube.

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, Protocol, final
 
+from gsgen.tiles.json_values import JsonDict
+
 
 class Progress(AbstractContextManager["Progress"], Protocol):
     """Receives the phases of a build and the number of splats processed in each."""
@@ -86,7 +88,7 @@ class JsonProgress(Progress):
         self._written = time.monotonic()
         elapsed = self._written - self._start_time
         rate = self._splats_done / elapsed if elapsed > 0 else 0.0
-        event: dict[str, Any] = {
+        event: JsonDict = {
             "event": "progress",
             "phase": self._phase,
             "done": self._splats_done,
@@ -98,7 +100,7 @@ class JsonProgress(Progress):
         }
         self._emit(event)
 
-    def _emit(self, event: dict[str, Any]) -> None:
+    def _emit(self, event: JsonDict) -> None:
         self._write(json.dumps(event))
 
 

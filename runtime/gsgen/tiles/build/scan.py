@@ -1,4 +1,4 @@
-"""Scan: the box, the count and the digest of each chunk, then how many splats each cell holds.
+"""Scan chunks for their box, count and digest, and count the splats of octree cells.
 
 A splat is *anchored* at the deepest level whose tiles are at least twice as long as its radius
 of 3σ; there it stays, in an extra leaf, so that it is not in a tile far smaller than itself.
@@ -56,7 +56,7 @@ class ChunkFacts:
 
 
 def scan_chunk(chunk: Chunk) -> ChunkFacts:
-    """Return the facts of ``chunk``."""
+    """Read ``chunk`` and return its box, counts and digests."""
     splats = read_chunk(chunk)
     valid = valid_rows(splats)
     count = int(np.count_nonzero(valid))
@@ -105,7 +105,7 @@ def anchor_depths(
 def location_codes(
     codes: UInt64[np.ndarray, " n"], anchors: Int64[np.ndarray, " n"], depth: int
 ) -> UInt64[np.ndarray, " n"]:
-    """Return the cell of each splat, no deeper than its anchor, as 1 followed by its code.
+    """Return the octree cell of each splat, not deeper than its anchor depth, as 1 and the code.
 
     The leading 1 makes the number name the depth, too (I. Gargantini 1982, "An effective way to
     represent quadtrees", in three dimensions).

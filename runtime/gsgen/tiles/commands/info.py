@@ -1,4 +1,4 @@
-"""`gsgen tiles info`: what a tileset is made of."""
+"""`gsgen tiles info`: tiles, splats and bytes of a tileset by level."""
 
 __all__ = ["info"]
 
@@ -23,7 +23,7 @@ def info(
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print it as JSON.")] = False,
 ) -> None:
-    """Say how many tiles, splats and bytes TILESET has at each level.
+    """Print how many tiles, splats and bytes TILESET has at each level.
 
     Exits 0, or 4 if TILESET or a file of it cannot be read.
     """
@@ -39,7 +39,7 @@ def info(
 
 
 def _as_text(name: str, described: "TilesetInfo") -> str:
-    """Return a table of the levels, and what holds for all of them."""
+    """Return a summary of the tileset and a table of its levels."""
     low, high = described.box
     size = " × ".join(f"{b - a:.4g}" for a, b in zip(low, high, strict=True))
     lines = [
@@ -61,7 +61,7 @@ def _as_text(name: str, described: "TilesetInfo") -> str:
 
 
 def _place(described: "TilesetInfo") -> str:
-    """Return where on the globe the root frame is, if it is there."""
+    """Return the longitude, latitude and height of the root frame, or "" off the globe."""
     import numpy as np
 
     from gsgen.tiles.volumes import geodetic

@@ -1,4 +1,4 @@
-"""`gsgen tiles score`: what each level looks like, and what it costs."""
+"""`gsgen tiles score`: SSIM, splats and bytes of each level of a tileset."""
 
 __all__ = ["score"]
 

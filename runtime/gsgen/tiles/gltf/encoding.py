@@ -15,7 +15,7 @@ __all__ = [
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, final
+from typing import Final, Literal, final
 
 import numpy as np
 from jaxtyping import Float64
@@ -29,6 +29,7 @@ from gsgen.formats.shared.splat_values import linear_scale, require_drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 from gsgen.tiles.gltf.axes import Z_UP_FROM_Y_UP, to_content_axes
 from gsgen.tiles.gltf.spz_quality import QUALITIES, encode_spz
+from gsgen.tiles.json_values import JsonDict
 
 CodecName = Literal["spz", "khr"]
 SPZ_EXTENSION: Final = "KHR_gaussian_splatting_compression_spz_2"
@@ -38,7 +39,7 @@ SIGMAS: Final = 3.0
 _DIAGONAL = [0, 3, 5]  # xx, yy and zz of an upper triangle
 _FLOAT, _BYTE = 5126, 5121
 _WIDTHS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
-_Parts = tuple[dict[str, Any], bytes, Splats]
+_Parts = tuple[JsonDict, bytes, Splats]
 
 
 @final
@@ -131,7 +132,7 @@ def _as_spz(local: Splats, quality: int) -> _Parts:
     packed, stored = encode_spz(local, quality)
     count = len(stored)
     low, high = stored.position.min(axis=0), stored.position.max(axis=0)
-    accessors: dict[str, dict[str, Any]] = {
+    accessors: dict[str, JsonDict] = {
         "POSITION": _accessor("VEC3", count)
         | {"min": [float(v) for v in low], "max": [float(v) for v in high]},
         "COLOR_0": {**_accessor("VEC4", count, _BYTE), "normalized": True},
@@ -175,15 +176,13 @@ def _as_floats(local: Splats, quality: int) -> _Parts:
     return document, binary, local
 
 
-def _accessor(width: str, count: int, component: int = _FLOAT) -> dict[str, Any]:
+def _accessor(width: str, count: int, component: int = _FLOAT) -> JsonDict:
     return {"componentType": component, "count": count, "type": width}
 
 
-def _document(
-    accessors: dict[str, dict[str, Any]], sizes: list[int], splats: Splats
-) -> dict[str, Any]:
+def _document(accessors: dict[str, JsonDict], sizes: list[int], splats: Splats) -> JsonDict:
     spaces = {space: name for name, space in COLOR_SPACES.items()}
-    extension: dict[str, Any] = {
+    extension: JsonDict = {
         "kernel": "ellipse",
         "colorSpace": spaces[splats.color_space],
         "projection": "perspective",

@@ -1,4 +1,4 @@
-"""Splats somewhere on the globe: float32 around an origin in float64."""
+"""Splats with float32 positions relative to a float64 origin, for scenes on the globe."""
 
 __all__ = ["PlacedSplats", "join_placed", "place"]
 
@@ -17,7 +17,7 @@ from gsgen.formats.shared.splats import Splats
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedSplats:
-    """Splats around an origin.
+    """Splats with positions relative to an origin.
 
     Attributes:
         splats: Their positions are relative to ``origin``, so that float32 is enough.

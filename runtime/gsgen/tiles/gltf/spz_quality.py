@@ -28,7 +28,7 @@ _ALPHA = "alphas"
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quality:
-    """How finely attributes are stored.
+    """The number of bits that each attribute keeps at one quality.
 
     Attributes:
         bits: Attribute → how many of eight bits differ between values.
@@ -103,7 +103,7 @@ def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
 
 
 def _fractional_bits(local: Splats, quality: Quality, *, finest: bool) -> int:
-    """Return the bits after the point: fine enough for small splats, wide enough for far ones.
+    """Choose the fractional bits of positions: fine for small splats, with range for far ones.
 
     1. The far ones win: 24 bits have to hold the largest coordinate.
     2. The finest quality has 1/4096 unit at least, as other writers have.
@@ -125,7 +125,7 @@ def _fractional_bits(local: Splats, quality: Quality, *, finest: bool) -> int:
 
 
 def _rounded(data: bytes, bits: int, *, least: int) -> bytes:
-    """Round bytes to multiples of 2^(8 − bits), none that is not zero below ``least``."""
+    """Round bytes to multiples of 2^(8 − bits); nonzero bytes become ``least`` or more."""
     if bits == 8:
         return data
     step = 1 << (8 - bits)

@@ -36,7 +36,7 @@ class Document:
 
 @final
 class DocumentReader:
-    """Reads indices of one tileset, and counts them."""
+    """Reads the indices of one tileset, within limits of their number and size."""
 
     def __init__(self, store: Store, limits: Limits, report: LoadReport) -> None:
         self._store, self._limits, self._report = store, limits, report
@@ -44,7 +44,7 @@ class DocumentReader:
         self._documents = 0
 
     def spend(self, size: int, path: str) -> None:
-        """Count a document and its bytes; refuse too many."""
+        """Count a document and its bytes; raise beyond the limits."""
         self._bytes_left -= size
         self._documents += 1
         if self._documents > self._limits.documents:
@@ -61,7 +61,7 @@ class DocumentReader:
             )
 
     def read_index(self, path: str) -> JsonObject:
-        """Read ``tileset.json``, and check what all indices share."""
+        """Read an index, and check the members that every index has."""
         data = self._store.read(path, limit=MAX_JSON)
         self.spend(len(data), path)
         document = parse_object(data, f"{path}, ")

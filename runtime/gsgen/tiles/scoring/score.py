@@ -1,4 +1,4 @@
-"""Draw each level of a tileset beside the scene that it was made of, and compare."""
+"""Compare renderings of each level of a tileset with renderings of its source scene."""
 
 __all__ = ["DISTANCES", "LevelScore", "TilesetScore", "level_cut", "score_tileset"]
 
@@ -40,7 +40,7 @@ _ON_GLOBE = 1e6
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelScore:
-    """A level of detail, drawn everywhere.
+    """SSIM, splats and bytes of one level of detail.
 
     Attributes:
         level: How many times the root is refined.
@@ -60,7 +60,7 @@ class LevelScore:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TilesetScore:
-    """A tileset beside its scene.
+    """The scores and pictures of all levels of a tileset.
 
     Attributes:
         splats: Of the scene.
@@ -81,7 +81,7 @@ def score_tileset(
     height: int = 240,
     progress: Callable[[str], None] = lambda words: None,
 ) -> TilesetScore:
-    """Draw a tileset, level by level, and its scene, and compare them.
+    """Render each level of a tileset and its source scene, and compute their SSIM.
 
     Args:
         source: The tileset.
@@ -148,7 +148,7 @@ def level_cut(tileset: Tileset, level: int) -> Iterator[tuple[Tile, Content]]:
 
 
 def _depth(tileset: Tileset) -> int:
-    """Return after how many levels nothing is refined any more."""
+    """Return the number of refinements down to the finest tiles."""
     deepest, pending = 0, [(tileset.root, 0)]
     while pending:
         tile, depth = pending.pop()

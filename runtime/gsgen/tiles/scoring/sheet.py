@@ -1,4 +1,4 @@
-"""The pictures of a score on one sheet: levels beside each other, distances below."""
+"""Draw the pictures of a score on one sheet: a column per level, a row per distance."""
 
 __all__ = ["draw_sheet"]
 

@@ -1,4 +1,4 @@
-"""A local server of a folder: ranges, CORS, ETag, and faults as a network has them."""
+"""An HTTP server of a folder with ranges, CORS, ETags and simulated network faults."""
 
 __all__ = ["TileServer", "serve_folder"]
 
@@ -42,7 +42,7 @@ Log = Callable[[str], None]
 @final
 @dataclass(frozen=True, slots=True)
 class _Span:
-    """The bytes of a file that are asked for."""
+    """The byte range of a file to send."""
 
     start: int
     size: int
@@ -54,7 +54,7 @@ class TileServer(ThreadingHTTPServer):
     Attributes:
         folder: The folder.
         faults: What happens to answers.
-        log: Is told of each answer in a line.
+        log: Called with a line per response.
     """
 
     daemon_threads = True
@@ -67,7 +67,7 @@ class TileServer(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """Where the folder is served."""
+        """The URL of the served folder."""
         host, port = self.server_address[:2]
         return f"http://{host if isinstance(host, str) else host.decode()}:{port}/"
 
@@ -87,7 +87,7 @@ def serve_folder(
         host: The address to listen at.
         port: The port; 0 for one that is free.
         faults: What happens to answers; nothing where absent.
-        log: Is told of each answer in a line.
+        log: Called with a line per response.
 
     Raises:
         OSError: The port is taken.
@@ -118,7 +118,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing: each answer is logged once, below."""
+        """Do nothing: each response is logged once by ``_head`` or ``_refuse``."""
 
     def _answer(self, *, with_body: bool) -> None:
         faults = self.server.faults
@@ -159,7 +159,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_body(file, span, cut=failure == "cut")
 
     def _file(self) -> Path | None:
-        """Return the file that is asked for, if it is one below the folder."""
+        """Return the requested file, or None if it is not a regular file in the folder."""
         path = unquote(urlsplit(self.path).path).lstrip("/") or "index.html"
         try:
             file = self.server.folder / resolve_uri("", path, self.path)

@@ -28,13 +28,13 @@ _MOST_MEMBERS = 4_000_000
 
 
 def index_sort_key(digest: bytes) -> tuple[int, int]:
-    """Return what records of the index are sorted by."""
+    """Return the sort key of an index record."""
     low, high = struct.unpack("<QQ", digest)
     return low, high
 
 
 def index_record(path: str, offset: int) -> bytes:
-    """Return the record of a member."""
+    """Return the index record of a member."""
     digest = hashlib.md5(path.encode(), usedforsecurity=False).digest()
     return _RECORD.pack(digest, offset)
 
@@ -82,7 +82,7 @@ class ZipStore:
     def _check_index(
         self, index: zipfile.ZipInfo, by_name: dict[str, zipfile.ZipInfo]
     ) -> None:
-        """Refuse an index that names other places than the directory of the archive."""
+        """Raise if the index and the directory of the archive disagree on offsets."""
         members = [member for name, member in by_name.items() if name != INDEX_NAME]
         if index.file_size != _RECORD.size * len(members):
             raise self._damaged(

@@ -60,7 +60,7 @@ class InspectedContent:
 @final
 @dataclass(slots=True, kw_only=True, eq=False)
 class InspectedTileset:
-    """A tileset as the rules GT see it.
+    """A tileset with its contents, faults and build record, as input of the rules GT.
 
     Attributes:
         tileset: The tree; None where the index cannot be read, or a content was given alone.
@@ -112,7 +112,7 @@ def inspect_tileset(
         decode: Whether splats are decoded, too.
         seconds: After how long no further content is decoded.
         progress: Called with a few words whenever a new stage begins.
-        name: What the caller calls the tileset.
+        name: Name of the tileset in messages.
 
     Raises:
         TilesetInvalid: The index is not there, or not JSON.
@@ -161,7 +161,7 @@ class _ContentReader:
         self._headers: dict[str, tuple[ContentHeader | None, str]] = {}
 
     def read(self, tile: Tile | None, content: Content) -> InspectedContent:
-        """Read a content; its faults go to the subject."""
+        """Read a content; its faults go to the inspected tileset."""
         known = content.uri in self._headers
         late = self._decode and time.monotonic() > self._deadline
         if late:

@@ -27,7 +27,7 @@ def _start_worker() -> None:
 
 @final
 class Processes(Engine):
-    """Processes of this machine; a killed one is replaced, and its tasks are run again.
+    """Worker processes of this machine; a killed worker is replaced and its tasks run again.
 
     Args:
         workers: Processes.

@@ -97,7 +97,7 @@ def merge_level(mixture: Mixture, depth: int, most: int, side: float) -> Level:
 
 
 def _largest(mixture: Mixture, cell: float, count: int) -> Bool[np.ndarray, " n"]:
-    """Return at most ``count`` splats, the largest of those that are large beside a cell."""
+    """Return a mask of the largest splats, at most ``count``, that are large relative to ``cell``."""
     x, y, z = mixture.scale.T
     size = np.maximum(np.maximum(x, y), z)
     order = np.argsort(-size, kind="stable")[:count]

@@ -42,7 +42,7 @@ class Mixture:
 
     @property
     def mass(self) -> Float64[np.ndarray, " n"]:
-        """Opacity times surface: how much each Gaussian counts in a cluster."""
+        """Opacity times surface area: the weight of each Gaussian in its cluster."""
         return np.asarray(self.opacity * surface_area(self.scale))
 
     def rows(self, index: "np.ndarray | slice") -> "Mixture":

@@ -71,7 +71,7 @@ def hashes_match(inspected: InspectedTileset) -> Iterator[Violation]:
 
     Why:
         Names of tiles are kept in caches for ever: a file that changed under its name is seen
-        by some and not by others.
+        by some users and not by others.
 
     Hint:
         Build the tileset again, and copy all of it. Without a record nothing is compared.

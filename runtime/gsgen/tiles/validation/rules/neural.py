@@ -38,11 +38,11 @@ _BOUNDS_HOLD: Final = "GV021"  # a warning for a model, as no viewer culls by it
     kinds=(TILESET,),
 )
 def neural_content(inspected: InspectedTileset) -> Iterator[Violation]:
-    """The generator of a neural tile keeps the contract, is the one that is named, and stays in the tile.
+    """The generator of a neural tile conforms, has the declared digest, and stays in the tile.
 
     Why:
         A viewer runs the model instead of drawing the content. One that fails, or that puts
-        splats outside of the tile, shows less than the file that everyone can draw.
+        splats outside of the tile, shows less than the content.
 
     Hint:
         Check the model alone with `gsgen validate`; let its manifest declare bounds within the
