@@ -102,7 +102,7 @@ class Judge:
         return cls(renderer, cameras, pictures)
 
     def score(self, splats: Splats) -> dict[str, float]:
-        from gsgen.tiles.ssim import ssim
+        from gsgen.tiles.scoring.ssim import ssim
 
         return {
             name: float(
