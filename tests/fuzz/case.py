@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from google.protobuf.message import DecodeError, EncodeError
 from onnx import ModelProto
 
-from fuzz import mutate_bytes, mutate_manifest, mutate_model
+from fuzz.mutations import mutate_bytes, mutate_manifest, mutate_model
 from fuzz.corpus import Base
 from gsgen.contract.model.model_file import MANIFEST_KEY
 from gsgen.contract.spec.severity import Level

@@ -27,14 +27,14 @@ from jaxtyping import Float64
 
 from gsgen.formats.glb.splats import NAME
 from gsgen.formats.shared.files import replacing
-from gsgen.tiles.content import SPZ_EXTENSION, CodecName
+from gsgen.tiles.gltf.encoding import SPZ_EXTENSION, CodecName
 from gsgen.tiles.metadata import TILE_CLASS, TILESET_CLASS, metadata_schema
+from gsgen.tiles.neural import EXTENSION as NEURAL
 
 BUILD_RECORD: Final = "gsgen.tiles.json"
 """Name of the file beside ``tileset.json`` that lists every file with its digest."""
 
 GLTF_EXTENSION: Final = "3DTILES_content_gltf"
-NEURAL_EXTENSION: Final = "GSGEN_neural_tile"
 Corner = Float64[np.ndarray, " 3"]
 
 
@@ -172,7 +172,7 @@ def tileset_document(
         tree["transform"] = [float(value) for value in transform.T.ravel()]
     diagonal = float(np.linalg.norm(written.high - written.low))
     needed = [NAME, SPZ_EXTENSION] if codec == "spz" else [NAME]
-    neural = [NEURAL_EXTENSION] if _has_neural(root) else []
+    neural = [NEURAL] if _has_neural(root) else []
     return {
         "asset": {"version": "1.1", "generator": "gsgen"},
         "extensions": {
@@ -218,7 +218,7 @@ def _tile(tile: TileRecord, quality: int) -> _Written:
         document["children"] = [child.document for child in children]
         document["refine"] = tile.refine
     if tile.neural is not None:
-        document["extensions"] = {NEURAL_EXTENSION: dict(tile.neural)}
+        document["extensions"] = {NEURAL: dict(tile.neural)}
     return _Written(document, low, high)
 
 

@@ -19,10 +19,11 @@ from gsgen.tiles.implicit_tiling.tree import (
     expand_implicit,
     read_implicit,
 )
+from gsgen.tiles.index import GLTF_EXTENSION
 from gsgen.tiles.json_values import JsonObject, shorten
 from gsgen.tiles.neural import EXTENSION as NEURAL
 from gsgen.tiles.neural import NeuralTile, read_neural_tile
-from gsgen.tiles.reading.documents import GLTF_EXTENSION, Document, DocumentReader
+from gsgen.tiles.reading.documents import Document, DocumentReader
 from gsgen.tiles.reading.limits import Limits, LoadReport, Strict
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store

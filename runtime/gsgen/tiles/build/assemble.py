@@ -21,8 +21,8 @@ from gsgen.tiles.index import (
     write_build_record,
     write_tileset,
 )
+from gsgen.tiles.stores.opening import INDEX
 
-INDEX: Final = "tileset.json"
 ERROR_PER_CELL: Final = 4.0
 """Geometric error in sides of the merge cell.
 

@@ -22,7 +22,7 @@ from gsgen.tiles.build.engines.engine import Engine
 from gsgen.tiles.build.files import sweep, write_json
 from gsgen.tiles.build.merging.morton import DEPTH, Cube
 from gsgen.tiles.build.octree import load_built
-from gsgen.tiles.build.parameters import VERSION, BuildParameters
+from gsgen.tiles.build.parameters import ALGORITHM_VERSION, BuildParameters
 from gsgen.tiles.build.plan import Plan, depth_of, make_partitions
 from gsgen.tiles.build.plan_file import load_plan, save_plan
 from gsgen.tiles.build.progress import Progress
@@ -254,7 +254,7 @@ def _prepare(
 ) -> Path:
     """Return the work folder of this build; those of other builds are deleted."""
     content = {
-        "version": VERSION,
+        "version": ALGORITHM_VERSION,
         "parameters": parameters.as_dict(),
         "division": division,
         "files": [[file.path, file.size, file.modified] for file in files],

@@ -1,6 +1,6 @@
 """What a build was asked for, and the key that says whether an earlier result is the same."""
 
-__all__ = ["VERSION", "BuildParameters"]
+__all__ = ["ALGORITHM_VERSION", "BuildParameters"]
 
 import hashlib
 import json
@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final, final
 
-from gsgen.tiles.content import CodecName
+from gsgen.tiles.gltf.encoding import CodecName
 
-VERSION: Final = 1
+ALGORITHM_VERSION: Final = 1
 """Of the algorithm: it grows when the same inputs and parameters give other bytes."""
 
 
@@ -25,7 +25,7 @@ class BuildParameters:
     Attributes:
         leaf: Most splats of a leaf.
         codec: How contents are written.
-        qualities: Qualities of :data:`gsgen.tiles.content.QUALITIES` that are written, finest
+        qualities: Qualities of :data:`gsgen.tiles.gltf.encoding.QUALITIES` that are written, finest
             first.
         implicit: Whether the tree is an implicit octree.
         transform: Of the root tile, scene → world: 16 numbers, column by column.
@@ -43,6 +43,10 @@ class BuildParameters:
 
     def key(self, inputs: Sequence[str]) -> str:
         """Return the sha256 of version, parameters and ``inputs``."""
-        content = {"version": VERSION, "parameters": self.as_dict(), "inputs": list(inputs)}
+        content = {
+            "version": ALGORITHM_VERSION,
+            "parameters": self.as_dict(),
+            "inputs": list(inputs),
+        }
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()

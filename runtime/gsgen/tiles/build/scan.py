@@ -21,12 +21,12 @@ import numpy as np
 from jaxtyping import Float32, Int64, UInt64
 
 from gsgen.formats import Splats
+from gsgen.formats.shared.splat_values import ARRAYS
 from gsgen.tiles.build.merging.morton import DEPTH, Cube, cell_codes, morton_codes
 from gsgen.tiles.build.source import BLOCK_ROWS, Chunk, read_chunk, valid_rows
+from gsgen.tiles.gltf.encoding import SIGMAS
 
-SIGMAS: Final = 3.0
 _SMALLEST_LOG_SCALE: Final = -1e3  # e^-1000 is 0, and JSON has no infinity
-_ARRAYS: Final = ("position", "rotation", "log_scale", "logit_opacity", "sh")
 
 
 @final
@@ -84,7 +84,7 @@ def scan_chunk(chunk: Chunk) -> ChunkFacts:
 
 def _digest(splats: Splats, first: int) -> str:
     digest = hashlib.sha256()
-    for name in _ARRAYS:
+    for name in ARRAYS:
         block = getattr(splats, name)[first : first + BLOCK_ROWS]
         digest.update(np.ascontiguousarray(block).data)
     return digest.hexdigest()

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
+from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.formats import (
     FormatError,
     PackedRows,
@@ -31,7 +32,6 @@ from gsgen.formats import (
 )
 from gsgen.formats.ply.chunks import PlyTable, ply_table, read_ply_rows
 from gsgen.formats.shared.splats import SH_COUNTS
-from gsgen.tiles.content import MAX_DEGREE
 
 CHUNK_BYTES: Final = 64 << 20
 """Bytes of a PLY file that one task reads."""

@@ -28,7 +28,7 @@ from gsgen.tiles.build.merging.levels import Level, stored_degree
 from gsgen.tiles.build.merging.mixture import Mixture
 from gsgen.tiles.build.plan import Plan, coordinates_of, depth_of
 from gsgen.tiles.build.spill import Rows
-from gsgen.tiles.content import write_content
+from gsgen.tiles.gltf.encoding import write_content
 from gsgen.tiles.implicit_tiling.writing import implicit_uri
 from gsgen.tiles.index import content_uri
 

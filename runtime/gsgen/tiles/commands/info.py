@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gsgen.contract.spec.units import MEBIBYTE
+
 if TYPE_CHECKING:
     from gsgen.tiles.info import TilesetInfo
-
-_MIB = 1 << 20
 
 
 def info(
@@ -44,7 +44,7 @@ def _as_text(name: str, described: "TilesetInfo") -> str:
     size = " × ".join(f"{b - a:.4g}" for a, b in zip(low, high, strict=True))
     lines = [
         f"{name}: {described.tiles:,} tiles, {described.splats:,} splats "
-        f"({described.leaf_splats:,} in leaves), {described.bytes / _MIB:.2f} MiB, "
+        f"({described.leaf_splats:,} in leaves), {described.bytes / MEBIBYTE:.2f} MiB, "
         f"SH degree {described.sh_degree}, {described.refine}",
         f"size {size}" + _place(described),
         f"{'level':>5} {'tiles':>8} {'splats':>12} {'MiB':>9} {'B/splat':>8} {'error':>10}",
@@ -53,7 +53,7 @@ def _as_text(name: str, described: "TilesetInfo") -> str:
         each = level.bytes / max(level.splats, 1)
         lines.append(
             f"{level.level:>5} {level.tiles:>8,} {level.splats:>12,} "
-            f"{level.bytes / _MIB:>9.2f} {each:>8.1f} {level.geometric_error:>10.4g}"
+            f"{level.bytes / MEBIBYTE:>9.2f} {each:>8.1f} {level.geometric_error:>10.4g}"
         )
     if described.neural:
         lines.append(f"{described.neural:,} tiles hold a generator")

@@ -22,14 +22,14 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.formats.glb.accessors import view_range
-from gsgen.formats.glb.container import Container, part
+from gsgen.formats.glb.container import Container, object_member
 from gsgen.formats.glb.glb import _primitives as scene_primitives
 from gsgen.formats.glb.splats import NAME, is_splats, read_primitive
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.splats import Splats
-from gsgen.tiles.content import SPZ_EXTENSION
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.gltf.container import as_fault
+from gsgen.tiles.gltf.encoding import SPZ_EXTENSION
 from gsgen.tiles.json_values import JsonObject
 
 DRAFTS: Final = (
@@ -130,10 +130,10 @@ def read_header(container: Container, location: str, size: int) -> ContentHeader
 def _primitive(
     container: Container, primitive: dict[str, Any], where: str, location: str
 ) -> SplatPrimitive:
-    attributes = part(primitive, "attributes", where)
-    extensions = part(primitive, "extensions", where)
-    extension = part(extensions, NAME, where)
-    packed = extensions | part(extension, "extensions", where)
+    attributes = object_member(primitive, "attributes", where)
+    extensions = object_member(primitive, "extensions", where)
+    extension = object_member(extensions, NAME, where)
+    packed = extensions | object_member(extension, "extensions", where)
     counts = {}
     for name, index in attributes.items():
         accessor = container.item("accessors", index, f"{where}.attributes.{name}")
@@ -143,7 +143,7 @@ def _primitive(
     degree, version = max(degrees, default=0), None
     for name in (SPZ_EXTENSION, *DRAFTS):
         if name in packed:
-            holder = part(packed, name, where)
+            holder = object_member(packed, name, where)
             version, counts["SPZ"], degree = _spz_head(
                 container, holder, f"{location}, {where}"
             )

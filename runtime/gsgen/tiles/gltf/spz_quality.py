@@ -4,7 +4,7 @@ A lower quality rounds the bytes of an attribute to fewer values, so that gzip p
 better, and gives coordinates fewer fractional bits; the layout of the file stays the same.
 """
 
-__all__ = ["QUALITIES", "Quality", "encode_spz"]
+__all__ = ["QUALITIES", "SPZ_VERSION", "Quality", "encode_spz"]
 
 import math
 from dataclasses import dataclass
@@ -15,10 +15,9 @@ from jaxtyping import UInt8
 
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.splats import Splats
-from gsgen.formats.spz import container as container
-from gsgen.formats.spz import streams as streams
+from gsgen.formats.spz import container, streams
 
-VERSION: Final = 2
+SPZ_VERSION: Final = 2
 """What 3D Tiles viewers decode; version 4 loads nothing in them."""
 
 _FINEST_BITS = 12
@@ -81,12 +80,12 @@ def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
     chosen = QUALITIES[quality]
     fraction = _fractional_bits(local, chosen, finest=quality == 0)
     content = streams.encode(
-        local, version=VERSION, fractional_bits=fraction, sh_bits=chosen.sh_bits
+        local, version=SPZ_VERSION, fractional_bits=fraction, sh_bits=chosen.sh_bits
     )
     for name, bits in chosen.bits.items():
         content[name] = _rounded(content[name], bits, least=int(name == _ALPHA))
     frame = container.Frame(
-        version=VERSION,
+        version=SPZ_VERSION,
         count=len(local),
         degree=local.degree,
         fractional_bits=fraction,
@@ -95,7 +94,7 @@ def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
     )
     decoded = streams.decode(
         {name: np.frombuffer(data, np.uint8) for name, data in content.items()},
-        version=VERSION,
+        version=SPZ_VERSION,
         degree=local.degree,
         fractional_bits=fraction,
         antialiased=local.antialiased,

@@ -24,7 +24,7 @@ MAX_BITS: Final = 1 << 24
 
 _HEADER = struct.Struct("<4sIQQ")
 _MAGIC = b"subt"
-_VERSION = 1
+_SUBTREE_VERSION = 1
 
 Bits = Bool[np.ndarray, " n"]
 ReadBuffer = Callable[[str, str, int], bytes]
@@ -132,8 +132,8 @@ def _split(data: bytes, location: str) -> tuple[JsonObject, bytes]:
     if len(data) < _HEADER.size:
         raise _wrong(f"{len(data)} bytes", location, f"a header of {_HEADER.size}")
     _, version, json_size, binary_size = _HEADER.unpack_from(data)
-    if version != _VERSION:
-        raise _wrong(f"version {version}", f"{location}, byte 4", f"{_VERSION}")
+    if version != _SUBTREE_VERSION:
+        raise _wrong(f"version {version}", f"{location}, byte 4", f"{_SUBTREE_VERSION}")
     whole = _HEADER.size + json_size + binary_size
     if whole != len(data) or json_size > MAX_JSON:
         raise _wrong(

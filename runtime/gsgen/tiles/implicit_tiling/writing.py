@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.formats.shared.files import make_folder, replacing
-from gsgen.tiles.content import CodecName
+from gsgen.tiles.gltf.encoding import CodecName
 from gsgen.tiles.implicit_tiling.subtree import tile_count
 from gsgen.tiles.index import (
     ContentRecord,

@@ -1,19 +1,19 @@
 """Read the documents of a tileset: indices and their metadata schemas, within a budget."""
 
-__all__ = ["GLTF_EXTENSION", "Document", "DocumentReader"]
+__all__ = ["Document", "DocumentReader"]
 
 from dataclasses import dataclass
 from typing import Final, final
 
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.implicit_tiling.property_table import PropertyClass, read_classes
+from gsgen.tiles.index import GLTF_EXTENSION
 from gsgen.tiles.json_values import MAX_JSON, JsonObject, parse_object, shorten
 from gsgen.tiles.neural import EXTENSION as NEURAL
 from gsgen.tiles.reading.limits import Limits, LoadReport
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.uris import resolve_uri
 
-GLTF_EXTENSION: Final = "3DTILES_content_gltf"
 _UNDERSTOOD: Final = {GLTF_EXTENSION, "3DTILES_metadata", NEURAL}
 _VERSIONS: Final = ("1.0", "1.1")
 

@@ -20,7 +20,7 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.leaves import read_tile_content
 from gsgen.tiles.loading import load_tileset
-from gsgen.tiles.ssim import ssim
+from gsgen.tiles.scoring.ssim import ssim
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.tileset import Content, Tile, Tileset
@@ -31,7 +31,7 @@ DISTANCES: Final = {"near": 1.5, "middle": 3.0, "far": 6.0}
 """Name → distance of the camera from the middle, in radii of the scene."""
 
 _AZIMUTHS = (20.0, 140.0, 260.0)
-_ELEVATION = 20.0
+_RING_LATITUDE = 20.0
 _FIELD_OF_VIEW = 50.0
 _SHARE_WITHIN = 0.9
 _ON_GLOBE = 1e6
@@ -200,7 +200,7 @@ def _cameras(
                 center.tolist(),
                 distance * radius,
                 azimuth=azimuth,
-                elevation=_ELEVATION,
+                elevation=_RING_LATITUDE,
                 up=up.tolist(),
                 width=width,
                 height=height,

@@ -22,7 +22,7 @@ from jaxtyping import Float64
 from gsgen.formats.glb.container import build
 from gsgen.formats.shared.joined import joined
 from gsgen.formats.shared.splats import Splats
-from gsgen.tiles.content import CodecName, write_content
+from gsgen.tiles.gltf.encoding import CodecName, write_content
 from gsgen.tiles.implicit_tiling.writing import implicit_uri, write_implicit_tileset
 from gsgen.tiles.index import (
     BUILD_RECORD,

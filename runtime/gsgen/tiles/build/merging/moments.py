@@ -34,11 +34,11 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64
 
 from gsgen.contract.spec.geometry import symmetric
+from gsgen.contract.spec.layout import UPPER_TRIANGLE
 from gsgen.formats.shared.quantities import rotations
 from gsgen.tiles.build.merging.mixture import Mixture, surface_area
 
 MAX_OPACITY: Final = 0.999
-_UPPER: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 SPREAD: Final = 2.0
 """κ: how much wider than its members' centres a merged Gaussian is, in variance."""
 WIDEN: Final = 1.1
@@ -85,7 +85,7 @@ def merge_clusters(
     offset = mixture.mean - origin[number]
     mean = _weighted(number, weight, offset, len(first))
     offset -= mean[number]
-    scatter = np.stack([offset[:, i] * offset[:, j] for i, j in _UPPER], axis=1)
+    scatter = np.stack([offset[:, i] * offset[:, j] for i, j in UPPER_TRIANGLE], axis=1)
     members = mixture.covariance + spread * scatter
     covariance = widen**2 * _weighted(number, weight, members, len(first))
     flat = mixture.sh.reshape(len(mixture), -1)

@@ -4,7 +4,15 @@ The codec can change behind :func:`write_content`; nothing else knows how bytes 
 splats give equal bytes, on any machine.
 """
 
-__all__ = ["CODECS", "QUALITIES", "CodecName", "EncodedContent", "write_content"]
+__all__ = [
+    "CODECS",
+    "QUALITIES",
+    "SIGMAS",
+    "SPZ_EXTENSION",
+    "CodecName",
+    "EncodedContent",
+    "write_content",
+]
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -14,6 +22,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.contract.spec.geometry import covariance_upper
+from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.formats.glb.container import build
 from gsgen.formats.glb.splats import COLOR_SPACES, NAME, coefficient
 from gsgen.formats.shared.quantities import sigmoid, unit
@@ -24,9 +33,9 @@ from gsgen.tiles.gltf.spz_quality import QUALITIES, encode_spz
 
 CodecName = Literal["spz", "khr"]
 SPZ_EXTENSION: Final = "KHR_gaussian_splatting_compression_spz_2"
-MAX_DEGREE: Final = 3
+SIGMAS: Final = 3.0
+"""Standard deviations that the volumes of tiles hold of each splat."""
 
-_SIGMAS = 3.0
 _DIAGONAL = [0, 3, 5]  # xx, yy and zz of an upper triangle
 _FLOAT, _BYTE = 5126, 5121
 _WIDTHS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
@@ -109,7 +118,7 @@ def _extent(
     """Return the box of splats at 3σ, turned from glTF axes to those of the tile."""
     scale = np.exp(stored.log_scale.astype(np.float64))
     variance = covariance_upper(scale, stored.rotation)[:, _DIAGONAL]
-    reach = _SIGMAS * np.sqrt(variance)
+    reach = SIGMAS * np.sqrt(variance)
     low = (stored.position - reach).min(axis=0)
     high = (stored.position + reach).max(axis=0)
     x, y, z = range(3)

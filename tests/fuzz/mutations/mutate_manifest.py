@@ -7,7 +7,7 @@ import random
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from fuzz.mutate_model import NUMBERS, TEXTS
+from fuzz.mutations.mutate_model import NUMBERS, TEXTS
 from gsgen.contract.spec.roles import KINDS, ROLES
 
 Mutation = Callable[[str, random.Random], str]
