@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 from gsgen.contract._lazy import lazy_getattr
 
 if TYPE_CHECKING:
-    from gsgen.runtime.baking.bake import bake
+    from gsgen.runtime.baking.bake_frames import bake
     from gsgen.runtime.baking.report import BakedFrame, BakeReport
 
 __all__ = ["BakeReport", "BakedFrame", "bake"]
 
 __getattr__ = lazy_getattr(
-    __name__, {"BakeReport": "report", "BakedFrame": "report", "bake": "bake"}
+    __name__, {"BakeReport": "report", "BakedFrame": "report", "bake": "bake_frames"}
 )

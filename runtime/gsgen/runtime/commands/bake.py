@@ -103,7 +103,7 @@ def bake(
     """
     from gsgen.contract.commands.progress import clear, progress
     from gsgen.formats import FormatError
-    from gsgen.runtime.baking.bake import bake_source
+    from gsgen.runtime.baking.bake_frames import bake_source
     from gsgen.runtime.sources.source import GeneratorSource
     from gsgen.sdk.commands.sizes import sizes_of
 
@@ -141,18 +141,11 @@ def _tracks(time: str | None, inputs: list[str] | None) -> "list[Track]":
     if time is not None:
         tracks.append(Track("time", number_range(time, "--time"), "--time"))
     for text in inputs or ():
-        word, sign, value = text.partition("=")
-        if word and sign and value.count(":") == 2 and not Path(value).suffix.isalpha():
-            try:
-                numbers = number_range(value, f"--input {word}")
-            except ConfigInvalid:
-                if Path(value).exists():  # a path may contain colons
-                    numbers = None
-                else:
-                    raise
-            if numbers is not None:
-                tracks.append(Track(word, numbers, f"--input {word}"))
-                continue
+        word, _, value = text.partition("=")
+        if word and value.count(":") == 2 and not Path(value).exists():
+            where = f"--input {word}"
+            tracks.append(Track(word, number_range(value, where), where))
+            continue
         track = input_track(text)
         if track.sweep:
             raise ConfigInvalid(

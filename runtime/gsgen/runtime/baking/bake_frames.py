@@ -308,8 +308,8 @@ class _Job:
     ) -> float | None:
         """Return the PSNR of the first, the middle or the last frame; None for others."""
         is_exact = self.view_dependence in ("none", "camera") and self.source.weighted is None
-        wanted = self.psnr if self.psnr is not None else not is_exact
-        if not wanted or number not in {0, self.frames // 2, self.frames - 1}:
+        is_measured = self.psnr if self.psnr is not None else not is_exact
+        if not is_measured or number not in {0, self.frames // 2, self.frames - 1}:
             return None
         if self.renderer is None:
             self.renderer, reason = renderer_or_none()
