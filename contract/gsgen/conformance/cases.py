@@ -20,7 +20,7 @@ from gsgen.contract.validation.rule import Rule
 CaseStatus = Literal["passed", "warned", "expected", "skipped", "failed", "crashed"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
     """What came of one rule.
 
@@ -59,11 +59,16 @@ def settle(
     findings = tuple(finding for finding in report.findings if finding.rule == rule.id)
     if outcome.status == "crashed":
         text = f"{rule.id} crashed: this is a fault of the rule\n{outcome.reason}"
-        return Case(rule, suite, "crashed", text, findings)
+        return Case(rule=rule, suite=suite, status="crashed", text=text, findings=findings)
     if outcome.status in ("skipped", "not-applicable"):
-        return Case(rule, suite, "skipped", f"{outcome.status}: {outcome.reason}")
+        return Case(
+            rule=rule,
+            suite=suite,
+            status="skipped",
+            text=f"{outcome.status}: {outcome.reason}",
+        )
     status, text = _judged(report, findings, foreseen)
-    return Case(rule, suite, status, text, findings)
+    return Case(rule=rule, suite=suite, status=status, text=text, findings=findings)
 
 
 def _judged(

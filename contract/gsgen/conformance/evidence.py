@@ -15,10 +15,10 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.probing.probe_plan import Plan
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.limits import Limits
+from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.settings import Settings
 
-_MEBIBYTE = 1 << 20
 _MOST_RUNS = 4
 
 Runs = list[tuple[Probe, Arrays]]
@@ -43,7 +43,7 @@ class Evidence:
         if self.dump:
             lines.append(f"    inputs and outputs: {self.dump}")
         if self.withheld:
-            size = f"{self.withheld / _MEBIBYTE:.0f} MiB"
+            size = format_mebibytes(self.withheld, 0)
             lines.append(
                 f"    inputs and outputs: {size}, kept only where a folder is given"
             )
@@ -93,7 +93,13 @@ def gather(
             command = _command(path, settings, case)
             by_rule[case.rule.id] = _keep(dumps, path, settings, case, command, runs)
         return by_rule
-    probes = list({id(probe): probe for rule_probes in probes_by_rule.values() for probe in rule_probes}.values())
+    probes = list(
+        {
+            id(probe): probe
+            for rule_probes in probes_by_rule.values()
+            for probe in rule_probes
+        }.values()
+    )
     index_by_probe = {id(probe): number for number, probe in enumerate(probes)}
     with replay(subject, probes, settings) as rerun:
         for case in ran:
@@ -115,7 +121,9 @@ def _keep(
     if dumps is None:
         return Evidence(command)
     arrays = (
-        array for probe, outputs in runs for array in (*probe.inputs.values(), *outputs.values())
+        array
+        for probe, outputs in runs
+        for array in (*probe.inputs.values(), *outputs.values())
     )
     size = sum(array.nbytes for array in arrays)
     if dumps.most is not None and size > dumps.most:
@@ -130,7 +138,9 @@ def suspects(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
     """Return the probes that findings speak of, the first one first, and never none."""
     text = " ".join(finding.message for finding in findings)
     labels = {example.probe for finding in findings for example in finding.examples[:1]}
-    matches = [probe for probe in plan.probes if probe.label in labels or repr(probe.label) in text]
+    matches = [
+        probe for probe in plan.probes if probe.label in labels or repr(probe.label) in text
+    ]
     for role, (base, variants) in plan.variants.items():
         if any(finding.where.subject == f"role {role}" for finding in findings):
             matches += [plan.probes[base], *(plan.probes[variant] for variant in variants)]
@@ -170,5 +180,5 @@ def _options(settings: Settings) -> list[str]:
     if settings.limits.seconds != Limits().seconds:
         words += ["--timeout", f"{settings.limits.seconds:g}"]
     if settings.limits.memory != Limits().memory:
-        words += ["--memory", str(max(settings.limits.memory // _MEBIBYTE, 1))]
+        words += ["--memory", str(max(settings.limits.memory // MEBIBYTE, 1))]
     return words

@@ -56,7 +56,9 @@ class Replay:
     def emission(self, probe: int) -> ModelOutputs:
         """Return the outputs for a probe as value rules see them."""
         run_probe = self.probes[probe]
-        return read_outputs(self.subject, run_probe.label, run_probe.zeros, self.outputs(probe))
+        return read_outputs(
+            self.subject, run_probe.label, self.outputs(probe), zeros=run_probe.zeros
+        )
 
     def findings(self, rule: Rule, probe: int) -> tuple[Finding, ...]:
         """Return what ``rule`` finds when it sees a probe alone."""
@@ -71,7 +73,7 @@ class Replay:
 
     def _seen(self, rule: Rule, probe: int) -> Iterator[tuple[object, int]]:
         if rule.scope == "execution":
-            plan = Plan(self.probes, len(self.probes))
+            plan = Plan(probes=self.probes, values=len(self.probes))
             yield ProbeRuns(self.subject, self.execution, plan), 0
         elif self.outputs(probe):
             emission = self.emission(probe)

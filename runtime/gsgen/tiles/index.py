@@ -1,4 +1,4 @@
-"""Write the index of a tileset: ``tileset.json``, and the record of what was built.
+"""Write the index of a tileset: ``tileset.json``, and the record of the build.
 
 Equal tiles give equal bytes: keys are sorted, numbers are written in full, no time is noted.
 """
@@ -48,7 +48,7 @@ class ContentRecord:
         size: Bytes of the file.
         low: Lower corner of its splats at 3σ, in the root frame.
         high: Upper corner of the same.
-        utility: What drawing it is worth, in the unit of the caller; 0 where it is not known.
+        utility: Gain in quality from drawing it, in the unit of the caller; 0 if unknown.
     """
 
     uri: str
@@ -63,8 +63,8 @@ class ContentRecord:
 class TileRecord:
     """A tile to write into an index, with the tiles below it.
 
-    The index gets boxes that hold the content and all tiles below, whatever ``low`` and
-    ``high`` say: those are grown where they have to be.
+    The index gets boxes that hold the content and all tiles below, and ``low`` and ``high``
+    are grown where necessary.
 
     Attributes:
         level: 0 for the root.
@@ -73,7 +73,7 @@ class TileRecord:
         high: Upper corner.
         geometric_error: In units of the root frame; 0 for a leaf.
         cell: Side of the cells in which splats were merged; 0 for a leaf.
-        splats: How many the content has; 0 where there is none.
+        splats: Number of splats of the content; 0 without content.
         contents: One a quality, finest first; empty for a tile without content.
         children: The tiles below, in the order of the index.
         refine: ``REPLACE``: the children take the place of the content; ``ADD``: they join it.
@@ -106,7 +106,7 @@ class _Written:
 
 
 def morton(coordinates: tuple[int, int, int]) -> int:
-    """Return the place of an octree's cell on Morton's curve: x is the lowest of three bits."""
+    """Return the index of an octree cell on the Morton curve; x is the lowest of each three bits."""
     index = 0
     for axis, value in enumerate(coordinates):
         for bit in range(value.bit_length()):
@@ -246,7 +246,7 @@ def write_build_record(
     source_splats: int,
     files: Mapping[str, bytes | tuple[int, str]],
 ) -> None:
-    """Write what was built: every file's size and SHA-256, which the validator compares.
+    """Write the record of a build: the size and SHA-256 of every file, which the validator compares.
 
     Args:
         path: ``gsgen.tiles.json`` beside the index.

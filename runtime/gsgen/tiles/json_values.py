@@ -1,4 +1,4 @@
-"""Take typed values out of parsed JSON, each judged when it is asked for."""
+"""Read typed values from parsed JSON; each member is checked when it is read."""
 
 __all__ = ["JsonObject", "parse_object", "shorten"]
 
@@ -57,7 +57,7 @@ def shorten(value: object) -> str:
 @final
 @dataclass(frozen=True, slots=True)
 class JsonObject:
-    """A JSON object, and where it stands.
+    """A JSON object and its location in the file.
 
     Attributes:
         values: The members.
@@ -73,7 +73,7 @@ class JsonObject:
         return key in self.values
 
     def refuse(self, key: str, expected: str) -> Never:
-        """Raise TilesetInvalid that shows what stands at ``key``."""
+        """Raise TilesetInvalid with the value at ``key`` as the actual value."""
         actual = (
             shorten(self.values[key]) if key in self.values else "the member is missing"
         )

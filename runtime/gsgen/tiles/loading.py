@@ -148,8 +148,8 @@ class _Loader:
             )
         self._count(1, entry.location)
         volume = read_volume(entry.child("boundingVolume"))
-        own = self._transform(entry) if own_transform is None else own_transform
-        transform = parent.transform @ own
+        local_transform = self._transform(entry) if own_transform is None else own_transform
+        transform = parent.transform @ local_transform
         error, refine = entry.number("geometricError", least=0), self._refine(entry, parent)
         tile = Tile(
             location=entry.location,
@@ -261,9 +261,9 @@ class _Loader:
             )
         contents: list[Content] = []
         external: list[Tile] = []
-        held = [entry.child("content")] if "content" in entry else []
-        held += entry.objects("contents")
-        for content in held:
+        entries = [entry.child("content")] if "content" in entry else []
+        entries += entry.objects("contents")
+        for content in entries:
             read = partial(self._content, content, document, below, contents, external)
             self._guard(read)
         return tuple(contents), external

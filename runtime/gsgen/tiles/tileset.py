@@ -1,4 +1,4 @@
-"""A tileset in memory: the tree of tiles, whatever files it was read from."""
+"""A tileset in memory: the tree of tiles, independent of the files that it was read from."""
 
 __all__ = ["Content", "Refine", "Tile", "Tileset"]
 
@@ -63,7 +63,7 @@ class Tile:
 
     @property
     def is_finest(self) -> bool:
-        """Whether its content is drawn where everything is drawn as finely as it can be."""
+        """Whether its content is drawn at the finest level of detail."""
         return not self.children or self.refine == "ADD"
 
 

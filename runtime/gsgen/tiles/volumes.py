@@ -105,8 +105,8 @@ class Sphere:
 class Region:
     """A part of the globe between two parallels, two meridians and two heights.
 
-    Angles are radians, heights metres over the ellipsoid of WGS 84 (EPSG:4979). A region is
-    of the globe whatever the transform of its tile.
+    Angles are radians, heights metres over the ellipsoid of WGS 84 (EPSG:4979). The
+    transform of its tile does not apply to it.
     """
 
     west: float

@@ -9,11 +9,11 @@ import typer
 
 from gsgen.contract.commands.options import Config, Memory, Seed, TargetName, Timeout
 from gsgen.contract.errors import ExitCode
+from gsgen.contract.spec.layout import FIELDS
 
 if TYPE_CHECKING:
     from gsgen.conformance.reproduction import Reproduction
 
-_FIELDS = ("x", "y", "z", "opacity", "xx", "xy", "xz", "yy", "yz", "zz")
 _COLOR_SHOWN = 6
 
 
@@ -66,9 +66,20 @@ def _show(model: Path, reproduction: "Reproduction") -> None:
     from gsgen.contract.commands.output import show
     from gsgen.contract.reporters.text import Line, finding_lines
 
-    where = f"{model} at probe {', '.join(reproduction.probes)}" if reproduction.probes else str(model)
+    where = (
+        f"{model} at probe {', '.join(reproduction.probes)}"
+        if reproduction.probes
+        else str(model)
+    )
     if not reproduction.findings:
-        show([Line(f"does not reproduce: {reproduction.rule.id} holds for {where}", "bold green")])
+        show(
+            [
+                Line(
+                    f"does not reproduce: {reproduction.rule.id} holds for {where}",
+                    "bold green",
+                )
+            ]
+        )
         return
     show([Line(f"{where}:", "bold")])
     show(finding_lines(reproduction.findings))
@@ -80,7 +91,7 @@ def _table(reproduction: "Reproduction") -> list[str]:
     if not reproduction.rows:
         return []
     lines = [f"  rows at probe {reproduction.rows[0].probe}:"]
-    lines.append("  " + "".join(f"{name:>13}" for name in ("row", *_FIELDS)) + "  color")
+    lines.append("  " + "".join(f"{name:>13}" for name in ("row", *FIELDS)) + "  color")
     for row in reproduction.rows:
         numbers = "".join(f"{value:13.6g}" for value in row.packed)
         color = " ".join(f"{value:.4g}" for value in row.color[:_COLOR_SHOWN])

@@ -26,7 +26,7 @@ PathLike = str | os.PathLike[str]
 Models = Iterable[PathLike] | Callable[[], Iterable[PathLike]]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
     """What :func:`parametrize_with_rules` was called with."""
 
@@ -67,7 +67,14 @@ def parametrize_with_rules(
     expected = expected_failures
     if expected is not None and not isinstance(expected, (str, os.PathLike)):
         expected = tuple(expected)
-    request = Request(models, target, level, settings, tuple(suites), expected)
+    request = Request(
+        models=models,
+        target=target,
+        level=level,
+        settings=settings,
+        suites=tuple(suites),
+        expected=expected,
+    )
     return pytest.mark.gsgen_rules(request)
 
 

@@ -1,4 +1,4 @@
-"""What a build was asked for, and the key that says whether an earlier result is the same."""
+"""The parameters of a build, and the key under which an earlier result is reused."""
 
 __all__ = ["ALGORITHM_VERSION", "BuildParameters"]
 
@@ -11,13 +11,13 @@ from typing import Any, Final, final
 from gsgen.tiles.gltf.encoding import CodecName
 
 ALGORITHM_VERSION: Final = 1
-"""Of the algorithm: it grows when the same inputs and parameters give other bytes."""
+"""Version of the algorithm: increased when equal inputs and parameters give other bytes."""
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildParameters:
-    """What decides the bytes of a tileset, besides the scenes.
+    """All options that, besides the scenes, decide the bytes of a tileset.
 
     The engine, the number of workers and how the work is divided are missing on purpose: no byte
     depends on them.

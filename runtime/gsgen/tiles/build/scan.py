@@ -32,7 +32,7 @@ _SMALLEST_LOG_SCALE: Final = -1e3  # e^-1000 is 0, and JSON has no infinity
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChunkFacts:
-    """What a scan found out about a chunk.
+    """The box, the counts and the digests of a chunk.
 
     Attributes:
         index: Of the chunk.
@@ -42,7 +42,7 @@ class ChunkFacts:
         low: Least coordinates of the centres.
         high: Greatest coordinates of the centres.
         largest: Logarithm of the largest standard deviation, −1000 or more.
-        digests: sha256 of the values of every ``BLOCK_ROWS`` rows, whatever the chunks are.
+        digests: SHA-256 of the values of every ``BLOCK_ROWS`` rows; independent of the chunk size.
     """
 
     index: int

@@ -50,10 +50,10 @@ def _as_text(name: str, described: "TilesetInfo") -> str:
         f"{'level':>5} {'tiles':>8} {'splats':>12} {'MiB':>9} {'B/splat':>8} {'error':>10}",
     ]
     for level in described.levels:
-        each = level.bytes / max(level.splats, 1)
+        bytes_per_splat = level.bytes / max(level.splats, 1)
         lines.append(
             f"{level.level:>5} {level.tiles:>8,} {level.splats:>12,} "
-            f"{level.bytes / MEBIBYTE:>9.2f} {each:>8.1f} {level.geometric_error:>10.4g}"
+            f"{level.bytes / MEBIBYTE:>9.2f} {bytes_per_splat:>8.1f} {level.geometric_error:>10.4g}"
         )
     if described.neural:
         lines.append(f"{described.neural:,} tiles hold a generator")

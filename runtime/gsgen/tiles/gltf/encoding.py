@@ -1,7 +1,6 @@
 """Write the content of a tile: splats as a GLB file that 3D Tiles viewers draw.
 
-The codec can change behind :func:`write_content`; nothing else knows how bytes are made. Equal
-splats give equal bytes, on any machine.
+Equal splats give equal bytes, on any machine.
 """
 
 __all__ = [
@@ -45,7 +44,7 @@ _Parts = tuple[dict[str, Any], bytes, Splats]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EncodedContent:
-    """A written tile, and what was measured of the splats as they are stored.
+    """An encoded tile, and the box, number and SH degree of its stored splats.
 
     Attributes:
         data: The GLB file.
@@ -214,4 +213,4 @@ CODECS: Final[dict[str, Callable[[Splats, int], _Parts]]] = {
     "spz": _as_spz,
     "khr": _as_floats,
 }
-"""Codec name → what turns splats with glTF axes into a document, its bytes and what is stored."""
+"""Codec name → function of splats with glTF axes to JSON, binary chunk and the stored splats."""

@@ -43,7 +43,8 @@ class PlacedSplats:
 def place(splats: Splats, matrix: Float64[np.ndarray, "4 4"]) -> PlacedSplats:
     """Return ``splats`` after ``matrix``, whose translation stays in float64.
 
-    Positions far from the file's own origin keep their digits: what is far becomes the origin.
+    Positions far from the file's own origin keep their digits: the middle of the splats becomes
+    the origin.
     """
     low, high = splats.position.min(axis=0), splats.position.max(axis=0)
     middle = (low.astype(np.float64) + high) / 2

@@ -77,12 +77,12 @@ def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
         raise ValueInvalid(
             str(quality), where="quality", expected=f"0 to {len(QUALITIES) - 1}"
         )
-    chosen = QUALITIES[quality]
-    fraction = _fractional_bits(local, chosen, finest=quality == 0)
+    settings = QUALITIES[quality]
+    fraction = _fractional_bits(local, settings, finest=quality == 0)
     content = streams.encode(
-        local, version=SPZ_VERSION, fractional_bits=fraction, sh_bits=chosen.sh_bits
+        local, version=SPZ_VERSION, fractional_bits=fraction, sh_bits=settings.sh_bits
     )
-    for name, bits in chosen.bits.items():
+    for name, bits in settings.bits.items():
         content[name] = _rounded(content[name], bits, least=int(name == _ALPHA))
     frame = container.Frame(
         version=SPZ_VERSION,

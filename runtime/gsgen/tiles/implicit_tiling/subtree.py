@@ -172,18 +172,18 @@ def _check_tree(
             "a tree",
         )
     for bits in contents:
-        lost = np.flatnonzero(bits & ~tiles)
-        if len(lost):
+        orphan_contents = np.flatnonzero(bits & ~tiles)
+        if len(orphan_contents):
             raise _wrong(
-                f"content {lost[0]} is available and its tile is not",
+                f"content {orphan_contents[0]} is available and its tile is not",
                 document.at("contentAvailability"),
                 "content of available tiles only",
             )
     last = tiles[-(len(below) // branching) :]
-    hanging = np.flatnonzero(below & ~np.repeat(last, branching))
-    if len(hanging):
+    orphan_subtrees = np.flatnonzero(below & ~np.repeat(last, branching))
+    if len(orphan_subtrees):
         raise _wrong(
-            f"subtree {hanging[0]} hangs below a tile that is not available",
+            f"subtree {orphan_subtrees[0]} hangs below a tile that is not available",
             document.at("childSubtreeAvailability"),
             "subtrees of available tiles only",
         )

@@ -40,12 +40,12 @@ class DocumentReader:
 
     def __init__(self, store: Store, limits: Limits, report: LoadReport) -> None:
         self._store, self._limits, self._report = store, limits, report
-        self._left = limits.index_bytes
+        self._bytes_left = limits.index_bytes
         self._documents = 0
 
     def spend(self, size: int, path: str) -> None:
         """Count a document and its bytes; refuse too many."""
-        self._left -= size
+        self._bytes_left -= size
         self._documents += 1
         if self._documents > self._limits.documents:
             raise TilesetInvalid(
@@ -53,7 +53,7 @@ class DocumentReader:
                 location=f"{self._store.name}: {path}",
                 expected="fewer",
             )
-        if self._left < 0:
+        if self._bytes_left < 0:
             raise TilesetInvalid(
                 f"more than {self._limits.index_bytes:,} bytes of indices",
                 location=f"{self._store.name}: {path}",

@@ -65,7 +65,7 @@ class TilesetScore:
     Attributes:
         splats: Of the scene.
         levels: Coarsest first; the last one has all leaves.
-        pictures: Name of a column (``scene``, ``level 0`` …) → distance → what is seen.
+        pictures: Name of a column (``scene``, ``level 0`` …) → distance → rendered picture.
     """
 
     splats: int
@@ -114,15 +114,17 @@ def score_tileset(
             progress(f"drawing level {level} of {_depth(tileset)}")
             cut = list(level_cut(tileset, level))
             drawn, size = _read(store, tileset, cut)
-            seen = _draw(renderer, drawn, cameras)
-            pictures[f"level {level}"] = _first(seen)
+            renders = _draw(renderer, drawn, cameras)
+            pictures[f"level {level}"] = _first(renders)
             levels.append(
                 LevelScore(
                     level=level,
                     tiles=len(cut),
                     splats=len(drawn),
                     bytes=size,
-                    ssim={name: _similarity(seen[name], expected[name]) for name in seen},
+                    ssim={
+                        name: _similarity(renders[name], expected[name]) for name in renders
+                    },
                 )
             )
     return TilesetScore(splats=len(splats), levels=tuple(levels), pictures=pictures)
@@ -135,13 +137,13 @@ def level_cut(tileset: Tileset, level: int) -> Iterator[tuple[Tile, Content]]:
     """
     pending = [(tileset.root, level)]
     while pending:
-        tile, left = pending.pop()
-        stops = not tile.children or (left == 0 and bool(tile.contents))
+        tile, refinements = pending.pop()
+        stops = not tile.children or (refinements == 0 and bool(tile.contents))
         if stops or tile.refine == "ADD":
             for content in tile.contents:
                 yield tile, content
         if not stops:
-            below = left - 1 if tile.contents else left
+            below = refinements - 1 if tile.contents else refinements
             pending += [(child, below) for child in reversed(tile.children)]
 
 
@@ -192,8 +194,8 @@ def _cameras(
 ) -> dict[str, list[Camera]]:
     """Return cameras around the middle of the scene, by distance."""
     center = np.median(splats.position.astype(np.float64), axis=0)
-    away = np.linalg.norm(splats.position - center, axis=1)
-    radius = max(float(np.quantile(away, _SHARE_WITHIN)), 1e-6)
+    distances = np.linalg.norm(splats.position - center, axis=1)
+    radius = max(float(np.quantile(distances, _SHARE_WITHIN)), 1e-6)
     return {
         name: [
             Camera.orbit(
@@ -231,5 +233,5 @@ def _first(pictures: dict[str, list[Picture]]) -> dict[str, Picture]:
     return {name: views[0] for name, views in pictures.items()}
 
 
-def _similarity(seen: list[Picture], expected: list[Picture]) -> float:
-    return float(np.mean([ssim(a, b) for a, b in zip(seen, expected, strict=True)]))
+def _similarity(renders: list[Picture], expected: list[Picture]) -> float:
+    return float(np.mean([ssim(a, b) for a, b in zip(renders, expected, strict=True)]))

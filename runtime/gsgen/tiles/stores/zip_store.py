@@ -83,14 +83,16 @@ class ZipStore:
         self, index: zipfile.ZipInfo, by_name: dict[str, zipfile.ZipInfo]
     ) -> None:
         """Refuse an index that names other places than the directory of the archive."""
-        others = [member for name, member in by_name.items() if name != INDEX_NAME]
-        if index.file_size != _RECORD.size * len(others):
+        members = [member for name, member in by_name.items() if name != INDEX_NAME]
+        if index.file_size != _RECORD.size * len(members):
             raise self._damaged(
-                f"an index of {index.file_size} bytes for {len(others)} members"
+                f"an index of {index.file_size} bytes for {len(members)} members"
             )
-        expected = {index_record(m.filename, m.header_offset) for m in others}
+        expected = {index_record(m.filename, m.header_offset) for m in members}
         data = self._member(index, 0, index.file_size)
-        records = [data[at : at + 24] for at in range(0, len(data), _RECORD.size)]
+        records = [
+            data[offset : offset + 24] for offset in range(0, len(data), _RECORD.size)
+        ]
         if set(records) != expected:
             raise self._damaged("an index that does not name the members of the archive")
 

@@ -155,9 +155,9 @@ def tiles_hole_in_children() -> TilesetSketch:
     """Half of what the root shows has no leaf."""
     sketch = explicit_sketch(record=False)
     root = sketch.document["root"]
-    lost = root["children"].pop()
+    removed_child = root["children"].pop()
     properties = sketch.document["metadata"]["properties"]
-    properties["source_splats"] -= lost["metadata"]["properties"]["splats"]
+    properties["source_splats"] -= removed_child["metadata"]["properties"]["splats"]
     return sketch
 
 
@@ -187,7 +187,7 @@ def tiles_spz_version() -> TilesetSketch:
 
 @_example("GT010")
 def tiles_uri_escapes() -> TilesetSketch:
-    """A leaf's content lies beside the folder of the tileset."""
+    """A leaf's content is outside the folder of the tileset."""
     sketch = explicit_sketch()
     sketch.document["root"]["children"][0]["content"]["uri"] = "../elsewhere.glb"
     return sketch
@@ -288,8 +288,8 @@ def tiles_draft_names() -> TilesetSketch:
 def tiles_neural_digest() -> TilesetSketch:
     """The generator is another one than the tile names."""
     sketch = _neural()
-    held = sketch.document["root"]["children"][0]["extensions"][NEURAL]
-    held["sha256"] = hashlib.sha256(b"another model").hexdigest()
+    extension = sketch.document["root"]["children"][0]["extensions"][NEURAL]
+    extension["sha256"] = hashlib.sha256(b"another model").hexdigest()
     return sketch
 
 

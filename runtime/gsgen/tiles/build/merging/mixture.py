@@ -19,8 +19,8 @@ class Mixture:
     """Gaussians to be merged, sorted by Morton code.
 
     Attributes:
-        code: Morton codes; a merged Gaussian has that of its first member, so that it stays in
-            the cells of its members whatever its centre is rounded to.
+        code: Morton codes; a merged Gaussian has the code of its first member, so that it stays
+            in the cells of its members regardless of how its centre is rounded.
         mean: Centres, in scene units.
         covariance: Upper triangles xx xy xz yy yz zz.
         scale: Standard deviations along the axes of ``rotation``, in scene units.

@@ -65,15 +65,19 @@ def merge_clusters(
         widen: f of the equations.
     """
     mass = mixture.mass
-    seen = mass > 0
-    if not seen.any():
+    is_visible = mass > 0
+    if not is_visible.any():
         return mixture.rows(np.arange(1))
     cluster = np.zeros(len(mixture), np.int64)
     cluster[starts[1:]] = 1
     cluster = np.cumsum(cluster)
     # 1. Leave out what cannot be seen, and number the clusters that remain.
-    if not seen.all():
-        mixture, mass, cluster = mixture.rows(seen), mass[seen], cluster[seen]
+    if not is_visible.all():
+        mixture, mass, cluster = (
+            mixture.rows(is_visible),
+            mass[is_visible],
+            cluster[is_visible],
+        )
     first = np.flatnonzero(np.diff(cluster, prepend=-1))
     sizes = np.diff(first, append=len(cluster))
     number = np.repeat(np.arange(len(first)), sizes)

@@ -63,8 +63,8 @@ def counts_agree(inspected: InspectedTileset) -> Iterator[Violation]:
     """Accessors, SPZ and metadata say the same number of splats.
 
     Why:
-        Viewers allocate by one of the numbers and fill by another: what is between them is
-        rubbish on the screen, or a crash.
+        Viewers allocate by one of the numbers and fill by another: the splats between
+        the two are rubbish on the screen, or a crash.
 
     Hint:
         Write the accessors' counts and the metadata from the splats that are stored.
