@@ -213,9 +213,10 @@ def _as_text(report: "BakeReport") -> str:
         lines.append(f"error of colours at held-out cameras: {errors}")
     measured = [frame.psnr for frame in report.frames if frame.psnr is not None]
     if measured:
+        noun = "cameras" if report.test_cameras > 1 else "camera"
         several = f", lowest of {len(measured)} frames" if len(measured) > 1 else ""
         lines.append(
-            f"PSNR against the model at {report.test_cameras} cameras: "
+            f"PSNR against the model at {report.test_cameras} {noun}: "
             f"{min(measured):.1f} dB{several}"
         )
     return "\n".join(lines)
