@@ -34,12 +34,16 @@ def number_range(text: str, where: str) -> Float64[np.ndarray, " f"]:
         numbers = [float(word) for word in words[:2]]
         count = int(words[2]) if len(words) == 3 else 1
     except ValueError as error:
-        raise ConfigInvalid(f"{text!r} is not a number or a range", where=where, hint=hint) from error
+        raise ConfigInvalid(
+            f"{text!r} is not a number or a range", where=where, hint=hint
+        ) from error
     if len(words) not in (1, 3) or not all(map(math.isfinite, numbers)):
         raise ConfigInvalid(f"{text!r} is not a number or a range", where=where, hint=hint)
     if not 1 <= count <= _MAX_FRAMES:
         raise ConfigInvalid(
-            f"{text!r} has {count} frames, expected 1 to {_MAX_FRAMES:,}", where=where, hint=hint
+            f"{text!r} has {count} frames, expected 1 to {_MAX_FRAMES:,}",
+            where=where,
+            hint=hint,
         )
     return np.linspace(numbers[0], numbers[-1], count)
 
@@ -66,10 +70,13 @@ class FrameValues:
             (spec, track) for track in tracks for spec in _inputs_of(source, track)
         ]
         lengths = {
-            track.where: track.frames(source.shape(spec.name)) for spec, track in self._tracks
+            track.where: track.frames(source.shape(spec.name))
+            for spec, track in self._tracks
         }
         self.frames = max(lengths.values(), default=1)
-        uneven = [where for where, length in lengths.items() if length not in (1, self.frames)]
+        uneven = [
+            where for where, length in lengths.items() if length not in (1, self.frames)
+        ]
         if uneven:
             longest = max(lengths, key=lambda where: lengths[where])
             raise ConfigInvalid(
@@ -120,7 +127,9 @@ def _require_range(spec: Input, track: Track) -> None:
     low, high = spec.range
     slack = 1e-6 * (high - low)  # a range in decimal text may end one rounding beyond
     values = np.asarray(track.values, np.float64)
-    outside = values[(values < low - slack) | (values > high + slack) | ~np.isfinite(values)]
+    outside = values[
+        (values < low - slack) | (values > high + slack) | ~np.isfinite(values)
+    ]
     if outside.size:
         raise ConfigInvalid(
             f"is {outside.flat[0]:g} for input {spec.name}, expected {low:g} to {high:g}",

@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 
 
 def bake(
-    model: Annotated[
-        Path, typer.Argument(help="The ONNX generator.", show_default=False)
-    ],
+    model: Annotated[Path, typer.Argument(help="The ONNX generator.", show_default=False)],
     output: Annotated[
         Path,
         typer.Option(
@@ -175,9 +173,7 @@ def _poses(poses: list[str] | None, source: "GeneratorSource") -> "list[Track]":
     return tracks
 
 
-def _cameras(
-    text: str | None, up: str | None, source: "GeneratorSource"
-) -> "list[Camera]":
+def _cameras(text: str | None, up: str | None, source: "GeneratorSource") -> "list[Camera]":
     """Return the cameras of ``--camera``, none where it is absent."""
     if text is None:
         return []
@@ -208,7 +204,8 @@ def _as_text(report: "BakeReport") -> str:
     ]
     if report.fit_error:
         errors = ", ".join(
-            f"{error:.4f} (degree {degree})" for degree, error in enumerate(report.fit_error)
+            f"{error:.4f} (degree {degree})"
+            for degree, error in enumerate(report.fit_error)
         )
         lines.append(f"error of colours at held-out cameras: {errors}")
     measured = [frame.psnr for frame in report.frames if frame.psnr is not None]
