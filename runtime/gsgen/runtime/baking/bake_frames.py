@@ -1,0 +1,358 @@
+"""Bakes frames of a generator into splat files, one frame in memory at a time."""
+
+__all__ = ["bake", "bake_source"]
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Final, final
+
+import numpy as np
+from jaxtyping import Float
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.process.atomic_files import refuse_itself
+from gsgen.contract.spec.layout import DecodedGaussians, decode
+from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
+from gsgen.formats import Splats
+from gsgen.formats.shared.files import make_folder
+from gsgen.runtime.baking.fidelity import generator_images, psnr_of_file, renderer_or_none
+from gsgen.runtime.baking.frame_splats import drawn_mask, splats_of_frame
+from gsgen.runtime.baking.frame_values import FrameValues
+from gsgen.runtime.baking.report import BakedFrame, BakeReport
+from gsgen.runtime.baking.sh_fit import best_degree, color_errors, fit_sh
+from gsgen.runtime.baking.targets import OutputFiles
+from gsgen.runtime.baking.view_samples import ViewSamples, cameras_around, sample_views
+from gsgen.runtime.playback.input_tracks import Track
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.sources.source import GeneratorSource
+
+if TYPE_CHECKING:
+    from gsgen.runtime.renderer.renderer import Renderer
+
+_CAMERA_ROLES: Final = frozenset({"view", "projection", "camera_position", "viewport"})
+_HELD_OUT: Final = 5  # every fifth camera chooses the degree and takes no part in the fit
+_TEST_CAMERAS: Final = 4
+MIN_VIEWS: Final = 20
+"""Cameras that a fit of degree 3, with 16 coefficients, needs at least."""
+
+Progress = Callable[[str], None]
+
+
+def bake(
+    model: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    *,
+    time: float | Float[np.ndarray, " f"] | None = None,
+    values: Mapping[str, object] | None = None,
+    camera: Camera | None = None,
+    format: str | None = None,
+    views: int = 30,
+    max_degree: int = MAX_DEGREE,
+    psnr: bool | None = None,
+    provider: str = "cpu",
+    sizes: Mapping[str, int] | None = None,
+    progress: Progress = lambda text: None,
+) -> BakeReport:
+    """Write frames of a generator as plain splat files.
+
+    Only rows that are drawn are written (live, finite, opacity at least 1/255), in their order.
+
+    Args:
+        model: The ONNX file.
+        output: The file to write; with ``%04d`` for the frame's number where there are several.
+        time: One time, or one per frame.
+        values: Tensor name or role → one value, or one per frame along a first axis.
+        camera: Bake what this camera sees. None fits SH to the colours around the scene.
+        format: Name of the format; None for the one that the suffix names.
+        views: Cameras around the scene; every fifth is held out to choose the SH degree.
+        max_degree: Highest SH degree of fitted colours.
+        psnr: Render the file and the generator and measure the PSNR; None does so where colours
+            or rows depend on the camera.
+        provider: Execution provider of the model: cpu, webgpu, cuda or auto.
+        sizes: Symbol → size of an open dimension.
+        progress: Called with a short text as the bake goes on.
+
+    Raises:
+        ConfigInvalid: An option or a value is invalid.
+        UnknownName: The generator has no such input, or no format has this name.
+        ModelUnreadable: The file is not an ONNX model.
+        SceneInvalid: The model is not a generator.
+        FormatError: A file cannot be written.
+    """
+    tracks = [] if time is None else [Track("time", np.asarray(time), "time")]
+    tracks += [
+        Track(word, np.asarray(value), f"values[{word!r}]")
+        for word, value in (values or {}).items()
+    ]
+    with closing(GeneratorSource(Path(model), provider, sizes)) as source:
+        return bake_source(
+            source,
+            Path(output),
+            tracks=tracks,
+            cameras=[] if camera is None else [camera],
+            format=format,
+            views=views,
+            max_degree=max_degree,
+            psnr=psnr,
+            progress=progress,
+        )
+
+
+def bake_source(
+    source: GeneratorSource,
+    output: Path,
+    *,
+    tracks: Sequence[Track] = (),
+    cameras: Sequence[Camera] = (),
+    format: str | None = None,
+    views: int = 30,
+    max_degree: int = MAX_DEGREE,
+    psnr: bool | None = None,
+    progress: Progress = lambda text: None,
+) -> BakeReport:
+    """Write frames of an open generator; see :func:`bake`.
+
+    Args:
+        source: The generator, which stays open.
+        output: As in :func:`bake`.
+        tracks: Values of inputs.
+        cameras: Bake what these cameras see, one per frame or one for all; none fits SH.
+        format: As in :func:`bake`.
+        views: As in :func:`bake`.
+        max_degree: As in :func:`bake`.
+        psnr: As in :func:`bake`.
+        progress: As in :func:`bake`.
+    """
+    started = perf_counter()
+    values = FrameValues(source, tracks)
+    frames = _frame_count(values.frames, len(cameras))
+    if not 0 <= max_degree <= MAX_DEGREE:
+        raise ConfigInvalid(
+            f"is {max_degree}, expected 0 to {MAX_DEGREE}", where="max_degree"
+        )
+    if views < MIN_VIEWS:
+        raise ConfigInvalid(
+            f"is {views}, expected {MIN_VIEWS} or more",
+            where="views",
+            hint="Degree 3 has 16 coefficients, and every fifth camera is held out.",
+        )
+    files = OutputFiles.of(output, frames, format)
+    for number in {0, frames - 1}:
+        refuse_itself(files.path(number), [Path(source.name)])
+    job = _Job(
+        source=source, values=values, cameras=cameras, files=files, views=views,
+        max_degree=max_degree, psnr=psnr, frames=frames, progress=progress,
+    )  # fmt: skip
+    written = tuple(job.write(number) for number in range(frames))
+    return BakeReport(
+        model=source.name,
+        format=files.codec.name,
+        frames=written,
+        view_dependence=job.view_dependence,
+        fit_error=job.fit_error,
+        test_cameras=job.test_cameras,
+        notes=tuple(job.notes),
+        seconds=perf_counter() - started,
+    )
+
+
+def _frame_count(frames: int, cameras: int) -> int:
+    if cameras > 1 and frames > 1 and cameras != frames:
+        raise ConfigInvalid(
+            f"has {cameras} cameras, expected 1 or {frames} as the other inputs",
+            where="--camera",
+            hint="Pick one camera with FILE#NUMBER.",
+        )
+    return max(frames, cameras, 1)
+
+
+@final
+@dataclass(slots=True, kw_only=True, eq=False)
+class _Job:
+    """A bake that is under way."""
+
+    source: GeneratorSource
+    values: FrameValues
+    cameras: Sequence[Camera]
+    files: OutputFiles
+    views: int
+    max_degree: int
+    psnr: bool | None
+    frames: int
+    progress: Progress
+    view_dependence: str = "none"
+    fit_error: tuple[float, ...] = ()
+    test_cameras: int = 0
+    notes: dict[str, None] = field(default_factory=dict)  # in order, each once
+    degree: int | None = None  # chosen in the first frame, the same in all
+    renderer: "Renderer | None" = None
+
+    def write(self, number: int) -> BakedFrame:
+        """Compute, write and measure one frame."""
+        source = self.source
+        head = f"frame {number + 1} of {self.frames}" if self.frames > 1 else "frame"
+        values = self.values.at(number if self.values.frames > 1 else 0)
+        self.progress(f"{head}: running the model")
+        gaussians = self._gaussians(number, values, head)
+        mask, nonfinite = drawn_mask(gaussians)
+        if nonfinite:
+            self._note(
+                f"frame {number}: {nonfinite:,} rows are not finite and were left out"
+            )
+        drawn = _rows(gaussians, mask)
+        splats = splats_of_frame(
+            drawn, antialiased=source.antialias == "mip", color_space=source.color_space
+        )
+        path = self.files.path(number)
+        self._note_losses(splats)
+        self.progress(f"{head}: writing {path.name}")
+        write = self.files.codec.write
+        assert write is not None  # OutputFiles has checked it
+        make_folder(path)
+        write(path, splats)
+        return BakedFrame(
+            file=str(path),
+            count=len(splats),
+            skipped=len(gaussians) - len(splats),
+            sh_degree=min(splats.degree, self.files.codec.most_degree),
+            bytes=path.stat().st_size,
+            time=self.values.time(number if self.values.frames > 1 else 0),
+            psnr=self._measured_psnr(number, values, path, head),
+        )
+
+    # ---- The Gaussians of a frame
+
+    def _gaussians(
+        self, number: int, values: Mapping[str, object], head: str
+    ) -> DecodedGaussians:
+        """Return the live rows of a frame, with colours that a file can hold."""
+        source = self.source
+        if self.cameras or not _camera_inputs(source):
+            source.update(self._camera(number), values, number)
+            if self.cameras:
+                self._note_camera()
+            data = source.data
+            return decode(
+                data.rows[: data.count], data.appearance[: data.count], data.space
+            )
+        if number == 0:
+            source.survey(
+                [(0, values)]
+            )  # the sphere of cameras stays the same in all frames
+        samples = sample_views(
+            source,
+            cameras_around(source, self.views),
+            values,
+            number,
+            lambda view: self.progress(f"{head}: camera {view + 1} of {self.views}"),
+        )
+        self._note_dependence(samples)
+        if samples.colors is None:
+            return samples.union
+        self.progress(f"{head}: fitting SH")
+        return replace(samples.union, sh=self._fitted(samples), rgb=None)
+
+    def _camera(self, number: int) -> Camera | None:
+        return self.cameras[number % len(self.cameras)] if self.cameras else None
+
+    def _fitted(self, samples: ViewSamples) -> np.ndarray:
+        """Return fitted SH; the first frame chooses the degree by its held-out error."""
+        assert samples.colors is not None
+        is_held_out = np.arange(self.views) % _HELD_OUT == _HELD_OUT // 2
+        positions = samples.union.position
+        sets = [
+            (samples.eyes[chosen], samples.colors[chosen], samples.opacity[chosen])
+            for chosen in (~is_held_out, is_held_out)
+        ]
+        if self.degree is None:
+            self.fit_error = tuple(
+                color_errors(positions, *sets[1], fit_sh(positions, *sets[0], degree))
+                for degree in range(self.max_degree + 1)
+            )
+            self.degree = best_degree(self.fit_error)
+        return fit_sh(positions, *sets[0], self.degree)
+
+    # ---- Notes
+
+    def _note(self, text: str) -> None:
+        self.notes[text] = None
+
+    def _note_camera(self) -> None:
+        self.view_dependence = "camera" if _camera_inputs(self.source) else "none"
+        if self.view_dependence == "none":
+            self._note("the model does not depend on a camera: --camera changes nothing")
+
+    def _note_dependence(self, samples: ViewSamples) -> None:
+        parts = ["rows"] * samples.rows_change + ["colors"] * (samples.colors is not None)
+        merged = {*self.view_dependence.split(" and "), *parts} - {"none"}
+        self.view_dependence = " and ".join(sorted(merged, reverse=True)) or "none"
+        if samples.rows_change:
+            self._note(
+                "rows depend on the camera: opacities, positions and covariances are means over "
+                f"{self.views} cameras around the scene; --camera bakes what one camera sees"
+            )
+
+    def _note_losses(self, splats: Splats) -> None:
+        codec = self.files.codec
+        if splats.degree > codec.most_degree:
+            self._note(
+                f"{codec.title} holds SH up to degree {codec.most_degree}: the rest is lost"
+            )
+        if splats.antialiased and "antialiased" not in codec.keeps_flags:
+            self._note(
+                f"{codec.title} does not store antialiasing: draw it with `--antialias mip`"
+            )
+        if splats.color_space != "srgb" and "color_space" not in codec.keeps_flags:
+            self._note(f"{codec.title} does not store the colour space: colours are linear")
+        if self.source.weighted is not None:
+            self._note("the model is blended by weighted sums, and splat files by sorting")
+
+    # ---- PSNR
+
+    def _measured_psnr(
+        self, number: int, values: Mapping[str, object], path: Path, head: str
+    ) -> float | None:
+        """Return the PSNR of the first, the middle or the last frame; None for others."""
+        is_exact = (
+            self.view_dependence in ("none", "camera") and self.source.weighted is None
+        )
+        is_measured = self.psnr if self.psnr is not None else not is_exact
+        if not is_measured or number not in {0, self.frames // 2, self.frames - 1}:
+            return None
+        if self.renderer is None:
+            self.renderer, reason = renderer_or_none()
+            if self.renderer is None:
+                self._note(f"PSNR was not measured: {reason}")
+                return None
+        self.progress(f"{head}: measuring PSNR")
+        source, camera = self.source, self._camera(number)
+        cameras = [camera] if camera else cameras_around(source, _TEST_CAMERAS, offset=0.2)
+        self.test_cameras = len(cameras)
+        images = generator_images(source, cameras, values, number, self.renderer)
+        return psnr_of_file(
+            path, cameras, images, source.antialias, source.color_space, self.renderer
+        )
+
+
+def _camera_inputs(source: GeneratorSource) -> list[str]:
+    """Return the camera inputs that the manifest does not declare irrelevant."""
+    depends_on = source.manifest.depends_on
+    return [
+        spec.name
+        for spec in source.inputs
+        if spec.role in _CAMERA_ROLES and depends_on.get(spec.role, True)
+    ]
+
+
+def _rows(gaussians: DecodedGaussians, mask: np.ndarray) -> DecodedGaussians:
+    return DecodedGaussians(
+        position=gaussians.position[mask],
+        opacity=gaussians.opacity[mask],
+        covariance=gaussians.covariance[mask],
+        sh=None if gaussians.sh is None else gaussians.sh[mask],
+        rgb=None if gaussians.rgb is None else gaussians.rgb[mask],
+    )

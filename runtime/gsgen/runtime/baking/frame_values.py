@@ -1,0 +1,138 @@
+"""Input values of each frame of a bake, from numbers, arrays, files and ranges."""
+
+__all__ = ["FrameValues", "number_range"]
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Float64
+
+from gsgen.contract.errors import ConfigInvalid, UnknownName
+from gsgen.contract.spec.manifest import Input
+from gsgen.contract.spec.roles import ROLES
+from gsgen.runtime.playback.input_tracks import Track
+from gsgen.runtime.sources.source import GeneratorSource
+
+_MAX_FRAMES: Final = 1_000_000
+
+
+def number_range(text: str, where: str) -> Float64[np.ndarray, " f"]:
+    """Parse a number, or FIRST:LAST:COUNT, both ends included.
+
+    Args:
+        text: As the user typed it.
+        where: The option, for errors.
+
+    Raises:
+        ConfigInvalid: It is neither.
+    """
+    hint = "Give a number, or FIRST:LAST:COUNT such as 0:1:300."
+    words = text.split(":")
+    try:
+        numbers = [float(word) for word in words[:2]]
+        count = int(words[2]) if len(words) == 3 else 1
+    except ValueError as error:
+        raise ConfigInvalid(
+            f"{text!r} is not a number or a range", where=where, hint=hint
+        ) from error
+    if len(words) not in (1, 3) or not all(map(math.isfinite, numbers)):
+        raise ConfigInvalid(f"{text!r} is not a number or a range", where=where, hint=hint)
+    if not 1 <= count <= _MAX_FRAMES:
+        raise ConfigInvalid(
+            f"{text!r} has {count} frames, expected 1 to {_MAX_FRAMES:,}",
+            where=where,
+            hint=hint,
+        )
+    return np.linspace(numbers[0], numbers[-1], count)
+
+
+@final
+class FrameValues:
+    """The values of a generator's inputs in each frame.
+
+    Args:
+        source: The generator.
+        tracks: Values by tensor name or role.
+
+    Attributes:
+        frames: How many frames there are.
+
+    Raises:
+        ConfigInvalid: Lengths of two tracks differ, or a time or an index is out of its range.
+        UnknownName: The generator has no such input.
+    """
+
+    def __init__(self, source: GeneratorSource, tracks: Sequence[Track]) -> None:
+        self._source = source
+        self._tracks = [
+            (spec, track) for track in tracks for spec in _inputs_of(source, track)
+        ]
+        lengths = {
+            track.where: track.frames(source.shape(spec.name))
+            for spec, track in self._tracks
+        }
+        self.frames = max(lengths.values(), default=1)
+        uneven = [
+            where for where, length in lengths.items() if length not in (1, self.frames)
+        ]
+        if uneven:
+            longest = max(lengths, key=lambda where: lengths[where])
+            raise ConfigInvalid(
+                f"has {lengths[uneven[0]]} frames, expected 1 or {self.frames} as {longest}",
+                where=uneven[0],
+                hint="Give all ranges the same number of frames.",
+            )
+        for spec, track in self._tracks:
+            _require_range(spec, track)
+
+    def at(self, number: int) -> Mapping[str, object]:
+        """Return tensor name → value in frame ``number``, from 0."""
+        values: dict[str, object] = {}
+        for spec, track in self._tracks:
+            value = track.at(self._source.shape(spec.name), number, self.frames)
+            index = ROLES[spec.role].index
+            values[spec.name] = np.rint(value).astype(np.int64) if index else value
+        return values
+
+    def time(self, number: int) -> float | None:
+        """Return the time of frame ``number``: the given one, else the manifest's default."""
+        spec = self._source.time
+        if spec is None:
+            return None
+        if spec.name in self.at(number):
+            return float(np.asarray(self.at(number)[spec.name]).reshape(-1)[0])
+        return float(spec.default) if isinstance(spec.default, int | float) else None
+
+
+def _inputs_of(source: GeneratorSource, track: Track) -> list[Input]:
+    matches = source.named(track.word)
+    if matches:
+        return matches
+    known = {word for spec in source.inputs for word in (spec.name, spec.role)}
+    if track.word == "time":
+        raise ConfigInvalid(
+            f"{source.name} has no time input; it has {', '.join(sorted(known)) or 'no inputs'}",
+            where=track.where,
+            hint="Leave --time out, or set another input with --input NAME=VALUE.",
+        )
+    raise UnknownName.among("input", track.word, known, track.where)
+
+
+def _require_range(spec: Input, track: Track) -> None:
+    """Raise if a time or an index is outside the range that the manifest declares."""
+    if spec.range is None or not (spec.role == "time" or ROLES[spec.role].index):
+        return
+    low, high = spec.range
+    slack = 1e-6 * (high - low)  # a range in decimal text may end one rounding beyond
+    values = np.asarray(track.values, np.float64)
+    outside = values[
+        (values < low - slack) | (values > high + slack) | ~np.isfinite(values)
+    ]
+    if outside.size:
+        raise ConfigInvalid(
+            f"is {outside.flat[0]:g} for input {spec.name}, expected {low:g} to {high:g}",
+            where=track.where,
+            hint="The manifest declares this range: `gsgen inspect` shows it.",
+        )

@@ -1,0 +1,93 @@
+"""Output paths of a bake: one file, or a pattern with the frame's number."""
+
+__all__ = ["OutputFiles"]
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, final
+
+from gsgen.contract.errors import ConfigInvalid, UnknownName
+from gsgen.contract.process.atomic_files import refuse_folder
+from gsgen.formats import CODECS, Codec, codec_named, codec_of_suffix
+
+_NUMBER: Final = re.compile(r"%(0\d)?d")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class OutputFiles:
+    """The files that a bake writes.
+
+    Attributes:
+        pattern: The path as the user gave it; ``%d`` or ``%04d`` stands for the frame's number.
+        codec: The format that is written.
+    """
+
+    pattern: Path
+    codec: Codec
+
+    @classmethod
+    def of(cls, pattern: Path, frames: int, format: str | None = None) -> "OutputFiles":
+        """Check an output path against the number of frames.
+
+        Args:
+            pattern: The path, with ``%d`` or ``%04d`` where there are several frames.
+            frames: How many frames are written.
+            format: Name of a format; None for the one that the suffix names.
+
+        Raises:
+            ConfigInvalid: Nothing writes this format, the pattern has no number or several, or
+                the path is a folder.
+            UnknownName: No format has this name.
+        """
+        codec = _writable_codec(pattern, format)
+        numbers = len(_NUMBER.findall(str(pattern)))
+        example = pattern.with_name(f"{pattern.name.split('.')[0]}_%04d{codec.suffixes[0]}")
+        if numbers > 1:
+            raise ConfigInvalid(
+                f"has {numbers} frame numbers, expected one",
+                where=f"-o {pattern}",
+                hint=f"Write for example -o {example}.",
+            )
+        if frames > 1 and not numbers:
+            raise ConfigInvalid(
+                f"is one file, expected a pattern for {frames} frames",
+                where=f"-o {pattern}",
+                hint=f"Write the frame's number as %04d, for example -o {example}.",
+            )
+        refuse_folder(pattern)
+        return cls(pattern, codec)
+
+    def path(self, number: int) -> Path:
+        """Return the file of frame ``number``, from 0."""
+        return Path(_NUMBER.sub(lambda match: _digits(match, number), str(self.pattern)))
+
+
+def _digits(match: re.Match[str], number: int) -> str:
+    width = int(match[1] or 0)
+    return f"{number:0{width}d}" if width else str(number)
+
+
+def _writable_codec(path: Path, format: str | None) -> Codec:
+    writable = [codec for codec in CODECS if codec.write]
+    if format is not None:
+        if format not in [codec.name for codec in CODECS]:
+            raise UnknownName.among(
+                "format", format, [codec.name for codec in writable], where="--format"
+            )
+        codec: Codec | None = codec_named(format)
+        where = f"--format {format}"
+    else:
+        codec, where = codec_of_suffix(path), f"-o {path}"
+    if codec is None or codec.write is None:
+        actual = (
+            f"{codec.title} is only read" if codec else "has no suffix of a splat format"
+        )
+        suffixes = ", ".join(known.suffixes[0] for known in writable)
+        raise ConfigInvalid(
+            f"{actual}, expected a format that is written: {suffixes}",
+            where=where,
+            hint="Change the suffix, or write a PLY and convert it with another tool.",
+        )
+    return codec

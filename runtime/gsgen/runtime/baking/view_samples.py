@@ -1,0 +1,232 @@
+"""Gaussians of one frame as several cameras see them, and the Gaussians that stand for all."""
+
+__all__ = ["ViewSamples", "cameras_around", "sample_views"]
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from jaxtyping import Float32, Int64
+
+from gsgen.contract.errors import ConfigInvalid
+from gsgen.contract.spec.layout import DecodedGaussians, decode
+from gsgen.contract.spec.spherical_harmonics import basis
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.sources.source import GeneratorSource
+
+_SIDE: Final = 256  # pixels: cameras are square, so that no direction is preferred
+_FOV: Final = 50.0
+_MAX_GROWTH: Final = 8  # a union this many times larger than a frame has no stable rows
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ViewSamples:
+    """One Gaussian per row of the union over cameras, with what each camera sees of it.
+
+    Attributes:
+        union: Means over the cameras: opacity plainly, positions and covariances weighted by
+            opacity. Its colours are those of the first camera that has the row.
+        eyes: Camera centres, [V, 3].
+        colors: Colours by camera, [V, N, 3]; None if they are the same for all.
+        opacity: Opacity by camera, [V, N]; 0 where a camera has no such row.
+        rows_change: Positions, opacities or covariances change with the camera.
+    """
+
+    union: DecodedGaussians
+    eyes: Float32[np.ndarray, "v 3"]
+    colors: Float32[np.ndarray, "v n 3"] | None
+    opacity: Float32[np.ndarray, "v n"]
+    rows_change: bool
+
+
+@dataclass(slots=True, eq=False)
+class _View:
+    """The live rows that one camera gets."""
+
+    gaussians: DecodedGaussians
+    versions: tuple[int, int, int]  # of rows, appearance, and the live count
+    eye: np.ndarray
+
+
+def cameras_around(
+    source: GeneratorSource, count: int, *, offset: float = 0.5
+) -> list[Camera]:
+    """Return cameras on a sphere from which all Gaussians are in view, evenly spread.
+
+    Args:
+        source: The generator, whose extent decides the sphere.
+        count: How many; they lie on a Fibonacci lattice.
+        offset: Shifts the lattice, so that other offsets give other directions.
+    """
+    center, reach = source.extent()
+    radius = reach / np.sin(np.radians(_FOV) / 2)
+    number = np.arange(count)
+    height = 1 - 2 * (number + 0.5) / count
+    turn = np.pi * (3 - np.sqrt(5)) * (number + offset)
+    level = np.sqrt(1 - height * height)
+    lattice = np.stack([level * np.cos(turn), height, level * np.sin(turn)], axis=1)
+    return [
+        Camera.look_at(
+            (center + radius * direction).tolist(),
+            center.tolist(),
+            up=source.up,
+            width=_SIDE,
+            height=_SIDE,
+            fov_y=_FOV,
+            near=min(0.01, radius / 100),
+        )
+        for direction in lattice
+    ]
+
+
+def sample_views(
+    source: GeneratorSource,
+    cameras: Sequence[Camera],
+    values: Mapping[str, object],
+    number: int,
+    step: Callable[[int], None] = lambda view: None,
+) -> ViewSamples:
+    """Run a generator for each camera and match its rows.
+
+    Rows are matched by index; where the live count changes with the camera, by the bits of their
+    positions, since a generator then moves rows up.
+
+    Args:
+        source: The generator.
+        cameras: The cameras.
+        values: Values of its other inputs.
+        number: Number of the frame, for errors.
+        step: Called before each run with the camera's number.
+
+    Raises:
+        ConfigInvalid: Rows of different cameras cannot be matched.
+    """
+    views: list[_View] = []
+    for index, camera in enumerate(cameras):
+        step(index)
+        source.update(camera, values, number)
+        data = source.data
+        versions = data.rows_version, data.appearance_version, data.count
+        if views and views[-1].versions == versions:
+            gaussians = views[-1].gaussians
+        else:
+            gaussians = decode(
+                data.rows[: data.count], data.appearance[: data.count], data.space
+            )
+        views.append(_View(gaussians, versions, np.asarray(camera.eye, np.float32)))
+    first = views[0].versions
+    counts_change = any(view.versions[2] != first[2] for view in views)
+    rows_change = counts_change or any(view.versions[0] != first[0] for view in views)
+    colors_change = counts_change or any(view.versions[1] != first[1] for view in views)
+    ids = (
+        _matched_by_position(views, source.name)
+        if counts_change
+        else [np.arange(len(view.gaussians)) for view in views]
+    )
+    opacity = _scattered(ids, [view.gaussians.opacity for view in views])
+    colors = None
+    if colors_change:
+        colors = _scattered(ids, [_colors(view) for view in views])
+    union = _mean(views, ids, opacity) if rows_change else views[0].gaussians
+    eyes = np.stack([view.eye for view in views])
+    return ViewSamples(
+        union=union, eyes=eyes, colors=colors, opacity=opacity, rows_change=rows_change
+    )
+
+
+def _colors(view: _View) -> np.ndarray:
+    """Return the colours that a camera sees; SH are evaluated in its directions."""
+    gaussians = view.gaussians
+    if gaussians.rgb is not None:
+        return np.asarray(gaussians.rgb, np.float32)
+    assert gaussians.sh is not None
+    rays = gaussians.position.astype(np.float64) - view.eye
+    length = np.linalg.norm(rays, axis=1, keepdims=True)
+    harmonics = basis(rays / np.where(length > 0, length, 1), gaussians.degree or 0)
+    color = 0.5 + np.einsum("nk,nkc->nc", harmonics, gaussians.sh)
+    return np.asarray(np.maximum(color, 0), np.float32)
+
+
+def _scattered(ids: Sequence[np.ndarray], arrays: Sequence[np.ndarray]) -> np.ndarray:
+    """Return arrays of the views in rows of the union; rows that a view lacks are 0."""
+    size = max(int(rows.max(initial=-1)) for rows in ids) + 1
+    result = np.zeros((len(arrays), size, *arrays[0].shape[1:]), np.float32)
+    for view, (rows, array) in enumerate(zip(ids, arrays, strict=True)):
+        result[view, rows] = array
+    return result
+
+
+def _mean(
+    views: Sequence[_View], ids: Sequence[np.ndarray], opacity: np.ndarray
+) -> DecodedGaussians:
+    """Return the Gaussians that stand for those of all views."""
+    size = opacity.shape[1]
+    weight, sums = np.zeros(size), np.zeros((size, 9))
+    appearance = (
+        views[0].gaussians.rgb if views[0].gaussians.sh is None else views[0].gaussians.sh
+    )
+    assert appearance is not None
+    first = np.zeros((size, *appearance.shape[1:]), np.float32)
+    is_set = np.zeros(size, bool)
+    for view, rows in zip(views, ids, strict=True):
+        gaussians = view.gaussians
+        share = np.maximum(gaussians.opacity, 1e-6).astype(
+            np.float64
+        )  # invisible rows count, too
+        weight[rows] += share
+        sums[rows, :3] += share[:, None] * gaussians.position
+        sums[rows, 3:] += share[:, None] * gaussians.covariance
+        colors = gaussians.rgb if gaussians.sh is None else gaussians.sh
+        assert colors is not None
+        is_new = ~is_set[rows]
+        first[rows[is_new]] = colors[is_new]
+        is_set[rows] = True
+    mean = (sums / weight[:, None]).astype(np.float32)
+    is_sh = views[0].gaussians.sh is not None
+    return DecodedGaussians(
+        position=mean[:, :3],
+        opacity=opacity.mean(axis=0, dtype=np.float64).astype(np.float32),
+        covariance=mean[:, 3:],
+        sh=first if is_sh else None,
+        rgb=None if is_sh else first,
+    )
+
+
+def _matched_by_position(
+    views: Sequence[_View], model: str
+) -> list[Int64[np.ndarray, " n"]]:
+    """Return the row in the union of each row of each view, in order of first appearance."""
+    ids: list[np.ndarray] = []
+    known = np.empty(0, np.dtype((np.void, 16)))
+    largest = max((len(view.gaussians) for view in views), default=0)
+    for view in views:
+        keys = np.concatenate([known, _keys(view.gaussians.position)])
+        _, index, inverse = np.unique(keys, return_index=True, return_inverse=True)
+        order = np.sort(index)
+        rank = np.searchsorted(order, index)
+        ids.append(rank[inverse.reshape(-1)[len(known) :]])
+        known = keys[order]
+        if len(known) > _MAX_GROWTH * max(largest, 1):
+            raise ConfigInvalid(
+                f"has {len(known):,} different positions at {len(ids)} cameras and at most "
+                f"{largest:,} rows at one, so its rows cannot be matched",
+                where=model,
+                hint="Give --camera: the rows that this camera sees are baked.",
+            )
+    return ids
+
+
+def _keys(positions: Float32[np.ndarray, "n 3"]) -> np.ndarray:
+    """Return 16 bytes that identify each row: its position, and how many rows before share it."""
+    bits = np.ascontiguousarray(positions, np.float32).view(np.uint32)
+    _, inverse = np.unique(bits, axis=0, return_inverse=True)
+    order = np.argsort(inverse.reshape(-1), kind="stable")
+    ordered = inverse.reshape(-1)[order]
+    is_start = np.diff(ordered, prepend=-1) != 0
+    starts = np.maximum.accumulate(np.where(is_start, np.arange(len(order)), 0))
+    occurrence = np.empty(len(order), np.uint32)
+    occurrence[order] = np.arange(len(order)) - starts
+    joined = np.concatenate([bits, occurrence[:, None]], axis=1)
+    return np.ascontiguousarray(joined).view(np.dtype((np.void, 16))).reshape(-1)

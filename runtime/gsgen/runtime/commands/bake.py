@@ -1,0 +1,219 @@
+"""`gsgen bake`: frames of a generator as plain splat files."""
+
+__all__ = ["bake"]
+
+import json
+import math
+from contextlib import closing
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gsgen.contract.errors import ConfigInvalid, ExitCode
+from gsgen.runtime.commands.options import Axis, Provider, Sizes
+
+if TYPE_CHECKING:
+    from gsgen.runtime.baking.report import BakeReport
+    from gsgen.runtime.playback.input_tracks import Track
+    from gsgen.runtime.scene.camera import Camera
+    from gsgen.runtime.sources.source import GeneratorSource
+
+
+def bake(
+    model: Annotated[Path, typer.Argument(help="The ONNX generator.", show_default=False)],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="The splat file to write; for several frames a pattern such as seq/%04d.ply.",
+            show_default=False,
+        ),
+    ],
+    time: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIME|FIRST:LAST:COUNT",
+            help="A time, or a range with both ends. [default: the manifest's]",
+        ),
+    ] = None,
+    pose: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[NAME=]FILE",
+            help="A pose or one pose per frame, in any format of `gsgen render`; repeatable.",
+        ),
+    ] = None,
+    inputs: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--input",
+            metavar="NAME=VALUE",
+            help="Another input, by its name or role: a number, A,B,…, FIRST:LAST:COUNT, or a "
+            "file; repeatable.",
+        ),
+    ] = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            help="Bake what this camera sees: orbit[:AZIMUTH,ELEVATION[,RADIUS]], "
+            "look-at:EX,EY,EZ,TX,TY,TZ, or FILE#NAME. [default: colours are fitted for all]"
+        ),
+    ] = None,
+    up: Axis = None,
+    views: Annotated[
+        int,
+        typer.Option(help="Cameras around the scene that colours are fitted to.", min=20),
+    ] = 30,
+    sh_degree: Annotated[
+        int, typer.Option(help="Highest SH degree of fitted colours.", min=0, max=3)
+    ] = 3,
+    psnr: Annotated[
+        bool | None,
+        typer.Option(
+            "--psnr/--no-psnr",
+            help="Render the files and the model and print the PSNR. "
+            "[default: if something depends on the camera]",
+            show_default=False,
+        ),
+    ] = None,
+    format: Annotated[
+        str | None,
+        typer.Option(
+            help="ply, compressed-ply, splat, spz or glb. [default: the suffix of OUT]"
+        ),
+    ] = None,
+    size: Sizes = None,
+    provider: Provider = "cpu",
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the report as JSON.")
+    ] = False,
+) -> None:
+    """Write frames of a generator as plain splat files, which every viewer reads.
+
+    Only drawn rows are written (live, opacity at least 1/255), in their order. Colours that depend
+    on the view are fitted with spherical harmonics, and the PSNR is printed.
+
+    Exits 0 if everything was written, 1 if a file cannot be written, 2 for invalid options, 4 if
+    the model cannot be read.
+    """
+    from gsgen.contract.commands.progress import clear, progress
+    from gsgen.formats import FormatError
+    from gsgen.runtime.baking.bake_frames import bake_source
+    from gsgen.runtime.sources.source import GeneratorSource
+    from gsgen.sdk.commands.sizes import sizes_of
+
+    tracks = _tracks(time, inputs)
+    with closing(GeneratorSource(model, provider, sizes_of(size, "--size"))) as source:
+        try:
+            report = bake_source(
+                source,
+                output,
+                tracks=[*tracks, *_poses(pose, source)],
+                cameras=_cameras(camera, up, source),
+                format=format,
+                views=views,
+                max_degree=sh_degree,
+                psnr=psnr,
+                progress=progress,
+            )
+        except FormatError as error:
+            clear()
+            typer.echo(f"gsgen: {error}", err=True)
+            raise typer.Exit(ExitCode.FAILURE) from error
+        finally:
+            clear()
+    for note in report.notes:
+        typer.echo(f"note: {note}", err=True)
+    typer.echo(json.dumps(_as_dict(report), indent=2) if as_json else _as_text(report))
+
+
+def _tracks(time: str | None, inputs: list[str] | None) -> "list[Track]":
+    """Return the tracks of ``--time`` and ``--input``."""
+    from gsgen.runtime.baking.frame_values import number_range
+    from gsgen.runtime.playback.input_tracks import Track, input_track
+
+    tracks = []
+    if time is not None:
+        tracks.append(Track("time", number_range(time, "--time"), "--time"))
+    for text in inputs or ():
+        word, _, value = text.partition("=")
+        if word and value.count(":") == 2 and not Path(value).exists():
+            where = f"--input {word}"
+            tracks.append(Track(word, number_range(value, where), where))
+            continue
+        track = input_track(text)
+        if track.sweep:
+            raise ConfigInvalid(
+                f"{text!r} has no number of frames",
+                where=track.where,
+                hint="Write FIRST:LAST:COUNT, for example 0:1:30.",
+            )
+        tracks.append(track)
+    return tracks
+
+
+def _poses(poses: list[str] | None, source: "GeneratorSource") -> "list[Track]":
+    """Return the tracks of ``--pose``."""
+    from gsgen.runtime.playback.pose_tracks import named_file, pose_tracks
+
+    tracks: list[Track] = []
+    for text in poses or ():
+        word = named_file(text)[0]
+        if not source.named(word):
+            known = ", ".join(sorted(spec.name for spec in source.inputs)) or "none"
+            raise ConfigInvalid(
+                f"the model has no input {word!r}",
+                where=f"--pose {text}",
+                hint=f"Its inputs: {known}.",
+            )
+        tracks += pose_tracks(text, source)[0]
+    return tracks
+
+
+def _cameras(text: str | None, up: str | None, source: "GeneratorSource") -> "list[Camera]":
+    """Return the cameras of ``--camera``, none where it is absent."""
+    if text is None:
+        return []
+    from gsgen.runtime.playback.camera_options import viewpoint
+
+    view = viewpoint(text, up=up)
+    return [view.camera(source, number, 0.0) for number in range(max(1, len(view.cameras)))]
+
+
+def _as_dict(report: "BakeReport") -> dict[str, object]:
+    """Return the report in JSON types: an infinite PSNR becomes the text ``inf``."""
+    document = asdict(report)
+    for frame in document["frames"]:
+        if frame["psnr"] is not None and math.isinf(frame["psnr"]):
+            frame["psnr"] = "inf"
+    return document
+
+
+def _as_text(report: "BakeReport") -> str:
+    first, last = report.frames[0], report.frames[-1]
+    count = sum(frame.count for frame in report.frames)
+    size = sum(frame.bytes for frame in report.frames) / (1 << 20)
+    name = first.file if len(report.frames) == 1 else f"{first.file} … {last.file}"
+    frames = f"{len(report.frames)} frames, " if len(report.frames) > 1 else ""
+    lines = [
+        f"{name}: {frames}{count:,} splats of SH degree {first.sh_degree}, {report.format}, "
+        f"{size:.2f} MiB in {report.seconds:.1f} s"
+    ]
+    if report.fit_error:
+        errors = ", ".join(
+            f"{error:.4f} (degree {degree})"
+            for degree, error in enumerate(report.fit_error)
+        )
+        lines.append(f"error of colours at held-out cameras: {errors}")
+    measured = [frame.psnr for frame in report.frames if frame.psnr is not None]
+    if measured:
+        noun = "cameras" if report.test_cameras > 1 else "camera"
+        several = f", lowest of {len(measured)} frames" if len(measured) > 1 else ""
+        lines.append(
+            f"PSNR against the model at {report.test_cameras} {noun}: "
+            f"{min(measured):.1f} dB{several}"
+        )
+    return "\n".join(lines)
