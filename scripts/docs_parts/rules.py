@@ -13,7 +13,7 @@ def ours() -> Registry:
     """
     registry = installed_rules()
     contract_rules = [rule for rule in registry.rules.values() if "/" not in rule.id]
-    return Registry.known_findings(contract_rules, registry.backends.values())
+    return Registry.of(contract_rules, registry.backends.values())
 
 
 def by_level() -> str:
