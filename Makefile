@@ -46,6 +46,7 @@ style:
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
+	$(BIN)/python scripts/check_house.py
 
 # Throughput, start-up and memory, as ratios against a baseline measured in the same run.
 bench: setup

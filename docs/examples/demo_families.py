@@ -17,6 +17,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -72,8 +73,8 @@ class DemoModel:
 
 def gsgen(log: Path, *words: str) -> tuple[int, str, str]:
     """Run the program as its console script does; return exit code, stdout and stderr."""
-    from gsgen.cli import main
-
+    (script,) = entry_points(group="console_scripts", name="gsgen")
+    main = script.load()
     stdout, stderr, arguments = io.StringIO(), io.StringIO(), sys.argv
     sys.argv = ["gsgen", *words]
     try:
@@ -203,7 +204,7 @@ def alternating(first: list[np.ndarray], second: list[np.ndarray]) -> list[np.nd
 
 def write_receding_cameras(path: Path) -> Path:
     """Write cameras that move away from the knot and zoom in, so that it keeps its size."""
-    from gsgen.runtime.scene.camera import Camera
+    from gsgen.runtime import Camera
 
     cameras = []
     for distance in np.geomspace(6, 90, FRAMES):
@@ -221,7 +222,7 @@ def processed(model: Path, picture: np.ndarray) -> np.ndarray:
     """Run a post-process model over a picture."""
     import onnxruntime
 
-    from gsgen.runtime.playback.image_tiling import post_process
+    from gsgen.runtime import post_process
 
     session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
     image = np.moveaxis(picture, 2, 0)[None].astype(np.float32) / 255

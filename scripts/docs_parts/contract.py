@@ -193,11 +193,11 @@ def tolerances() -> str:
 def probes() -> str:
     """Return the probes of a model with a camera and time, for bounds of ±1."""
     entries = (
-        Input("camera", "view"),
-        Input("proj", "projection"),
-        Input("eye", "camera_position"),
-        Input("viewport", "viewport"),
-        Input("time", "time", range=(0.0, 1.0)),
+        Input(name="camera", role="view"),
+        Input(name="proj", role="projection"),
+        Input(name="eye", role="camera_position"),
+        Input(name="viewport", role="viewport"),
+        Input(name="time", role="time", range=(0.0, 1.0)),
     )
     manifest = GeneratorManifest(
         name="probed",

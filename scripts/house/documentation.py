@@ -26,6 +26,7 @@ PUBLIC_MODULES = frozenset(
         "gsgen.sdk.binding",
         "gsgen.sdk.inputs",
         "gsgen.sdk.math",
+        "gsgen.tiles",
     }
 )
 """The modules whose names stay: what users import."""

@@ -20,7 +20,7 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.sources.generator_worker import _Kept
+from gsgen.runtime.sources.generator_worker import _OutputBuffer
 from gsgen.sdk.binding import FrameSession
 
 FRAMES = 200
@@ -96,7 +96,7 @@ def bench_what_stays(renderer: Renderer) -> None:
     """Noticing that a million Gaussians are as before, beside uploading them again."""
     rng = np.random.default_rng(0)
     made = [rng.normal(size=(1_000_000, width)).astype(np.float32) for width in (10, 48)]
-    kept = [_Kept() for _ in made]
+    kept = [_OutputBuffer() for _ in made]
     data = SplatData(*made, "sh")
     residency = Residency(renderer.device)
     residency.pages(data)

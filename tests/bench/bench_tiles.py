@@ -46,7 +46,7 @@ from gsgen.tiles.build.merging.morton import Cube, morton_codes
 from gsgen.tiles.build.parameters import BuildParameters
 from gsgen.tiles.build.progress import Silent
 from gsgen.tiles.build.tile import mixture_of, splats_of
-from gsgen.tiles.content import write_content
+from gsgen.tiles.gltf.encoding import write_content
 from gsgen.tiles.leaves import read_leaves
 from support.tiles.tile_scenes import scattered
 

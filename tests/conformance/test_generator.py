@@ -107,7 +107,7 @@ UNMADE = """
 from gsgen.contract.errors import GsgenError
 
 def build():
-    raise GsgenError("GV003 output gaussians: 4 of 5 rows", where="mine.onnx", mend="Squash it.")
+    raise GsgenError("GV003 output gaussians: 4 of 5 rows", where="mine.onnx", hint="Squash it.")
 
 class TestRefused(GeneratorConformance):
     @pytest.fixture
@@ -151,4 +151,4 @@ def test_a_model_that_cannot_be_made_is_one_error_and_not_one_for_each_rule(
     ]
     assert 'return {}["weights"]' in crash
     assert "KeyError: 'weights'" in crash
-    assert "there is no model to judge, as the error of test_" in ran.out
+    assert "the model cannot be validated: see the error of test_" in ran.out

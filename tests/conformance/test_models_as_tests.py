@@ -173,15 +173,15 @@ CRASHING = """
 from dataclasses import replace
 from gsgen.contract.rules import catalogue as installed
 
-own = installed.catalogue
+own = installed.builtin_rules
 
-def catalogue():
+def builtin_rules():
     def crash(subject):
         yield 1 / 0
 
     return [*own(), replace(own()[0], id="acme/AC001", slug="never-works", check=crash)]
 
-installed.catalogue = catalogue
+installed.builtin_rules = builtin_rules
 """
 
 

@@ -46,8 +46,8 @@ def test_a_rule_that_holds_exits_0(folder: Path) -> None:
     [
         ("drift", "GV003", "time=2", "--probe: unknown probe 'time=2'"),
         ("drift", "GB001", "0", "several runs compared\n  Leave --probe out."),
-        ("drift", "GI003", "0", "GI003 does not look at single probes but at the file"),
-        ("drift", "TV101", None, "TV101 was not judged: only for target visionary"),
+        ("drift", "GI003", "0", "GI003 does not check single probes but the file"),
+        ("drift", "TV101", None, "TV101 was not checked: only for target visionary"),
         ("trajectory", "GV003", None, "only for kind gaussian-generator"),
         ("view_flattened", "GV003", "0", "because GI001 does not hold"),
         ("view_flattened", "GV003", None, "because GI001 does not hold"),
@@ -67,7 +67,7 @@ def test_what_cannot_be_judged_is_neither_broken_nor_held(
     ("name", "rule", "code", "words"),
     [
         ("drift", "GV999", 2, "--rule: unknown rule 'GV999'"),
-        ("drift", "TV101", 2, "TV101 was not judged: only for target visionary"),
+        ("drift", "TV101", 2, "TV101 was not checked: only for target visionary"),
         ("empty", "GV003", 4, "is empty (0 bytes)"),
     ],
 )

@@ -14,7 +14,7 @@ from gsgen.contract.spec.manifest_io import loads
 from gsgen.contract.validator import validate
 from gsgen.sdk import Gaussians, math
 from gsgen.sdk.commands.export import app
-from gsgen.sdk.exporting.trace_hazards import _CURES
+from gsgen.sdk.exporting.trace_hazards import _DESCRIPTIONS_AND_HINTS
 from support.reports.pages import DOCS
 
 PAGE = DOCS / "guides" / "export-your-method.md"
@@ -119,4 +119,4 @@ def test_the_guide_names_every_helper_and_every_hazard() -> None:
     named = set(re.findall(r"`(\w+)`", TEXT))
     assert set(math.__all__) <= named
     table = TEXT.partition("| in forward |")[2].partition("\n\n")[0]
-    assert len(re.findall(r"^\| `", table, re.MULTILINE)) == len(_CURES)
+    assert len(re.findall(r"^\| `", table, re.MULTILINE)) == len(_DESCRIPTIONS_AND_HINTS)

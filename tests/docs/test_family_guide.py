@@ -84,7 +84,7 @@ def test_it_is_exported_validated_tested_and_conforms(run: Run) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"color": np.zeros((4, 2))}, r"color is \[4, 2\], wanted \['N', 3\]"),
+        ({"color": np.zeros((4, 2))}, r"color is \[4, 2\], expected \['N', 3\]"),
         ({"logit_opacity": np.full(4, np.nan)}, "of finite numbers"),
         ({"color_shapes": np.zeros((3, 4, 3))}, r"color_shapes is \[3, 4, 3\]"),
         ({"quaternion": None}, "no quaternion"),

@@ -15,7 +15,7 @@ from support.reports.pages import DOCS
 PAGES = DOCS / "plugins"
 PICTURES = DOCS / "assets" / "plugins"
 LARGEST = 40_000  # bytes
-SECTIONS = ("Inputs", "What is read", "Options", "What is dropped", "Known limits")
+SECTIONS = ("Inputs", "Input files", "Options", "Ignored data", "Known limits")
 OURS = sorted(
     name for name, found in find_plugins().items() if found.point.value.startswith("gsgen.")
 )

@@ -113,8 +113,8 @@ def test_flags_that_a_format_cannot_hold_are_told(tmp_path):
     write_glb(tmp_path / "linear.glb", scene(2, 0, color_space="linear"))
     write_spz(tmp_path / "mip.spz", scene(2, 0, antialiased=True))
     linear, mip = (
-        "that the colours are linear",
-        "that the splats are antialiased (Mip-Splatting)",
+        "the flag that the colours are linear",
+        "the flag that the splats are antialiased (Mip-Splatting)",
     )
     for source, target, lost in (
         ("linear.glb", "spz", (linear,)),
@@ -129,7 +129,7 @@ def test_flags_that_a_format_cannot_hold_are_told(tmp_path):
 
 @pytest.mark.parametrize("name", ["ksplat", "sog", "npz"])
 def test_formats_that_are_only_read_are_refused(tmp_path, name):
-    with pytest.raises(NotSupported, match="is read but not written here"):
+    with pytest.raises(NotSupported, match="is a format that gsgen only reads"):
         convert(GOLDENS / "scene.ply", tmp_path / "a", codec_named(name))
     assert not list(tmp_path.iterdir())
 

@@ -2,7 +2,8 @@ import pickle
 
 import pytest
 
-from gsgen.formats import FileTruncated, FormatError
+from gsgen.contract.errors import ExitCode, GsgenError
+from gsgen.formats import FileTruncated, FileUnwritable, FormatError
 from gsgen.formats.shared import errors
 
 
@@ -32,6 +33,12 @@ def test_an_error_survives_being_sent_to_another_process():
 def test_every_public_error_is_a_format_error():
     for name in errors.__all__:
         assert issubclass(getattr(errors, name), FormatError)
+
+
+def test_format_errors_are_gsgen_errors_with_the_exit_code_of_unreadable_files():
+    assert issubclass(FormatError, GsgenError)
+    assert FileTruncated("3 rows").exit_code == ExitCode.UNREADABLE == 4
+    assert FileUnwritable("is a pipe").exit_code == ExitCode.USAGE == 2
 
 
 def test_names_from_a_file_are_cut_short_and_quoted():

@@ -123,7 +123,7 @@ def test_other_arrays_may_be_anything(tmp_path):
         (
             {"xyz": POINTS, "means3d": POINTS, "colors": COLORS},
             NotSupported,
-            "holds xyz, means3d\nexpected one of them, as all mean positions",
+            "holds xyz, means3d\nexpected only one of them, as all are positions",
         ),
         (
             {"gaussians": GAUSSIANS.astype(float), "appearance": APPEARANCE},
@@ -139,13 +139,13 @@ def test_other_arrays_may_be_anything(tmp_path):
             {"gaussians": GAUSSIANS[:0], "appearance": APPEARANCE[:0]},
             ValueInvalid,
             "array gaussians: 0 rows\nexpected at least one\n"
-            "whatever made this may have dropped every point",
+            "the program that wrote the file may have dropped every point",
         ),
         (
             {"xyz": POINTS[:0], "colors": COLORS[:0]},
             ValueInvalid,
             "array xyz: 0 rows\nexpected at least one\n"
-            "whatever made this may have dropped every point",
+            "the program that wrote the file may have dropped every point",
         ),
         (
             {"xyz": POINTS.astype(int), "colors": COLORS},
@@ -165,13 +165,13 @@ def test_other_arrays_may_be_anything(tmp_path):
         (
             {"xyz": POINTS, "colors": COLORS[:2]},
             ValueInvalid,
-            "array colors: 2 rows\nexpected 4, as many as xyz has",
+            "array colors: 2 rows\nexpected 4, the number of rows of xyz",
         ),
         (
             {"xyz": POINTS, "colors": COLORS.astype(np.float32)},
             ValueInvalid,
             "array colors[:, 0]: 3 of 4 rows, row 1 is 60\nexpected 0 <= value <= 1\n"
-            "colours from 0 to 255 have to be stored as bytes (uchar, uint8)",
+            "store colours from 0 to 255 as bytes (uchar, uint8)",
         ),
         (
             {"xyz": np.full((4, 3), 1e300), "colors": COLORS},
@@ -186,8 +186,8 @@ def test_other_arrays_may_be_anything(tmp_path):
         (
             {"xyz": POINTS.astype(object), "colors": COLORS},
             NotSupported,
-            "array xyz: Python objects\nexpected numbers\n"
-            "save it again as an array of one numeric type",
+            "array xyz: holds Python objects\nexpected numbers\n"
+            "save it as an array of one numeric type",
         ),
     ],
 )
@@ -199,7 +199,7 @@ def test_a_file_that_is_no_archive_is_not_recognised(tmp_path):
     file = tmp_path / "bad.npz"
     file.write_bytes(b"\x93NUMPY\x01\x00")
     assert refusal(file, NotRecognised) == (
-        "first bytes: 93 4e 55 4d\nexpected 50 4b 03 04, as of an .npz"
+        "first bytes: 93 4e 55 4d\nexpected 50 4b 03 04, the start of an .npz"
     )
 
 
@@ -214,7 +214,7 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
     assert str(caught.value) == (
         f"{file}: arrays gaussians of 4000000 and appearance of 48 bytes\n"
         "expected 1000000 bytes or fewer together\n"
-        "if the file can be trusted, read it with a larger max_bytes"
+        "if you trust the file, read it with a larger max_bytes"
     )
 
 
@@ -277,7 +277,10 @@ def test_too_little_memory_is_no_crash(tmp_path, monkeypatch):
 
     file = saved(tmp_path / "frame.npz", gaussians=GAUSSIANS, appearance=APPEARANCE)
     monkeypatch.setattr(np.lib.format, "read_array", exhausted)
-    assert refusal(file, SizeExceeded) == "array gaussians: takes more memory than there is"
+    assert (
+        refusal(file, SizeExceeded)
+        == "array gaussians: takes more memory than is available"
+    )
 
 
 def test_damage_inside_an_array_is_noticed(tmp_path):

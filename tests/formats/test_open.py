@@ -85,7 +85,7 @@ def test_other_content_is_refused_by_its_first_bytes(tmp_path, content, seen):
         open_splats(file)
     assert str(caught.value) == (
         f"{file}: first bytes: {seen}\n"
-        "expected a file of splats: PLY, SPZ, GLB, SOG, KSPLAT, SPLAT or NPZ\n"
+        "expected a file of splats: PLY, compressed PLY, SPZ, GLB, SOG, KSPLAT, SPLAT or NPZ\n"
         "if it is of another format, convert it to one of these first"
     )
 
@@ -132,9 +132,11 @@ def test_a_file_that_cannot_be_opened_is_refused(tmp_path, read):
     missing = "cannot be read: No such file or directory"
     assert unreadable(tmp_path / "missing", read) == missing
     assert unreadable(tmp_path, read) == "is a folder\nexpected a file"
-    assert unreadable(pipe, read) == ("is a device, pipe or socket\nexpected a regular file")
+    assert unreadable(pipe, read) == (
+        "is a device, pipe or socket\nexpected a regular file"
+    )
     assert unreadable(empty, read) == (
-        "is empty\nmake it again: whatever wrote it may have failed"
+        "is empty\nwrite it again: the program that wrote it may have failed"
     )
     assert unreadable(tmp_path / "a\0b", read) == "cannot be read: embedded null byte"
 

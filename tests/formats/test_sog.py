@@ -175,11 +175,11 @@ def test_a_meta_that_cannot_be_is_refused(tmp_path, meta, kind, text):
 @pytest.mark.parametrize(
     ("content", "kind", "text"),
     [
-        (b"{", NotRecognised, "meta.json: no JSON (Expecting property name"),
+        (b"{", NotRecognised, "meta.json: invalid JSON (Expecting property name"),
         (b"[1]", NotRecognised, "meta.json: a list\n"),
         (b"{}", NotRecognised, "meta.json: JSON without means\n"),
-        (b"\xff\xfe", NotRecognised, "meta.json: no JSON ("),
-        (b"[" * 100_000, NotRecognised, "meta.json: no JSON (maximum recursion depth"),
+        (b"\xff\xfe", NotRecognised, "meta.json: invalid JSON ("),
+        (b"[" * 100_000, NotRecognised, "meta.json: invalid JSON (maximum recursion depth"),
     ],
 )
 def test_a_meta_that_is_none_is_not_recognised(tmp_path, content, kind, text):
@@ -245,7 +245,7 @@ def test_a_meta_that_names_files_elsewhere_is_refused(tmp_path):
     meta = json.loads(files["meta.json"])
     meta["means"]["files"] = ["../l.webp", "u.webp"]
     (folder / "meta.json").write_text(json.dumps(meta))
-    with pytest.raises(HeaderMalformed, match="the name of a file beside it"):
+    with pytest.raises(HeaderMalformed, match="the name of a file in the same folder"):
         read_sog(folder / "meta.json")
     meta["means"]["files"] = ["l.webp", "u.webp"]
     (folder / "meta.json").write_text(json.dumps(meta))

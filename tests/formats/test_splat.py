@@ -66,7 +66,11 @@ def test_twins_of_a_real_training():
     name = "data/twins/test-splat.3-points-from-train"
     real, twin = read_ply(shared(f"{name}.ply")), read_splat(shared(f"{name}.splat"))
     plain = Splats(
-        real.position, real.rotation, real.log_scale, real.logit_opacity, real.sh[:, :1]
+        position=real.position,
+        rotation=real.rotation,
+        log_scale=real.log_scale,
+        logit_opacity=real.logit_opacity,
+        sh=real.sh[:, :1],
     )
     assert_near(plain, twin, rotation=0.02, log_scale=1e-6, opacities=1 / 255, sh=1 / 70)
 
@@ -74,11 +78,11 @@ def test_twins_of_a_real_training():
 def test_ends_of_the_ranges(tmp_path):
     plain = scene(2, 0)
     odd = Splats(
-        plain.position,
-        np.float32([[0, 0, 0, 0], [-1, 0, 0, 0]]),
-        np.float32([[-np.inf, -100, 80]] * 2),
-        np.float32([np.inf, -np.inf]),
-        np.float32([[[9, -9, 0]]] * 2),
+        position=plain.position,
+        rotation=np.float32([[0, 0, 0, 0], [-1, 0, 0, 0]]),
+        log_scale=np.float32([[-np.inf, -100, 80]] * 2),
+        logit_opacity=np.float32([np.inf, -np.inf]),
+        sh=np.float32([[[9, -9, 0]]] * 2),
     )
     write_splat(tmp_path / "odd.splat", odd)
     back = read_splat(tmp_path / "odd.splat")
@@ -122,7 +126,11 @@ def test_a_part_of_a_record_is_refused(tmp_path):
 def test_a_scale_beyond_float32_is_not_written(tmp_path):
     plain = scene(1, 0)
     huge = Splats(
-        plain.position, plain.rotation, plain.log_scale + 100, plain.logit_opacity, plain.sh
+        position=plain.position,
+        rotation=plain.rotation,
+        log_scale=plain.log_scale + 100,
+        logit_opacity=plain.logit_opacity,
+        sh=plain.sh,
     )
     with pytest.raises(FormatError, match="row 0 is inf"):
         write_splat(tmp_path / "a.splat", huge)

@@ -27,17 +27,24 @@ def test_splats_refuse_coefficients_of_no_degree(coefficients):
     with pytest.raises(ValueInvalid) as caught:
         splats_of(2, coefficients)
     assert str(caught.value) == (
-        f"sh: {coefficients} SH coefficients\n"
-        "expected 1, 4, 9, 16 or 25 of them (degree 0 to 4)"
+        f"sh: {coefficients} SH coefficients\nexpected 1, 4, 9, 16 or 25 (degree 0 to 4)"
     )
 
 
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [
-        ("position", np.zeros((2, 4), np.float32), "float32 [2, 4]\nexpected float32 [n, 3]"),
+        (
+            "position",
+            np.zeros((2, 4), np.float32),
+            "float32 [2, 4]\nexpected float32 [n, 3]",
+        ),
         ("position", np.zeros(2, np.float32), "float32 [2]\nexpected float32 [n, 3]"),
-        ("rotation", np.zeros((3, 4), np.float32), "float32 [3, 4]\nexpected float32 [2, 4]"),
+        (
+            "rotation",
+            np.zeros((3, 4), np.float32),
+            "float32 [3, 4]\nexpected float32 [2, 4]",
+        ),
         ("log_scale", np.zeros((2, 3)), "float64 [2, 3]\nexpected float32 [2, 3]"),
         (
             "logit_opacity",

@@ -66,12 +66,12 @@ def naive_read(content: bytes) -> Splats:
         for color, row in zip(colors, higher, strict=True)
     ]
     return Splats(
-        np.array(places, np.float32) * np.float32([1, -1, -1]),
-        np.array(turns, np.float32) * np.float32([1, 1, -1, -1]),
-        np.array(scales, np.float32),
-        np.array([logit(alpha) for alpha in alphas], np.float32),
-        np.array(sh, np.float32).reshape(count, rest + 1, 3),
-        bool(flags & 1),
+        position=np.array(places, np.float32) * np.float32([1, -1, -1]),
+        rotation=np.array(turns, np.float32) * np.float32([1, 1, -1, -1]),
+        log_scale=np.array(scales, np.float32),
+        logit_opacity=np.array([logit(alpha) for alpha in alphas], np.float32),
+        sh=np.array(sh, np.float32).reshape(count, rest + 1, 3),
+        antialiased=bool(flags & 1),
     )
 
 
@@ -205,7 +205,11 @@ def test_a_large_scene_gets_larger_steps(tmp_path, reach, step):
     position = np.float32([[reach, -reach, 0], [0.3, 0.3, 0.3]])
     splats = scene(2, 0)
     big = Splats(
-        position, splats.rotation, splats.log_scale, splats.logit_opacity, splats.sh
+        position=position,
+        rotation=splats.rotation,
+        log_scale=splats.log_scale,
+        logit_opacity=splats.logit_opacity,
+        sh=splats.sh,
     )
     write_spz(tmp_path / "big.spz", big)
     back = read_spz(tmp_path / "big.spz").position
@@ -217,11 +221,11 @@ def test_a_large_scene_gets_larger_steps(tmp_path, reach, step):
 def test_ends_of_the_ranges(tmp_path, version):
     plain = scene(3, 1)
     odd = Splats(
-        plain.position,
-        np.float32([[0, 0, 0, 0], [-1, 0, 0, 0], [1e-30, 0, 1e-30, 0]]),
-        np.float32([[-np.inf, -20, 9]] * 3),
-        np.float32([np.inf, -np.inf, 0]),
-        np.float32([[[9, -9, 0]] * 4] * 3),
+        position=plain.position,
+        rotation=np.float32([[0, 0, 0, 0], [-1, 0, 0, 0], [1e-30, 0, 1e-30, 0]]),
+        log_scale=np.float32([[-np.inf, -20, 9]] * 3),
+        logit_opacity=np.float32([np.inf, -np.inf, 0]),
+        sh=np.float32([[[9, -9, 0]] * 4] * 3),
     )
     write_spz(tmp_path / "odd.spz", odd, version=version)
     back = read_spz(tmp_path / "odd.spz")
@@ -253,11 +257,11 @@ def test_options_that_cannot_be_are_refused(tmp_path, change, text):
 def test_a_scene_beyond_the_format_is_refused(tmp_path, version, reach):
     plain = scene(1, 0)
     far = Splats(
-        np.full((1, 3), reach, np.float32),
-        plain.rotation,
-        plain.log_scale,
-        plain.logit_opacity,
-        plain.sh,
+        position=np.full((1, 3), reach, np.float32),
+        rotation=plain.rotation,
+        log_scale=plain.log_scale,
+        logit_opacity=plain.logit_opacity,
+        sh=plain.sh,
     )
     with pytest.raises(ValueInvalid, match="scale the scene down"):
         write_spz(tmp_path / "a.spz", far, version=version)
@@ -289,12 +293,16 @@ def plain_file(**change: int) -> bytes:
         ({"version": 4}, HeaderMalformed, "byte 4: version 4 in gzip\nexpected 1, 2 or 3"),
         ({"count": 0}, ValueInvalid, "byte 8: 0 splats\nexpected at least one"),
         ({"degree": 5}, HeaderMalformed, "byte 12: SH degree 5\nexpected 0 to 4"),
-        ({"fraction": 25}, HeaderMalformed, "byte 13: 25 fractional bits\nexpected 0 to 24"),
+        (
+            {"fraction": 25},
+            HeaderMalformed,
+            "byte 13: 25 fractional bits\nexpected 0 to 24",
+        ),
         (
             {"count": 3},
             FileTruncated,
-            "3 splats, unpacked: 60 bytes needed from byte 16 on, 40 are there\n"
-            "expected a file of 76 bytes or more, it has 56\ncopy or download the file again",
+            "3 splats, unpacked: 60 bytes needed from byte 16 on, 40 are left\n"
+            "expected a file of 76 bytes or more; it has 56\ncopy or download the file again",
         ),
         (
             {"count": 1},
@@ -365,7 +373,7 @@ def test_a_space_of_swapped_axes_is_refused(tmp_path):
 def test_an_unknown_extension_is_warned_of(tmp_path):
     file = tmp_path / "a.spz"
     file.write_bytes(with_record(0x12345, b"abc"))
-    with pytest.warns(FormatWarning, match="extension 0x12345 is passed over"):
+    with pytest.warns(FormatWarning, match="extension 0x12345 is unknown and ignored"):
         read_spz(file)
     file.write_bytes(with_record(0xADBE0002, bytes(12)))
     read_spz(file)  # a camera changes nothing
@@ -374,7 +382,7 @@ def test_an_unknown_extension_is_warned_of(tmp_path):
 @pytest.mark.parametrize(
     ("at", "value", "text"),
     [
-        (15, 5, "byte 15: 5 streams\nexpected 6, one an attribute"),
+        (15, 5, "byte 15: 5 streams\nexpected 6, one for each attribute"),
         (16, 8, "byte 16: table of contents at byte 8\nexpected 32 or more"),
         (40, 1, "byte 40: positions of 257 bytes\nexpected 360"),
     ],
@@ -386,8 +394,10 @@ def test_a_table_of_contents_that_cannot_be_is_refused(tmp_path, at, value, text
 
 
 def test_what_readers_would_refuse_is_not_written(tmp_path):
-    one = scene(1, 0)
-    alike = Splats(*(np.repeat(getattr(one, name), 200_000, axis=0) for name in FIELDS))
+    splat = scene(1, 0)
+    alike = Splats(
+        **{name: np.repeat(getattr(splat, name), 200_000, axis=0) for name in FIELDS}
+    )
     with pytest.raises(FileTruncated, match="200000 splats in a file of"):
         write_spz(tmp_path / "a.spz", alike, version=4)
     assert not list(tmp_path.iterdir())

@@ -44,7 +44,7 @@ def test_what_is_read_and_what_is_refused_is_told_apart(tmp_path, monkeypatch):
         (FileTruncated("too short"), "names no file: too short"),
         (FileTruncated("a\nb\nc\nd"), "names no file: a\nb\nc\nd"),
         (
-            SizeExceeded("takes more memory than there is"),
+            SizeExceeded("takes more memory than is available"),
             "memory ran out: takes more memory",
         ),
     ],

@@ -18,11 +18,11 @@ def installed(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
             purpose=purpose,
         )
 
-    monkeypatch.setattr(doctor, "package", package)
+    monkeypatch.setattr(doctor, "check_package", package)
 
 
 def told(monkeypatch: pytest.MonkeyPatch, said: object) -> None:
-    monkeypatch.setattr(doctor, "_told", lambda *_: said)
+    monkeypatch.setattr(doctor, "_child_result", lambda *_: said)
 
 
 def named(name: str) -> Check:
@@ -35,7 +35,7 @@ def test_without_a_screen_it_names_what_needs_none(monkeypatch: pytest.MonkeyPat
         monkeypatch.delenv(name, raising=False)
     check = named("screen")
     assert check.state == "missing"
-    assert "no window can be opened here" in check.detail
+    assert "no window can be opened" in check.detail
     assert "gsgen render" in check.remedy
 
 

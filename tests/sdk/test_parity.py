@@ -36,7 +36,7 @@ def reference() -> Reference:
         covariance=upper,
         sh=rng.normal(size=(n, 16, 3)) * 0.3,
     )
-    return Reference(Probe("here", {}), made, n)
+    return Reference(Probe(label="here", inputs={}), made, n)
 
 
 def against(
@@ -106,12 +106,12 @@ def test_directions_are_unit_and_spread() -> None:
 def test_two_runs_are_the_same_to_the_bit_or_within_a_tolerance() -> None:
     def reference(position: np.ndarray, count: int = 3) -> Reference:
         made = layout.DecodedGaussians(
-            position,
-            np.ones(len(position)),
-            np.ones((len(position), 6)),
+            position=position,
+            opacity=np.ones(len(position)),
+            covariance=np.ones((len(position), 6)),
             rgb=np.full((len(position), 3), 0.5),
         )
-        return Reference(Probe("p", {}), made, count)
+        return Reference(Probe(label="p", inputs={}), made, count)
 
     points = np.arange(9.0).reshape(3, 3)
     points[0, 0] = np.nan
@@ -134,9 +134,12 @@ def culled(n: int, gone: list[int]) -> Reference:
     opacity[gone] = 0
     upper = np.tile([0.01, 0, 0, 0.01, 0, 0.01], (n, 1))
     made = layout.DecodedGaussians(
-        rng.normal(size=(n, 3)), opacity, upper, rgb=rng.random((n, 3))
+        position=rng.normal(size=(n, 3)),
+        opacity=opacity,
+        covariance=upper,
+        rgb=rng.random((n, 3)),
     )
-    return Reference(Probe("p", {"time": np.float32([0.5])}), made, n)
+    return Reference(Probe(label="p", inputs={"time": np.float32([0.5])}), made, n)
 
 
 @pytest.mark.parametrize(
@@ -167,7 +170,9 @@ def test_a_row_that_torch_never_has_is_no_jump() -> None:
 
 
 def test_inputs_are_moved_to_both_sides_and_by_a_hair() -> None:
-    probe = Probe("p", {"view": np.eye(4, dtype=np.float32), "frame": np.int32([3])})
+    probe = Probe(
+        label="p", inputs={"view": np.eye(4, dtype=np.float32), "frame": np.int32([3])}
+    )
     moved = list(_nudged(probe))
     assert len(moved) == 6
     for one, other in zip(moved[::2], moved[1::2], strict=True):
@@ -196,7 +201,8 @@ class Threshold(Drift):
 def test_a_model_that_jumps_a_little_sooner_than_torch_agrees_with_it(monkeypatch) -> None:
     module = Threshold().eval()
     references = [
-        run_eager(module, Probe(f"time={t}", {"time": np.float32([t])})) for t in (0.2, 0.9)
+        run_eager(module, Probe(label=f"time={t}", inputs={"time": np.float32([t])}))
+        for t in (0.2, 0.9)
     ]
     outputs = [ModelOutput(*layout.encode(one.gaussians), one.count) for one in references]
     outputs[0].rows[7, 3] = 0 if outputs[0].rows[7, 3] else module.opacity[7].item()
@@ -221,10 +227,13 @@ def with_cells(seen: np.ndarray) -> Reference:
     upper = np.tile([0.04, 0, 0, 0.04, 0, 0.04], (n, 1))
     opacity = np.full(n, 0.8)
     rows = layout.DecodedGaussians(
-        rng.normal(size=(n, 3)), opacity, upper, rgb=rng.random((n, 3))
+        position=rng.normal(size=(n, 3)),
+        opacity=opacity,
+        covariance=upper,
+        rgb=rng.random((n, 3)),
     )
     cells = layout.Cells(rng.normal(size=(100, 3)), seen, upper[::3])
-    return Reference(Probe("p", {}), rows, n, cells)
+    return Reference(Probe(label="p", inputs={}), rows, n, cells)
 
 
 def packed_cells(cells: layout.Cells, dtype: type = np.float32) -> np.ndarray:

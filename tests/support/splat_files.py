@@ -24,11 +24,11 @@ def scene(count: int, degree: int, seed: int = 0, **flags: object) -> Splats:
         return values.astype(np.float32)
 
     return Splats(
-        draw(3, size=3.0),
-        draw(4),
-        draw(3, size=0.7, middle=-4.0),
-        draw(size=2.0),
-        draw((degree + 1) ** 2, 3, size=0.25),
+        position=draw(3, size=3.0),
+        rotation=draw(4),
+        log_scale=draw(3, size=0.7, middle=-4.0),
+        logit_opacity=draw(size=2.0),
+        sh=draw((degree + 1) ** 2, 3, size=0.25),
         **flags,  # type: ignore[arg-type]
     )
 

@@ -11,8 +11,13 @@ from gsgen.tiles.validation import sketches
 from support.tiles import cesium
 from support.tiles.foreign_tiles import east_north_up
 
-pytestmark = pytest.mark.skipif(bool(cesium.missing()), reason=cesium.missing())
 _EACH = 1500
+
+
+@pytest.fixture(autouse=True)
+def viewer() -> None:
+    """Fail each test of this file where the viewer is not installed."""
+    cesium.require_viewer()
 
 
 def signpost(
@@ -34,11 +39,11 @@ def signpost(
     sh = np.zeros((count, (degree + 1) ** 2, 3))
     sh[:, 0] = (colors - 0.5) / 0.28209479
     return Splats(
-        (np.vstack([ground, tower, arrow]) + center).astype(np.float32),
-        np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
-        np.full((count, 3), -3.2, np.float32),
-        np.full(count, 3.0, np.float32),
-        sh.astype(np.float32),
+        position=(np.vstack([ground, tower, arrow]) + center).astype(np.float32),
+        rotation=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+        log_scale=np.full((count, 3), -3.2, np.float32),
+        logit_opacity=np.full(count, 3.0, np.float32),
+        sh=sh.astype(np.float32),
     )
 
 

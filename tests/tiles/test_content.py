@@ -12,10 +12,10 @@ from gsgen.contract.spec.geometry import covariance_upper, symmetric
 from gsgen.contract.spec.spherical_harmonics import evaluate
 from gsgen.formats import Splats
 from gsgen.formats.shared.errors import ValueInvalid
-from gsgen.tiles.content import QUALITIES, EncodedContent, write_content
 from gsgen.tiles.gltf.axes import Z_UP_FROM_Y_UP, rotate_splats
 from gsgen.tiles.gltf.container import open_content
 from gsgen.tiles.gltf.decoding import decode_content, read_header
+from gsgen.tiles.gltf.encoding import QUALITIES, EncodedContent, write_content
 from gsgen.tiles.gltf.placement import PlacedSplats, place
 from gsgen.tiles.index import content_uri, morton
 from support.splat_files import scene

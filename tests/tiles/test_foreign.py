@@ -13,8 +13,8 @@ from gsgen.tiles.leaves import finest_contents, read_leaves, read_tile_content
 from gsgen.tiles.loading import load_tileset, open_tileset
 from gsgen.tiles.stores.archive_writing import write_archive
 from gsgen.tiles.stores.opening import open_store
-from support.tiles import foreign_tiles as foreign
 from support.commands import gsgen as run
+from support.tiles import foreign_tiles as foreign
 
 
 def on_globe(path: Path) -> np.ndarray:

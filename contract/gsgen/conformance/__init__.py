@@ -1,4 +1,4 @@
-"""What proves that a generator, a validator or a viewer keeps the contract.
+"""Conformance tests for generators, validators and viewers.
 
 The names below need pytest (``pip install 'gsgen[conformance]'``) and are loaded when first used.
 """

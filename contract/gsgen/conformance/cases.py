@@ -1,6 +1,6 @@
-"""Cases: one rule tested on one model, and the words for what came of it.
+"""The outcome of one rule on one model, as a test case.
 
-Every front end (pytest, the command line) shows these, so that all of them say the same.
+Every front end (pytest, the command line) shows these cases, so that all report the same.
 """
 
 __all__ = ["Case", "CaseStatus", "settle"]
@@ -16,20 +16,20 @@ from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.report import Report
 from gsgen.contract.validation.rule import Rule
 
-# `warned`: broken, but not badly enough to fail. `expected`: broken, as was foreseen.
+# `warned`: broken below the severity that fails. `expected`: broken, and listed as expected.
 CaseStatus = Literal["passed", "warned", "expected", "skipped", "failed", "crashed"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """What came of one rule.
+    """The outcome of one rule on one model.
 
     Attributes:
         rule: The rule.
-        suite: Name of the suite that holds it.
-        status: Whether the test passes, and if not, why not.
-        text: The findings in the words of ``gsgen validate``, or the reason; empty if passed.
-        findings: What was found, waived findings included.
+        suite: The name of the suite that holds the rule.
+        status: The result of the test.
+        text: The findings as ``gsgen validate`` prints them, or the reason; empty if passed.
+        findings: The findings, waived ones included.
     """
 
     rule: Rule
@@ -40,30 +40,35 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Id and name of the rule, such as ``GV003-opacity-range``."""
+        """The id and the name of the rule, such as ``GV003-opacity-range``."""
         return f"{self.rule.id}-{self.rule.slug}"
 
     @property
     def broken(self) -> bool:
-        """Whether the rule does not hold, whatever follows from it."""
+        """Whether the model breaks the rule, also if that is expected or only warned about."""
         return bool(self.findings)
 
 
 def settle(
     report: Report, rule: Rule, suite: str, expected: Iterable[ExpectedFailure] = ()
 ) -> Case:
-    """Say what came of ``rule``, by the report of the model and what was expected of it."""
+    """Return the case of ``rule``, from the report of the model and the expected failures."""
     path = PurePath(report.path)
     foreseen = next((entry for entry in expected if entry.matches(rule.id, path)), None)
     outcome = report.outcome(rule.id)
     findings = tuple(finding for finding in report.findings if finding.rule == rule.id)
     if outcome.status == "crashed":
         text = f"{rule.id} crashed: this is a fault of the rule\n{outcome.reason}"
-        return Case(rule, suite, "crashed", text, findings)
+        return Case(rule=rule, suite=suite, status="crashed", text=text, findings=findings)
     if outcome.status in ("skipped", "not-applicable"):
-        return Case(rule, suite, "skipped", f"{outcome.status}: {outcome.reason}")
+        return Case(
+            rule=rule,
+            suite=suite,
+            status="skipped",
+            text=f"{outcome.status}: {outcome.reason}",
+        )
     status, text = _judged(report, findings, foreseen)
-    return Case(rule, suite, status, text, findings)
+    return Case(rule=rule, suite=suite, status=status, text=text, findings=findings)
 
 
 def _judged(
@@ -84,6 +89,6 @@ def _judged(
 
 
 def _words(findings: tuple[Finding, ...]) -> str:
-    """Return what ``gsgen validate`` prints of the findings that count, or else of all."""
+    """Return the lines that ``gsgen validate`` prints for the findings that count, or for all."""
     reported = [finding for finding in findings if finding.counts] or findings
     return "\n".join(line.text for line in finding_lines(reported))

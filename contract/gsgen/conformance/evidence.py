@@ -1,4 +1,4 @@
-"""Evidence: for every failure, a command that shows it again and a file with its inputs and outputs."""
+"""Collects evidence of failures: a command that reproduces each, and its inputs and outputs."""
 
 __all__ = ["Dumps", "Evidence", "gather", "suspects"]
 
@@ -15,10 +15,10 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.contract.probing.probe_plan import Plan
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.process.limits import Limits
+from gsgen.contract.spec.units import MEBIBYTE, format_mebibytes
 from gsgen.contract.validation.finding import Finding
 from gsgen.contract.validation.settings import Settings
 
-_MEBIBYTE = 1 << 20
 _MOST_RUNS = 4
 
 Runs = list[tuple[Probe, Arrays]]
@@ -26,12 +26,12 @@ Runs = list[tuple[Probe, Arrays]]
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """How to see one failure again.
+    """The means to reproduce one failure.
 
     Attributes:
-        command: What to type; it exits 1 for as long as the rule is broken.
+        command: The command line; it exits 1 as long as the rule is broken.
         dump: An ``.npz`` with inputs and outputs of the failing probes, or None.
-        withheld: Bytes that the dump would take, where that is more than was allowed.
+        withheld: The size of a dump that exceeds the limit, in bytes; 0 otherwise.
     """
 
     command: str
@@ -43,7 +43,7 @@ class Evidence:
         if self.dump:
             lines.append(f"    inputs and outputs: {self.dump}")
         if self.withheld:
-            size = f"{self.withheld / _MEBIBYTE:.0f} MiB"
+            size = format_mebibytes(self.withheld, 0)
             lines.append(
                 f"    inputs and outputs: {size}, kept only where a folder is given"
             )
@@ -52,21 +52,21 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Dumps:
-    """Where inputs and outputs of failing probes go.
+    """The folder for the inputs and outputs of failing probes.
 
     Attributes:
-        folder: It is made if there is something to keep.
-        most: Bytes that one file may take; None is no limit.
+        folder: The folder; it is created for the first file.
+        most: The largest size of one file, in bytes; None for any size.
     """
 
     folder: Path
     most: int | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a file, before any work is done.
+        """Check the folder before any work is done.
 
         Raises:
-            ConfigInvalid: ``folder`` is one.
+            ConfigInvalid: ``folder`` is a file.
         """
         if self.folder.exists() and not self.folder.is_dir():
             raise ConfigInvalid("is a file, expected a folder", where=str(self.folder))
@@ -75,10 +75,10 @@ class Dumps:
 def gather(
     path: Path, settings: Settings, cases: Iterable[Case], dumps: Dumps | None
 ) -> dict[str, Evidence]:
-    """Return the evidence for each broken case, by rule; dumps are written if a place is given.
+    """Return the evidence for each broken rule, and write dumps if a folder is set.
 
-    The failing probes are run once more, together, so that a command is only given a probe that
-    is enough to break the rule.
+    The failing probes are run once more, so that a command names a probe only if that probe
+    alone breaks the rule.
     """
     broken = [case for case in cases if case.broken]
     by_rule = {case.rule.id: Evidence(_command(path, settings, case)) for case in broken}
@@ -87,13 +87,19 @@ def gather(
         return by_rule
     subject, plan = plan_for(path, settings)
     probes_by_rule = {case.rule.id: suspects(plan, case.findings) for case in ran}
-    if any(case.rule.scope == "execution" for case in ran):  # it did not run to the end:
-        for case in ran:  # once was enough
+    if any(case.rule.scope == "execution" for case in ran):  # the run did not finish,
+        for case in ran:  # so it is not repeated
             runs: Runs = [(probe, {}) for probe in probes_by_rule[case.rule.id]]
             command = _command(path, settings, case)
             by_rule[case.rule.id] = _keep(dumps, path, settings, case, command, runs)
         return by_rule
-    probes = list({id(probe): probe for rule_probes in probes_by_rule.values() for probe in rule_probes}.values())
+    probes = list(
+        {
+            id(probe): probe
+            for rule_probes in probes_by_rule.values()
+            for probe in rule_probes
+        }.values()
+    )
     index_by_probe = {id(probe): number for number, probe in enumerate(probes)}
     with replay(subject, probes, settings) as rerun:
         for case in ran:
@@ -115,7 +121,9 @@ def _keep(
     if dumps is None:
         return Evidence(command)
     arrays = (
-        array for probe, outputs in runs for array in (*probe.inputs.values(), *outputs.values())
+        array
+        for probe, outputs in runs
+        for array in (*probe.inputs.values(), *outputs.values())
     )
     size = sum(array.nbytes for array in arrays)
     if dumps.most is not None and size > dumps.most:
@@ -127,10 +135,12 @@ def _keep(
 
 
 def suspects(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
-    """Return the probes that findings speak of, the first one first, and never none."""
+    """Return the probes of the findings, the first one first; at least one probe."""
     text = " ".join(finding.message for finding in findings)
     labels = {example.probe for finding in findings for example in finding.examples[:1]}
-    matches = [probe for probe in plan.probes if probe.label in labels or repr(probe.label) in text]
+    matches = [
+        probe for probe in plan.probes if probe.label in labels or repr(probe.label) in text
+    ]
     for role, (base, variants) in plan.variants.items():
         if any(finding.where.subject == f"role {role}" for finding in findings):
             matches += [plan.probes[base], *(plan.probes[variant] for variant in variants)]
@@ -139,7 +149,7 @@ def suspects(plan: Plan, findings: Sequence[Finding]) -> list[Probe]:
 
 
 def _enough(rerun: Replay, case: Case, numbers: list[int]) -> Probe | None:
-    """Return the probe that breaks the rule alone, if one does."""
+    """Return the first probe that alone breaks the rule, or None."""
     if case.rule.scope not in ONE_PROBE:
         return None
     breaking = (number for number in numbers if rerun.findings(case.rule, number))
@@ -159,7 +169,7 @@ def _is_near(path: Path) -> bool:
 
 
 def _options(settings: Settings) -> list[str]:
-    """Return the options that make `gsgen repro` run as ``settings`` say."""
+    """Return the options of `gsgen repro` that stand for ``settings``."""
     words = []
     if settings.source != "defaults":
         words += ["--config", settings.source]
@@ -170,5 +180,5 @@ def _options(settings: Settings) -> list[str]:
     if settings.limits.seconds != Limits().seconds:
         words += ["--timeout", f"{settings.limits.seconds:g}"]
     if settings.limits.memory != Limits().memory:
-        words += ["--memory", str(max(settings.limits.memory // _MEBIBYTE, 1))]
+        words += ["--memory", str(max(settings.limits.memory // MEBIBYTE, 1))]
     return words

@@ -1,6 +1,6 @@
-"""Expected failures: rules that a model is known to break, each with a reason, strict both ways.
+"""Expected failures: rules that a model is known to break, each with a reason.
 
-They are written in a TOML file, one table each::
+A rule that holds although its failure is expected fails too. A TOML file has a table for each::
 
     [[xfail]]
     rule = "opacity-range"   # or GV003
@@ -26,13 +26,13 @@ _KEYS = ("rule", "model", "reason")
 
 @dataclass(frozen=True, slots=True)
 class ExpectedFailure:
-    """A rule that is known to be broken.
+    """A rule whose failure is expected.
 
     Attributes:
         rule: The rule's id.
-        reason: Why that is accepted for now.
-        model: The models it speaks of, a path or a pattern; empty for all.
-        source: The file that says so.
+        reason: The reason why the failure is accepted.
+        model: The path or pattern of the models; empty for all models.
+        source: The file of the entry.
     """
 
     rule: str
@@ -45,9 +45,11 @@ class ExpectedFailure:
         return f"{self.source}: {self.rule}{models} ({self.reason})"
 
     def matches(self, rule: str, path: PurePath) -> bool:
-        """Say whether it is meant for this rule of the model at ``path``."""
+        """Return whether the entry names this rule of the model at ``path``."""
         names = (path.as_posix(), path.name)
-        model_matches = not self.model or any(fnmatchcase(name, self.model) for name in names)
+        model_matches = not self.model or any(
+            fnmatchcase(name, self.model) for name in names
+        )
         return model_matches and rule == self.rule
 
 
@@ -55,8 +57,8 @@ def read_expected(path: Path, registry: Registry) -> tuple[ExpectedFailure, ...]
     """Read a file of expected failures.
 
     Raises:
-        ConfigInvalid: It is no TOML, or an entry lacks a rule or a reason.
-        UnknownName: A rule or a key does not exist; the message names the nearest.
+        ConfigInvalid: The file is not TOML, or an entry lacks a rule or a reason.
+        UnknownName: A rule or a key does not exist; the hint names the nearest.
     """
     where = str(path)
     try:
@@ -68,7 +70,7 @@ def read_expected(path: Path, registry: Registry) -> tuple[ExpectedFailure, ...]
     _refuse_strange_keys(data, (_TABLE,), where)
     tables = data.get(_TABLE, [])
     if not (isinstance(tables, list) and all(isinstance(entry, dict) for entry in tables)):
-        raise ConfigInvalid(f"{tables!r}, expected tables [[{_TABLE}]]", where=where)
+        raise ConfigInvalid(f"holds {tables!r}, expected tables [[{_TABLE}]]", where=where)
     return tuple(
         _entry(table, f"{where}, {_TABLE} {number}", where, registry)
         for number, table in enumerate(tables, start=1)
@@ -100,11 +102,11 @@ def _refuse_strange_keys(
 def unmatched_entries(
     entries: Iterable[ExpectedFailure], tested: Mapping[Path, Iterable[str]]
 ) -> list[ExpectedFailure]:
-    """Return the entries that speak of nothing that is tested.
+    """Return the entries that match no tested rule of any model.
 
     Args:
-        entries: What is expected to fail.
-        tested: Model → ids of the rules that its suites hold.
+        entries: The expected failures.
+        tested: Model → ids of its tested rules.
     """
     pairs = [(rule, path) for path, rules in tested.items() for rule in rules]
     return [entry for entry in entries if not any(entry.matches(*pair) for pair in pairs)]

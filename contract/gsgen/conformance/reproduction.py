@@ -1,4 +1,4 @@
-"""Reproduce one failure: judge one rule, by one probe where that is enough, and show the rows."""
+"""Reproduces one failure: checks one rule, with one probe if possible, and returns the rows."""
 
 __all__ = ["NotJudged", "Reproduction", "Row", "reproduce"]
 
@@ -21,12 +21,12 @@ from gsgen.contract.validator import validate
 
 
 class NotJudged(GsgenError):
-    """A rule that cannot be judged, so that nobody knows whether it is broken."""
+    """A rule cannot be checked, so that neither success nor failure is known."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A row that breaks the rule: its number, its probe, its ten packed values and its colour."""
+    """A row that breaks the rule: its number, probe, ten packed values and colour."""
 
     number: int
     probe: str
@@ -36,12 +36,12 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Reproduction:
-    """What came of judging one rule again.
+    """The result of checking one rule again.
 
     Attributes:
         rule: The rule.
-        findings: What it found; empty where it holds now.
-        probes: Labels of the probes that it saw alone; empty where it saw all.
+        findings: The findings of the rule; empty if it holds now.
+        probes: The labels of the probes that were checked; empty for all.
         rows: The first offending rows.
     """
 
@@ -59,28 +59,28 @@ def reproduce(
     probe: str | None = None,
     dump: Path | None = None,
 ) -> Reproduction:
-    """Judge ``rule`` again, by ``probe`` alone if it is given.
+    """Check ``rule`` again, with ``probe`` alone if it is set.
 
     Args:
         path: The ONNX file.
         rule: The rule.
-        settings: Target, limits and seed of the first time; the level is the rule's own.
-        probe: Label or number of a probe.
-        dump: Where to write inputs and outputs of the offending probes.
+        settings: The target, limits and seed of the first check; the level is that of the rule.
+        probe: The label or number of a probe.
+        dump: The output file for inputs and outputs of the failing probes.
 
     Raises:
         ModelUnreadable: The file is not an ONNX model at all.
-        NotJudged: The rule does not apply, or something it needs does not hold.
-        ConfigInvalid: The rule does not look at single probes, or there is no such probe.
+        NotJudged: The rule does not apply, or a rule that it needs does not hold.
+        ConfigInvalid: The rule does not check single probes, or the probe does not exist.
     """
-    if rule.scope != "report":  # which depends on all that was found
+    if rule.scope != "report":  # such a rule depends on all findings
         settings = replace(settings, level=rule.level)
     if probe is None:
         report = _judge(path, rule, settings)
         findings = tuple(finding for finding in report.findings if finding.rule == rule.id)
         return Reproduction(rule, findings, (), _look(path, rule, settings, findings, dump))
     if rule.scope not in ONE_PROBE:
-        message = f"{rule.id} does not look at single probes but at {_SUBJECTS[rule.scope]}"
+        message = f"{rule.id} does not check single probes but {_SUBJECTS[rule.scope]}"
         raise ConfigInvalid(message, where="--probe", hint="Leave --probe out.")
     _judge(path, rule, replace(settings, level=Level.STATIC))
     subject, plan = plan_for(path, settings)
@@ -97,24 +97,32 @@ def reproduce(
     return Reproduction(rule, (), labels, ())
 
 
-_SUBJECTS = {"model": "the file", "runs": "several runs compared", "report": "the whole report"}
+_SUBJECTS = {
+    "model": "the file",
+    "runs": "several runs compared",
+    "report": "the whole report",
+}
 
 
 def _judge(path: Path, rule: Rule, settings: Settings) -> Report:
-    """Judge ``rule`` and what it needs, as far as the level goes."""
+    """Check ``rule`` and the rules that it needs, up to the level of the rule."""
     registry = installed_rules()
     part = registry if rule.scope == "report" else needed_by(rule, registry)
     report = validate(path, settings, registry=part)
     outcome = report.outcome(rule.id)
-    blocked = [outcome.rule.id for outcome in report.outcomes if outcome.status in ("fail", "crashed")]
+    blocked = [
+        outcome.rule.id
+        for outcome in report.outcomes
+        if outcome.status in ("fail", "crashed")
+    ]
     if settings.level < rule.level and outcome.status == "skipped":
         needs = [name for name in blocked if name in part.rules and name != rule.id]
         reason = f"because {needs[0]} does not hold" if needs else ""
     else:
         reason = "" if outcome.status in ("pass", "fail") else outcome.reason
     if reason:
-        hint = f"`gsgen validate {shlex.quote(str(path))}` says more."
-        raise NotJudged(reason, where=f"{rule.id} was not judged", hint=hint)
+        hint = f"`gsgen validate {shlex.quote(str(path))}` reports the reason."
+        raise NotJudged(reason, where=f"{rule.id} was not checked", hint=hint)
     return report
 
 
@@ -125,8 +133,12 @@ def _look(
     findings: tuple[Finding, ...],
     dump: Path | None,
 ) -> tuple[Row, ...]:
-    """Run the probes that the findings speak of once more, to show rows and to keep them."""
-    if not findings or rule.scope in ("model", "report") or not (dump or rule.scope == "rows"):
+    """Run the probes of the findings once more, and return (and dump) the rows."""
+    if (
+        not findings
+        or rule.scope in ("model", "report")
+        or not (dump or rule.scope == "rows")
+    ):
         return ()
     subject, plan = plan_for(path, settings)
     with replay(subject, suspects(plan, findings), settings) as rerun:
@@ -143,11 +155,13 @@ def _save(rerun: Replay, dump: Path | None) -> None:
 
 
 def _rows(rerun: Replay, number: int, findings: Sequence[Finding]) -> tuple[Row, ...]:
-    """Return the rows that findings show, as the probe gave them."""
+    """Return the rows of the findings, with the outputs of the probe."""
     emission, label = rerun.emission(number), rerun.probes[number].label
     if emission.gaussians is None:
         return ()
-    shown = [e.row for finding in findings for e in finding.examples if e.probe in ("", label)]
+    shown = [
+        e.row for finding in findings for e in finding.examples if e.probe in ("", label)
+    ]
     rows = []
     for row in dict.fromkeys(row for row in shown if row is not None):
         packed = tuple(emission.gaussians[row].tolist())

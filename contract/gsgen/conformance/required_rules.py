@@ -1,4 +1,4 @@
-"""Which rules must be judged so that one of them can be."""
+"""Finds the rules that another rule needs."""
 
 __all__ = ["needed_by"]
 
@@ -8,7 +8,7 @@ from gsgen.contract.validation.rule import Registry, Rule
 
 
 def needed_by(rule: Rule, registry: Registry) -> Registry:
-    """Return ``rule`` with all that must hold before it can be judged, in catalogue order."""
+    """Return ``rule`` with all rules that must hold before it is checked, in catalogue order."""
     rule_ids: set[str] = set()
     queue = [rule.id, *(() if rule.level == Level.STATIC else (MODEL_RUNS,))]
     while queue:

@@ -1,4 +1,4 @@
-"""Run a few probes of a model again, ask one rule about them, keep what went in and came out."""
+"""Runs a few probes of a model again, checks one rule, and saves inputs and outputs."""
 
 __all__ = ["ONE_PROBE", "Replay", "find_probes", "plan_for", "replay", "save"]
 
@@ -24,7 +24,7 @@ from gsgen.contract.validation.outcomes import ResultCollector
 from gsgen.contract.validation.rule import Registry, Rule
 from gsgen.contract.validation.settings import Settings
 
-# Scopes of rules that can be judged by one probe alone.
+# Scopes of rules that can be checked with one probe alone.
 ONE_PROBE = ("rows", "emission", "execution")
 
 Arrays = dict[str, np.ndarray]
@@ -32,13 +32,13 @@ Arrays = dict[str, np.ndarray]
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """Probes that were run once more, in a session of their own.
+    """The results of probes that were run again in their own session.
 
     Attributes:
         subject: The model.
-        probes: What it was run with, in order; methods take a number in this list.
-        execution: What came out; may have ended early.
-        settings: How it is judged.
+        probes: The probes in order; methods take an index into this list.
+        execution: The results; the run may have ended early.
+        settings: The settings of the validation.
     """
 
     subject: InspectedModel
@@ -47,19 +47,21 @@ class Replay:
     settings: Settings
 
     def outputs(self, probe: int) -> Arrays:
-        """Return what the model gave for a probe; nothing where it did not get that far."""
+        """Return the outputs of a probe; empty if the run ended before it."""
         for run in self.execution.runs:
             if run.probe == probe:
                 return self.execution.samples[run.sample].outputs
         return {}
 
     def emission(self, probe: int) -> ModelOutputs:
-        """Return the outputs for a probe as value rules see them."""
+        """Return the outputs of a probe as value rules receive them."""
         run_probe = self.probes[probe]
-        return read_outputs(self.subject, run_probe.label, run_probe.zeros, self.outputs(probe))
+        return read_outputs(
+            self.subject, run_probe.label, self.outputs(probe), zeros=run_probe.zeros
+        )
 
     def findings(self, rule: Rule, probe: int) -> tuple[Finding, ...]:
-        """Return what ``rule`` finds when it sees a probe alone."""
+        """Return the findings of ``rule`` for one probe alone."""
         alone = Registry.of([replace(rule, needs=())])
         board = ResultCollector(
             registry=alone, settings=self.settings, kind=self.subject.kind
@@ -71,7 +73,7 @@ class Replay:
 
     def _seen(self, rule: Rule, probe: int) -> Iterator[tuple[object, int]]:
         if rule.scope == "execution":
-            plan = Plan(self.probes, len(self.probes))
+            plan = Plan(probes=self.probes, values=len(self.probes))
             yield ProbeRuns(self.subject, self.execution, plan), 0
         elif self.outputs(probe):
             emission = self.emission(probe)
@@ -82,7 +84,7 @@ class Replay:
 
 
 def plan_for(path: Path, settings: Settings) -> tuple[InspectedModel, Plan]:
-    """Return the model and the runs that ``settings`` ask for; its manifest must be readable.
+    """Return the model and its planned runs; the manifest must be readable.
 
     Raises:
         ModelUnreadable: The file is not an ONNX model at all.
@@ -98,7 +100,7 @@ def plan_for(path: Path, settings: Settings) -> tuple[InspectedModel, Plan]:
 def replay(
     subject: InspectedModel, probes: Sequence[Probe], settings: Settings
 ) -> Iterator[Replay]:
-    """Run ``probes`` once more; what came out lives as long as the block."""
+    """Run ``probes`` again, in a context that owns the results."""
     path, names = subject.file.path, fetched_outputs(subject)
     with execute(path, names, probes, subject.granted) as execution:
         yield Replay(subject, tuple(probes), execution, settings)
@@ -108,7 +110,7 @@ def find_probes(probes: Sequence[Probe], key: str) -> tuple[Probe, ...]:
     """Return the probes with the label or number ``key``; several may share a label.
 
     Raises:
-        UnknownName: There is no such probe; the message names the nearest.
+        UnknownName: No probe has this label or number; the hint names the nearest.
     """
     matches = [probe for probe in probes if probe.label == key]
     if not matches and key.isdecimal() and int(key) < len(probes):
@@ -135,4 +137,4 @@ def save(path: Path, runs: Sequence[tuple[Probe, Arrays]]) -> None:
         arrays |= {f"{head}input.{name}": array for name, array in probe.inputs.items()}
         arrays |= {f"{head}output.{name}": array for name, array in outputs.items()}
     with atomic_write(path) as draft, draft.open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]  # none is called `allow_pickle`
+        np.savez(file, **arrays)  # type: ignore[arg-type]  # no array has the name `allow_pickle`

@@ -1,4 +1,4 @@
-"""Test a model: plan its suites, judge it once, say what came of every case."""
+"""Tests a model: plans its suites, validates it once, and returns the case of every rule."""
 
 __all__ = ["ModelRun", "run_model", "suites_of"]
 
@@ -19,18 +19,18 @@ from gsgen.contract.validation.rule import Rule
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validator import validate
 
-# What a test counts as, beside passed.
+# The results of a test other than passed.
 FAILING: tuple[CaseStatus, ...] = ("failed", "crashed")
 
 
 @dataclass(frozen=True, slots=True)
 class ModelRun:
-    """One model, tested.
+    """The results of the suites of one model.
 
     Attributes:
-        report: What `gsgen validate` says of it.
-        cases: What came of every rule, suite by suite.
-        evidence: Rule id → how to see its failure again.
+        report: The report of `gsgen validate`.
+        cases: The case of every rule, suite by suite.
+        evidence: Rule id → the means to reproduce its failure.
     """
 
     report: Report
@@ -38,14 +38,14 @@ class ModelRun:
     evidence: Mapping[str, Evidence]
 
     def case(self, rule: str) -> Case:
-        """Return what came of a rule; raises KeyError if no suite of this run holds it."""
+        """Return the case of a rule; raises KeyError if no suite of this run holds it."""
         for case in self.cases:
             if case.rule.id == rule:
                 return case
         raise KeyError(rule)
 
     def text(self, case: Case) -> str:
-        """Return what to tell of a case: what was found, and how to see it again."""
+        """Return the text of a case: its findings, and the means to reproduce it."""
         evidence = self.evidence.get(case.rule.id)
         return (
             f"{case.text}\n{evidence}" if evidence and case.status in FAILING else case.text
@@ -61,7 +61,7 @@ class ModelRun:
 
 
 def suites_of(path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
-    """Return the suites that apply to a model and their rules; it is not run for that.
+    """Return the suites that apply to a model, with their rules, without running the model.
 
     Raises:
         ModelUnreadable: The file is not an ONNX model at all.
@@ -82,15 +82,15 @@ def run_model(
     dumps: Dumps | None = None,
     progress: Progress = lambda words: None,
 ) -> ModelRun:
-    """Judge a model once and say what came of every rule of its suites.
+    """Validate a model once, and return the case of every rule of its suites.
 
     Args:
         path: The ONNX file.
-        settings: Level, target, limits and severities.
-        suites: Names of the suites to report; all that apply where empty.
-        expected: Rules that are known to be broken.
-        dumps: Where inputs and outputs of failing probes go; none are kept without it.
-        progress: Called with a few words whenever a new stage begins.
+        settings: The level, target, limits and severities.
+        suites: The names of the reported suites; empty for all that apply.
+        expected: The expected failures.
+        dumps: The folder for inputs and outputs of failing probes; None discards them.
+        progress: Called with the name of each stage when it begins.
 
     Raises:
         ModelUnreadable: The file is not an ONNX model at all.

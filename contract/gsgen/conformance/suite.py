@@ -1,8 +1,8 @@
-"""Suites: which rules are tested together, and which models each group is for.
+"""Suites: groups of rules, and the models that each group tests.
 
 A rule belongs to the first suite that claims it among those that apply to the model, else to
-``basic``. So every rule that can fail for a model has exactly one place, and a model that passes
-all its suites is one that ``gsgen validate`` accepts.
+``basic``. So every rule that can fail for a model is in exactly one suite, and ``gsgen validate`` accepts a
+model that passes all its suites.
 """
 
 __all__ = ["BASIC", "SUITES", "Declared", "Suite", "find_suite", "plan_suites"]
@@ -20,12 +20,12 @@ from gsgen.contract.validation.rule import Rule
 
 @dataclass(frozen=True, slots=True)
 class Declared:
-    """What a manifest says that decides which suites apply.
+    """The facts of a manifest that decide which suites apply.
 
     Attributes:
-        kind: The kind of model; empty where the manifest cannot be read.
-        roles: Roles of the inputs.
-        replays: The model promises that its kernels can be recorded once and replayed.
+        kind: The kind of model; empty if the manifest cannot be read.
+        roles: The roles of the inputs.
+        replays: Whether the model promises that its kernels can be recorded once and replayed.
     """
 
     kind: str
@@ -34,7 +34,7 @@ class Declared:
 
     @classmethod
     def by(cls, subject: InspectedModel) -> "Declared":
-        """Read what the manifest of ``subject`` says, or what was guessed in its place."""
+        """Return the facts of the manifest of ``subject``, or of the inferred one."""
         manifest = subject.manifest
         if manifest is None:
             return cls("")
@@ -48,10 +48,10 @@ class Suite:
     """A group of rules that are tested together.
 
     Attributes:
-        name: What ``--suite`` takes.
-        summary: What it is about, in one sentence.
-        applies: Says whether it is for a model that declares so much.
-        claims: Says whether a rule is part of it.
+        name: The value of ``--suite``.
+        summary: The subject of the suite, in one sentence.
+        applies: Returns whether the suite tests a model with these facts.
+        claims: Returns whether a rule is part of the suite.
     """
 
     name: str
@@ -83,20 +83,20 @@ _CAPTURE = (
 
 BASIC = Suite(
     "basic",
-    "What every model must keep, and all that belongs to no other suite.",
+    "Rules for every model, and all rules that belong to no other suite.",
     lambda declared: True,
     lambda rule: True,
 )
 SUITES: tuple[Suite, ...] = (
     Suite(
         "camera",
-        "Cameras come as declared, and do what they should.",
+        "Cameras have the declared form and the expected effect.",
         _takes("view", "projection", "camera_position", "viewport"),
         _ids("GI001", "GI002", "GI007", "GI008", "GB007", "GB008"),
     ),
     Suite(
         "time",
-        "Time comes as declared, loops, and reaches every frame.",
+        "Time has the declared form, loops, and reaches every frame.",
         _takes("time", "frame_index"),
         _ids("GI003", "GM010", "GB004", "GB005", "GB006", "TV108"),
     ),
@@ -141,7 +141,7 @@ def find_suite(name: str, where: str = "--suite") -> Suite:
     """Return the suite called ``name``.
 
     Raises:
-        UnknownName: There is none; the message names the nearest.
+        UnknownName: No suite has this name; the hint names the nearest.
     """
     by_name = {suite.name: suite for suite in SUITES}
     if name not in by_name:
@@ -162,7 +162,9 @@ def plan_suites(
         if _concerns(rule, declared.kind, target):
             suite = next(suite for suite in applying if suite.claims(rule))
             by_suite[suite.name].append(rule)
-    return {name: tuple(suite_rules) for name, suite_rules in by_suite.items() if suite_rules}
+    return {
+        name: tuple(suite_rules) for name, suite_rules in by_suite.items() if suite_rules
+    }
 
 
 def _concerns(rule: Rule, kind: str, target: Target) -> bool:

@@ -1,4 +1,4 @@
-"""The wgpu runtime: where validated models are drawn.
+"""The wgpu runtime, which draws validated models and splat files.
 
     >>> from gsgen.formats import open_splats
     >>> from gsgen.runtime import Camera, Renderer, Scene, SplatData
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from gsgen.runtime.camera_files import CameraFile, open_cameras
     from gsgen.runtime.errors import CapacityExceeded, DeviceUnavailable, SceneInvalid
     from gsgen.runtime.gpu.device import Device
+    from gsgen.runtime.playback.image_tiling import post_process
     from gsgen.runtime.playback.player import FrameRequest, GeneratorPlayer, Player
     from gsgen.runtime.renderer.renderer import Renderer
     from gsgen.runtime.scene.camera import Camera
@@ -48,6 +49,7 @@ __all__ = [
     "SplatSet",
     "open_cameras",
     "open_scene",
+    "post_process",
     "read_mesh",
     "view",
 ]
@@ -73,6 +75,7 @@ _HOME = {
     "SplatSet": "scene.scene",
     "open_cameras": "camera_files",
     "open_scene": "sources.scene_file",
+    "post_process": "playback.image_tiling",
     "read_mesh": "sources.mesh_files",
     "view": "viewer.window",
 }

@@ -1,4 +1,4 @@
-"""What `gsgen doctor` asks of the graphics surroundings, of windows, and for files of splats."""
+"""Checks of `gsgen doctor`: graphics drivers, windows, and packages for file formats."""
 
 __all__ = ["checks"]
 
@@ -6,23 +6,22 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
-from typing import Any
 
 from gsgen.contract.tools.doctor import Check, check_package
 
-_SECONDS = 60
+_TIMEOUT = 60  # seconds
 _PURPOSE = "draw; graph capture"
 _WINDOW = "windows of `gsgen view`"
 _NOTEBOOK = "`gsgen.runtime.view` in notebooks"
 _DRIVERS = "install a Vulkan driver; without a GPU, `make drivers` in the project, or Mesa 25 or newer"
 _RUNTIME = "pip install 'gsgen[runtime]'"
 
-# In a child process: a driver that crashes must not take the doctor down.
-_LIST = """
+# These run in a child process: a driver that crashes must not end the doctor.
+_LIST_ADAPTERS = """
 import json, wgpu
 print(json.dumps([dict(a.info) for a in wgpu.gpu.enumerate_adapters_sync()], default=str))
 """
-_SCREEN = """
+_TRY_WINDOW = """
 import json
 from gsgen.runtime.errors import DisplayUnavailable
 from gsgen.runtime.viewer.window import require_display
@@ -35,7 +34,7 @@ except DisplayUnavailable as error:
 
 
 def checks() -> Iterator[Check]:
-    """Yield the state of what drawing and showing need, and some file formats."""
+    """Yield the state of each package, driver and screen that drawing needs."""
     wgpu = check_package("wgpu", _RUNTIME, purpose="draw")
     yield wgpu
     if wgpu.state == "ok":
@@ -54,18 +53,19 @@ def checks() -> Iterator[Check]:
 
 
 def _adapters() -> Iterator[Check]:
-    adapters = _told("adapters", _LIST, _DRIVERS, _PURPOSE)
+    adapters = _child_result("adapters", _LIST_ADAPTERS, _DRIVERS, _PURPOSE)
     if isinstance(adapters, Check):
         yield adapters
         return
-    if not adapters:
+    if not isinstance(adapters, list) or not adapters:
         yield Check(
             name="adapters",
             state="missing",
-            detail="no graphics adapter",
+            detail="no graphics adapter was found",
             remedy=_DRIVERS,
             purpose=_PURPOSE,
         )
+        return
     for adapter in adapters:
         name, kind, backend = (
             adapter.get(key, "?") for key in ("device", "adapter_type", "backend_type")
@@ -75,25 +75,25 @@ def _adapters() -> Iterator[Check]:
 
 
 def _screen() -> Check:
-    """Try whether a window could be opened."""
-    trouble = _told("screen", _SCREEN, _RUNTIME, _WINDOW)
-    if isinstance(trouble, Check):
-        return trouble
-    if trouble is None:
+    """Check whether a window can be opened."""
+    problem = _child_result("screen", _TRY_WINDOW, _RUNTIME, _WINDOW)
+    if isinstance(problem, Check):
+        return problem
+    if problem is None:
         return Check(
             name="screen", state="ok", detail="windows can be opened", purpose=_WINDOW
         )
     return Check(
         name="screen",
         state="missing",
-        detail=trouble,
-        remedy="without one, `gsgen render` draws",
+        detail=str(problem),
+        remedy="draw without a screen: `gsgen render`",
         purpose=_WINDOW,
     )
 
 
 def _widget() -> Check:
-    """Say what shows a scene in a notebook: rendercanvas has two ways, and one is enough."""
+    """Check the packages that show a scene in a notebook: rendercanvas needs one of two."""
     widget_checks = [
         check_package(name, "", purpose=_NOTEBOOK) for name in ("anywidget", "jupyter_rfb")
     ]
@@ -108,20 +108,20 @@ def _widget() -> Check:
     return working[0] if working else missing
 
 
-def _told(name: str, code: str, remedy: str, purpose: str) -> Any:
-    """Return what ``code`` prints as JSON in a child, or the check that says how it failed."""
+def _child_result(name: str, code: str, remedy: str, purpose: str) -> object:
+    """Return the JSON that ``code`` prints in a child process, or a failed check."""
     try:
         completed = subprocess.run(
             [sys.executable, "-P", "-c", code],
             capture_output=True,
             text=True,
-            timeout=_SECONDS,
+            timeout=_TIMEOUT,
         )
     except subprocess.TimeoutExpired:
         return Check(
             name=name,
             state="broken",
-            detail=f"no answer after {_SECONDS} s",
+            detail=f"no answer after {_TIMEOUT} s",
             remedy=remedy,
             purpose=purpose,
         )
@@ -132,4 +132,5 @@ def _told(name: str, code: str, remedy: str, purpose: str) -> Any:
         return Check(
             name=name, state="broken", detail=tail[0], remedy=remedy, purpose=purpose
         )
-    return json.loads(completed.stdout.strip().splitlines()[-1])
+    result: object = json.loads(completed.stdout.strip().splitlines()[-1])
+    return result

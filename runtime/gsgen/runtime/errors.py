@@ -1,4 +1,4 @@
-"""What stops the runtime: errors that a user can meet, each with the next thing to do."""
+"""Errors of the runtime, each with a location and a hint for the user."""
 
 __all__ = [
     "CapacityExceeded",
@@ -8,42 +8,42 @@ __all__ = [
     "MemoryFull",
     "SceneInvalid",
     "SceneUnreadable",
-    "placed",
+    "locate_in_frame",
 ]
 
 from gsgen.contract.errors import GsgenError
 
 
 class DeviceUnavailable(GsgenError):
-    """There is no graphics adapter to draw with, or it refuses what is needed."""
+    """No graphics adapter exists, or it lacks a required feature."""
 
 
 class DeviceLost(DeviceUnavailable):
-    """The device went away while it was drawn with: a driver was reset, or a GPU taken out."""
+    """The graphics device disappeared while drawing: its driver was reset, or it was removed."""
 
 
 class DisplayUnavailable(GsgenError):
-    """There is no screen to open a window on, or what opens one is not installed."""
+    """No window can be opened: there is no screen, or a package is not installed."""
 
 
 class CapacityExceeded(GsgenError):
-    """A scene or an image is larger than the device's buffers can be."""
+    """A scene or an image exceeds the largest buffer of the device."""
 
 
 class MemoryFull(CapacityExceeded):
-    """The device has no memory left for a buffer that it could have otherwise."""
+    """The device has too little free memory for a buffer that is within its limits."""
 
 
 class SceneInvalid(GsgenError):
-    """A camera, a transform or an array cannot be drawn, whatever the device."""
+    """A camera, a transform or an array is invalid on every device."""
 
 
 class SceneUnreadable(GsgenError):
-    """A file holds no Gaussians that can be read (exit code 4)."""
+    """A file holds no Gaussians or triangles that can be read (exit code 4)."""
 
 
-def placed(error: GsgenError, model: str, frame: int) -> GsgenError:
-    """Return an error that says in which model and frame it happened, too."""
+def locate_in_frame(error: GsgenError, model: str, frame: int) -> GsgenError:
+    """Return a copy of an error that names the model and the frame in its location."""
     frame_name = f"{model}, frame {frame}"
     where = frame_name if error.where in ("", model) else f"{frame_name}, {error.where}"
     return type(error)(error.message, where=where, hint=error.hint)

@@ -1,8 +1,22 @@
 """3D Tiles of Gaussian splats: how is a scene that does not fit stored, read and checked?
 
-    >>> from gsgen.tiles.loading import open_tileset
+    >>> from gsgen.tiles import open_tileset
     >>> tileset = open_tileset("town/tileset.json")
 
-A tileset is a tree of files of splats, coarse above and fine below. What is wrong with one is
-a ``TilesetInvalid``, which names the file, the JSON path, what stands there and what should.
+A tileset is a tree of files of splats, coarse above and fine below. An invalid tileset raises
+``TilesetInvalid``, which names the file, the JSON path, the actual and the expected value.
 """
+
+from typing import TYPE_CHECKING
+
+from gsgen.contract._lazy import lazy_getattr
+
+if TYPE_CHECKING:
+    from gsgen.tiles.info import describe_tileset
+    from gsgen.tiles.loading import open_tileset
+
+__all__ = ["describe_tileset", "open_tileset"]
+
+_HOME = {"describe_tileset": "info", "open_tileset": "loading"}
+
+__getattr__ = lazy_getattr(__name__, _HOME)

@@ -19,7 +19,7 @@ _DIGEST = re.compile(r"^[0-9a-f]{64}$")
 @final
 @dataclass(frozen=True, slots=True)
 class RecordedFile:
-    """A file as it was written."""
+    """Size and SHA-256 of a file when it was written."""
 
     size: int
     sha256: str
@@ -28,7 +28,7 @@ class RecordedFile:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildRecord:
-    """What was built.
+    """The record of a build: its inputs, and the size and digest of every file.
 
     Attributes:
         location: The file.
@@ -44,10 +44,10 @@ class BuildRecord:
 
 
 def read_build_record(store: Store, index: str) -> BuildRecord | None:
-    """Return the record beside ``index``, or None where there is none.
+    """Return the record in the folder of ``index``, or None if the file does not exist.
 
     Raises:
-        TilesetInvalid: It is not what was written.
+        TilesetInvalid: The record is not valid JSON, or a member is wrong.
     """
     path = posixpath.join(posixpath.dirname(index), BUILD_RECORD)
     try:

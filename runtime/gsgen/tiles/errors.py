@@ -1,4 +1,4 @@
-"""What can be wrong with a tileset, with the location in the file."""
+"""Errors of tilesets, each with its location in the file."""
 
 __all__ = ["ContentMissing", "Fault", "StoreUnavailable", "TilesetInvalid"]
 
@@ -8,7 +8,7 @@ from gsgen.contract.errors import InputUnreadable
 
 
 class Fault(StrEnum):
-    """The kinds of fault that reading can meet, by the rule of the validator that names them."""
+    """The kinds of fault of a tileset; each value is the id of the rule that reports it."""
 
     SCHEMA = "GT001"
     CONTENT = "GT005"

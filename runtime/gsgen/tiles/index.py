@@ -1,4 +1,4 @@
-"""Write the index of a tileset: ``tileset.json``, and the record of what was built.
+"""Write the index of a tileset: ``tileset.json``, and the record of the build.
 
 Equal tiles give equal bytes: keys are sorted, numbers are written in full, no time is noted.
 """
@@ -20,21 +20,22 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import Float64
 
 from gsgen.formats.glb.splats import NAME
 from gsgen.formats.shared.files import replacing
-from gsgen.tiles.content import SPZ_EXTENSION, CodecName
+from gsgen.tiles.gltf.encoding import SPZ_EXTENSION, CodecName
+from gsgen.tiles.json_values import JsonDict
 from gsgen.tiles.metadata import TILE_CLASS, TILESET_CLASS, metadata_schema
+from gsgen.tiles.neural import EXTENSION as NEURAL
 
 BUILD_RECORD: Final = "gsgen.tiles.json"
 """Name of the file beside ``tileset.json`` that lists every file with its digest."""
 
 GLTF_EXTENSION: Final = "3DTILES_content_gltf"
-NEURAL_EXTENSION: Final = "GSGEN_neural_tile"
 Corner = Float64[np.ndarray, " 3"]
 
 
@@ -48,7 +49,7 @@ class ContentRecord:
         size: Bytes of the file.
         low: Lower corner of its splats at 3σ, in the root frame.
         high: Upper corner of the same.
-        utility: What drawing it is worth, in the unit of the caller; 0 where it is not known.
+        utility: Gain in quality from drawing it, in the unit of the caller; 0 if unknown.
     """
 
     uri: str
@@ -63,8 +64,8 @@ class ContentRecord:
 class TileRecord:
     """A tile to write into an index, with the tiles below it.
 
-    The index gets boxes that hold the content and all tiles below, whatever ``low`` and
-    ``high`` say: those are grown where they have to be.
+    The index gets boxes that hold the content and all tiles below, and ``low`` and ``high``
+    are grown where necessary.
 
     Attributes:
         level: 0 for the root.
@@ -73,7 +74,7 @@ class TileRecord:
         high: Upper corner.
         geometric_error: In units of the root frame; 0 for a leaf.
         cell: Side of the cells in which splats were merged; 0 for a leaf.
-        splats: How many the content has; 0 where there is none.
+        splats: Number of splats of the content; 0 without content.
         contents: One a quality, finest first; empty for a tile without content.
         children: The tiles below, in the order of the index.
         refine: ``REPLACE``: the children take the place of the content; ``ADD``: they join it.
@@ -92,21 +93,21 @@ class TileRecord:
     children: tuple["TileRecord", ...] = ()
     refine: str = "REPLACE"
     oversized: bool = False
-    neural: Mapping[str, Any] | None = None
+    neural: Mapping[str, object] | None = None
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class _Written:
-    """A tile as JSON, and the box that it got."""
+    """The JSON of a tile, and its bounding box."""
 
-    document: dict[str, Any] = field(repr=False)
+    document: JsonDict = field(repr=False)
     low: Corner
     high: Corner
 
 
 def morton(coordinates: tuple[int, int, int]) -> int:
-    """Return the place of an octree's cell on Morton's curve: x is the lowest of three bits."""
+    """Return the index of an octree cell on the Morton curve; x is the lowest of each three bits."""
     index = 0
     for axis, value in enumerate(coordinates):
         for bit in range(value.bit_length()):
@@ -115,7 +116,7 @@ def morton(coordinates: tuple[int, int, int]) -> int:
 
 
 def content_uri(level: int, coordinates: tuple[int, int, int], data: bytes) -> str:
-    """Return the name of a tile's file, which changes with its bytes: caches keep it for ever."""
+    """Return the name of a tile's file, which contains a digest of its bytes for caching."""
     digest = hashlib.sha256(data).hexdigest()[:8]
     return f"t/{level}/{morton(coordinates)}-{digest}.glb"
 
@@ -164,7 +165,7 @@ def tileset_document(
     codec: CodecName = "spz",
     quality: int = 0,
     transform: Float64[np.ndarray, "4 4"] | None = None,
-) -> dict[str, Any]:
+) -> JsonDict:
     """Return the JSON of :func:`write_tileset`."""
     written = _tile(root, quality)
     tree = written.document
@@ -172,7 +173,7 @@ def tileset_document(
         tree["transform"] = [float(value) for value in transform.T.ravel()]
     diagonal = float(np.linalg.norm(written.high - written.low))
     needed = [NAME, SPZ_EXTENSION] if codec == "spz" else [NAME]
-    neural = [NEURAL_EXTENSION] if _has_neural(root) else []
+    neural = [NEURAL] if _has_neural(root) else []
     return {
         "asset": {"version": "1.1", "generator": "gsgen"},
         "extensions": {
@@ -204,7 +205,7 @@ def _tile(tile: TileRecord, quality: int) -> _Written:
         np.asarray(tile.low, np.float64),
         np.asarray(tile.high, np.float64),
     )
-    document: dict[str, Any] = {"geometricError": float(tile.geometric_error)}
+    document: JsonDict = {"geometricError": float(tile.geometric_error)}
     if tile.contents:
         content = tile.contents[min(quality, len(tile.contents) - 1)]
         volume = box_numbers(content.low, content.high)
@@ -218,12 +219,12 @@ def _tile(tile: TileRecord, quality: int) -> _Written:
         document["children"] = [child.document for child in children]
         document["refine"] = tile.refine
     if tile.neural is not None:
-        document["extensions"] = {NEURAL_EXTENSION: dict(tile.neural)}
+        document["extensions"] = {NEURAL: dict(tile.neural)}
     return _Written(document, low, high)
 
 
-def _properties(tile: TileRecord) -> dict[str, Any]:
-    properties: dict[str, Any] = {
+def _properties(tile: TileRecord) -> JsonDict:
+    properties: JsonDict = {
         "bytes": [content.size for content in tile.contents],
         "cell": float(tile.cell),
         "splats": tile.splats,
@@ -246,7 +247,7 @@ def write_build_record(
     source_splats: int,
     files: Mapping[str, bytes | tuple[int, str]],
 ) -> None:
-    """Write what was built: every file's size and SHA-256, which the validator compares.
+    """Write the record of a build: the size and SHA-256 of every file, which the validator compares.
 
     Args:
         path: ``gsgen.tiles.json`` beside the index.
@@ -270,7 +271,7 @@ def write_build_record(
         file.write(json_bytes(document))
 
 
-def json_bytes(document: Mapping[str, Any]) -> bytes:
+def json_bytes(document: Mapping[str, object]) -> bytes:
     """Return JSON with sorted keys and no spaces, which is the same on every machine."""
     text = json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return text.encode() + b"\n"

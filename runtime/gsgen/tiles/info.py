@@ -1,4 +1,4 @@
-"""Sum up a tileset: how many tiles, splats and bytes at each level."""
+"""Count the tiles, splats and bytes of a tileset at each level."""
 
 __all__ = ["LevelInfo", "TilesetInfo", "describe_tileset"]
 
@@ -22,7 +22,7 @@ from gsgen.tiles.uris import resolve_uri
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelInfo:
-    """All tiles of a level.
+    """The totals of all tiles of a level.
 
     Attributes:
         level: 0 for the root.
@@ -42,7 +42,7 @@ class LevelInfo:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TilesetInfo:
-    """A tileset, summed up.
+    """The totals of a tileset.
 
     Attributes:
         tiles: How many tiles there are, with and without content.
@@ -81,7 +81,7 @@ class _Measured:
 
 
 def describe_tileset(source: str | Path) -> TilesetInfo:
-    """Return what there is in the tileset at ``source``.
+    """Return the totals of the tileset at ``source``.
 
     Numbers come from metadata where the tileset has them, else from the files' headers.
 
@@ -137,7 +137,7 @@ def _level(level: int, pairs: list[tuple[Tile, _Measured]]) -> LevelInfo:
 
 
 def _from_metadata(tile: Tile, profile: Mapping[str, Any]) -> _Measured | None:
-    """Return what our own metadata says of a tile; None where a number is missing."""
+    """Return the totals of a tile from gsgen metadata, or None if a number is missing."""
     degree, quality = profile.get("sh_degree"), profile.get("quality", 0)
     splats, sizes = tile.metadata.get("splats"), tile.metadata.get("bytes")
     whole = isinstance(splats, int | np.integer) and isinstance(degree, int)

@@ -1,6 +1,6 @@
-"""Take typed values out of parsed JSON, each judged when it is asked for."""
+"""Read typed values from parsed JSON; each member is checked when it is read."""
 
-__all__ = ["JsonObject", "parse_object", "shorten"]
+__all__ = ["JsonDict", "JsonObject", "parse_object", "shorten"]
 
 import json
 import math
@@ -12,6 +12,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.tiles.errors import Fault, TilesetInvalid
+
+JsonDict = dict[str, Any]
+"""The members of a JSON object, before their types are checked."""
 
 _MOST_SHOWN = 60
 _LARGEST = 1e300
@@ -49,7 +52,7 @@ def _refuse_constant(name: str) -> Never:
 
 
 def shorten(value: object) -> str:
-    """Return ``value`` as one short line: a hostile file can hold anything."""
+    """Return ``value`` as one short line for error messages."""
     text = repr(value)
     return text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 1]}…"
 
@@ -57,7 +60,7 @@ def shorten(value: object) -> str:
 @final
 @dataclass(frozen=True, slots=True)
 class JsonObject:
-    """A JSON object, and where it stands.
+    """A JSON object and its location in the file.
 
     Attributes:
         values: The members.
@@ -65,7 +68,7 @@ class JsonObject:
         fault: What kind of fault a wrong member is.
     """
 
-    values: dict[str, Any]
+    values: JsonDict
     location: str
     fault: Fault = Fault.SCHEMA
 
@@ -73,7 +76,7 @@ class JsonObject:
         return key in self.values
 
     def refuse(self, key: str, expected: str) -> Never:
-        """Raise TilesetInvalid that shows what stands at ``key``."""
+        """Raise TilesetInvalid with the value at ``key`` as the actual value."""
         actual = (
             shorten(self.values[key]) if key in self.values else "the member is missing"
         )
@@ -87,7 +90,7 @@ class JsonObject:
         return f"{self.location}{separator}{key}"
 
     def child(self, key: str) -> "JsonObject":
-        """Return the object at ``key``, which has to be there."""
+        """Return the required object at ``key``."""
         value = self.values.get(key)
         if not isinstance(value, dict):
             self.refuse(key, "an object")
@@ -114,7 +117,7 @@ class JsonObject:
             yield JsonObject(entry, location, self.fault)
 
     def text(self, key: str) -> str:
-        """Return the string at ``key``, which has to be there and not be empty."""
+        """Return the required, nonempty string at ``key``."""
         value = self.values.get(key)
         if not isinstance(value, str) or not value:
             self.refuse(key, "a string")
@@ -153,7 +156,7 @@ class JsonObject:
         return np.array(value, np.float64)
 
 
-def _is_number(value: Any) -> TypeGuard[float]:
+def _is_number(value: object) -> TypeGuard[float]:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return abs(value) < _LARGEST and not math.isnan(value)

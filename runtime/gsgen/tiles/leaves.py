@@ -54,7 +54,7 @@ def read_tile_content(
 
 
 def finest_contents(tileset: Tileset) -> Iterator[tuple[Tile, Content]]:
-    """Yield the contents that are drawn where everything is drawn as finely as it can be."""
+    """Yield the contents that are drawn at the finest level of detail."""
     for tile in tileset.tiles():
         if tile.is_finest:
             for content in tile.contents:
@@ -62,7 +62,7 @@ def finest_contents(tileset: Tileset) -> Iterator[tuple[Tile, Content]]:
 
 
 def recognises(path: str | os.PathLike[str]) -> bool:
-    """Say whether ``path`` names a tileset: by its suffix, as an address, or as a folder."""
+    """Return whether ``path`` names a tileset: by its suffix, as an address, or as a folder."""
     text = os.fspath(path)
     name = Path(text).name.lower()
     if text.lower().startswith(("http:/", "https:/")) or name.endswith(".3tz"):
@@ -76,7 +76,7 @@ def read_leaves(source: str | os.PathLike[str]) -> Splats:
     """Return all leaves of the tileset at ``source`` as one set, in the frame of the root tile.
 
     Where the root frame is so large that float32 would lose millimetres, positions are
-    relative to the middle of the splats; a ``FormatWarning`` then says where that is.
+    relative to the middle of the splats; a ``FormatWarning`` then reports that origin.
 
     Raises:
         TilesetInvalid: A file is missing or wrong, or there are no splats.

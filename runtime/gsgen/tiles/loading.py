@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import Float64
@@ -19,10 +19,11 @@ from gsgen.tiles.implicit_tiling.tree import (
     expand_implicit,
     read_implicit,
 )
-from gsgen.tiles.json_values import JsonObject, shorten
+from gsgen.tiles.index import GLTF_EXTENSION
+from gsgen.tiles.json_values import JsonDict, JsonObject, shorten
 from gsgen.tiles.neural import EXTENSION as NEURAL
 from gsgen.tiles.neural import NeuralTile, read_neural_tile
-from gsgen.tiles.reading.documents import GLTF_EXTENSION, Document, DocumentReader
+from gsgen.tiles.reading.documents import Document, DocumentReader
 from gsgen.tiles.reading.limits import Limits, LoadReport, Strict
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
@@ -66,8 +67,8 @@ def load_tileset(
         store: Where its files lie.
         index: Path of ``tileset.json``.
         limits: How much is read.
-        report: Is told of faults; without it, the first one is raised.
-        name: What the caller calls the tileset.
+        report: Receives the faults; without it, the first one is raised.
+        name: Name of the tileset in messages.
 
     Raises:
         TilesetInvalid: The index cannot be read at all, or something in it and ``report``
@@ -80,7 +81,7 @@ def load_tileset(
 @final
 @dataclass(frozen=True, slots=True)
 class _Parent:
-    """What a tile takes over from the one above it."""
+    """The properties that a tile inherits from its parent."""
 
     transform: Matrix
     refine: Refine
@@ -147,8 +148,8 @@ class _Loader:
             )
         self._count(1, entry.location)
         volume = read_volume(entry.child("boundingVolume"))
-        own = self._transform(entry) if own_transform is None else own_transform
-        transform = parent.transform @ own
+        local_transform = self._transform(entry) if own_transform is None else own_transform
+        transform = parent.transform @ local_transform
         error, refine = entry.number("geometricError", least=0), self._refine(entry, parent)
         tile = Tile(
             location=entry.location,
@@ -179,7 +180,7 @@ class _Loader:
         children.append(self._tile(entry, document, parent))
 
     def _guard(self, read: Callable[[], None]) -> None:
-        """Read a part; where it cannot be read, leave it out and say so."""
+        """Read a part; if it is invalid, leave it out and report the fault."""
         try:
             read()
         except TilesetInvalid as error:
@@ -216,7 +217,7 @@ class _Loader:
         return children
 
     def _transform(self, entry: JsonObject) -> Matrix:
-        """Return the transform of a tile; noted where it is more than a similarity."""
+        """Return the transform of a tile; report one that is not a similarity."""
         if "transform" not in entry:
             return np.eye(4)
         matrix = entry.numbers("transform", 16).reshape(4, 4).T
@@ -260,9 +261,9 @@ class _Loader:
             )
         contents: list[Content] = []
         external: list[Tile] = []
-        held = [entry.child("content")] if "content" in entry else []
-        held += entry.objects("contents")
-        for content in held:
+        entries = [entry.child("content")] if "content" in entry else []
+        entries += entry.objects("contents")
+        for content in entries:
             read = partial(self._content, content, document, below, contents, external)
             self._guard(read)
         return tuple(contents), external
@@ -357,7 +358,7 @@ class _Loader:
         )
 
 
-def _properties(metadata: JsonObject | None) -> dict[str, Any]:
+def _properties(metadata: JsonObject | None) -> JsonDict:
     """Return the properties of a metadata entity."""
     properties = metadata.optional("properties") if metadata else None
     return dict(properties.values) if properties else {}

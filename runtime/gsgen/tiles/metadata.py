@@ -1,18 +1,20 @@
-"""The metadata that a tileset of ours carries: what its classes and properties mean."""
+"""The metadata schema of tilesets that gsgen writes."""
 
 __all__ = ["TILESET_CLASS", "TILE_CLASS", "implicit_metadata_schema", "metadata_schema"]
 
-from typing import Any, Final
+from typing import Final
+
+from gsgen.tiles.json_values import JsonDict
 
 TILE_CLASS: Final = "gsgen_tile"
 TILESET_CLASS: Final = "gsgen_tileset"
 
-_SCALAR: Final[dict[str, Any]] = {"type": "SCALAR"}
+_SCALAR: Final[JsonDict] = {"type": "SCALAR"}
 
 
-def metadata_schema() -> dict[str, Any]:
+def metadata_schema() -> JsonDict:
     """Return the metadata schema (3D Metadata Specification 1.0) of a tileset."""
-    tile: dict[str, dict[str, Any]] = {
+    tile: dict[str, JsonDict] = {
         "bytes": {
             **_SCALAR,
             "array": True,
@@ -67,8 +69,8 @@ def metadata_schema() -> dict[str, Any]:
     }
 
 
-def implicit_metadata_schema() -> dict[str, Any]:
-    """Return the schema of an implicit tileset, whose tiles' metadata stand in tables."""
+def implicit_metadata_schema() -> JsonDict:
+    """Return the metadata schema of an implicit tileset, whose subtrees have property tables."""
     box = {"array": True, "componentType": "FLOAT64", "count": 12, **_SCALAR}
     schema = metadata_schema()
     properties = {

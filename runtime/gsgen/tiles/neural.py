@@ -1,18 +1,18 @@
 """Neural tiles: the extension GSGEN_neural_tile, a generator in a tile.
 
-The content of such a tile stays a file of splats, which everyone can draw; who knows the
-extension may run the model instead. It is used and never required.
+The content of such a tile stays a file of splats, which every viewer can draw; a viewer that
+knows the extension may run the model instead. It is used and never required.
 """
 
 __all__ = ["EXTENSION", "NeuralTile", "neural_schema", "read_neural_tile"]
 
 import re
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Final, final
 
 from gsgen.contract.spec.roles import ROLES
 from gsgen.tiles.errors import Fault
-from gsgen.tiles.json_values import JsonObject
+from gsgen.tiles.json_values import JsonDict, JsonObject
 from gsgen.tiles.uris import resolve_uri
 
 EXTENSION: Final = "GSGEN_neural_tile"
@@ -56,40 +56,40 @@ def read_neural_tile(extension: JsonObject, base: str) -> NeuralTile:
     Raises:
         TilesetInvalid: A member is missing or is not what the schema says.
     """
-    held = JsonObject(extension.values, extension.location, Fault.NEURAL)
-    contract = held.text("contract")
+    members = JsonObject(extension.values, extension.location, Fault.NEURAL)
+    contract = members.text("contract")
     if contract not in CONTRACTS:
-        held.refuse("contract", " or ".join(CONTRACTS))
-    digest = held.text("sha256")
+        members.refuse("contract", " or ".join(CONTRACTS))
+    digest = members.text("sha256")
     if not _DIGEST.match(digest):
-        held.refuse("sha256", "64 hexadecimal digits")
-    inputs = held.texts("inputs")
+        members.refuse("sha256", "64 hexadecimal digits")
+    inputs = members.texts("inputs")
     if not inputs or len(set(inputs)) < len(inputs) or not set(inputs) <= ROLES.keys():
-        held.refuse("inputs", "roles of inputs, such as view and time, each once")
+        members.refuse("inputs", "roles of inputs, such as view and time, each once")
     span = None
-    if "time_range" in held:
-        first, last = map(float, held.numbers("time_range", 2))
+    if "time_range" in members:
+        first, last = map(float, members.numbers("time_range", 2))
         if first > last:
-            held.refuse(
+            members.refuse(
                 "time_range", "the first time, then a last one that is not before it"
             )
         span = first, last
     if ("time" in inputs) != (span is not None):
-        held.refuse(
+        members.refuse(
             "time_range", "a range where the inputs have a time, and none otherwise"
         )
     return NeuralTile(
-        uri=resolve_uri(base, held.text("uri"), held.at("uri")),
+        uri=resolve_uri(base, members.text("uri"), members.at("uri")),
         contract=contract,
         sha256=digest,
         inputs=inputs,
-        splats_max=held.whole("splats_max", least=1, most=MAX_SPLATS),
+        splats_max=members.whole("splats_max", least=1, most=MAX_SPLATS),
         time_range=span,
-        location=held.location,
+        location=members.location,
     )
 
 
-def neural_schema() -> dict[str, Any]:
+def neural_schema() -> JsonDict:
     """Return the JSON Schema of the extension's object."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

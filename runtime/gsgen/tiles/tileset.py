@@ -1,4 +1,4 @@
-"""A tileset in memory: the tree of tiles, whatever files it was read from."""
+"""A tileset in memory: the tree of tiles, independent of the files that it was read from."""
 
 __all__ = ["Content", "Refine", "Tile", "Tileset"]
 
@@ -63,14 +63,14 @@ class Tile:
 
     @property
     def is_finest(self) -> bool:
-        """Whether its content is drawn where everything is drawn as finely as it can be."""
+        """Whether its content is drawn at the finest level of detail."""
         return not self.children or self.refine == "ADD"
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tileset:
-    """A tree of tiles and what the index says of it.
+    """A tree of tiles with the declarations of its index.
 
     Attributes:
         name: The file, address or archive, as the caller gave it.

@@ -47,7 +47,7 @@ class Box:
         return np.asarray(self.center + signs @ self.half_axes)
 
     def outside(self, points: Points) -> Float64[np.ndarray, " n"]:
-        """Return how far points lie outside, along the axis that is worst; 0 within.
+        """Return the largest distance of points beyond a face, along the axes of the box; 0 within.
 
         Axes have to be at right angles, as 3D Tiles asks for.
         """
@@ -105,8 +105,8 @@ class Sphere:
 class Region:
     """A part of the globe between two parallels, two meridians and two heights.
 
-    Angles are radians, heights metres over the ellipsoid of WGS 84 (EPSG:4979). A region is
-    of the globe whatever the transform of its tile.
+    Angles are radians, heights metres over the ellipsoid of WGS 84 (EPSG:4979). The
+    transform of its tile does not apply to it.
     """
 
     west: float
@@ -137,7 +137,7 @@ class Region:
         return self
 
     def samples(self) -> Points:
-        """Return 18 points of it on the globe (ECEF)."""
+        """Return 18 points of the region (ECEF)."""
         longitude = self.west + self.width * np.array([0.0, 0.5, 1.0])
         latitude = np.linspace(self.south, self.north, 3)
         grid = np.meshgrid(longitude, latitude, [self.minimum, self.maximum])

@@ -1,11 +1,11 @@
-"""Files of Gaussian splats: read and write them, with NumPy.
+"""Reads and writes files of Gaussian splats, with NumPy.
 
-Two formats need a package more: SOG Pillow, and version 4 of SPZ zstandard.
+Two formats need another package: SOG needs Pillow, version 4 of SPZ needs zstandard.
 
     >>> from gsgen.formats import open_splats
     >>> splats = open_splats("garden.ply")
 
-What is wrong with a file is a ``FormatError`` that says where and what to do about it.
+A fault of a file raises a ``FormatError`` with the location, the expected value and a hint.
 """
 
 from gsgen.formats.codecs import CODECS, Codec, codec_named, codec_of_suffix

@@ -1,7 +1,20 @@
-"""The formats: what each is called, how it is told from the others, and who reads and writes it."""
+"""The table of splat formats: the one place that states their names, marks and functions.
+
+Help texts, hints, error messages and the documentation read this table. A new format is a module
+that reads it, an entry of the table, and a sample in ``tests/support/splat_files.py``.
+"""
+
+__all__ = [
+    "CODECS",
+    "Codec",
+    "codec_named",
+    "codec_of_suffix",
+    "format_titles",
+    "recognised",
+]
 
 import zipfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
@@ -9,84 +22,173 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Int64
 
+from gsgen.formats.glb import container as glb_container
 from gsgen.formats.glb.glb import read_glb, write_glb
 from gsgen.formats.ksplat import looks_like_ksplat, read_ksplat
 from gsgen.formats.npz import read_npz
 from gsgen.formats.ply.compressed_ply import compressed_order, write_compressed_ply
+from gsgen.formats.ply.header import MAGIC as PLY_MAGIC
 from gsgen.formats.ply.ply import read_ply, write_ply
 from gsgen.formats.shared.bytes import Data
 from gsgen.formats.shared.files import FilePath
-from gsgen.formats.shared.npz_arrays import unpacking
+from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 from gsgen.formats.sog.meta import META
 from gsgen.formats.sog.sog import read_sog
 from gsgen.formats.splat import looks_like_splat, read_splat, write_splat
+from gsgen.formats.spz import container as spz_container
 from gsgen.formats.spz.spz import read_spz, write_spz
 
-__all__ = ["CODECS", "Codec", "codec_named", "codec_of_suffix", "recognised"]
-
 Content = Splats | PointCloud | PackedRows
-"""What a file can hold."""
+"""The content of a file of splats."""
+
+_JSON_MARKS = (b'{"', b"{\n", b"{ ", b"{\r", b"{\t")
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Codec:
-    """One format.
+    """One splat format.
 
     Attributes:
-        name: What to call it on a command line.
-        title: What people call it.
-        suffixes: How names of its files end.
+        name: The name on a command line.
+        title: The name in a sentence.
+        contents: The versions and variants that are read, for the documentation.
+        suffixes: The ends of file names; the first one is the usual one.
         read: Reads a file.
-        write: Writes splats to a file; None where that is not done here.
-        keeps_flags: Whether files say that splats are antialiased, and of linear colour.
+        write: Writes splats to a file; None if the format is only read.
+        marks: The first bytes of a file; any of them marks it.
+        member: The file that a zip archive of this format holds; empty if any will do.
+        looks_like: Recognises a file without marks by its content.
+        keeps_flags: The flags of ``Splats`` that a file can state.
         most_degree: The highest SH degree that is written.
-        order: The order in which rows are written; None for that in memory.
+        order: Returns the order in which rows are written; None keeps the order in memory.
+        loss: What writing rounds or drops, for the documentation.
+        source: The repository on GitHub that describes the format; empty if it is gsgen's own.
     """
 
     name: str
     title: str
+    contents: str
     suffixes: tuple[str, ...]
     read: Callable[[FilePath], Content]
     write: Callable[[FilePath, Splats], None] | None = None
+    marks: tuple[bytes, ...] = ()
+    member: str = ""
+    looks_like: Callable[[Data], bool] | None = None
     keeps_flags: frozenset[str] = frozenset()
     most_degree: int = 4
     order: Callable[[Splats], Int64[np.ndarray, " n"]] | None = None
+    loss: str = ""
+    source: str = ""
 
 
 CODECS: Final = (
-    Codec("ply", "3DGS PLY", (".ply",), read_ply, write_ply),
     Codec(
-        "compressed-ply",
-        "compressed PLY",
-        (".compressed.ply",),
-        read_ply,
-        write_compressed_ply,
+        name="ply",
+        title="PLY",
+        contents="3DGS PLY, SH degree 0–4, or points with colours; text or binary of either byte "
+        "order, properties by name",
+        suffixes=(".ply",),
+        read=read_ply,
+        write=write_ply,
+        marks=PLY_MAGIC,
+        loss="nothing, bit for bit (flags aside)",
+        source="graphdeco-inria/gaussian-splatting",
+    ),
+    Codec(
+        name="compressed-ply",
+        title="compressed PLY",
+        contents="boxes of 256 splats in packed words",
+        suffixes=(".compressed.ply",),
+        read=read_ply,  # its marks are those of PLY, whose reader sees the packed words
+        write=write_compressed_ply,
         order=compressed_order,
+        loss="steps within the box of 256 neighbours: positions and scales 1/2047 (y: 1/1023), "
+        "colours 1/255; opacity 1/255, rotations 0.2°, harmonics 1/32 from −4 to 4; the order of "
+        "the splats",
+        source="playcanvas/splat-transform",
     ),
-    Codec("splat", "SPLAT", (".splat",), read_splat, write_splat, most_degree=0),
-    Codec("spz", "SPZ", (".spz",), read_spz, write_spz, frozenset({"antialiased"})),
     Codec(
-        "glb",
-        "GLB, KHR_gaussian_splatting",
-        (".glb",),
-        read_glb,
-        write_glb,
-        frozenset({"color_space"}),
+        name="spz",
+        title="SPZ",
+        contents="versions 1–4",
+        suffixes=(".spz",),
+        read=read_spz,
+        write=write_spz,
+        marks=(spz_container.GZIP, spz_container.MAGIC),
+        keeps_flags=frozenset({"antialiased"}),
+        loss="positions 1/4096 unit (coarser beyond 2048 units; float16 in version 1), scales 6 % "
+        "from e⁻¹⁰ to e⁵·⁹, opacity 1/255, rotations 0.2° (up to version 2: 1°, more where w is "
+        "near 0), harmonics 1/16 in degree 1 and 1/8 above, from −1 to 1",
+        source="nianticlabs/spz",
     ),
-    Codec("ksplat", "KSPLAT", (".ksplat",), read_ksplat),
-    Codec("sog", "SOG", (".sog", META), read_sog),
-    Codec("npz", "packed rows or points in an NPZ archive", (".npz",), read_npz),
+    Codec(
+        name="glb",
+        title="GLB",
+        contents="glTF binaries with KHR_gaussian_splatting",
+        suffixes=(".glb",),
+        read=read_glb,
+        write=write_glb,
+        marks=(glb_container.MAGIC,),
+        keeps_flags=frozenset({"color_space"}),
+        loss="the last digits of scales, opacities and rotations",
+        source="KhronosGroup/glTF",
+    ),
+    Codec(
+        name="sog",
+        title="SOG",
+        contents="version 2, zipped or its `meta.json`",
+        suffixes=(".sog", META),
+        read=read_sog,
+        marks=(ZIP_MAGIC, *_JSON_MARKS),
+        member=META,
+        source="playcanvas/splat-transform",
+    ),
+    Codec(
+        name="ksplat",
+        title="KSPLAT",
+        contents="version 0.1, compression 0–2",
+        suffixes=(".ksplat",),
+        read=read_ksplat,
+        looks_like=looks_like_ksplat,
+        source="mkkellogg/GaussianSplats3D",
+    ),
+    Codec(
+        name="splat",
+        title="SPLAT",
+        contents="32 bytes a splat, without a header",
+        suffixes=(".splat",),
+        read=read_splat,
+        write=write_splat,
+        looks_like=looks_like_splat,
+        most_degree=0,
+        loss="all harmonics but the colour; opacity and colour 1/255, rotations 1°",
+        source="antimatter15/splat",
+    ),
+    Codec(
+        name="npz",
+        title="NPZ",
+        contents="packed rows of a frame, or points with colours",
+        suffixes=(".npz",),
+        read=read_npz,
+        marks=(ZIP_MAGIC,),
+    ),
 )
-"""All formats."""
+"""All formats, in the order in which a file is compared with them."""
+
+
+def format_titles() -> str:
+    """Return the titles of all formats as an enumeration: ``PLY, …, SPLAT or NPZ``."""
+    *titles, last = (codec.title for codec in CODECS)
+    return f"{', '.join(titles)} or {last}"
 
 
 def codec_named(name: str) -> Codec:
     """Return the format ``name``.
 
     Raises:
-        KeyError: There is none.
+        KeyError: No format has this name.
     """
     return {codec.name: codec for codec in CODECS}[name]
 
@@ -94,40 +196,29 @@ def codec_named(name: str) -> Codec:
 def codec_of_suffix(path: FilePath) -> Codec | None:
     """Return the format that the longest suffix of ``path`` names, or None."""
     name = Path(path).name.lower()
-    found = [
+    matches = [
         (len(suffix), codec.name)
         for codec in CODECS
         for suffix in codec.suffixes
         if name.endswith(suffix)
     ]
-    return codec_named(max(found)[1]) if found else None
+    return codec_named(max(matches)[1]) if matches else None
 
 
 def recognised(path: FilePath, data: Data) -> Codec | None:
-    """Return the format whose marks ``data`` bears, or None.
+    """Return the format that the content of a file shows, or None.
 
     Args:
-        path: Where ``data`` is from; archives are looked into through it.
+        path: The file, through which the members of an archive are listed.
         data: The bytes of the file.
 
     Raises:
-        ArchiveDamaged: It is a zip archive that cannot be listed.
+        ArchiveDamaged: It is a zip archive whose members cannot be listed.
     """
-    first = bytes(data[:6])
-    for marks, name in _MARKS:
-        if first.startswith(marks):
-            return codec_named(name)
-    if first.startswith(b"PK\x03\x04"):
+    marked = [codec for codec in CODECS if bytes(data[:6]).startswith(codec.marks)]
+    if data[: len(ZIP_MAGIC)] == ZIP_MAGIC:
         with unpacking("archive"), zipfile.ZipFile(path) as archive:
-            return codec_named("sog" if META in archive.namelist() else "npz")
-    if looks_like_ksplat(data):
-        return codec_named("ksplat")
-    return codec_named("splat") if looks_like_splat(data) else None
-
-
-_MARKS: Iterable[tuple[tuple[bytes, ...], str]] = (
-    ((b"ply\n", b"ply\r\n"), "ply"),
-    ((b"\x1f\x8b", b"NGSP"), "spz"),
-    ((b"glTF",), "glb"),
-    ((b'{"', b"{\n", b"{ ", b"{\r", b"{\t"), "sog"),
-)
+            members = {"", *archive.namelist()}
+        marked = [codec for codec in marked if codec.member in members]
+    similar = (codec for codec in CODECS if codec.looks_like and codec.looks_like(data))
+    return marked[0] if marked else next(similar, None)

@@ -1,4 +1,4 @@
-"""Convert files of splats, and measure what that cost."""
+"""Converts files of splats to another format and measures the loss."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -20,19 +20,19 @@ __all__ = ["Conversion", "convert"]
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Conversion:
-    """What was converted.
+    """The result of a conversion, with its losses.
 
     Attributes:
         source: The file that was read.
         target: The file that was written.
-        format: Of the target.
-        count: How many splats or points.
-        degree: The SH degree before, and as it was written; None for points.
-        sizes: Bytes of both files.
-        lost: What was dropped, in words.
-        differences: How far off the rest is; empty for points.
+        format: The name of the target's format.
+        count: The number of splats or points.
+        degree: The SH degrees of the source and the target; None for points.
+        sizes: The sizes of both files, in bytes.
+        lost: The dropped properties, in words.
+        differences: The error of each kept quantity; empty for points.
     """
 
     source: str
@@ -55,26 +55,26 @@ def convert(
     write: Callable[[FilePath, Splats], None] | None = None,
     step: Callable[[str], None] = lambda words: None,
 ) -> Conversion:
-    """Read ``source``, write it to ``target``, read that back and compare.
+    """Convert ``source`` to ``target``, then compare the written file with the source.
 
     Args:
         source: A file that ``open_splats`` reads. Packed rows become splats.
-        target: Where to; a file that is there is replaced, a folder that is not is made.
+        target: The output path. An existing file is replaced, a missing folder is created.
         codec: The format of the target.
         sh_degree: Drop harmonics above this degree.
-        drop_invalid: Leave out rows of a PLY file that cannot be drawn, and warn of them.
-        write: Writes instead of the codec, say with other options.
-        step: Is told what is being done.
+        drop_invalid: Drop rows of a PLY file that cannot be drawn, and warn about them.
+        write: Replaces the writer of the codec, for example to set options.
+        step: Called with a description of each step.
 
     Raises:
-        FormatError: A file cannot be read or written; NotSupported if the format is not
-            written here, or cannot hold bare points.
+        FormatError: A file cannot be read or written; NotSupported if gsgen does not write
+            the format, or the format cannot hold points.
     """
     writer = write or codec.write
     if writer is None:
-        names = [one.name for one in CODECS if one.write]
+        names = [entry.name for entry in CODECS if entry.write]
         raise NotSupported(
-            f"{codec.title} is read but not written here",
+            f"{codec.title} is a format that gsgen only reads",
             expected=f"one of {', '.join(names)}",
             path=str(target),
         )
@@ -82,35 +82,37 @@ def convert(
     before = Path(source).stat().st_size if Path(source).is_file() else 0
     content = open_splats(source, drop_invalid=drop_invalid)
     if isinstance(content, PointCloud):
-        return _points(source, target, codec, content, before)
+        return _convert_points(source, target, codec, content, before)
     splats = splats_of_rows(content) if isinstance(content, PackedRows) else content
-    kept = _cut(splats, min(codec.most_degree, 4 if sh_degree is None else sh_degree))
+    reduced = _with_degree(
+        splats, min(codec.most_degree, 4 if sh_degree is None else sh_degree)
+    )
     step(f"writing {target}")
     make_folder(target)
-    writer(target, kept)
+    writer(target, reduced)
     step(f"comparing {target} with {source}")
     back = codec.read(target)
-    assert isinstance(back, Splats)  # what was written are splats
-    order = codec.order(kept) if codec.order else np.arange(len(kept))
+    assert isinstance(back, Splats)  # every writer writes splats
+    order = codec.order(reduced) if codec.order else np.arange(len(reduced))
     return Conversion(
         source=str(source),
         target=str(target),
         format=codec.name,
-        count=len(kept),
-        degree=(splats.degree, kept.degree),
+        count=len(reduced),
+        degree=(splats.degree, reduced.degree),
         sizes=(before, Path(target).stat().st_size),
-        lost=_lost(splats, kept, codec),
-        differences=differences(_ordered(kept, order), back),
+        lost=_losses(splats, reduced, codec),
+        differences=differences(_ordered(reduced, order), back),
     )
 
 
-def _points(
+def _convert_points(
     source: FilePath, target: FilePath, codec: Codec, points: PointCloud, before: int
 ) -> Conversion:
     if codec.name != "ply":
         raise NotSupported(
-            "holds coloured points, which have no size, no rotation and no opacity",
-            expected=f"splats, to write {codec.title}",
+            "holds coloured points, which have no size, rotation or opacity",
+            expected=f"splats, which {codec.title} needs",
             hint="write a PLY file; `gsgen export static` makes a generator of them",
             path=str(source),
         )
@@ -118,11 +120,18 @@ def _points(
     write_ply(target, points)
     sizes = before, Path(target).stat().st_size
     return Conversion(
-        str(source), str(target), codec.name, len(points), None, sizes, (), ()
+        source=str(source),
+        target=str(target),
+        format=codec.name,
+        count=len(points),
+        degree=None,
+        sizes=sizes,
+        lost=(),
+        differences=(),
     )
 
 
-def _cut(splats: Splats, degree: int) -> Splats:
+def _with_degree(splats: Splats, degree: int) -> Splats:
     if splats.degree <= degree:
         return splats
     return replace(splats, sh=np.ascontiguousarray(splats.sh[:, : SH_COUNTS[degree]]))
@@ -133,14 +142,14 @@ def _ordered(splats: Splats, order: np.ndarray) -> Splats:
     return replace(splats, **{name: getattr(splats, name)[order] for name in names})
 
 
-def _lost(splats: Splats, kept: Splats, codec: Codec) -> tuple[str, ...]:
-    lost = []
-    if kept.degree < splats.degree:
-        lost.append(f"harmonics above degree {kept.degree}")
+def _losses(splats: Splats, reduced: Splats, codec: Codec) -> tuple[str, ...]:
+    losses = []
+    if reduced.degree < splats.degree:
+        losses.append(f"harmonics above degree {reduced.degree}")
     if splats.antialiased and "antialiased" not in codec.keeps_flags:
-        lost.append("that the splats are antialiased (Mip-Splatting)")
+        losses.append("the flag that the splats are antialiased (Mip-Splatting)")
     if splats.color_space == "linear" and "color_space" not in codec.keeps_flags:
-        lost.append("that the colours are linear")
+        losses.append("the flag that the colours are linear")
     if codec.order:
-        lost.append("the order of the splats")
-    return tuple(lost)
+        losses.append("the order of the splats")
+    return tuple(losses)

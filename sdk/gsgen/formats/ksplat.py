@@ -1,7 +1,7 @@
-"""Read KSPLAT files, version 0.1, of all three compression levels.
+"""Reads KSPLAT files, version 0.1, of all three compression levels.
 
 The format is that of mkkellogg/GaussianSplats3D: a header, a header for each section, and
-sections of buckets, whose splats are placed relative to the middle of their bucket.
+sections of buckets, whose splats have positions relative to the centre of their bucket.
 """
 
 import struct
@@ -12,7 +12,7 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float32, Shaped
 
-from gsgen.formats.shared.bytes import AGAIN, Data, contents, require_room, take
+from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, contents, require_room, take
 from gsgen.formats.shared.errors import (
     HeaderMalformed,
     NotRecognised,
@@ -41,15 +41,15 @@ _MOST_DEGREE = 2
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Section:
-    """What the header of a section says.
+    """The header of a section.
 
     Attributes:
-        start: The byte where its data begin.
-        buckets: The byte where the middles of the buckets begin.
+        start: The byte where the section's data begin.
+        buckets: The byte where the centres of the buckets begin.
         rows: The byte where the splats begin.
-        end: The byte behind its data.
+        end: The byte after the data.
     """
 
     count: int
@@ -71,12 +71,12 @@ def read_ksplat(path: FilePath) -> Splats:
     """Read the KSPLAT file at ``path``; sections of different degrees become the highest.
 
     Raises:
-        FileUnreadable: The file is missing, empty or closed to us.
-        NotRecognised: It is no KSPLAT file.
-        NotSupported: It is of another version.
+        FileUnreadable: The file is missing or empty, or may not be read.
+        NotRecognised: The file is not a KSPLAT file.
+        NotSupported: The file has another version.
         HeaderMalformed: A header contradicts itself.
         FileTruncated: The file ends early.
-        ValueInvalid: There is no splat, or one that cannot be drawn.
+        ValueInvalid: The file has no splats, or one that cannot be drawn.
     """
     with contents(path) as data:
         splats = decode_ksplat(data)
@@ -85,7 +85,7 @@ def read_ksplat(path: FilePath) -> Splats:
 
 
 def looks_like_ksplat(data: Data) -> bool:
-    """Say whether ``data`` begins like a KSPLAT file: its version, and sections that fit."""
+    """Return whether ``data`` begins like a KSPLAT file: a known version, and sections that fit."""
     if len(data) < HEADER:
         return False
     major, minor, sections, _, _, _, level, *_ = _MAIN.unpack_from(data)
@@ -95,13 +95,15 @@ def looks_like_ksplat(data: Data) -> bool:
 
 
 def decode_ksplat(data: Data) -> Splats:
-    """Return the splats of the KSPLAT file ``data``; values are not judged."""
+    """Return the splats of the KSPLAT file ``data``; values are not checked."""
     require_room(data, 0, HEADER, "header")
     fields = _MAIN.unpack_from(data)
     major, minor, sections, _, _, _, level, _, _, _, sh_low, sh_high = fields
     if major or data[2:4] != b"\0\0":
         raise NotRecognised(
-            data[:4].hex(" "), where="first bytes", expected="00 01 00 00, as of KSPLAT 0.1"
+            data[:4].hex(" "),
+            where="first bytes",
+            expected="00 01 00 00, the start of KSPLAT 0.1",
         )
     if minor != 1:
         raise NotSupported(f"version 0.{minor}", where="byte 1", expected="0.1")
@@ -109,7 +111,7 @@ def decode_ksplat(data: Data) -> Splats:
         raise HeaderMalformed(
             f"compression level {level}", where="byte 20", expected="0, 1 or 2"
         )
-    # How many sections are in use (byte 8) is not read: writers leave it 0, and the rest empty.
+    # The number of used sections (byte 8) is not read: writers leave it 0, and the others empty.
     require_room(data, HEADER, sections * SECTION, "section headers")
     sh_range = (sh_low or _SH_RANGE[0], sh_high or _SH_RANGE[1])
     parts = [
@@ -122,7 +124,7 @@ def decode_ksplat(data: Data) -> Splats:
 
 
 def _sections(data: Data, count: int, start: int, level: int) -> Iterator[_Section]:
-    """Yield the sections, empty ones left out; each begins where the one before ends."""
+    """Yield the sections that are not empty; each begins at the end of the previous one."""
     for index in range(count):
         section = _section(data, index, start, level)
         start = section.end
@@ -131,19 +133,21 @@ def _sections(data: Data, count: int, start: int, level: int) -> Iterator[_Secti
 
 
 def _section(data: Data, index: int, start: int, level: int) -> _Section:
-    at = HEADER + index * SECTION
-    fields = _PART.unpack_from(data, at)
+    offset = HEADER + index * SECTION
+    fields = _PART.unpack_from(data, offset)
     count, most, size, buckets, block, storage, scale, full, partial, degree = fields
-    where = f"section {index}, byte {at}"
+    where = f"section {index}, byte {offset}"
     if degree > _MOST_DEGREE:
         raise HeaderMalformed(f"SH degree {degree}", where=where, expected="0, 1 or 2")
     if count > most:
-        raise HeaderMalformed(f"{count} of {most} splats", where=where, expected="no more")
+        raise HeaderMalformed(
+            f"{count} of {most} splats", where=where, expected=f"at most {most}"
+        )
     if level and not count <= full * size + partial * size:
         raise HeaderMalformed(
             f"{count} splats in {full} full and {partial} other buckets of {size}",
             where=where,
-            expected="as many as fit",
+            expected=f"at most {full * size + partial * size}",
         )
     if (
         level
@@ -160,8 +164,8 @@ def _section(data: Data, index: int, start: int, level: int) -> _Section:
     end = rows + most * _record(level, degree).itemsize
     require_room(data, start, end - start, where)
     return _Section(
-        count, degree, size, buckets, block, storage, scale or _SCALE_RANGE, full, partial,
-        start, middles, rows, end,
+        count=count, degree=degree, bucket_size=size, bucket_count=buckets, block=block, storage=storage, scale_range=scale or _SCALE_RANGE, full=full, partial=partial,
+        start=start, buckets=middles, rows=rows, end=end,
     )  # fmt: skip
 
 
@@ -187,7 +191,9 @@ def _splats(
     return Splats(
         position=_positions(data, section, rows, level),
         rotation=unit(rows["rotation"]),
-        log_scale=log(rows["scale"]),  # NaN, of one below zero, is refused
+        log_scale=log(
+            rows["scale"]
+        ),  # a negative scale becomes NaN, which require_drawable refuses
         logit_opacity=logit(rgba[:, 3]),
         sh=np.concatenate([constant, higher], axis=1).astype(np.float32),
     )
@@ -205,14 +211,14 @@ def _positions(
 
 
 def _middles(data: Data, section: _Section) -> Float32[np.ndarray, "n 3"]:
-    """Return the middle of the bucket of each splat: the full buckets come first."""
+    """Return the centre of the bucket of each splat; full buckets come first."""
     lengths = take(data, "<u4", (section.partial,), section.start, "bucket lengths")
     if (lengths > section.bucket_size).any():
         raise HeaderMalformed(
             f"a bucket of {int(lengths.max())} splats",
             where=f"bucket lengths, byte {section.start}",
             expected=f"{section.bucket_size} or fewer",
-            hint=AGAIN,
+            hint=DOWNLOAD_HINT,
         )
     kind = np.dtype([("middle", "<f4", 3), ("rest", "u1", section.storage - 12)])
     middles = take(data, kind, (section.bucket_count,), section.buckets, "buckets")
@@ -226,8 +232,8 @@ def _middles(data: Data, section: _Section) -> Float32[np.ndarray, "n 3"]:
         raise HeaderMalformed(
             f"{section.count} splats, {int(ends[-1]) if len(ends) else 0} in buckets",
             where=f"bucket lengths, byte {section.start}",
-            expected="all of them",
-            hint=AGAIN,
+            expected="all splats in buckets",
+            hint=DOWNLOAD_HINT,
         )
     bucket = np.searchsorted(ends, np.arange(section.count), side="right")
     return np.asarray(middles["middle"][bucket])
@@ -243,6 +249,6 @@ def _harmonics(
         values = np.asarray(low + values / 255 * (high - low), np.float32)
     first, second = values[:, :9], values[:, 9:]
     degrees = [part.reshape(len(part), 3, -1) for part in (first, second) if part.size]
-    made = [part.swapaxes(1, 2) for part in degrees]
+    coefficients = [part.swapaxes(1, 2) for part in degrees]
     empty = np.empty((len(stored), 0, 3), np.float32)
-    return np.concatenate([empty, *made], axis=1).astype(np.float32)
+    return np.concatenate([empty, *coefficients], axis=1).astype(np.float32)

@@ -1,4 +1,4 @@
-"""What a file lost: splats before they were written, beside what is read back."""
+"""Measures the loss of a format: splats before writing against the splats read back."""
 
 import math
 from collections.abc import Iterator
@@ -20,13 +20,13 @@ _CHUNK = 1 << 16
 @final
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """How far one quantity is off.
+    """The error of one quantity.
 
     Attributes:
-        name: Of the quantity.
-        unit: What the numbers count; empty for shares of 1.
+        name: The name of the quantity.
+        unit: The unit of the numbers; empty for fractions of 1.
         largest: The largest difference.
-        typical: The root of the mean square.
+        typical: The root mean square of the differences.
     """
 
     name: str
@@ -36,13 +36,13 @@ class Difference:
 
 
 def differences(before: Splats, after: Splats) -> tuple[Difference, ...]:
-    """Compare splats row by row, in what is drawn and not in what is stored.
+    """Compare splats row by row, after activation.
 
     Positions are in scene units, rotations in degrees, scales in percent (flat axes aside),
-    opacities and constant colours from 0 to 1, harmonics as they are up to the lower degree.
+    opacities and constant colours from 0 to 1, harmonics unscaled up to the lower degree.
 
     Raises:
-        ValueInvalid: The numbers of splats differ.
+        ValueInvalid: ``before`` and ``after`` have different lengths.
     """
     if len(before) != len(after):
         raise ValueInvalid(
@@ -51,10 +51,10 @@ def differences(before: Splats, after: Splats) -> tuple[Difference, ...]:
     units = {"position": "units", "rotation": "°", "scale": "%"}
     names = ("position", "rotation", "scale", "opacity", "color", "harmonics")
     largest, squares, counts = (dict.fromkeys(names, 0.0) for _ in range(3))
-    for name, apart in _apart(before, after):
-        largest[name] = max(largest[name], float(np.abs(apart).max(initial=0)))
-        squares[name] += float(np.square(apart).sum())
-        counts[name] += apart.size
+    for name, difference in _field_differences(before, after):
+        largest[name] = max(largest[name], float(np.abs(difference).max(initial=0)))
+        squares[name] += float(np.square(difference).sum())
+        counts[name] += difference.size
     return tuple(
         Difference(
             name,
@@ -67,16 +67,16 @@ def differences(before: Splats, after: Splats) -> tuple[Difference, ...]:
     )
 
 
-def _apart(
+def _field_differences(
     before: Splats, after: Splats
 ) -> Iterator[tuple[str, Float64[np.ndarray, "..."]]]:
     shared = min(before.sh.shape[1], after.sh.shape[1])
-    for at in range(0, len(before), _CHUNK):
-        part = slice(at, at + _CHUNK)
+    for start in range(0, len(before), _CHUNK):
+        part = slice(start, start + _CHUNK)
         yield "position", _minus(before.position[part], after.position[part])
         yield "rotation", _degrees(before.rotation[part], after.rotation[part])
         yield "scale", _percent(before.log_scale[part], after.log_scale[part])
-        shares = (sigmoid(one.logit_opacity[part]) for one in (before, after))
+        shares = (sigmoid(splats.logit_opacity[part]) for splats in (before, after))
         yield "opacity", _minus(*shares)
         yield "color", SH_C0 * _minus(before.sh[part, 0], after.sh[part, 0])
         yield "harmonics", _minus(before.sh[part, 1:shared], after.sh[part, 1:shared])
@@ -91,16 +91,16 @@ def _minus(
 def _degrees(
     before: Float[np.ndarray, "n 4"], after: Float[np.ndarray, "n 4"]
 ) -> Float64[np.ndarray, " n"]:
-    """Return the angles between rotations: 4 asin(|p − q| / 2), of q and −q the nearer."""
-    one, other = (unit(turns).astype(np.float64) for turns in (before, after))
-    apart = [np.linalg.norm(one - sign * other, axis=1) for sign in (1, -1)]
-    return np.asarray(np.degrees(4 * np.arcsin(np.minimum(np.minimum(*apart) / 2, 1))))
+    """Return the angles between rotations: 4 asin(|p − q| / 2), with the nearer of q and −q."""
+    p, q = (unit(turns).astype(np.float64) for turns in (before, after))
+    distances = [np.linalg.norm(p - sign * q, axis=1) for sign in (1, -1)]
+    return np.asarray(np.degrees(4 * np.arcsin(np.minimum(np.minimum(*distances) / 2, 1))))
 
 
 def _percent(
     before: Float[np.ndarray, "n 3"], after: Float[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, " m"]:
     sized = np.isfinite(before) & np.isfinite(after)
-    apart = after[sized].astype(np.float64) - before[sized]
+    difference = after[sized].astype(np.float64) - before[sized]
     with np.errstate(over="ignore"):
-        return np.asarray(100 * np.expm1(apart))
+        return np.asarray(100 * np.expm1(difference))

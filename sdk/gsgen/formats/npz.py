@@ -1,4 +1,4 @@
-"""Read packed Gaussians or coloured points from NumPy archives."""
+"""Reads packed Gaussians or coloured points from NumPy archives."""
 
 import zipfile
 from typing import Final
@@ -14,14 +14,14 @@ from gsgen.formats.shared.errors import (
     listed,
 )
 from gsgen.formats.shared.files import FilePath, opened
-from gsgen.formats.shared.npz_arrays import read_arrays, unpacking
+from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, read_arrays, unpacking
 from gsgen.formats.shared.splats import PackedRows, PointCloud
 from gsgen.formats.shared.values import require_colors, require_finite, require_rows
 
 __all__ = ["MAX_BYTES", "read_npz"]
 
 MAX_BYTES: Final = 8 << 30
-"""How much memory the arrays of one archive may take, unless the caller says more."""
+"""The default limit of the memory that the arrays of one archive may take, in bytes."""
 
 _PACKED = ("gaussians", "appearance")
 _POINTS = ("points", "xyz", "means3d")
@@ -31,31 +31,32 @@ _COLORS = "colors"
 def read_npz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> PointCloud | PackedRows:
     """Read the packed rows, or else the coloured points, of the archive at ``path``.
 
-    It is packed rows if there are ``gaussians`` [n, 10] and ``appearance`` [n, c], in
-    float16 or float32, which they keep. It is points if there are ``colors`` [n, 3] in
-    uint8 or in floats from 0 to 1, and one of ``points``, ``xyz`` and ``means3d``
-    [n, 3]; both become float32. Other arrays are passed over.
+    Packed rows are ``gaussians`` [n, 10] and ``appearance`` [n, c] in float16 or float32, which
+    is kept. Points are ``colors`` [n, 3] in uint8 or in floats from 0 to 1, and one of
+    ``points``, ``xyz`` and ``means3d`` [n, 3]; both become float32. Other arrays are ignored.
 
     Args:
         path: The archive, as ``np.savez`` or ``np.savez_compressed`` writes it.
-        max_bytes: How much memory the needed arrays may take. What they declare is
-            looked at before they are unpacked, so a small archive of something huge
-            does no harm.
+        max_bytes: The limit of the memory that the needed arrays may take. Their declared
+            sizes are checked before they are unpacked, so a small archive of huge arrays is
+            refused.
 
     Raises:
-        FileUnreadable: The file is missing, empty or closed to us.
-        NotRecognised: It is no zip archive.
+        FileUnreadable: The file is missing or empty, or may not be read.
+        NotRecognised: The file is not a zip archive.
         ArchiveDamaged: The archive, or a needed array, cannot be unpacked.
-        PropertyMissing: The needed arrays are not there; all that are there are named.
-        NotSupported: A needed array holds Python objects, or there are two of positions.
+        PropertyMissing: The archive lacks the needed arrays; the message lists its arrays.
+        NotSupported: A needed array holds Python objects, or two arrays hold positions.
         SizeExceeded: The needed arrays would take more than ``max_bytes``.
         ValueInvalid: An array has the wrong shape, type or values.
     """
     with opened(path) as file:
-        first = file.read(4)
-        if first != b"PK\x03\x04":
+        first = file.read(len(ZIP_MAGIC))
+        if first != ZIP_MAGIC:
             raise NotRecognised(
-                first.hex(" "), where="first bytes", expected="50 4b 03 04, as of an .npz"
+                first.hex(" "),
+                where="first bytes",
+                expected="50 4b 03 04, the start of an .npz",
             )
         with unpacking("archive"), zipfile.ZipFile(file) as archive:
             keys = _choose(
@@ -77,7 +78,7 @@ def _choose(names: list[str]) -> tuple[str, str]:
         )
     if len(positions) > 1:
         raise NotSupported(
-            f"holds {listed(positions)}", expected="one of them, as all mean positions"
+            f"holds {listed(positions)}", expected="only one of them, as all are positions"
         )
     return positions[0], _COLORS
 
@@ -105,7 +106,7 @@ def _cloud(
         raise ValueInvalid(
             f"{len(color)} rows",
             where=f"array {_COLORS}",
-            expected=f"{len(position)}, as many as {key} has",
+            expected=f"{len(position)}, the number of rows of {key}",
         )
     if colors.dtype == np.uint8:
         color /= np.float32(255)
@@ -117,15 +118,15 @@ def _cloud(
 def _triples(
     array: Shaped[np.ndarray, "..."], key: str, *, also: type[np.uint8] | None = None
 ) -> Float32[np.ndarray, "n 3"]:
-    """Return ``array`` in float32; it has to be floats, or ``also``, of shape [n, 3]."""
+    """Convert ``array`` to float32; raise unless it is floats, or ``also``, of shape [n, 3]."""
     typed = array.dtype.kind == "f" or array.dtype == also
     if not typed or array.shape[1:] != (3,):
-        wanted = f"{np.dtype(also).name} or float" if also else "float"
+        dtypes = f"{np.dtype(also).name} or float" if also else "float"
         raise ValueInvalid(
             f"{array.dtype} {list(array.shape)}",
             where=f"array {key}",
-            expected=f"{wanted} [n, 3]",
+            expected=f"{dtypes} [n, 3]",
         )
-    # A double may be more than a float holds; as infinity it meets the check of values.
+    # A double beyond float32 becomes infinite, which the check of values refuses.
     with np.errstate(over="ignore", invalid="ignore"):
         return array.astype(np.float32, order="C")

@@ -1,27 +1,42 @@
-"""Open a file of splats, whatever its format."""
+"""Opens a file of splats of any format."""
 
-from gsgen.formats.codecs import codec_of_suffix, recognised
+__all__ = ["open_splats"]
+
+from typing import Protocol
+
+from gsgen.contract._entry_points import registered_entry_points
+from gsgen.formats.codecs import codec_of_suffix, format_titles, recognised
 from gsgen.formats.ply.ply import read_ply
 from gsgen.formats.shared.bytes import contents
 from gsgen.formats.shared.errors import NotRecognised
 from gsgen.formats.shared.files import FilePath
 from gsgen.formats.shared.splats import PackedRows, PointCloud, Splats
 
-__all__ = ["open_splats"]
+
+class SplatReader(Protocol):
+    """Reads splats of many files: a module of the entry point group ``gsgen.splat_readers``."""
+
+    def recognises(self, path: FilePath) -> bool:
+        """Return whether ``path`` names a set of files of this kind."""
+        ...
+
+    def read_leaves(self, source: FilePath) -> Splats:
+        """Return all splats at the finest level."""
+        ...
 
 
 def open_splats(
     path: FilePath, *, drop_invalid: bool = False
 ) -> Splats | PointCloud | PackedRows:
-    """Read the file at ``path``, whose format its content tells and not its name.
+    """Read the splats of a file whose format its content shows, not its name.
 
-    It is a PLY file (plain or compressed), SPZ, GLB, SOG (an archive or its meta.json),
-    KSPLAT, SPLAT or NPZ. SPLAT has no header: it is what else is a number of plausible
-    records. Only if nothing fits, the name says which reader explains what is wrong.
+    ``CODECS`` lists the formats. SPLAT has no header: it is a number of plausible records that
+    no other format recognises. If no format fits, the suffix chooses the reader that explains
+    the fault. A tileset (tileset.json, .3tz, or the address of one) gives all its leaves.
 
     Args:
         path: The file.
-        drop_invalid: Leave out rows of a PLY file that cannot be drawn, and warn of them
+        drop_invalid: Drop rows of a PLY file that cannot be drawn, and warn about them
             (FormatWarning); see :func:`read_ply`.
 
     Returns:
@@ -29,8 +44,13 @@ def open_splats(
         ``PackedRows`` where an NPZ archive does.
 
     Raises:
-        FormatError: The file cannot be read; the subclass says what happened.
+        FormatError: The file cannot be read; the subclass names the cause.
+        InputUnreadable: A file of the tileset is missing or invalid.
     """
+    for point in registered_entry_points("gsgen.splat_readers"):
+        reader: SplatReader = point.load()
+        if reader.recognises(path):
+            return reader.read_leaves(path)
     with contents(path) as data:
         codec, first = recognised(path, data), bytes(data[:5])
     codec = codec or codec_of_suffix(path)
@@ -38,7 +58,7 @@ def open_splats(
         raise NotRecognised(
             first.hex(" "),
             where="first bytes",
-            expected="a file of splats: PLY, SPZ, GLB, SOG, KSPLAT, SPLAT or NPZ",
+            expected=f"a file of splats: {format_titles()}",
             hint="if it is of another format, convert it to one of these first",
             path=str(path),
         )

@@ -1,4 +1,4 @@
-"""Packed rows as splats: a frame of a generator becomes what files of splats hold."""
+"""Converts packed rows, such as a frame of a generator, to splats."""
 
 import numpy as np
 from jaxtyping import Float32
@@ -12,27 +12,27 @@ __all__ = ["splats_of_rows"]
 
 
 def splats_of_rows(rows: PackedRows) -> Splats:
-    """Return the splats whose covariances, opacities and colours are ``rows``.
+    """Convert packed rows to splats with the same covariances, opacities and colours.
 
-    Axes and sizes are those of the covariance: its eigenvectors, and the roots of its
-    eigenvalues (where rounding made one negative, 0). Three or four channels are raw colour.
+    The axes are the eigenvectors of the covariance, the scales the roots of its eigenvalues (0
+    if rounding made one negative). Three or four channels are raw colour.
 
     Raises:
-        ValueInvalid: A number of channels means nothing, or a covariance is not finite.
+        ValueInvalid: The number of channels has no meaning, or a value is not finite.
     """
-    wide = rows.gaussians.astype(np.float64)
-    if not np.isfinite(wide).all():
-        bad = int(np.argmin(np.isfinite(wide).all(axis=1)))
+    rows64 = rows.gaussians.astype(np.float64)
+    if not np.isfinite(rows64).all():
+        row = int(np.argmin(np.isfinite(rows64).all(axis=1)))
         raise ValueInvalid(
-            f"row {bad} is not finite", where="gaussians", expected="finite numbers"
+            f"row {row} is not finite", where="gaussians", expected="finite numbers"
         )
-    variances, axes = np.linalg.eigh(symmetric(wide[:, 4:]))
+    variances, axes = np.linalg.eigh(symmetric(rows64[:, 4:]))
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
     return Splats(
         position=rows.gaussians[:, :3].astype(np.float32),
         rotation=rotations(axes),
         log_scale=log(np.sqrt(np.maximum(variances, 0))),
-        logit_opacity=logit(np.clip(wide[:, 3], 0, 1)),
+        logit_opacity=logit(np.clip(rows64[:, 3], 0, 1)),
         sh=_harmonics(rows.appearance.astype(np.float32)),
     )
 

@@ -1,14 +1,14 @@
-"""Read and write SPLAT files: 32 bytes a splat, no header, no harmonics but the colour.
+"""Reads and writes SPLAT files: 32 bytes a splat, no header, no harmonics above degree 0.
 
 The format is that of antimatter15/splat: position and linear scale as three float32 each,
-red, green, blue and opacity as bytes, and the quaternion (w, x, y, z) as bytes v that mean
+red, green, blue and opacity as bytes, and the quaternion (w, x, y, z) as bytes v for
 (v − 128) / 128.
 """
 
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.formats.shared.bytes import AGAIN, Data, contents, take
+from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, contents, take
 from gsgen.formats.shared.errors import FileTruncated
 from gsgen.formats.shared.files import FilePath, naming, replacing
 from gsgen.formats.shared.quantities import SH_C0, log, logit, sigmoid, to_bytes, unit
@@ -29,9 +29,9 @@ def read_splat(path: FilePath) -> Splats:
     """Read the SPLAT file at ``path``.
 
     Raises:
-        FileUnreadable: The file is missing, empty or closed to us.
-        FileTruncated: Its size is no multiple of 32 bytes.
-        ValueInvalid: A value that cannot be drawn: NaN, infinite, or a negative scale.
+        FileUnreadable: The file is missing or empty, or may not be read.
+        FileTruncated: The size is not a multiple of 32 bytes.
+        ValueInvalid: A value cannot be drawn: NaN, infinite, or a negative scale.
     """
     with contents(path) as data:
         splats = decode_splat(data)
@@ -40,14 +40,14 @@ def read_splat(path: FilePath) -> Splats:
 
 
 def decode_splat(data: Data) -> Splats:
-    """Return the splats whose records are ``data``; values are not judged."""
-    count, rest = divmod(len(data), RECORD.itemsize)
-    if rest:
+    """Return the splats of the records ``data``; values are not checked."""
+    count, remainder = divmod(len(data), RECORD.itemsize)
+    if remainder:
         raise FileTruncated(
-            f"{len(data)} bytes are {count} records of 32 and {rest} bytes more",
+            f"{len(data)} bytes are {count} records of 32 and {remainder} bytes more",
             where=f"byte {count * RECORD.itemsize}",
             expected="a multiple of 32 bytes, as of a SPLAT file",
-            hint=AGAIN,
+            hint=DOWNLOAD_HINT,
         )
     records = take(data, RECORD, (count,), 0, "records")
     rgba = records["rgba"] / np.float32(255)
@@ -56,7 +56,9 @@ def decode_splat(data: Data) -> Splats:
     return Splats(
         position=records["position"].astype(np.float32),
         rotation=unit(rotation),
-        log_scale=log(records["scale"]),  # NaN, of one below zero, is refused
+        log_scale=log(
+            records["scale"]
+        ),  # a negative scale becomes NaN, which require_drawable refuses
         logit_opacity=logit(rgba[:, 3]),
         sh=color.astype(np.float32),
     )
@@ -65,20 +67,20 @@ def decode_splat(data: Data) -> Splats:
 def write_splat(path: FilePath, splats: Splats) -> None:
     """Write ``splats`` to ``path`` as a SPLAT file.
 
-    Positions and scales stay as exact as float32 is. Opacity and colour come back to
-    within 1/510, colour outside of [0, 1] is cut, quaternions come back to within 1/256,
-    and harmonics above degree 0 are dropped. The file appears whole or not at all.
+    Positions and scales keep their float32 values. The error of opacity and colour is at most
+    1/510, that of quaternions 1/256. Colour is clipped to [0, 1], and harmonics above degree 0
+    are dropped. The file is written completely or not at all.
 
     Raises:
         ValueInvalid: ``splats`` is empty or holds values that cannot be drawn.
-        FileUnwritable: The file could not be written or put in place.
+        FileUnwritable: The file cannot be written at ``path``.
     """
     with naming(path):
         require_drawable(splats)
         scale = linear_scale(splats)
     with replacing(path) as file:
-        for at in range(0, len(splats), _CHUNK):
-            file.write(_records(splats, scale, slice(at, at + _CHUNK)).tobytes())
+        for start in range(0, len(splats), _CHUNK):
+            file.write(_records(splats, scale, slice(start, start + _CHUNK)).tobytes())
 
 
 def _records(splats: Splats, scale: Float32[np.ndarray, "n 3"], part: slice) -> np.ndarray:
@@ -92,10 +94,10 @@ def _records(splats: Splats, scale: Float32[np.ndarray, "n 3"], part: slice) -> 
 
 
 def looks_like_splat(data: Data) -> bool:
-    """Say whether ``data`` can be a SPLAT file, which has no header to tell it by.
+    """Return whether ``data`` can be a SPLAT file, which has no header.
 
-    Its first records, as far as there are any, hold finite positions, scales from 0 on and
-    quaternions of length one.
+    The first records must hold finite positions, scales of at least 0 and quaternions of length
+    one.
     """
     if len(data) == 0 or len(data) % RECORD.itemsize:
         return False

@@ -17,7 +17,7 @@ from gsgen.runtime.playback.frame_cost import measure
 from gsgen.runtime.playback.frame_sequence import FrameSequence
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.mesh import Mesh, MeshData
-from gsgen.runtime.sources.source import open_source
+from gsgen.runtime.sources.opening import open_source
 from support.commands import gsgen
 
 STAGES = ["project", "sort", "bin", "group", "blend"]
@@ -121,4 +121,4 @@ def test_json_and_mistakes(scenes: list[Path]) -> None:
     assert "--size: unknown open dimension 'J'" in str(wrong)
     itself = CliRunner().invoke(app, [str(scenes[1]), "-o", str(scenes[1])]).exception
     assert isinstance(itself, ConfigInvalid)
-    assert "is the file that is read" in str(itself)
+    assert "is also an input file" in str(itself)

@@ -61,8 +61,12 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (("a.sog",), 2, "a.sog: SOG is only read\n  Let it end in .ply, .compressed.ply, "),
-        (("a",), 2, "a: ends in no known suffix\n"),
+        (
+            ("a.sog",),
+            2,
+            "a.sog: SOG can only be read\n  Use one of .ply, .compressed.ply, ",
+        ),
+        (("a",), 2, "a: has the unknown suffix (none)\n"),
         (
             ("a", "--format", "splt"),
             2,
@@ -71,12 +75,12 @@ def test_a_frame_of_a_generator_becomes_splats(tmp_path):
         (
             ("a.ply", "--spz-version", "4"),
             2,
-            "--spz-version: is for spz, and ply is written\n",
+            "--spz-version: applies to spz, but the output is ply\n",
         ),
         (
             ("a.spz", "--encoding", "ascii"),
             2,
-            "--encoding: is for ply, and spz is written\n",
+            "--encoding: applies to ply, but the output is spz\n",
         ),
         (
             ("/dev/null/no/a.ply",),
@@ -164,7 +168,7 @@ def test_a_source_is_not_replaced_unless_that_is_wished(
         target.hardlink_to(file)
     ran = gsgen_here("convert", file, target, "--sh-degree", "0")
     assert ran.code == 2
-    assert f"gsgen: {target}: is the file that is read" in ran.err
+    assert f"gsgen: {target}: is also an input file, which would be overwritten" in ran.err
     assert "--force" in ran.err
     assert file.read_bytes() == source.read_bytes()
     assert gsgen_here("convert", file, target, "--sh-degree", "0", "--force").code == 0

@@ -22,8 +22,9 @@ from gsgen.runtime.playback.frame_sequence import FrameSequence
 from gsgen.runtime.playback.input_tracks import Track
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.placed_source import PlacedSource
-from gsgen.runtime.sources.source import Source, open_source
+from gsgen.runtime.sources.source import Source
 from support.commands import gsgen, gsgen_here
 
 FRONT = "look-at:0,0,-4,0,0,0"
@@ -57,7 +58,9 @@ def places(file: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, st
     folder = tmp_path_factory.mktemp("places")
     names = {"MODEL": "drift", "POST": "post_process", "BODY": "avatar"}
     result = {word: str(find(name).write(folder)) for word, name in names.items()}
-    opened = driven("float[J,3] pose", Input("pose", "pose"), "shift = ReduceMean (pose)")
+    opened = driven(
+        "float[J,3] pose", Input(name="pose", role="pose"), "shift = ReduceMean (pose)"
+    )
     opened.write(folder / "open.onnx")
     return result | {"FILE": str(file), "OPEN": str(folder / "open.onnx")}
 
@@ -120,12 +123,16 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
     ("words", "code", "message"),
     [
         (("nowhere.onnx",), 4, "nowhere.onnx"),
-        (("FILE", "-o", "a.xyz"), 2, "suffix that means nothing here: .xyz\n  Known: .png"),
+        (("FILE", "-o", "a.xyz"), 2, "has the unknown suffix '.xyz'\n  Known: .png"),
         (("FILE", "--frames", "2"), 2, "is one picture, but there are 2"),
-        (("FILE", "--time", "0.5"), 2, "--time: no scene has a time"),
+        (("FILE", "--time", "0.5"), 2, "--time: is 0.5, but no scene has a time"),
         (("FILE", "--background", "puce"), 2, "'puce' is not a colour"),
-        (("FILE", "--fov", "180"), 2, "--fov: 180.0 degrees"),
-        (("FILE", "--turn", "nan"), 2, "--turn: is nan, expected degrees"),
+        (("FILE", "--fov", "180"), 2, "--fov: is 180.0 degrees"),
+        (
+            ("FILE", "--turn", "nan"),
+            2,
+            "--turn: is nan, expected a finite number of degrees",
+        ),
         (("MODEL", "--post", "nowhere.onnx"), 4, "nowhere.onnx"),
         (
             ("MODEL", "--post", "MODEL"),
@@ -133,7 +140,11 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
             "is a gaussian-generator, expected a post-process",
         ),
         (("MODEL", "--post", "POST", "--mode", "alpha", "--input", "x=1"), 2, "input 'x'"),
-        (("MODEL", "--post", "POST", "--mode", "depth"), 2, "works on colours, but depth"),
+        (
+            ("MODEL", "--post", "POST", "--mode", "depth"),
+            2,
+            "works on colours, but the output is depth",
+        ),
         (("POST",), 2, "expected a gaussian-generator\n  It works on images: `--post`"),
         (("MODEL", "--size", "J=2"), 2, "--size: unknown open dimension 'J'"),
         (("MODEL", "--size", "J"), 2, "--size: is 'J', expected SYMBOL=SIZE, such as J=24"),
@@ -146,14 +157,22 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
         ),
         (("MODEL", "--input", "time=x"), 2, "'time=x': could not convert"),
         (("MODEL", "--input", "time=no.npy"), 2, "no.npy: cannot be read: No such file"),
-        (("MODEL", "--pose", "no.npy"), 2, "--pose no.npy: no scene has an input 'pose'"),
+        (
+            ("MODEL", "--pose", "no.npy"),
+            2,
+            "--pose no.npy: needs the input 'pose', which no scene has",
+        ),
         (("BODY", "--pose", "no.npy"), 2, "no.npy: cannot be read: No such file"),
         (
             ("MODEL", "--wsr", "published"),
             2,
             "drift.onnx is not blended by weighted sums",
         ),
-        (("BODY", "--input", "pose=1,2"), 2, "has shape [2], and input pose takes [4, 3]"),
+        (
+            ("BODY", "--input", "pose=1,2"),
+            2,
+            "has shape [2], expected [4, 3] or [frames, 4, 3]",
+        ),
     ],
 )
 def test_mistakes(
@@ -183,7 +202,7 @@ def test_a_generator_is_run_for_every_frame(
 ) -> None:
     result, source = film(renderer, moving, frames=3)
     watched: list[int] = []
-    result.write(tmp_path / "frames", None, watched.append)
+    result.write(tmp_path / "frames", watched.append)
     names = sorted(path.name for path in (tmp_path / "frames").iterdir())
     assert names == ["frame_0000.png", "frame_0001.png", "frame_0002.png"]
     assert watched == [1, 2, 3]
@@ -213,14 +232,14 @@ def test_an_orbit_turns_where_nothing_has_a_time(renderer: Renderer, file: Path)
 
 
 def test_a_film_has_every_frame(renderer: Renderer, file: Path, tmp_path: Path) -> None:
-    result, _ = film(renderer, file, frames=3)
-    result.write(tmp_path / "film.gif", fps=10)
+    result, _ = film(renderer, file, frames=3, fps=10)
+    result.write(tmp_path / "film.gif")
     with Image.open(tmp_path / "film.gif") as image:
         assert image.n_frames == 3
         assert image.info["duration"] == 100
-    result.write(tmp_path / "film.npy", None)
+    result.write(tmp_path / "film.npy")
     assert np.load(tmp_path / "film.npy").shape == (3, 32, 48, 4)
-    result.write(tmp_path / "film.mp4", fps=10)
+    result.write(tmp_path / "film.mp4")
     assert (tmp_path / "film.mp4").read_bytes()[4:12] == b"ftypisom"
 
 
@@ -283,7 +302,7 @@ def test_a_film_on_disk_is_what_its_frames_are_one_by_one(
     renderer: Renderer, moving: Path, tmp_path: Path
 ) -> None:
     result, source = film(renderer, moving, frames=4)
-    result.write(tmp_path / "film.npy", None)
+    result.write(tmp_path / "film.npy")
     alone = [result.draw(number).rgba for number in range(4)]
     assert np.array_equal(np.load(tmp_path / "film.npy"), alone)
     source.close()
@@ -380,7 +399,7 @@ def test_an_orbit_leaves_out_what_cannot_be_seen(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("film.gif", "transparent or not"),
+        ("film.gif", "opaque or absent"),
         ("film.mp4", ".mp4 has no transparency"),
         ("one.jpg", ".jpg has no transparency"),
         ("one.png", ""),

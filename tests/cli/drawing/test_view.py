@@ -12,8 +12,9 @@ from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import GsgenError
 from gsgen.runtime.commands.view import view
 from gsgen.runtime.viewer import surface_renderer, window
+from gsgen.runtime.viewer.overlay import HELP
 from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
-from gsgen.runtime.viewer.viewer import HELP, Viewer
+from gsgen.runtime.viewer.viewer import Viewer
 from support.commands import gsgen
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -46,7 +47,7 @@ def test_without_a_screen_it_says_what_draws_the_same(
         monkeypatch.delenv(name, raising=False)
     finished = gsgen("view", str(drift))
     assert finished.code == 2
-    assert "no window can be opened here" in finished.err
+    assert "no window can be opened" in finished.err
     assert f"gsgen render {drift} -o view.png" in finished.err
     assert "Traceback" not in finished.err
 
@@ -71,8 +72,8 @@ def test_options_reach_the_viewer(
     assert finished.exit_code == 0, finished.output
     (viewer, title, size) = opened[0]
     assert (title, size) == ("drift.onnx - gsgen", (300, 200))
-    assert (viewer.mode, viewer.stage.frames, viewer.stage.fps) == ("depth", 7, 5)
-    assert (viewer.stage.playing, viewer.stage.sh_degree) == (True, 1)
+    assert (viewer.mode, viewer.playback.frames, viewer.playback.fps) == ("depth", 7, 5)
+    assert (viewer.playback.playing, viewer.playback.sh_degree) == (True, 1)
     np.testing.assert_allclose(viewer.controls.eye, [0, 0, -4], atol=1e-9)
     assert painted == {"rasteriser": "quads", "compact": True}
 
@@ -81,8 +82,8 @@ def test_a_time_stands_still(
     drift: Path, opened: list[tuple[Viewer, str, tuple[int, int]]]
 ) -> None:
     assert ran(str(drift), "--time", "0.5").exit_code == 0
-    assert opened[0][0].stage.frames == 1
-    assert not opened[0][0].stage.playing
+    assert opened[0][0].playback.frames == 1
+    assert not opened[0][0].playback.playing
 
 
 @pytest.mark.parametrize(

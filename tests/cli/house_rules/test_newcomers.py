@@ -114,7 +114,7 @@ def test_python_m_gsgen_is_gsgen() -> None:
     [
         (b"# Models\n\nare \xc3\xa4 here\n", "text"),
         (b"\x10\x00\x00\x00\x00\x00\x00\x00{}        ", "weights in safetensors"),
-        (b"glTF\x02\x00\x00\x00", "a GLB: turn its splats into a model"),
+        (b"glTF\x02\x00\x00\x00", "a binary glTF file: `gsgen export static` turns"),
         (b"\x80\x05\x95\x00\x00", "a pickle"),
     ],
 )

@@ -138,7 +138,7 @@ def test_an_old_manifest_is_lifted_to_the_version_that_knows_of_pictures(
     [
         ("no_manifest", "has no manifest"),
         ("count_is_int64", "breaks GO011"),
-        ("post_process", "is no gaussian-generator"),
+        ("post_process", "is not a gaussian-generator"),
     ],
 )
 def test_what_cannot_be_promised_is_refused_and_leaves_nothing(
@@ -152,7 +152,7 @@ def test_what_cannot_be_promised_is_refused_and_leaves_nothing(
 
 def test_wrong_numbers(renderer: Renderer, tmp_path: Path) -> None:
     source = find("drift").write(tmp_path)
-    with pytest.raises(ConfigInvalid, match="17 pictures, expected from 1 to 8"):
+    with pytest.raises(ConfigInvalid, match="--count: is 17, expected from 1 to 8"):
         record_references(source, tmp_path / "a.onnx", count=17, renderer=renderer)
     few = replace(RENDER, seed=3)
     result = record_references(

@@ -23,7 +23,14 @@ m (float[4,4] camera, float[1] t, float[24,3] pose, float[10] betas)
 
 
 def graph_with(outputs=(), inputs=()):
-    return Graph(tuple(inputs), tuple(outputs), (), {}, {}, frozenset())
+    return Graph(
+        inputs=tuple(inputs),
+        outputs=tuple(outputs),
+        nodes=(),
+        initializers={},
+        tensors={},
+        functions=frozenset(),
+    )
 
 
 def test_names_and_shapes_give_a_manifest_that_can_be_written(tmp_path):
@@ -32,10 +39,10 @@ def test_names_and_shapes_give_a_manifest_that_can_be_written(tmp_path):
     manifest = candidate.manifest
     assert manifest.name == "avatar"
     assert manifest.inputs == (
-        Input("camera", "view", default="zeros"),
-        Input("t", "time", range=(0.0, 1.0), default="zeros"),
-        Input("pose", "pose", shape=(24, 3), default="zeros"),
-        Input("betas", "shape", shape=(10,), range=(0.0, 1.0), default="zeros"),
+        Input(name="camera", role="view", default="zeros"),
+        Input(name="t", role="time", range=(0.0, 1.0), default="zeros"),
+        Input(name="pose", role="pose", shape=(24, 3), default="zeros"),
+        Input(name="betas", role="shape", shape=(10,), range=(0.0, 1.0), default="zeros"),
     )
     assert manifest.outputs.gaussians == GaussiansOutput("gaussian_f16", 100, "float16")
     assert manifest.outputs.appearance == AppearanceOutput("color_sh", "sh", 3)

@@ -78,7 +78,10 @@ def test_where_a_key_repeats_the_last_one_holds(tmp_path):
     [
         (b"", "is empty (0 bytes), expected an ONNX model"),
         (b"PK\x03\x04" + bytes(40), "is not an ONNX model but a zip archive"),
-        (b"ply\nformat ascii 1.0\n", "is not an ONNX model but a PLY point cloud: turn it"),
+        (
+            b"ply\nformat ascii 1.0\n",
+            "is not an ONNX model but a PLY file: `gsgen export static` turns splats into",
+        ),
         (b"\x80\x02}q\x00.", "is not an ONNX model but a pickle"),
         (b"<!DOCTYPE html><html></html>", "is not an ONNX model but an XML or HTML page"),
         (b'{"contract": "1.0"}', "is not an ONNX model but a JSON document"),

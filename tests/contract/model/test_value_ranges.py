@@ -9,7 +9,7 @@ from gsgen.contract.model.value_ranges import intervals
 from gsgen.contract.spec.manifest import Input
 from support.models.small_models import manifest_of, model, save
 
-TIME = replace(manifest_of(1), inputs=(Input("x", "time", range=(-2.0, 3.0)),))
+TIME = replace(manifest_of(1), inputs=(Input(name="x", role="time", range=(-2.0, 3.0)),))
 
 SPANS = {
     "y = Identity (x)": (-2, 3),

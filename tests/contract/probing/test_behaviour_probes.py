@@ -8,8 +8,8 @@ from gsgen.contract.probing.probes import Probe, as_tensor, default_probes
 from gsgen.contract.spec.manifest import Input, Space
 from support.models.small_models import manifest_of
 
-VIEW = Input("view", "view")
-LENS = Input("lens", "projection")
+VIEW = Input(name="view", role="view")
+LENS = Input(name="lens", role="projection")
 SHAPES = {"view": (4, 4), "lens": (4, 4), "time": (1,), "frame": (1,), "pose": (2, 3)}
 
 
@@ -46,8 +46,8 @@ def test_a_flipped_projection_differs_in_row_1_alone(order):
 
 
 def test_edges_are_zeros_of_each_role_and_the_ends_of_all_ranges():
-    time = Input("time", "time", range=(2.0, 4.0))
-    pose = Input("pose", "pose", shape=(2, 3))
+    time = Input(name="time", role="time", range=(2.0, 4.0))
+    pose = Input(name="pose", role="pose", shape=(2, 3))
     _, made = trials(time, pose)
     assert values(made["edges"], "time")[0] == 0
     assert values(made["edges"], "pose")[1] == 0
@@ -57,17 +57,19 @@ def test_edges_are_zeros_of_each_role_and_the_ends_of_all_ranges():
 
 
 def test_a_frame_number_never_leaves_its_range():
-    _, made = trials(Input("frame", "frame_index", range=(0.0, 7.0)))
+    _, made = trials(Input(name="frame", role="frame_index", range=(0.0, 7.0)))
     assert made["outside"] == ()
 
 
 def test_a_loop_is_seen_at_its_seam():
-    _, made = trials(Input("time", "time", range=(0.0, 2.0), loop=True, frames=20))
+    _, made = trials(
+        Input(name="time", role="time", range=(0.0, 2.0), loop=True, frames=20)
+    )
     assert values(made["loop"], "time") == [0, 0.1, 1.9, 2]
 
 
 def test_paces_lie_a_sixtieth_of_a_second_apart():
-    _, made = trials(Input("time", "time", range=(0.0, 1.0), frames=30, fps=30.0))
+    _, made = trials(Input(name="time", role="time", range=(0.0, 1.0), frames=30, fps=30.0))
     times = values(made["paces"], "time")
     steps = np.subtract(times[1::2], times[::2])
     np.testing.assert_allclose(steps, 1 / 60, atol=1e-5)
@@ -75,7 +77,7 @@ def test_paces_lie_a_sixtieth_of_a_second_apart():
 
 @pytest.mark.parametrize(("frames", "visited"), [(1, 0), (2, 2), (12, 12), (500, 32)])
 def test_frames_are_visited_within_them(frames, visited):
-    _, made = trials(Input("time", "time", range=(0.0, 1.0), frames=frames))
+    _, made = trials(Input(name="time", role="time", range=(0.0, 1.0), frames=frames))
     assert len(made["frames"]) == visited
     for probe in made["frames"]:
         number = int(probe.label.split()[1])
@@ -83,7 +85,7 @@ def test_frames_are_visited_within_them(frames, visited):
 
 
 def test_every_trial_is_extra_and_only_one_is_not_optimised():
-    _, made = trials(VIEW, Input("time", "time", range=(0.0, 1.0), loop=True))
+    _, made = trials(VIEW, Input(name="time", role="time", range=(0.0, 1.0), loop=True))
     probes = [probe for group in made.values() for probe in group]
     assert all(probe.extra for probe in probes)
     assert [probe.optimise for probe in probes].count(False) == 1

@@ -22,7 +22,7 @@ def emission(subject, rows=4, **outputs):
         "color": np.zeros((rows, 3), np.float32),
         "num_points": np.array([rows], np.int32),
     }
-    return read_outputs(subject, "test", False, usual | outputs)
+    return read_outputs(subject, "test", usual | outputs)
 
 
 def test_outputs_are_sorted_by_what_the_manifest_says(subject):

@@ -64,7 +64,7 @@ def test_a_model_without_inputs_is_run_thrice_and_once_unoptimised(subject_of):
 
 def test_another_seed_gives_other_probes(subject_of):
     text = "m (float[5] betas) => (float[5] y) { y = Neg (betas) }"
-    inputs = (Input("betas", "shape", shape=(5,), range=(-1.0, 1.0)),)
+    inputs = (Input(name="betas", role="shape", shape=(5,), range=(-1.0, 1.0)),)
     subject = subject_of(model(text), replace(manifest_of(1), inputs=inputs))
     a, b = (make_plan(subject, Level.VALUES, seed).probes[1] for seed in (0, 1))
     assert (a.inputs["betas"] != b.inputs["betas"]).all()
@@ -81,7 +81,7 @@ def test_large_outputs_are_probed_less_often(subject_of, rows, count):
 def enhancer(shape):
     return PostProcessManifest(
         name="enhancer",
-        inputs=(Input("image", "image", shape=shape),),
+        inputs=(Input(name="image", role="image", shape=shape),),
         outputs=PostProcessOutputs(ImageOutput("better")),
     )
 

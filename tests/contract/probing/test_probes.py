@@ -45,7 +45,7 @@ RANGES = {
 
 def asking(*roles, **changes):
     """A manifest with one input for each role, of the role's name."""
-    inputs = tuple(Input(role, role, range=RANGES.get(role)) for role in roles)
+    inputs = tuple(Input(name=role, role=role, range=RANGES.get(role)) for role in roles)
     return replace(manifest_of(4), inputs=inputs, **changes)
 
 
@@ -199,7 +199,9 @@ def test_bounds_without_measure_give_finite_cameras(extent):
 @pytest.mark.parametrize("extent", [1e10, 1e100, 1.7e308])
 @pytest.mark.parametrize("role", ["time", "frame_index", "control"])
 def test_ranges_without_measure_give_finite_inputs(role, extent):
-    manifest = replace(manifest_of(4), inputs=(Input(role, role, range=(-extent, extent)),))
+    manifest = replace(
+        manifest_of(4), inputs=(Input(name=role, role=role, range=(-extent, extent)),)
+    )
     seen = values(role, manifest)
     assert np.isfinite(seen).all()
     assert seen.min() < 0 < seen.max()
@@ -214,7 +216,7 @@ def test_bounds_that_are_a_point_give_a_camera():
 def test_a_manifest_of_another_kind_has_probes_too():
     manifest = TrajectoryManifest(
         name="next",
-        inputs=(Input("past", "camera_history"),),
+        inputs=(Input(name="past", role="camera_history"),),
         outputs=TrajectoryOutputs(
             FutureOutput("future", 3, "position+axis-angle"), UncertaintyOutput("doubt")
         ),
@@ -230,7 +232,11 @@ def test_a_label_says_which_camera_and_the_value_of_every_number():
 
 
 def test_dependency_probes_change_the_inputs_of_one_role_alone():
-    inputs = (Input("view", "view"), Input("a", "control"), Input("b", "control"))
+    inputs = (
+        Input(name="view", role="view"),
+        Input(name="a", role="control"),
+        Input(name="b", role="control"),
+    )
     manifest = replace(manifest_of(4), inputs=inputs)
     shapes = {"view": (4, 4), "a": (1,), "b": (1,)}
     probes = default_probes(manifest, shapes, dict.fromkeys(shapes, "float32"))

@@ -33,7 +33,9 @@ GREEDY = model(
 
 
 def probe(**inputs):
-    return Probe("test", {name: np.asarray(value) for name, value in inputs.items()})
+    return Probe(
+        label="test", inputs={name: np.asarray(value) for name, value in inputs.items()}
+    )
 
 
 def pair(a, b):
@@ -98,7 +100,9 @@ def test_names_of_tensors_need_not_be_names_of_files(folder):
     proto.graph.node[0].output[0] = renamed["y"]
     path = save(folder / "a.onnx", proto)
     inputs = {renamed["a"]: np.ones(1, np.float32), "file": np.zeros(1, np.float32)}
-    with execute(path, [renamed["y"]], [Probe("test", inputs)], Limits()) as execution:
+    with execute(
+        path, [renamed["y"]], [Probe(label="test", inputs=inputs)], Limits()
+    ) as execution:
         assert execution.fault is None
         assert execution.samples[0].outputs[renamed["y"]].tolist() == [1]
 
@@ -252,7 +256,7 @@ import numpy as np
 from gsgen.contract.probing.probes import Probe
 from gsgen.contract.probing.sandbox import execute
 from gsgen.contract.process.limits import Limits
-with execute(Path(sys.argv[1]), ["y"], [Probe("a", {"turns": np.int64(2**62)})], Limits()):
+with execute(Path(sys.argv[1]), ["y"], [Probe(label="a", inputs={"turns": np.int64(2**62)})], Limits()):
     pass
 """
 
@@ -371,7 +375,7 @@ look (float[1] x) => (float[1] y) <float[2] table = {1, 4}> {
 def test_an_extra_probe_that_fails_is_no_fault_of_the_model(folder):
     path = save(folder / "a.onnx", ROOT_OF_INDEX)
     far = np.float32([9])
-    probes = [probe(x=np.float32([1])), Probe("far", {"x": far}, extra=True)]
+    probes = [probe(x=np.float32([1])), Probe(label="far", inputs={"x": far}, extra=True)]
     with execute(path, ["y"], probes, Limits()) as execution:
         assert execution.fault is None
         assert [run.sample for run in execution.runs] == [0, -1]
@@ -386,7 +390,7 @@ def test_of_an_extra_probe_a_part_of_the_rows_is_kept_and_what_is_not_finite(fol
     path = save(folder / "a.onnx", model(text))
     x = np.arange(rows, dtype=np.float32)[:, None]
     x[5] = -1
-    probes = [Probe("part", {"x": x}, extra=True, optimise=False)]
+    probes = [Probe(label="part", inputs={"x": x}, extra=True, optimise=False)]
     with execute(path, ["y"], probes, Limits()) as execution:
         (sample,) = execution.samples
         assert sample.thin
@@ -396,7 +400,7 @@ def test_of_an_extra_probe_a_part_of_the_rows_is_kept_and_what_is_not_finite(fol
 
 def test_time_within_onnx_runtime_is_part_of_the_time_of_its_process(folder):
     path = save(folder / "a.onnx", DOUBLE)
-    plain = Probe("plain", pair(1, 2).inputs, extra=True, optimise=False)
+    plain = Probe(label="plain", inputs=pair(1, 2).inputs, extra=True, optimise=False)
     with execute(path, ["y"], [pair(1, 2), plain], Limits()) as execution:
         loads = [one for one in execution.events if one["event"] == "loaded"]
         assert len(loads) == 2  # another session for the run without optimisations

@@ -46,7 +46,17 @@ def emission(seed: int, dtype: type) -> ModelOutputs:
     with np.errstate(over="ignore"):
         packed, cells = rows.astype(dtype), cell_rows.astype(dtype)
     subject = cast(InspectedModel, NAMES)
-    return ModelOutputs("p", False, {}, packed, None, count, None, subject, cells)
+    return ModelOutputs(
+        probe="p",
+        zeros=False,
+        outputs={},
+        gaussians=packed,
+        appearance=None,
+        count=count,
+        declared=None,
+        subject=subject,
+        cells=cells,
+    )
 
 
 def broken(rule: Rule, outputs: ModelOutputs) -> set[int]:

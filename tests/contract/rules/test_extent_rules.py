@@ -29,7 +29,14 @@ def random_rows(dtype: type, seed: int) -> Rows:
     rows[rng.integers(0, 200, 3)] = np.nan
     packed = rows.astype(dtype)
     emission = ModelOutputs(
-        "p", False, {}, packed, None, 150, None, cast(InspectedModel, SUBJECT)
+        probe="p",
+        zeros=False,
+        outputs={},
+        gaussians=packed,
+        appearance=None,
+        count=150,
+        declared=None,
+        subject=cast(InspectedModel, SUBJECT),
     )
     return Rows(emission, 0, packed, None)
 

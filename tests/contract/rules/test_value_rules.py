@@ -32,7 +32,16 @@ Row = list[float]
 
 def rows_of(packed: np.ndarray, color: np.ndarray | None = None, count: int = 1) -> Rows:
     subject = cast(InspectedModel, NAMES)
-    emission = ModelOutputs("a probe", False, {}, packed, color, count, RGB, subject)
+    emission = ModelOutputs(
+        probe="a probe",
+        zeros=False,
+        outputs={},
+        gaussians=packed,
+        appearance=color,
+        count=count,
+        declared=RGB,
+        subject=subject,
+    )
     return Rows(emission, 0, packed, color)
 
 
@@ -250,7 +259,14 @@ def test_a_proper_covariance_survives_rounding(
 def test_rows_beyond_the_first_chunk_are_counted_from_the_start():
     packed = packed_with(np.ones((4, 6), np.float32))
     emission = ModelOutputs(
-        "a probe", False, {}, packed, None, 3, RGB, cast(InspectedModel, NAMES)
+        probe="a probe",
+        zeros=False,
+        outputs={},
+        gaussians=packed,
+        appearance=None,
+        count=3,
+        declared=RGB,
+        subject=cast(InspectedModel, NAMES),
     )
     assert Rows(emission, 2, packed[2:], None).counted.tolist() == [True, False]
     assert Rows(emission, 4, packed[:0], None).live_rows == 0

@@ -144,7 +144,7 @@ def test_the_reader_accepts_exactly_what_the_schema_accepts(document):
 class Inner:
     """An inner one."""
 
-    count: Annotated[int, Hint("How many.", minimum=1, maximum=9)] = 3
+    count: Annotated[int, Hint(text="How many.", minimum=1, maximum=9)] = 3
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class Outer:
     """
 
     name: Annotated[str, Hint(min_length=2, pattern="^[a-z]+$")]
-    inner: Annotated[Inner, Hint("One of them.")]
+    inner: Annotated[Inner, Hint(text="One of them.")]
     kind: Literal["a", "b"] = "a"
     pair: tuple[float, float] | None = None
     many: tuple[Inner, ...] = ()

@@ -29,7 +29,9 @@ def gaussians(draw, **limits):
     if channels != "rgb":
         color = {"sh": draw(floats((n, channels, 3), **limits))}
     position, covariance = draw(floats((n, 3), **limits)), draw(floats((n, 6), **limits))
-    return DecodedGaussians(position, draw(floats(n, **limits)), covariance, **color)
+    return DecodedGaussians(
+        position=position, opacity=draw(floats(n, **limits)), covariance=covariance, **color
+    )
 
 
 def arrays_of(made):
@@ -83,7 +85,9 @@ def test_a_row_holds_position_opacity_and_the_upper_triangle_in_order():
 
 def test_sh_is_coefficient_major_with_rgb_innermost():
     sh = np.arange(12.0).reshape(1, 4, 3)  # coefficient k, channel c holds 3k + c
-    made = DecodedGaussians(np.zeros((1, 3)), np.zeros(1), np.zeros((1, 6)), sh=sh)
+    made = DecodedGaussians(
+        position=np.zeros((1, 3)), opacity=np.zeros(1), covariance=np.zeros((1, 6)), sh=sh
+    )
     assert encode(made)[1].tolist() == [list(range(12))]
     assert made.degree == 1
     assert len(made) == 1
@@ -92,7 +96,9 @@ def test_sh_is_coefficient_major_with_rgb_innermost():
 @pytest.mark.parametrize(("dtype", "row"), [("f4", [1, 2, 3]), ("f2", [1, 2, 3, 1])])
 def test_rgb_is_padded_with_one_where_it_does_not_fill_words(dtype, row):
     rgb = np.array([[1.0, 2, 3]])
-    made = DecodedGaussians(np.zeros((1, 3)), np.zeros(1), np.zeros((1, 6)), rgb=rgb)
+    made = DecodedGaussians(
+        position=np.zeros((1, 3)), opacity=np.zeros(1), covariance=np.zeros((1, 6)), rgb=rgb
+    )
     rows, appearance = encode(made, np.dtype(dtype).type)
     assert appearance.tolist() == [row]
     again = decode(rows, appearance, "rgb")
@@ -134,7 +140,10 @@ def parts(n=2, **changes):
             {"rgb": None, "sh": (2, 5, 3)},
             "Gaussians.sh: shape is [2, 5, 3], expected [2, 16, 3]",
         ),
-        ({"rgb": None, "sh": (2, 12)}, "Gaussians.sh: shape is [2, 12], expected [2, 16, 3]"),
+        (
+            {"rgb": None, "sh": (2, 12)},
+            "Gaussians.sh: shape is [2, 12], expected [2, 16, 3]",
+        ),
         ({"rgb": None}, "Gaussians: give exactly one of sh and rgb"),
         ({"sh": (2, 1, 3)}, "Gaussians: give exactly one of sh and rgb"),
     ],

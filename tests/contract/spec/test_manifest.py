@@ -64,7 +64,7 @@ def test_a_manifest_without_outputs_can_be_written_for_people_to_fill_in():
 
 
 def test_an_input_without_axes_keeps_its_shape():
-    scalar = Input("gain", "control", shape=(), range=(0.0, 1.0), default=())
+    scalar = Input(name="gain", role="control", shape=(), range=(0.0, 1.0), default=())
     made = GeneratorManifest(name="a", inputs=(scalar,), outputs=GeneratorOutputs())
     assert loads(dumps(made)).inputs == (scalar,)
 
@@ -227,7 +227,7 @@ def test_writing_a_wrong_value_says_what_is_wrong():
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_what_is_not_finite_cannot_be_written(value):
-    clock = Input("t", "time", range=(0.0, value))
+    clock = Input(name="t", role="time", range=(0.0, value))
     made = GeneratorManifest(name="a", inputs=(clock,), outputs=GeneratorOutputs())
     with pytest.raises(ManifestInvalid, match="is not a finite number"):
         dumps(made)

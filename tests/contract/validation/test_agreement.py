@@ -1,5 +1,6 @@
 """How far executions are apart, against an oracle that looks at one number after another."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -22,7 +23,16 @@ NAMES = cast(InspectedModel, SimpleNamespace())
 
 def emission(rows: np.ndarray, color: np.ndarray, degree: int | None) -> ModelOutputs:
     declared = AppearanceOutput("c", "rgb" if degree is None else "sh", degree)
-    return ModelOutputs("p", False, {}, rows, color, len(rows), declared, NAMES)
+    return ModelOutputs(
+        probe="p",
+        zeros=False,
+        outputs={},
+        gaussians=rows,
+        appearance=color,
+        count=len(rows),
+        declared=declared,
+        subject=NAMES,
+    )
 
 
 def tolerances(value: float) -> list[Tolerance]:
@@ -150,7 +160,17 @@ def in_cells(cells: np.ndarray, count: int = 3) -> ModelOutputs:
     rows, color = encode(cloud(4 * count, None))
     rows[-count:, 3] = 0
     declared = AppearanceOutput("c", "rgb", None)
-    return ModelOutputs("p", False, {}, rows, color, len(rows), declared, NAMES, cells)
+    return ModelOutputs(
+        probe="p",
+        zeros=False,
+        outputs={},
+        gaussians=rows,
+        appearance=color,
+        count=len(rows),
+        declared=declared,
+        subject=NAMES,
+        cells=cells,
+    )
 
 
 def four_cells() -> np.ndarray:
@@ -196,8 +216,6 @@ def test_cells_of_another_number_cannot_be_compared() -> None:
     )
     for cells in (four_cells()[:2], None):
         fewer = in_cells(four_cells())
-        changed = ModelOutputs(
-            *("p", False, {}, fewer.gaussians, fewer.appearance, 12, None, NAMES, cells)
-        )
+        changed = replace(fewer, count=12, declared=None, cells=cells)
         assert comparable_parts(fewer, changed) == (True, True, False)
         assert not list(field_errors(fewer, changed, tolerances(0.0)))

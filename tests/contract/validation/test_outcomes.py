@@ -12,7 +12,15 @@ from gsgen.contract.validation.rule import Registry
 from gsgen.contract.validation.settings import Settings
 from support.reports.rules import breaking, crashing, made_up
 
-TARGET = Target("acme", "2", "A test.", (13, 20), 10, frozenset(), {"rows": 5})
+TARGET = Target(
+    name="acme",
+    version="2",
+    summary="A test.",
+    opset=(13, 20),
+    ir=10,
+    domains=frozenset(),
+    limits={"rows": 5},
+)
 
 
 def board(*rules, kind="gaussian-generator", **settings):
@@ -199,7 +207,16 @@ def test_what_only_a_target_asks_for_is_said_to_come_from_it(options):
 
 def test_a_severity_that_a_target_sets_comes_from_it():
     severities = {"GV901": Severity.WARNING}
-    target = Target("acme", "2", "A test.", (13, 20), 10, frozenset(), {}, severities)
+    target = Target(
+        name="acme",
+        version="2",
+        summary="A test.",
+        opset=(13, 20),
+        ir=10,
+        domains=frozenset(),
+        limits={},
+        severities=severities,
+    )
     rule = made_up("GV901", breaking)
     (finding,) = judge(board(rule, target=target), rule).findings()
     assert (finding.source, finding.severity) == ("acme@2", Severity.WARNING)

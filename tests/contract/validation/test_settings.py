@@ -200,7 +200,16 @@ def test_the_schema_of_the_file_lists_every_rule_by_id_and_name():
 
 
 def target(**severities):
-    return Target("t", "1", "A test.", (13, 20), 10, frozenset({""}), {}, severities)
+    return Target(
+        name="t",
+        version="1",
+        summary="A test.",
+        opset=(13, 20),
+        ir=10,
+        domains=frozenset({""}),
+        limits={},
+        severities=severities,
+    )
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,9 @@ def naive_read(content: bytes) -> Splats:
         sh[row, 0] = parts[4]
         stored = [harmonic(b) for b in body[start + rest * row : start + rest * (row + 1)]]
         sh[row, 1:] = np.array(stored).reshape(3, rest // 3).T
-    return Splats(*(np.array([r[k] for r in rows], np.float32) for k in range(4)), sh)
+    names = ("position", "rotation", "log_scale", "logit_opacity")
+    columns = zip(names, list(zip(*rows, strict=True))[:4], strict=True)
+    return Splats(**{name: np.array(column, np.float32) for name, column in columns}, sh=sh)
 
 
 @pytest.mark.parametrize(("count", "degree"), [(1, 0), (9, 1), (256, 2), (257, 3), (30, 4)])
@@ -140,11 +142,11 @@ def test_what_comes_back_is_within_half_a_step(tmp_path_factory, seed, degree, c
 def test_a_point_and_a_plane_have_boxes_without_size(tmp_path):
     plain = scene(3, 0)
     flat = Splats(
-        np.float32([[1, 2, 3]] * 3),
-        plain.rotation,
-        np.float32([[-np.inf, -30, 30]] * 3),
-        np.float32([np.inf, -np.inf, 0]),
-        plain.sh,
+        position=np.float32([[1, 2, 3]] * 3),
+        rotation=plain.rotation,
+        log_scale=np.float32([[-np.inf, -30, 30]] * 3),
+        logit_opacity=np.float32([np.inf, -np.inf, 0]),
+        sh=plain.sh,
     )
     write_compressed_ply(tmp_path / "a.ply", flat)
     back = read_ply(tmp_path / "a.ply")
@@ -208,7 +210,7 @@ def edited(tmp_path, before: bytes, after: bytes, *, degree: int = 1) -> str:
             b"sh 300",
             b"sh 299",
             HeaderMalformed,
-            "element 'sh': 299 rows\nexpected 300, as of",
+            "element 'sh': 299 rows\nexpected 300, the rows of",
         ),
         (b"element chunk", b"element chank", PropertyMissing, "no element 'chunk'\n"),
         (

@@ -43,7 +43,13 @@ def some_splats(count: int, coefficients: int) -> Splats:
     def draw(*shape: int) -> np.ndarray:
         return random.normal(size=(count, *shape)).astype(np.float32)
 
-    return Splats(draw(3), draw(4), draw(3), draw(), draw(coefficients, 3))
+    return Splats(
+        position=draw(3),
+        rotation=draw(4),
+        log_scale=draw(3),
+        logit_opacity=draw(),
+        sh=draw(coefficients, 3),
+    )
 
 
 def some_points(count: int) -> PointCloud:
@@ -127,17 +133,17 @@ def test_other_colours_come_back_to_within_half_a_step(tmp_path):
     [
         (
             PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)),
-            "element 'vertex': 0 rows\nwanted at least one\n"
-            "whatever made this may have dropped every point",
+            "element 'vertex': 0 rows\nexpected at least one\n"
+            "the program that wrote the file may have dropped every point",
         ),
         (
             PointCloud(np.full((2, 3), np.nan, np.float32), np.zeros((2, 3), np.float32)),
-            "property x: 2 of 2 rows, row 0 is nan\nwanted a finite number",
+            "property x: 2 of 2 rows, row 0 is nan\nexpected a finite number",
         ),
         (
             PointCloud(np.zeros((2, 3), np.float32), np.full((2, 3), 2, np.float32)),
-            "property red: 2 of 2 rows, row 0 is 2\nwanted 0 <= value <= 1\n"
-            "colours from 0 to 255 have to be stored as bytes (uchar, uint8)",
+            "property red: 2 of 2 rows, row 0 is 2\nexpected 0 <= value <= 1\n"
+            "store colours from 0 to 255 as bytes (uchar, uint8)",
         ),
     ],
 )
@@ -154,7 +160,7 @@ def test_an_unknown_format_is_refused(tmp_path):
     with pytest.raises(ValueInvalid) as caught:
         write_ply(file, some_points(1), format="binary")  # type: ignore[arg-type]
     assert str(caught.value) == (
-        f"{file}: format: 'binary'\nwanted ascii, binary_little_endian, binary_big_endian"
+        f"{file}: format: 'binary'\nexpected ascii, binary_little_endian, binary_big_endian"
     )
 
 

@@ -77,7 +77,11 @@ def write_row(path: Path, count: int) -> None:
     along[:, 0] = np.linspace(-1, 1, count)
     round_ones = np.tile([0.01, 0, 0, 0.01, 0, 0.01], (count, 1))
     gray = np.full((count, 3), 0.5)
-    packed = encode(DecodedGaussians(along, np.full(count, 0.5), round_ones, rgb=gray))
+    packed = encode(
+        DecodedGaussians(
+            position=along, opacity=np.full(count, 0.5), covariance=round_ones, rgb=gray
+        )
+    )
     manifest = GeneratorManifest(
         name="row",
         outputs=GeneratorOutputs(

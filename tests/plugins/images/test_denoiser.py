@@ -43,9 +43,9 @@ CONDITIONAL = {
 }
 
 
-def off(made: torch.Tensor, wanted: np.ndarray | torch.Tensor) -> float:
-    target = np.asarray(wanted, np.float64)
-    return float(np.abs(made.double().numpy() - target).max() / np.abs(target).max())
+def off(actual: torch.Tensor, expected: np.ndarray | torch.Tensor) -> float:
+    target = np.asarray(expected, np.float64)
+    return float(np.abs(actual.double().numpy() - target).max() / np.abs(target).max())
 
 
 def golden() -> Any:
@@ -57,7 +57,7 @@ def golden() -> Any:
 
 def test_networks_give_what_diffusers_gives() -> None:
     saved, base = golden(), shared("data/checkpoints/unet/ckpt")
-    plain, latent = read_diffusion(base / "uncond"), read_diffusion(base / "sdlike")
+    run_folder, latent = read_diffusion(base / "uncond"), read_diffusion(base / "sdlike")
     with np.load(base / "sdlike" / "prompt_embeds.npz") as arrays:
         context = torch.from_numpy(arrays["encoder_hidden_states"])
     inputs = {key: torch.from_numpy(saved[f"in_{key}"]) for key in ("x", "x2", "z", "img")}
@@ -65,14 +65,15 @@ def test_networks_give_what_diffusers_gives() -> None:
         moment = torch.tensor([float(t)])
         for key, name in (("x", "uncond"), ("x2", "uncond2")):
             assert (
-                off(plain.unet(inputs[key], moment), saved[f"out_{name}_t{t}"]) <= ALLOWED
+                off(run_folder.unet(inputs[key], moment), saved[f"out_{name}_t{t}"])
+                <= ALLOWED
             )
-        made = latent.unet(inputs["z"], moment, context)
-        assert off(made, saved[f"out_cond_t{t}"]) <= ALLOWED
+        actual = latent.unet(inputs["z"], moment, context)
+        assert off(actual, saved[f"out_cond_t{t}"]) <= ALLOWED
     for t in (199, 999):
-        step = Denoiser(latent, Step(float(t), size=(32, 32)), context)
+        step = Denoiser(latent, Step(timestep=float(t), size=(32, 32)), context)
         assert off(step(inputs["img"]), saved[f"out_onestep_t{t}"]) <= ONE_STEP
-        assert float(latent.noise.kept[t]) == pytest.approx(saved[f"aux_alphabar_t{t}"])
+        assert float(latent.noise.signal[t]) == pytest.approx(saved[f"aux_alphabar_t{t}"])
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -106,8 +107,8 @@ def test_networks_of_any_shape_agree_with_the_oracle(seed: int, tmp_path: Path) 
     image = torch.from_numpy(rng.normal(size=shape).astype(np.float32))
     context = torch.randn(1, 3, 12) if conditional else None
     t = float(rng.integers(0, 1000))
-    wanted = unet(config, weights, image, t, context)
-    assert off(read.unet(image, torch.tensor([t]), context), wanted) <= 3e-5
+    expected = unet(config, weights, image, t, context)
+    assert off(read.unet(image, torch.tensor([t]), context), expected) <= 3e-5
 
 
 # SDXL in small: a vector of the prompt and six numbers about the image, of 4 features each.
@@ -124,19 +125,19 @@ XL = CONDITIONAL | {
 }
 
 
-def encoded(path: Path, **more: Any) -> dict[str, torch.Tensor]:
+def encoded(path: Path, **arrays: Any) -> dict[str, torch.Tensor]:
     """Write what the text encoders of SDXL make of a prompt, and return it."""
     rng = np.random.default_rng(1)
-    made = {
+    rows = {
         "prompt_embeds": rng.normal(size=(1, 5, 12)).astype(np.float32),
         "pooled_prompt_embeds": rng.normal(size=(1, 10)).astype(np.float32),
     }
-    np.savez(path, **made, **more)
-    return {name: torch.from_numpy(array) for name, array in made.items()}
+    np.savez(path, **rows, **arrays)
+    return {name: torch.from_numpy(array) for name, array in rows.items()}
 
 
 @pytest.mark.parametrize(
-    ("given", "ids", "wanted"),
+    ("options", "ids", "features"),
     [
         ({}, None, (6.0, 8.0, 0.0, 0.0, 6.0, 8.0)),
         ({}, "512,768,1,2,1024,1536", (512.0, 768.0, 1.0, 2.0, 1024.0, 1536.0)),
@@ -149,11 +150,11 @@ def encoded(path: Path, **more: Any) -> dict[str, torch.Tensor]:
     ],
 )
 def test_a_network_is_told_of_the_prompt_as_a_whole_and_of_the_image(
-    given: dict[str, Any], ids: str | None, wanted: tuple[float, ...], tmp_path: Path
+    options: dict[str, Any], ids: str | None, features: tuple[float, ...], tmp_path: Path
 ) -> None:
     folder = write_denoiser(tmp_path, XL)
-    prompt = encoded(folder / "prompt_embeds.npz", **given)
-    made = command.build(folder, size="6x8", result="network", timestep=30, time_ids=ids)
+    prompt = encoded(folder / "prompt_embeds.npz", **options)
+    actual = command.build(folder, size="6x8", result="network", timestep=30, time_ids=ids)
     config = json.loads((folder / "unet" / "config.json").read_text())
     weights = read_safetensors(folder / "unet" / "diffusion_pytorch_model.safetensors")
     assert "add_embedding.linear_1.weight" in weights
@@ -165,34 +166,38 @@ def test_a_network_is_told_of_the_prompt_as_a_whole_and_of_the_image(
         30,
         prompt["prompt_embeds"],
         prompt["pooled_prompt_embeds"],
-        wanted,
+        features,
     )
-    assert off(made(image), expected) <= 3e-5
-    other = unet(config, weights, image, 30, *prompt.values(), [n + 1 for n in wanted])
-    assert off(made(image), other) > 1e-3
+    assert off(actual(image), expected) <= 3e-5
+    unprompted = unet(
+        config, weights, image, 30, *prompt.values(), [n + 1 for n in features]
+    )
+    assert off(actual(image), unprompted) > 1e-3
 
 
 def test_what_a_network_is_told_has_to_fit(tmp_path: Path) -> None:
     folder = write_denoiser(tmp_path, XL)
     path = folder / "prompt_embeds.npz"
-    with pytest.raises(GsgenError, match=r"(?s)has the arrays.*wants prompt_embeds"):
+    with pytest.raises(GsgenError, match=r"(?s)has the arrays.*needs prompt_embeds"):
         command.build(folder, size="6x8")  # that of a network without
     encoded(path, other=np.zeros(1))
     with pytest.raises(GsgenError, match=r"has the arrays .*other"):
         command.build(folder, size="6x8")
     encoded(path)
-    with pytest.raises(GsgenError, match=r"(?s)any size tell none.*--time-ids HEIGHT"):
+    with pytest.raises(GsgenError, match=r"(?s)from images of any size.*--time-ids HEIGHT"):
         command.build(folder, size="any")
-    with pytest.raises(GsgenError, match=r"10 \+ 5 × 4 is 30, wanted 34"):
+    with pytest.raises(GsgenError, match=r"10 \+ 5 × 4 is 30, expected 34"):
         command.build(folder, size="6x8", time_ids="1,2,3,4,5")
-    with pytest.raises(GsgenError, match="'1,two' is no list of numbers"):
+    with pytest.raises(GsgenError, match="'1,two' is not a list of numbers"):
         command.build(folder, size="6x8", time_ids="1,two")
     path.unlink()
-    with pytest.raises(GsgenError, match=r"takes conditioning \[1, L, 12\]; nothing"):
+    with pytest.raises(
+        GsgenError, match=r"takes conditioning \[1, L, 12\]; --embeddings is missing"
+    ):
         command.build(folder, size="6x8")
-    plain = write_denoiser(tmp_path / "plain")
+    run_folder = write_denoiser(tmp_path / "plain")
     with pytest.raises(GsgenError, match="takes no time_ids"):
-        command.build(plain, time_ids="1,2,3,4,5,6")
+        command.build(run_folder, time_ids="1,2,3,4,5,6")
 
 
 @pytest.mark.parametrize("prediction", ["epsilon", "v_prediction", "sample"])
@@ -200,31 +205,31 @@ def test_noise_is_taken_away_by_the_closed_form(prediction: str, tmp_path: Path)
     schedule = {"prediction_type": prediction, "beta_schedule": "linear"}
     read = read_diffusion(write_denoiser(tmp_path, schedule=schedule))
     t, x = 300, torch.rand(1, 3, 8, 8) * 2 - 1
-    kept = np.cumprod(1 - np.linspace(0.00085, 0.012, 1000))[t]
-    raw = Denoiser(read, Step(t, size=(8, 8), raw=True))(x).double()
-    wanted = {
-        "epsilon": (x - np.sqrt(1 - kept) * raw) / np.sqrt(kept),
-        "v_prediction": np.sqrt(kept) * x - np.sqrt(1 - kept) * raw,
+    signal = np.cumprod(1 - np.linspace(0.00085, 0.012, 1000))[t]
+    raw = Denoiser(read, Step(timestep=t, size=(8, 8), returns_prediction=True))(x).double()
+    expected = {
+        "epsilon": (x - np.sqrt(1 - signal) * raw) / np.sqrt(signal),
+        "v_prediction": np.sqrt(signal) * x - np.sqrt(1 - signal) * raw,
         "sample": raw,
     }[prediction].clamp(-1, 1)
-    made = Denoiser(read, Step(t, size=(8, 8)))(x)
-    torch.testing.assert_close(made.double(), wanted, atol=2e-6, rtol=0)
-    steered = Denoiser(read, Step(0, size=(8, 8), steers=True))
+    actual = Denoiser(read, Step(timestep=t, size=(8, 8)))(x)
+    torch.testing.assert_close(actual.double(), expected, atol=2e-6, rtol=0)
+    steered = Denoiser(read, Step(timestep=0, size=(8, 8), timestep_is_input=True))
     torch.testing.assert_close(
-        steered(x, torch.tensor([float(t)])), made, atol=2e-6, rtol=0
+        steered(x, torch.tensor([float(t)])), actual, atol=2e-6, rtol=0
     )
-    unit = Denoiser(read, Step(t, size=(8, 8), unit=True))
-    torch.testing.assert_close(unit(x / 2 + 0.5), made / 2 + 0.5, atol=2e-6, rtol=0)
+    unit = Denoiser(read, Step(timestep=t, size=(8, 8), is_unit_range=True))
+    torch.testing.assert_close(unit(x / 2 + 0.5), actual / 2 + 0.5, atol=2e-6, rtol=0)
 
 
 def test_sides_that_are_no_multiples_are_continued_by_their_edge(tmp_path: Path) -> None:
     read = read_diffusion(write_denoiser(tmp_path, latent=True))
     assert read.stride == 4
     x = torch.rand(1, 3, 9, 6)
-    wide = torch.nn.functional.pad(x, (0, 2, 0, 3), mode="replicate")
-    wanted = Denoiser(read, Step(100, size=(12, 8)))(wide)[:, :, :9, :6]
-    torch.testing.assert_close(Denoiser(read, Step(100, size=(9, 6)))(x), wanted)
-    torch.testing.assert_close(Denoiser(read, Step(100))(x), wanted)
+    padded = torch.nn.functional.pad(x, (0, 2, 0, 3), mode="replicate")
+    expected = Denoiser(read, Step(timestep=100, size=(12, 8)))(padded)[:, :, :9, :6]
+    torch.testing.assert_close(Denoiser(read, Step(timestep=100, size=(9, 6)))(x), expected)
+    torch.testing.assert_close(Denoiser(read, Step(timestep=100))(x), expected)
 
 
 # ===== Files
@@ -276,7 +281,7 @@ def test_pickled_weights_and_old_names_are_read(tmp_path: Path) -> None:
     path = folder / "unet" / "diffusion_pytorch_model.safetensors"
     state = read_safetensors(path)
     x, moment = torch.randn(1, 3, 8, 8), torch.tensor([7.0])
-    wanted = read_diffusion(folder).unet(x, moment)
+    expected = read_diffusion(folder).unet(x, moment)
     old = {"to_q": "query", "to_k": "key", "to_v": "value", "to_out.0": "proj_attn"}
     renamed = {}
     for name, value in state.items():
@@ -285,7 +290,7 @@ def test_pickled_weights_and_old_names_are_read(tmp_path: Path) -> None:
         renamed[name] = value
     path.unlink()
     torch.save(renamed, path.with_suffix(".bin"))
-    torch.testing.assert_close(read_diffusion(folder).unet(x, moment), wanted)
+    torch.testing.assert_close(read_diffusion(folder).unet(x, moment), expected)
 
 
 @pytest.mark.parametrize(
@@ -294,10 +299,10 @@ def test_pickled_weights_and_old_names_are_read(tmp_path: Path) -> None:
         ("_class_name", "DiTTransformer2DModel", "supported"),
         ("act_fn", "mish", "supported"),
         ("down_block_types", ["SkipDownBlock2D", "DownBlock2D"], "SkipDownBlock2D"),
-        ("norm_num_groups", 5, "makes no network"),
-        ("block_out_channels", [8], "list of 1 kinds"),
+        ("norm_num_groups", 5, "does not describe a valid network"),
+        ("block_out_channels", [8], "list of 1 block types"),
         ("block_out_channels", [8, 32], "expected"),
-        ("layers_per_block", "two", "whole number"),
+        ("layers_per_block", "two", "an integer of at least 1"),
         ("class_embed_type", "timestep", "supported"),
     ],
 )
@@ -324,18 +329,18 @@ def test_weights_that_are_missing_are_named(tmp_path: Path) -> None:
 
 
 def test_steps_that_cannot_be_taken_are_refused(tmp_path: Path) -> None:
-    plain = write_denoiser(tmp_path / "plain")
-    with pytest.raises(GsgenError, match="no timestep of 0 to 999"):
-        command.build(plain, timestep=1000.0)
-    with pytest.raises(GsgenError, match="no size"):
-        command.build(plain, size="0x12")
+    run_folder = write_denoiser(tmp_path / "plain")
+    with pytest.raises(GsgenError, match="is not a timestep: expected 0 to 999"):
+        command.build(run_folder, timestep=1000.0)
+    with pytest.raises(GsgenError, match="is not an image size"):
+        command.build(run_folder, size="0x12")
     of_images = CONDITIONAL | {"in_channels": 3, "out_channels": 3}
     conditional = write_denoiser(tmp_path / "cond", of_images)
     (conditional / "prompt_embeds.npz").unlink()
     with pytest.raises(GsgenError, match="--embeddings"):
         command.build(conditional)
     with pytest.raises(GsgenError, match="--result network"):
-        command.build(plain / "unet")
+        command.build(run_folder / "unet")
     latent = write_denoiser(tmp_path / "latent", {"in_channels": 5})
     with pytest.raises(GsgenError, match="5 channels"):
         command.build(latent)
@@ -345,7 +350,9 @@ def test_steps_that_cannot_be_taken_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Denoiser, ExportedImage]:
+def model_and_export(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[Denoiser, ExportedImage]:
     folder = tmp_path_factory.mktemp("denoiser")
     model = command.build(write_denoiser(folder), timestep_input=True)
     path = folder / "denoiser.onnx"
@@ -353,55 +360,57 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Denoiser, ExportedIm
     return model, export_post_process(model, path, target="webgpu", settings=settings)
 
 
-def test_the_timestep_steers_the_model(made: tuple[Denoiser, ExportedImage]) -> None:
-    model, exported = made
+def test_the_timestep_steers_the_model(
+    model_and_export: tuple[Denoiser, ExportedImage],
+) -> None:
+    model, exported = model_and_export
     session = onnxruntime.InferenceSession(exported.path)
     image = np.random.default_rng(0).uniform(-1, 1, (1, 3, 16, 16)).astype(np.float32)
     results = []
     for t in (0.0, 250.0, 999.0):
         feeds = {"image": image, "timestep": np.array([t], np.float32)}
         (result,) = session.run(None, feeds)
-        wanted = model(torch.from_numpy(image), torch.tensor([t]))
-        np.testing.assert_allclose(result, wanted.numpy(), atol=1e-4)
+        expected = model(torch.from_numpy(image), torch.tensor([t]))
+        np.testing.assert_allclose(result, expected.numpy(), atol=1e-4)
         results.append(result)
     assert np.abs(results[0] - results[1]).max() > 0.01
 
 
 def test_the_manifest_declares_range_and_timestep(
-    made: tuple[Denoiser, ExportedImage],
+    model_and_export: tuple[Denoiser, ExportedImage],
 ) -> None:
-    manifest = made[1].manifest
+    manifest = model_and_export[1].manifest
     assert manifest.kind == "post-process"
     assert manifest.image_range == manifest.outputs.image.range == (-1.0, 1.0)
-    assert [one.role for one in manifest.inputs] == ["image", "timestep"]
+    assert [declared.role for declared in manifest.inputs] == ["image", "timestep"]
     assert manifest.inputs[1].range == (0.0, 999.0)
     assert manifest.producer.weights_sha256 is not None
 
 
 def test_it_runs_in_webgpu_and_no_replay_is_stale(
-    made: tuple[Denoiser, ExportedImage],
+    model_and_export: tuple[Denoiser, ExportedImage],
 ) -> None:
-    assert_captured(made[1].report)
+    assert_captured(model_and_export[1].report)
 
 
 def test_a_user_exports_half_precision_and_is_told_what_was_found(tmp_path: Path) -> None:
     folder = write_denoiser(tmp_path / "run", SMALL)
     out = tmp_path / "clean.onnx"
     words = ("--level", "static", "--size", "8x12", "--dtype", "float16")
-    done = gsgen("export", "denoiser", "--checkpoint", folder, "-o", out, *words)
-    assert done.code == 0, done.err
-    assert "sides are multiples of 1" in done.err
-    assert "an image of 8 × 12 (height × width), float16" in done.out
-    assert "agrees with torch" in done.out
+    completed = gsgen("export", "denoiser", "--checkpoint", folder, "-o", out, *words)
+    assert completed.code == 0, completed.err
+    assert "sides are multiples of 1" in completed.err
+    assert "an image of 8 × 12 (height × width), float16" in completed.out
+    assert "agrees with torch" in completed.out
     session = onnxruntime.InferenceSession(out)
     assert (
         session.get_inputs()[0].type == session.get_outputs()[0].type == "tensor(float16)"
     )
     image = np.random.default_rng(0).uniform(-1, 1, (1, 3, 8, 12)).astype(np.float16)
     (result,) = session.run(None, {"image": image})
-    wanted = command.build(folder, size="8x12")(torch.from_numpy(image).float()).numpy()
-    np.testing.assert_allclose(result.astype(np.float32), wanted, atol=0.02)
-    weights = sum(one.numel() for one in read_diffusion(folder).unet.parameters())
+    expected = command.build(folder, size="8x12")(torch.from_numpy(image).float()).numpy()
+    np.testing.assert_allclose(result.astype(np.float32), expected, atol=0.02)
+    weights = sum(value.numel() for value in read_diffusion(folder).unet.parameters())
     assert out.stat().st_size < 2 * weights + 100_000
 
 
@@ -409,7 +418,7 @@ def test_rows_are_nothing_that_an_image_has(tmp_path: Path) -> None:
     out = tmp_path / "clean.onnx"
     model = command.build(write_denoiser(tmp_path, SMALL))
     with pytest.raises(ConfigInvalid, match="no rows"):
-        run_export(lambda: model, ExportRequest(out, capacity=3), "denoiser")
+        run_export(lambda: model, ExportRequest(output=out, capacity=3), "denoiser")
     assert not out.exists()
 
 
@@ -422,8 +431,8 @@ def test_a_network_on_latents_needs_its_autoencoder(tmp_path: Path) -> None:
     whole = command.build(run, **size)
     (tmp_path / "other").mkdir()
     (run / "vae").rename(tmp_path / "other" / "vae")
-    for place in (tmp_path / "other", tmp_path / "other" / "vae"):
-        parted = command.build(run, vae=place, **size)
+    for vae in (tmp_path / "other", tmp_path / "other" / "vae"):
+        parted = command.build(run, vae=vae, **size)
         image = torch.rand(1, 3, 8, 8)
         assert torch.equal(parted(image), whole(image))
 
@@ -436,5 +445,5 @@ def test_a_damaged_conditioning_is_refused_by_its_name(cut: int, tmp_path: Path)
     with pytest.raises(CheckpointInvalid, match=r"prompt\.npz: cannot be read"):
         read_embeddings(path)
     np.savez(path, prompt_embeds=np.array(["a", "b"]))
-    with pytest.raises(ConfigInvalid, match="prompt_embeds holds <U1, wanted numbers"):
+    with pytest.raises(ConfigInvalid, match="prompt_embeds holds <U1, expected numbers"):
         read_embeddings(path)

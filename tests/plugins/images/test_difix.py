@@ -79,10 +79,10 @@ def change(base: Path) -> dict[str, Any]:
 
 
 def _thin(name: str, shape: torch.Size) -> dict[str, torch.Tensor]:
-    ones = (1, 1) if len(shape) == 4 else ()
+    kernel = (1, 1) if len(shape) == 4 else ()
     return {
         f"{name}.lora_A.vae_skip.weight": 0.3 * torch.randn(RANK, *shape[1:]),
-        f"{name}.lora_B.vae_skip.weight": 0.3 * torch.randn(shape[0], RANK, *ones),
+        f"{name}.lora_B.vae_skip.weight": 0.3 * torch.randn(shape[0], RANK, *kernel),
     }
 
 
@@ -108,9 +108,9 @@ def spelled_out(base: Path, change: dict[str, Any], gamma: float = 1.0) -> torch
         kernel = vae[f"{name}.base_layer.weight"]
 
         def add(_: nn.Module, inputs: tuple) -> torch.Tensor:
-            seen = gamma * entered[len(entered) - 1 - index]
-            out = F.conv2d(seen, kernel)
-            return inputs[0] + _branch(vae, name)(nn.Conv2d(1, 1, 1), (seen,), out)
+            features = gamma * entered[len(entered) - 1 - index]
+            out = F.conv2d(features, kernel)
+            return inputs[0] + _branch(vae, name)(nn.Conv2d(1, 1, 1), (features,), out)
 
         return add
 
@@ -118,8 +118,8 @@ def spelled_out(base: Path, change: dict[str, Any], gamma: float = 1.0) -> torch
         level.register_forward_pre_hook(skip(index))
     latent, _ = coder.encode(image())
     noise = unet(latent, torch.tensor([float(TIMESTEP)]), prompt(base))
-    kept = read.noise.kept[TIMESTEP]
-    clean = (latent - (1 - kept).sqrt() * noise) / kept.sqrt()
+    signal = read.noise.signal[TIMESTEP]
+    clean = (latent - (1 - signal).sqrt() * noise) / signal.sqrt()
     return coder.decode(clean.float()).clamp(-1, 1)
 
 
@@ -151,7 +151,7 @@ def saved(change: dict[str, Any], folder: Path) -> Path:
 
 def stepped(base: Path, **options: Any) -> torch.Tensor:
     read = read_diffusion(base, **options)
-    return Denoiser(read, Step(TIMESTEP, size=(12, 16)), prompt(base))(image())
+    return Denoiser(read, Step(timestep=TIMESTEP, size=(12, 16)), prompt(base))(image())
 
 
 # ===== What it gives
@@ -161,9 +161,9 @@ def test_the_file_that_training_wrote_is_the_network_with_its_branches(
     base: Path, change: dict[str, Any], tmp_path: Path
 ) -> None:
     path = saved(change, tmp_path)
-    made, wanted = stepped(base, difix=path), spelled_out(base, change)
-    torch.testing.assert_close(made, wanted, atol=2e-5, rtol=0)
-    assert (made - stepped(base)).abs().max() > 0.1
+    actual, expected = stepped(base, difix=path), spelled_out(base, change)
+    torch.testing.assert_close(actual, expected, atol=2e-5, rtol=0)
+    assert (actual - stepped(base)).abs().max() > 0.1
     read = read_diffusion(base, difix=path)
     assert "autoencoder with skip connections" in read.describe()
     assert read.added == (f"model.pkl × 1 in {len(LAYERS) + len(SKIPS)} layers, α/r 2",)
@@ -180,9 +180,11 @@ def published(base: Path, change: dict[str, Any], folder: Path, **config: Any) -
         }
     assert "decoder.conv_in.base_layer.bias" in vae
     write_safetensors(folder / "vae" / WEIGHTS, vae | change["state_dict_vae"])
-    told = json.loads((base / "vae" / "config.json").read_text())
+    hub_config = json.loads((base / "vae" / "config.json").read_text())
     (folder / "vae" / "config.json").write_text(
-        json.dumps(told | {"lora_rank": RANK, "gamma": 1.0, "ignore_skip": False} | config)
+        json.dumps(
+            hub_config | {"lora_rank": RANK, "gamma": 1.0, "ignore_skip": False} | config
+        )
     )
     write_safetensors(folder / "unet" / WEIGHTS, change["state_dict_unet"])
     for name in ("unet/config.json", "scheduler/scheduler_config.json"):
@@ -196,8 +198,8 @@ def published(base: Path, change: dict[str, Any], folder: Path, **config: Any) -
 def test_the_published_folder_gives_the_same(
     gamma: float, base: Path, change: dict[str, Any], tmp_path: Path
 ) -> None:
-    made = stepped(published(base, change, tmp_path, gamma=gamma))
-    torch.testing.assert_close(made, spelled_out(base, change, gamma), atol=2e-5, rtol=0)
+    actual = stepped(published(base, change, tmp_path, gamma=gamma))
+    torch.testing.assert_close(actual, spelled_out(base, change, gamma), atol=2e-5, rtol=0)
 
 
 def test_a_unet_may_be_given_in_part(
@@ -212,10 +214,10 @@ def test_a_unet_may_be_given_in_part(
         key.replace("vae_skip", "default"): value for key, value in thin.items()
     }
     merged = whole[f"{name}.weight"] + SHARE * torch.einsum("orxy,rihw->oihw", up, down)
-    named = {"conv_in.weight": part["conv_in.weight"], f"{name}.weight": merged}
-    made = stepped(base, difix=saved(change | {"state_dict_unet": part}, tmp_path))
-    wanted = spelled_out(base, change | {"state_dict_unet": named})
-    torch.testing.assert_close(made, wanted, atol=2e-5, rtol=0)
+    names = {"conv_in.weight": part["conv_in.weight"], f"{name}.weight": merged}
+    actual = stepped(base, difix=saved(change | {"state_dict_unet": part}, tmp_path))
+    expected = spelled_out(base, change | {"state_dict_unet": names})
+    torch.testing.assert_close(actual, expected, atol=2e-5, rtol=0)
 
 
 # ===== What is refused
@@ -224,7 +226,10 @@ def test_a_unet_may_be_given_in_part(
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
-        (lambda c: c.pop("state_dict_vae"), "(?s)wanted state_dict_unet and.*--lora FILE"),
+        (
+            lambda c: c.pop("state_dict_vae"),
+            "(?s)expected state_dict_unet and.*--lora FILE",
+        ),
         (lambda c: c["state_dict_vae"].update(x=torch.ones(1)), "unexpected: x"),
         (
             lambda c: c["state_dict_vae"].pop("decoder.skip_conv_2.base_layer.weight"),
@@ -232,7 +237,7 @@ def test_a_unet_may_be_given_in_part(
         ),
         (
             lambda c: c["state_dict_vae"].update(_thin("decoder.no", torch.Size([1, 1]))),
-            r"decoder\.no is no layer",
+            r"decoder\.no is not a layer",
         ),
         (
             lambda c: c["state_dict_vae"].pop("decoder.conv_in.lora_B.vae_skip.weight"),
@@ -253,7 +258,9 @@ def test_networks_that_it_does_not_go_with_are_refused(
     base: Path, change: dict[str, Any], tmp_path: Path
 ) -> None:
     path = saved(change, tmp_path)
-    with pytest.raises(CheckpointInvalid, match=r"(?s)there is none.*--vae DIR"):
+    with pytest.raises(
+        CheckpointInvalid, match=r"(?s)the checkpoint has no vae/.*--vae DIR"
+    ):
         read_diffusion(base / "unet", difix=path)
     with pytest.raises(CheckpointInvalid, match=r"(?s)is a safetensors file.*--lora"):
         read_diffusion(base, difix=base / "vae" / WEIGHTS)
@@ -273,7 +280,9 @@ def test_blotches_go_and_edges_stay(tmp_path: Path) -> None:
     torch.testing.assert_close(model(step), step, atol=2e-3, rtol=0)
     small = 0.03 * torch.randn(1, 3, 16, 16, generator=torch.Generator().manual_seed(0))
     blotches = 0.5 + F.interpolate(small, scale_factor=2)
-    before, after = ((one - 0.5).square().mean() for one in (blotches, model(blotches)))
+    before, after = (
+        (picture - 0.5).square().mean() for picture in (blotches, model(blotches))
+    )
     assert after < 0.6 * before
     without = command.build(run, size="32x32", values="unit")  # sd-turbo alone
     assert (without(step) - step).abs().max() > 0.1
@@ -283,23 +292,25 @@ def test_a_picture_goes_through_it_in_float16_and_in_tiles(tmp_path: Path) -> No
     run, path = write_difix(tmp_path / "run"), tmp_path / "enhance.onnx"
     model = command.build(run, difix=run / "model.pkl", size="16x16", values="unit")
     static = Settings(level=Level.STATIC)
-    made = export_post_process(
+    exported = export_post_process(
         model, path, dtype="float16", target="webgpu", settings=static
     )
-    assert [one.role for one in made.manifest.inputs] == ["image"]  # the timestep is fixed
+    assert [declared.role for declared in exported.manifest.inputs] == [
+        "image"
+    ]  # the timestep is fixed
     write_ply(tmp_path / "knot.ply", torus_knot(2000))
     view = ("--width=24", "--height=24", "--camera=orbit:20,30", "--background=#16181d")
     for name, words in (("before", ()), ("after", ("--post", path))):
-        done = gsgen_here(
+        result = gsgen_here(
             "render", tmp_path / "knot.ply", "-o", tmp_path / f"{name}.png", *view, *words
         )
-        assert done.code == 0, done.err
+        assert result.code == 0, result.err
     before, after = (
         np.asarray(Image.open(tmp_path / f"{name}.png").convert("RGB"), np.float32) / 255
         for name in ("before", "after")
     )
     # No part of the network looks farther than its neighbours, so it may see all at once, too.
     whole = command.build(run, difix=run / "model.pkl", size="24x24", values="unit")
-    wanted = whole(torch.from_numpy(before).permute(2, 0, 1)[None])[0].permute(1, 2, 0)
-    np.testing.assert_allclose(after, wanted.numpy(), atol=0.05)
-    assert np.abs(after - wanted.numpy()).mean() < 0.2 * np.abs(after - before).mean()
+    expected = whole(torch.from_numpy(before).permute(2, 0, 1)[None])[0].permute(1, 2, 0)
+    np.testing.assert_allclose(after, expected.numpy(), atol=0.05)
+    assert np.abs(after - expected.numpy()).mean() < 0.2 * np.abs(after - before).mean()

@@ -12,11 +12,13 @@ from gsgen.reference_plugins.synthetic import write_denoiser, write_stylise
 
 def disc() -> torch.Tensor:
     """A disc on black, red on the left and blue on the right, 1 × 3 × 64 × 64."""
-    away = torch.arange(64.0) - 31.5
-    inside = (away[:, None] ** 2 + away[None] ** 2 < 18**2).float()
+    offsets = torch.arange(64.0) - 31.5
+    inside = (offsets[:, None] ** 2 + offsets[None] ** 2 < 18**2).float()
     red, blue = torch.tensor([0.9, 0.2, 0.1]), torch.tensor([0.1, 0.2, 0.9])
-    left = (away < 0).float()
-    return (red[:, None] * left + blue[:, None] * (1 - left))[None, :, None, :] * inside
+    left_half = (offsets < 0).float()
+    return (red[:, None] * left_half + blue[:, None] * (1 - left_half))[
+        None, :, None, :
+    ] * inside
 
 
 def hills() -> torch.Tensor:
@@ -29,10 +31,12 @@ def hills() -> torch.Tensor:
 def test_the_denoiser_takes_off_the_noise_of_its_timestep(tmp_path: Path) -> None:
     folder = write_denoiser(tmp_path, smoothing=True)
     model = denoiser_plugin.build(folder, size="64x64", values="unit", timestep=60)
-    kept, lost = model.fixed
+    signal_share, noise_share = model.fixed
     noise = torch.randn(1, 3, 64, 64, generator=torch.Generator().manual_seed(1))
-    noisy = ((2 * hills() - 1) * kept + lost * noise).clamp(-1, 1) * 0.5 + 0.5
-    before, after = ((one - hills()).square().mean() for one in (noisy, model(noisy)))
+    noisy = ((2 * hills() - 1) * signal_share + noise_share * noise).clamp(
+        -1, 1
+    ) * 0.5 + 0.5
+    before, after = ((image - hills()).square().mean() for image in (noisy, model(noisy)))
     assert after < 0.4 * before  # 4 dB
     random = denoiser_plugin.build(
         write_denoiser(tmp_path / "random"), size="64x64", values="unit", timestep=60
@@ -61,7 +65,7 @@ def test_the_drawing_has_colors_and_a_dark_outline_on_white(tmp_path: Path) -> N
 
 
 def test_networks_of_another_shape_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigInvalid, match="cannot be set by hand"):
+    with pytest.raises(ConfigInvalid, match="unsupported options for weights by formula"):
         write_denoiser(tmp_path, latent=True, smoothing=True)
-    with pytest.raises(ConfigInvalid, match="5 channels, wanted 6"):
+    with pytest.raises(ConfigInvalid, match="5 channels, expected at least 6"):
         write_stylise(tmp_path, channels=5, drawing=True)

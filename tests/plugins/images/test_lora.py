@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from torch import nn
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.reference_plugins.diffusion.lora import Adapter, paired, read_lora
-from gsgen.reference_plugins.diffusion.lora_homes import homes_of
+from gsgen.reference_plugins.diffusion.lora import Adapter, read_lora, split_pairs
+from gsgen.reference_plugins.diffusion.lora_homes import layers_by_name
 from gsgen.reference_plugins.diffusion.lora_merge import merge
 from gsgen.reference_plugins.diffusion.unet import UNet
 from gsgen.reference_plugins.images import denoiser_plugin as command
@@ -61,14 +61,14 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def thin(unet: UNet, names: tuple[str, ...] = LAYERS, rank: int = RANK) -> Thin:
     """Matrices A and B for some layers, by the layers' names."""
     torch.manual_seed(3)
-    made = {}
+    tensors = {}
     for name in names:
         weight = unet.get_submodule(name).weight
         assert isinstance(weight, torch.Tensor)
-        ones = (1, 1) if weight.ndim == 4 else ()
+        kernel = (1, 1) if weight.ndim == 4 else ()
         down = torch.randn(rank, *weight.shape[1:])
-        made[name] = down, 0.3 * torch.randn(weight.shape[0], rank, *ones)
-    return made
+        tensors[name] = down, 0.3 * torch.randn(weight.shape[0], rank, *kernel)
+    return tensors
 
 
 def branched(unet: UNet, lora: Thin, shares: Mapping[str, float]) -> torch.Tensor:
@@ -77,17 +77,17 @@ def branched(unet: UNet, lora: Thin, shares: Mapping[str, float]) -> torch.Tenso
         unet.get_submodule(name).register_forward_hook(_branch(*pair, shares[name]))
         for name, pair in lora.items()
     ]
-    made = given_by(unet)
+    layers = given_by(unet)
     for hook in hooks:
         hook.remove()
-    return made
+    return layers
 
 
 def _branch(down: torch.Tensor, up: torch.Tensor, share: float) -> Callable:
     def add(layer: nn.Module, inputs: tuple, out: torch.Tensor) -> torch.Tensor:
         if isinstance(layer, nn.Conv2d):
-            made = F.conv2d(inputs[0], down, stride=layer.stride, padding=layer.padding)
-            return out + share * F.conv2d(made, up)
+            change = F.conv2d(inputs[0], down, stride=layer.stride, padding=layer.padding)
+            return out + share * F.conv2d(change, up)
         return out + share * (inputs[0] @ down.T) @ up.T
 
     return add
@@ -160,15 +160,15 @@ def named(lora: Thin, style: str) -> dict[str, torch.Tensor]:
 def test_merged_weights_are_the_network_with_its_branches(
     style: str, run: Path, tmp_path: Path
 ) -> None:
-    plain = read_diffusion(run).unet
-    lora = thin(plain, STYLES[style][1])
+    base = read_diffusion(run).unet
+    lora = thin(base, STYLES[style][1])
     path = tmp_path / "style.safetensors"
     write_safetensors(path, named(lora, style))
     read = read_diffusion(run, loras=[(path, 0.7)])
     shares = dict.fromkeys(lora, 0.7)  # without an α, α is the rank
-    wanted = branched(plain, lora, shares)
-    torch.testing.assert_close(given_by(read.unet), wanted, atol=2e-5, rtol=2e-5)
-    assert (wanted - given_by(plain)).abs().max() > 0.05
+    expected = branched(base, lora, shares)
+    torch.testing.assert_close(given_by(read.unet), expected, atol=2e-5, rtol=2e-5)
+    assert (expected - given_by(base)).abs().max() > 0.05
     assert read.added == (f"style.safetensors × 0.7 in {len(lora)} layers, α/r 1",)
     assert "style.safetensors × 0.7" in read.describe()
     assert read.digest != read_diffusion(run).digest
@@ -188,12 +188,12 @@ def _alpha_by_config(lora: Thin) -> tuple[dict[str, torch.Tensor], dict[str, str
 
 
 def _alpha_by_root(lora: Thin) -> tuple[dict[str, torch.Tensor], dict[str, str], dict]:
-    told = {"unet.lora_alpha": 3, "unet.use_rslora": True, "unet.use_dora": False}
-    return {}, {"lora_adapter_metadata": json.dumps(told)}, {}
+    peft_settings = {"unet.lora_alpha": 3, "unet.use_rslora": True, "unet.use_dora": False}
+    return {}, {"lora_adapter_metadata": json.dumps(peft_settings)}, {}
 
 
 @pytest.mark.parametrize(
-    ("style", "told", "share"),
+    ("style", "extras", "share"),
     [
         ("kohya", _alpha_by_layer, lambda name: LAYERS.index(name) / 2 / RANK),
         (
@@ -205,42 +205,42 @@ def _alpha_by_root(lora: Thin) -> tuple[dict[str, torch.Tensor], dict[str, str],
     ],
 )
 def test_alpha_is_taken_from_where_the_tool_writes_it(
-    style: str, told: Callable, share: Callable, run: Path, tmp_path: Path
+    style: str, extras: Callable, share: Callable, run: Path, tmp_path: Path
 ) -> None:
-    plain = read_diffusion(run).unet
-    lora = thin(plain)
-    more, metadata, config = told(lora)
+    base = read_diffusion(run).unet
+    lora = thin(base)
+    tensors, metadata, config = extras(lora)
     path = tmp_path / "adapter_model.safetensors"
-    write_safetensors(path, named(lora, style) | more, metadata)
+    write_safetensors(path, named(lora, style) | tensors, metadata)
     if config:
         (tmp_path / "adapter_config.json").write_text(json.dumps(config))
     assert read_metadata(path).items() >= metadata.items()
     read = read_diffusion(run, loras=[(tmp_path, 1.0)])  # the folder will do
-    wanted = branched(plain, lora, {name: share(name) for name in lora})
-    torch.testing.assert_close(given_by(read.unet), wanted, atol=5e-5, rtol=2e-5)
+    expected = branched(base, lora, {name: share(name) for name in lora})
+    torch.testing.assert_close(given_by(read.unet), expected, atol=5e-5, rtol=2e-5)
 
 
 def test_several_are_added_and_pickled_half_precision_ones_are_read(
     run: Path, tmp_path: Path
 ) -> None:
-    plain = read_diffusion(run).unet
-    lora = {n: (a.half(), b.half()) for n, (a, b) in thin(plain).items()}
+    base = read_diffusion(run).unet
+    lora = {n: (a.half(), b.half()) for n, (a, b) in thin(base).items()}
     torch.save(named(lora, "kohya"), tmp_path / "a.pt")
     write_safetensors(tmp_path / "b.safetensors", named(lora, "peft"))
     read = read_diffusion(
         run, loras=[(tmp_path / "a.pt", 0.25), (tmp_path / "b.safetensors", -1.0)]
     )
     whole = {n: (a.float(), b.float()) for n, (a, b) in lora.items()}
-    wanted = branched(plain, whole, dict.fromkeys(whole, -0.75))
-    torch.testing.assert_close(given_by(read.unet), wanted, atol=2e-5, rtol=2e-5)
+    expected = branched(base, whole, dict.fromkeys(whole, -0.75))
+    torch.testing.assert_close(given_by(read.unet), expected, atol=2e-5, rtol=2e-5)
 
 
 def test_layers_of_the_autoencoder_have_names_too(tmp_path: Path) -> None:
     run = write_denoiser(tmp_path, OPTIONS, latent=True)
-    plain = read_diffusion(run).autoencoder
-    assert plain is not None
+    base = read_diffusion(run).autoencoder
+    assert base is not None
     name = "decoder.mid_block.attentions.0.to_out.0"
-    weight = plain.get_submodule(name).weight
+    weight = base.get_submodule(name).weight
     assert isinstance(weight, torch.Tensor)
     down, up = torch.randn(1, weight.shape[1]), torch.randn(weight.shape[0], 1)
     pair = {f"vae.{name}.lora_A.weight": down, f"vae.{name}.lora_B.weight": up}
@@ -253,7 +253,7 @@ def test_layers_of_the_autoencoder_have_names_too(tmp_path: Path) -> None:
 def test_every_layer_goes_by_names_of_its_own(run: Path) -> None:
     read = read_diffusion(run)
     layers = [m for m in read.unet.modules() if isinstance(m, nn.Linear | nn.Conv2d)]
-    homes = homes_of(read.unet, None)
+    homes = layers_by_name(read.unet, None)
     assert {id(home) for home in homes.values()} == {id(layer) for layer in layers}
     kohya = [name for name in homes if name.startswith("lora_unet_")]
     assert len(kohya) == 2 * len(layers)  # as diffusers and as the original code counts
@@ -295,15 +295,15 @@ def test_products_are_branches(
     state = {"layer.lora_down.weight": down, "layer.lora_up.weight": up}
     if alpha is not None:
         state["layer.alpha"] = torch.tensor([alpha], dtype=torch.float64)
-    pairs, rest = paired(state, Path("f"))
-    assert not rest
+    pairs, unpaired = split_pairs(state, Path("f"))
+    assert not unpaired
     image = torch.randn(1, 4, 6, 6) if weight.ndim == 4 else torch.randn(5, 4)
     kernel = (rank, *weight.shape[1:]), (6, rank, *(1,) * (weight.ndim - 2))
     share = scale * (1 if alpha is None else alpha / rank)
     branch = _branch(down.reshape(kernel[0]), up.reshape(kernel[1]), share)
-    wanted = branch(layer, (image,), layer(image))
-    merge(Adapter(Path("f"), pairs), scale, {"layer": layer})
-    torch.testing.assert_close(layer(image), wanted, atol=2e-3, rtol=1e-4)
+    expected = branch(layer, (image,), layer(image))
+    merge(Adapter(path=Path("f"), pairs=pairs), scale, {"layer": layer})
+    torch.testing.assert_close(layer(image), expected, atol=2e-3, rtol=1e-4)
     layer.weight = nn.Parameter(weight)
 
 
@@ -311,16 +311,19 @@ def test_products_are_branches(
 
 
 def _edited(edit: str) -> tuple[dict[str, torch.Tensor], str]:
-    one, two = torch.ones(2, 8), torch.ones(8, 2)
+    first, two = torch.ones(2, 8), torch.ones(8, 2)
     name = f"unet.{ATTENTION[0]}"
-    good = {f"{name}.lora_A.weight": one, f"{name}.lora_B.weight": two}
+    good = {f"{name}.lora_A.weight": first, f"{name}.lora_B.weight": two}
     down, up = good
     match edit:
         case "no such layer":
-            more = {f"{name}x.lora_A.weight": one, f"{name}x.lora_B.weight": two}
-            return good | more, "1 of 2 layers do not fit.*to_qx is no layer of them"
+            extra = {f"{name}x.lora_A.weight": first, f"{name}x.lora_B.weight": two}
+            return (
+                good | extra,
+                "1 of 2 layers do not fit.*to_qx is not a layer of the networks",
+            )
         case "no partner":
-            return {down: one}, "to_q has no lora_B or up"
+            return {down: first}, "to_q has no lora_B or up"
         case "alpha alone":
             return good | {
                 "lora_unet_conv_in.alpha": torch.ones(1)
@@ -328,30 +331,37 @@ def _edited(edit: str) -> tuple[dict[str, torch.Tensor], str]:
         case "another shape":
             return good | {
                 down: torch.ones(2, 9)
-            }, r"\[8, 2\] × \[2, 9\], which is no change of \[8, 8\]"
+            }, r"\[8, 2\] × \[2, 9\], which does not fit the weight \[8, 8\]"
         case "another rank":
             return good | {down: torch.ones(3, 8)}, r"\[8, 2\] × \[3, 8\]"
         case "no rank":
-            return {down: one[:0], up: two[:, :0]}, r"\[8, 0\] × \[0, 8\]"
+            return {down: first[:0], up: two[:, :0]}, r"\[8, 0\] × \[0, 8\]"
         case "a number":
-            return good | {down: torch.tensor(1.0)}, "no change of"
+            return good | {down: torch.tensor(1.0)}, "does not fit the weight"
         case "two of them":
-            return good | {f"{name}.lora_A.other.weight": one}, "second of its kind"
+            return good | {
+                f"{name}.lora_A.other.weight": first
+            }, "second tensor of its kind"
         case "not finite":
             return good | {up: two * torch.nan}, "NaN or infinity"
         case "alpha of two numbers":
-            return good | {f"{name}.alpha": torch.ones(2)}, r"alpha is \[2\], wanted one"
+            return good | {f"{name}.alpha": torch.ones(2)}, r"alpha is \[2\], expected one"
         case "DoRA":
-            more = {f"{name}.lora_magnitude_vector": torch.ones(8)}
-            return good | more, "(?s)1 tensors are no part of a LoRA.*DoRA is not supported"
+            extra = {f"{name}.lora_magnitude_vector": torch.ones(8)}
+            return (
+                good | extra,
+                "(?s)1 tensors are not part of a LoRA.*DoRA is not supported",
+            )
         case "LoKr":
-            return {"lora_unet_conv_in.lokr_w1": one}, "(?s)no part of a LoRA.*LoKr is not"
+            return {
+                "lora_unet_conv_in.lokr_w1": first
+            }, "(?s)not part of a LoRA.*LoKr is not"
         case "a bias":
             return good | {f"{name}.lora_B.bias": torch.ones(8)}, r"lora_B\.bias"
         case "whole weights":
-            return {f"{name}.weight": torch.ones(8, 8)}, "no part of a LoRA"
+            return {f"{name}.weight": torch.ones(8, 8)}, "not part of a LoRA"
         case "text alone":
-            return {"lora_te_text_model.lora_down.weight": one}, "0 of 0 layers"
+            return {"lora_te_text_model.lora_down.weight": first}, "0 of 0 layers"
     raise AssertionError(edit)
 
 
@@ -376,9 +386,9 @@ def test_tensors_without_a_home_are_listed(edit: str, run: Path, tmp_path: Path)
         ({"use_dora": True}, "use_dora is True"),
         ({"fan_in_fan_out": True}, "fan_in_fan_out is True"),
         ({"peft_type": "LOHA"}, "peft_type is 'LOHA'"),
-        ({"lora_alpha": "eight"}, "no numbers"),
-        ({"alpha_pattern": {"a": None}}, "no numbers"),
-        ({"alpha_pattern": {".*to_q": 2}}, "endings of layers' names"),
+        ({"lora_alpha": "eight"}, "must hold finite numbers"),
+        ({"alpha_pattern": {"a": None}}, "must hold finite numbers"),
+        ({"alpha_pattern": {".*to_q": 2}}, "suffixes of layer names"),
     ],
 )
 def test_settings_of_another_network_are_refused(
@@ -392,7 +402,9 @@ def test_settings_of_another_network_are_refused(
 
 
 def test_damaged_metadata_and_folders_without_a_lora_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(CheckpointInvalid, match="holds none of pytorch_lora_weights"):
+    with pytest.raises(
+        CheckpointInvalid, match="holds no LoRA: expected one of pytorch_lora_weights"
+    ):
         read_lora(tmp_path)
     (tmp_path / "text.pt").write_text("a page that says that the file has moved")
     with pytest.raises(CheckpointInvalid, match="cannot be read"):
@@ -400,7 +412,7 @@ def test_damaged_metadata_and_folders_without_a_lora_are_refused(tmp_path: Path)
     with pytest.raises(CheckpointInvalid, match="is missing: a LoRA"):
         read_lora(tmp_path / "no.safetensors")
     path = tmp_path / "a.safetensors"
-    for text, words in (("{", "no JSON"), ("[]", "no object")):
+    for text, words in (("{", "is not valid JSON"), ("[]", "is not a JSON object")):
         write_safetensors(path, _edited("no partner")[0], {"lora_adapter_metadata": text})
         with pytest.raises(CheckpointInvalid, match=words):
             read_lora(path)
@@ -446,7 +458,7 @@ def test_the_option_says_file_and_scale(
     path.rename(odd)
     assert torch.equal(command.build(clone, lora=[f"{odd}:1"], **size)(image), results[2])
     for text in ("inf", "0,5", ""):
-        with pytest.raises(ConfigInvalid, match=f"'{text}' is no scale"):
+        with pytest.raises(ConfigInvalid, match=f"'{text}' is not a scale"):
             command.build(clone, lora=[f"{odd}:{text}"], **size)
     with pytest.raises(CheckpointInvalid, match="b:c: is missing: a LoRA"):
         command.build(clone, lora=[str(tmp_path / "b:c")], **size)

@@ -58,16 +58,16 @@ def test_the_network_is_what_it_says(seed: int) -> None:
     size = (int(rng.integers(9, 30)), int(rng.integers(9, 30)))
     torch.manual_seed(seed)
     network, image = Stylise(options, size).eval(), torch.rand(1, 3, *size)
-    wanted = oracle(network.state_dict(), options.blocks, image)
+    expected = oracle(network.state_dict(), options.blocks, image)
     with torch.no_grad():
-        torch.testing.assert_close(network(image).double(), wanted, atol=2e-5, rtol=0)
+        torch.testing.assert_close(network(image).double(), expected, atol=2e-5, rtol=0)
         half = network(image, torch.tensor([0.5])).double()
-        torch.testing.assert_close(half, (wanted + image) / 2, atol=2e-5, rtol=0)
+        torch.testing.assert_close(half, (expected + image) / 2, atol=2e-5, rtol=0)
         torch.testing.assert_close(network(image, torch.zeros(1)), image)
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> ExportedImage:
+def exported(tmp_path_factory: pytest.TempPathFactory) -> ExportedImage:
     folder = tmp_path_factory.mktemp("stylise")
     model = command.build(write_stylise(folder, channels=4, blocks=1), size="16x24")
     settings = Settings(level=Level.LIVE)
@@ -76,25 +76,27 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> ExportedImage:
     )
 
 
-def test_it_runs_in_webgpu_and_no_replay_is_stale(made: ExportedImage) -> None:
-    assert_captured(made.report)
+def test_it_runs_in_webgpu_and_no_replay_is_stale(exported: ExportedImage) -> None:
+    assert_captured(exported.report)
 
 
-def test_the_manifest_has_the_image_and_the_slider(made: ExportedImage) -> None:
-    image, slider = made.manifest.inputs
+def test_the_manifest_has_the_image_and_the_slider(exported: ExportedImage) -> None:
+    image, slider = exported.manifest.inputs
     assert (image.role, image.shape, image.range) == ("image", (1, 3, 16, 24), (0.0, 1.0))
     assert (slider.role, slider.range, slider.default) == ("control", (0.0, 1.0), 1.0)
-    assert made.contents == "an image of 16 × 24 (height × width), float32"
+    assert exported.contents == "an image of 16 × 24 (height × width), float32"
 
 
 @pytest.mark.parametrize("word", ["", "12", "0x3", "3x-1", "12 x 3", "anything"])
 def test_what_is_no_size_is_refused(word: str) -> None:
-    with pytest.raises(GsgenError, match="is no size"):
+    with pytest.raises(GsgenError, match="is not an image size"):
         read_size(word)
 
 
 def test_sizes_are_read(tmp_path: Path) -> None:
     assert read_size("576X1024") == (576, 1024)
     assert read_size("any") is None
-    made = command.build(write_stylise(tmp_path), size="any", slider=False)
-    assert [(one.role, one.shape) for one in made.inputs] == [("image", None)]
+    network = command.build(write_stylise(tmp_path), size="any", slider=False)
+    assert [(declared.role, declared.shape) for declared in network.inputs] == [
+        ("image", None)
+    ]

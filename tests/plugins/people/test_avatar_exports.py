@@ -57,14 +57,14 @@ EXPECTED = {"xyz": 2e-5, "op": 2e-5, "cov": 5e-5, "col": 2e-5}
 class Case:
     name: str
     generator: GaussianGenerator
-    made: Exported
+    exported: Exported
 
-    def feeds(self, given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def feeds(self, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         return {
-            one.name: np.asarray(
-                next(given[key] for key in NAMES[one.name] if key in given)
-            ).reshape(one.shape)
-            for one in self.generator.inputs
+            declared.name: np.asarray(
+                next(values[key] for key in NAMES[declared.name] if key in values)
+            ).reshape(declared.shape)
+            for declared in self.generator.inputs
         }
 
 
@@ -81,8 +81,8 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 def test_the_model_agrees_with_the_method_three_times_better_than_asked(case: Case) -> None:
     tool = acceptance()
-    for index, (given, target) in enumerate(tool.targets(case.name)):
-        rows, color = run(case.made.path, case.feeds(given))[:2]
+    for index, (values, target) in enumerate(tool.targets(case.name)):
+        rows, color = run(case.exported.path, case.feeds(values))[:2]
         agrees, errors = tool.check(case.name, index, rows, color, "f32", target)
         assert agrees
         for field, error in errors.items():
@@ -95,34 +95,42 @@ def test_half_precision_halves_the_weights_and_agrees_as_well_as_asked(
     tool, path = acceptance(), tmp_path / "half.onnx"
     live = case.name == "lhm"
     settings = Settings(level=Level.LIVE if live else Level.STATIC)
-    made = export(case.generator, path, dtype="float16", target="webgpu", settings=settings)
+    result = export(
+        case.generator, path, dtype="float16", target="webgpu", settings=settings
+    )
     if live:
-        assert_captured(made.report)
-    for index, (given, target) in enumerate(tool.targets(case.name)):
-        rows, color = run(path, case.feeds(given))[:2]
+        assert_captured(result.report)
+    for index, (values, target) in enumerate(tool.targets(case.name)):
+        rows, color = run(path, case.feeds(values))[:2]
         agrees, errors = tool.check(case.name, index, rows, color, "f16", target)
         assert agrees, errors
-    assert made.halved is not None
-    kept = weights_of(path, {one.node for one in made.halved.kept_weights})
-    assert all(size < 4 * LEAST_ELEMENTS for size in kept)  # all large tables are halved
-    assert stored(path) - sum(kept) <= 0.55 * (stored(case.made.path) - sum(kept))
+    assert result.halved is not None
+    retained = weights_of(path, {entry.node for entry in result.halved.retained_weights})
+    assert all(
+        size < 4 * LEAST_ELEMENTS for size in retained
+    )  # all large tables are halved
+    assert stored(path) - sum(retained) <= 0.55 * (
+        stored(case.exported.path) - sum(retained)
+    )
 
 
 def test_it_runs_in_webgpu_and_no_replay_is_stale(case: Case) -> None:
-    assert_captured(case.made.report)
+    assert_captured(case.exported.report)
 
 
 def test_the_file_holds_weights_and_little_else(case: Case) -> None:
-    model = onnx.load(case.made.path)
+    model = onnx.load(case.exported.path)
     weights = sum(len(tensor.raw_data) for tensor in model.graph.initializer)
-    needed = sum(one.numel() * one.element_size() for one in case.generator.buffers())
+    needed = sum(
+        buffer.numel() * buffer.element_size() for buffer in case.generator.buffers()
+    )
     graph = 80_000  # nodes, names and the manifest: the same for any number of Gaussians
     assert weights <= 1.05 * needed + 20_000
-    assert case.made.path.stat().st_size <= weights + graph
+    assert case.exported.path.stat().st_size <= weights + graph
 
 
 def test_nothing_in_the_graph_keeps_it_from_being_captured(case: Case) -> None:
-    nodes = onnx.load(case.made.path).graph.node
+    nodes = onnx.load(case.exported.path).graph.node
     kinds = {node.op_type for node in nodes}
     assert not kinds & {"NonZero", "GridSample", "ScatterND", "Loop", "If", "Compress"}
     assert all(len(node.input) <= 7 for node in nodes if node.op_type == "Concat")
@@ -134,24 +142,25 @@ def test_a_motion_plays_in_a_viewer_that_knows_no_poses(
     folder = write_gauhuman(tmp_path / "run", PersonOptions(count=20))
     motion = write_motion(tmp_path / "sway.npz")
     generator = gauhuman_plugin.build(folder, motion=motion, loop=True, instances=2)
-    said = capsys.readouterr().err
+    notes = capsys.readouterr().err
     for words in (
         "20 Gaussians",
         "SMPL of 150 vertices",
-        "8 frames at 30 frames a second",
-        "the person's shape: it is zero without --shape",
-        "parts of SMPL, whose licence forbids to pass it on",
+        "8 frames at 30 frames per second",
+        "no shape coefficients: they are zero without --shape",
+        "parts of SMPL, whose licence forbids redistribution",
     ):
-        assert words in said
+        assert words in notes
     path, target = tmp_path / "sway.onnx", "visionary"
     settings = Settings(level=Level.STATIC, target=load_target(target))
-    made = export(generator, path, target=target, dtype="float16", settings=settings)
-    assert made.report.verdict == "conforms"
-    assert [(one.role, one.frames, one.loop) for one in made.manifest.inputs] == [
-        ("time", 8, True)
-    ]
-    assert made.manifest.producer is not None
-    assert made.manifest.producer.license == "LicenseRef-SMPL-derived-no-redistribution"
+    result = export(generator, path, target=target, dtype="float16", settings=settings)
+    assert result.report.verdict == "conforms"
+    assert [
+        (declared.role, declared.frames, declared.loop)
+        for declared in result.manifest.inputs
+    ] == [("time", 8, True)]
+    assert result.manifest.producer is not None
+    assert result.manifest.producer.license == "LicenseRef-SMPL-derived-no-redistribution"
 
 
 def test_a_body_that_is_not_there_is_explained(tmp_path: Path) -> None:
@@ -174,11 +183,15 @@ def test_a_body_that_is_not_there_is_explained(tmp_path: Path) -> None:
 def test_a_body_may_lie_anywhere_and_be_of_either_format(tmp_path: Path) -> None:
     folder = write_gauhuman(tmp_path / "run")
     options = PersonOptions()
-    other = write_body(tmp_path / "other.npz", options)
+    npz_body = write_body(tmp_path / "other.npz", options)
     pose = np.random.default_rng(0).normal(0, 0.3, (24, 3)).astype(np.float32)
-    more = (np.eye(3, dtype=np.float32), np.zeros(3, np.float32), np.ones(10, np.float32))
-    first = eager(gauhuman_plugin.build(folder), pose, *more)
-    second = eager(gauhuman_plugin.build(folder, body=other), pose, *more)
+    root_inputs = (
+        np.eye(3, dtype=np.float32),
+        np.zeros(3, np.float32),
+        np.ones(10, np.float32),
+    )
+    first = eager(gauhuman_plugin.build(folder), pose, *root_inputs)
+    second = eager(gauhuman_plugin.build(folder, body=npz_body), pose, *root_inputs)
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a, b)
 
@@ -196,7 +209,7 @@ def test_every_frame_of_a_motion_is_reached(method: str, tmp_path: Path) -> None
         generator = r3_avatar_plugin.build(write_r3(folder, options), motion=motion)
     (time,) = generator.inputs
     assert (time.role, time.frames, time.fps) == ("time", frames, 30.0)
-    shown = {
+    frames_shown = {
         share: [
             eager(generator, np.array([(frame + share) / frames], np.float32))[0]
             for frame in range(frames)
@@ -204,11 +217,11 @@ def test_every_frame_of_a_motion_is_reached(method: str, tmp_path: Path) -> None
         for share in (0.0, 0.3, 0.99)
     }
     for later in (0.3, 0.99):
-        np.testing.assert_array_equal(shown[0.0], shown[later])
-    assert len({rows.tobytes() for rows in shown[0.0]}) == frames
+        np.testing.assert_array_equal(frames_shown[0.0], frames_shown[later])
+    assert len({rows.tobytes() for rows in frames_shown[0.0]}) == frames
     for beyond, frame in ((1.0, -1), (7.0, -1), (-3.0, 0)):
         rows, _ = eager(generator, np.array([beyond], np.float32))
-        np.testing.assert_array_equal(rows, shown[0.0][frame])
+        np.testing.assert_array_equal(rows, frames_shown[0.0][frame])
 
 
 def test_a_motion_shows_what_its_poses_would(tmp_path: Path) -> None:
@@ -219,15 +232,20 @@ def test_a_motion_shows_what_its_poses_would(tmp_path: Path) -> None:
     )
     rows, _ = eager(played, np.array([0.5], np.float32))
     with np.load(path) as read:
-        poses, place = read["poses"][2], read["trans"][2]
+        poses, translation = read["poses"][2], read["trans"][2]
     pose = np.zeros(72)
-    pose[:66] = poses[:66]  # the hands of SMPL are no hands of SMPL+H
-    told = (pose.reshape(24, 3), np.eye(3), place, np.array([0.5, -1.0] + [0.0] * 8))
+    pose[:66] = poses[:66]  # the hand joints of SMPL are not those of SMPL+H
+    values = (
+        pose.reshape(24, 3),
+        np.eye(3),
+        translation,
+        np.array([0.5, -1.0] + [0.0] * 8),
+    )
     live = gauhuman_plugin.build(folder)
-    wanted, _ = eager(live, *(value.astype(np.float32) for value in told))
+    expected, _ = eager(live, *(value.astype(np.float32) for value in values))
     half = len(rows) // 2
-    np.testing.assert_allclose(rows[:half], wanted, atol=1e-6)
-    np.testing.assert_allclose(rows[half:, :3], wanted[:, :3] + [0.5, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(rows[:half], expected, atol=1e-6)
+    np.testing.assert_allclose(rows[half:, :3], expected[:, :3] + [0.5, 0, 0], atol=1e-6)
 
 
 def test_another_gender_is_warned_of(
@@ -246,12 +264,12 @@ def test_another_gender_is_warned_of(
 
 
 def test_speed_needs_a_motion(tmp_path: Path) -> None:
-    with pytest.raises(ConfigInvalid, match="only a motion has a speed"):
+    with pytest.raises(ConfigInvalid, match="--fps and --loop need a motion"):
         gauhuman_plugin.build(write_gauhuman(tmp_path), fps=30)
 
 
 def test_flame_needs_both_files(tmp_path: Path) -> None:
-    with pytest.raises(ConfigInvalid, match="go together"):
+    with pytest.raises(ConfigInvalid, match="must be given together"):
         lhm_plugin.build(tmp_path, flame=tmp_path / "FLAME_NEUTRAL.pkl")
 
 
@@ -259,10 +277,10 @@ def test_flame_needs_both_files(tmp_path: Path) -> None:
     ("text", "ids"), [("3", [3]), ("0-2,7", [0, 1, 2, 7]), ("5, 1-2", [5, 1, 2])]
 )
 def test_pose_ids_are_lists_of_numbers_and_ranges(text: str, ids: list[int]) -> None:
-    assert r3_avatar_plugin.ids_of(text) == ids
+    assert r3_avatar_plugin.parse_pose_ids(text) == ids
 
 
 @pytest.mark.parametrize("text", ["", "a", "1-", "-3", "1,,2", "3-1", "0-999999999999"])
 def test_other_pose_ids_are_refused(text: str) -> None:
     with pytest.raises(ConfigInvalid):
-        r3_avatar_plugin.ids_of(text)
+        r3_avatar_plugin.parse_pose_ids(text)

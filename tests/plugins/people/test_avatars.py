@@ -42,9 +42,9 @@ def fed(
     actors: ActorInputs, bodies: list[PoseInputs], poses: list[int] | None = None
 ) -> list[np.ndarray]:
     """Lay what moves bodies into the inputs, in order."""
-    made = []
-    for one in actors.declared():
-        tail = one.name.rpartition("_")[2]
+    feeds = []
+    for declared in actors.declared():
+        tail = declared.name.rpartition("_")[2]
         body = bodies[int(tail) if tail.isdecimal() else 0]
         value: np.ndarray = {
             "pose": body.pose,
@@ -53,21 +53,23 @@ def fed(
             "shape": body.shape,
             "expression": np.zeros(100) if body.expression is None else body.expression,
             "frame_index": np.array([(poses or [0]).index(body.pose_id)] if poses else [0]),
-        }[one.role]
-        if one.role == "root_rotation" and one.shape == (3,):
+        }[declared.role]
+        if declared.role == "root_rotation" and declared.shape == (3,):
             value = oracles.Rotation.from_matrix(value).as_rotvec()
-        made.append(value.astype(np.int32 if one.role == "frame_index" else np.float32))
-    return made
+        feeds.append(
+            value.astype(np.int32 if declared.role == "frame_index" else np.float32)
+        )
+    return feeds
 
 
 def assert_bodies(
-    rows: np.ndarray, color: np.ndarray, wanted: list[ExpectedGaussians]
+    rows: np.ndarray, color: np.ndarray, expected: list[ExpectedGaussians]
 ) -> None:
-    count = len(rows) // len(wanted)
-    assert count * len(wanted) == len(rows)
-    for body, one in enumerate(wanted):
+    count = len(rows) // len(expected)
+    assert count * len(expected) == len(rows)
+    for body, gaussians in enumerate(expected):
         part = slice(body * count, (body + 1) * count)
-        assert_like(rows[part], color[part], one)
+        assert_like(rows[part], color[part], gaussians)
 
 
 @pytest.mark.parametrize("seed", range(14))
@@ -88,8 +90,8 @@ def test_gauhuman_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
     shapes = read.body.shape_dirs.shape[2]
     assert shapes == min(options.shapes, 10 if options.kind == "smpl" else 20)
     people = [told(rng, options.joints, shapes) for _ in range(bodies)]
-    for one in people:
-        one.shape = people[0].shape
+    for person in people:
+        person.shape = people[0].shape
     generator = GauHuman(
         read.canonical,
         read.body,
@@ -98,20 +100,20 @@ def test_gauhuman_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
         rotation="matrix" if matrix else "axis-angle",
         bodies=bodies,
     )
-    assert [one.role for one in generator.inputs].count("shape") == (not baked)
-    made = eager(generator, *fed(generator.actors, people))
-    assert_bodies(*made, [oracles.gauhuman(read, one) for one in people])
+    assert [person.role for person in generator.inputs].count("shape") == (not baked)
+    outputs = eager(generator, *fed(generator.actors, people))
+    assert_bodies(*outputs, [oracles.gauhuman(read, person) for person in people])
 
 
 def test_raw_hands_are_added_to_their_mean(tmp_path: Path) -> None:
     options = PersonOptions(kind="smplx", hands=True, nets=True)
     read = read_gauhuman(write_gauhuman(tmp_path, options))
-    one = told(np.random.default_rng(0), 55, 10)
+    person = told(np.random.default_rng(0), 55, 10)
     generator = GauHuman(read.canonical, read.body, read.nets, add_hands=True)
-    made = eager(generator, *fed(generator.actors, [one]))
+    outputs = eager(generator, *fed(generator.actors, [person]))
     assert read.body.hand_mean is not None
-    one.pose[25:] += read.body.hand_mean.reshape(30, 3)
-    assert_like(*made, oracles.gauhuman(read, one))
+    person.pose[25:] += read.body.hand_mean.reshape(30, 3)
+    assert_like(*outputs, oracles.gauhuman(read, person))
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -123,11 +125,11 @@ def test_lhm_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
     vertices = rng.permutation(options.vertices)[:20]
     face = Face(vertices, rng.normal(0, 0.01, (20, 3, 100))) if seed % 2 else None
     people = [told(rng, 55, 10) for _ in range(bodies)]
-    for one in people:
-        one.expression = rng.normal(size=100).astype(np.float32) if expression else None
+    for person in people:
+        person.expression = rng.normal(size=100).astype(np.float32) if expression else None
     generator = LHM(read, face, expression=expression, bodies=bodies)
-    made = eager(generator, *fed(generator.actors, people))
-    assert_bodies(*made, [oracles.lhm(read, face, one) for one in people])
+    outputs = eager(generator, *fed(generator.actors, people))
+    assert_bodies(*outputs, [oracles.lhm(read, face, person) for person in people])
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -144,25 +146,27 @@ def test_r3_avatar_does_what_the_method_does(seed: int, tmp_path: Path) -> None:
         seed=seed,
     )
     read = read_r3(write_r3(tmp_path, options))
-    poses = [int(one) for one in rng.permutation(320)[:5]]  # time is clamped beyond 300
+    poses = [
+        int(person) for person in rng.permutation(320)[:5]
+    ]  # time is clamped beyond 300
     bodies, baked = int(rng.integers(1, 3)), bool(rng.integers(0, 2))
     people = [told(rng, options.joints, options.shapes) for _ in range(bodies)]
-    for one in people:
-        one.shape, one.pose_id = people[0].shape, int(rng.choice(poses))
+    for person in people:
+        person.shape, person.pose_id = people[0].shape, int(rng.choice(poses))
     shape = people[0].shape.tolist() if baked else None
     generator = R3Avatar(read, poses, shape=shape, bodies=bodies)
-    made = eager(generator, *fed(generator.actors, people, poses))
-    assert_bodies(*made, [oracles.r3(read, one) for one in people])
+    outputs = eager(generator, *fed(generator.actors, people, poses))
+    assert_bodies(*outputs, [oracles.r3(read, person) for person in people])
 
 
 def test_a_rotation_of_zeros_is_none(tmp_path: Path) -> None:
     read = read_gauhuman(write_gauhuman(tmp_path))
     generator = GauHuman(read.canonical, read.body, read.nets)
-    still = told(np.random.default_rng(0), 24, 10)
-    still.turn = np.zeros((3, 3))
-    rows, color = eager(generator, *fed(generator.actors, [still]))
-    still.turn = np.eye(3)
-    assert_like(rows, color, oracles.gauhuman(read, still))
+    person = told(np.random.default_rng(0), 24, 10)
+    person.turn = np.zeros((3, 3))
+    rows, color = eager(generator, *fed(generator.actors, [person]))
+    person.turn = np.eye(3)
+    assert_like(rows, color, oracles.gauhuman(read, person))
 
 
 def test_weights_are_stored_once_for_all_bodies(tmp_path: Path) -> None:
@@ -170,5 +174,5 @@ def test_weights_are_stored_once_for_all_bodies(tmp_path: Path) -> None:
     sizes = []
     for bodies in (1, 5):
         generator = GauHuman(read.canonical, read.body, bodies=bodies)
-        sizes.append(sum(one.numel() for one in generator.buffers()))
+        sizes.append(sum(buffer.numel() for buffer in generator.buffers()))
     assert sizes[0] == sizes[1]

@@ -28,13 +28,13 @@ def test_poses_of_one_body_become_those_of_another(
     flat = motion.pose.reshape(3, -1)
     np.testing.assert_allclose(flat[:, :66], poses[:, :66])
     hands = width >= 156 and joints == 55
-    rest = flat[:, -90:] if joints == 55 else flat[:, 66:]
+    tail = flat[:, -90:] if joints == 55 else flat[:, 66:]
     if hands:
-        np.testing.assert_allclose(rest, poses[:, -90:])
+        np.testing.assert_allclose(tail, poses[:, -90:])
     elif width == 72 and joints == 24:
-        np.testing.assert_allclose(rest, poses[:, 66:])
+        np.testing.assert_allclose(tail, poses[:, 66:])
     else:
-        assert not rest.any()
+        assert not tail.any()
 
 
 def test_frames_of_a_folder_are_put_in_the_order_of_their_numbers(tmp_path: Path) -> None:
@@ -57,11 +57,11 @@ def test_frames_of_a_folder_are_put_in_the_order_of_their_numbers(tmp_path: Path
 def frame(number: int) -> dict[str, Any]:
     sizes = {"root_pose": 1, "body_pose": 21, "jaw_pose": 1, "leye_pose": 1, "reye_pose": 1}
     sizes |= {"lhand_pose": 15, "rhand_pose": 15}
-    made: dict[str, Any] = {
+    values: dict[str, Any] = {
         name: np.full((size, 3), 0.1 * number + index).tolist()
         for index, (name, size) in enumerate(sizes.items())
     }
-    return made | {"trans": [0, number, 0], "expr": [0.5] * 100, "betas": [9.0] * 10}
+    return values | {"trans": [0, number, 0], "expr": [0.5] * 100, "betas": [9.0] * 10}
 
 
 @pytest.mark.parametrize("single", [True, False])
@@ -75,8 +75,8 @@ def test_lhm_s_frames_are_read_one_by_one_or_all_together(
     else:
         path = tmp_path / "smplx_params"
         path.mkdir()
-        for number, one in enumerate(frames):
-            (path / f"{number:05d}.json").write_text(json.dumps(one))
+        for number, contents in enumerate(frames):
+            (path / f"{number:05d}.json").write_text(json.dumps(contents))
     motion = read_motion(path, 55)
     np.testing.assert_allclose(
         motion.pose[1, [0, 1, 22, 23, 24, 25, 40], 0], 0.1 + np.arange(7)
@@ -90,11 +90,11 @@ def test_lhm_s_frames_are_read_one_by_one_or_all_together(
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("[]", "holds no frame"),
+        ("[]", "holds no frames"),
         ("{", "cannot be read"),
         ("[3]", "frame 0: is a int"),
         ("[{}]", "root_pose is missing"),
-        ('[{"root_pose": [1, 2]}]', "root_pose has 2 numbers, wanted 3"),
+        ('[{"root_pose": [1, 2]}]', "root_pose has 2 numbers, expected 3"),
         ('[{"root_pose": [1, 2, NaN]}]', "all finite"),
     ],
 )
@@ -108,10 +108,13 @@ def test_a_motion_that_is_none_is_refused(text: str, words: str, tmp_path: Path)
 @pytest.mark.parametrize(
     ("arrays", "words"),
     [
-        ({}, "has no poses"),
+        ({}, "has no array poses"),
         ({"poses": np.zeros((2, 70))}, "a pose has 70 numbers"),
-        ({"poses": np.zeros((2, 72)), "Th": np.zeros((3, 3))}, "3 numbers for 2 frames"),
-        ({"poses": np.full((2, 72), np.inf)}, "wanted finite numbers"),
+        (
+            {"poses": np.zeros((2, 72)), "Th": np.zeros((3, 3))},
+            "3 numbers for each of 2 frames",
+        ),
+        ({"poses": np.full((2, 72), np.inf)}, "expected finite numbers"),
         ({"poses": np.array([object()])}, "cannot be read"),
     ],
 )
@@ -127,8 +130,8 @@ def test_arrays_that_are_no_motion_are_refused(
 def test_frames_of_zju_mocap_are_read_out_of_their_pickles(tmp_path: Path) -> None:
     rng, frames = np.random.default_rng(0), []
     for number in (10, 9):  # in the order of numbers, not of text
-        turn, place = rng.normal(size=(1, 3)), rng.normal(size=(1, 3))
-        frame = {"Rh": turn, "Th": place, "poses": rng.normal(size=(1, 72))}
+        turn, translation = rng.normal(size=(1, 3)), rng.normal(size=(1, 3))
+        frame = {"Rh": turn, "Th": translation, "poses": rng.normal(size=(1, 72))}
         frame["shapes"] = np.arange(10.0)[None]
         np.save(tmp_path / f"{number}.npy", frame)  # type: ignore[arg-type]
         frames.insert(0, frame)
@@ -136,12 +139,12 @@ def test_frames_of_zju_mocap_are_read_out_of_their_pickles(tmp_path: Path) -> No
     np.testing.assert_array_equal(read.pose.reshape(2, 72), [f["poses"][0] for f in frames])
     np.testing.assert_array_equal(read.shift, [f["Th"][0] for f in frames])
     assert read.turn is not None
-    wanted = Rotation.from_rotvec([f["Rh"][0] for f in frames]).as_matrix()
-    np.testing.assert_allclose(read.turn, wanted)
+    expected = Rotation.from_rotvec([f["Rh"][0] for f in frames]).as_matrix()
+    np.testing.assert_allclose(read.turn, expected)
     assert read.shape is not None
     np.testing.assert_array_equal(read.shape, np.arange(10.0))
-    one = read_motion(tmp_path / "10.npy", 24)
-    np.testing.assert_array_equal(one.pose[0], read.pose[1])
+    motion = read_motion(tmp_path / "10.npy", 24)
+    np.testing.assert_array_equal(motion.pose[0], read.pose[1])
 
 
 def test_a_frame_of_zju_mocap_runs_nothing(tmp_path: Path) -> None:

@@ -448,7 +448,7 @@ def test_films_have_frames_of_one_size(renderer: Renderer, tmp_path: Path) -> No
     sizes = viewpoint(str(path)).sizes
     assert len(sizes) == 3
     assert viewpoint(str(path), width=40, height=30).sizes == {(40, 30)}
-    assert len(viewpoint(str(path), width=40, around=True).sizes) == 0
+    assert len(viewpoint(str(path), width=40, panorama=True).sizes) == 0
     assert viewpoint(None).sizes == set()
     film = FrameSequence(
         [StillSource(points(tmp_path))], viewpoint(str(path)), renderer=renderer
@@ -457,7 +457,7 @@ def test_films_have_frames_of_one_size(renderer: Renderer, tmp_path: Path) -> No
         with pytest.raises(
             ConfigInvalid, match=r"frames of one size, .*×.*\n.*--width and --height"
         ):
-            film.write(tmp_path / name, None)
+            film.write(tmp_path / name)
         assert not (tmp_path / name).exists()
 
 

@@ -103,7 +103,9 @@ def drawn_reference(renderer: Renderer) -> bytes:
     return png_of(frame.srgb8[..., :3])
 
 
-def compared(sketch: ModelSpec, folder: Path, **changes: object) -> showing.Compared:
+def compared(
+    sketch: ModelSpec, folder: Path, **changes: object
+) -> showing.ComparedReference:
     """Return what becomes of the picture of a sketch, without judging the model."""
     path = folder / "model.onnx"
     sketch.write(path)
@@ -116,7 +118,7 @@ def compared(sketch: ModelSpec, folder: Path, **changes: object) -> showing.Comp
         execution=Mock(runs=[Mock(sample=0)], samples=[Mock(outputs=outputs)]),
     )
     trial.subject.generator, trial.subject.file.path = manifest, path
-    return next(iter(showing._compared(trial, changes.pop("renderer"))))
+    return next(iter(showing._compare_references(trial, changes.pop("renderer"))))
 
 
 def test_a_picture_that_the_model_draws_is_the_same(
@@ -135,15 +137,15 @@ def test_a_picture_that_the_model_draws_is_the_same(
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [
-        ({"path": "gone.png"}, "no such file"),
-        ({"path": "../reference.png"}, "not in the model's folder"),
-        ({"path": "/etc/hostname"}, "not in the model's folder"),
-        ({"path": "a\\b.png"}, "not in the model's folder"),
+        ({"path": "gone.png"}, "the file is missing in the model's folder"),
+        ({"path": "../reference.png"}, "is outside the model's folder"),
+        ({"path": "/etc/hostname"}, "is outside the model's folder"),
+        ({"path": "a\\b.png"}, "is outside the model's folder"),
         ({"sha256": "0" * 64}, "sha256"),
-        ({"inputs": "noon"}, "no probe is called 'noon'"),
+        ({"inputs": "noon"}, "no probe has the label 'noon'"),
         ({"focal": (0.0, 50.0)}, "fx"),
         ({"view": ((0.0,) * 4,) * 3}, "view"),
-        ({"view": ((0.0,) * 4,) * 2}, "has 2 rows, wanted 3"),
+        ({"view": ((0.0,) * 4,) * 2}, "has 2 rows, expected 3"),
     ],
 )
 def test_a_picture_that_cannot_be_compared_says_why(
@@ -158,9 +160,9 @@ def test_a_picture_that_cannot_be_compared_says_why(
 def test_files_that_are_no_picture_and_too_large_ones(tmp_path: Path) -> None:
     noise = np.random.default_rng(0).integers(0, 256, (40, 40, 3), np.uint8)
     for content, problem in (
-        (b"not a picture", "no PNG"),
-        (png_of(np.zeros((1, 5000, 3), np.uint8)), "4096 a side at most"),
-        (png_of(noise)[:2000], "no PNG"),
+        (b"not a picture", "cannot be read as PNG"),
+        (png_of(np.zeros((1, 5000, 3), np.uint8)), "expected at most 4096 a side"),
+        (png_of(noise)[:2000], "cannot be read as PNG"),
     ):
         sketch = with_reference(still(), content)
         sketch.write(tmp_path / "model.onnx")
@@ -172,7 +174,7 @@ def test_files_that_are_no_picture_and_too_large_ones(tmp_path: Path) -> None:
         read_reference(tmp_path, sketch.manifest.reference_images[0])
     (tmp_path / "reference.png").unlink()
     (tmp_path / "reference.png").symlink_to("/etc/hostname")
-    with pytest.raises(ReferenceUnreadable, match="not in the model's folder"):
+    with pytest.raises(ReferenceUnreadable, match="is outside the model's folder"):
         read_reference(tmp_path, sketch.manifest.reference_images[0])
 
 

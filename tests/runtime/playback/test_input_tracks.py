@@ -19,13 +19,13 @@ class AnimatedInputs:
     def __init__(self, **shapes: tuple[int, ...]) -> None:
         self.shapes = shapes
         declared = {
-            "time": Input("time", "time", range=(0.0, 2.0)),
-            "loop": Input("loop", "time", range=(0.0, 2.0), loop=True),
-            "still": Input("still", "time"),
-            "frame": Input("frame", "frame_index", range=(2.0, 4.0)),
-            "amount": Input("amount", "control", range=(0.0, 9.0)),
-            "face": Input("face", "expression"),
-            "pose": Input("pose", "pose"),
+            "time": Input(name="time", role="time", range=(0.0, 2.0)),
+            "loop": Input(name="loop", role="time", range=(0.0, 2.0), loop=True),
+            "still": Input(name="still", role="time"),
+            "frame": Input(name="frame", role="frame_index", range=(2.0, 4.0)),
+            "amount": Input(name="amount", role="control", range=(0.0, 9.0)),
+            "face": Input(name="face", role="expression"),
+            "pose": Input(name="pose", role="pose"),
         }
         self.inputs = tuple(declared[name] for name in shapes)
 
@@ -70,7 +70,7 @@ def test_files(tmp_path: Path) -> None:
         np.testing.assert_array_equal(track.at((4, 3), 3, 9), given[1])
         assert track.frames((2, 4, 3)) == 1
     np.savez(tmp_path / "two.npz", a=given, b=given)
-    with pytest.raises(ConfigInvalid, match="has 2 arrays, wanted one"):
+    with pytest.raises(ConfigInvalid, match="has 2 arrays, expected one"):
         input_track(f"pose={tmp_path / 'two.npz'}")
 
 
@@ -93,31 +93,31 @@ def test_what_means_nothing_is_refused(text: str, said: str) -> None:
 
 def test_values_that_do_not_fill_the_input_are_refused() -> None:
     with pytest.raises(
-        ConfigInvalid, match=r"has shape \[4\], and input x takes \[3\], or \[frames, 3\]"
+        ConfigInvalid, match=r"has shape \[4\], expected \[3\] or \[frames, 3\] for input x"
     ):
         input_track("x=1,2,3,4").frames((3,))
 
 
 def test_what_nobody_feeds_goes_on_by_itself() -> None:
     both = Timeline([AnimatedInputs(time=(1,), loop=(1,), frame=(1,))], [])
-    assert both.moving
+    assert both.is_animated
     assert both.frames == 1
     assert fed(both, "time", 5) == [0.0, 0.5, 1.0, 1.5, 2.0]
     assert fed(both, "loop", 4) == [0.0, 0.5, 1.0, 1.5]
     assert fed(both, "frame", 4) == [None] * 4  # times go first
     assert fed(both, "time", 1) == [None]  # one frame is at the default
     assert fed(Timeline([AnimatedInputs(frame=(1,))], []), "frame", 5) == [2, 3, 4, 2, 3]
-    assert not Timeline([AnimatedInputs(still=(1,), amount=(1,))], []).moving
+    assert not Timeline([AnimatedInputs(still=(1,), amount=(1,))], []).is_animated
 
 
 def test_a_time_for_all_frames_stops_what_goes_on() -> None:
     score = Timeline(
         [AnimatedInputs(time=(1,)), AnimatedInputs(amount=(1,))], [], time=0.75
     )
-    assert not score.moving
+    assert not score.is_animated
     assert fed(score, "time", 3) == [0.75] * 3
     assert score.values(1, 3)[1] == {}
-    with pytest.raises(ConfigInvalid, match="--time: no scene has a time"):
+    with pytest.raises(ConfigInvalid, match=r"--time: is 0\.5, but no scene has a time"):
         Timeline([AnimatedInputs(amount=(1,))], [], time=0.5)
 
 
@@ -155,6 +155,6 @@ def test_the_longest_track_says_how_many_frames_there_are() -> None:
 def test_sweeps_of_what_counts_things_are_whole() -> None:
     score = Timeline([AnimatedInputs(frame=(1,))], [input_track("frame=0..3")])
     assert fed(score, "frame", 4) == [[0], [1], [2], [3]]
-    assert score.moving
+    assert score.is_animated
     half = Timeline([AnimatedInputs(frame=(1,))], [input_track("frame=0.5")])
     assert fed(half, "frame", 1) == [[0.5]]  # which the model then refuses

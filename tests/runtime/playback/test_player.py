@@ -18,7 +18,7 @@ from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.sources.generator_worker import _Kept
+from gsgen.runtime.sources.generator_worker import _OutputBuffer
 from gsgen.runtime.sources.source import GeneratorSource
 from gsgen.sdk.binding import FrameSession, InputInvalid
 
@@ -87,11 +87,11 @@ def test_the_next_frame_is_computed_while_one_is_drawn(
         drawing[began("submit")].set()
         submit(self, *args, **rest)
 
-    def watched_collect(self: Plan, *args: object) -> object:
+    def watched_collect(self: Plan, *args: object, **rest: object) -> object:
         frame = began("collect")
         if frame + 1 < len(TIMES):
             assert inferring[frame + 1].wait(LONG), "nobody computes the next frame"
-        return collect(self, *args)
+        return collect(self, *args, **rest)
 
     drift.render(CAMERA, time=0.75)  # so that no frame below is as the one before
     monkeypatch.setattr(FrameSession, "run", watched_run)
@@ -232,7 +232,7 @@ def test_errors_name_model_input_and_frame(drift: GeneratorPlayer, models: Path)
     assert [next(frames).visible for _ in range(2)] == [5, 5]
     with pytest.raises(InputInvalid) as raised:
         next(frames)
-    assert str(raised.value) == f"{name}, frame 2, input time: is 7, wanted 0 … 1"
+    assert str(raised.value) == f"{name}, frame 2, input time: is 7, expected 0 … 1"
     with pytest.raises(UnknownName) as unknown:
         drift.render(CAMERA, pose=np.zeros((4, 3)))
     assert str(unknown.value).startswith(f"{name}, frame 3: unknown input 'pose'")
@@ -281,7 +281,7 @@ def test_what_is_no_generator_is_refused(tmp_path: Path, renderer: Renderer) -> 
     path = find("post_process").write(tmp_path)
     before = threading.active_count()
     with pytest.raises(
-        SceneInvalid, match="is a post-process, wanted a gaussian-generator"
+        SceneInvalid, match="is a post-process, expected a gaussian-generator"
     ):
         GeneratorPlayer(path, provider="cpu", renderer=renderer)
     assert threading.active_count() == before
@@ -329,7 +329,7 @@ def test_cells_of_a_generator_are_summed_by_weights(
 
 def test_outputs_are_compared_bit_by_bit_over_what_is_live() -> None:
     rows = np.arange(40, dtype=np.float32).reshape(4, 10)
-    kept = _Kept()
+    kept = _OutputBuffer()
     first = kept.take(rows, 3)
     assert first is not None
     assert kept.take(rows.copy(), 3) is None
@@ -354,7 +354,7 @@ def test_outputs_are_compared_bit_by_bit_over_what_is_live() -> None:
 def test_a_long_output_is_compared_to_its_end() -> None:
     for dtype in (np.float32, np.float16):
         rows = np.ones((30_000, 10), dtype)
-        kept = _Kept()
+        kept = _OutputBuffer()
         kept.take(rows, None)
         rows[-1, -1] = 2
         assert np.array_equal(kept.take(rows, None), rows)

@@ -31,7 +31,17 @@ def frame(
     alpha = np.clip(rng.uniform(-0.3, 1.3, size), 0, 1).astype(np.float32)
     straight = rng.uniform(-0.2, 1.2, (*size, 3)).astype(np.float32)
     rgba = np.concatenate([straight * alpha[..., None], alpha[..., None]], axis=-1)
-    return Frame(rgba=rgba, alpha=alpha, depth=None, median_depth=None, ids=None, normal=None, visible=5, pairs=9, color_space=space)
+    return Frame(
+        rgba=rgba,
+        alpha=alpha,
+        depth=None,
+        median_depth=None,
+        ids=None,
+        normal=None,
+        visible=5,
+        pairs=9,
+        color_space=space,
+    )
 
 
 def straight(shown: Frame) -> np.ndarray:
@@ -129,11 +139,11 @@ def test_an_open_model_takes_images_of_other_sizes(tmp_path: Path) -> None:
     [
         (
             "none = Sub (image, image) out = Div (none, none)",
-            "1890 of 1890 values that are not",
+            "returned 1890 non-finite values of 1890",
         ),
         (
             "out = ReduceMean <axes = [1], keepdims = 1> (image)",
-            r"gives \[1, 1, 21, 30\] for",
+            r"returned \[1, 1, 21, 30\] for",
         ),
     ],
 )
@@ -149,7 +159,7 @@ def test_results_that_are_no_image_say_so(tmp_path: Path, body: str, said: str) 
 
 def test_what_is_no_post_process_model_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
-        SceneInvalid, match=r"wanted a post-process model\n.*among the scenes"
+        SceneInvalid, match=r"expected a post-process model\n.*give it as a scene"
     ):
         PostProcessor(find("drift").write(tmp_path))
     bare = replace(darken(), manifest=None)
@@ -174,7 +184,7 @@ def test_a_player_runs_them_in_order(tmp_path: Path) -> None:
     assert plain.min() < 0.9
     np.testing.assert_allclose(shown(*paths), np.full_like(plain, 0.5), atol=1e-6)
     np.testing.assert_allclose(shown(*paths[::-1]), 0.5 * np.maximum(plain, 0.5), atol=1e-6)
-    with pytest.raises(ConfigInvalid, match="works on colours, but depth is what is made"):
+    with pytest.raises(ConfigInvalid, match="works on colours, but the output is depth"):
         GeneratorPlayer(
             scene, post=paths, provider="cpu", renderer=renderer, outputs=("depth",)
         )

@@ -284,24 +284,24 @@ class Still:
 
 def test_words_for_panoramas(tmp_path: Path) -> None:
     source = Still()
-    inside = viewpoint(None, width=64, around=True).camera(source, 0, 0)
+    inside = viewpoint(None, width=64, panorama=True).camera(source, 0, 0)
     np.testing.assert_allclose(inside.eye, [1, 2, 3])
     assert (inside.kind, inside.width, inside.height) == ("panorama", 64, 32)
-    turned = viewpoint(None, height=32, around=True).camera(source, 0, 90)
+    turned = viewpoint(None, height=32, panorama=True).camera(source, 0, 90)
     assert turned.width == 64
     assert turned.view[2, :3] @ inside.view[2, :3] == pytest.approx(0, abs=1e-9)
-    above = viewpoint("orbit:0,90,7", around=True).camera(source, 0, 0)
+    above = viewpoint("orbit:0,90,7", panorama=True).camera(source, 0, 0)
     np.testing.assert_allclose(above.eye, [1, 2, 10], atol=1e-9)
     np.testing.assert_allclose(above.view[1, :3], [0, 0, -1], atol=1e-9)  # still level
-    there = viewpoint("look-at:1,1,1,5,1,4", width=64, around=True).camera(source, 0, 0)
+    there = viewpoint("look-at:1,1,1,5,1,4", width=64, panorama=True).camera(source, 0, 0)
     np.testing.assert_allclose(there.view[2, :3], [1, 0, 0], atol=1e-9)
     file = tmp_path / "camera.json"
     file.write_text(Camera.look_at((1, 2, 3), (4, 5, 9)).to_json())
-    as_it_is = viewpoint(str(file), around=True).camera(source, 0, 0)
+    as_it_is = viewpoint(str(file), panorama=True).camera(source, 0, 0)
     np.testing.assert_allclose(as_it_is.view, Camera.from_json(file.read_text()).view)
     assert as_it_is.period == pytest.approx(as_it_is.width)
-    level = viewpoint(str(file), up="+z", around=True).camera(source, 0, 0)
+    level = viewpoint(str(file), up="+z", panorama=True).camera(source, 0, 0)
     np.testing.assert_allclose(level.eye, [1, 2, 3])
     np.testing.assert_allclose(level.view[1, :3], [0, 0, -1], atol=1e-9)
     with pytest.raises(ConfigInvalid, match="--orthographic and --panorama"):
-        viewpoint(None, flat=True, around=True)
+        viewpoint(None, orthographic=True, panorama=True)

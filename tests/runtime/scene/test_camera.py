@@ -131,7 +131,7 @@ def test_words_for_cameras(tmp_path: Path) -> None:
     assert distance == pytest.approx(2 / np.sin(np.radians(25)))
     placed = viewpoint("orbit:0,90,7", up="+z").camera(source, 0, 0)
     np.testing.assert_allclose(placed.eye, [1, 2, 10], atol=1e-9)
-    flat = viewpoint(None, width=60, height=60, flat=True).camera(source, 0, 0)
+    flat = viewpoint(None, width=60, height=60, orthographic=True).camera(source, 0, 0)
     assert (flat.kind, flat.fx) == ("orthographic", pytest.approx(fitting.fx / distance))
     looking = viewpoint("look-at:0,0,0,0,0,9", fov=30).camera(source, 0, 0)
     np.testing.assert_allclose(looking.view[2], [0, 0, 1, 0], atol=1e-12)
@@ -147,9 +147,9 @@ def test_words_for_cameras(tmp_path: Path) -> None:
     [
         ("orbit:1", "has 1 numbers"),
         ("orbit:a,b", "could not convert"),
-        ("look-at:1,2,3", "has 3 numbers, wanted 6 finite"),
-        ("look-at:1,2,3,4,5,nan", "wanted 6 finite"),
-        ("orbitt", "no camera and no file that can be read"),
+        ("look-at:1,2,3", "has 3 numbers, expected 6 finite"),
+        ("look-at:1,2,3,4,5,nan", "expected 6 finite"),
+        ("orbitt", "is neither a camera nor an existing file"),
     ],
 )
 def test_words_that_mean_no_camera(text: str, words: str) -> None:

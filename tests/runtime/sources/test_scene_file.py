@@ -11,17 +11,17 @@ from PIL import Image
 
 from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid, GsgenError, UnknownName
-from gsgen.runtime.commands.opening import opened, scene_files
+from gsgen.runtime.commands.opening import open_scenes, read_scene_files
 from gsgen.runtime.errors import SceneInvalid, SceneUnreadable
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.playback.player import FrameRequest, Player
-from gsgen.runtime.playback.scene_camera import scene_view
+from gsgen.runtime.playback.scene_camera import scene_viewpoint
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Box, Scene, SplatSet
+from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.placed_source import PlacedSource, local_camera
 from gsgen.runtime.sources.scene_file import is_scene_file, open_scene, read_scene
-from gsgen.runtime.sources.source import open_source
 from support.commands import gsgen
 from support.rendering.splat_scenes import camera, cloud, turned
 
@@ -137,20 +137,20 @@ def test_the_view_is_the_files_unless_options_say_else(folder: Path) -> None:
     told = read_scene(
         saved(folder, models=["a.npz"], camera="orbit:10,20,3", width=64, fov=30, up="+z")
     )
-    made = scene_view([told])
+    made = scene_viewpoint([told])
     assert (made.orbit, made.width, made.fov, made.up) == ((10, 20, 3), 64, 30, (0, 0, 1))
-    other = scene_view([told], "orbit:1,2", width=32, fov=70, up="-y")
+    other = scene_viewpoint([told], "orbit:1,2", width=32, fov=70, up="-y")
     assert (other.orbit, other.width, other.fov) == ((1, 2, None), 32, 70)
     own = read_scene(saved(folder, models=["a.npz"], camera=json.loads(camera().to_json())))
-    assert scene_view([own]).cameras == (own.camera,)
-    assert scene_view([own], "orbit").cameras == ()
+    assert scene_viewpoint([own]).cameras == (own.camera,)
+    assert scene_viewpoint([own], "orbit").cameras == ()
     flat = read_scene(saved(folder, models=["a.npz"], kind="orthographic"))
-    assert scene_view([flat]).flat
-    assert not scene_view([flat], around=True).flat
-    assert scene_view([]).fov == 50
+    assert scene_viewpoint([flat]).is_orthographic
+    assert not scene_viewpoint([flat], panorama=True).is_orthographic
+    assert scene_viewpoint([]).fov == 50
     absent = read_scene(saved(folder, models=["a.npz"], camera="absent.json"))
     with pytest.raises(ConfigInvalid, match=r"scene\.json: camera: .*absent\.json"):
-        scene_view([absent])
+        scene_viewpoint([absent])
 
 
 def test_the_command(folder: Path, tmp_path: Path) -> None:
@@ -173,13 +173,13 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
 
 def test_the_command_s_exit_codes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(UnknownName, match="unknown field 'opacty'"):  # 2 by the app
-        scene_files([saved(folder, models=[{"path": "a.npz", "opacty": 1}])])
+        read_scene_files([saved(folder, models=[{"path": "a.npz", "opacty": 1}])])
     broken = folder / "scene.json"
     broken.write_text("{")
     with pytest.raises(typer.Exit) as unreadable:
-        scene_files([broken])
+        read_scene_files([broken])
     gone = saved(folder, models=["gone.ply"])
-    with pytest.raises(typer.Exit) as absent, opened([gone]):
+    with pytest.raises(typer.Exit) as absent, open_scenes([gone]):
         pass
     assert unreadable.value.exit_code == absent.value.exit_code == 4
     assert "models[0].path: " in capsys.readouterr().err
@@ -190,44 +190,44 @@ WRONG = {
     "empty": ({}, "has neither models nor meshes"),
     "version": (
         {"gsgen_scene": "2.0", "models": [A]},
-        r"gsgen_scene: is '2.0', wanted 1.0",
+        r"gsgen_scene: is '2.0', expected 1.0",
     ),
     "unknown": ({"models": [A], "mesh": []}, "unknown field 'mesh'\n.*'meshes'"),
     "nearest": (
         {"models": [A | {"opacty_scale": 1}]},
         r"models\[0\]: unknown field 'opacty_scale'\n.*'opacity_scale'",
     ),
-    "no_path": ({"models": [{}]}, r"models\[0\]\.path: is missing: wanted text"),
-    "no_list": ({"models": A}, r"models: is .* wanted a list"),
-    "no_model": ({"models": [3]}, r"models\[0\]: is 3, wanted an object or a path"),
+    "no_path": ({"models": [{}]}, r"models\[0\]\.path: is missing, expected text"),
+    "no_list": ({"models": A}, r"models: is .* expected a list"),
+    "no_model": ({"models": [3]}, r"models\[0\]: is 3, expected an object or a path"),
     "opacity": (
         {"models": [A | {"opacity_scale": -1}]},
-        r"opacity_scale: is -1, wanted a finite number from 0",
+        r"opacity_scale: is -1, expected a finite number from 0",
     ),
-    "text": ({"models": [A | {"opacity_scale": "1"}]}, "is '1', wanted a number"),
-    "nan": ({"models": [A | {"opacity_scale": float("nan")}]}, "is nan, wanted a finite"),
-    "degree": ({"models": [A | {"sh_degree": 4}]}, "wanted a whole number from 0 to 3"),
+    "text": ({"models": [A | {"opacity_scale": "1"}]}, "is '1', expected a number"),
+    "nan": ({"models": [A | {"opacity_scale": float("nan")}]}, "is nan, expected a finite"),
+    "degree": ({"models": [A | {"sh_degree": 4}]}, "expected a whole number from 0 to 3"),
     "word": (
         {"models": [A | {"antialias": "mipp"}]},
         r"models\[0\]\.antialias: unknown word 'mipp'\n.*'mip'",
     ),
     "both": (
         {"models": [A | {"transform": np.eye(4).tolist(), "scale": 2}]},
-        "scale: and transform say the same",
+        "scale: and `transform` exclude each other",
     ),
     "flat": ({"models": [A | {"scale": 0}]}, r"models\[0\]\.scale: flattens space"),
-    "shape": ({"models": [A | {"transform": [1, 2]}]}, "wanted 4×4 numbers"),
-    "ragged": ({"models": [A | {"transform": [[1], [2, 3]]}]}, "wanted 4×4 numbers"),
+    "shape": ({"models": [A | {"transform": [1, 2]}]}, "expected 4×4 numbers"),
+    "ragged": ({"models": [A | {"transform": [[1], [2, 3]]}]}, "expected 4×4 numbers"),
     "huge": ({"models": [A | {"translate": [1, 2, 1e300]}]}, "numbers that are finite"),
-    "rotate": ({"models": [A | {"rotate": [0, 0, 0, 0]}]}, "which is no rotation"),
-    "axis": ({"models": [A | {"rotate": {"axis": [0, 0, 1]}}]}, 'wanted {"axis"'),
+    "rotate": ({"models": [A | {"rotate": [0, 0, 0, 0]}]}, "expected one with a length"),
+    "axis": ({"models": [A | {"rotate": {"axis": [0, 0, 1]}}]}, 'expected {"axis"'),
     "turn": (
         {"models": [A | {"rotate": {"axes": [0, 0, 1], "degrees": 2}}]},
         r"rotate: unknown field 'axes'\n.*'axis'",
     ),
     "clip": (
         {"models": [A | {"clip": {"low": [1, 1, 1], "high": [0, 0, 0]}}]},
-        "low first",
+        "with low <= high",
     ),
     "inputs": ({"models": [A | {"inputs": {"time": "now"}}]}, r"inputs\.time: is 'now'"),
     "shading": (
@@ -243,8 +243,8 @@ WRONG = {
         "background: '1,2,3' is not a colour",
     ),
     "camera": ({"models": [A], "camera": {"fx": 1}}, r"camera: lacks view"),
-    "width": ({"models": [A], "width": 0}, "width: is 0, wanted a whole number from 1"),
-    "fov": ({"models": [A], "fov": 180}, "fov: is 180 degrees, wanted more than 0"),
+    "width": ({"models": [A], "width": 0}, "width: is 0, expected a whole number from 1"),
+    "fov": ({"models": [A], "fov": 180}, "fov: is 180 degrees, expected more than 0"),
     "up": ({"models": [A], "up": "y"}, "up: unknown word 'y'"),
 }
 
@@ -260,9 +260,9 @@ def test_what_cannot_be_meant_is_named(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ("{", "is no JSON: Expecting"),
-        ('{"models": [], "models": []}', "'models' is there twice"),
-        ("[" * 100_000, "is no JSON"),
+        ("{", "is not valid JSON: Expecting"),
+        ('{"models": [], "models": []}', "'models' occurs twice"),
+        ("[" * 100_000, "is not valid JSON"),
         ("\udcff", "cannot be read"),
     ],
 )

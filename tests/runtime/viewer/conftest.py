@@ -6,9 +6,9 @@ import pytest
 
 from gsgen.conformance.fixtures import find
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.playback.live_playback import LivePlayback
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.scene_source import sources_of
-from gsgen.runtime.viewer.live_playback import LivePlayback
 from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
 from support.rendering.viewers import Hand
 
@@ -42,4 +42,4 @@ def drift(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def moving(drift: Path, painter: SurfaceRenderer) -> Iterator[Hand]:
     hand = Hand(LivePlayback(sources_of(drift), frames=11, fps=10), painter)
     yield hand
-    hand.viewer.stage.close()
+    hand.viewer.playback.close()

@@ -2,10 +2,7 @@
 
 import json
 import time
-from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,22 +10,19 @@ from PIL import Image
 
 from gsgen.conformance.fixtures import find
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.errors import DeviceUnavailable, SceneUnreadable
+from gsgen.runtime.errors import SceneUnreadable
 from gsgen.runtime.gpu.device import Device
 from gsgen.runtime.media.pictures import MODES, picture_of
 from gsgen.runtime.playback.camera_options import viewpoint
+from gsgen.runtime.playback.live_playback import LivePlayback
 from gsgen.runtime.playback.post_process import PostProcessor
-from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.mesh import MeshData
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.scene_source import SceneSource, sources_of
 from gsgen.runtime.sources.source import GeneratorSource
-from gsgen.runtime.viewer.live_playback import LivePlayback
 from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
-from gsgen.runtime.viewer.window import take_drops
-from support.models.endless import endless
 from support.rendering.failing_devices import memory_of
 from support.rendering.viewers import SIZE, Hand
 
@@ -40,13 +34,13 @@ def expected(
     viewer = hand.viewer
     camera = viewer.controls.camera(*SIZE)
     frame = painter.renderer.render(
-        viewer.stage.scene(),
+        viewer.playback.scene(),
         camera,
         outputs=(MODES[mode],),
         background=(0, 0, 0, 1),
         **options,
     )
-    made = picture_of(frame, mode, viewer.stage.depths(camera))
+    made = picture_of(frame, mode, viewer.playback.depths(camera))
     made = made[..., :3] if made.ndim == 3 else np.repeat(made[..., None], 3, axis=-1)
     return made.astype(int)
 
@@ -140,13 +134,13 @@ def test_harmonics_antialias_and_backgrounds_go_round(still: Hand) -> None:
     for _ in range(4):
         still.key("g")
         seen.append(still.bare())
-    assert still.viewer.stage.sh_degree == 3
+    assert still.viewer.playback.sh_degree == 3
     assert not np.array_equal(seen[1], first)  # degree 0
     assert np.array_equal(seen[4], first)  # 3 is more than there is
     still.key("g")
     still.key("x")
     still.key("x")
-    assert still.viewer.stage.antialias == "mip"
+    assert still.viewer.playback.antialias == "mip"
     assert not np.array_equal(still.bare(), first)
     still.key("x")
     still.key("b")
@@ -175,17 +169,17 @@ def test_help_and_numbers_lie_over_the_picture(still: Hand) -> None:
 
 def test_it_plays_as_fast_as_it_says(moving: Hand) -> None:
     moving.settled()
-    assert moving.viewer.stage.number == 0
+    assert moving.viewer.playback.number == 0
     moving.key(" ")
     numbers = []
     for _ in range(12):
         moving.look(0.1)
-        numbers.append(moving.viewer.stage.number)
+        numbers.append(moving.viewer.playback.number)
     assert numbers[:3] == [1, 2, 3]
     assert numbers[-2:] == [0, 1]  # it begins again
     moving.key(" ")
     moving.look(1.0)
-    assert moving.viewer.stage.number == 1
+    assert moving.viewer.playback.number == 1
 
 
 def test_a_frame_of_the_slider_is_that_of_a_film(
@@ -194,12 +188,12 @@ def test_a_frame_of_the_slider_is_that_of_a_film(
     first = moving.settled()
     slider = moving.viewer.slider
     assert slider is not None
-    y = slider.at[1] + 5
-    for x in range(slider.at[0], SIZE[0]):
-        if slider.share(x) > 0.45:
+    y = slider.corner[1] + 5
+    for x in range(slider.corner[0], SIZE[0]):
+        if slider.fraction(x) > 0.45:
             break
     moving.drag((x, y), (x, y))
-    number = moving.viewer.stage.number
+    number = moving.viewer.playback.number
     assert number in (4, 5, 6)
     made = moving.bare()
     source = GeneratorSource(drift)
@@ -208,16 +202,16 @@ def test_a_frame_of_the_slider_is_that_of_a_film(
         Scene([source.data]), moving.viewer.controls.camera(*SIZE), background=(0, 0, 0, 1)
     )
     source.close()
-    above = slice(0, slider.at[1])
+    above = slice(0, slider.corner[1])
     assert np.abs(made[above, :, :3] - frame.srgb8[above, :, :3].astype(int)).max() <= 1
     assert not np.array_equal(made[above], first[above])
     moving.key("ArrowLeft")
-    assert moving.viewer.stage.number == number - 1
+    assert moving.viewer.playback.number == number - 1
     moving.key("Home")
     moving.key("ArrowLeft")
-    assert moving.viewer.stage.number == 10
-    moving.drag((slider.at[0] + 3, y), (slider.at[0] + 3, y))
-    assert moving.viewer.stage.playing
+    assert moving.viewer.playback.number == 10
+    moving.drag((slider.corner[0] + 3, y), (slider.corner[0] + 3, y))
+    assert moving.viewer.playback.playing
 
 
 def test_pictures_go_on_while_a_model_computes(
@@ -230,16 +224,16 @@ def test_pictures_go_on_while_a_model_computes(
     before = moving.bare()
     moving.key("ArrowRight")
     moving.look()
-    assert moving.viewer.stage.busy
-    version = moving.viewer.stage.version
+    assert moving.viewer.playback.busy
+    version = moving.viewer.playback.version
     moving.drag((80, 50), (110, 60))
     turned = moving.look()
     assert np.abs(turned - before).mean() > 0.5
-    assert moving.viewer.stage.busy
-    assert moving.viewer.stage.version == version
+    assert moving.viewer.playback.busy
+    assert moving.viewer.playback.version == version
     ready[0] = True
     moving.look()
-    assert moving.viewer.stage.version == version + 1
+    assert moving.viewer.playback.version == version + 1
 
 
 def test_what_fails_is_told_and_the_window_stays(
@@ -295,7 +289,7 @@ def test_another_size_is_another_picture(still: Hand, painter: SurfaceRenderer) 
     assert made.shape == (70, 90, 4)
     camera = still.viewer.controls.camera(90, 70)
     frame = painter.renderer.render(
-        still.viewer.stage.scene(), camera, background=(0, 0, 0, 1)
+        still.viewer.playback.scene(), camera, background=(0, 0, 0, 1)
     )
     assert np.abs(made - frame.srgb8.astype(int)).max() <= 1
 
@@ -319,32 +313,6 @@ def test_a_lost_device_is_opened_again(cloud: SplatData) -> None:
     assert not np.array_equal(hand.look(), before)  # and it is drawn there
 
 
-def test_a_device_that_does_not_come_back_ends_it(cloud: SplatData) -> None:
-    opened: list[Device] = []
-
-    def open_device() -> Device:
-        if opened:
-            raise DeviceUnavailable("no graphics adapter")
-        opened.append(Device.open())
-        return opened[-1]
-
-    hand = Hand(LivePlayback(sources_of(cloud)), SurfaceRenderer(open_device))
-    hand.look()
-    opened[0].raw.destroy()
-    hand.viewer.mode = "alpha"
-    with pytest.raises(DeviceUnavailable, match="lost, and cannot be opened again"):
-        hand.look()
-
-
-def test_a_window_closes_while_a_model_computes_for_ever(tmp_path: Path) -> None:
-    stage = LivePlayback(sources_of(endless(tmp_path, after=0.5)), time=0.0)
-    (source,) = stage.sources
-    source.start(None, {"time": 1.0})
-    time.sleep(0.2)
-    assert not source.ready
-    stage.close()  # or this test never ends
-
-
 def test_too_much_for_the_memory_is_told(still: Hand) -> None:
     still.canvas.set_logical_size(400, 300)
     with memory_of(1 << 20):
@@ -364,15 +332,15 @@ def test_dropped_files_take_its_place(
     hand = Hand(
         LivePlayback(sources_of(cloud)),
         painter,
-        reopen=lambda paths: LivePlayback(sources_of(paths)),
+        open_files=lambda paths: LivePlayback(sources_of(paths)),
     )
     hand.settled()
     hand.viewer.drop([tmp_path / "nothing.ply"])
     assert "nothing.ply" in hand.viewer.message
-    assert hand.viewer.stage.frames == 1
+    assert hand.viewer.playback.frames == 1
     hand.viewer.drop([path])
     assert hand.viewer.message == ""
-    assert hand.viewer.stage.sources[0].name == str(path)
+    assert hand.viewer.playback.sources[0].name == str(path)
     assert hand.bare()[..., :3].max() > 60
 
 
@@ -398,24 +366,11 @@ def test_files_that_cannot_be_read_say_so(tmp_path: Path) -> None:
         sources_of(tmp_path / "bad.ply")
 
 
-def test_view_shows_a_scene_on_any_canvas(cloud: SplatData) -> None:
-    from rendercanvas.offscreen import OffscreenRenderCanvas
-
-    from gsgen.runtime import view
-
-    canvas = OffscreenRenderCanvas(size=SIZE)
-    assert view(Scene([cloud]), canvas=canvas, size=SIZE) is canvas
-    made = np.asarray(canvas.draw())
-    assert made.shape == (*SIZE[::-1], 4)
-    assert made[..., :3].max() > 60
-
-
 @pytest.mark.parametrize("kind", ["orthographic", "panorama"])
 def test_other_cameras_are_looked_through_too(
     cloud: SplatData, painter: SurfaceRenderer, kind: str
 ) -> None:
-    words = {"flat": True} if kind == "orthographic" else {"around": True}
-    view = viewpoint("look-at:0,0,-4,0,0,0", *SIZE, **words)
+    view = viewpoint("look-at:0,0,-4,0,0,0", *SIZE, **{kind: True})
     hand = Hand(LivePlayback(sources_of(cloud)), painter, view=view)
     assert np.abs(hand.bare()[..., :3] - expected(hand, painter)).max() <= 1
     rows = cloud.rows
@@ -468,43 +423,6 @@ def test_meshes_and_placed_models_are_seen_and_told(
     hand = Hand(LivePlayback(sources_of(scene)), painter)
     assert np.abs(hand.bare()[..., :3] - expected(hand, painter)).max() <= 1
     center, reach = SceneSource(SplatSet(cloud)).extent()
-    far = hand.viewer.stage.sources[0].extent()
+    far = hand.viewer.playback.sources[0].extent()
     np.testing.assert_allclose(far[0], 2 * center)
     assert far[1] == pytest.approx(2 * reach)
-
-
-def test_files_that_are_dropped_on_a_window_are_opened(
-    cloud: SplatData,
-    painter: SurfaceRenderer,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-) -> None:
-    """glfw gives what is dropped to who asked for it; there is no screen here to drop on."""
-    glfw = pytest.importorskip("glfw")
-    asked: list[Any] = []
-    monkeypatch.setattr(glfw, "set_drop_callback", lambda *words: asked.append(words))
-    opened: list[Sequence[Path]] = []
-
-    def reopen(paths: Sequence[Path]) -> LivePlayback:
-        opened.append(paths)
-        return LivePlayback(sources_of(cloud))
-
-    hand = Hand(LivePlayback(sources_of(cloud)), painter, reopen=reopen)
-    take_drops(hand.viewer, SimpleNamespace(_window="window", request_draw=lambda: None))
-    ((window, dropped),) = asked
-    assert window == "window"
-    dropped(window, [str(tmp_path / "a.ply"), str(tmp_path / "b.ply")])
-    assert opened == [[tmp_path / "a.ply", tmp_path / "b.ply"]]
-
-
-def test_what_nobody_foresaw_ends_the_window(
-    still: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fall(*_: object, **__: object) -> None:
-        raise ZeroDivisionError("odd")
-
-    monkeypatch.setattr(Renderer, "draw", fall)
-    with pytest.raises(ZeroDivisionError):
-        still.look()
-    still.canvas.draw()
-    assert still.canvas.get_closed()

@@ -109,7 +109,9 @@ def test_cells_behind_the_count_are_not_visible() -> None:
 
 
 def test_a_capacity_that_splits_a_cell_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(GeneratorInvalid, match=r"(?s)25 rows are not a multiple of 3.* 3 divides"):
+    with pytest.raises(
+        GeneratorInvalid, match=r"(?s)25 rows are not a multiple of 3.* 3 divides"
+    ):
         export(Bunches(), tmp_path / "m.onnx", capacity=25)
     assert not (tmp_path / "m.onnx").exists()
 
@@ -223,7 +225,7 @@ def test_cells_of_both_devices_are_compared(
         cpu = {name: np.array(frame[name]) for name in frame}
     gpu = {name: value.copy() for name, value in cpu.items()}
     gpu["cells"][cell, column] += by
-    frame = Frame(Probe("p", {}), cpu, gpu, None)
+    frame = Frame(Probe(label="p", inputs={}), cpu, gpu, None)
     live = Live(
         subject=subject, adapter="a", nodes=(), accepted=True, stop=None, frames=(frame,)
     )

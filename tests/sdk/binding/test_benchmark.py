@@ -41,7 +41,7 @@ def test_what_cannot_be_measured_is_told_apart(models, monkeypatch):
 
 
 def test_a_model_that_needs_a_size_says_which_option_gives_it(tmp_path):
-    pose = Input("pose", "pose")
+    pose = Input(name="pose", role="pose")
     opened = driven("float[J,3] pose", pose, "shift = ReduceMean <keepdims = 0> (pose)")
     opened.write(tmp_path / "open.onnx")
     failed = time_frames(tmp_path / "open.onnx", "cpu", frames=1)

@@ -23,10 +23,10 @@ from gsgen.sdk.binding.input_binding import InputBinding, default_tensor
 from support.models.small_models import HEAD, good_rows, moving, save
 
 WAYS = (
-    Input("a", "control", shape=(1,), range=(0, 1), default=0.25),
-    Input("b", "control", shape=(1,), range=(0, 1), default=0.5),
-    Input("index", "frame_index", shape=(1,), range=(0, 9)),
-    Input("pose", "pose", shape=(1, 3)),
+    Input(name="a", role="control", shape=(1,), range=(0, 1), default=0.25),
+    Input(name="b", role="control", shape=(1,), range=(0, 1), default=0.5),
+    Input(name="index", role="frame_index", shape=(1,), range=(0, 9)),
+    Input(name="pose", role="pose", shape=(1, 3)),
 )
 
 
@@ -95,7 +95,9 @@ def test_a_camera_needs_a_manifest_and_two_matrices(session, tmp_path):
             session.run(camera=wrong)
     path = save(tmp_path / "a.onnx", moving(good_rows(2)))
     with FrameSession(path, provider="cpu") as bare:
-        with pytest.raises(InputInvalid, match="no manifest declares the camera inputs") as raised:
+        with pytest.raises(
+            InputInvalid, match="no manifest declares the camera inputs"
+        ) as raised:
             bare.run(camera=(np.eye(4), np.eye(4)))
         assert "gsgen inspect --emit-manifest" in raised.value.hint
 
@@ -138,15 +140,19 @@ def test_intrinsics_in_the_middle_give_the_projection_of_the_conventions():
 @pytest.mark.parametrize(
     ("entry", "shape", "wanted"),
     [
-        (Input("x", "view"), (4, 4), np.eye(4)),
-        (Input("x", "control", range=(2, 3)), (2,), [2, 2]),
-        (Input("x", "time"), (1,), [0]),
-        (Input("x", "time", default=0.5), (1,), [0.5]),
-        (Input("x", "pose", default="zeros"), (2, 3), np.zeros((2, 3))),
-        (Input("x", "pose", default="identity"), (4, 4), [[1, 0, 0, 0]] * 4),
-        (Input("x", "root_rotation", default="identity"), (3,), [0, 0, 0]),
-        (Input("x", "root_rotation", default="identity"), (3, 3), np.eye(3)),
-        (Input("x", "pose", default=(1, 2, 3, 4, 5, 6)), (2, 3), [[1, 2, 3], [4, 5, 6]]),
+        (Input(name="x", role="view"), (4, 4), np.eye(4)),
+        (Input(name="x", role="control", range=(2, 3)), (2,), [2, 2]),
+        (Input(name="x", role="time"), (1,), [0]),
+        (Input(name="x", role="time", default=0.5), (1,), [0.5]),
+        (Input(name="x", role="pose", default="zeros"), (2, 3), np.zeros((2, 3))),
+        (Input(name="x", role="pose", default="identity"), (4, 4), [[1, 0, 0, 0]] * 4),
+        (Input(name="x", role="root_rotation", default="identity"), (3,), [0, 0, 0]),
+        (Input(name="x", role="root_rotation", default="identity"), (3, 3), np.eye(3)),
+        (
+            Input(name="x", role="pose", default=(1, 2, 3, 4, 5, 6)),
+            (2, 3),
+            [[1, 2, 3], [4, 5, 6]],
+        ),
     ],
 )
 def test_defaults_are_those_of_the_specification(entry, shape, wanted):
@@ -155,7 +161,7 @@ def test_defaults_are_those_of_the_specification(entry, shape, wanted):
 
 def test_a_default_that_does_not_fill_its_input_is_refused():
     with pytest.raises(InputInvalid, match="default has 2 numbers, expected 6"):
-        default_tensor(Input("x", "pose", default=(1, 2)), (2, 3))
+        default_tensor(Input(name="x", role="pose", default=(1, 2)), (2, 3))
 
 
 @given(
@@ -163,7 +169,7 @@ def test_a_default_that_does_not_fill_its_input_is_refused():
 )
 def test_matrices_are_transposed_for_column_order_alone(numbers, order):
     matrix = np.array(numbers).reshape(4, 4)
-    entry = Input("m", "view")
+    entry = Input(name="m", role="view")
     binding = InputBinding(
         name="m", dtype=np.dtype("float32"), shape=(4, 4), declared=entry, order=order
     )

@@ -68,7 +68,10 @@ def plain(name: str, folder: Path) -> Path:
     program.save(path)
     manifest = PostProcessManifest(
         name="denoiser",
-        inputs=(Input("image", "image"), Input("step", "timestep", range=(0.0, 999.0))),
+        inputs=(
+            Input(name="image", role="image"),
+            Input(name="step", role="timestep", range=(0.0, 999.0)),
+        ),
         outputs=PostProcessOutputs(ImageOutput("out")),
     )
     write_manifest(path, manifest, path)

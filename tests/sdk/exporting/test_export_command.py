@@ -219,6 +219,8 @@ def test_targets_of_every_sort_give_a_generator(target: str, arguments: list[str
         (["pack.scenes.Dots"], UnknownName, "Write pack.scenes:Dots"),
         (["sttic"], UnknownName, "Did you mean 'static'?"),
         (["scene.ply"], UnknownName, "gsgen export static scene.ply"),
+        (["scene.glb"], UnknownName, "gsgen export static scene.glb"),
+        (["scene.sog"], UnknownName, "gsgen export static scene.sog"),
         (["dots:number"], GeneratorInvalid, "returns int, expected a GaussianGenerator"),
         (["dots:plain"], GeneratorInvalid, "gsgen.sdk.wrap"),
         (["dots:Dots", "--arg", "m=3"], UnknownName, "unknown argument 'm'"),

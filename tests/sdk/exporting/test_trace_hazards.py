@@ -114,7 +114,9 @@ def test_a_hazard_that_does_not_matter_is_not_told(tmp_path: Path) -> None:
 MANIFEST = GeneratorManifest(
     name="m", outputs=GeneratorOutputs(), inputs=tuple(Drift.inputs)
 )
-PROBES = [Probe(f"time={t}", {"time": np.float32([t])}) for t in (0.2, 0.4, 1.0)]
+PROBES = [
+    Probe(label=f"time={t}", inputs={"time": np.float32([t])}) for t in (0.2, 0.4, 1.0)
+]
 
 
 def explained(

@@ -190,7 +190,10 @@ def test_a_model_that_takes_too_long_on_the_gpu_breaks_a_rule(tmp_path):
 
 def lived(path, *frames, **changes) -> Live:
     subject = inspect_model(open_model(path), LIVE.target, Limits())
-    made = [Frame(Probe(f"probe {k}", {}), *three) for k, three in enumerate(frames)]
+    made = [
+        Frame(Probe(label=f"probe {k}", inputs={}), *three)
+        for k, three in enumerate(frames)
+    ]
     facts = {"nodes": (), "accepted": True, "stop": None} | changes
     return Live(subject=subject, adapter="made up", frames=tuple(made), **facts)
 

@@ -17,7 +17,7 @@ from gsgen.reference_plugins.bodies.pose_networks import PoseNets
 from gsgen.reference_plugins.deformation.deformation_checkpoint import DeformationCheckpoint
 from gsgen.reference_plugins.deformation.hexplane_checkpoint import HexPlaneCheckpoint
 from gsgen.reference_plugins.loading.canonical import Canonical
-from gsgen.reference_plugins.people.lhm import body_dirs
+from gsgen.reference_plugins.people.lhm import expression_dirs
 from gsgen.reference_plugins.people.lhm_checkpoint import EXPRESSIONS, LHMCheckpoint
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import R3Checkpoint
 
@@ -101,7 +101,7 @@ def of_gauhuman(canonical: Canonical, body: Body, nets: PoseNets | None) -> int:
 def of_lhm(read: LHMCheckpoint) -> int:
     """LHM: shape and place of the vertices, and the expressions of those that any moves."""
     used = np.unique(rest_pose.nearest(read.samples, read.body.template))
-    moved = np.abs(body_dirs(read, None)[used]).max(axis=(1, 2)) > 0
+    moved = np.abs(expression_dirs(read, None)[used]).max(axis=(1, 2)) > 0
     each = _sum((read.position, read.rgb, read.opacity, read.scale, read.rotation))
     vertices = len(used) * (read.body.joints + 3) + int(moved.sum()) * 3 * EXPRESSIONS
     return each + 4 * (vertices + 3 * read.body.joints) + _sum([read.neutral])

@@ -69,7 +69,7 @@ def manifest_of(capacity: int) -> GeneratorManifest:
     )
     return GeneratorManifest(
         name="moving",
-        inputs=(Input("time", "time", range=(0.0, 1.0)),),
+        inputs=(Input(name="time", role="time", range=(0.0, 1.0)),),
         outputs=outputs,
         space=Space(),
         bounds=Bounds((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),

@@ -6,7 +6,7 @@ import numpy as np
 from rendercanvas.offscreen import OffscreenRenderCanvas
 
 from gsgen.runtime.playback.camera_options import viewpoint
-from gsgen.runtime.viewer.live_playback import LivePlayback
+from gsgen.runtime.playback.live_playback import LivePlayback
 from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
 from gsgen.runtime.viewer.viewer import Viewer
 from gsgen.runtime.viewer.window import attach
@@ -24,16 +24,16 @@ class Hand:
     """
 
     def __init__(
-        self, stage: LivePlayback, painter: SurfaceRenderer, **options: Any
+        self, playback: LivePlayback, renderer: SurfaceRenderer, **options: Any
     ) -> None:
         self.now, self.said = 0.0, list[str]()
         view = options.pop("view", None) or viewpoint("look-at:0,0,-4,0,0,0", *SIZE)
         self.viewer = Viewer(
-            stage,
+            playback,
             view,
-            painter=painter,
+            renderer=renderer,
             clock=lambda: self.now,
-            say=self.said.append,
+            print_line=self.said.append,
             **options,
         )
         self.canvas = OffscreenRenderCanvas(size=SIZE)
@@ -73,7 +73,7 @@ class Hand:
     def settled(self, seconds: float = 0.0) -> np.ndarray:
         """Return the picture once what was begun is there."""
         self.look(seconds)
-        self.viewer.stage.take(wait=True)
+        self.viewer.playback.take(wait=True)
         return self.look()
 
     def bare(self) -> np.ndarray:

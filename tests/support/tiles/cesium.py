@@ -13,18 +13,20 @@ from pathlib import Path
 from shutil import which
 
 import numpy as np
+import pytest
 from PIL import Image
 
-PLACE = Path(__file__).parents[2] / ".venv" / "cesium"
+CESIUM = Path(__file__).parents[3] / ".venv" / "cesium"
 PAGE = Path(__file__).with_name("cesium_page.html")
 _SECONDS = 180
 
 
-def missing() -> str:
-    """Why there is no viewer here; empty where there is one."""
-    if (PLACE / "Cesium.js").is_file() and which("chromium"):
-        return ""
-    return "no CesiumJS or no chromium: scripts/cesium.sh installs both"
+def require_viewer() -> None:
+    """Fail the test, with the script to run, where CesiumJS or chromium is missing."""
+    absent = [] if (CESIUM / "Cesium.js").is_file() else [f"CesiumJS in {CESIUM}"]
+    absent += [] if which("chromium") else ["chromium on the PATH"]
+    if absent:
+        pytest.fail(f"missing: {' and '.join(absent)}; hint: run scripts/cesium.sh as root")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +81,7 @@ def view(folder: Path) -> Seen:
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as work:
         site, profile = Path(work) / "site", Path(work) / "profile"
         site.mkdir()
-        (site / "cesium").symlink_to(PLACE)
+        (site / "cesium").symlink_to(CESIUM)
         (site / "set").symlink_to(folder.resolve())
         (site / "index.html").write_bytes(PAGE.read_bytes())
         handler = partial(_Handler, directory=str(site), report=report, done=done)

@@ -48,7 +48,7 @@ def conformance(
     format: Annotated[Format, typer.Option(help="How to print the result.")] = Format.TEXT,
     as_json: AsJson = False,
 ) -> None:
-    """Test each MODEL suite by suite, and say how to reproduce what fails.
+    """Test each MODEL suite by suite, and print a command that reproduces each failure.
 
     Exits 0 if all pass, 1 if not, 2 for wrong options, 3 if a rule crashed, 4 if no model.
     """
@@ -115,7 +115,7 @@ def _print(entries: "list[Entry]", format: Format) -> None:
 def _refuse_strangers(
     entries: "list[Entry]", settings: "Settings", expected: "Sequence[ExpectedFailure]"
 ) -> None:
-    """Refuse expected failures that speak of nothing; the results are out by then."""
+    """Raise if an expected failure matches no tested rule; the results are printed before."""
     from gsgen.conformance.expected import unmatched_entries
     from gsgen.conformance.run import ModelRun, suites_of
 

@@ -1,4 +1,4 @@
-"""`gsgen repro`: show one failure again."""
+"""`gsgen repro`: reproduce one failure."""
 
 __all__ = ["repro"]
 
@@ -9,11 +9,11 @@ import typer
 
 from gsgen.contract.commands.options import Config, Memory, Seed, TargetName, Timeout
 from gsgen.contract.errors import ExitCode
+from gsgen.contract.spec.layout import FIELDS
 
 if TYPE_CHECKING:
     from gsgen.conformance.reproduction import Reproduction
 
-_FIELDS = ("x", "y", "z", "opacity", "xx", "xy", "xz", "yy", "yz", "zz")
 _COLOR_SHOWN = 6
 
 
@@ -22,7 +22,7 @@ def repro(
     rule: Annotated[str, typer.Option(help="The rule, by id or name.", show_default=False)],
     probe: Annotated[
         str | None,
-        typer.Option(help="The probe, by label or number; all of them where left out."),
+        typer.Option(help="The probe, by label or number. [default: all probes]"),
     ] = None,
     target: TargetName = None,
     config: Config = None,
@@ -34,9 +34,9 @@ def repro(
     timeout: Timeout = None,
     memory: Memory = None,
 ) -> None:
-    """Judge one rule of MODEL again, by one probe where that is enough.
+    """Check one rule of MODEL again, with one probe if that is enough.
 
-    Exits 1 if the rule is broken, 0 if it holds, 2 if it cannot be judged, 4 if no model.
+    Exits 1 if the rule is broken, 0 if it holds, 2 if it cannot be checked, 4 if MODEL is unreadable.
     """
     from gsgen.conformance.reproduction import reproduce
     from gsgen.contract.errors import ModelUnreadable
@@ -66,9 +66,20 @@ def _show(model: Path, reproduction: "Reproduction") -> None:
     from gsgen.contract.commands.output import show
     from gsgen.contract.reporters.text import Line, finding_lines
 
-    where = f"{model} at probe {', '.join(reproduction.probes)}" if reproduction.probes else str(model)
+    where = (
+        f"{model} at probe {', '.join(reproduction.probes)}"
+        if reproduction.probes
+        else str(model)
+    )
     if not reproduction.findings:
-        show([Line(f"does not reproduce: {reproduction.rule.id} holds for {where}", "bold green")])
+        show(
+            [
+                Line(
+                    f"does not reproduce: {reproduction.rule.id} holds for {where}",
+                    "bold green",
+                )
+            ]
+        )
         return
     show([Line(f"{where}:", "bold")])
     show(finding_lines(reproduction.findings))
@@ -80,7 +91,7 @@ def _table(reproduction: "Reproduction") -> list[str]:
     if not reproduction.rows:
         return []
     lines = [f"  rows at probe {reproduction.rows[0].probe}:"]
-    lines.append("  " + "".join(f"{name:>13}" for name in ("row", *_FIELDS)) + "  color")
+    lines.append("  " + "".join(f"{name:>13}" for name in ("row", *FIELDS)) + "  color")
     for row in reproduction.rows:
         numbers = "".join(f"{value:13.6g}" for value in row.packed)
         color = " ".join(f"{value:.4g}" for value in row.color[:_COLOR_SHOWN])

@@ -1,4 +1,4 @@
-"""A class to inherit from: every rule is a test, and fixtures say what is tested."""
+"""A base class for tests of one model: every rule is a test, and fixtures select the model."""
 
 __all__ = ["GeneratorConformance"]
 
@@ -34,34 +34,34 @@ class GeneratorConformance:
                 return path
 
     The fixtures ``target``, ``level``, ``expected_failures`` and ``settings`` may be overridden
-    too. A whole suite is left out by ``test_camera = None``.
+    too. ``test_camera = None`` drops a whole suite.
     """
 
     @pytest.fixture
     def model(self) -> Path:
-        """The ONNX file; it is judged once for as long as it is the same file."""
+        """The ONNX file; a file is validated once as long as it is unchanged."""
         pytest.fail(f"{type(self).__name__} must override the fixture `model`")
 
     @pytest.fixture
     def target(self) -> str | None:
-        """The consumer to judge for; None takes the option or the default."""
+        """The target of the validation; None takes the option or the default."""
         return None
 
     @pytest.fixture
     def level(self) -> str | None:
-        """How far to go; None takes the option or the default."""
+        """The level of the validation; None takes the option or the default."""
         return None
 
     @pytest.fixture
     def settings(
         self, target: str | None, level: str | None, pytestconfig: pytest.Config
     ) -> Settings:
-        """Everything that steers the judgement."""
+        """The settings of the validation."""
         return ConformanceSession.of(pytestconfig).make_settings(target=target, level=level)
 
     @pytest.fixture
     def expected_failures(self, pytestconfig: pytest.Config) -> Iterable[ExpectedFailure]:
-        """Rules that the model is known to break, strict both ways."""
+        """The rules that the model is known to break; one that holds is a failure too."""
         return ConformanceSession.of(pytestconfig).expected
 
     @pytest.fixture
@@ -72,11 +72,11 @@ class GeneratorConformance:
         expected_failures: Iterable[ExpectedFailure],
         pytestconfig: pytest.Config,
     ) -> ModelRun:
-        """The model, judged."""
+        """The validation of the model."""
         bench, path = ConformanceSession.of(pytestconfig), Path(model)
         expected = tuple(expected_failures)
         try:
-            if expected != bench.expected:  # those of the options may speak of other models
+            if expected != bench.expected:  # entries of the options may name other models
                 refuse_strangers(expected, {path: bench.plan(path, settings)})
             return bench.run(path, settings, expected)
         except (GsgenError, pytest.UsageError) as error:
@@ -86,14 +86,14 @@ class GeneratorConformance:
     def _ready(
         self, rule: Rule, conformance: ModelRun, request: pytest.FixtureRequest
     ) -> None:
-        """Note what came of the rule; one that crashed is an error, not a failure."""
+        """Record the case of the rule; a crashed rule is an error, not a failure."""
         for case in conformance.cases:
             if case.rule.id == rule.id:
                 request.node.user_properties += properties(conformance, case)
                 prepare(conformance, case)
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
-        """Give each suite's test the rules that the suite claims."""
+        """Parametrize the test of each suite by the rules of the suite."""
         rules = getattr(metafunc.function, "rules", None)
         if rules is not None:
             ids = [f"{rule.id}-{rule.slug}" for rule in rules]
@@ -101,14 +101,16 @@ class GeneratorConformance:
 
 
 def _home(rule: Rule) -> str:
-    """Return the suite that a rule belongs to in a generator that declares everything."""
+    """Return the suite of a rule for a generator that declares all features."""
     is_generator = GENERATOR in rule.kinds
-    suites = [suite for suite in SUITES if not (is_generator and suite.name in _OTHER_KINDS)]
+    suites = [
+        suite for suite in SUITES if not (is_generator and suite.name in _OTHER_KINDS)
+    ]
     return next(suite.name for suite in suites if suite.claims(rule))
 
 
 def _test_of(suite: Suite, rules: list[Rule]) -> Callable[..., None]:
-    """Return the test of a suite, to be called with each of its rules."""
+    """Return the test function of a suite, which takes one of its rules."""
 
     @pytest.mark.usefixtures("_ready")
     def test(self: GeneratorConformance, rule: Rule, conformance: ModelRun) -> None:
@@ -132,7 +134,7 @@ def _name(suite: Suite) -> str:
 
 
 def _add_tests() -> None:
-    """Give the class a test for each suite, so that an author can override or drop one."""
+    """Add a test for each suite to the class, so that an author can override or drop it."""
     for suite in SUITES:
         rules = [r for r in installed_rules().rules.values() if _home(r) == suite.name]
         if rules:

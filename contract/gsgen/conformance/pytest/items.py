@@ -1,4 +1,4 @@
-"""How pytest collects a model: the file holds suites, a suite holds one test for each rule."""
+"""Collects models as pytest nodes: a file holds suites, a suite holds a test for each rule."""
 
 __all__ = ["ModelFile", "RuleItem", "StaleEntry", "SuiteNode", "stale_entries"]
 
@@ -30,7 +30,7 @@ class ModelFile(pytest.File):
                 yield SuiteNode.from_parent(self, name=name, rules=rules)
 
     def run_model(self) -> ModelRun:
-        """Judge the model, unless that was done already."""
+        """Validate the model once, and return the result."""
         bench = ConformanceSession.of(self.config)
         return bench.run(self.path, bench.settings, bench.expected)
 
@@ -64,37 +64,37 @@ class RuleItem(pytest.Item):
         return parent
 
     def setup(self) -> None:
-        """Judge the model; a crashed rule is an error."""
+        """Validate the model; a crashed rule is an error."""
         run = self.file.run_model()
         case = run.case(self.rule.id)
         self.user_properties += properties(run, case)
         prepare(run, case)
 
     def runtest(self) -> None:
-        """Pass, fail, skip, warn or xfail, as came of the rule."""
+        """Pass, fail, skip, warn or xfail, by the case of the rule."""
         run = self.file.run_model()
         act(run, run.case(self.rule.id))
 
     def reportinfo(self) -> tuple[Path, None, str]:
-        """Say what is tested, for the headings of failures."""
+        """Return the location for the headings of failures."""
         assert self.parent is not None
         return self.path, None, f"{self.path.name}: {self.parent.name}: {self.name}"
 
 
 class StaleEntry(pytest.Item):
-    """An expected failure that speaks of nothing that is tested: always an error."""
+    """An expected failure that matches no tested rule: always an error."""
 
     def __init__(self, *, entry: ExpectedFailure, **options: Any) -> None:
         super().__init__(**options)
         self.entry = entry
 
     def setup(self) -> None:
-        """Say which entry it is."""
+        """Raise with the entry."""
         text = f"matches no rule of any tested model: remove or correct the entry\n  {self.entry}"
         pytest.fail(text, pytrace=False)
 
     def runtest(self) -> None:
-        """Do nothing: the set-up has failed."""
+        """Do nothing: the set-up has failed before."""
 
 
 def stale_entries(session: pytest.Session) -> Iterator[StaleEntry]:

@@ -1,7 +1,7 @@
 """The pytest plugin: `pytest --gsgen model.onnx` tests a model by the contract, rule by rule.
 
-pytest loads this in every run where gsgen is installed. So it only declares options here; what
-reads models is imported when one is given.
+pytest loads this module in every run if gsgen is installed. So it only declares options; the code
+that reads models is imported when an option names one.
 """
 
 __all__: list[str] = []
@@ -43,21 +43,25 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 _OPTIONS = (
-    ("target", "TARGET", "Consumer to judge for (default: core)."),
-    ("level", "LEVEL", "How far to go: static, values, behaviour, … (default: behaviour)."),
+    ("target", "TARGET", "Target of the validation (default: core)."),
+    (
+        "level",
+        "LEVEL",
+        "Level of the validation: static, values, behaviour, … (default: behaviour).",
+    ),
     ("fail-on", "SEVERITY", "Lowest severity that fails (default: error); others warn."),
-    ("config", "FILE", "Configuration file (default: ./gsgen.toml, where there is one)."),
-    ("xfails", "FILE", "TOML file of expected failures, strict both ways."),
+    ("config", "FILE", "Configuration file (default: ./gsgen.toml, if it exists)."),
+    ("xfails", "FILE", "TOML file of expected failures; one that holds fails too."),
     (
         "dump",
         "DIR",
-        "Where inputs and outputs of failing probes go (default: pytest's tmp).",
+        "Folder for inputs and outputs of failing probes (default: pytest's tmp).",
     ),
 )
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Add the models to what pytest collects; alone, they are all that it collects."""
+    """Add the models to the collected paths; without other paths, only they are collected."""
     config.addinivalue_line(
         "markers", f"{_MARK}(request): give a test each rule of some models"
     )
@@ -75,7 +79,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collect_file(
     file_path: Path, parent: pytest.Collector
 ) -> "pytest.Collector | None":
-    """Collect the models that were named with `--gsgen`, or stand behind one."""
+    """Collect the models that `--gsgen` names."""
     if file_path.suffix != _SUFFIX and not parent.config.getoption("--gsgen"):
         return None
     paths = {Path(name).resolve() for name in parent.config.getoption("--gsgen")}
@@ -88,7 +92,7 @@ def pytest_collect_file(
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Give a test that asks for rules a `check` for each."""
+    """Parametrize a test that requests rules by a `check` for each."""
     marker = metafunc.definition.get_closest_marker(_MARK)
     if marker is not None:
         from gsgen.conformance.pytest.session import ConformanceSession
@@ -106,7 +110,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 def pytest_collection_modifyitems(
     session: pytest.Session, items: "list[pytest.Item]"
 ) -> None:
-    """Add an error for each expected failure that speaks of nothing that is tested."""
+    """Add an error for each expected failure that matches no tested rule."""
     if session.config.getoption("--gsgen-xfails"):
         from gsgen.conformance.pytest.items import stale_entries
 
@@ -115,7 +119,7 @@ def pytest_collection_modifyitems(
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Make a crashed rule an error of its test, and skip tests of a model that cannot be judged."""
+    """Raise for a crashed rule, and skip tests of a model that cannot be validated."""
     if _CLASSES in sys.modules:
         from gsgen.conformance.pytest.skipped import skip_if_noted
 
@@ -132,7 +136,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Say once, and in few words, why the model of a conformance class cannot be judged."""
+    """Shorten the report of a conformance class whose model cannot be validated."""
     report = yield
     if call.when == "setup" and report.failed and _CLASSES in sys.modules:
         from gsgen.conformance.pytest.skipped import note, wants_model
@@ -144,7 +148,7 @@ def pytest_runtest_makereport(
 
 @pytest.hookimpl(wrapper=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Iterator[None]:
-    """Fail a test that was given a rule and never checked it."""
+    """Fail a test that received a rule and never checked it."""
     result = yield
     check = _check_of(pyfuncitem)
     if check is not None and not check.called:

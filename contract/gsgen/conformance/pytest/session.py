@@ -1,4 +1,4 @@
-"""What the tests of one pytest session share: options, and every model judged once."""
+"""The state that the tests of one pytest session share: options, and validated models."""
 
 __all__ = ["ConformanceSession", "RuleWarning", "act", "prepare", "properties"]
 
@@ -23,19 +23,19 @@ from gsgen.contract.validation.rule import Rule
 from gsgen.contract.validation.settings import Settings
 from gsgen.contract.validation.settings_from_options import make_settings
 
-# A dump that nobody asked for must not fill a disk: models of this field give 0.5 GB a frame.
+# A dump without an option must not fill a disk: models of this field return 0.5 GB a frame.
 _MOST_UNASKED = 64 << 20
 
 
 class RuleWarning(UserWarning):
-    """A rule is broken, but not badly enough to fail (see ``--gsgen-fail-on``)."""
+    """A rule is broken below the severity that fails (see ``--gsgen-fail-on``)."""
 
 
 class ConformanceSession:
-    """Options of a session and the models that it has judged so far.
+    """The options of a session, and the models that it has validated.
 
     Attributes:
-        tested: Models whose rules were collected → the rules' ids.
+        tested: Model → ids of its collected rules.
     """
 
     def __init__(self, config: pytest.Config) -> None:
@@ -45,10 +45,10 @@ class ConformanceSession:
 
     @classmethod
     def of(cls, config: pytest.Config) -> "ConformanceSession":
-        """Return the bench of a session.
+        """Return the conformance session of a pytest session.
 
         Raises:
-            UsageError: An option says something that cannot be meant.
+            UsageError: An option has an invalid value.
         """
         if _BENCH not in config.stash:
             bench = config.stash[_BENCH] = cls(config)
@@ -65,13 +65,13 @@ class ConformanceSession:
 
     @cached_property
     def settings(self) -> Settings:
-        """Settings by the options."""
+        """The settings by the options."""
         return self.make_settings()
 
     def make_settings(
         self, *, target: str | None = None, level: str | None = None
     ) -> Settings:
-        """Return settings by the options, but for what is given here."""
+        """Return settings by the options; arguments replace the options."""
         config = self.option("config")
         return make_settings(
             installed_rules(),
@@ -84,7 +84,7 @@ class ConformanceSession:
 
     @cached_property
     def suites(self) -> tuple[str, ...]:
-        """Names of the chosen suites; empty for all."""
+        """The names of the chosen suites; empty for all."""
         return tuple(
             find_suite(name, "--gsgen-suite").name for name in self.option("suite")
         )
@@ -97,7 +97,7 @@ class ConformanceSession:
 
     @cached_property
     def dumps(self) -> Dumps:
-        """Where inputs and outputs of failing probes go: as asked, or small ones to pytest's tmp."""
+        """The folder for inputs and outputs of failing probes; pytest's tmp takes small ones only."""
         folder = self.option("dump")
         if folder:
             return Dumps(Path(folder))
@@ -105,7 +105,7 @@ class ConformanceSession:
         return Dumps(factory.mktemp("gsgen-dumps"), _MOST_UNASKED)
 
     def plan(self, path: Path, settings: Settings) -> dict[str, tuple[Rule, ...]]:
-        """Return the suites of a model with their rules, and remember them as tested."""
+        """Return the suites of a model with their rules, and record them as tested."""
         planned = suites_of(path, settings)
         rules = self.tested.setdefault(path, set())
         rules |= {rule.id for suite_rules in planned.values() for rule in suite_rules}
@@ -114,7 +114,7 @@ class ConformanceSession:
     def run(
         self, path: Path, settings: Settings, expected: Iterable[ExpectedFailure]
     ) -> ModelRun:
-        """Judge a model, unless that was done already."""
+        """Validate a model once, and return the result."""
         entries = tuple(expected)
         stat = path.stat() if path.is_file() else None
         version = (stat.st_mtime_ns, stat.st_size) if stat else ()
@@ -129,7 +129,7 @@ class ConformanceSession:
     def _judge(
         self, path: Path, settings: Settings, expected: tuple[ExpectedFailure, ...]
     ) -> ModelRun | Exception:
-        """Judge a model; what stops us once would stop us at every rule, so it is kept, too."""
+        """Validate a model, or return the error, which every rule of the model would raise again."""
         try:
             return run_model(path, settings, expected=expected, dumps=self.dumps)
         except Exception as error:
@@ -140,13 +140,13 @@ _BENCH = pytest.StashKey[ConformanceSession]()
 
 
 def prepare(run: ModelRun, case: Case) -> None:
-    """Raise, during a test's set-up, if the rule crashed: that is an error, not a failure."""
+    """Raise during a test's set-up if the rule crashed: an error, not a failure."""
     if case.status == "crashed":
         pytest.fail(run.text(case), pytrace=False)
 
 
 def act(run: ModelRun, case: Case) -> None:
-    """Pass, fail, skip, warn or xfail, as came of the case."""
+    """Pass, fail, skip, warn or xfail, by the status of the case."""
     __tracebackhide__ = True
     if case.status == "failed":
         pytest.fail(run.text(case).lstrip(), pytrace=False)
@@ -159,7 +159,7 @@ def act(run: ModelRun, case: Case) -> None:
 
 
 def properties(run: ModelRun, case: Case) -> list[tuple[str, object]]:
-    """Return what a test report records of a case: rule, status, findings as in JSON reports."""
+    """Return the properties of a case for a test report: rule, status, and findings as JSON."""
     entries: list[tuple[str, object]] = [("gsgen.rule", case.rule.id)]
     entries.append(("gsgen.status", case.status))
     if case.findings:

@@ -1,7 +1,7 @@
-"""Classes whose model cannot be made or read: one error says why, their other tests are skipped.
+"""Skips the tests of a class whose model cannot be built or read, after one error.
 
-Every test of such a class would end on the same error. A hundred and forty of them hide what is
-wrong; one shows it.
+Every test of such a class would raise the same error. One report shows the fault; a hundred and
+forty hide it.
 """
 
 __all__ = ["note", "skip_if_noted", "wants_model"]
@@ -16,30 +16,34 @@ from gsgen.contract.errors import GsgenError
 
 _NOTED = pytest.StashKey[dict[object, str]]()
 _LOGS = "Captured log"
-_CHATTER = "DEBUG    torch."  # what torch's exporter logs for its own developers
+_CHATTER = "DEBUG    torch."  # log lines of torch's exporter for its own developers
 
 
 def wants_model(item: pytest.Item) -> bool:
-    """Say whether a test is one of a conformance class, and needs its model judged."""
+    """Return whether a test belongs to a conformance class and needs its model validated."""
     module = sys.modules.get("gsgen.conformance.pytest.generator")
     test_class = getattr(item, "cls", None)
-    if module is None or test_class is None or not issubclass(test_class, module.GeneratorConformance):
+    if (
+        module is None
+        or test_class is None
+        or not issubclass(test_class, module.GeneratorConformance)
+    ):
         return False
     return "conformance" in getattr(item, "fixturenames", ())
 
 
 def skip_if_noted(item: pytest.Item) -> None:
-    """Skip a test if another one has shown that its model cannot be judged."""
+    """Skip a test if an earlier one has recorded that its model cannot be validated."""
     first = item.session.stash.get(_NOTED, {}).get(_subject(item))
     if first is not None:
-        pytest.skip(f"there is no model to judge, as the error of {first} says")
+        pytest.skip(f"the model cannot be validated: see the error of {first}")
 
 
 def note(item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport) -> None:
-    """Remember that a model cannot be judged, and leave of the report what its author needs."""
+    """Record that a model cannot be validated, and reduce the report to its author's lines."""
     assert call.excinfo is not None
     if "conformance" in getattr(item, "funcargs", {}):
-        return  # it was judged, and the rule crashed
+        return  # the model was validated, and the rule crashed
     item.session.stash.setdefault(_NOTED, {})[_subject(item)] = item.name
     quiet = [(head, _quiet(head, text)) for head, text in report.sections]
     report.sections = [(head, text) for head, text in quiet if text]
@@ -49,7 +53,7 @@ def note(item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestRepo
 
 
 def _subject(item: pytest.Item) -> object:
-    """Return what tells a model apart: its class, and parameters of its fixtures."""
+    """Return the identity of a model: its class and the parameters of its fixtures."""
     indices = getattr(getattr(item, "callspec", None), "indices", {})
     remaining = sorted((name, index) for name, index in indices.items() if name != "rule")
     return getattr(item, "cls", None), tuple(remaining)
@@ -64,7 +68,7 @@ def _quiet(head: str, text: str) -> str:
 def _lines(
     item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException]
 ) -> Iterator[str]:
-    """Yield the author's own lines that led to the error, the outermost first."""
+    """Yield the author's own lines in the traceback of the error, the outermost first."""
     root = item.config.rootpath
     for entry in excinfo.traceback:
         name = str(entry.frame.f_globals.get("__name__", ""))

@@ -1,4 +1,4 @@
-"""What plugin authors import in their tests: rules as parameters, and a class to inherit from.
+"""The decorator and the base class that plugin authors use in their tests.
 
 Needs pytest: ``pip install 'gsgen[conformance]'``.
 """
@@ -26,9 +26,9 @@ PathLike = str | os.PathLike[str]
 Models = Iterable[PathLike] | Callable[[], Iterable[PathLike]]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """What :func:`parametrize_with_rules` was called with."""
+    """The arguments of :func:`parametrize_with_rules`."""
 
     models: Models
     target: str | None
@@ -47,7 +47,7 @@ def parametrize_with_rules(
     suites: Iterable[str] = (),
     expected_failures: PathLike | Iterable[ExpectedFailure] | None = None,
 ) -> pytest.MarkDecorator:
-    """Call the decorated test once for each rule of each model, with a ``check`` to call.
+    """Run the decorated test for each rule of each model, with a ``check`` to call.
 
     Such as::
 
@@ -58,25 +58,32 @@ def parametrize_with_rules(
     Args:
         models: ONNX files, or a function that returns them (called when tests are collected).
             Relative paths start at the folder of the test file.
-        target: Consumer to judge for; ``--gsgen-target`` where absent.
-        level: How far to go; ``--gsgen-level`` where absent.
-        settings: All settings at once, instead of the options and of ``gsgen.toml``.
-        suites: Only these suites; ``--gsgen-suite`` where empty.
-        expected_failures: A TOML file, or entries; ``--gsgen-xfails`` where absent.
+        target: The target of the validation; None takes ``--gsgen-target``.
+        level: The level of the validation; None takes ``--gsgen-level``.
+        settings: All settings, in place of the options and of ``gsgen.toml``.
+        suites: The names of the suites; empty takes ``--gsgen-suite``.
+        expected_failures: A TOML file, or entries; None takes ``--gsgen-xfails``.
     """
     expected = expected_failures
     if expected is not None and not isinstance(expected, (str, os.PathLike)):
         expected = tuple(expected)
-    request = Request(models, target, level, settings, tuple(suites), expected)
+    request = Request(
+        models=models,
+        target=target,
+        level=level,
+        settings=settings,
+        suites=tuple(suites),
+        expected=expected,
+    )
     return pytest.mark.gsgen_rules(request)
 
 
 class Check:
-    """One rule to be tested on one model; call it once.
+    """The check of one rule on one model; a test calls it once.
 
     Attributes:
         model: The ONNX file.
-        suite: Name of the suite that holds the rule.
+        suite: The name of the suite that holds the rule.
         rule: The rule.
         called: Whether the test has called it.
     """
@@ -92,37 +99,37 @@ class Check:
 
     @property
     def name(self) -> str:
-        """Model, suite and rule in one word, such as ``drift-basic-GV003-opacity-range``."""
+        """The model, suite and rule in one word, such as ``drift-basic-GV003-opacity-range``."""
         return f"{self.model.stem}-{self.suite}-{self.rule.id}-{self.rule.slug}"
 
     @property
     def run(self) -> ModelRun:
-        """The model's run; judging it happens once a session."""
+        """The results of the model, which is validated once a session."""
         return self._judge()
 
     @property
     def case(self) -> Case:
-        """What came of the rule."""
+        """The case of the rule."""
         return self.run.case(self.rule.id)
 
     def prepare(self) -> None:
-        """Judge the model; a crashed rule is an error."""
+        """Validate the model; a crashed rule is an error."""
         prepare(self.run, self.case)
 
     def __call__(self) -> None:
-        """Pass, fail, skip, warn or xfail the running test, as came of the rule."""
+        """Pass, fail, skip, warn or xfail the running test, by the case of the rule."""
         __tracebackhide__ = True
         self.called = True
         act(self.run, self.case)
 
 
 def checks_for(request: Request, bench: ConformanceSession, folder: Path) -> list[Check]:
-    """Return a check for each rule of each model that a test asks for.
+    """Return a check for each rule of each model that a test requests.
 
     Args:
-        request: What the test's decorator was given.
-        bench: Options of the session.
-        folder: Where relative paths start.
+        request: The arguments of the test's decorator.
+        bench: The conformance session.
+        folder: The base of relative paths.
     """
     try:
         return _checks(request, bench, folder)
@@ -169,7 +176,7 @@ def _expected(
 def refuse_strangers(
     expected: Iterable[ExpectedFailure], plans: dict[Path, dict[str, tuple[Rule, ...]]]
 ) -> None:
-    """Raise UsageError if an entry speaks of no rule of any of the models."""
+    """Raise UsageError if an entry matches no rule of any of the models."""
     tested = {
         path: [rule.id for rules in planned.values() for rule in rules]
         for path, planned in plans.items()

@@ -1,1 +1,1 @@
-"""What the plugins of people share: bodies at rest, joints in motion, Gaussians that follow."""
+"""Body models, motions and skinning, which all plugins of people share."""

@@ -1,4 +1,4 @@
-"""The inputs that move a body, for one body or several."""
+"""Declares the inputs that pose one body or several: pose, root rotation, translation, shape."""
 
 __all__ = ["Actor", "ActorInputs"]
 
@@ -11,26 +11,26 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from gsgen.contract.spec.manifest import Input
-from gsgen.reference_plugins.bodies.rotations import turned
+from gsgen.reference_plugins.bodies.rotations import rotation_matrices
 from gsgen.sdk import inputs
 
 Rotation = Literal["matrix", "axis-angle"]
 
-# Nobody walks farther from where a scene begins than this, in metres.
+# Bound of the root translation, in metres: no person is expected farther from the origin.
 _FAR = 10.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Actor:
-    """How K bodies are moved, as tensors.
+    """The pose inputs of K bodies in one frame, as tensors.
 
     Attributes:
         pose: Axis-angles of the joints.
-        turn: Rotation of each body as a whole; none if its root joint's is all.
-        shift: Where each body is moved.
-        shape: Shape coefficients, the same for all; none if they were baked.
-        expression: Of each body.
-        frame: Which of the frames that training saw, of each body.
+        turn: Root rotation of each body; None if the root joint's rotation is the only one.
+        shift: Root translation of each body.
+        shape: Shape coefficients, the same for all bodies; None if they were baked.
+        expression: Expression coefficients of each body.
+        frame: Index of a training frame for each body.
     """
 
     pose: Float[Tensor, "k j 3"]
@@ -41,18 +41,18 @@ class Actor:
     frame: tuple[Int[Tensor, "1"], ...] | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ActorInputs:
-    """Which inputs there are.
+    """The set of inputs that an avatar declares.
 
     Attributes:
-        joints: How many a pose turns.
-        rotation: How the rotation of the body as a whole is given; no input if absent.
-        shape: How many shape coefficients are an input; none if 0.
-        expression: How many expression coefficients are.
-        frames: How many frames training saw, if the body knows frames.
-        bodies: How many bodies there are. Those after the first have inputs of their own, named
-            ``pose_1`` and so on; their shape is the first's.
+        joints: Number of joints in a pose.
+        rotation: Convention of the root rotation input; no such input if None.
+        shape: Number of shape coefficients in the input; 0 for no input.
+        expression: Number of expression coefficients in the input; 0 for no input.
+        frames: Number of training frames; 0 if the avatar does not depend on them.
+        bodies: Number of bodies. Those after the first have their own inputs ``pose_1`` and so
+            on, but share the first body's shape.
     """
 
     joints: int
@@ -64,47 +64,60 @@ class ActorInputs:
 
     def declared(self) -> tuple[Input, ...]:
         """Return the inputs as the manifest declares them."""
-        made = [one for body in range(self.bodies) for one in self._own(body)]
-        return (*made, *([inputs.shape(self.shape)] if self.shape else []))
+        input_list = [
+            declared for body in range(self.bodies) for declared in self._body_inputs(body)
+        ]
+        return (*input_list, *([inputs.shape(self.shape)] if self.shape else []))
 
-    def _own(self, body: int) -> list[Input]:
+    def _body_inputs(self, body: int) -> list[Input]:
         tail = f"_{body}" if body else ""
         far = (-_FAR, _FAR)
-        made = [inputs.pose(self.joints, f"pose{tail}", convention="smpl-axis-angle")]
+        body_inputs = [
+            inputs.pose(self.joints, f"pose{tail}", convention="smpl-axis-angle")
+        ]
         if self.rotation is not None:
             name = f"root_rotation{tail}"
-            made.append(inputs.root_rotation(name, convention=self.rotation))
-        made.append(inputs.root_translation(f"root_translation{tail}", range=far))
+            body_inputs.append(inputs.root_rotation(name, convention=self.rotation))
+        body_inputs.append(inputs.root_translation(f"root_translation{tail}", range=far))
         if self.expression:
-            made.append(inputs.expression(self.expression, f"expression{tail}"))
+            body_inputs.append(inputs.expression(self.expression, f"expression{tail}"))
         if self.frames:
-            made.append(inputs.frame_index(self.frames, f"frame_index{tail}"))
-        return made
+            body_inputs.append(inputs.frame_index(self.frames, f"frame_index{tail}"))
+        return body_inputs
 
-    def taken(self, given: Sequence[Tensor]) -> Actor:
-        """Sort the tensors of one frame, in the order of :meth:`declared`."""
-        rest = list(given)
-        shape = rest.pop() if self.shape else None
-        each = len(rest) // self.bodies
-        columns = [rest[index::each] for index in range(each)]
-        pose = _stacked(columns.pop(0), self.joints, 3)
+    def actor_from(self, tensors: Sequence[Tensor]) -> Actor:
+        """Assemble an :class:`Actor` from the tensors of one frame, in the order of :meth:`declared`."""
+        remaining = list(tensors)
+        shape = remaining.pop() if self.shape else None
+        inputs_per_body = len(remaining) // self.bodies
+        columns = [remaining[index::inputs_per_body] for index in range(inputs_per_body)]
+        pose = _stack_rows(columns.pop(0), self.joints, 3)
         turn = None
         if self.rotation is not None:
-            turn = self._turn(columns.pop(0))
-        shift = _stacked(columns.pop(0), 3)
-        expression = _stacked(columns.pop(0), self.expression) if self.expression else None
+            turn = self._rotation(columns.pop(0))
+        shift = _stack_rows(columns.pop(0), 3)
+        expression = (
+            _stack_rows(columns.pop(0), self.expression) if self.expression else None
+        )
         frame = tuple(columns.pop(0)) if self.frames else None
-        return Actor(pose, turn, shift, shape, expression, frame)
+        return Actor(
+            pose=pose,
+            turn=turn,
+            shift=shift,
+            shape=shape,
+            expression=expression,
+            frame=frame,
+        )
 
-    def _turn(self, given: Sequence[Tensor]) -> Float[Tensor, "k 3 3"]:
+    def _rotation(self, tensors: Sequence[Tensor]) -> Float[Tensor, "k 3 3"]:
         if self.rotation == "matrix":
-            turn = _stacked(given, 3, 3)
-            # Runtimes feed zeros before they know better; a body that is a point is no picture.
+            turn = _stack_rows(tensors, 3, 3)
+            # Runtimes may feed zeros at first, which would collapse the body to a point: add I.
             length = (turn * turn).sum(dim=(1, 2), keepdim=True)
             return turn + torch.relu(1 - length) * torch.eye(3)
-        return turned(_stacked(given, 3)[:, None])[:, 0]
+        return rotation_matrices(_stack_rows(tensors, 3)[:, None])[:, 0]
 
 
-def _stacked(given: Sequence[Tensor], *shape: int) -> Tensor:
-    made = [one.reshape(1, *shape) for one in given]
-    return made[0] if len(made) == 1 else torch.cat(made, dim=0)
+def _stack_rows(tensors: Sequence[Tensor], *shape: int) -> Tensor:
+    rows = [tensor.reshape(1, *shape) for tensor in tensors]
+    return rows[0] if len(rows) == 1 else torch.cat(rows, dim=0)

@@ -1,6 +1,6 @@
-"""An avatar that plays a motion: time takes the place of all that would move it."""
+"""Plays a recorded motion: a time input replaces the pose inputs of an avatar."""
 
-__all__ = ["Played"]
+__all__ = ["MotionPlayback"]
 
 from typing import Any, final
 
@@ -15,13 +15,13 @@ from gsgen.reference_plugins.bodies.motions import Motion
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 from gsgen.sdk import GaussianGenerator, Gaussians, inputs
 
-# Where i / T is rounded down, frame i is meant all the same; a share of a frame.
+# Added before rounding down, in frames: i / T in float32 may be slightly below frame i.
 _ROUNDING = 1e-3
 
 
 @final
-class Played(GaussianGenerator):
-    """A person, or several side by side, who move as recorded."""
+class MotionPlayback(GaussianGenerator):
+    """An avatar, or several side by side, whose poses come from a motion."""
 
     family = "avatar"
 
@@ -34,26 +34,26 @@ class Played(GaussianGenerator):
         *,
         spacing: float = 1.0,
     ) -> None:
-        """Keep a table for each input of ``avatar``.
+        """Store a table of values for each input of ``avatar``.
 
         Args:
-            avatar: Whose inputs are ``actors``', its shape baked.
-            actors: What they are.
-            motion: Where they come from.
-            time: How the input is declared; frames and speed are the motion's where absent.
-            spacing: How far bodies stand from each other, along x.
+            avatar: The avatar; its shape is baked, and its inputs are those of ``actors``.
+            actors: The inputs of the avatar.
+            motion: The values of the inputs in each frame.
+            time: The declared time input; by default, it has the motion's frames and speed.
+            spacing: Distance between neighbouring bodies along x.
 
         Raises:
-            CheckpointInvalid: The motion is of another body, or turns it in another way.
+            CheckpointInvalid: The motion has other joints or an unsupported root rotation.
         """
         super().__init__()
         if motion.pose.shape[1] != actors.joints:
-            what = f"has {motion.pose.shape[1]} joints, wanted {actors.joints}"
-            raise CheckpointInvalid(what, where=str(motion.path))
+            message = f"has {motion.pose.shape[1]} joints, expected {actors.joints}"
+            raise CheckpointInvalid(message, where=str(motion.path))
         if motion.turn is not None and actors.rotation is None:
-            what = "turns the body as a whole (R or Rh), which this avatar's pose does not know"
-            hint = "Wanted a motion whose first joint turns the body, such as AMASS or LHM has."
-            raise CheckpointInvalid(what, where=str(motion.path), hint=hint)
+            message = "has a root rotation (R or Rh), but this avatar has no such input"
+            hint = "Give a motion whose first joint holds the root rotation, as AMASS and LHM write it."
+            raise CheckpointInvalid(message, where=str(motion.path), hint=hint)
         self.avatar, self.actors, self.frames = avatar, actors, len(motion)
         self.inputs = (time or inputs.time(frames=len(motion), fps=motion.fps),)
         self.spacing = spacing
@@ -61,45 +61,47 @@ class Played(GaussianGenerator):
             self.register_buffer(f"table_{role}", torch.from_numpy(table))
 
     def forward(self, time: Float[Tensor, "1"]) -> Gaussians:
-        """Return the Gaussians of frame floor(time · frames), the last at the end.
+        """Return the Gaussians of frame floor(time · frames), or of the last frame at the end.
 
         Args:
-            time: From 0 to 1.
+            time: Position in the motion, from 0 to 1.
         """
-        at = (time * float(self.frames) + _ROUNDING).clamp(0.0, float(self.frames - 1))
-        frame = torch.floor(at).to(torch.int32)
-        given = [self._told(one, frame) for one in self.actors.declared()]
-        made = self.avatar(*given)
-        assert isinstance(made, Gaussians)
-        return made
+        position = (time * float(self.frames) + _ROUNDING).clamp(
+            0.0, float(self.frames - 1)
+        )
+        frame = torch.floor(position).to(torch.int32)
+        values = [self._input_value(declared, frame) for declared in self.actors.declared()]
+        gaussians = self.avatar(*values)
+        assert isinstance(gaussians, Gaussians)
+        return gaussians
 
-    def _told(self, one: Input, frame: Int[Tensor, "1"]) -> Tensor:
-        """Return what an input is told in a frame."""
-        table: Any = getattr(self, f"table_{one.role}")
-        value: Tensor = torch.index_select(table, 0, frame).reshape(one.shape or (-1,))
-        body = int(one.name.rpartition("_")[2]) if one.name[-1].isdecimal() else 0
-        if one.role != "root_translation" or not body:
+    def _input_value(self, declared: Input, frame: Int[Tensor, "1"]) -> Tensor:
+        """Look up the value of an input in a frame."""
+        table: Any = getattr(self, f"table_{declared.role}")
+        value: Tensor = torch.index_select(table, 0, frame).reshape(declared.shape or (-1,))
+        body = int(declared.name.rpartition("_")[2]) if declared.name[-1].isdecimal() else 0
+        if declared.role != "root_translation" or not body:
             return value
         return value + torch.tensor([body * self.spacing, 0.0, 0.0])
 
 
 def _tables(actors: ActorInputs, motion: Motion) -> dict[str, np.ndarray]:
     frames = len(motion)
-    made: dict[str, np.ndarray] = {
+    float_tables: dict[str, np.ndarray] = {
         "pose": motion.pose.reshape(frames, -1),
         "root_translation": motion.shift,
     }
     if actors.rotation is not None:
         turn = np.eye(3)[None].repeat(frames, 0) if motion.turn is None else motion.turn
-        made["root_rotation"] = turn.reshape(frames, 9)
+        float_tables["root_rotation"] = turn.reshape(frames, 9)
     if actors.expression:
         table = np.zeros((frames, actors.expression))
         if motion.expression is not None:
-            taken = motion.expression[:, : actors.expression]
-            table[:, : taken.shape[1]] = taken
-        made["expression"] = table
-    tables = {name: table.astype(np.float32) for name, table in made.items()}
-    if actors.frames:  # training's frames go by with the motion's
+            coefficients = motion.expression[:, : actors.expression]
+            table[:, : coefficients.shape[1]] = coefficients
+        float_tables["expression"] = table
+    tables = {name: table.astype(np.float32) for name, table in float_tables.items()}
+    if actors.frames:  # training frames advance with the motion's frames
         tables["frame_index"] = np.minimum(np.arange(frames), actors.frames - 1)[:, None]
         tables["frame_index"] = tables["frame_index"].astype(np.int32)
     return tables

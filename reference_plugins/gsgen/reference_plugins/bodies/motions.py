@@ -1,14 +1,14 @@
-"""Motion files: poses of a body, frame after frame.
+"""Reads motion files: poses of a body for each frame, in one of these layouts.
 
-- an ``.npz`` as AMASS has them (``poses``, ``trans``, ``mocap_framerate``),
-- a folder of ``.npz``, one a frame, as R3-Avatar caches its data sets (``poses``, ``R``, ``Th``,
+- an ``.npz`` of AMASS (``poses``, ``trans``, ``mocap_framerate``),
+- a folder of ``.npz``, one per frame, as R3-Avatar caches its data sets (``poses``, ``R``, ``Th``,
   ``shapes``), or one ``.npz`` of the same arrays for all frames,
-- a folder of ``.npy``, one a frame, as ZJU-MoCap has them: a pickled dict of ``poses``, ``Rh``,
+- a folder of ``.npy`` of ZJU-MoCap, one per frame: a pickled dict of ``poses``, ``Rh``,
   ``Th`` and ``shapes``,
-- a ``.json`` or a folder of them, as LHM estimates from videos (``root_pose``, ``body_pose``, …).
+- a ``.json`` or a folder of them, as LHM estimates them from videos (``root_pose``, ``body_pose``, …).
 
-Of pickles only arrays are read. Poses become those of the body asked for: hands and faces that a
-file does not have stay still, and those that the body does not have are left out.
+Only arrays are read from pickles. Poses are converted to the requested body: joints of hands and
+face that the file lacks do not rotate, and those that the body lacks are dropped.
 """
 
 __all__ = ["Motion", "read_motion"]
@@ -27,10 +27,10 @@ from gsgen.reference_plugins.loading.array_archives import read_npz
 from gsgen.reference_plugins.loading.array_pickles import read_array_pickle
 from gsgen.reference_plugins.loading.errors import CheckpointInvalid
 
-# Of root and body, which all bodies share.
+# Numbers of a pose for root and body, which all body models share; and for both hands.
 _BODY = 66
 _HANDS = 90
-# Numbers of a pose → what it is: SMPL, root and body alone, SMPL+H, SMPL-X.
+# Numbers of a pose: root and body alone, SMPL, SMPL+H, SMPL-X.
 _WIDTHS = (66, 72, 156, 165)
 _JSON = {
     "root_pose": 3,
@@ -47,19 +47,19 @@ _KNOWN = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """T frames.
+    """A motion of T frames.
 
     Attributes:
-        path: Where they were read.
+        path: The file or folder.
         pose: Axis-angles of J joints.
-        shift: Where the body is moved.
-        turn: Rotation of the body as a whole; none if the pose's root is all.
-        shape: Shape coefficients of the person whose data set it is, where they are given. The
-            betas of AMASS and LHM are of somebody else.
-        expression: Expression coefficients, where they are given.
-        fps: Frames a second, where it is given.
+        shift: Root translation.
+        turn: Root rotation; None if the pose's first joint holds it.
+        shape: Shape coefficients of the person that the avatar was trained on, if the file has
+            them. The betas of AMASS and LHM belong to another person and are not read.
+        expression: Expression coefficients, if the file has them.
+        fps: Frames per second, if the file has it.
     """
 
     path: Path
@@ -74,8 +74,8 @@ class Motion:
         return len(self.pose)
 
     def describe(self) -> str:
-        """Say in one line what it holds."""
-        speed = f" at {self.fps:g} frames a second" if self.fps else ""
+        """Describe the motion in one line: file, frames and speed."""
+        speed = f" at {self.fps:g} frames per second" if self.fps else ""
         return f"{self.path}: {len(self)} frames{speed}"
 
 
@@ -83,28 +83,28 @@ def read_motion(path: Path, joints: int) -> Motion:
     """Read the motion at ``path`` for a body of ``joints`` joints.
 
     Raises:
-        CheckpointInvalid: It is missing, damaged, or of no known kind.
+        CheckpointInvalid: The motion is missing, damaged, or of an unknown format.
     """
     if path.is_dir():
         return _read_folder(path, joints)
     if not path.is_file():
-        raise CheckpointInvalid("is missing", where=str(path), hint=_kinds())
+        raise CheckpointInvalid("is missing", where=str(path), hint=_supported_motions())
     if path.suffix == ".json":
         read = _json(path)
         return _from_json(path, read if isinstance(read, list) else [read], joints)
     return _from_arrays(path, _arrays(path), joints)
 
 
-def _kinds() -> str:
+def _supported_motions() -> str:
     return (
-        "Wanted an .npz of AMASS, a folder of .npz or .npy with R or Rh, Th and poses, or LHM's "
-        ".json."
+        "Expected an .npz of AMASS, a folder of .npz or .npy with R or Rh, Th and poses, or "
+        "LHM's .json."
     )
 
 
 def _read_folder(path: Path, joints: int) -> Motion:
     for suffix in ("npz", "npy", "json"):
-        files = sorted(path.glob(f"*.{suffix}"), key=_number)
+        files = sorted(path.glob(f"*.{suffix}"), key=_frame_number)
         if files and suffix == "json":
             return _from_json(path, [_json(file) for file in files], joints)
         if files:
@@ -112,23 +112,25 @@ def _read_folder(path: Path, joints: int) -> Motion:
             names = set(frames[0])
             for file, frame in zip(files, frames, strict=True):
                 if set(frame) != names:
-                    what = f"has {sorted(frame)}, and {files[0].name} {sorted(names)}"
-                    raise CheckpointInvalid(what, where=str(file))
+                    message = f"has the arrays {sorted(frame)}, expected {sorted(names)} as in {files[0].name}"
+                    raise CheckpointInvalid(message, where=str(file))
             try:
                 joined = {
                     name: np.stack([frame[name].reshape(-1) for frame in frames])
                     for name in names
                 }
             except ValueError as error:
-                what = f"frames are of different sizes: {error}"
-                raise CheckpointInvalid(what, where=str(path)) from error
+                message = f"has frames of different sizes: {error}"
+                raise CheckpointInvalid(message, where=str(path)) from error
             return _from_arrays(path, joined, joints)
-    raise CheckpointInvalid("holds no .npz, .npy or .json", where=str(path), hint=_kinds())
+    raise CheckpointInvalid(
+        "holds no .npz, .npy or .json", where=str(path), hint=_supported_motions()
+    )
 
 
-def _number(path: Path) -> tuple[int, str]:
-    found = re.search(r"(\d+)$", path.stem)
-    return (int(found[1]) if found else -1, path.stem)
+def _frame_number(path: Path) -> tuple[int, str]:
+    match = re.search(r"(\d+)$", path.stem)
+    return (int(match[1]) if match else -1, path.stem)
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
@@ -136,23 +138,29 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
         whole = read_array_pickle(path)
         read = {name: np.asarray(whole[name]) for name in _KNOWN if name in whole}
     else:
-        read = read_npz(path, _KNOWN, _kinds())
+        read = read_npz(path, _KNOWN, _supported_motions())
     for name, array in read.items():
         if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
-            what = f"{name} holds {array.dtype}, wanted finite numbers"
-            raise CheckpointInvalid(what, where=str(path))
+            message = f"{name} holds {array.dtype}, expected finite numbers"
+            raise CheckpointInvalid(message, where=str(path))
     return {name: array.astype(np.float64) for name, array in read.items()}
 
 
 def _from_arrays(path: Path, read: Mapping[str, np.ndarray], joints: int) -> Motion:
     if "poses" not in read or not read["poses"].size:
-        found = ", ".join(read) or "nothing that is known"
-        raise CheckpointInvalid(f"has no poses ({found})", where=str(path), hint=_kinds())
+        names = ", ".join(read) or "no known array"
+        raise CheckpointInvalid(
+            f"has no array poses (has: {names})", where=str(path), hint=_supported_motions()
+        )
     poses = read["poses"]
     frames = len(poses) if poses.ndim > 1 else 1
-    pose = _posed(path, poses.reshape(frames, -1), joints)
-    place = read.get("Th", read.get("trans"))
-    shift = np.zeros((frames, 3)) if place is None else _rows(path, "Th", place, frames, 3)
+    pose = _convert_poses(path, poses.reshape(frames, -1), joints)
+    translation = read.get("Th", read.get("trans"))
+    shift = (
+        np.zeros((frames, 3))
+        if translation is None
+        else _rows(path, "Th", translation, frames, 3)
+    )
     turn = None
     if "R" in read:
         turn = _rows(path, "R", read["R"], frames, 9).reshape(-1, 3, 3)
@@ -161,37 +169,37 @@ def _from_arrays(path: Path, read: Mapping[str, np.ndarray], joints: int) -> Mot
 
         turn = Rotation.from_rotvec(_rows(path, "Rh", read["Rh"], frames, 3)).as_matrix()
     shape = read.get("shapes")
-    if shape is not None:  # one person, however often it is told
+    if shape is not None:  # the same person in every frame
         shape = shape.reshape(len(shape), -1)[0] if shape.ndim > 1 else shape
     speed = read.get("mocap_framerate", read.get("mocap_frame_rate"))
     fps = float(speed.ravel()[0]) if speed is not None and speed.size else None
-    return Motion(path, pose, shift, turn, shape, None, fps)
+    return Motion(path=path, pose=pose, shift=shift, turn=turn, shape=shape, fps=fps)
 
 
 def _rows(
     path: Path, name: str, array: np.ndarray, frames: int, width: int
 ) -> Float[np.ndarray, "t w"]:
     if array.size != frames * width:
-        what = f"{name} is {list(array.shape)}, wanted {width} numbers for {frames} frames"
-        raise CheckpointInvalid(what, where=str(path))
+        message = f"{name} is {list(array.shape)}, expected {width} numbers for each of {frames} frames"
+        raise CheckpointInvalid(message, where=str(path))
     return array.reshape(frames, width)
 
 
-def _posed(
+def _convert_poses(
     path: Path, poses: Float[np.ndarray, "t p"], joints: int
 ) -> Float[np.ndarray, "t j 3"]:
-    """Turn poses of one body into those of another."""
+    """Convert poses of one body model to another with ``joints`` joints."""
     frames, width = poses.shape
     if width not in _WIDTHS:
-        what = f"a pose has {width} numbers, wanted {', '.join(map(str, _WIDTHS))}"
-        raise CheckpointInvalid(what, where=str(path))
-    made = np.zeros((frames, 3 * joints))
-    made[:, :_BODY] = poses[:, :_BODY]
+        message = f"a pose has {width} numbers, expected {', '.join(map(str, _WIDTHS))}"
+        raise CheckpointInvalid(message, where=str(path))
+    converted = np.zeros((frames, 3 * joints))
+    converted[:, :_BODY] = poses[:, :_BODY]
     if 3 * joints == width:
-        made = poses.copy()
+        converted = poses.copy()
     elif joints == 55 and width == 156:
-        made[:, -_HANDS:] = poses[:, -_HANDS:]
-    return made.reshape(frames, joints, 3)
+        converted[:, -_HANDS:] = poses[:, -_HANDS:]
+    return converted.reshape(frames, joints, 3)
 
 
 def _json(path: Path) -> Any:
@@ -206,28 +214,28 @@ def _from_json(path: Path, frames: Sequence[Any], joints: int) -> Motion:
     for number, frame in enumerate(frames):
         where = f"{path}, frame {number}"
         if not isinstance(frame, dict):
-            what = f"is a {type(frame).__name__}, wanted {', '.join(_JSON)}, trans"
-            raise CheckpointInvalid(what, where=where)
-        parts = [_list(where, frame, name, size) for name, size in _JSON.items()]
+            message = f"is a {type(frame).__name__}, expected an object of {', '.join(_JSON)}, trans"
+            raise CheckpointInvalid(message, where=where)
+        parts = [_json_numbers(where, frame, name, size) for name, size in _JSON.items()]
         poses.append(np.concatenate(parts))
-        shifts.append(_list(where, frame, "trans", 3))
+        shifts.append(_json_numbers(where, frame, "trans", 3))
         expressions.append(np.asarray(frame.get("expr", ()), np.float64).ravel())
     if not poses:
-        raise CheckpointInvalid("holds no frame", where=str(path))
-    pose = _posed(path, np.stack(poses), joints)
+        raise CheckpointInvalid("holds no frames", where=str(path))
+    pose = _convert_poses(path, np.stack(poses), joints)
     expression = None
-    if len({len(one) for one in expressions}) == 1 and len(expressions[0]):
+    if len({len(values) for values in expressions}) == 1 and len(expressions[0]):
         expression = np.stack(expressions)
-    return Motion(path, pose, np.stack(shifts), None, None, expression, None)
+    return Motion(path=path, pose=pose, shift=np.stack(shifts), expression=expression)
 
 
-def _list(where: str, frame: Mapping[str, Any], name: str, size: int) -> np.ndarray:
+def _json_numbers(where: str, frame: Mapping[str, Any], name: str, size: int) -> np.ndarray:
     try:
-        made = np.asarray(frame[name], np.float64).ravel()
+        numbers = np.asarray(frame[name], np.float64).ravel()
     except (KeyError, ValueError, TypeError) as error:
-        what = f"{name} is missing or no list of numbers"
-        raise CheckpointInvalid(what, where=where) from error
-    if len(made) != size or not np.isfinite(made).all():
-        what = f"{name} has {len(made)} numbers, wanted {size}, all finite"
-        raise CheckpointInvalid(what, where=where)
-    return made
+        message = f"{name} is missing or not a list of numbers"
+        raise CheckpointInvalid(message, where=where) from error
+    if len(numbers) != size or not np.isfinite(numbers).all():
+        message = f"{name} has {len(numbers)} numbers, expected {size}, all finite"
+        raise CheckpointInvalid(message, where=where)
+    return numbers

@@ -1,4 +1,4 @@
-"""Options that the plugins of people share."""
+"""Command-line options that all plugins of people share."""
 
 __all__ = [
     "BodyFile",
@@ -8,10 +8,10 @@ __all__ = [
     "RootRotation",
     "Shape",
     "Spacing",
-    "numbers_of",
-    "played",
+    "parse_numbers",
     "read_shape",
-    "warn_of_body",
+    "warn_about_body",
+    "with_motion",
 ]
 
 from collections.abc import Sequence
@@ -34,16 +34,17 @@ BodyFile = Annotated[
     Path | None,
     typer.Option(
         "--body",
-        help="The body model: a file of SMPL (.pkl, .npz) or SMPL-X (.npz), from its makers.",
+        help="Body model: a file of SMPL (.pkl, .npz) or SMPL-X (.npz) from its website.",
         show_default="the one under assets",
     ),
 ]
 Instances = Annotated[
-    int, typer.Option(help="How many of the person there are, each with its inputs.", min=1)
+    int,
+    typer.Option(help="Number of copies of the person, each with its own inputs.", min=1),
 ]
 RootRotation = Annotated[
     Literal["matrix", "axis-angle"],
-    typer.Option(help="How the rotation of the body as a whole is given."),
+    typer.Option(help="Convention of the root rotation input."),
 ]
 Shape = Annotated[
     str | None,
@@ -63,47 +64,45 @@ MotionFile = Annotated[
     ),
 ]
 Spacing = Annotated[
-    float, typer.Option(help="How far instances that play a motion stand apart, along x.")
+    float, typer.Option(help="Distance between instances that play a motion, along x.")
 ]
 Hands = Annotated[
     Literal["full", "raw"],
     typer.Option(
-        help="Whether poses of SMPL-X have the mean pose of the hands in them (full) or not (raw)."
+        help="Whether poses of SMPL-X include the mean pose of the hands (full) or not (raw)."
     ),
 ]
 
 
-def warn_of_body(cfg: "CfgArgs", body: "Body") -> None:
-    """Say where the published code takes another body model than the one that is given."""
+def warn_about_body(cfg: "CfgArgs", body: "Body") -> None:
+    """Warn if the published code would use another body model than the one that was read."""
     if not cfg.present:
-        note(f"note: there is no {cfg.path}; a neutral {body.kind} body is assumed")
+        note(f"note: {cfg.path} does not exist; a neutral {body.kind} body is assumed")
     if body.kind == "SMPL":
         meaning = (
-            "the published code takes the pose of training from SMPL_NEUTRAL.pkl whatever it "
-            "says; here all is taken from the body model that was read"
+            "the published code always takes the training pose from SMPL_NEUTRAL.pkl; "
+            "gsgen uses the body model that was read"
         )
         warn_unsupported(cfg, {"actor_gender": ("neutral", meaning)})
 
 
 def read_shape(text: str | None, motion: "Motion | None", most: int) -> list[float] | None:
-    """Return the shape to bake: the one given, else that of the motion; none if it is an input.
+    """Return the shape coefficients to bake, from the option or the motion; None for an input.
 
     Raises:
-        ConfigInvalid: ``text`` is no list of numbers.
+        ConfigInvalid: ``text`` is not a list of numbers.
     """
-    given = numbers_of(text, most, "--shape")
-    if given is not None or motion is None:
-        return given
+    coefficients = parse_numbers(text, most, "--shape")
+    if coefficients is not None or motion is None:
+        return coefficients
     if motion.shape is None:
-        note(
-            "note: the motion does not name the person's shape: it is zero without --shape"
-        )
+        note("note: the motion has no shape coefficients: they are zero without --shape")
         return [0.0] * most
-    taken: Sequence[float] = motion.shape[:most].tolist()
-    return [*taken, *[0.0] * (most - len(taken))]
+    motion_shape: Sequence[float] = motion.shape[:most].tolist()
+    return [*motion_shape, *[0.0] * (most - len(motion_shape))]
 
 
-def played(
+def with_motion(
     avatar: "GaussianGenerator",
     actors: "ActorInputs",
     motion: "Motion | None",
@@ -113,47 +112,49 @@ def played(
     loop: bool,
     spacing: float,
 ) -> "GaussianGenerator":
-    """Return ``avatar``, or what plays ``motion`` with it; say so, and whose licence it is under.
+    """Wrap ``avatar`` in a :class:`MotionPlayback` if a motion is given, and set its licence.
 
     Raises:
-        ConfigInvalid: An option needs a motion.
-        CheckpointInvalid: The motion is of another body.
+        ConfigInvalid: An option requires a motion, which is missing.
+        CheckpointInvalid: The motion does not fit the body model.
     """
     from importlib.metadata import version
 
     from gsgen.contract.spec.manifest import Producer
-    from gsgen.reference_plugins.bodies.motion_playback import Played
+    from gsgen.reference_plugins.bodies.motion_playback import MotionPlayback
     from gsgen.sdk import inputs
 
     if motion is None and (fps is not None or loop):
-        what = "only a motion has a speed and an end"
-        raise ConfigInvalid(what, where="--fps, --loop", hint="Give --motion FILE, too.")
+        message = "--fps and --loop need a motion"
+        raise ConfigInvalid(message, where="--fps, --loop", hint="Add --motion FILE.")
     if motion is not None:
         note(motion.describe())
         time = inputs.time(frames=len(motion), fps=fps or motion.fps, loop=loop or None)
-        avatar = Played(avatar, actors, motion, time, spacing=spacing)
-    note(f"note: the model holds parts of {body.kind}, whose licence forbids to pass it on")
+        avatar = MotionPlayback(avatar, actors, motion, time, spacing=spacing)
+    note(
+        f"note: the model holds parts of {body.kind}, whose licence forbids redistribution"
+    )
     license_name = f"LicenseRef-{body.kind}-derived-no-redistribution"
     avatar.producer = Producer(f"gsgen {version('gsgen')}", license=license_name)
     return avatar
 
 
-def numbers_of(text: str | None, most: int, option: str) -> list[float] | None:
-    """Return the numbers that ``text`` lists, filled with zeros to ``most``; none for none.
+def parse_numbers(text: str | None, most: int, option: str) -> list[float] | None:
+    """Parse a comma-separated list of numbers and pad it with zeros to ``most`` entries.
 
     Raises:
-        ConfigInvalid: A word is no number, or there are too many.
+        ConfigInvalid: An entry is not a number, or there are more than ``most``.
     """
     if text is None:
         return None
     try:
-        made = [float(word) for word in text.split(",")]
+        numbers = [float(word) for word in text.split(",")]
     except ValueError as error:
         hint = f"Write it as {option} 0.4,-1.2."
         raise ConfigInvalid(
-            f"{text!r} is no list of numbers", where=option, hint=hint
+            f"{text!r} is not a list of numbers", where=option, hint=hint
         ) from error
-    if len(made) > most or not all(abs(one) < 1e6 for one in made):
-        what = f"gives {len(made)} numbers, wanted up to {most}, all finite"
-        raise ConfigInvalid(what, where=option)
-    return made + [0.0] * (most - len(made))
+    if len(numbers) > most or not all(abs(number) < 1e6 for number in numbers):
+        message = f"gives {len(numbers)} numbers, expected up to {most}, all finite"
+        raise ConfigInvalid(message, where=option)
+    return numbers + [0.0] * (most - len(numbers))

@@ -1,10 +1,10 @@
-"""From a pose to the transforms of joints, and to what it adds to the vertices that are in use.
+"""Computes joint transforms and blendshape offsets of vertices from a pose (SMPL).
 
-Both start from the turns of the joints, which GauHuman's network corrects. Vertices that no
-Gaussian hangs on are left out.
+Both start from the rotations of the joints, which GauHuman's network corrects. Vertices without a
+Gaussian are left out.
 """
 
-__all__ = ["Limbs"]
+__all__ = ["PoseBlendshapes"]
 
 import numpy as np
 import torch
@@ -15,19 +15,22 @@ from gsgen.reference_plugins.bodies import rest_pose
 from gsgen.reference_plugins.bodies.actors import Actor
 from gsgen.reference_plugins.bodies.body_models import Body
 from gsgen.reference_plugins.bodies.pose_networks import PoseNets
-from gsgen.reference_plugins.bodies.rotations import nearly_turned, turned
-from gsgen.reference_plugins.bodies.skinning import chained
+from gsgen.reference_plugins.bodies.rotations import (
+    gauhuman_rotation_matrices,
+    rotation_matrices,
+)
+from gsgen.reference_plugins.bodies.skinning import posed_transforms
 from gsgen.reference_plugins.tensors.layers import Dense
 
 
-class Limbs(nn.Module):
-    """Joints and the vertices that Gaussians hang on."""
+class PoseBlendshapes(nn.Module):
+    """Joints of a body model, and offsets of the vertices that Gaussians are attached to."""
 
     joints: Tensor
     joint_dirs: Tensor
     pose_dirs: Tensor
     shape_dirs: Tensor
-    still: Tensor
+    offset: Tensor
     unit: Tensor
     hands: Tensor | None
 
@@ -40,14 +43,14 @@ class Limbs(nn.Module):
         *,
         add_hands: bool = False,
     ) -> None:
-        """Keep what concerns ``vertices``.
+        """Store the blendshapes of ``vertices``.
 
         Args:
             body: The body model.
-            vertices: Which of its vertices are in use.
-            shape: Shape coefficients to bake; an input where absent.
-            nets: What corrects the turns of joints.
-            add_hands: Poses come without the mean pose of the hands.
+            vertices: Indices of the vertices in use.
+            shape: Shape coefficients to bake; None if they are an input.
+            nets: Networks that correct joint rotations, if any.
+            add_hands: Add the mean pose of the hands to poses.
         """
         super().__init__()
         mean = body.hand_mean if add_hands else None
@@ -58,12 +61,14 @@ class Limbs(nn.Module):
         self.free = shape is None
         fixed = np.zeros(0) if shape is None else np.asarray(shape, np.float64)
         dirs, pose_dirs = body.shape_dirs[vertices], body.pose_dirs[vertices]
-        # The Gaussians were trained in the big pose: what it had added is taken back.
+        # The Gaussians were trained in the big pose: subtract its pose blendshapes.
         turns = rest_pose.rodrigues(rest_pose.big_pose(body))
-        still = dirs[:, :, : len(fixed)] @ fixed - pose_dirs @ rest_pose.pose_feature(turns)
+        offsets = dirs[:, :, : len(fixed)] @ fixed - pose_dirs @ rest_pose.pose_feature(
+            turns
+        )
         keep = self.register_buffer
         keep("joints", _float(rest_pose.joints_of(body, fixed)))
-        keep("still", _float(still.T)[None])
+        keep("offset", _float(offsets.T)[None])
         keep("pose_dirs", _float(pose_dirs.transpose(2, 1, 0)).flatten(1))
         keep("unit", torch.eye(3)[None, None])
         if self.free:
@@ -76,28 +81,28 @@ class Limbs(nn.Module):
     def forward(
         self, actor: Actor
     ) -> tuple[Float[Tensor, "k j 3 4"], Float[Tensor, "k 3 u"]]:
-        """Return the joints' transforms and what is added to each vertex at rest."""
+        """Return joint transforms, and the offset of each vertex in the rest pose."""
         pose = actor.pose if self.hands is None else actor.pose + self.hands
-        turns = self._turns(pose)
+        turns = self._joint_rotations(pose)
         bodies = turns.shape[0]
         feature = (turns[:, 1:] - self.unit).reshape(bodies, -1)
-        added = (feature @ self.pose_dirs).reshape(bodies, 3, -1) + self.still
+        added = (feature @ self.pose_dirs).reshape(bodies, 3, -1) + self.offset
         joints = self.joints
         if actor.shape is not None:
             shape = actor.shape.reshape(1, -1)
             added = added + (shape @ self.shape_dirs).reshape(1, 3, -1)
             joints = joints + (shape @ self.joint_dirs).reshape(-1, 3)
-        return chained(turns, joints, self.parents, actor.turn, actor.shift), added
+        return posed_transforms(turns, joints, self.parents, actor.turn, actor.shift), added
 
-    def _turns(self, pose: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
-        turns = turned(pose)
+    def _joint_rotations(self, pose: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
+        turns = rotation_matrices(pose)
         if not len(self.refiner):
             return turns
         hidden = pose[:, 1:].reshape(pose.shape[0], -1)
         for index, layer in enumerate(self.refiner):
             hidden = layer(torch.relu(hidden) if index else hidden)
-        more = nearly_turned(hidden.reshape(pose.shape[0], -1, 3))
-        return torch.cat([turns[:, :1], turns[:, 1:] @ more], dim=1)
+        corrections = gauhuman_rotation_matrices(hidden.reshape(pose.shape[0], -1, 3))
+        return torch.cat([turns[:, :1], turns[:, 1:] @ corrections], dim=1)
 
 
 def _float(array: Float[np.ndarray, "..."]) -> Tensor:

@@ -1,7 +1,7 @@
-"""The two small networks of GauHuman that correct joints and skinning weights; R3-Avatar has them, too.
+"""Reads the networks of GauHuman and R3-Avatar that correct joints and skinning weights.
 
-``BodyPoseRefiner`` turns a pose into further turns of the joints, ``LBSOffsetDecoder`` a point into
-changes of its skinning weights' logarithms (skhu101/GauHuman, ``nets/``).
+``BodyPoseRefiner`` maps a pose to additional joint rotations. ``LBSOffsetDecoder`` maps a point to
+offsets of the logarithms of its skinning weights (skhu101/GauHuman, ``nets/``).
 """
 
 __all__ = ["SKIP", "PoseNets", "read_pose_nets", "weight_offsets"]
@@ -25,17 +25,17 @@ from gsgen.reference_plugins.tensors.positional_encoding import (
 Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
 
 _EMBEDDED = encoded_size(3, POINT_OCTAVES)
-# The layer that sees the embedded point once more.
+# Index of the layer whose input includes the encoded point again.
 SKIP = 3
 
 
 @dataclass(frozen=True, slots=True)
 class PoseNets:
-    """Their layers.
+    """Layers of the pose network and of the weight network.
 
     Attributes:
-        pose: Three, from 3(J−1) axis-angles to as many.
-        weights: Five, from an embedded point to J offsets.
+        pose: Three layers, from 3(J−1) axis-angles to as many.
+        weights: Five layers, from an encoded point to J offsets.
     """
 
     pose: tuple[Layer, ...]
@@ -45,28 +45,28 @@ class PoseNets:
 def read_pose_nets(
     path: Path, pose: Mapping[str, Any], weights: Mapping[str, Any], joints: int
 ) -> PoseNets:
-    """Check both state dicts and take the layers out of them.
+    """Extract the layers from the two state dicts, and check their shapes.
 
     Raises:
         CheckpointInvalid: A tensor is missing, unexpected or of another shape.
     """
     turns = 3 * (joints - 1)
-    wide = _width(pose.get("block_mlps.0.weight"))
-    sizes = [(turns, wide), (wide, wide), (wide, turns)]
+    width = _width(pose.get("block_mlps.0.weight"))
+    sizes = [(turns, width), (width, width), (width, turns)]
     names = [f"block_mlps.{2 * index}" for index in range(3)]
-    wanted: dict[str, Shape] = {}
+    expected: dict[str, Shape] = {}
     for name, (inputs, outputs) in zip(names, sizes, strict=True):
-        wanted |= {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
-    read = require_tensors(path, pose, wanted)
+        expected |= {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
+    read = require_tensors(path, pose, expected)
     first = tuple((read[f"{n}.weight"], read[f"{n}.bias"]) for n in names)
-    wide = _width(weights.get("bw_linears.0.weight"))
-    inputs_of = [_EMBEDDED, wide, wide, wide and _EMBEDDED + wide]
+    width = _width(weights.get("bw_linears.0.weight"))
+    inputs_of = [_EMBEDDED, width, width, width and _EMBEDDED + width]
     names = [f"bw_linears.{index}" for index in range(4)] + ["bw_fc"]
-    wanted = {}
-    for name, inputs in zip(names, [*inputs_of, wide], strict=True):
-        outputs = joints if name == "bw_fc" else wide
-        wanted |= {f"{name}.weight": (outputs, inputs, 1), f"{name}.bias": (outputs,)}
-    read = require_tensors(path, weights, wanted)
+    expected = {}
+    for name, inputs in zip(names, [*inputs_of, width], strict=True):
+        outputs = joints if name == "bw_fc" else width
+        expected |= {f"{name}.weight": (outputs, inputs, 1), f"{name}.bias": (outputs,)}
+    read = require_tensors(path, weights, expected)
     second = tuple((read[f"{n}.weight"][:, :, 0], read[f"{n}.bias"]) for n in names)
     return PoseNets(first, second)
 
@@ -76,12 +76,12 @@ def _width(weight: Any) -> int | None:
 
 
 def weight_offsets(nets: PoseNets, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n j"]:
-    """Return what is added to the logarithms of the skinning weights at ``points``, in float64."""
+    """Return offsets of the logarithms of the skinning weights at ``points``, in float64."""
     first = hidden = positional_encoding(points.double(), POINT_OCTAVES)
     *inner, last = nets.weights
     for index, (weight, bias) in enumerate(inner):
         if index == SKIP:
             hidden = torch.cat([first, hidden], dim=1)
         hidden = torch.relu(hidden @ weight.double().t() + bias.double())
-    made: Tensor = hidden @ last[0].double().t() + last[1].double()
-    return made
+    offsets: Tensor = hidden @ last[0].double().t() + last[1].double()
+    return offsets

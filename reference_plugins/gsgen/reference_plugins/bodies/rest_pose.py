@@ -1,7 +1,7 @@
-"""Bodies in float64 NumPy, for everything that is computed once, at export.
+"""Evaluates body models in float64 NumPy, for values that are computed once, at export.
 
-The formulas are those of SMPL (Loper et al. 2015, equations 2 to 10): joints come from vertices,
-a chain of joints from their turns, and vertices hang on joints.
+The formulas are those of SMPL (Loper et al. 2015, equations 2 to 10): joints from vertices, joint
+transforms from rotations, and vertices by linear blend skinning.
 """
 
 __all__ = [
@@ -21,25 +21,25 @@ from jaxtyping import Float, Int
 
 from gsgen.reference_plugins.bodies.body_models import Body
 
-# Legs and arms apart: entries of the pose vector, and degrees (GauHuman, dataset_readers.py).
+# Legs and arms apart: entry of the pose vector → degrees (GauHuman, dataset_readers.py).
 _SPREAD = {5: 45.0, 8: -45.0, 23: -30.0, 26: 30.0}
 _FIRST_HAND = 75
 
 
 def rodrigues(vectors: Float[np.ndarray, "j 3"]) -> Float[np.ndarray, "j 3 3"]:
-    """Turn rotation vectors into matrices: I + sin θ K + (1 − cos θ) K²."""
+    """Convert rotation vectors to matrices: I + sin θ K + (1 − cos θ) K²."""
     angle = np.linalg.norm(vectors, axis=1)
     axis = vectors / np.maximum(angle, 1e-300)[:, None]
     x, y, z = axis.T
     zero = np.zeros_like(x)
     cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
     sine, versine = np.sin(angle)[:, None, None], (1 - np.cos(angle))[:, None, None]
-    made: np.ndarray = np.eye(3) + sine * cross + versine * (cross @ cross)
-    return made
+    matrices: np.ndarray = np.eye(3) + sine * cross + versine * (cross @ cross)
+    return matrices
 
 
 def joints_of(body: Body, shape: Float[np.ndarray, " s"]) -> Float[np.ndarray, "j 3"]:
-    """Return where the joints of a body of some shape are at rest."""
+    """Return the joint positions of the rest pose for given shape coefficients."""
     used = body.shape_dirs[:, :, : len(shape)]
     joints: np.ndarray = body.regressor @ (body.template + used @ shape)
     return joints
@@ -50,40 +50,42 @@ def joint_transforms(
     joints: Float[np.ndarray, "j 3"],
     parents: Sequence[int],
 ) -> Float[np.ndarray, "j 3 4"]:
-    """Return the map of each joint from rest to the pose."""
+    """Return the transform [R | t] of each joint from the rest pose to the pose."""
     chain: list[np.ndarray] = []
     for joint, parent in enumerate(parents):
         local = np.eye(4)
         local[:3, :3] = turns[joint]
         local[:3, 3] = joints[joint] - (joints[parent] if parent >= 0 else 0)
         chain.append(chain[parent] @ local if parent >= 0 else local)
-    made = np.stack(chain)[:, :3]
-    made[:, :, 3] -= np.einsum("jab,jb->ja", made[:, :, :3], joints)
-    return made
+    transforms = np.stack(chain)[:, :3]
+    transforms[:, :, 3] -= np.einsum("jab,jb->ja", transforms[:, :, :3], joints)
+    return transforms
 
 
 def pose_feature(turns: Float[np.ndarray, "j 3 3"]) -> Float[np.ndarray, " p"]:
-    """Return what the pose blendshapes are multiplied with: R − I of all joints but the root."""
+    """Return the coefficients of the pose blendshapes: R − I of all joints but the root."""
     return (turns[1:] - np.eye(3)).ravel()
 
 
 def posed_vertices(
     body: Body, pose: Float[np.ndarray, "j 3"], shape: Float[np.ndarray, " s"]
 ) -> Float[np.ndarray, "v 3"]:
-    """Return the vertices of a body in a pose."""
+    """Return the vertices of a body in a pose, by linear blend skinning."""
     turns = rodrigues(pose)
     used = body.shape_dirs[:, :, : len(shape)]
     rest = body.template + used @ shape + body.pose_dirs @ pose_feature(turns)
     transforms = joint_transforms(turns, joints_of(body, shape), body.parents)
     blended = np.einsum("vj,jab->vab", body.weights, transforms)
-    made: np.ndarray = np.einsum("vab,vb->va", blended[:, :, :3], rest) + blended[:, :, 3]
-    return made
+    vertices: np.ndarray = (
+        np.einsum("vab,vb->va", blended[:, :, :3], rest) + blended[:, :, 3]
+    )
+    return vertices
 
 
 def big_pose(body: Body) -> Float[np.ndarray, "j 3"]:
-    """Return the pose that Gaussians were trained in: legs and arms apart.
+    """Return the big pose of GauHuman's training: legs and arms apart.
 
-    The hands of SMPL-X rest in their mean pose, where the file has one.
+    The hands of SMPL-X have their mean pose, if the file has one.
     """
     pose = np.zeros(3 * body.joints)
     for entry, degrees in _SPREAD.items():
@@ -96,7 +98,7 @@ def big_pose(body: Body) -> Float[np.ndarray, "j 3"]:
 def nearest(
     points: Float[np.ndarray, "n 3"], vertices: Float[np.ndarray, "v 3"]
 ) -> Int[np.ndarray, " n"]:
-    """Return the number of the vertex that is nearest to each point."""
+    """Return the index of the vertex nearest to each point."""
     from scipy.spatial import cKDTree
 
     return np.asarray(cKDTree(vertices).query(points)[1], np.int64)

@@ -1,24 +1,23 @@
-"""Rotations: from axis-angles, and the one nearest to a blended matrix.
+"""Computes rotation matrices from axis-angles, and the rotation nearest to a blended matrix.
 
-The latter is a quaternion, by the best of four formulas. Each component of a quaternion can be had from the matrix's diagonal and the others by division
-(Shepperd 1978). Which component is divided by is chosen per Gaussian, by comparing; and as the
-quaternion is normalised afterwards, nothing needs to be divided, and no sign be taken of what may
-be zero.
+The nearest rotation is found as a quaternion, by the best of four formulas (Shepperd 1978): one
+component follows from the matrix's diagonal, the others by division through it. The largest
+component is chosen per Gaussian, by comparison. The quaternion is normalised afterwards, so the
+division is omitted, and no sign of a value near zero is needed.
 """
 
-__all__ = ["nearest_rotation", "nearly_turned", "turned"]
+__all__ = ["gauhuman_rotation_matrices", "nearest_rotation", "rotation_matrices"]
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from gsgen.reference_plugins.tensors.planes import rotation_columns
+from gsgen.sdk.math.rotations import SMALL_ANGLE
 
-# Below this squared angle, sin(a)/a is 1 and (1 − cos(a))/a² is ½ to the last bit of float32.
-_SMALL_ANGLE = 1e-12
-# Under the root of the published RodriguesModule; its axes are therefore not of unit length.
+# Added under the root by the published RodriguesModule: its axes are not of unit length.
 _UNDER_ROOT = 1e-5
-# x, y and z as the matrices of their cross products.
+# The cross product matrices of the axes x, y and z.
 _CROSS = (
     (0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0),
     (0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0),
@@ -26,23 +25,23 @@ _CROSS = (
 )
 
 
-def turned(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
-    """Turn rotation vectors into matrices: I + a K + b K², a = sin θ/θ and b = 2 (sin ½θ/θ)².
+def rotation_matrices(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
+    """Convert rotation vectors to matrices: I + a K + b K², a = sin θ/θ and b = 2 (sin ½θ/θ)².
 
-    By products of small matrices: of a few dozen joints each operator costs its launch alone.
+    It uses few operators on small matrices: for a few dozen joints, launches are the only cost.
     """
     square = (vector * vector).sum(dim=2, keepdim=True)
-    angle = torch.sqrt(square.clamp(min=_SMALL_ANGLE))[:, :, :, None]
+    angle = torch.sqrt(square.clamp(min=SMALL_ANGLE))[:, :, :, None]
     cross = _cross(vector)
     half = torch.sin(0.5 * angle) / angle
     whole = torch.sin(angle) / angle * cross + (2 * half * half) * (cross @ cross)
     return torch.eye(3) + whole
 
 
-def nearly_turned(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
-    """Turn rotation vectors into matrices as GauHuman's RodriguesModule does.
+def gauhuman_rotation_matrices(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
+    """Convert rotation vectors to matrices as GauHuman's RodriguesModule does.
 
-    With θ = √(r² + 1e-5) and u = r/θ, which is not quite of unit length, it is
+    With θ = √(r² + 1e-5) and u = r/θ, which is not exactly of unit length, the result is
     cos θ I + (1 − cos θ) u uᵀ + sin θ [u]×.
     """
     square = (vector * vector).sum(dim=2, keepdim=True)
@@ -60,11 +59,11 @@ def _cross(vector: Float[Tensor, "k j 3"]) -> Float[Tensor, "k j 3 3"]:
 def nearest_rotation(
     matrix: Float[Tensor, "k 3 3 n"], stiff: Float[Tensor, "1 n"]
 ) -> Float[Tensor, "k 3 3 n"]:
-    """Return rotations; the identity where ``stiff`` is 1.
+    """Return the rotation nearest to each matrix; the identity where ``stiff`` is 1.
 
     Args:
-        matrix: Nearly rotations, such as means of several.
-        stiff: 1 for what does not turn, 0 for the rest.
+        matrix: Matrices close to rotations, such as means of several.
+        stiff: 1 for Gaussians that do not rotate, 0 for all others.
     """
     rows = [row.unbind(dim=1) for row in matrix.unbind(dim=1)]
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rows
@@ -77,20 +76,20 @@ def nearest_rotation(
         (wy, bxy, squares[2], byz),
         (wz, bxz, byz, squares[3]),
     ]
-    stacked = [torch.stack(one, dim=1) for one in candidates]
-    best, first = _better(squares[0], squares[1], stacked[0], stacked[1])
-    other, second = _better(squares[2], squares[3], stacked[2], stacked[3])
-    _, chosen = _better(best, other, first, second)
-    w, x, y, z = chosen.unbind(dim=1)
+    stacked = [torch.stack(components, dim=1) for components in candidates]
+    best, first = _larger(squares[0], squares[1], stacked[0], stacked[1])
+    second_best, second = _larger(squares[2], squares[3], stacked[2], stacked[3])
+    _, quaternion = _larger(best, second_best, first, second)
+    w, x, y, z = quaternion.unbind(dim=1)
     free = 1 - stiff
     columns = rotation_columns((w * free + stiff, x * free, y * free, z * free))
     return torch.stack([torch.stack(column, dim=1) for column in columns], dim=2)
 
 
-def _better(
+def _larger(
     a: Tensor, b: Tensor, quaternion_a: Tensor, quaternion_b: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return the larger of two, and what belongs to it; the first where they are equal."""
+    """Return the larger of two numbers and its quaternion; the first where they are equal."""
     first = a >= b
-    chosen = torch.where(first[:, None], quaternion_a, quaternion_b)
-    return torch.maximum(a, b), chosen
+    quaternion = torch.where(first[:, None], quaternion_a, quaternion_b)
+    return torch.maximum(a, b), quaternion

@@ -1,18 +1,18 @@
-"""Gaussians that follow joints, for K bodies at once, in forms that survive export and capture.
+"""Moves Gaussians with the joints of K bodies (linear blend skinning), ready for graph capture.
 
-Numbers lie in planes, [K, …, N]: every step is a kernel over contiguous memory, and the weights of
-linear blend skinning are multiplied once for all bodies. A body's own rotation and place are part
-of the transforms of its joints, so they cost nothing for each Gaussian.
+Tensors are planes [K, …, N], so every step is a kernel over contiguous memory, and one product
+applies the skinning weights to all bodies. Root rotation and translation are part of the joint
+transforms, so they cost nothing per Gaussian.
 """
 
 __all__ = [
-    "applied",
-    "blended",
-    "chained",
+    "blend_transforms",
     "covariance",
-    "multiplied",
-    "repeated",
-    "rows_of",
+    "multiply_matrices",
+    "planes_to_rows",
+    "posed_transforms",
+    "repeat_rows",
+    "transform_points",
 ]
 
 from collections.abc import Sequence
@@ -21,79 +21,78 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from gsgen.contract.spec.layout import UPPER_TRIANGLE
 from gsgen.sdk.math import skinning_transforms
 
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
-
-def chained(
+def posed_transforms(
     turns: Float[Tensor, "k j 3 3"],
     joints: Float[Tensor, "j 3"],
     parents: Sequence[int],
     turn: Float[Tensor, "k 3 3"] | None,
     shift: Float[Tensor, "k 3"],
 ) -> Float[Tensor, "k j 3 4"]:
-    """Return the transforms of all joints, the body's own rotation and place after them.
+    """Return the transforms of all joints, followed by root rotation and translation.
 
     Args:
-        turns: Of each joint in its parent's frame.
-        joints: At rest; the same for all bodies.
-        parents: −1 for the root.
-        turn: Rotation of each body; none if its root joint's is all.
-        shift: Where each body is moved.
+        turns: Rotation of each joint in its parent's frame.
+        joints: Joint positions in the rest pose; the same for all bodies.
+        parents: The parent of each joint; −1 for the root.
+        turn: Root rotation of each body; None if the root joint's rotation is the only one.
+        shift: Root translation of each body.
     """
     bodies, count = turns.shape[:2]
-    # Many bodies are one forest: their chains are joined in the same rounds.
+    # All bodies form one forest, so their chains are multiplied in the same rounds.
     forest = [p if p < 0 else p + count * body for body in range(bodies) for p in parents]
     rest = joints if bodies == 1 else torch.cat([joints] * bodies, dim=0)
-    made = skinning_transforms(turns.reshape(-1, 3, 3), rest, forest)
-    made = made.reshape(bodies, count, 3, 4)
+    transforms = skinning_transforms(turns.reshape(-1, 3, 3), rest, forest)
+    transforms = transforms.reshape(bodies, count, 3, 4)
     if turn is not None:
-        made = turn[:, None] @ made
-    place = made[:, :, :, 3:] + shift[:, None, :, None]
-    return torch.cat([made[:, :, :, :3], place], dim=3)
+        transforms = turn[:, None] @ transforms
+    translation = transforms[:, :, :, 3:] + shift[:, None, :, None]
+    return torch.cat([transforms[:, :, :, :3], translation], dim=3)
 
 
-def blended(
+def blend_transforms(
     transforms: Float[Tensor, "k j 3 4"], weights: Float[Tensor, "j n"]
 ) -> Float[Tensor, "k 3 4 n"]:
-    """Return each Gaussian's mean of the transforms that it hangs on."""
+    """Return each Gaussian's mean of the joint transforms, by its skinning weights."""
     bodies, joints = transforms.shape[:2]
     flat = transforms.reshape(bodies, joints, 12).transpose(1, 2)
     return (flat @ weights).reshape(bodies, 3, 4, -1)
 
 
-def applied(
+def transform_points(
     transform: Float[Tensor, "k 3 4 n"], point: Float[Tensor, "*k 3 n"]
 ) -> Float[Tensor, "k 3 n"]:
-    """Move points."""
-    made = transform[:, :, 3]
+    """Apply a transform [R | t] to each point."""
+    moved = transform[:, :, 3]
     for axis in range(3):
-        made = made + transform[:, :, axis] * point[:, axis : axis + 1]
-    return made
+        moved = moved + transform[:, :, axis] * point[:, axis : axis + 1]
+    return moved
 
 
-def multiplied(
-    left: Float[Tensor, "k 3 c n"], right: Float[Tensor, "*k 3 3 n"]
+def multiply_matrices(
+    first: Float[Tensor, "k 3 c n"], second: Float[Tensor, "*k 3 3 n"]
 ) -> Float[Tensor, "k 3 3 n"]:
-    """Multiply 3×3 matrices; further columns of ``left`` are passed over."""
-    made = left[:, :, 0:1] * right[:, 0:1]
+    """Multiply 3×3 matrices; further columns of ``first`` are ignored."""
+    product = first[:, :, 0:1] * second[:, 0:1]
     for axis in (1, 2):
-        made = made + left[:, :, axis : axis + 1] * right[:, axis : axis + 1]
-    return made
+        product = product + first[:, :, axis : axis + 1] * second[:, axis : axis + 1]
+    return product
 
 
 def covariance(root: Float[Tensor, "k 3 3 n"]) -> Float[Tensor, "k 6 n"]:
-    """Return xx, xy, xz, yy, yz, zz of M Mᵀ."""
+    """Return the covariance M Mᵀ as planes xx, xy, xz, yy, yz, zz."""
     rows = root.unbind(dim=1)
-    return torch.stack([(rows[a] * rows[b]).sum(dim=1) for a, b in _PAIRS], dim=1)
+    return torch.stack([(rows[a] * rows[b]).sum(dim=1) for a, b in UPPER_TRIANGLE], dim=1)
 
 
-def rows_of(planes: Float[Tensor, "k c n"]) -> Float[Tensor, "m c"]:
-    """Turn planes into rows, body after body."""
+def planes_to_rows(planes: Float[Tensor, "k c n"]) -> Float[Tensor, "m c"]:
+    """Convert planes to rows, body after body."""
     return planes.transpose(1, 2).reshape(-1, planes.shape[1])
 
 
-def repeated(rows: Float[Tensor, "n ..."], bodies: int) -> Float[Tensor, "m ..."]:
-    """Say the same of every body; it is stored once."""
+def repeat_rows(rows: Float[Tensor, "n ..."], bodies: int) -> Float[Tensor, "m ..."]:
+    """Repeat rows that are stored once for each body."""
     return rows if bodies == 1 else torch.cat([rows] * bodies, dim=0)

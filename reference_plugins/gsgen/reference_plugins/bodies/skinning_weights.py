@@ -1,11 +1,12 @@
-"""What Gaussians hang on, where they are at rest and how they lie there: no pose changes it.
+"""Computes skinning weights, rest positions and rest covariances of Gaussians.
 
-Everything follows from tables of the body's vertices and from the Gaussians in the pose of
-training. A Gaussian's share of each joint takes more room than all it is made of, so a model of
-many Gaussians holds the tables (:mod:`gsgen.reference_plugins.tensors.baked_constants`).
+They do not depend on the pose: they follow from tables of the body's vertices and from the
+Gaussians in the training pose. A Gaussian's skinning weights take more memory than its attributes,
+so a model of many Gaussians holds the tables
+(:mod:`gsgen.reference_plugins.tensors.baked_constants`).
 """
 
-__all__ = ["LEAST_WEIGHT", "FromBigPose", "FromSurface", "inverse"]
+__all__ = ["LEAST_WEIGHT", "BigPoseGaussians", "SurfaceGaussians", "inverse"]
 
 import numpy as np
 import torch
@@ -13,7 +14,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from gsgen.reference_plugins.bodies.pose_networks import SKIP, PoseNets
-from gsgen.reference_plugins.bodies.skinning import multiplied
+from gsgen.reference_plugins.bodies.skinning import multiply_matrices
 from gsgen.reference_plugins.tensors.layers import Dense
 from gsgen.reference_plugins.tensors.planes import planes_of, rotation_columns
 from gsgen.reference_plugins.tensors.positional_encoding import (
@@ -23,10 +24,11 @@ from gsgen.reference_plugins.tensors.positional_encoding import (
 
 # Added to the skinning weights before their logarithm (GauHuman, scene/gaussian_model.py).
 LEAST_WEIGHT = 1e-9
+_GAUSSIANS = ("position", "scale", "rotation")
 
 
-class _Offsets(nn.Module):
-    """GauHuman's network that corrects skinning weights at a point; see ``weight_offsets``."""
+class _WeightOffsets(nn.Module):
+    """GauHuman's network of offsets to skinning weights at a point; see ``weight_offsets``."""
 
     def __init__(self, nets: PoseNets) -> None:
         super().__init__()
@@ -36,17 +38,17 @@ class _Offsets(nn.Module):
         first = hidden = positional_encoding(points, POINT_OCTAVES)
         *inner, last = self.layers
         for index, layer in enumerate(inner):
-            taken = torch.cat([first, hidden], dim=1) if index == SKIP else hidden
-            hidden = torch.relu(layer(taken))
-        made: Tensor = last(hidden)
-        return made
+            features = torch.cat([first, hidden], dim=1) if index == SKIP else hidden
+            hidden = torch.relu(layer(features))
+        offsets: Tensor = last(hidden)
+        return offsets
 
 
-class FromBigPose(nn.Module):
-    """Gaussians in the big pose of GauHuman, brought back to rest."""
+class BigPoseGaussians(nn.Module):
+    """Transforms Gaussians from the big pose of GauHuman to the rest pose."""
 
     near: Tensor
-    which: Tensor
+    vertex: Tensor
     transforms: Tensor
     position: Tensor
     scale: Tensor
@@ -55,54 +57,48 @@ class FromBigPose(nn.Module):
     def __init__(
         self,
         near: Float[np.ndarray, "u j"],
-        which: Int[Tensor, " n"],
+        vertex: Int[Tensor, " n"],
         transforms: Float[np.ndarray, "j 3 4"],
         gaussians: tuple[Tensor, Tensor, Tensor],
         nets: PoseNets | None,
     ) -> None:
-        """Keep the tables.
+        """Store the tables.
 
         Args:
             near: Skinning weights of the vertices in use.
-            which: The nearest of them, of each Gaussian.
-            transforms: Of the joints, from rest to the big pose.
-            gaussians: Position, standard deviations and quaternions there.
-            nets: What corrects the weights.
+            vertex: Index of the vertex nearest to each Gaussian.
+            transforms: Joint transforms from the rest pose to the big pose.
+            gaussians: Positions, standard deviations and quaternions in the big pose.
+            nets: Networks that correct the weights, if any.
         """
         super().__init__()
-        position, scale, rotation = gaussians
-        # Here and not where the logarithm is taken: exporters drop so small a sum.
+        # Added here and not at the logarithm: exporters remove the addition of so small a number.
         near = near if nets is None else near + LEAST_WEIGHT
-        self.register_buffer("near", torch.from_numpy(near.astype(np.float32)))
-        self.register_buffer("which", which)
-        flat = transforms.reshape(len(transforms), 12).astype(np.float32)
-        self.register_buffer("transforms", torch.from_numpy(flat))
-        self.register_buffer("position", position)
-        self.register_buffer("scale", scale)
-        self.register_buffer("rotation", rotation)
-        self.offsets = None if nets is None else _Offsets(nets)
+        _register(self, near=near, vertex=vertex, transforms=transforms.reshape(-1, 12))
+        _register(self, **dict(zip(_GAUSSIANS, gaussians, strict=True)))
+        self.offsets = None if nets is None else _WeightOffsets(nets)
 
     def forward(
         self,
     ) -> tuple[Float[Tensor, "j n"], Float[Tensor, "1 3 n"], Float[Tensor, "1 3 3 n"]]:
-        """Return weights, places at rest, and M of the covariance M Mᵀ there."""
-        weights = torch.index_select(self.near, 0, self.which)
+        """Return skinning weights, rest positions, and M of the rest covariance M Mᵀ."""
+        weights = torch.index_select(self.near, 0, self.vertex)
         if self.offsets is not None:
             logarithm = torch.log(weights) + self.offsets(self.position)
             weights = torch.softmax(logarithm, dim=1)
-        there = (weights @ self.transforms).transpose(0, 1).reshape(1, 3, 4, -1)
-        back = inverse(there)
-        shifted = self.position.transpose(0, 1)[None, None] - there[:, :, 3][:, None]
-        place = (back * shifted).sum(dim=2)
-        root = multiplied(back, _root(self.rotation, self.scale))
-        return weights.transpose(0, 1), place, root
+        big_pose = (weights @ self.transforms).transpose(0, 1).reshape(1, 3, 4, -1)
+        back = inverse(big_pose)
+        shifted = self.position.transpose(0, 1)[None, None] - big_pose[:, :, 3][:, None]
+        position = (back * shifted).sum(dim=2)
+        root = multiply_matrices(back, _root(self.rotation, self.scale))
+        return weights.transpose(0, 1), position, root
 
 
-class FromSurface(nn.Module):
-    """Gaussians on the surface of LHM's body, brought to the neutral pose."""
+class SurfaceGaussians(nn.Module):
+    """Transforms Gaussians on the surface of LHM's body to the neutral pose."""
 
     near: Tensor
-    which: Tensor
+    vertex: Tensor
     added: Tensor
     stiff: Tensor
     transforms: Tensor
@@ -113,69 +109,70 @@ class FromSurface(nn.Module):
     def __init__(
         self,
         near: Float[np.ndarray, "u j"],
-        which: Int[Tensor, " n"],
+        vertex: Int[Tensor, " n"],
         added: Float[np.ndarray, "u 3"],
         stiff: Float[np.ndarray, " u"],
         transforms: Float[np.ndarray, "j 3 4"],
         gaussians: tuple[Tensor, Tensor, Tensor],
     ) -> None:
-        """Keep the tables.
+        """Store the tables.
 
         Args:
             near: Skinning weights of the vertices in use.
-            which: The nearest of them, of each Gaussian.
-            added: What the person's shape adds to them.
-            stiff: 1 for those whose Gaussians do not turn.
-            transforms: Of the joints, to the neutral pose.
-            gaussians: Position, standard deviations and quaternions.
+            vertex: Index of the vertex nearest to each Gaussian.
+            added: Offsets of these vertices for the person's shape.
+            stiff: 1 for vertices whose Gaussians do not rotate.
+            transforms: Joint transforms to the neutral pose.
+            gaussians: Positions, standard deviations and quaternions.
         """
         super().__init__()
-        position, scale, rotation = gaussians
-        self.register_buffer("near", torch.from_numpy(near.astype(np.float32)))
-        self.register_buffer("which", which)
-        self.register_buffer("added", torch.from_numpy(added.astype(np.float32)))
-        self.register_buffer("stiff", torch.from_numpy(stiff.astype(np.float32)[:, None]))
-        flat = transforms.reshape(len(transforms), 12).astype(np.float32)
-        self.register_buffer("transforms", torch.from_numpy(flat))
-        self.register_buffer("position", position)
-        self.register_buffer("scale", scale)
-        self.register_buffer("rotation", rotation)
+        _register(self, near=near, vertex=vertex, added=added, stiff=stiff[:, None])
+        _register(self, transforms=transforms.reshape(-1, 12))
+        _register(self, **dict(zip(_GAUSSIANS, gaussians, strict=True)))
 
     def forward(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """Return weights, neutral places, neutral matrices, who is stiff, and M of M Mᵀ."""
+        """Return weights, neutral positions, linear maps, stiffness, and M of the covariance M Mᵀ."""
         back = (self.near @ self.transforms).transpose(0, 1)
-        back = torch.index_select(back, 1, self.which).reshape(1, 3, 4, -1)
+        back = torch.index_select(back, 1, self.vertex).reshape(1, 3, 4, -1)
         point = self.position.transpose(0, 1)[None, None]
-        place = (back[:, :, :3] * point).sum(dim=2) + back[:, :, 3]
-        added = torch.index_select(self.added.transpose(0, 1), 1, self.which)
-        weights = torch.index_select(self.near.transpose(0, 1), 1, self.which)
-        stiff = torch.index_select(self.stiff.transpose(0, 1), 1, self.which)
+        position = (back[:, :, :3] * point).sum(dim=2) + back[:, :, 3]
+        added = torch.index_select(self.added.transpose(0, 1), 1, self.vertex)
+        weights = torch.index_select(self.near.transpose(0, 1), 1, self.vertex)
+        stiff = torch.index_select(self.stiff.transpose(0, 1), 1, self.vertex)
         root = _root(self.rotation, self.scale)
-        return weights, place + added[None], back[:, :, :3], stiff, root
+        return weights, position + added[None], back[:, :, :3], stiff, root
+
+
+def _register(module: nn.Module, **tables: Tensor | np.ndarray) -> None:
+    """Register tables as buffers of a module; NumPy arrays become float32."""
+    for name, table in tables.items():
+        if not isinstance(table, Tensor):
+            table = torch.from_numpy(table.astype(np.float32))
+        module.register_buffer(name, table)
 
 
 def _root(
     rotation: Float[Tensor, "n 4"], scale: Float[Tensor, "n 3"]
 ) -> Float[Tensor, "1 3 3 n"]:
-    """Return R S of quaternions and standard deviations, as planes."""
+    """Return R S as planes, from quaternions and standard deviations."""
     columns = rotation_columns(planes_of(rotation))
     turn = torch.stack([torch.cat(column) for column in columns], dim=1)
     return (turn * scale.transpose(0, 1)[None])[None]
 
 
 def inverse(matrix: Float[Tensor, "1 3 4 n"]) -> Float[Tensor, "1 3 3 n"]:
-    """Return the inverse of the first three columns, by cofactors.
+    """Invert the 3×3 matrix of the first three columns, by cofactors.
 
-    With rows and columns counted in a circle, C[i, j] = M[i+1, j+1] M[i+2, j+2] −
-    M[i+1, j+2] M[i+2, j+1]; the inverse is Cᵀ over the determinant.
+    With cyclic indices, C[i, j] = M[i+1, j+1] M[i+2, j+2] − M[i+1, j+2] M[i+2, j+1]; the
+    inverse is Cᵀ over the determinant.
     """
     second, third = (
         torch.cat([matrix[:, shift:, :3], matrix[:, :shift, :3]], dim=1) for shift in (1, 2)
     )
-    one, two = (
+    next_columns, second_columns = (
         [torch.cat([rows[:, :, shift:], rows[:, :, :shift]], dim=2) for shift in (1, 2)]
         for rows in (second, third)
     )
-    cofactors = one[0] * two[1] - one[1] * two[0]
+    cofactors = next_columns[0] * second_columns[1] - next_columns[1] * second_columns[0]
     determinant = (matrix[:, 0, :3] * cofactors[:, 0]).sum(dim=1)[:, None, None]
     return cofactors.transpose(1, 2) / determinant

@@ -1,6 +1,6 @@
-"""Someone who walks on the spot, as AMASS has motions."""
+"""Writes a synthetic motion in the layout of AMASS: a person who walks on the spot."""
 
-__all__ = ["write_motion"]
+__all__ = ["write_demo_motion", "write_motion"]
 
 from pathlib import Path
 
@@ -10,17 +10,17 @@ from jaxtyping import Float
 # Joints of SMPL; the left one of each pair is at +x.
 _HIPS, _KNEES, _SHOULDERS, _ELBOWS = (1, 2), (4, 5), (16, 17), (18, 19)
 _STRIDE, _BEND, _SWING = 0.55, 0.9, 0.6
-_DOWN, _ELBOW = 1.25, 0.5  # arms hang, and are a little bent
+_DOWN, _ELBOW = 1.25, 0.5  # arms hang down, slightly bent
 
 
 def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0) -> Path:
-    """Write a motion as AMASS has them, and return ``path``: two steps, over and over.
+    """Write a motion of two repeated steps in the layout of AMASS, and return ``path``.
 
     Args:
-        path: An ``.npz``.
-        frames: How many.
-        width: Numbers of a frame's pose; 66, 72, 156 or 165.
-        seed: Of how fingers and face move a little.
+        path: The ``.npz`` to write.
+        frames: Number of frames.
+        width: Numbers of a pose: 66, 72, 156 or 165.
+        seed: Seed of the slight movement of fingers and face.
     """
     rng = np.random.default_rng(seed)
     phase = rng.uniform(0, 2 * np.pi, width)
@@ -28,7 +28,9 @@ def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0
     poses = 0.03 * np.sin(along[:, None] + phase[None])
     for side, sign in enumerate((1.0, -1.0)):
         step = sign * np.sin(along)
-        lift = np.clip(sign * np.cos(along), 0, None)  # on its way forward a leg is bent
+        lift = np.clip(
+            sign * np.cos(along), 0, None
+        )  # a leg is bent while it moves forward
         _turn(
             poses, _HIPS[side], np.stack([-_STRIDE * step - 0.3 * lift, 0 * step, 0 * step])
         )
@@ -48,6 +50,12 @@ def write_motion(path: Path, *, frames: int = 8, width: int = 156, seed: int = 0
     return path
 
 
+def write_demo_motion(folder: Path) -> list[str]:
+    """Write the motion of a demo, and return the options that export ``folder`` with it."""
+    motion = write_motion(folder / "walk.npz", frames=24)
+    return ["--checkpoint", str(folder), "--motion", str(motion)]
+
+
 def _turn(
     poses: Float[np.ndarray, "f w"], joint: int, turn: Float[np.ndarray, "3 f"]
 ) -> None:
@@ -55,7 +63,7 @@ def _turn(
 
 
 def _arm(swing: Float[np.ndarray, " f"], sign: float) -> Float[np.ndarray, "3 f"]:
-    """Return the axis-angle of an arm that hangs down and then swings about x."""
+    """Return the axis-angle that lets an arm hang down and then swing about x."""
     half_swing, half_down = swing / 2, -sign * _DOWN / 2
     # The product of two quaternions, (cos, sin, 0, 0) of the swing and (cos, 0, 0, sin).
     w = np.cos(half_swing) * np.cos(half_down)

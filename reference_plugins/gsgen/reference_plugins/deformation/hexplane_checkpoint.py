@@ -34,6 +34,7 @@ from gsgen.reference_plugins.loading.states import (
     load_state,
     require_tensors,
 )
+from gsgen.reference_plugins.tensors.hexplane import PLANES
 
 # Head, named after the values that it changes → number of its outputs.
 HEADS = {"pos": 3, "scales": 3, "rotations": 4, "opacity": 1, "shs": 48}
@@ -41,7 +42,6 @@ HEADS = {"pos": 3, "scales": 3, "rotations": 4, "opacity": 1, "shs": 48}
 _NET = "deformation_net."
 _GRID = re.compile(r"grid\.grids\.(\d+)\.(\d+)")
 _OUT = re.compile(r"feature_out\.(\d+)\.weight")
-_PLANES = 6
 # Tensors of an earlier encoding of time; inference does not need them.
 _UNUSED = ("timenet.", "time_poc", "pos_poc", "rotation_scaling_poc", "opacity_poc")
 
@@ -207,7 +207,7 @@ def _read_nets(path: Path, flags: Flags) -> HexPlaneNets:
     )
     read = entries_below(read, _NET)
     grids = tuple(
-        tuple(read[f"grid.grids.{s}.{p}"][0] for p in range(_PLANES)) for s in range(scales)
+        tuple(read[f"grid.grids.{s}.{p}"][0] for p in range(PLANES)) for s in range(scales)
     )
     _require_sizes(path, grids)
     if (read["grid.aabb"][0] == read["grid.aabb"][1]).any():
@@ -248,7 +248,7 @@ def _expected_shapes(
     width, channels = first.shape[0], plane.shape[1]
     expected: dict[str, Shape] = {"grid.aabb": (2, 3)}
     for scale in range(scales):
-        for index in range(_PLANES):
+        for index in range(PLANES):
             expected[f"grid.grids.{scale}.{index}"] = (1, channels, None, None)
     for layer in range(layers):
         expected |= _linear(

@@ -20,10 +20,7 @@ from torch import Tensor, nn
 
 from gsgen.reference_plugins.deformation.hexplane_checkpoint import HexPlaneNets
 from gsgen.reference_plugins.tensors.baked_constants import Bake, Constants
-
-# Planes of two axes of space, and the planes of time with x, y and z.
-_SPACE = {0: (0, 1), 1: (0, 2), 3: (1, 2)}
-_TIME = (2, 4, 5)
+from gsgen.reference_plugins.tensors.hexplane import SPACE_PLANES, TIME_PLANES
 
 
 def _cell_below(
@@ -113,7 +110,7 @@ class _SpacePlanes(nn.Module):
     def __init__(self, planes: Sequence[Tensor]) -> None:
         super().__init__()
         self.planes = nn.ModuleList(
-            _SpacePlane(planes[index], axes) for index, axes in _SPACE.items()
+            _SpacePlane(planes[index], axes) for index, axes in SPACE_PLANES.items()
         )
 
     def forward(self, position: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "n c"]]:
@@ -131,7 +128,7 @@ class _Resolution(nn.Module):
         self.space = Constants(_SpacePlanes(planes), (position,), bake)
         self.x, self.y, self.z = (
             _TimePlane(planes[plane], position[:, axis], bake)
-            for axis, plane in enumerate(_TIME)
+            for axis, plane in enumerate(TIME_PLANES)
         )
 
     def forward(

@@ -1,1 +1,1 @@
-"""Networks of image diffusion in torch, laid out as the checkpoints of diffusers name them."""
+"""Networks of image diffusion and their LoRA files, named as in checkpoints of diffusers."""

@@ -1,7 +1,6 @@
-"""The autoencoder that carries images to latents and back (AutoencoderKL of diffusers).
+"""The autoencoder between images and latents (AutoencoderKL of diffusers).
 
-That of Difix hands what it saw of an image past the latent, as skip connections from levels of the
-encoder to those of the decoder (Wu et al. 2025 take them from Parmar et al. 2024, "One-Step Image
+That of Difix also has skip connections from the levels of the encoder to those of the decoder (Wu et al. 2025 take them from Parmar et al. 2024, "One-Step Image
 Translation with Text-to-Image Models").
 """
 
@@ -22,12 +21,12 @@ from gsgen.reference_plugins.diffusion.blocks import (
 from gsgen.reference_plugins.diffusion.options import AutoencoderOptions
 
 _EPS = 1e-6
-# What the convolutions of skip connections are called, numbered from 1 on: the coarsest.
+# Name of the convolutions of skip connections; a number follows, from 1 for the coarsest.
 SKIP = "skip_conv_"
 
 
 class _Level(nn.Module):
-    """Residual blocks of one size, and a change of size."""
+    """Residual blocks of one resolution, then a change of resolution."""
 
     def __init__(
         self, options: AutoencoderOptions, inputs: int, outputs: int, layers: int
@@ -63,8 +62,8 @@ class _Middle(nn.Module):
         image = self.resnets[0](image)
         if self.attends:
             image = self.attentions[0](image)
-        made: Tensor = self.resnets[1](image)
-        return made
+        output: Tensor = self.resnets[1](image)
+        return output
 
 
 def _residual(options: AutoencoderOptions, inputs: int, outputs: int) -> Residual:
@@ -92,8 +91,8 @@ class _Encoder(nn.Module):
         for level in self.down_blocks:
             entered.append(image)
             image = level(image)
-        made: Tensor = self.conv_out(F.silu(self.conv_norm_out(self.mid_block(image))))
-        return made, entered
+        moments: Tensor = self.conv_out(F.silu(self.conv_norm_out(self.mid_block(image))))
+        return moments, entered
 
 
 class _Decoder(nn.Module):
@@ -126,27 +125,27 @@ class _Decoder(nn.Module):
                 skip = getattr(self, f"{SKIP}{index + 1}")
                 image = image + skip(entered[-1 - index] * self.skips)
             image = level(image)
-        made: Tensor = self.conv_out(F.silu(self.conv_norm_out(image)))
-        return made
+        output: Tensor = self.conv_out(F.silu(self.conv_norm_out(image)))
+        return output
 
 
 class Autoencoder(nn.Module):
-    """An encoder and a decoder; latents are the mean, not a sample, so that frames agree."""
+    """An encoder and a decoder; latents are means, not samples, so that frames are consistent."""
 
     def __init__(self, options: AutoencoderOptions) -> None:
-        """Make the layers, with weights yet to be loaded."""
+        """Create the layers; the weights are loaded later."""
         super().__init__()
         self.options = options
         before, behind = options.quantised
         self.encoder, self.decoder = _Encoder(options), _Decoder(options)
-        wide, latent = 2 * options.latent, options.latent
-        self.quant_conv = nn.Conv2d(wide, wide, 1) if before else None
+        moments, latent = 2 * options.latent, options.latent
+        self.quant_conv = nn.Conv2d(moments, moments, 1) if before else None
         self.post_quant_conv = nn.Conv2d(latent, latent, 1) if behind else None
 
     def encode(
         self, image: Float[Tensor, "b c h w"]
     ) -> tuple[Float[Tensor, "b l i j"], list[Tensor]]:
-        """Return the latent of an image, scaled as the U-Net wants it, and what skips it."""
+        """Return the latent of an image, scaled for the U-Net, and the skip connections."""
         moments, entered = self.encoder(image)
         if self.quant_conv is not None:
             moments = self.quant_conv(moments)
@@ -156,9 +155,9 @@ class Autoencoder(nn.Module):
     def decode(
         self, latent: Float[Tensor, "b l i j"], entered: Sequence[Tensor] = ()
     ) -> Float[Tensor, "b c h w"]:
-        """Return the image of a latent, and of what skipped it."""
-        plain = latent / self.options.scale + self.options.shift
+        """Return the image of a latent and its skip connections."""
+        unscaled = latent / self.options.scale + self.options.shift
         if self.post_quant_conv is not None:
-            plain = self.post_quant_conv(plain)
-        image: Tensor = self.decoder(plain, entered)
+            unscaled = self.post_quant_conv(unscaled)
+        image: Tensor = self.decoder(unscaled, entered)
         return image

@@ -1,7 +1,6 @@
-"""What U-Nets and autoencoders of image diffusion are built of.
+"""Building blocks of U-Nets and autoencoders: residual blocks, attention, resampling.
 
-Attributes are called as in checkpoints of diffusers, so that a checkpoint's names are the
-module's. Residual blocks are those of Ho et al. 2020, "Denoising Diffusion Probabilistic Models";
+Attributes are named as in checkpoints of diffusers, so that state dicts load directly. Residual blocks are those of Ho et al. 2020, "Denoising Diffusion Probabilistic Models";
 transformers those of Rombach et al. 2022, "High-Resolution Image Synthesis with Latent Diffusion
 Models".
 """
@@ -27,10 +26,10 @@ _FEED_FORWARD = 4
 
 
 class Residual(nn.Module):
-    """Two convolutions around which the input is carried; a moment in time is added between.
+    """A residual block of two convolutions, conditioned on the timestep.
 
-    norm, SiLU, convolution; plus the projected time (or a scale and a shift of the second norm by
-    it); norm, SiLU, convolution; plus the input, through a 1×1 convolution where channels differ.
+    norm, SiLU, convolution; plus the projected time (or it scales and shifts the second norm);
+    norm, SiLU, convolution; plus the input, through a 1×1 convolution where channels differ.
     """
 
     def __init__(
@@ -44,16 +43,16 @@ class Residual(nn.Module):
         shifts: bool = False,
         shrink: float = 1.0,
     ) -> None:
-        """Make the layers.
+        """Create the layers.
 
         Args:
-            inputs: Channels that come in.
-            outputs: Channels that go out.
-            groups: Of both norms.
-            eps: Of both norms.
-            time: Length of the embedded time; none where absent.
+            inputs: Input channels.
+            outputs: Output channels.
+            groups: Groups of both norms.
+            eps: Epsilon of both norms.
+            time: Length of the embedded time; None without time.
             shifts: Time scales and shifts the second norm.
-            shrink: What the sum is divided by.
+            shrink: Divisor of the sum.
         """
         super().__init__()
         self.shifts, self.shrink = shifts, shrink
@@ -68,19 +67,19 @@ class Residual(nn.Module):
     def forward(
         self, image: Float[Tensor, "b i h w"], time: Float[Tensor, "b t"] | None = None
     ) -> Float[Tensor, "b o h w"]:
-        """Apply the block."""
-        made = self.conv1(F.silu(self.norm1(image)))
+        """Apply the block to an image."""
+        features = self.conv1(F.silu(self.norm1(image)))
         moment = None
         if time is not None:
             moment = self.time_emb_proj(F.silu(time))[:, :, None, None]
         if moment is not None and self.shifts:
             scale, shift = moment.chunk(2, dim=1)
-            made = self.norm2(made) * (1 + scale) + shift
+            features = self.norm2(features) * (1 + scale) + shift
         else:
-            made = self.norm2(made if moment is None else made + moment)
-        made = self.conv2(F.silu(made))
-        kept = image if self.conv_shortcut is None else self.conv_shortcut(image)
-        total: Tensor = kept + made
+            features = self.norm2(features if moment is None else features + moment)
+        features = self.conv2(F.silu(features))
+        shortcut = image if self.conv_shortcut is None else self.conv_shortcut(image)
+        total: Tensor = shortcut + features
         return total if self.shrink == 1 else total / self.shrink
 
 
@@ -96,14 +95,14 @@ class Attention(nn.Module):
         context: int | None = None,
         bias: bool = False,
     ) -> None:
-        """Make the projections.
+        """Create the projections.
 
         Args:
-            channels: Of what asks.
-            heads: How many.
-            width: Of one head.
-            context: Channels of what is asked; the same where absent.
-            bias: Of queries, keys and values.
+            channels: Channels of the tokens.
+            heads: Number of heads.
+            width: Width of one head.
+            context: Channels of the context; those of the tokens by default.
+            bias: Queries, keys and values have a bias.
         """
         super().__init__()
         self.heads, self.width = heads, width
@@ -116,15 +115,15 @@ class Attention(nn.Module):
     def forward(
         self, tokens: Float[Tensor, "b n c"], context: Float[Tensor, "b m d"] | None = None
     ) -> Float[Tensor, "b n c"]:
-        """Ask ``context``, or the tokens themselves."""
+        """Attend from the tokens to ``context``, or to the tokens themselves."""
         source = tokens if context is None else context
         query = self._split(self.to_q(tokens))
         key, value = self._split(self.to_k(source)), self._split(self.to_v(source))
         weight = torch.softmax(
             (query / math.sqrt(self.width)) @ key.transpose(2, 3), dim=-1
         )
-        made = (weight @ value).transpose(1, 2).flatten(2)
-        out: Tensor = self.to_out[0](made)
+        mixed = (weight @ value).transpose(1, 2).flatten(2)
+        out: Tensor = self.to_out[0](mixed)
         return out
 
     def _split(self, rows: Tensor) -> Tensor:
@@ -133,7 +132,7 @@ class Attention(nn.Module):
 
 
 class ImageAttention(Attention):
-    """Attention between the pixels of an image, which is carried around it."""
+    """Self-attention between the pixels of an image, with a residual connection."""
 
     def __init__(
         self,
@@ -145,7 +144,7 @@ class ImageAttention(Attention):
         eps: float,
         shrink: float = 1.0,
     ) -> None:
-        """Make the layers; ``groups`` and ``eps`` are the norm's, ``shrink`` divides the sum."""
+        """Create the layers; ``groups`` and ``eps`` are the norm's, ``shrink`` divides the sum."""
         super().__init__(channels, heads, width, bias=True)
         self.shrink = shrink
         self.group_norm = nn.GroupNorm(groups, channels, eps=eps)
@@ -153,15 +152,15 @@ class ImageAttention(Attention):
     def forward(  # type: ignore[override]
         self, image: Float[Tensor, "b c h w"]
     ) -> Float[Tensor, "b c h w"]:
-        """Apply the block."""
-        # The norm sees the image: flattening first would ask for one more copy.
+        """Apply the block to an image."""
+        # The norm is applied to the image: flattening first would need one more copy.
         tokens = self.group_norm(image).flatten(2).transpose(1, 2)
-        made = super().forward(tokens).transpose(1, 2).reshape(image.shape)
-        return (image + made) / self.shrink if self.shrink != 1 else image + made
+        attended = super().forward(tokens).transpose(1, 2).reshape(image.shape)
+        return (image + attended) / self.shrink if self.shrink != 1 else image + attended
 
 
 class _FeedForward(nn.Module):
-    """A layer gated by GELU (Shazeer 2020, "GLU Variants Improve Transformer"), and one back."""
+    """A layer gated by GELU (Shazeer 2020, "GLU Variants Improve Transformer"), then a linear one."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -173,12 +172,12 @@ class _FeedForward(nn.Module):
     def forward(self, tokens: Tensor) -> Tensor:
         gated: nn.Module = self.net[0]
         value, gate = gated.proj(tokens).chunk(2, dim=-1)  # type: ignore[operator]
-        made: Tensor = self.net[2](value * F.gelu(gate))
-        return made
+        output: Tensor = self.net[2](value * F.gelu(gate))
+        return output
 
 
 class _TransformerBlock(nn.Module):
-    """Attention to oneself, to the conditioning, and a feed-forward layer, each carried around."""
+    """Self-attention, cross-attention and a feed-forward layer, each with a residual connection."""
 
     def __init__(self, channels: int, heads: int, width: int, context: int) -> None:
         super().__init__()
@@ -192,12 +191,12 @@ class _TransformerBlock(nn.Module):
     def forward(self, tokens: Tensor, context: Tensor) -> Tensor:
         tokens = tokens + self.attn1(self.norm1(tokens))
         tokens = tokens + self.attn2(self.norm2(tokens), context)
-        made: Tensor = tokens + self.ff(self.norm3(tokens))
-        return made
+        output: Tensor = tokens + self.ff(self.norm3(tokens))
+        return output
 
 
 class Transformer(nn.Module):
-    """Pixels as tokens that ask each other and the conditioning."""
+    """A transformer on pixels, with cross-attention to the conditioning."""
 
     def __init__(
         self,
@@ -209,71 +208,71 @@ class Transformer(nn.Module):
         depth: int = 1,
         linear: bool = False,
     ) -> None:
-        """Make the layers.
+        """Create the layers.
 
         Args:
-            channels: Of the image.
-            heads: Of each attention.
-            groups: Of the norm.
+            channels: Channels of the image.
+            heads: Heads of each attention.
+            groups: Groups of the norm.
             context: Length of one conditioning vector.
-            depth: How many blocks.
+            depth: Number of blocks.
             linear: Projections are linear layers, not 1×1 convolutions.
         """
         super().__init__()
         self.linear = linear
         self.norm = nn.GroupNorm(groups, channels, eps=_TRANSFORMER_EPS)
-        self.proj_in = _projection(channels, linear)
+        self.proj_in = _projection(channels, linear=linear)
         width = channels // heads
         self.transformer_blocks = nn.ModuleList(
             _TransformerBlock(channels, heads, width, context) for _ in range(depth)
         )
-        self.proj_out = _projection(channels, linear)
+        self.proj_out = _projection(channels, linear=linear)
 
     def forward(
         self, image: Float[Tensor, "b c h w"], context: Float[Tensor, "b m d"]
     ) -> Float[Tensor, "b c h w"]:
         """Apply all blocks."""
-        made = self.norm(image)
-        made = made if self.linear else self.proj_in(made)
-        tokens = made.flatten(2).transpose(1, 2)
+        features = self.norm(image)
+        features = features if self.linear else self.proj_in(features)
+        tokens = features.flatten(2).transpose(1, 2)
         tokens = self.proj_in(tokens) if self.linear else tokens
         for block in self.transformer_blocks:
             tokens = block(tokens, context)
         tokens = self.proj_out(tokens) if self.linear else tokens
-        made = tokens.transpose(1, 2).reshape(image.shape)
-        made = made if self.linear else self.proj_out(made)
-        total: Tensor = image + made
+        features = tokens.transpose(1, 2).reshape(image.shape)
+        features = features if self.linear else self.proj_out(features)
+        total: Tensor = image + features
         return total
 
 
-def _projection(channels: int, linear: bool) -> nn.Module:
+def _projection(channels: int, *, linear: bool) -> nn.Module:
     return nn.Linear(channels, channels) if linear else nn.Conv2d(channels, channels, 1)
 
 
 class Downsample(nn.Module):
-    """Half the size, by a convolution of stride 2."""
+    """Halves the resolution by a convolution of stride 2."""
 
     def __init__(self, channels: int, padding: int = 1) -> None:
-        """Without padding, one row and one column of zeros are added behind the image."""
+        """Create the convolution; without padding, the image gets a row and a column of zeros."""
         super().__init__()
         self.behind = padding == 0
         self.conv = nn.Conv2d(channels, channels, 3, stride=2, padding=padding)
 
     def forward(self, image: Float[Tensor, "b c h w"]) -> Tensor:
         """Apply the convolution."""
-        made: Tensor = self.conv(F.pad(image, (0, 1, 0, 1)) if self.behind else image)
-        return made
+        output: Tensor = self.conv(F.pad(image, (0, 1, 0, 1)) if self.behind else image)
+        return output
 
 
 class Upsample(nn.Module):
-    """Twice the size: every pixel four times, then a convolution."""
+    """Doubles the resolution by nearest-neighbour upsampling and a convolution."""
 
     def __init__(self, channels: int) -> None:
-        """Make the convolution."""
+        """Create the convolution."""
         super().__init__()
         self.conv = nn.Conv2d(channels, channels, 3, padding=1)
 
     def forward(self, image: Float[Tensor, "b c h w"]) -> Tensor:
-        """Apply both."""
-        made: Tensor = self.conv(F.interpolate(image, scale_factor=2.0, mode="nearest"))
-        return made
+        """Apply the upsampling and the convolution."""
+        output: Tensor = self.conv(F.interpolate(image, scale_factor=2.0, mode="nearest"))
+        return output

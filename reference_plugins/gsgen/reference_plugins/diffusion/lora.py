@@ -1,11 +1,11 @@
-"""LoRA files: small changes to a network's layers, each a product of two thin matrices.
+"""Reads LoRA files: low-rank changes of a network's layers, each a product of two matrices.
 
 Hu et al. 2021, "LoRA". Names of the tensors are those of peft (``layer.lora_A.weight``), of
 diffusers (``layer.processor.to_q_lora.down.weight``, ``layer.lora.down.weight``) or of sd-scripts,
 called kohya (``lora_unet_layer.lora_down.weight``, ``lora_unet_layer.alpha``).
 """
 
-__all__ = ["Adapter", "Pair", "paired", "read_lora"]
+__all__ = ["Adapter", "Pair", "read_lora", "split_pairs"]
 
 import json
 import math
@@ -36,7 +36,7 @@ _FILES = tuple(
 _CONFIG = "adapter_config.json"
 _METADATA = "lora_adapter_metadata"
 _WRAPPED = "base_model.model."
-# Layer, and whether the tensor is A or B. What stands between is the name of the adapter.
+# The layer, then A (down) or B (up), with an adapter name in between.
 _THIN = re.compile(
     r"(?P<layer>.+?)\.(?:lora_(?P<peft>[AB])(?:\.(?P<adapter>\w+))?"
     r"|(?:lora_|lora\.|lora_linear_layer\.)(?P<plain>down|up))\.weight"
@@ -47,8 +47,8 @@ _PROCESSOR = re.compile(
 )
 _ALPHA = re.compile(r"(?P<layer>.+)\.alpha")
 _TEXT = ("text_encoder.", "text_encoder_2.", "lora_te_", "lora_te1_", "lora_te2_")
-# What other kinds of small changes call their tensors.
-_OTHER = {
+# Part of a tensor's name → the kind of adapter that it belongs to.
+_UNSUPPORTED = {
     "dora_scale": "DoRA",
     "lora_magnitude_vector": "DoRA",
     "hada_": "LoHa",
@@ -60,12 +60,12 @@ _OTHER = {
 
 @dataclass(slots=True)
 class Pair:
-    """The change of one layer.
+    """The two matrices that change one layer, and their scale.
 
     Attributes:
         down: A, [r, i] or [r, i, h, w].
         up: B, [o, r] or [o, r, 1, 1].
-        alpha: α, where the file has one for the layer.
+        alpha: α of the layer, if the file has it.
     """
 
     down: Tensor | None = None
@@ -73,16 +73,16 @@ class Pair:
     alpha: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Adapter:
-    """A LoRA as its file says it.
+    """The contents of a LoRA file.
 
     Attributes:
         path: The file.
-        pairs: Layer, by the name that the file has for it → its change.
-        text: Tensors of text encoders, which are no part of these networks.
-        alpha: α of layers that have none of their own; their rank where absent.
-        alphas: Ending of a layer's name → α.
+        pairs: Name of a layer in the file → its change.
+        text: Names of tensors of text encoders, which are not part of these networks.
+        alpha: α of layers without their own; their rank by default.
+        alphas: Suffix of a layer's name → α.
         by_root: α is divided by √r, not by r (Kalajdzievski 2023, "rsLoRA").
     """
 
@@ -94,15 +94,15 @@ class Adapter:
     by_root: bool = False
 
     def share(self, layer: str, pair: Pair, rank: int) -> float:
-        """Return α/r of a layer."""
+        """Return the factor α/r of a layer's change."""
         alpha = pair.alpha
         if alpha is None:
-            told = (
+            matches = (
                 value
                 for ending, value in self.alphas.items()
                 if f".{layer}".endswith(f".{ending}")
             )
-            alpha = next(told, rank if self.alpha is None else self.alpha)
+            alpha = next(matches, rank if self.alpha is None else self.alpha)
         return alpha / (math.sqrt(rank) if self.by_root else rank)
 
 
@@ -110,22 +110,24 @@ def read_lora(path: Path) -> Adapter:
     """Read a LoRA.
 
     Args:
-        path: A safetensors file, one that ``torch.save`` wrote, or the folder of either under the
-            name that peft or diffusers gives it.
+        path: A safetensors file, a file of ``torch.save``, or the folder of either under the name
+            that peft or diffusers gives it.
 
     Raises:
-        CheckpointInvalid: It cannot be read, or holds something else than a LoRA.
+        CheckpointInvalid: The file cannot be read, or holds tensors that are not of a LoRA.
     """
-    path = _found(path)
+    path = _adapter_file(path)
     safe = is_safetensors(path)
     state = read_safetensors(path) if safe else load_state(path, "a LoRA")
-    pairs, rest = paired(state, path)
-    text = tuple(name for name in rest if name.startswith(_TEXT))
-    others = [name for name in rest if name not in text]
-    if others:
-        kinds = {kind for part, kind in _OTHER.items() for one in others if part in one}
+    pairs, unpaired = split_pairs(state, path)
+    text = tuple(name for name in unpaired if name.startswith(_TEXT))
+    unknown = [name for name in unpaired if name not in text]
+    if unknown:
+        kinds = {
+            kind for part, kind in _UNSUPPORTED.items() for name in unknown if part in name
+        }
         raise CheckpointInvalid(
-            f"{len(others)} tensors are no part of a LoRA: {first_names(others)}",
+            f"{len(unknown)} tensors are not part of a LoRA: {first_names(unknown)}",
             where=str(path),
             hint=" ".join(f"{kind} is not supported." for kind in sorted(kinds)),
         )
@@ -133,99 +135,107 @@ def read_lora(path: Path) -> Adapter:
     pattern = _checked_settings(settings, where)
     alpha = settings.get("lora_alpha")
     by_root = settings.get("use_rslora") is True
-    return Adapter(path, pairs, text, alpha, pattern, by_root)
+    return Adapter(
+        path=path, pairs=pairs, text=text, alpha=alpha, alphas=pattern, by_root=by_root
+    )
 
 
-def _found(path: Path) -> Path:
+def _adapter_file(path: Path) -> Path:
     if not path.is_dir():
         return required_file(path, "a LoRA")
     for name in _FILES:
         if (path / name).is_file():
             return path / name
-    raise CheckpointInvalid(f"holds none of {', '.join(_FILES)}", where=str(path))
+    raise CheckpointInvalid(
+        f"holds no LoRA: expected one of {', '.join(_FILES)}", where=str(path)
+    )
 
 
-def paired(state: Mapping[str, Any], path: Path) -> tuple[dict[str, Pair], dict[str, Any]]:
-    """Sort the tensors of LoRA layers out of a state dict.
+def split_pairs(
+    state: Mapping[str, Any], path: Path
+) -> tuple[dict[str, Pair], dict[str, Any]]:
+    """Separate the LoRA tensors of a state dict from all others.
 
     Returns:
-        Layer → its change; and all that is none of it, text encoders included.
+        Layer → its change; and all other entries, those of text encoders included.
 
     Raises:
-        CheckpointInvalid: A tensor is none, not finite, or there are two for one place.
+        CheckpointInvalid: A value is not a finite tensor, or a layer has two of one kind.
     """
     pairs: dict[str, Pair] = {}
-    rest: dict[str, Any] = {}
+    unpaired: dict[str, Any] = {}
     for name, value in state.items():
-        place = None if name.startswith(_TEXT) else _place(name)
-        if place is None:
-            rest[name] = value
+        location = None if name.startswith(_TEXT) else _parse_name(name)
+        if location is None:
+            unpaired[name] = value
             continue
-        layer, part = place
+        layer, part = location
         if not isinstance(value, Tensor) or not torch.isfinite(value.double()).all():
-            what = f"{name} is no tensor, or holds NaN or infinity"
-            raise CheckpointInvalid(what, where=str(path))
+            message = f"{name} is not a tensor, or holds NaN or infinity"
+            raise CheckpointInvalid(message, where=str(path))
         pair = pairs.setdefault(layer, Pair())
         if getattr(pair, part) is not None:
-            what = f"{name} is the second of its kind for {layer}"
-            raise CheckpointInvalid(what, where=str(path), hint="Give one adapter a file.")
+            message = f"{name} is a second tensor of its kind for {layer}"
+            raise CheckpointInvalid(
+                message, where=str(path), hint="Give a file that holds one adapter."
+            )
         if part == "alpha" and value.numel() != 1:
-            what = f"{name} is {list(value.shape)}, wanted one number"
-            raise CheckpointInvalid(what, where=str(path))
+            message = f"{name} is {list(value.shape)}, expected one number"
+            raise CheckpointInvalid(message, where=str(path))
         setattr(pair, part, value.item() if part == "alpha" else value)
-    return pairs, rest
+    return pairs, unpaired
 
 
-def _place(name: str) -> tuple[str, str] | None:
-    """Return the layer that a tensor belongs to, and what it is there: down, up or alpha."""
-    plain = name.replace(_WRAPPED, "")
-    if found := _PROCESSOR.fullmatch(plain):
-        what = "to_out.0" if found["what"] == "to_out" else found["what"]
-        return f"{found['block']}.{what}", found["plain"]
-    if found := _THIN.fullmatch(plain):
-        layer = found["layer"].replace(".processor.", ".")
-        return layer, found["plain"] or {"A": "down", "B": "up"}[found["peft"]]
-    if found := _ALPHA.fullmatch(plain):
-        return found["layer"], "alpha"
+def _parse_name(name: str) -> tuple[str, str] | None:
+    """Parse a tensor's name into its layer and its kind: down, up or alpha."""
+    unwrapped = name.replace(_WRAPPED, "")
+    if match := _PROCESSOR.fullmatch(unwrapped):
+        projection = "to_out.0" if match["what"] == "to_out" else match["what"]
+        return f"{match['block']}.{projection}", match["plain"]
+    if match := _THIN.fullmatch(unwrapped):
+        layer = match["layer"].replace(".processor.", ".")
+        return layer, match["plain"] or {"A": "down", "B": "up"}[match["peft"]]
+    if match := _ALPHA.fullmatch(unwrapped):
+        return match["layer"], "alpha"
     return None
 
 
 def _settings(path: Path, metadata: Mapping[str, str]) -> tuple[dict[str, Any], Path]:
-    """Return what peft says of an adapter: in a file beside it, or in the file itself."""
-    beside = path.parent / _CONFIG
-    if path.name.startswith("adapter_model") and beside.is_file():
-        return dict(read_model_config(path.parent, _CONFIG).values), beside
+    """Return the settings that peft saved, and their file: a config file or the adapter itself."""
+    config_file = path.parent / _CONFIG
+    if path.name.startswith("adapter_model") and config_file.is_file():
+        return dict(read_model_config(path.parent, _CONFIG).values), config_file
     try:
-        told = json.loads(metadata.get(_METADATA, "{}"))
+        settings = json.loads(metadata.get(_METADATA, "{}"))
     except (ValueError, RecursionError) as error:
-        what = f"{_METADATA} is no JSON: {error}"
-        raise CheckpointInvalid(what, where=str(path)) from error
-    if not isinstance(told, dict):
-        raise CheckpointInvalid(f"{_METADATA} is no object", where=str(path))
-    # diffusers writes the network's name before each.
-    return {name.removeprefix("unet."): value for name, value in told.items()}, path
+        message = f"{_METADATA} is not valid JSON: {error}"
+        raise CheckpointInvalid(message, where=str(path)) from error
+    if not isinstance(settings, dict):
+        raise CheckpointInvalid(f"{_METADATA} is not a JSON object", where=str(path))
+    # diffusers prefixes each setting with the network's name.
+    return {name.removeprefix("unet."): value for name, value in settings.items()}, path
 
 
 def _checked_settings(settings: Mapping[str, Any], where: Path) -> dict[str, float]:
-    """Refuse what would make another network, and return α by ending of the layer's name."""
+    """Raise if a setting is not supported; return α by suffix of the layer's name."""
     for name, usual in {"use_dora": False, "fan_in_fan_out": False}.items():
         if settings.get(name, usual) not in (usual, None):
-            what = f"{name} is {settings[name]!r}, supported: {usual!r}"
-            raise CheckpointInvalid(what, where=str(where))
+            message = f"{name} is {settings[name]!r}, supported: {usual!r}"
+            raise CheckpointInvalid(message, where=str(where))
     if str(settings.get("peft_type", "LORA")).upper().rpartition(".")[2] != "LORA":
-        what = f"peft_type is {settings['peft_type']!r}, supported: 'LORA'"
-        raise CheckpointInvalid(what, where=str(where))
+        message = f"peft_type is {settings['peft_type']!r}, supported: 'LORA'"
+        raise CheckpointInvalid(message, where=str(where))
     pattern = settings.get("alpha_pattern") or {}
     numbers = [settings.get("lora_alpha", 1), *_values(pattern)]
-    if not all(_is_number(one) for one in numbers):
+    if not all(_is_number(number) for number in numbers):
         raise CheckpointInvalid(
-            f"lora_alpha or alpha_pattern holds no numbers: {numbers!r:.80}",
+            f"lora_alpha and alpha_pattern must hold finite numbers, but hold {numbers!r:.80}",
             where=str(where),
         )
     for name in pattern:
-        if not re.fullmatch(r"[\w.]+", name):  # peft takes them for regular expressions
-            what = f"alpha_pattern has {name!r}, supported: endings of layers' names"
-            raise CheckpointInvalid(what, where=str(where))
+        if not re.fullmatch(r"[\w.]+", name):  # peft interprets them as regular expressions
+            message = f"alpha_pattern has {name!r}, supported: suffixes of layer names"
+            raise CheckpointInvalid(message, where=str(where))
     return {name: float(value) for name, value in pattern.items()}
 
 

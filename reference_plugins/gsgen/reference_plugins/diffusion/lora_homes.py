@@ -1,11 +1,11 @@
-"""Where the tensors of a LoRA belong: the names that tools give to layers of these networks.
+"""Maps the layer names that LoRA tools use to layers of the networks.
 
-diffusers and peft keep a layer's name, below the network's. sd-scripts ("kohya") joins it by
-underscores. Tools that descend from the original code of latent diffusion know the same layers as
-``input_blocks.4.1…``, in a count of their own.
+diffusers and peft prefix a layer's name with the network's. sd-scripts ("kohya") replaces its dots
+by underscores. Tools based on the original code of latent diffusion number the same layers
+differently, as in ``input_blocks.4.1…``.
 """
 
-__all__ = ["homes_of"]
+__all__ = ["layers_by_name"]
 
 import re
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from torch import nn
 from gsgen.reference_plugins.diffusion.unet import UNet
 
 _KOHYA = "lora_unet_"
-# Parts of a residual block, as the original code numbers them.
+# Part of a residual block → its name in the original code.
 _PARTS = {
     "conv1": "in_layers.2",
     "time_emb_proj": "emb_layers.1",
@@ -36,17 +36,17 @@ _LAYER = re.compile(
 )
 
 
-def homes_of(unet: UNet, autoencoder: nn.Module | None) -> dict[str, nn.Module]:
-    """Return the layers with a matrix or a kernel of both networks, by every name they go by."""
-    found: dict[str, nn.Module] = {}
+def layers_by_name(unet: UNet, autoencoder: nn.Module | None) -> dict[str, nn.Module]:
+    """Return the linear and convolution layers of both networks, by each of their names."""
+    layers: dict[str, nn.Module] = {}
     for name, layer in _layers(unet):
         for known in (name, _original(name, unet)):
-            found |= {known: layer, f"unet.{known}": layer}
-            found |= {f"diffusion_model.{known}": layer}
-            found[_KOHYA + known.replace(".", "_")] = layer
+            layers |= {known: layer, f"unet.{known}": layer}
+            layers |= {f"diffusion_model.{known}": layer}
+            layers[_KOHYA + known.replace(".", "_")] = layer
     for name, layer in () if autoencoder is None else _layers(autoencoder):
-        found |= {name: layer, f"vae.{name}": layer}
-    return found
+        layers |= {name: layer, f"vae.{name}": layer}
+    return layers
 
 
 def _layers(network: nn.Module) -> Iterator[tuple[str, nn.Module]]:
@@ -56,22 +56,22 @@ def _layers(network: nn.Module) -> Iterator[tuple[str, nn.Module]]:
 
 
 def _original(name: str, unet: UNet) -> str:
-    """Return what the original code of latent diffusion calls a layer of a U-Net."""
-    found = _LAYER.fullmatch(name)
-    if found is None:
+    """Return the name of a U-Net layer in the original code of latent diffusion."""
+    match = _LAYER.fullmatch(name)
+    if match is None:
         return _OUTSIDE.get(name, name)
-    kind, rest, place = found["kind"], found["rest"], int(found["place"])
+    kind, tail, index = match["kind"], match["rest"], int(match["place"])
     if kind == "resnets":
-        rest = _PARTS.get(rest, rest)
-    if found["way"] == "mid_block":
-        return f"middle_block.{2 * place if kind == 'resnets' else 1}.{rest}"
-    level, layers = int(found["level"]), unet.options.layers
+        tail = _PARTS.get(tail, tail)
+    if match["way"] == "mid_block":
+        return f"middle_block.{2 * index if kind == 'resnets' else 1}.{tail}"
+    level, layers = int(match["level"]), unet.options.layers
     inner = 0 if kind == "resnets" else 1
-    if found["way"] == "down_blocks":
-        # The first block is the first convolution; each level ends in a block that halves.
-        block = 1 + level * (layers + 1) + (layers if kind == "downsamplers" else place)
-        return f"input_blocks.{block}.{'0.op' if kind == 'downsamplers' else f'{inner}.{rest}'}"
-    block = level * (layers + 1) + (layers if kind == "upsamplers" else place)
-    if kind == "upsamplers":  # behind the last block of its level, and its attention
+    if match["way"] == "down_blocks":
+        # The first block is the first convolution; each level ends with a downsampling block.
+        block = 1 + level * (layers + 1) + (layers if kind == "downsamplers" else index)
+        return f"input_blocks.{block}.{'0.op' if kind == 'downsamplers' else f'{inner}.{tail}'}"
+    block = level * (layers + 1) + (layers if kind == "upsamplers" else index)
+    if kind == "upsamplers":  # after the last block of its level, and its attention
         inner = 2 if unet.options.up[level] else 1
-    return f"output_blocks.{block}.{inner}.{rest}"
+    return f"output_blocks.{block}.{inner}.{tail}"

@@ -1,7 +1,7 @@
-"""Add LoRA to the weights of networks, which then compute what they would with it beside them.
+"""Merges LoRA into the weights of networks, which then need no extra branches.
 
-W′ = W + scale · α/r · B A (Hu et al. 2021, "LoRA", section 4.1), where A has r rows: a matrix, or
-for a convolution one with A's kernel and B of 1×1.
+W′ = W + scale · α/r · B A (Hu et al. 2021, "LoRA", section 4.1), where A has r rows. For a
+convolution, A has its kernel size and B is 1×1.
 """
 
 __all__ = ["merge"]
@@ -18,28 +18,28 @@ from gsgen.reference_plugins.loading.states import first_names
 
 
 def merge(adapter: Adapter, scale: float, homes: Mapping[str, nn.Module]) -> str:
-    """Add a LoRA to the layers of networks, in place, and say how much that was.
+    """Add a LoRA to the layers of networks in place, and return a summary.
 
     Args:
         adapter: The LoRA.
-        scale: What its changes are multiplied by.
-        homes: The layers, by every name that they go by.
+        scale: Factor of its changes.
+        homes: The layers, by each of their names.
 
     Raises:
-        CheckpointInvalid: A tensor has no layer, no partner, or another shape than its layer; all
-            of them are first_names, and no layer is changed.
+        CheckpointInvalid: A tensor has no layer, no partner, or does not fit its layer's shape.
+            The message lists the first of them; no layer is changed.
     """
     troubles = [
         f"{name} {trouble}"
         for name, pair in adapter.pairs.items()
-        if (trouble := _trouble(pair, homes.get(name)))
+        if (trouble := _mismatch(pair, homes.get(name)))
     ]
     if troubles or not adapter.pairs:
-        what = f"{len(troubles)} of {len(adapter.pairs)} layers do not fit the networks"
+        message = f"{len(troubles)} of {len(adapter.pairs)} layers do not fit the networks"
         raise CheckpointInvalid(
-            f"{what}: {first_names(troubles, '; ')}",
+            f"{message}: {first_names(troubles, '; ')}",
             where=str(adapter.path),
-            hint="It may be made for another network.",
+            hint="The LoRA may have been trained for another network.",
         )
     shares = set()
     for name, pair in adapter.pairs.items():
@@ -48,17 +48,17 @@ def merge(adapter: Adapter, scale: float, homes: Mapping[str, nn.Module]) -> str
         shares.add(share := adapter.share(name, pair, len(down)))
         weight = layer.weight
         assert isinstance(weight, Tensor)
-        # A new tensor: those of a file may share memory.
-        made = (weight.double() + scale * share * _product(pair, weight)).to(weight.dtype)
-        layer.weight = nn.Parameter(made, requires_grad=False)
+        # A new tensor, because those of a file may share memory.
+        merged = (weight.double() + scale * share * _product(pair, weight)).to(weight.dtype)
+        layer.weight = nn.Parameter(merged, requires_grad=False)
     words = f"{min(shares):g}" + f" to {max(shares):g}" * (len(shares) > 1)
     return f"{adapter.path.name} × {scale:g} in {len(adapter.pairs)} layers, α/r {words}"
 
 
-def _trouble(pair: Pair, layer: nn.Module | None) -> str:
-    """Say why a change cannot be that of a layer; nothing if it can."""
+def _mismatch(pair: Pair, layer: nn.Module | None) -> str:
+    """Return the reason why a change does not fit a layer; empty if it fits."""
     if layer is None:
-        return "is no layer of them"
+        return "is not a layer of the networks"
     if pair.down is None or pair.up is None:
         return f"has no {'lora_A or down' if pair.down is None else 'lora_B or up'}"
     weight = layer.weight
@@ -67,12 +67,12 @@ def _trouble(pair: Pair, layer: nn.Module | None) -> str:
     fits = down.ndim == up.ndim == 4 and len(down) > 0 and up.shape[1:] == (len(down), 1, 1)
     if fits and (len(up), *down.shape[1:]) == _kernel(weight).shape:
         return ""
-    seen = f"{list(pair.up.shape)} × {list(pair.down.shape)}"
-    return f"has {seen}, which is no change of {list(weight.shape)}"
+    actual = f"{list(pair.up.shape)} × {list(pair.down.shape)}"
+    return f"has {actual}, which does not fit the weight {list(weight.shape)}"
 
 
 def _product(pair: Pair, weight: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-    """Return B A in the shape of a layer's weight, as float64."""
+    """Return the product B A in float64, in the shape of a layer's weight."""
     assert pair.down is not None
     assert pair.up is not None
     down, up = _kernel(pair.down.double()), pair.up.double().flatten(1)

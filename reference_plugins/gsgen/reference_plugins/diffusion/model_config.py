@@ -1,4 +1,4 @@
-"""The options of a network, as a ``config.json`` of diffusers records them."""
+"""Reads the options of a network from a ``config.json`` of diffusers."""
 
 __all__ = ["ModelConfig", "read_model_config"]
 
@@ -20,49 +20,51 @@ class ModelConfig:
     """The options of one network.
 
     Attributes:
-        path: Where they were read.
-        values: Option → what JSON holds.
+        path: The file.
+        values: Option → JSON value.
     """
 
     path: Path
     values: Mapping[str, Any]
 
-    def wrong(self, name: str, what: str) -> CheckpointInvalid:
-        """Return the error of an option that cannot be honoured."""
-        return CheckpointInvalid(f"{name} {what}", where=str(self.path))
+    def option_error(self, name: str, problem: str) -> CheckpointInvalid:
+        """Return an error about the value of an option, to be raised by the caller."""
+        return CheckpointInvalid(f"{name} {problem}", where=str(self.path))
 
-    def one_of(self, name: str, values: Sequence[Any], default: Any = None) -> Any:
-        """Return an option that must be one of ``values``."""
+    def choice(self, name: str, values: Sequence[Any], default: Any = None) -> Any:
+        """Return the value of an option, which must be one of ``values``."""
         value = self.values.get(name, default)
         if isinstance(value, list | dict) or value not in values:
-            words = ", ".join(json.dumps(one) for one in values)
-            raise self.wrong(name, f"is {json.dumps(value)}; supported: {words}")
+            words = ", ".join(json.dumps(allowed) for allowed in values)
+            raise self.option_error(name, f"is {json.dumps(value)}; supported: {words}")
         return value
 
     def integer(self, name: str, default: int, *, least: int = 1) -> int:
-        """Return a whole number of at least ``least``."""
+        """Return the value of an option, which must be an integer of at least ``least``."""
         value = self.values.get(name, default)
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise self.wrong(name, f"is {value!r}, wanted a whole number from {least} on")
+            raise self.option_error(
+                name, f"is {value!r}, expected an integer of at least {least}"
+            )
         return value
 
     def number(self, name: str, default: float) -> float:
-        """Return a finite number."""
+        """Return the value of an option, which must be a finite number."""
         value = self.values.get(name, default)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if not is_number or not math.isfinite(value):
-            raise self.wrong(name, f"is {value!r}, wanted a number")
+            raise self.option_error(name, f"is {value!r}, expected a finite number")
         return float(value)
 
-    def flag(self, name: str, default: bool) -> bool:
-        """Return a yes or no."""
+    def flag(self, name: str, *, default: bool) -> bool:
+        """Return the value of an option, which must be true or false."""
         value = self.values.get(name, default)
         if not isinstance(value, bool):
-            raise self.wrong(name, f"is {value!r}, wanted true or false")
+            raise self.option_error(name, f"is {value!r}, expected true or false")
         return value
 
     def integers(self, name: str) -> tuple[int, ...]:
-        """Return a list of whole numbers above 0."""
+        """Return the value of an option, which must be a list of positive integers."""
         value = self.values.get(name)
         fits = (
             isinstance(value, list)
@@ -70,30 +72,38 @@ class ModelConfig:
             and all(type(n) is int and n > 0 for n in value)
         )
         if not fits:
-            raise self.wrong(name, f"is {value!r}, wanted a list of whole numbers")
+            raise self.option_error(
+                name, f"is {value!r}, expected a list of positive integers"
+            )
         return tuple(value or ())
 
     def per_level(self, name: str, levels: int, default: int) -> tuple[int, ...]:
-        """Return a whole number for each level; one in the file is that of all."""
+        """Return an integer for each level; a single number in the file applies to all levels."""
         if not isinstance(self.values.get(name), list):
             return (self.integer(name, default),) * levels
-        found = self.integers(name)
-        if len(found) != levels:
-            raise self.wrong(name, f"has {len(found)} numbers for {levels} levels")
-        return found
+        numbers = self.integers(name)
+        if len(numbers) != levels:
+            raise self.option_error(
+                name, f"has {len(numbers)} numbers, expected {levels}, one per level"
+            )
+        return numbers
 
     def kinds(self, name: str, known: Mapping[str, str], levels: int) -> tuple[str, ...]:
-        """Return what ``known`` makes of the kind of each level's block."""
-        found = self.values.get(name)
-        if not isinstance(found, list) or len(found) != levels:
-            raise self.wrong(name, f"is {found!r}, wanted a list of {levels} kinds")
-        unknown = [kind for kind in found if not isinstance(kind, str) or kind not in known]
+        """Return the value in ``known`` of each level's block type."""
+        names = self.values.get(name)
+        if not isinstance(names, list) or len(names) != levels:
+            raise self.option_error(
+                name, f"is {names!r}, expected a list of {levels} block types"
+            )
+        unknown = [kind for kind in names if not isinstance(kind, str) or kind not in known]
         if unknown:
-            raise self.wrong(name, f"has {unknown[0]!r}; supported: {', '.join(known)}")
-        return tuple(known[kind] for kind in found)
+            raise self.option_error(
+                name, f"has {unknown[0]!r}; supported: {', '.join(known)}"
+            )
+        return tuple(known[kind] for kind in names)
 
     def size(self, name: str) -> tuple[int, int] | None:
-        """Return a height and a width; one number is both, and absent is None."""
+        """Return a height and a width; a single number is both, and a missing option is None."""
         value = self.values.get(name)
         if value is None:
             return None
@@ -108,18 +118,23 @@ def read_model_config(folder: Path, name: str = "config.json") -> ModelConfig:
     """Read the options of a network.
 
     Args:
-        folder: Where the file lies.
-        name: Of the file.
+        folder: The folder of the file.
+        name: Name of the file.
 
     Raises:
-        CheckpointInvalid: It is missing, or holds no JSON object.
+        CheckpointInvalid: The file is missing, or does not hold a JSON object.
     """
     path = folder / name
     if not path.is_file():
         near = likely_folders(
-            folder, lambda one: (one / name).is_file() or (one / "unet" / name).is_file()
+            folder,
+            lambda candidate: (
+                (candidate / name).is_file() or (candidate / "unet" / name).is_file()
+            ),
         )
-        raise CheckpointInvalid("is missing: the options", where=str(path), hint=near)
+        raise CheckpointInvalid(
+            "is missing: expected the options of a network", where=str(path), hint=near
+        )
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise ValueError(f"has {path.stat().st_size:,} bytes")
@@ -127,6 +142,6 @@ def read_model_config(folder: Path, name: str = "config.json") -> ModelConfig:
     except (OSError, ValueError, RecursionError) as error:
         raise CheckpointInvalid(f"cannot be read: {error}", where=str(path)) from error
     if not isinstance(values, dict):
-        what = f"holds a {type(values).__name__}, wanted an object"
-        raise CheckpointInvalid(what, where=str(path))
+        message = f"holds a {type(values).__name__}, expected an object"
+        raise CheckpointInvalid(message, where=str(path))
     return ModelConfig(path, values)

@@ -1,4 +1,4 @@
-"""What a ``config.json`` of diffusers says, and which of it these networks can be."""
+"""Parses the ``config.json`` of diffusers into options of the networks that gsgen supports."""
 
 __all__ = ["AutoencoderOptions", "UNetOptions", "VectorOptions"]
 
@@ -12,8 +12,8 @@ _MID = {"UNetMidBlock2D": "image", "UNetMidBlock2DCrossAttn": "context", None: N
 _UNCONDITIONAL, _CONDITIONAL = "UNet2DModel", "UNet2DConditionModel"
 _TIME = 4
 
-# Option → the values that make the network below; others would make another one.
-_SAME = {
+# Option → its supported values, the default first.
+_REQUIRED = {
     "act_fn": ("silu",),
     "time_embedding_type": ("positional",),
     "class_embed_type": (None,),
@@ -42,11 +42,11 @@ _SAME = {
 
 @dataclass(frozen=True, slots=True)
 class VectorOptions:
-    """What is added to the embedded time, as in SDXL: of the prompt, and numbers about the image.
+    """Shape of the vector that SDXL adds to the embedded time: prompt and image sizes.
 
     Attributes:
-        length: Of the vector: what the text encoder pools, and features of each number.
-        features: Sines and cosines of one number.
+        length: Length of the vector: the pooled prompt, then features of each size.
+        features: Number of sines and cosines for one size.
     """
 
     length: int
@@ -54,50 +54,50 @@ class VectorOptions:
 
     @classmethod
     def of(cls, config: ModelConfig) -> "VectorOptions | None":
-        """Return what a configuration says; None where nothing is added.
+        """Parse the options of a configuration; None if no vector is added.
 
         Raises:
-            CheckpointInvalid: Something of another kind is added.
+            CheckpointInvalid: The network needs another kind of vector.
         """
-        if config.one_of("addition_embed_type", (None, "text_time")) is None:
+        if config.choice("addition_embed_type", (None, "text_time")) is None:
             return None
         length = config.integer("projection_class_embeddings_input_dim", 0)
         features = config.integer("addition_time_embed_dim", 0)
         if features % 2 or features >= length:
-            what = f"is {features}, wanted an even number below {length}"
-            raise config.wrong("addition_time_embed_dim", what)
+            problem = f"is {features}, expected an even number below {length}"
+            raise config.option_error("addition_time_embed_dim", problem)
         return cls(length, features)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class UNetOptions:
     """The shape of a U-Net.
 
     Attributes:
         inputs: Channels of the image.
         outputs: Channels of the result.
-        channels: Of each level, finest first.
-        down: What follows the residual blocks of each level on the way down: nothing, attention
-            between pixels (``image``), or a transformer (``context``).
-        middle: The same of the middle; None where there is no middle.
+        channels: Channels of each level, finest first.
+        down: Attention after the residual blocks of each level on the way down: empty for no
+            attention, ``image`` for self-attention, or ``context`` for a transformer.
+        middle: The same for the middle block; None without a middle block.
         up: The same on the way up, coarsest first.
         layers: Residual blocks of each level.
         heads: Heads of attention of each level.
         depth: Transformer blocks of each level.
         context: Length of a conditioning vector; None without conditioning.
-        groups: Of every norm.
-        eps: Of norms of residual blocks.
-        shrink: What sums of the middle are divided by.
+        groups: Groups of every norm.
+        eps: Epsilon of the norms of residual blocks.
+        shrink: Divisor of the sums in the middle block.
         shifts: Time scales and shifts norms.
         linear: Transformers project by linear layers.
-        padding: Of convolutions of stride 2.
-        kernels: Sizes of the first and the last convolution.
-        flip: Cosines of the time stand before its sines.
-        shift: What is taken off the number of frequencies.
-        centre: The image is brought from 0 … 1 to −1 … 1 first.
-        attends: The middle has attention.
-        sample: Height and width that training saw, if told.
-        vector: What is added to the embedded time, if anything is.
+        padding: Padding of the convolutions of stride 2.
+        kernels: Kernel sizes of the first and the last convolution.
+        flip: Cosines of the time come before its sines.
+        shift: Number subtracted from the number of frequencies.
+        centre: The image is converted from 0 … 1 to −1 … 1 first.
+        attends: The middle block has attention.
+        sample: Height and width of training samples, if known.
+        vector: Options of the vector that is added to the embedded time, if any.
     """
 
     inputs: int
@@ -126,30 +126,31 @@ class UNetOptions:
 
     @property
     def stride(self) -> int:
-        """What sides of an image must be multiples of."""
+        """Number that the sides of an image must be multiples of."""
         return int(2 ** (len(self.channels) - 1))
 
     @classmethod
     def of(cls, config: ModelConfig) -> "UNetOptions":
-        """Return what a configuration says.
+        """Parse the options of a U-Net.
 
         Raises:
-            CheckpointInvalid: It is no U-Net, or one of another kind.
+            CheckpointInvalid: The configuration is not of a supported U-Net.
         """
-        kind = config.one_of("_class_name", (_UNCONDITIONAL, _CONDITIONAL))
-        for name, values in _SAME.items():
-            config.one_of(name, values, values[0])
+        kind = config.choice("_class_name", (_UNCONDITIONAL, _CONDITIONAL))
+        for name, values in _REQUIRED.items():
+            config.choice(name, values, values[0])
         conditional = kind == _CONDITIONAL
         channels = config.integers("block_out_channels")
         levels = len(channels)
         down = config.kinds("down_block_types", _DOWN, levels)
         up = config.kinds("up_block_types", _UP, levels)
         usual = "UNetMidBlock2DCrossAttn" if conditional else "UNetMidBlock2D"
-        middle = _MID[config.one_of("mid_block_type", tuple(_MID), usual)]
+        middle = _MID[config.choice("mid_block_type", tuple(_MID), usual)]
         context = config.integer("cross_attention_dim", 1280) if conditional else None
         if context is None and "context" in (*down, *up, middle):
-            raise config.wrong(
-                "down_block_types", "asks for conditioning, of which there is none"
+            raise config.option_error(
+                "down_block_types",
+                "has blocks with cross-attention, but the network is unconditional",
             )
         return cls(
             inputs=config.integer("in_channels", 4 if conditional else 3),
@@ -159,23 +160,23 @@ class UNetOptions:
             middle=middle,
             up=up,
             layers=config.integer("layers_per_block", 2),
-            heads=_heads(config, channels, conditional),
+            heads=_heads_per_level(config, channels, conditional=conditional),
             depth=config.per_level("transformer_layers_per_block", levels, 1),
             context=context,
             groups=config.integer("norm_num_groups", 32),
             eps=config.number("norm_eps", 1e-5),
             shrink=config.number("mid_block_scale_factor", 1.0),
             shifts=config.values.get("resnet_time_scale_shift") == "scale_shift",
-            linear=config.flag("use_linear_projection", False),
+            linear=config.flag("use_linear_projection", default=False),
             padding=config.integer("downsample_padding", 1, least=0),
             kernels=(
                 config.integer("conv_in_kernel", 3),
                 config.integer("conv_out_kernel", 3),
             ),
-            flip=config.flag("flip_sin_to_cos", True),
+            flip=config.flag("flip_sin_to_cos", default=True),
             shift=config.number("freq_shift", 0.0),
-            centre=config.flag("center_input_sample", False),
-            attends=config.flag("add_attention", True),
+            centre=config.flag("center_input_sample", default=False),
+            attends=config.flag("add_attention", default=True),
             sample=config.size("sample_size"),
             vector=VectorOptions.of(config) if conditional else None,
         )
@@ -186,12 +187,12 @@ class UNetOptions:
         return _TIME * self.channels[0]
 
 
-def _heads(
-    config: ModelConfig, channels: tuple[int, ...], conditional: bool
+def _heads_per_level(
+    config: ModelConfig, channels: tuple[int, ...], *, conditional: bool
 ) -> tuple[int, ...]:
-    """Return the heads of each level.
+    """Return the number of attention heads of each level.
 
-    Of a conditional U-Net ``attention_head_dim`` is their number, in spite of its name.
+    In conditional U-Nets, ``attention_head_dim`` is this number, in spite of its name.
     """
     levels = len(channels)
     if conditional:
@@ -206,29 +207,29 @@ def _heads(
         heads = tuple(max(1, count // width) for count in channels)
     for count, head in zip(channels, heads, strict=True):
         if count % head:
-            raise config.wrong(
+            raise config.option_error(
                 "attention_head_dim", f"{head} heads do not divide {count} channels"
             )
     return heads
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AutoencoderOptions:
     """The shape of an autoencoder (AutoencoderKL).
 
     Attributes:
         inputs: Channels of the image.
         outputs: Channels of the decoded image.
-        latent: Channels between encoder and decoder.
-        channels: Of each level, finest first.
+        latent: Channels of the latent.
+        channels: Channels of each level, finest first.
         layers: Residual blocks of each level of the encoder; the decoder has one more.
-        groups: Of every norm.
-        scale: What a latent is multiplied by before the U-Net sees it.
-        shift: What is taken off before.
-        attends: The middle has attention.
-        quantised: There are 1×1 convolutions before and behind the latent.
-        skips: What enters each level of the encoder enters the decoder at that size, too, times
-            this and through a 1×1 convolution (Difix); None where it does not.
+        groups: Groups of every norm.
+        scale: Factor of the latent that the U-Net receives.
+        shift: Number subtracted from the latent before scaling.
+        attends: The middle block has attention.
+        quantised: Whether a 1×1 convolution precedes the latent, and whether one follows it.
+        skips: Factor of the skip connections, which lead the input of each encoder level through
+            a 1×1 convolution to the decoder (Difix); None without them.
     """
 
     inputs: int
@@ -245,26 +246,26 @@ class AutoencoderOptions:
 
     @property
     def stride(self) -> int:
-        """Pixels of an image along one of its latent."""
+        """Number of image pixels along one latent pixel."""
         return int(2 ** (len(self.channels) - 1))
 
     @classmethod
     def of(cls, config: ModelConfig, *, skips: bool = False) -> "AutoencoderOptions":
-        """Return what a configuration says.
+        """Parse the options of an autoencoder.
 
         Args:
             config: The configuration.
-            skips: There are weights for skip connections.
+            skips: The checkpoint has weights for skip connections.
 
         Raises:
-            CheckpointInvalid: It is no such autoencoder.
+            CheckpointInvalid: The configuration is not of a supported autoencoder.
         """
         if skips:
-            config.one_of("ignore_skip", (False,), False)
-        config.one_of("_class_name", ("AutoencoderKL",))
-        config.one_of("act_fn", ("silu",), "silu")
-        config.one_of("latents_mean", (None,), None)
-        config.one_of("latents_std", (None,), None)
+            config.choice("ignore_skip", (False,), False)
+        config.choice("_class_name", ("AutoencoderKL",))
+        config.choice("act_fn", ("silu",), "silu")
+        config.choice("latents_mean", (None,), None)
+        config.choice("latents_std", (None,), None)
         channels = config.integers("block_out_channels")
         config.kinds("down_block_types", {"DownEncoderBlock2D": ""}, len(channels))
         config.kinds("up_block_types", {"UpDecoderBlock2D": ""}, len(channels))
@@ -278,10 +279,10 @@ class AutoencoderOptions:
             groups=config.integer("norm_num_groups", 32),
             scale=config.number("scaling_factor", 0.18215),
             shift=0.0 if shift is None else config.number("shift_factor", 0.0),
-            attends=config.flag("mid_block_add_attention", True),
+            attends=config.flag("mid_block_add_attention", default=True),
             quantised=(
-                config.flag("use_quant_conv", True),
-                config.flag("use_post_quant_conv", True),
+                config.flag("use_quant_conv", default=True),
+                config.flag("use_post_quant_conv", default=True),
             ),
             skips=config.number("gamma", 1.0) if skips else None,
         )

@@ -29,9 +29,9 @@ def time_features(
 
     Args:
         moment: The timestep.
-        width: How many numbers, an even one.
-        flip: Cosines first.
-        shift: What is taken off the number of frequencies.
+        width: Number of features; must be even.
+        flip: Cosines come first.
+        shift: Number subtracted from the number of frequencies.
     """
     half = width // 2
     exponent = (
@@ -45,32 +45,32 @@ def time_features(
 def added_vector(
     pooled: Float[Tensor, "1 p"], time_ids: Sequence[float], options: UNetOptions
 ) -> Float[Tensor, "1 v"]:
-    """Return what SDXL adds to the embedded time, before its layers.
+    """Return the vector that SDXL adds to the embedded time, before its layers.
 
-    It is the pooled prompt and features of each number (Podell et al. 2023, section 2.2).
+    It joins the pooled prompt and the features of each size (Podell et al. 2023, section 2.2).
 
     Args:
-        pooled: What the text encoder makes of the prompt as a whole.
-        time_ids: Of the image: its height and width, where it was cut off, and the size wanted.
-        options: Of a U-Net that takes such a vector.
+        pooled: The pooled prompt of the text encoder.
+        time_ids: Original height and width, top and left of the crop, target height and width.
+        options: Options of a U-Net that takes such a vector.
 
     Raises:
-        ValueError: Together, they are of another length than the U-Net wants.
+        ValueError: The vector has another length than the U-Net expects.
     """
     vector = options.vector
     assert vector is not None
     features = time_features(
         torch.tensor(time_ids), vector.features, flip=options.flip, shift=options.shift
     )
-    made = torch.cat([pooled.float(), features.reshape(1, -1)], dim=1)
-    if made.shape[1] != vector.length:
-        seen = f"{pooled.shape[1]} + {len(time_ids)} × {vector.features}"
-        raise ValueError(f"{seen} is {made.shape[1]}, wanted {vector.length}")
-    return made
+    joined = torch.cat([pooled.float(), features.reshape(1, -1)], dim=1)
+    if joined.shape[1] != vector.length:
+        lengths = f"{pooled.shape[1]} + {len(time_ids)} × {vector.features}"
+        raise ValueError(f"{lengths} is {joined.shape[1]}, expected {vector.length}")
+    return joined
 
 
 class _Level(nn.Module):
-    """Residual blocks of one size, each with what may follow it, and a change of size."""
+    """Residual blocks of one resolution, with optional attention after each."""
 
     def __init__(
         self, options: UNetOptions, index: int, kind: str, sizes: list[tuple[int, int]]
@@ -81,13 +81,19 @@ class _Level(nn.Module):
         self.resnets = nn.ModuleList(_residual(options, i, o) for i, o in sizes)
         if kind:
             self.attentions = nn.ModuleList(
-                _attending(options, kind, outputs, index) for _ in sizes
+                _attention_block(options, kind, outputs, index) for _ in sizes
             )
 
-    def at(self, index: int, image: Tensor, time: Tensor, context: Tensor | None) -> Tensor:
-        """Apply one residual block and what follows it."""
-        made: Tensor = self.resnets[index](image, time)
-        return _attended(self.attentions[index], made, context) if self.kind else made
+    def apply_block(
+        self, index: int, image: Tensor, time: Tensor, context: Tensor | None
+    ) -> Tensor:
+        """Apply one residual block and its attention, if any."""
+        features: Tensor = self.resnets[index](image, time)
+        return (
+            _apply_attention(self.attentions[index], features, context)
+            if self.kind
+            else features
+        )
 
 
 class _Down(_Level):
@@ -104,14 +110,14 @@ class _Down(_Level):
     def forward(
         self, image: Tensor, time: Tensor, context: Tensor | None
     ) -> tuple[Tensor, list[Tensor]]:
-        kept = []
+        skips = []
         for index in range(len(self.resnets)):
-            image = self.at(index, image, time, context)
-            kept.append(image)
+            image = self.apply_block(index, image, time, context)
+            skips.append(image)
         if self.downsamplers is not None:
             image = self.downsamplers[0](image)
-            kept.append(image)
-        return image, kept
+            skips.append(image)
+        return image, skips
 
 
 class _Up(_Level):
@@ -132,11 +138,11 @@ class _Up(_Level):
         self.upsamplers = None if last else nn.ModuleList([Upsample(outputs)])
 
     def forward(
-        self, image: Tensor, kept: list[Tensor], time: Tensor, context: Tensor | None
+        self, image: Tensor, skips: list[Tensor], time: Tensor, context: Tensor | None
     ) -> Tensor:
         for index in range(len(self.resnets)):
-            joined = torch.cat([image, kept.pop()], dim=1)
-            image = self.at(index, joined, time, context)
+            joined = torch.cat([image, skips.pop()], dim=1)
+            image = self.apply_block(index, joined, time, context)
         return image if self.upsamplers is None else self.upsamplers[0](image)
 
 
@@ -150,15 +156,15 @@ class _Middle(nn.Module):
         self.attends = kind == "context" or options.attends
         if self.attends:
             self.attentions = nn.ModuleList(
-                [_attending(options, kind, width, index, options.shrink)]
+                [_attention_block(options, kind, width, index, options.shrink)]
             )
 
     def forward(self, image: Tensor, time: Tensor, context: Tensor | None) -> Tensor:
         image = self.resnets[0](image, time)
         if self.attends:
-            image = _attended(self.attentions[0], image, context)
-        made: Tensor = self.resnets[1](image, time)
-        return made
+            image = _apply_attention(self.attentions[0], image, context)
+        output: Tensor = self.resnets[1](image, time)
+        return output
 
 
 def _residual(options: UNetOptions, i: int, o: int, shrink: float = 1.0) -> Residual:
@@ -173,7 +179,7 @@ def _residual(options: UNetOptions, i: int, o: int, shrink: float = 1.0) -> Resi
     )
 
 
-def _attending(
+def _attention_block(
     options: UNetOptions, kind: str, channels: int, index: int, shrink: float = 1.0
 ) -> nn.Module:
     heads = options.heads[index]
@@ -193,9 +199,11 @@ def _attending(
     )
 
 
-def _attended(block: nn.Module, image: Tensor, context: Tensor | None) -> Tensor:
-    made: Tensor = block(image, context) if isinstance(block, Transformer) else block(image)
-    return made
+def _apply_attention(block: nn.Module, image: Tensor, context: Tensor | None) -> Tensor:
+    attended: Tensor = (
+        block(image, context) if isinstance(block, Transformer) else block(image)
+    )
+    return attended
 
 
 class _Embedding(nn.Module):
@@ -205,15 +213,15 @@ class _Embedding(nn.Module):
         self.linear_2 = nn.Linear(width, width)
 
     def forward(self, features: Tensor) -> Tensor:
-        made: Tensor = self.linear_2(F.silu(self.linear_1(features)))
-        return made
+        embedded: Tensor = self.linear_2(F.silu(self.linear_1(features)))
+        return embedded
 
 
 class UNet(nn.Module):
-    """Down, through the middle, and up again; every level remembers what it was on the way down."""
+    """A U-Net: levels down, a middle block, and levels up with skip connections."""
 
     def __init__(self, options: UNetOptions) -> None:
-        """Make the layers, with weights yet to be loaded."""
+        """Create the layers; the weights are loaded later."""
         super().__init__()
         self.options = options
         first, last = options.kernels
@@ -246,13 +254,13 @@ class UNet(nn.Module):
         context: Float[Tensor, "b m d"] | None = None,
         vector: Float[Tensor, "b v"] | None = None,
     ) -> Float[Tensor, "b o h w"]:
-        """Return what the network predicts.
+        """Return the prediction of the network, such as noise.
 
         Args:
-            image: Sides are multiples of the options' stride.
+            image: An image whose sides are multiples of the options' stride.
             moment: The timestep.
-            context: Conditioning vectors, where the network takes them.
-            vector: What is added to the embedded time, where something is (:func:`added_vector`).
+            context: Conditioning vectors, if the network takes them.
+            vector: The vector that is added to the embedded time, if any (:func:`added_vector`).
         """
         options = self.options
         features = time_features(
@@ -262,13 +270,13 @@ class UNet(nn.Module):
         if self.add_embedding is not None:
             time = time + self.add_embedding(vector)
         image = self.conv_in(2 * image - 1 if options.centre else image)
-        kept = [image]
+        skips = [image]
         for down in self.down_blocks:
-            image, more = down(image, time, context)
-            kept += more
+            image, level_skips = down(image, time, context)
+            skips += level_skips
         if self.mid_block is not None:
             image = self.mid_block(image, time, context)
         for up in self.up_blocks:
-            image = up(image, kept, time, context)
-        made: Tensor = self.conv_out(F.silu(self.conv_norm_out(image)))
-        return made
+            image = up(image, skips, time, context)
+        predicted: Tensor = self.conv_out(F.silu(self.conv_norm_out(image)))
+        return predicted

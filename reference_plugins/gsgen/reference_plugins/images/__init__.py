@@ -1,1 +1,1 @@
-"""Networks on rendered images: denoiser and style transfer."""
+"""Post-process networks for rendered images: diffusion denoisers and style transfer."""

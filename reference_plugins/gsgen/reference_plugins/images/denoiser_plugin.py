@@ -1,4 +1,4 @@
-"""`gsgen export denoiser`: one step of a diffusion network as a post-process model."""
+"""`gsgen export denoiser`: exports one step of a diffusion network as a post-process model."""
 
 __all__ = ["PLUGIN"]
 
@@ -33,15 +33,15 @@ Folder = Annotated[
 Vae = Annotated[
     Path | None,
     typer.Option(
-        help="Folder of the autoencoder, for a U-Net on latents that lies elsewhere.",
-        show_default="DIR/vae, if it is there",
+        help="Folder of the autoencoder, if it is not in DIR.",
+        show_default="DIR/vae, if it exists",
     ),
 ]
 Lora = Annotated[
     list[str] | None,
     typer.Option(
         "--lora",
-        help="FILE[:SCALE]: add a LoRA to the weights, SCALE times (once if absent). Once for each.",
+        help="FILE[:SCALE]: add a LoRA to the weights, times SCALE (default 1). Repeat for several.",
         show_default="none",
     ),
 ]
@@ -49,47 +49,45 @@ DifixFile = Annotated[
     Path | None,
     typer.Option(
         "--difix",
-        help="The model.pkl of Difix: its U-Net, LoRA and skip connections, over DIR.",
+        help="The model.pkl of Difix: its U-Net, LoRA and skip connections are added to those of DIR.",
         show_default="none",
     ),
 ]
-Timestep = Annotated[
-    float, typer.Option(help="At which timestep the step is taken.", min=0)
-]
+Timestep = Annotated[float, typer.Option(help="Timestep of the denoising step.", min=0)]
 Steers = Annotated[
     bool, typer.Option("--timestep-input", help="The timestep is an input of the model.")
 ]
 Size = Annotated[
     str | None,
     typer.Option(
-        help="Images as HEIGHTxWIDTH, or any: then the graph is not captured.",
-        show_default="that of training",
+        help="Image size as HEIGHTxWIDTH; or any, which prevents graph capture.",
+        show_default="the size of training",
     ),
 ]
 EmbeddingsFile = Annotated[
     Path | None,
     typer.Option(
-        help="What the text encoder makes of the prompt: npz with one array [1, L, D]; of SDXL "
-        "prompt_embeds, pooled_prompt_embeds and, if they are not to follow the size, time_ids.",
+        help="Embeddings of the prompt: npz with one array [1, L, D]; for SDXL with "
+        "prompt_embeds, pooled_prompt_embeds and, to override the image size, time_ids.",
         show_default=f"DIR/{_EMBEDDINGS}",
     ),
 ]
 TimeIds = Annotated[
     str | None,
     typer.Option(
-        help="What SDXL is told of the image: height,width,top,left,height,width.",
-        show_default="those of the embeddings, or the size of images",
+        help="Image sizes for SDXL: height,width,top,left,height,width.",
+        show_default="from the embeddings, or the image size",
     ),
 ]
 Values = Annotated[
     Literal["signed", "unit"],
     typer.Option(
-        help="Black and white of images: −1 and 1, or 0 and 1 as renderers have them."
+        help="Range of image values: −1 to 1 (signed), or 0 to 1 as in renderers (unit)."
     ),
 ]
 Result = Annotated[
     Literal["image", "network"],
-    typer.Option(help="The clean image, or what the network itself predicts."),
+    typer.Option(help="Output: the clean image, or the network's prediction."),
 ]
 
 
@@ -99,76 +97,87 @@ def build(
     lora: Lora = None,
     difix: DifixFile = None,
     timestep: Timestep = 199.0,
-    timestep_input: Steers = False,
     size: Size = None,
     embeddings: EmbeddingsFile = None,
     time_ids: TimeIds = None,
     values: Values = "signed",
     result: Result = "image",
+    *,
+    timestep_input: Steers = False,
 ) -> "Denoiser":
-    """Read a checkpoint, say what is in it, and return its model."""
+    """Read a checkpoint, report its contents, and return its model."""
     from importlib.metadata import version
 
     from gsgen.contract.spec.manifest import Producer
     from gsgen.reference_plugins.images.denoiser import Denoiser, Step
     from gsgen.reference_plugins.images.diffusion_checkpoint import read_diffusion
 
-    given = None if size is None else read_size(size)
-    loras = [_scaled(word) for word in lora or ()]
+    requested = None if size is None else read_size(size)
+    loras = [_parse_lora(word) for word in lora or ()]
     read = read_diffusion(checkpoint, vae, difix=difix, loras=loras)
     note(read.describe())
     for warning in read.warnings:
         note(f"warning: {warning}")
-    sides = _trained(read) if size is None else given
+    sides = _trained_size(read) if size is None else requested
     if sides and (sides[0] % read.stride or sides[1] % read.stride):
         note(
-            f"note: sides are no multiples of {read.stride}; images are continued by their edge"
+            f"note: sides are not multiples of {read.stride}; images are padded by their edge"
         )
-    step = Step(timestep, timestep_input, sides, values == "unit", result == "network")
+    step = Step(
+        timestep=timestep,
+        timestep_is_input=timestep_input,
+        size=sides,
+        is_unit_range=values == "unit",
+        returns_prediction=result == "network",
+    )
     prompt = _conditioning(read, checkpoint, embeddings)
-    made = Denoiser(read, step, prompt.context, _vector(read, prompt, time_ids, sides))
-    made.producer = Producer(f"gsgen {version('gsgen')}", weights_sha256=read.digest)
-    return made
+    denoiser = Denoiser(read, step, prompt.context, _vector(read, prompt, time_ids, sides))
+    denoiser.producer = Producer(f"gsgen {version('gsgen')}", weights_sha256=read.digest)
+    return denoiser
 
 
-def _scaled(word: str) -> tuple[Path, float]:
-    """Return the file and the scale that ``FILE[:SCALE]`` says."""
+def _parse_lora(word: str) -> tuple[Path, float]:
+    """Parse ``FILE[:SCALE]`` into a path and a scale; the default scale is 1."""
     name, colon, text = word.rpartition(":")
     if not colon or Path(word).exists():
         return Path(word), 1.0
     if text.strip("0123456789.,+-eE") not in ("", "inf", "nan"):
-        return Path(word), 1.0  # a colon of the file's own
+        return Path(word), 1.0  # the colon is part of the file name
     try:
         scale = float(text)
     except ValueError:
         scale = math.nan
     if not math.isfinite(scale):
         hint = "Write it as FILE or FILE:0.8."
-        raise ConfigInvalid(f"{text!r} is no scale", where="--lora", hint=hint)
+        raise ConfigInvalid(
+            f"{text!r} is not a scale: expected a finite number", where="--lora", hint=hint
+        )
     return Path(name), scale
 
 
-def _trained(read: "DiffusionCheckpoint") -> tuple[int, int]:
+def _trained_size(read: "DiffusionCheckpoint") -> tuple[int, int]:
     if read.size is None:
         hint = "Give --size HEIGHTxWIDTH, or --size any."
-        raise ConfigInvalid("the checkpoint tells no size", where="--size", hint=hint)
-    note(f"size: {read.size[0]} × {read.size[1]}, that of training")
+        raise ConfigInvalid(
+            "the checkpoint does not record an image size", where="--size", hint=hint
+        )
+    note(f"size: {read.size[0]} × {read.size[1]}, as in training")
     return read.size
 
 
 def _conditioning(
     read: "DiffusionCheckpoint", folder: Path, embeddings: Path | None
 ) -> "Embeddings":
-    """Return the conditioning: of the file given, or of the one that lies in the folder."""
+    """Read the prompt's embeddings from the given file, or from the checkpoint's folder."""
     from gsgen.reference_plugins.images.embeddings import Embeddings, read_embeddings
 
     usual, options = folder / _EMBEDDINGS, read.unet.options
     if embeddings is None and (options.context is None or not usual.is_file()):
         return Embeddings()
     path = embeddings or usual
-    found = read_embeddings(path, pooled=options.vector is not None)
-    note(f"conditioning: {path}, {found.describe()}")
-    return found
+    prompt = read_embeddings(path, pooled=options.vector is not None)
+    note(f"conditioning: {path}, {prompt.describe()}")
+    return prompt
 
 
 def _vector(
@@ -177,7 +186,7 @@ def _vector(
     ids: str | None,
     size: tuple[int, int] | None,
 ) -> "Tensor | None":
-    """Return what is added to the embedded time: the prompt, and numbers about the image."""
+    """Return the vector that is added to the embedded time: pooled prompt and image sizes."""
     from gsgen.reference_plugins.diffusion.unet import added_vector
 
     if read.unet.options.vector is None:
@@ -185,37 +194,37 @@ def _vector(
             raise ConfigInvalid("the network takes no time_ids", where="--time-ids")
         return None
     if prompt.pooled is None:
-        return None  # that nothing was given is said of the conditioning as a whole
+        return None  # the error about missing embeddings covers this
     time_ids = prompt.time_ids if ids is None else _numbers(ids)
     if time_ids is None:
         if size is None:
             hint = "Give --time-ids HEIGHT,WIDTH,0,0,HEIGHT,WIDTH."
-            what = "images of any size tell none"
-            raise ConfigInvalid(what, where="--time-ids", hint=hint)
+            message = "time_ids cannot be derived from images of any size"
+            raise ConfigInvalid(message, where="--time-ids", hint=hint)
         time_ids = (*map(float, size), 0.0, 0.0, *map(float, size))
-        note(f"time_ids: {','.join(f'{one:g}' for one in time_ids)}, the size of images")
+        note(f"time_ids: {','.join(f'{side:g}' for side in time_ids)}, from the image size")
     try:
         return added_vector(prompt.pooled, time_ids, read.unet.options)
     except ValueError as error:
-        what = f"the pooled prompt and time_ids do not fit the network: {error}"
-        raise ConfigInvalid(what, where="--time-ids") from error
+        message = f"the pooled prompt and time_ids do not fit the network: {error}"
+        raise ConfigInvalid(message, where="--time-ids") from error
 
 
 def _numbers(text: str) -> tuple[float, ...]:
     try:
-        made = tuple(float(word) for word in text.split(","))
+        numbers = tuple(float(word) for word in text.split(","))
     except ValueError:
-        made = ()
-    if not made or not all(map(math.isfinite, made)):
+        numbers = ()
+    if not numbers or not all(map(math.isfinite, numbers)):
         hint = "Write them as 1024,1024,0,0,1024,1024."
         raise ConfigInvalid(
-            f"{text!r} is no list of numbers", where="--time-ids", hint=hint
+            f"{text!r} is not a list of numbers", where="--time-ids", hint=hint
         )
-    return made
+    return numbers
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a U-Net that takes off fine noise."""
+    """Write a U-Net that removes fine noise, and return the options that export it."""
     from gsgen.reference_plugins.images.synthetic_images import write_denoiser
 
     unet = {"down_block_types": ["DownBlock2D"] * 2, "up_block_types": ["UpBlock2D"] * 2}
@@ -225,7 +234,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 
 def _with_noise(picture: "np.ndarray") -> "np.ndarray":
-    """Add the noise that diffusion has at the demo's timestep to a picture [H, W, 3] of uint8."""
+    """Add diffusion noise of the demo's timestep to a uint8 image [H, W, 3]."""
     import numpy as np
 
     from gsgen.reference_plugins.images.diffusers_writer import SCHEDULE
@@ -243,11 +252,11 @@ PLUGIN = Plugin(
     summary="One step of a diffusion network that cleans the rendered image (post-process).",
     reads="Reads the layout of diffusers: DIR/unet/ and, for networks on latents, DIR/vae/, each "
     "with config.json and diffusion_pytorch_model.safetensors (or .bin), and "
-    "DIR/scheduler/scheduler_config.json. A U-Net's own folder will do, too.",
+    "DIR/scheduler/scheduler_config.json. The folder of a U-Net alone is accepted, too.",
     inputs=("image", "timestep"),
     demo=Demo(
         write=_write_demo,
-        caption="noise on a rendered image, and off it",
+        caption="a noisy rendered image, and its denoised version",
         degrade=_with_noise,
     ),
     build=build,

@@ -1,4 +1,4 @@
-"""The layout in which diffusers saves networks and schedules."""
+"""Writes networks and noise schedules in the layout of diffusers."""
 
 __all__ = ["SCHEDULE", "config_of", "write_network", "write_schedule"]
 
@@ -20,13 +20,13 @@ SCHEDULE: Final[Mapping[str, Any]] = {
     "beta_end": 0.012,
     "prediction_type": "epsilon",
 }
-"""How Stable Diffusion adds noise."""
+"""The noise schedule of Stable Diffusion."""
 
 _WEIGHTS = "diffusion_pytorch_model.safetensors"
 
 
 def config_of(values: Mapping[str, Any]) -> ModelConfig:
-    """Return options as if they were read from a ``config.json``."""
+    """Wrap options as if they were read from a ``config.json``."""
     return ModelConfig(Path("config.json"), values)
 
 
@@ -42,9 +42,9 @@ def write_schedule(folder: Path, changes: Mapping[str, Any] | None = None) -> No
     """Write ``scheduler/`` into ``folder``.
 
     Args:
-        folder: Of the checkpoint.
+        folder: The folder of the checkpoint.
         changes: Options that differ from those of :data:`SCHEDULE`.
     """
-    place = folder / "scheduler" / "scheduler_config.json"
-    place.parent.mkdir(parents=True, exist_ok=True)
-    place.write_text(json.dumps({**SCHEDULE, **(changes or {})}), "utf-8")
+    path = folder / "scheduler" / "scheduler_config.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps({**SCHEDULE, **(changes or {})}), "utf-8")

@@ -1,10 +1,10 @@
-"""Weights that do something to an image and that nobody trained: they are set by formula.
+"""Sets weights of image networks by formula, so that they filter images without training.
 
-Most of a network is switched off: a residual block whose second convolution is zero hands its input
-on. What is left is a path that can be followed, and noted at each step below.
+Most layers are switched off: a residual block whose second convolution is zero returns its input.
+The remaining path is described at each step below.
 """
 
-__all__ = ["BINOMIAL", "Weights", "draw_outlines", "take_off_noise"]
+__all__ = ["BINOMIAL", "COLORS", "Weights", "set_denoising_weights", "set_outline_weights"]
 
 from collections.abc import Callable
 
@@ -16,41 +16,44 @@ from gsgen.contract.errors import ConfigInvalid
 from gsgen.reference_plugins.diffusion.unet import UNet
 from gsgen.reference_plugins.images.stylise import Stylise
 
-_RGB = 3
-_LIMIT = 1.2  # standard deviations of fine detail; more than that is an edge, and stays
-_STEEP = 3.0  # how sharply SiLU bends, to pass for a ReLU
+COLORS = 3
+_LIMIT = 1.2  # standard deviations of fine detail; stronger contrasts are edges and stay
+_STEEP = 3.0  # factor before SiLU, so that it approximates a ReLU
 _LIGHT = torch.tensor([0.3, 0.6, 0.1])
 BINOMIAL = torch.tensor([[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]]) / 16
 
 
-def take_off_noise(unet: UNet) -> None:
-    """Make a U-Net of two levels take fine detail of little contrast for noise.
+def set_denoising_weights(unet: UNet) -> None:
+    """Make a U-Net of two levels predict fine detail of low contrast as noise.
 
-    The upper level keeps the image, the lower one a blurred copy; their difference is normalised
-    by the last GroupNorm to variance 1, as noise has it, and cut at ±1.2 by two SiLU.
+    The upper level keeps the image, the lower one a blurred copy. The last GroupNorm normalises
+    their difference to variance 1, as noise has, and two SiLU clip it at ±1.2.
 
     Args:
-        unet: Of 3 channels to 3, two levels, one layer, and 8 channels in 4 groups at the upper.
+        unet: A U-Net of 3 input and output channels, two levels of one layer, and 8 channels in
+            4 groups at the upper level.
 
     Raises:
-        ConfigInvalid: It is of another shape.
+        ConfigInvalid: The U-Net has another shape.
     """
     options = unet.options
-    seen = (options.inputs, options.outputs, len(options.channels), options.layers)
-    if seen != (_RGB, _RGB, 2, 1) or (options.channels[0], options.groups) != (8, 4):
-        raise ConfigInvalid(f"cannot be set by hand: {options}", where="unet")
+    shape = (options.inputs, options.outputs, len(options.channels), options.layers)
+    if shape != (COLORS, COLORS, 2, 1) or (options.channels[0], options.groups) != (8, 4):
+        raise ConfigInvalid(
+            f"has unsupported options for weights by formula: {options}", where="unet"
+        )
     weights = Weights(unet)
     weights("conv_in", _centre)
     weights("down_blocks.0.downsamplers.0.conv", _blur)
     weights("down_blocks.1.resnets.0.conv_shortcut", _centre)
     for name in ("up_blocks.0.resnets.0", "up_blocks.0.resnets.1", "up_blocks.1.resnets.1"):
-        weights(f"{name}.conv_shortcut", _all_on)  # what came from the side is left out
+        weights(f"{name}.conv_shortcut", _all_on)  # the skip connections are ignored
     weights("up_blocks.0.upsamplers.0.conv", _blur)
     blurred = options.channels[1]
     difference = weights["up_blocks.1.resnets.0.conv_shortcut.weight"]
     norm = weights["conv_norm_out.weight"], weights["conv_norm_out.bias"]
     out = weights["conv_out.weight"]
-    for color in range(_RGB):  # a group of two for each colour: both are the difference
+    for color in range(COLORS):  # a group of two for each colour: both are the difference
         pair = slice(2 * color, 2 * color + 2)
         difference[pair, blurred + color], difference[pair, color] = 1.0, -1.0
         norm[0][pair], norm[1][pair] = _STEEP, _STEEP * torch.tensor([_LIMIT, -_LIMIT])
@@ -58,38 +61,42 @@ def take_off_noise(unet: UNet) -> None:
     weights["conv_out.bias"][:] = -_LIMIT
 
 
-def draw_outlines(network: Stylise) -> None:
-    """Make a stylisation network draw on white paper: what is bright in its colour, with outlines.
+def set_outline_weights(network: Stylise) -> None:
+    """Make a stylisation network draw an image as coloured outlines on white paper.
 
-    Channels carry red, green, blue, brightness, and how much brighter or darker a pixel is than what
-    is around it, each standardised by the norms; the last layer weighs them.
+    Channels hold red, green, blue, brightness, and positive and negative local contrast, each
+    standardised by the norms; the last layer combines them.
 
     Raises:
         ConfigInvalid: The network has fewer than six channels.
     """
     channels = network.last.in_channels
     if channels < 6:
-        raise ConfigInvalid(f"{channels} channels, wanted 6 at least", where="channels")
+        raise ConfigInvalid(
+            f"has {channels} channels, expected at least 6", where="channels"
+        )
     weights = Weights(network)
     weights("down.0.conv", _color_and_contrast)
     for name in ("down.1", "down.2", "up.0", "up.1"):
         weights(f"{name}.conv", _blur)
     for name in ("down.0", "down.1", "down.2", "up.0", "up.1"):
         weights[f"{name}.norm.weight"][:6] = 1.0
-        weights[f"{name}.norm.bias"][:4] = 2.0  # hardly anything is below −2 deviations
-    weights["down.0.norm.bias"][4:6] = -0.5  # of contrasts, the strong ones
+        weights[f"{name}.norm.bias"][:4] = 2.0  # few values are below −2 deviations
+    weights["down.0.norm.bias"][4:6] = -0.5  # strong contrasts only
     out, bias = weights["last.weight"], weights["last.bias"]
-    for color in range(_RGB):
-        out[color, color, 4, 4], out[color, _RGB, 4, 4] = 4.0, -4.0
+    for color in range(COLORS):
+        out[color, color, 4, 4], out[color, COLORS, 4, 4] = 4.0, -4.0
         out[color, 4:6, 4, 4] = -1.2
     bias[:] = 3.0
 
 
 class Weights:
-    """A network's weights by name, all zero to begin with."""
+    """Access to a network's weights by name; all are set to zero first."""
 
     def __init__(self, network: nn.Module) -> None:
-        self._named = {name: one.data for name, one in network.named_parameters()}
+        self._named = {
+            name: parameter.data for name, parameter in network.named_parameters()
+        }
         for value in self._named.values():
             value.zero_()
 
@@ -97,13 +104,13 @@ class Weights:
         return self._named[name]
 
     def __call__(self, name: str, change: Callable[[Tensor], None]) -> None:
-        """Change the weight of a layer."""
+        """Apply ``change`` to the weight of a layer."""
         change(self._named[f"{name}.weight"])
 
 
 def _centre(weight: Float[Tensor, "o i h w"]) -> None:
-    """Hand the first three channels on."""
-    for color in range(_RGB):
+    """Set a kernel that copies the first three channels."""
+    for color in range(COLORS):
         weight[color, color, weight.shape[2] // 2, weight.shape[3] // 2] = 1.0
 
 
@@ -118,9 +125,9 @@ def _blur(weight: Float[Tensor, "o i 3 3"]) -> None:
 
 def _color_and_contrast(weight: Float[Tensor, "o 3 9 9"]) -> None:
     _centre(weight)
-    weight[_RGB, :, 4, 4] = _LIGHT
-    away = torch.arange(9.0) - 4
-    square = away[:, None] ** 2 + away[None] ** 2
+    weight[COLORS, :, 4, 4] = _LIGHT
+    distance = torch.arange(9.0) - 4
+    square = distance[:, None] ** 2 + distance[None] ** 2
     fine, coarse = torch.exp(-square / 2), torch.exp(-square / 8)
     contrast = fine / fine.sum() - coarse / coarse.sum()
     weight[4] = _LIGHT[:, None, None] * contrast

@@ -1,4 +1,4 @@
-"""Sizes of images, as options say them."""
+"""Parses image sizes of command-line options."""
 
 __all__ = ["read_size"]
 
@@ -10,10 +10,10 @@ _SIZE = re.compile(r"(\d{1,6})[x×](\d{1,6})")
 
 
 def read_size(size: str) -> tuple[int, int] | None:
-    """Return height and width; None where any will do.
+    """Parse ``HEIGHTxWIDTH`` into height and width; ``any`` gives None.
 
     Raises:
-        ConfigInvalid: It is neither.
+        ConfigInvalid: ``size`` is neither.
     """
     word = size.strip().lower()
     if word == "any":
@@ -21,5 +21,5 @@ def read_size(size: str) -> tuple[int, int] | None:
     match = _SIZE.fullmatch(word)
     if match is None or not (int(match[1]) and int(match[2])):
         hint = "Write it as 576x1024, height first, or any."
-        raise ConfigInvalid(f"{size!r} is no size", where="--size", hint=hint)
+        raise ConfigInvalid(f"{size!r} is not an image size", where="--size", hint=hint)
     return int(match[1]), int(match[2])

@@ -1,9 +1,9 @@
-"""A feed-forward network that draws an image in another style.
+"""A feed-forward network that renders an image in another style.
 
 Johnson et al. 2016, "Perceptual Losses for Real-Time Style Transfer", with the instance norms of
 Ulyanov et al. 2016, "Instance Normalization: The Missing Ingredient for Fast Stylization", and
-nearest upsampling in place of transposed convolutions (Odena et al. 2016). The last layer adds to
-the image, by a share that may be an input.
+nearest upsampling in place of transposed convolutions (Odena et al. 2016). The result is
+blended with the image, by a weight that may be an input.
 """
 
 __all__ = ["Stylise", "StyliseOptions"]
@@ -26,7 +26,7 @@ class StyliseOptions:
     """The shape of the network.
 
     Attributes:
-        channels: Of the first convolution; each of the next two has twice as many.
+        channels: Channels of the first convolution; each of the next two doubles them.
         blocks: Residual blocks at a quarter of the size.
     """
 
@@ -35,7 +35,7 @@ class StyliseOptions:
 
 
 class _Block(nn.Module):
-    """A convolution that keeps the edge, and an instance norm."""
+    """A convolution with edge padding, and an instance norm."""
 
     def __init__(self, inputs: int, outputs: int, kernel: int, stride: int = 1) -> None:
         super().__init__()
@@ -44,10 +44,10 @@ class _Block(nn.Module):
         self.norm = nn.InstanceNorm2d(outputs, affine=True)
 
     def forward(self, image: Tensor) -> Tensor:
-        made: Tensor = self.norm(
+        output: Tensor = self.norm(
             self.conv(F.pad(image, (self.around,) * 4, mode="replicate"))
         )
-        return made
+        return output
 
 
 class _Residual(nn.Module):
@@ -57,25 +57,25 @@ class _Residual(nn.Module):
         self.second = _Block(channels, channels, 3)
 
     def forward(self, image: Tensor) -> Tensor:
-        made: Tensor = image + self.second(torch.relu(self.first(image)))
-        return made
+        output: Tensor = image + self.second(torch.relu(self.first(image)))
+        return output
 
 
 @final
 class Stylise(PostProcess):
-    """Two convolutions down, residual blocks, two up; images are 0 … 1."""
+    """The style transfer network: downsampling, residual blocks, upsampling; images are 0 … 1."""
 
     family = "stylisation"
 
     def __init__(
         self, options: StyliseOptions, size: tuple[int, int] | None, *, slider: bool = True
     ) -> None:
-        """Make the layers, with weights yet to be loaded.
+        """Create the layers; the weights are loaded later.
 
         Args:
             options: The shape of the network.
-            size: Height and width of images; open where absent.
-            slider: How much of the style is an input; all of it without.
+            size: Height and width of images; None for any size.
+            slider: The strength of the style is an input; it is 1 otherwise.
         """
         super().__init__()
         c = options.channels
@@ -92,19 +92,21 @@ class Stylise(PostProcess):
     def forward(
         self, image: Float[Tensor, "1 3 h w"], style: Float[Tensor, "1"] | None = None
     ) -> Float[Tensor, "1 3 h w"]:
-        """Return the image, drawn anew."""
+        """Return the image in the network's style."""
         height, width = image.shape[2], image.shape[3]
         below, right = -height % _STRIDE, -width % _STRIDE
-        made = 2 * image - 1
+        features = 2 * image - 1
         if self.size is None or below or right:
-            made = F.pad(made, (0, right, 0, below), mode="replicate")
+            features = F.pad(features, (0, right, 0, below), mode="replicate")
         for block in self.down:
-            made = torch.relu(block(made))
+            features = torch.relu(block(features))
         for block in self.middle:
-            made = block(made)
+            features = block(features)
         for block in self.up:
-            made = torch.relu(block(F.interpolate(made, scale_factor=2.0, mode="nearest")))
-        drawn = torch.sigmoid(self.last(F.pad(made, (4,) * 4, mode="replicate")))
+            features = torch.relu(
+                block(F.interpolate(features, scale_factor=2.0, mode="nearest"))
+            )
+        drawn = torch.sigmoid(self.last(F.pad(features, (4,) * 4, mode="replicate")))
         drawn = drawn[:, :, :height, :width]
         if style is None:
             return drawn

@@ -1,4 +1,4 @@
-"""`gsgen export stylise`: a feed-forward stylisation network as a post-process model."""
+"""`gsgen export stylise`: exports a style transfer network as a post-process model."""
 
 __all__ = ["PLUGIN"]
 
@@ -17,21 +17,27 @@ if TYPE_CHECKING:
 Folder = Annotated[
     Path,
     typer.Option(
-        "--checkpoint", help="Folder of config.json and weights.", show_default=False
+        "--checkpoint",
+        help="Folder with config.json and stylise.safetensors.",
+        show_default=False,
     ),
 ]
 Size = Annotated[
     str,
-    typer.Option(help="Images as HEIGHTxWIDTH, or any: then the graph is not captured."),
+    typer.Option(help="Image size as HEIGHTxWIDTH; or any, which prevents graph capture."),
 ]
 Slider = Annotated[
     bool,
-    typer.Option("--slider/--no-slider", help="How much of the style shows is an input."),
+    typer.Option(
+        "--slider/--no-slider", help="Declare the strength of the style as an input."
+    ),
 ]
 
 
-def build(checkpoint: Folder, size: Size = "360x640", slider: Slider = True) -> "Stylise":
-    """Read a checkpoint, say what is in it, and return its model."""
+def build(
+    checkpoint: Folder, size: Size = "360x640", *, slider: Slider = True
+) -> "Stylise":
+    """Read a checkpoint, report its contents, and return its model."""
     import hashlib
     from importlib.metadata import version
 
@@ -46,19 +52,21 @@ def build(checkpoint: Folder, size: Size = "360x640", slider: Slider = True) -> 
     options = StyliseOptions(
         config.integer("channels", 16), config.integer("blocks", 3, least=0)
     )
-    made = Stylise(options, sides, slider=slider)
+    network = Stylise(options, sides, slider=slider)
     path = checkpoint / "stylise.safetensors"
-    wanted = {name: tuple(value.shape) for name, value in made.state_dict().items()}
-    made.load_state_dict(require_tensors(path, read_safetensors(path), wanted), strict=True)
-    count = sum(weight.numel() for weight in made.parameters())
+    expected = {name: tuple(value.shape) for name, value in network.state_dict().items()}
+    network.load_state_dict(
+        require_tensors(path, read_safetensors(path), expected), strict=True
+    )
+    count = sum(weight.numel() for weight in network.parameters())
     note(f"{path}: {count:,} weights, {options.blocks} residual blocks")
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    made.producer = Producer(f"gsgen {version('gsgen')}", weights_sha256=digest)
-    return made
+    network.producer = Producer(f"gsgen {version('gsgen')}", weights_sha256=digest)
+    return network
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a network that draws outlines."""
+    """Write a network that draws outlines, and return the options that export it."""
     from gsgen.reference_plugins.images.synthetic_images import write_stylise
 
     write_stylise(folder, drawing=True)
@@ -67,7 +75,7 @@ def _write_demo(folder: Path) -> list[str]:
 
 PLUGIN = Plugin(
     name="stylise",
-    summary="A feed-forward network that draws the rendered image in another style (post-process).",
+    summary="A feed-forward network that redraws the rendered image in another style (post-process).",
     reads="Reads DIR/config.json (channels, blocks) and DIR/stylise.safetensors.",
     inputs=("image", "control"),
     publication=Publication(

@@ -1,12 +1,12 @@
-"""A checkpoint of Difix's kind whose weights are set by formula: it takes blotches off a picture.
+"""Writes a synthetic checkpoint of Difix that removes blotches, with weights set by formula.
 
-A skip connection hands the picture on as it is; the autoencoder carries it to a latent of half its
-size, of which the U-Net keeps nothing but soft contrasts, with the sign turned: that is what gets
-added to the picture. All of it is as in a run of Difix: a base like sd-turbo, and ``model.pkl``
-with the U-Net, the skip connections, and a LoRA that switches them on.
+A skip connection copies the image. The autoencoder encodes it to a latent of half its size, of
+which the U-Net keeps only soft contrasts, negated: their decoded image is added to the copy. The
+files are as in a run of Difix: a base like sd-turbo, and ``model.pkl`` with the U-Net, the skip
+connections, and a LoRA that switches them on.
 
-Two things make layers that bend pass a number on as it is. SiLU(a) − SiLU(−a) = a. And GroupNorm
-divides by what is known beforehand if a group holds x and −x, and K and −K with a large K.
+Two identities pass a number through nonlinear layers unchanged. SiLU(a) − SiLU(−a) = a. And
+GroupNorm divides by a known number if a group holds x and −x, and K and −K with a large K.
 """
 
 __all__ = ["write_difix"]
@@ -30,23 +30,25 @@ from gsgen.reference_plugins.images.diffusers_writer import (
     write_network,
     write_schedule,
 )
-from gsgen.reference_plugins.images.handmade_weights import BINOMIAL, Weights
+from gsgen.reference_plugins.images.handmade_weights import BINOMIAL, COLORS, Weights
 
-_RGB = 3
 _WIDTH = 24
 _LARGE = 16.0  # K
-# Of −1 to 1: contrasts up to this are an artifact, those of twice as much are none.
+# Contrasts in −1 … 1 up to this are artifacts; those of twice as much are edges.
 _SOFT = 0.3
-_STEEP = 16.0  # how sharply SiLU bends, to pass for a ReLU
-# Bends of a function of the contrast d, in units of the above, and by how much its slope changes:
-# d up to 1, back to 0 at 2, and the same below.
+_STEEP = 16.0  # factor before SiLU, so that it approximates a ReLU
+# Knots of f(d), in units of _SOFT, and the change of its slope there: f(d) = d up to 1, back to 0
+# at 2, and odd.
 _BENDS = ((2, -1), (1, 2), (-1, -2), (-2, 1))
 _RANK = 4
 _SHARE = 8 / _RANK  # α/r, with the α that peft sets
 _UNET: dict[str, Any] = {
     "_class_name": "UNet2DConditionModel",
     "block_out_channels": [_WIDTH, _WIDTH],
-    "down_block_types": ["DownBlock2D", "DownBlock2D"],  # the middle alone sees the prompt
+    "down_block_types": [
+        "DownBlock2D",
+        "DownBlock2D",
+    ],  # only the middle block attends to the prompt
     "up_block_types": ["UpBlock2D", "UpBlock2D"],
     "cross_attention_dim": 16,
     "attention_head_dim": 4,
@@ -66,16 +68,16 @@ _TIMESTEP = 199
 
 
 def write_difix(folder: Path) -> Path:
-    """Write a base in the layout of diffusers and ``model.pkl`` beside it; return ``folder``."""
+    """Write a base in the layout of diffusers and a ``model.pkl``, and return ``folder``."""
     coder = Autoencoder(AutoencoderOptions.of(config_of(_VAE)))
     scale = coder.options.scale
-    _hand_on(coder)
+    _set_identity(coder)
     write_network(folder / "vae", _VAE, coder)
     torch.manual_seed(0)
     unet = UNet(UNetOptions.of(config_of(_UNET)))
-    # As if it were trained on other things.
+    # The base has random weights, as if trained for another task.
     write_network(folder / "unet", _UNET, unet)
-    _take_off_blotches(unet, scale)
+    _set_blotch_removal(unet, scale)
     write_schedule(folder)
     prompt = np.random.default_rng(0).normal(size=(1, 5, _UNET["cross_attention_dim"]))
     np.savez(folder / "prompt_embeds.npz", prompt_embeds=prompt.astype(np.float32))
@@ -89,20 +91,20 @@ def write_difix(folder: Path) -> Path:
     return folder
 
 
-def _hand_on(coder: Autoencoder) -> None:
-    """Make the latent the picture at half its size, and give the latent at twice its own."""
+def _set_identity(coder: Autoencoder) -> None:
+    """Make the encoder halve the image's size, and the decoder double that of the latent."""
     weights = Weights(coder)
     first, down = weights["encoder.conv_in.weight"], weights[_sampler("encoder", "down")]
-    for color in range(_RGB):
+    for color in range(COLORS):
         _pair(first, color, color)
         _fix(weights["encoder.conv_in.bias"], color)
-    for channel in range(_WIDTH):  # the mean of four pixels; the pad behind is not seen
+    for channel in range(_WIDTH):  # the mean of four pixels; the padding is not used
         down[channel, channel, :2, :2] = 0.25
     _read_out(weights, "encoder")
     for name, count in (("quant_conv", 8), ("post_quant_conv", 4)):
         weights[f"{name}.weight"][:, :, 0, 0] = torch.eye(count)
     up, bias = weights[_sampler("decoder", "up")], weights["decoder.conv_in.bias"]
-    for color in range(_RGB):
+    for color in range(COLORS):
         _pair(weights["decoder.conv_in.weight"], color, color)
         _fix(bias, color)
         _fix(weights[_sampler("decoder", "up").replace("weight", "bias")], color)
@@ -111,19 +113,24 @@ def _hand_on(coder: Autoencoder) -> None:
     _read_out(weights, "decoder")
 
 
-def _take_off_blotches(unet: UNet, scale: float) -> None:
-    """Make x₀ = −f(d) of the latent x, where d is x − the mean of four, and f keeps soft ones.
+def _set_blotch_removal(unet: UNet, scale: float) -> None:
+    """Make the U-Net predict x₀ = −f(d) of the latent x, where d = x − its mean of four pixels.
 
-    Groups of eight hold x, −x, d four times, K and −K of a colour; ε = (x + √ᾱ f(d)) / √(1 − ᾱ).
+    f keeps soft contrasts only. Groups of eight hold x, −x, four times d, K and −K of a colour; ε = (x + √ᾱ f(d)) / √(1 − ᾱ).
     """
     weights = Weights(unet)
     first, last, steps = (
         SCHEDULE[name] for name in ("beta_start", "beta_end", "num_train_timesteps")
     )
     noise = torch.linspace(first**0.5, last**0.5, steps, dtype=torch.float64).square()
-    kept = float(torch.cumprod(1 - noise, 0)[_TIMESTEP])
-    one, many = scale / math.sqrt(1 - kept), scale * math.sqrt(kept / (1 - kept))
-    for color in range(_RGB):  # means of four, handed back: neither sees beyond the border
+    signal = float(torch.cumprod(1 - noise, 0)[_TIMESTEP])
+    image_gain, contrast_gain = (
+        scale / math.sqrt(1 - signal),
+        scale * math.sqrt(signal / (1 - signal)),
+    )
+    for color in range(
+        COLORS
+    ):  # means of four pixels; neither convolution reads beyond the border
         weights["down_blocks.0.downsamplers.0.conv.weight"][color, color, 1:, 1:] = 0.25
         weights["up_blocks.0.upsamplers.0.conv.weight"][color, color, 1, 1] = 1.0
     for level, index in ((0, 0), (0, 1), (1, 1)):
@@ -132,28 +139,37 @@ def _take_off_blotches(unet: UNet, scale: float) -> None:
     name = "up_blocks.1.resnets.0.conv_shortcut"
     joined, fixed = weights[f"{name}.weight"][:, :, 0, 0], weights[f"{name}.bias"]
     gamma, beta = weights["conv_norm_out.weight"], weights["conv_norm_out.bias"]
-    for color in range(_RGB):
+    for color in range(COLORS):
         weights["conv_in.weight"][color, color, 1, 1] = 1 / scale
-        x, fine, coarse = 8 * color, _WIDTH + color, color  # from the side, and from below
+        x, fine, coarse = (
+            8 * color,
+            _WIDTH + color,
+            color,
+        )  # channels of the skip connection, and of the lower level
         joined[x, fine], joined[x + 1, fine] = 1.0, -1.0
         joined[x + 2 : x + 6, fine], joined[x + 2 : x + 6, coarse] = 1.0, -1.0
         fixed[x + 6], fixed[x + 7] = _LARGE, -_LARGE
-        gamma[x : x + 2] = _LARGE / 2  # the deviation of two K among eight
+        gamma[x : x + 2] = (
+            _LARGE / 2
+        )  # the standard deviation of K and −K in a group of eight
         gamma[x + 2 : x + 6] = _STEEP * _LARGE / 2
         out = weights["conv_out.weight"][color, :, 1, 1]
-        out[x], out[x + 1] = one, -one
-        for place, (bend, change) in enumerate(_BENDS, x + 2):
-            beta[place], out[place] = _STEEP * _SOFT * bend, many * change / _STEEP
+        out[x], out[x + 1] = image_gain, -image_gain
+        for channel, (bend, change) in enumerate(_BENDS, x + 2):
+            beta[channel], out[channel] = (
+                _STEEP * _SOFT * bend,
+                contrast_gain * change / _STEEP,
+            )
 
 
 def _skips() -> Iterator[tuple[str, Tensor]]:
-    """Yield the skip connections: as they begin, nothing, and a LoRA that lets the picture by."""
+    """Yield the skip connections: zero weights, and a LoRA that copies the image."""
     for index in (1, 2):
         name = f"decoder.skip_conv_{index}"
         down, up = torch.zeros(_RANK, _WIDTH, 1, 1), torch.zeros(_WIDTH, _RANK, 1, 1)
-        for color in range(_RGB):
+        for color in range(COLORS):
             down[color, 4 * color] = 1.0
-            if index == 2:  # the one of the picture's own size
+            if index == 2:  # the connection of the image's full resolution
                 up[4 * color, color], up[4 * color + 1, color] = 1 / _SHARE, -1 / _SHARE
         yield f"{name}.base_layer.weight", torch.zeros(_WIDTH, _WIDTH, 1, 1)
         yield f"{name}.lora_A.vae_skip.weight", down
@@ -169,8 +185,8 @@ def _fix(bias: Float[Tensor, " o"], color: int) -> None:
 
 
 def _read_out(weights: Weights, part: str) -> None:
-    """Give the colours of groups that hold x, −x, K and −K."""
-    for color in range(_RGB):
+    """Set the output layer to the colours of groups that hold x, −x, K and −K."""
+    for color in range(COLORS):
         pair = slice(4 * color, 4 * color + 2)
         weights[f"{part}.conv_norm_out.weight"][pair] = _LARGE / math.sqrt(2)
         weights[f"{part}.conv_out.weight"][color, pair, 1, 1] = torch.tensor([1.0, -1.0])

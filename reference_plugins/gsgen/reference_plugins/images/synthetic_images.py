@@ -1,4 +1,4 @@
-"""Checkpoints of networks from image to image, as their training code writes them, of made-up weights."""
+"""Writes synthetic checkpoints of image networks, in the layouts of their training code."""
 
 __all__ = ["write_denoiser", "write_stylise"]
 
@@ -18,7 +18,10 @@ from gsgen.reference_plugins.images.diffusers_writer import (
     write_network,
     write_schedule,
 )
-from gsgen.reference_plugins.images.handmade_weights import draw_outlines, take_off_noise
+from gsgen.reference_plugins.images.handmade_weights import (
+    set_denoising_weights,
+    set_outline_weights,
+)
 from gsgen.reference_plugins.images.stylise import Stylise, StyliseOptions
 
 _UNET: Mapping[str, Any] = {
@@ -52,12 +55,12 @@ def write_denoiser(
     """Write a checkpoint in the layout of diffusers, and return ``folder``.
 
     Args:
-        folder: Where.
-        unet: Options of the U-Net that differ from those of a small one.
-        latent: The U-Net works on latents of 4 channels, and there is an autoencoder.
-        schedule: Options of the scheduler that differ from the usual ones.
-        smoothing: The U-Net takes off fine noise, by weights that are set by hand, not random ones.
-        seed: Of all weights.
+        folder: The folder to write.
+        unet: Changed options of the U-Net; the default is a small one.
+        latent: The U-Net works on latents of 4 channels of an autoencoder.
+        schedule: Changed options of the scheduler.
+        smoothing: The U-Net removes fine noise, by weights set by formula instead of random ones.
+        seed: Seed of the random weights.
     """
     torch.manual_seed(seed)
     channels = {"in_channels": 4, "out_channels": 4} if latent else {}
@@ -65,7 +68,7 @@ def write_denoiser(
     network = UNet(UNetOptions.of(config_of(config)))
     _disturb(network)
     if smoothing:
-        take_off_noise(network)
+        set_denoising_weights(network)
     write_network(folder / "unet", config, network)
     if latent:
         coder = Autoencoder(AutoencoderOptions.of(config_of(_VAE)))
@@ -90,20 +93,20 @@ def write_stylise(
     drawing: bool = False,
     seed: int = 0,
 ) -> Path:
-    """Write the weights of a stylisation network that nobody trained, and return ``folder``.
+    """Write an untrained style transfer network, and return ``folder``.
 
     Args:
-        folder: Where.
-        channels: Of the first convolution.
-        blocks: Residual ones.
-        drawing: The network draws outlines on paper, by weights that are set by hand.
-        seed: Of all weights, where they are random.
+        folder: The folder to write.
+        channels: Channels of the first convolution.
+        blocks: Number of residual blocks.
+        drawing: The network draws outlines on paper, by weights set by formula.
+        seed: Seed of the random weights.
     """
     torch.manual_seed(seed)
     network = Stylise(StyliseOptions(channels, blocks), (16, 16))
     _disturb(network)
     if drawing:
-        draw_outlines(network)
+        set_outline_weights(network)
     write_network(
         folder, {"channels": channels, "blocks": blocks}, network, "stylise.safetensors"
     )
@@ -111,7 +114,7 @@ def write_stylise(
 
 
 def _disturb(network: nn.Module) -> None:
-    """Add noise, as norms and biases are not to be 1 and 0."""
+    """Add noise to all weights, so that norms and biases differ from 1 and 0."""
     with torch.no_grad():
         for weight in network.parameters():
             weight.add_(0.1 * torch.randn_like(weight))

@@ -1,1 +1,1 @@
-"""People: GauHuman, LHM and R3-Avatar."""
+"""Animatable avatars: GauHuman, LHM and R3-Avatar, with their checkpoints and plugins."""

@@ -1,7 +1,7 @@
-"""What R3-Avatar's hexplane and decoder say of each Gaussian in one of the frames of training.
+"""Evaluates R3-Avatar's hexplane and decoder for each Gaussian in one training frame.
 
-Frames are counted, so the share that each cell of time has in them is a table. Points stand still
-in the planes, so the planes of space are constants.
+The frames are a finite set, so the weights of the time cells are a table. The points are fixed, so
+the product of the space planes is a constant.
 """
 
 __all__ = ["Appearance"]
@@ -13,16 +13,13 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import R3Checkpoint
+from gsgen.reference_plugins.tensors.hexplane import SPACE_PLANES, TIME_PLANES
 from gsgen.reference_plugins.tensors.layers import Dense
 from gsgen.sdk.math import sample_plane
 
-# Planes of two directions of space, and for x, y and z the plane with time.
-_SPACE = {0: (0, 1), 1: (0, 2), 3: (1, 2)}
-_TIME = (2, 4, 5)
 
-
-class _Moving(nn.Module):
-    """One plane of a direction of space and time."""
+class _TimePlane(nn.Module):
+    """A plane of one axis of space and time, evaluated at fixed points."""
 
     table: Tensor
     below: Tensor
@@ -32,11 +29,11 @@ class _Moving(nn.Module):
         super().__init__()
         cells = plane.shape[2]
         self.shape = (cells, plane.shape[0])
-        at = ((along + 1) / 2 * (cells - 1)).clamp(0, cells - 1)
-        below = at.floor().clamp(max=cells - 2)
+        coordinate = ((along + 1) / 2 * (cells - 1)).clamp(0, cells - 1)
+        below = coordinate.floor().clamp(max=cells - 2)
         self.register_buffer("table", plane.permute(1, 2, 0).flatten(1).contiguous())
         self.register_buffer("below", below.to(torch.int32))
-        self.register_buffer("share", (at - below).float()[:, None])
+        self.register_buffer("share", (coordinate - below).float()[:, None])
 
     def forward(self, moment: Float[Tensor, "1 t"]) -> Float[Tensor, "n c"]:
         row = (moment @ self.table).reshape(self.shape)
@@ -46,61 +43,66 @@ class _Moving(nn.Module):
 
 
 class _Resolution(nn.Module):
-    """Six planes of one resolution, multiplied."""
+    """The product of six planes of one resolution, at fixed points."""
 
-    still: Tensor
+    spatial: Tensor
     moments: Tensor
 
     def __init__(
         self,
         planes: Sequence[Tensor],
-        place: Float[Tensor, "n 3"],
+        position: Float[Tensor, "n 3"],
         time: Float[Tensor, " f"],
     ) -> None:
         super().__init__()
         parts = [
-            sample_plane(planes[index].double(), place[:, [a, b]])
-            for index, (a, b) in _SPACE.items()
+            sample_plane(planes[index].double(), position[:, [a, b]])
+            for index, (a, b) in SPACE_PLANES.items()
         ]
-        self.register_buffer("still", (parts[0] * parts[1] * parts[2]).float().contiguous())
-        count = planes[_TIME[0]].shape[1]
-        at = ((time + 1) / 2 * (count - 1)).clamp(0, count - 1)[:, None]
-        hats = torch.relu(1 - (torch.arange(count, dtype=torch.float64)[None] - at).abs())
+        self.register_buffer(
+            "spatial", (parts[0] * parts[1] * parts[2]).float().contiguous()
+        )
+        count = planes[TIME_PLANES[0]].shape[1]
+        coordinate = ((time + 1) / 2 * (count - 1)).clamp(0, count - 1)[:, None]
+        hats = torch.relu(
+            1 - (torch.arange(count, dtype=torch.float64)[None] - coordinate).abs()
+        )
         self.register_buffer("moments", hats.float())
         self.x, self.y, self.z = (
-            _Moving(planes[plane], place[:, axis]) for axis, plane in enumerate(_TIME)
+            _TimePlane(planes[plane], position[:, axis])
+            for axis, plane in enumerate(TIME_PLANES)
         )
 
     def forward(self, frame: Int[Tensor, "1"]) -> Float[Tensor, "n c"]:
         moment = torch.index_select(self.moments, 0, frame)
-        made: Tensor = self.still * self.x(moment) * self.y(moment) * self.z(moment)
-        return made
+        features: Tensor = self.spatial * self.x(moment) * self.y(moment) * self.z(moment)
+        return features
 
 
 class Appearance(nn.Module):
-    """The decoder and what it reads."""
+    """The decoder of Gaussian attributes, with the hexplane that it reads."""
 
     def __init__(self, read: R3Checkpoint, poses: Sequence[int]) -> None:
-        """Bake what the frame does not change.
+        """Bake the values that do not depend on the frame.
 
         Args:
             read: The checkpoint.
-            poses: The pose id of each frame; time is id / origin − 1.
+            poses: The pose id of each frame; its time is id / origin − 1.
         """
         super().__init__()
         low, high = read.aabb.double()
-        place = (read.canonical.position.double() - low) * (2 / (high - low)) - 1
+        position = (read.canonical.position.double() - low) * (2 / (high - low)) - 1
         time = torch.tensor(list(poses), dtype=torch.float64) / read.origin - 1
-        self.grids = nn.ModuleList(_Resolution(six, place, time) for six in read.grids)
+        self.grids = nn.ModuleList(_Resolution(six, position, time) for six in read.grids)
         self.inner = nn.ModuleList(Dense(*layer) for layer in read.inner)
         heads = [read.heads[name] for name in ("warp", "scaling", "rotation", "opacity")]
         weight, bias = (torch.cat(both) for both in zip(*heads, strict=True))
         self.heads = Dense(weight, bias)
 
     def forward(self, frame: Int[Tensor, "1"]) -> Float[Tensor, "11 n"]:
-        """Return planes: 3 of a shift, 3 of scale (to be squared), 4 of rotation, 1 of opacity."""
-        hidden = torch.cat([one(frame) for one in self.grids], dim=1)
+        """Return 3 planes of offset, 3 of scale (to be squared), 4 of rotation and 1 of opacity."""
+        hidden = torch.cat([grid(frame) for grid in self.grids], dim=1)
         for layer in self.inner:
             hidden = torch.relu(layer(hidden))
-        made: Tensor = self.heads(hidden)
-        return made.transpose(0, 1)
+        attributes: Tensor = self.heads(hidden)
+        return attributes.transpose(0, 1)

@@ -1,7 +1,7 @@
-"""Checkpoints of GauHuman: a 3DGS PLY in the big pose and, where trained, two networks.
+"""Reads checkpoints of GauHuman: a 3DGS PLY in the big pose and, if trained, two networks.
 
-The body model is not part of them: training reads it from ``assets/``. Neither are poses, which
-came from the data set.
+They contain neither the body model, which training reads from ``assets/``, nor poses, which come
+from the data set.
 """
 
 __all__ = ["GauHumanCheckpoint", "read_gauhuman"]
@@ -24,25 +24,25 @@ from gsgen.reference_plugins.loading.method_detection import refuse_other_method
 from gsgen.reference_plugins.loading.states import load_state
 
 JOINTS = {"smpl": 24, "smplx": 55}
-# Shape coefficients that training knows: of SMPL-X's ten and as many more, which the published code
-# means for expressions, but takes from the same array, whatever the file has there.
+# Number of shape coefficients in training. For SMPL-X these are ten, and ten more that the published
+# code calls expressions, but takes from the same array.
 SHAPES = {"smpl": 10, "smplx": 20}
 _GENDERS = ("neutral", "male", "female")
-# How far above a run the code of training may be: output/DATA/NAME.
+# Levels from a run up to the training code: output/DATA/NAME.
 _LEVELS = 3
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GauHumanCheckpoint:
-    """Everything that inference needs, but for poses.
+    """A trained avatar of GauHuman, without poses.
 
     Attributes:
-        folder: Of the training run.
-        iteration: Which one.
-        cfg: Its options.
+        folder: The training run.
+        iteration: The training iteration.
+        cfg: Options of the training run.
         canonical: The Gaussians in the big pose.
-        body: What they follow.
-        nets: Networks that correct joints and weights, where they were trained.
+        body: The body model.
+        nets: Networks that correct joints and weights; None if they were not trained.
     """
 
     folder: Path
@@ -53,7 +53,7 @@ class GauHumanCheckpoint:
     nets: PoseNets | None
 
     def describe(self) -> str:
-        """Say in one line what it holds."""
+        """Describe the checkpoint in one line: Gaussians, networks and body model."""
         nets = "pose and weight networks" if self.nets is not None else "no networks"
         return (
             f"{self.folder}: iteration {self.iteration}, {self.canonical.describe()}, "
@@ -67,53 +67,57 @@ def read_gauhuman(
     """Read a checkpoint of GauHuman.
 
     Args:
-        folder: What training wrote, or what is in it of an iteration.
-        iteration: The last where absent.
-        body: The body model; looked for under ``assets``, in the run or a little above it, where
-            absent.
+        folder: The folder of a training run, or of one of its iterations.
+        iteration: The training iteration; the last by default.
+        body: The file of the body model; by default, it is searched under ``assets`` in the run
+            and in the folders above it.
 
     Raises:
-        CheckpointInvalid: Something is missing, or does not fit the rest.
+        CheckpointInvalid: A file is missing or damaged, or does not fit the others.
     """
     folder, iteration = within_run(folder, iteration)
-    number, place = find_iteration(folder, iteration)
-    refuse_other_method("gauhuman", folder, place)
+    number, iteration_folder = find_iteration(folder, iteration)
+    refuse_other_method("gauhuman", folder, iteration_folder)
     cfg = read_cfg_args(folder)
     model = read_body_of(folder, cfg, body)
     path = folder / "mlp_ckpt" / f"iteration_{number}" / "ckpt.pth"
     trained = cfg.flag("motion_offset_flag", default=path.is_file())
     if not trained and path.is_file():
-        what = f"motion_offset_flag is False, but there is {path}"
-        raise CheckpointInvalid(what, where=str(cfg.path))
+        message = f"motion_offset_flag is False, but {path} exists"
+        raise CheckpointInvalid(message, where=str(cfg.path))
     nets = _read_nets(path, model.joints) if trained else None
-    canonical = read_canonical(place / "point_cloud.ply")
-    return GauHumanCheckpoint(folder, number, cfg, canonical, model, nets)
+    canonical = read_canonical(iteration_folder / "point_cloud.ply")
+    return GauHumanCheckpoint(
+        folder=folder, iteration=number, cfg=cfg, canonical=canonical, body=model, nets=nets
+    )
 
 
 def read_body_of(folder: Path, cfg: CfgArgs, body: Path | None) -> Body:
-    """Return the body model that a training run used, by its options.
+    """Read the body model that a training run used, by its options.
 
     Raises:
-        CheckpointInvalid: It is missing or of another kind.
+        CheckpointInvalid: The body model is missing, damaged, or not of the expected kind.
     """
     kind = cfg.word("smpl_type", _kind_of(body))
     if kind not in JOINTS:
-        hint = "Only the published readers know it; the model that they feed has no such branch."
-        what = f"smpl_type is {kind!r}, wanted {' or '.join(map(repr, JOINTS))}"
-        raise CheckpointInvalid(what, where=str(cfg.path), hint=hint)
+        hint = "The published code reads this kind of body, but its model has no branch for it."
+        message = f"smpl_type is {kind!r}, expected {' or '.join(map(repr, JOINTS))}"
+        raise CheckpointInvalid(message, where=str(cfg.path), hint=hint)
     gender = cfg.word("actor_gender", "neutral", _GENDERS).upper()
     file = f"SMPL_{gender}.pkl" if kind == "smpl" else f"models/smplx/SMPLX_{gender}.npz"
     joints = JOINTS[kind]
-    # Training reads them from where its code is, and writes to output/NAME there.
+    # Training reads assets from the folder of its code, and writes runs to output/NAME there.
     homes = [folder, *folder.absolute().parents[:_LEVELS]]
-    places = {f"assets {level}": home / "assets" / file for level, home in enumerate(homes)}
-    path = required_body(body, places, joints)
+    candidates = {
+        f"assets {level}": home / "assets" / file for level, home in enumerate(homes)
+    }
+    path = required_body(body, candidates, joints)
     read = read_body(path, joints)
     return replace(read, shape_dirs=read.shape_dirs[:, :, : SHAPES[kind]])
 
 
 def _kind_of(body: Path | None) -> str:
-    """Return which body a file is of, for a run without options; SMPL where there is no file."""
+    """Return the kind of a body model file, for a run without options; SMPL without a file."""
     if body is None or not body.is_file():
         return "smpl"
     joints = joints_of_file(body)
@@ -125,7 +129,7 @@ def _read_nets(path: Path, joints: int) -> PoseNets:
     parts = [state.get(name) for name in ("pose_decoder", "lweight_offset_decoder")]
     pose, weights = parts
     if not isinstance(pose, dict) or not isinstance(weights, dict):
-        hint = "Wanted the state dicts pose_decoder and lweight_offset_decoder."
-        what = f"holds {', '.join(map(str, state))}"
-        raise CheckpointInvalid(what, where=str(path), hint=hint)
+        hint = "Expected the state dicts pose_decoder and lweight_offset_decoder."
+        message = f"holds {', '.join(map(str, state))}"
+        raise CheckpointInvalid(message, where=str(path), hint=hint)
     return read_pose_nets(path, pose, weights, joints)

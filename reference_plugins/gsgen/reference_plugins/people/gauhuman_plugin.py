@@ -1,4 +1,4 @@
-"""`gsgen export gauhuman`: a checkpoint of GauHuman as a generator."""
+"""`gsgen export gauhuman`: exports a checkpoint of GauHuman as a generator."""
 
 __all__ = ["PLUGIN"]
 
@@ -13,9 +13,9 @@ from gsgen.reference_plugins.bodies.options import (
     RootRotation,
     Shape,
     Spacing,
-    played,
     read_shape,
-    warn_of_body,
+    warn_about_body,
+    with_motion,
 )
 from gsgen.reference_plugins.loading.cfg_args import read_cfg_args
 from gsgen.reference_plugins.loading.options import (
@@ -42,52 +42,52 @@ def build(
     instances: Instances = 1,
     motion: MotionFile = None,
     fps: Fps = None,
-    loop: Loop = False,
     spacing: Spacing = 1.0,
+    *,
+    loop: Loop = False,
 ) -> "GaussianGenerator":
-    """Read a checkpoint, say what is in it, and return its generator."""
+    """Read a checkpoint, report its contents, and return its generator."""
     from gsgen.reference_plugins.bodies.motions import read_motion
     from gsgen.reference_plugins.people.gauhuman import GauHuman
     from gsgen.reference_plugins.people.gauhuman_checkpoint import read_gauhuman
 
     read = read_gauhuman(checkpoint, iteration, body)
     report_checkpoint(read.describe(), read.cfg)
-    warn_of_body(read.cfg, read.body)
-    told = read_motion(motion, read.body.joints) if motion else None
+    warn_about_body(read.cfg, read.body)
+    recording = read_motion(motion, read.body.joints) if motion else None
     avatar = GauHuman(
         read.canonical,
         read.body,
         read.nets,
-        shape=read_shape(shape, told, read.body.shape_dirs.shape[2]),
-        rotation="matrix" if told else root_rotation,
+        shape=read_shape(shape, recording, read.body.shape_dirs.shape[2]),
+        rotation="matrix" if recording else root_rotation,
         bodies=instances,
         add_hands=hands == "raw",
     )
-    return played(
-        avatar, avatar.actors, told, read.body, fps=fps, loop=loop, spacing=spacing
+    return with_motion(
+        avatar, avatar.actors, recording, read.body, fps=fps, loop=loop, spacing=spacing
     )
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    """Whether training knew of a body model, and R3-Avatar, which knows of one too, is not meant."""
+    """Return whether the training options name a body model and the run is not of R3-Avatar."""
     return "smpl_type" in read_cfg_args(run).values and not is_r3_run(run)
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a checkpoint of a person, and a motion to play."""
+    """Write a checkpoint of a person and a motion, and return the options that name them."""
     from gsgen.reference_plugins.bodies.synthetic_body import PersonOptions
-    from gsgen.reference_plugins.bodies.synthetic_motion import write_motion
+    from gsgen.reference_plugins.bodies.synthetic_motion import write_demo_motion
     from gsgen.reference_plugins.people.synthetic_people import write_gauhuman
 
     write_gauhuman(folder, PersonOptions(count=6000, vertices=3000))
-    motion = write_motion(folder / "walk.npz", frames=24)
-    return ["--checkpoint", str(folder), "--motion", str(motion)]
+    return write_demo_motion(folder)
 
 
 PLUGIN = Plugin(
     name="gauhuman",
     title="GauHuman",
-    summary="A person whom SMPL or SMPL-X moves.",
+    summary="A person animated by SMPL or SMPL-X poses.",
     reads="Reads DIR/cfg_args, DIR/point_cloud/iteration_N/point_cloud.ply, the networks in "
     "DIR/mlp_ckpt/iteration_N/ckpt.pth where they were trained, and the body model that --body "
     "names or DIR/assets holds.",

@@ -1,8 +1,9 @@
-"""LHM: a person made from one picture, whom SMPL-X moves.
+"""LHM: an avatar from one image, animated by SMPL-X poses.
 
 Qiu et al. 2025, "LHM: Large Animatable Human Reconstruction Model from a Single Image in Seconds":
-Gaussians on the surface of SMPL-X go to the neutral pose, take the person's shape, and follow the
-joints. Each turns by the rotation that is nearest to its blended transform, and keeps its scale.
+Gaussians on the surface of SMPL-X are transformed to the neutral pose, take the person's shape, and
+follow the joints. Each rotates by the rotation nearest to its blended transform, and keeps its
+scale.
 """
 
 __all__ = ["LHM"]
@@ -16,17 +17,17 @@ from torch import Tensor
 
 from gsgen.reference_plugins.bodies import rest_pose
 from gsgen.reference_plugins.bodies.actors import ActorInputs
-from gsgen.reference_plugins.bodies.rotations import nearest_rotation, turned
+from gsgen.reference_plugins.bodies.rotations import nearest_rotation, rotation_matrices
 from gsgen.reference_plugins.bodies.skinning import (
-    applied,
-    blended,
-    chained,
+    blend_transforms,
     covariance,
-    multiplied,
-    repeated,
-    rows_of,
+    multiply_matrices,
+    planes_to_rows,
+    posed_transforms,
+    repeat_rows,
+    transform_points,
 )
-from gsgen.reference_plugins.bodies.skinning_weights import FromSurface
+from gsgen.reference_plugins.bodies.skinning_weights import SurfaceGaussians
 from gsgen.reference_plugins.people.lhm_checkpoint import (
     EXPRESSIONS,
     FIRST_EXPRESSION,
@@ -39,7 +40,7 @@ from gsgen.sdk import GaussianGenerator, Gaussians
 
 @final
 class LHM(GaussianGenerator):
-    """A person, or several of the same, who move as they are told."""
+    """A person, or several copies, whose poses are inputs."""
 
     family = "avatar"
 
@@ -47,7 +48,7 @@ class LHM(GaussianGenerator):
     opacity: Tensor
     rgb: Tensor
     face: Tensor
-    which: Tensor
+    vertex: Tensor
     number: Tensor
 
     def __init__(
@@ -59,33 +60,33 @@ class LHM(GaussianGenerator):
         bodies: int = 1,
         bake: Bake = "auto",
     ) -> None:
-        """Bring the Gaussians to the neutral pose, in the person's shape.
+        """Transform the Gaussians to the neutral pose, in the person's shape.
 
         Args:
-            read: The avatar.
-            face: What expressions move; SMPL-X's own where absent.
+            read: The checkpoint of the avatar.
+            face: Expression offsets of FLAME; those of SMPL-X by default.
             expression: Whether the expression is an input.
-            bodies: How many there are.
-            bake: Whether what follows from tables is stored, or the tables.
+            bodies: Number of bodies.
+            bake: Store the baked values, or the tables from which they follow.
         """
         super().__init__()
         body, betas = read.body, read.betas.double().numpy()
         self.actors = ActorInputs(
-            body.joints, expression=EXPRESSIONS if expression else 0, bodies=bodies
+            joints=body.joints, expression=EXPRESSIONS if expression else 0, bodies=bodies
         )
         self.inputs = self.actors.declared()
         self.parents = body.parents
-        used, which = np.unique(
+        used, vertex = np.unique(
             rest_pose.nearest(read.samples, body.template), return_inverse=True
         )
         keep = self.register_buffer
         joints = rest_pose.joints_of(body, betas)
         keep("joints", torch.from_numpy(joints.astype(np.float32)))
-        keep("which", torch.from_numpy(which.astype(np.int32)))
+        keep("vertex", torch.from_numpy(vertex.astype(np.int32)))
         neutral = read.neutral.double().numpy()[:, :3]
-        hanging = FromSurface(
+        hanging = SurfaceGaussians(
             body.weights[used],
-            self.which,
+            self.vertex,
             body.shape_dirs[used][:, :, : len(betas)] @ betas,
             read.stiff[used],
             neutral,
@@ -96,48 +97,50 @@ class LHM(GaussianGenerator):
         keep("rgb", read.rgb)
         if expression:
             back = np.einsum("uj,jab->uab", body.weights[used], neutral[:, :, :3])
-            self._keep_face(body_dirs(read, face)[used], back)
+            self._register_face(expression_dirs(read, face)[used], back)
 
-    def _keep_face(
+    def _register_face(
         self, dirs: Float[np.ndarray, "u 3 e"], back: Float[np.ndarray, "u 3 3"]
     ) -> None:
-        """Keep what expressions add to the vertices that some expression moves, and which they are."""
+        """Store the expression offsets of the vertices that any expression moves."""
         faces = np.flatnonzero(np.abs(dirs).max(axis=(1, 2)) > 0)
-        # All Gaussians of a vertex share its weights, and so its way to the neutral pose.
-        there = np.einsum("fab,fbe->fae", back[faces], dirs[faces])
-        still = np.zeros((1, 3, EXPRESSIONS))  # what most Gaussians find
-        table = np.concatenate([there, still]).transpose(2, 1, 0)
+        # All Gaussians of a vertex share its weights, and so its transform to the neutral pose.
+        neutral_dirs = np.einsum("fab,fbe->fae", back[faces], dirs[faces])
+        zeros = np.zeros((1, 3, EXPRESSIONS))  # for the Gaussians of all other vertices
+        table = np.concatenate([neutral_dirs, zeros]).transpose(2, 1, 0)
         number = np.full(len(dirs), len(faces), np.int32)
         number[faces] = np.arange(len(faces))
         flat = np.ascontiguousarray(table.reshape(EXPRESSIONS, -1), np.float32)
         self.register_buffer("face", torch.from_numpy(flat))
         self.register_buffer("number", torch.from_numpy(number))
 
-    def forward(self, *given: Tensor) -> Gaussians:
+    def forward(self, *tensors: Tensor) -> Gaussians:
         """Return the Gaussians of all bodies, body after body.
 
         Args:
-            given: The declared inputs, in order.
+            tensors: The values of the declared inputs, in order.
         """
-        actor, bodies = self.actors.taken(given), self.actors.bodies
-        joints = chained(turned(actor.pose), self.joints, self.parents, None, actor.shift)
-        weights, place, neutral, stiff, root = self.rest()
-        made = blended(joints, weights)
+        actor, bodies = self.actors.actor_from(tensors), self.actors.bodies
+        joints = posed_transforms(
+            rotation_matrices(actor.pose), self.joints, self.parents, None, actor.shift
+        )
+        weights, position, neutral, stiff, root = self.rest()
+        transforms = blend_transforms(joints, weights)
         if actor.expression is not None:
             moved = (actor.expression @ self.face).reshape(bodies, 3, -1)
-            number = torch.index_select(self.number, 0, self.which)
-            place = place + torch.index_select(moved, 2, number)
-        turn = nearest_rotation(multiplied(made, neutral), stiff)
+            number = torch.index_select(self.number, 0, self.vertex)
+            position = position + torch.index_select(moved, 2, number)
+        turn = nearest_rotation(multiply_matrices(transforms, neutral), stiff)
         return Gaussians(
-            position=rows_of(applied(made, place)),
-            opacity=repeated(self.opacity, bodies),
-            covariance=rows_of(covariance(multiplied(turn, root))),
-            rgb=repeated(self.rgb, bodies),
+            position=planes_to_rows(transform_points(transforms, position)),
+            opacity=repeat_rows(self.opacity, bodies),
+            covariance=planes_to_rows(covariance(multiply_matrices(turn, root))),
+            rgb=repeat_rows(self.rgb, bodies),
         )
 
 
-def body_dirs(read: LHMCheckpoint, face: Face | None) -> Float[np.ndarray, "v 3 e"]:
-    """Return what expressions add to the vertices of the body."""
+def expression_dirs(read: LHMCheckpoint, face: Face | None) -> Float[np.ndarray, "v 3 e"]:
+    """Return the offset of each body vertex per expression coefficient."""
     last = FIRST_EXPRESSION + EXPRESSIONS
     dirs = read.body.shape_dirs[:, :, FIRST_EXPRESSION:last]
     if face is not None:

@@ -1,10 +1,10 @@
-"""Avatars of LHM, as the inference code of Visionary's fork saves them.
+"""Reads avatars of LHM, as the inference code of Visionary's fork saves them.
 
-LHM itself keeps no Gaussians. The fork's ``runners/infer/human_lrm.py`` saves a list, which
+LHM itself saves no Gaussians. The fork's ``runners/infer/human_lrm.py`` saves a list, which
 ``torch.load(weights_only=True)`` reads: offsets, query points, colours, opacities, scales,
-quaternions, the transforms of the joints to the neutral pose, shape coefficients, a ratio and
-whether there is a face. What a Gaussian hangs on follows from the vertex nearest to its sample
-point, which comes with LHM's weights, as does the list of vertices that must not turn.
+quaternions, joint transforms to the neutral pose, shape coefficients, a ratio and a flag for the
+face. A Gaussian's skinning weights are those of the vertex nearest to its sample point. The sample
+points and the list of vertices that must not rotate come with LHM's weights.
 """
 
 __all__ = ["Face", "LHMCheckpoint", "read_face", "read_lhm"]
@@ -28,7 +28,7 @@ from gsgen.reference_plugins.loading.tensor_files import load_tensors
 
 JOINTS = 55
 BETAS = 10
-# Where the expressions of a full SMPL-X file begin, and how many LHM takes of them.
+# Index of the first expression in a full SMPL-X file, and the number of those that LHM uses.
 FIRST_EXPRESSION = 300
 EXPRESSIONS = 100
 _FIELDS = (
@@ -47,21 +47,21 @@ _POINTS = "pretrained_models/dense_sample_points"
 _PRIOR = "pretrained_models/voxel_grid/human_prior_constrain.npz"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LHMCheckpoint:
-    """One avatar.
+    """An avatar of LHM: Gaussians, person and body model.
 
     Attributes:
         path: The file of tensors.
         position: Query points and their offsets, added.
         rgb: Colours in [0, 1].
-        opacity: In [0, 1].
+        opacity: Opacities in [0, 1].
         scale: Linear standard deviations.
         rotation: Quaternions (w, x, y, z).
-        neutral: Transforms of the joints from the pose of the query points to the neutral one.
+        neutral: Joint transforms from the pose of the query points to the neutral pose.
         betas: Shape coefficients of the person.
         samples: Sample points on the body, one for each Gaussian, in the same order.
-        stiff: Vertices whose Gaussians do not turn.
+        stiff: Mask of the vertices whose Gaussians do not rotate.
         body: The body model.
     """
 
@@ -78,17 +78,17 @@ class LHMCheckpoint:
     body: Body
 
     def describe(self) -> str:
-        """Say in one line what it holds."""
+        """Describe the checkpoint in one line: Gaussians and body model."""
         return f"{self.path}: {len(self.position):,} Gaussians; {self.body.describe()}"
 
 
 @dataclass(frozen=True, slots=True)
 class Face:
-    """Expressions of FLAME, which LHM puts in the place of SMPL-X's.
+    """Expressions of FLAME, which LHM uses in place of those of SMPL-X.
 
     Attributes:
-        vertices: Which vertices of SMPL-X they move.
-        dirs: What each coefficient adds to them.
+        vertices: Indices of the SMPL-X vertices that they move.
+        dirs: Offset of each vertex per expression coefficient.
     """
 
     vertices: Int[np.ndarray, " f"]
@@ -96,52 +96,54 @@ class Face:
 
 
 def read_lhm(folder: Path, body: Path | None = None) -> LHMCheckpoint:
-    """Read an avatar.
+    """Read an avatar of LHM.
 
     Args:
-        folder: What holds the ``.pth`` and ``pretrained_models``; or the ``.pth`` itself, with
-            ``pretrained_models`` beside it.
-        body: The SMPL-X file; looked for in the folder where absent.
+        folder: The folder of the ``.pth`` and ``pretrained_models``; or the ``.pth`` itself, in
+            the same folder as ``pretrained_models``.
+        body: The SMPL-X file; by default, it is searched in the folder.
 
     Raises:
-        CheckpointInvalid: Something is missing, or does not fit the rest.
+        CheckpointInvalid: A file is missing or damaged, or does not fit the others.
     """
     path = _avatar_file(folder)
     home = path.parent
     tensors = _tensors(path)
-    places = {"beside": home / "SMPLX_NEUTRAL.npz"}
-    places["models"] = home / "pretrained_models/human_model_files/smplx/SMPLX_NEUTRAL.npz"
-    model = read_body(required_body(body, places, JOINTS), JOINTS)
+    candidates = {"beside": home / "SMPLX_NEUTRAL.npz"}
+    candidates["models"] = (
+        home / "pretrained_models/human_model_files/smplx/SMPLX_NEUTRAL.npz"
+    )
+    model = read_body(required_body(body, candidates, JOINTS), JOINTS)
     if model.shape_dirs.shape[2] < FIRST_EXPRESSION + EXPRESSIONS:
-        what = f"has {model.shape_dirs.shape[2]} shape coefficients, wanted 400"
+        message = f"has {model.shape_dirs.shape[2]} shape coefficients, expected 400"
         hint = "Give the file of 300 shapes and 100 expressions (SMPLX_NEUTRAL.npz, v1.1)."
-        raise CheckpointInvalid(what, where=str(model.path), hint=hint)
+        raise CheckpointInvalid(message, where=str(model.path), hint=hint)
     count = len(tensors["offset_xyz"])
     return LHMCheckpoint(
-        path,
-        tensors["query_points"] + tensors["offset_xyz"],
-        tensors["rgb"],
-        tensors["opacity"],
-        tensors["scaling"],
-        tensors["rotation"],
-        tensors["transform_mat_neutral_pose"],
-        tensors["betas"],
-        _samples(home / _POINTS, count),
-        _stiff(home / _PRIOR, len(model.template)),
-        model,
+        path=path,
+        position=tensors["query_points"] + tensors["offset_xyz"],
+        rgb=tensors["rgb"],
+        opacity=tensors["opacity"],
+        scale=tensors["scaling"],
+        rotation=tensors["rotation"],
+        neutral=tensors["transform_mat_neutral_pose"],
+        betas=tensors["betas"],
+        samples=_samples(home / _POINTS, count),
+        stiff=_stiff(home / _PRIOR, len(model.template)),
+        body=model,
     )
 
 
 def read_face(flame: Path, ids: Path, body: Body) -> Face:
-    """Read FLAME's expressions and which vertices of SMPL-X they belong to.
+    """Read FLAME's expressions and the SMPL-X vertices that they move.
 
     Args:
         flame: ``FLAME_NEUTRAL.pkl`` or an ``.npz`` of the same arrays.
         ids: ``SMPL-X__FLAME_vertex_ids.npy``.
-        body: The body that they go to.
+        body: The body model that they are applied to.
 
     Raises:
-        CheckpointInvalid: A file is damaged, or they do not fit each other.
+        CheckpointInvalid: A file is damaged, or the files do not fit each other.
     """
     required_file(flame, "FLAME, from https://flame.is.tue.mpg.de after registration")
     required_file(ids, "SMPL-X__FLAME_vertex_ids.npy, which comes with SMPL-X")
@@ -152,14 +154,14 @@ def read_face(flame: Path, ids: Path, body: Body) -> Face:
         raise CheckpointInvalid(f"cannot be read: {error}", where=str(ids)) from error
     last = FIRST_EXPRESSION + EXPRESSIONS
     if dirs.ndim != 3 or dirs.shape[1] != 3 or dirs.shape[2] < last:
-        what = f"shapedirs is {list(dirs.shape)}, wanted [5023, 3, 400]"
-        raise CheckpointInvalid(what, where=str(flame))
+        message = f"shapedirs is {list(dirs.shape)}, expected [5023, 3, 400]"
+        raise CheckpointInvalid(message, where=str(flame))
     whole = vertices.ndim == 1 and vertices.dtype.kind in "iu"
     if not whole or len(vertices) != len(dirs) or vertices.max() >= len(body.template):
-        what = f"holds {vertices.dtype} {list(vertices.shape)}, wanted {len(dirs)} vertex numbers"
-        raise CheckpointInvalid(what, where=str(ids))
-    taken = dirs[:, :, FIRST_EXPRESSION:last].astype(np.float64)
-    return Face(vertices.astype(np.int64), taken)
+        message = f"holds {vertices.dtype} {list(vertices.shape)}, expected {len(dirs)} vertex indices"
+        raise CheckpointInvalid(message, where=str(ids))
+    expressions = dirs[:, :, FIRST_EXPRESSION:last].astype(np.float64)
+    return Face(vertices.astype(np.int64), expressions)
 
 
 def _face_dirs(path: Path) -> Any:
@@ -176,31 +178,37 @@ def _avatar_file(folder: Path) -> Path:
     if folder.is_file():
         return folder
     if not folder.is_dir():
-        raise CheckpointInvalid("is no file and no folder", where=str(folder))
-    found = sorted(folder.glob("*.pth"))
-    if len(found) != 1:
-        names = ", ".join(path.name for path in found) or "none"
-        hint = "Give the file itself, or a folder with one .pth in it."
-        near = "" if found else likely_folders(folder, lambda one: any(one.glob("*.pth")))
-        what = f"holds {len(found)} files .pth ({names})"
-        raise CheckpointInvalid(what, where=str(folder), hint=near or hint)
-    return found[0]
+        raise CheckpointInvalid(
+            "does not exist: expected a file or a folder", where=str(folder)
+        )
+    files = sorted(folder.glob("*.pth"))
+    if len(files) != 1:
+        names = ", ".join(path.name for path in files) or "no file"
+        hint = "Give the file itself, or a folder with exactly one .pth file."
+        near = (
+            ""
+            if files
+            else likely_folders(folder, lambda candidate: any(candidate.glob("*.pth")))
+        )
+        message = f"holds {len(files)} .pth files ({names}), expected one"
+        raise CheckpointInvalid(message, where=str(folder), hint=near or hint)
+    return files[0]
 
 
 def _tensors(path: Path) -> dict[str, Tensor]:
-    hint = f"Wanted the list {', '.join(_FIELDS)}, as Visionary's fork of LHM saves it."
+    hint = f"Expected the list {', '.join(_FIELDS)}, as Visionary's fork of LHM saves it."
     read = load_tensors(path, hint)
     if not isinstance(read, list | tuple) or len(read) != len(_FIELDS):
-        seen = f"a {type(read).__name__}"
+        actual = f"a {type(read).__name__}"
         if isinstance(read, list | tuple):
-            seen = f"{len(read)} things"
-        what = f"holds {seen}, wanted {len(_FIELDS)}"
-        raise CheckpointInvalid(what, where=str(path), hint=hint)
-    named = dict(zip(_FIELDS, read, strict=True))
-    first = named["offset_xyz"]
-    # Training squeezes what it saves: one Gaussian alone has no rows.
+            actual = f"{len(read)} values"
+        message = f"holds {actual}, expected {len(_FIELDS)} values"
+        raise CheckpointInvalid(message, where=str(path), hint=hint)
+    fields = dict(zip(_FIELDS, read, strict=True))
+    first = fields["offset_xyz"]
+    # LHM squeezes tensors before saving: those of a single Gaussian have no rows.
     count = first.numel() // 3 if isinstance(first, Tensor) else 0
-    wanted = {
+    expected = {
         "offset_xyz": (count, 3),
         "query_points": (count, 3),
         "rgb": (count, 3),
@@ -210,44 +218,46 @@ def _tensors(path: Path) -> dict[str, Tensor]:
         "transform_mat_neutral_pose": (JOINTS, 4, 4),
         "betas": (BETAS,),
     }
-    made = {}
-    for name, shape in wanted.items():
-        value = named[name]
+    tensors = {}
+    for name, shape in expected.items():
+        value = fields[name]
         if not isinstance(value, Tensor) or not count:
-            raise CheckpointInvalid(f"{name} is no tensor", where=str(path), hint=hint)
+            raise CheckpointInvalid(f"{name} is not a tensor", where=str(path), hint=hint)
         if value.numel() != np.prod(shape) or not torch.isfinite(value).all():
-            what = f"{name} is {list(value.shape)}, wanted {list(shape)}, all finite"
-            raise CheckpointInvalid(what, where=str(path), hint=hint)
-        made[name] = value.detach().to(torch.float32).reshape(shape)
-    return made
+            message = f"{name} is {list(value.shape)}, expected {list(shape)}, all finite"
+            raise CheckpointInvalid(message, where=str(path), hint=hint)
+        tensors[name] = value.detach().to(torch.float32).reshape(shape)
+    return tensors
 
 
 def _samples(folder: Path, count: int) -> Float[np.ndarray, "n 3"]:
-    hint = "It comes with LHM's weights: copy pretrained_models/dense_sample_points beside them."
+    hint = "Copy pretrained_models/dense_sample_points, which comes with LHM's weights, to here."
     names = sorted(folder.glob("*.ply")) if folder.is_dir() else []
     if not names:
-        raise CheckpointInvalid("holds no .ply", where=str(folder), hint=hint)
+        raise CheckpointInvalid("holds no .ply file", where=str(folder), hint=hint)
     for path in names:
         points = _points(path)
         if len(points) == count:
             return points
-    what = f"holds no .ply of {count} points ({', '.join(path.name for path in names)})"
-    raise CheckpointInvalid(what, where=str(folder), hint=hint)
+    message = (
+        f"holds no .ply file of {count} points ({', '.join(path.name for path in names)})"
+    )
+    raise CheckpointInvalid(message, where=str(folder), hint=hint)
 
 
 def _points(path: Path) -> Float[np.ndarray, "n 3"]:
     try:
         read = read_ply_columns(path, {"position": ("x", "y", "z")})
     except FormatError as error:
-        what = str(error).replace(f"{path}: ", "")
-        raise CheckpointInvalid(what, where=str(path)) from error
+        message = str(error).replace(f"{path}: ", "")
+        raise CheckpointInvalid(message, where=str(path)) from error
     return read["position"].astype(np.float64)
 
 
 def _stiff(path: Path, vertices: int) -> Bool[np.ndarray, " v"]:
-    required_file(path, "which vertices do not turn; it comes with LHM's weights")
+    required_file(path, "the vertices that do not rotate; it comes with LHM's weights")
     masks = read_npz(path, ("masks",)).get("masks", np.zeros(0))
     if masks.shape != (vertices,):
-        what = f"masks is {list(masks.shape)}, wanted [{vertices}]"
-        raise CheckpointInvalid(what, where=str(path))
+        message = f"masks is {list(masks.shape)}, expected [{vertices}]"
+        raise CheckpointInvalid(message, where=str(path))
     return np.asarray(masks > 0)

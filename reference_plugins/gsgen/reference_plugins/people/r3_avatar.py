@@ -1,9 +1,9 @@
-"""R3-Avatar: GauHuman's body, whose Gaussians a hexplane changes from frame to frame.
+"""R3-Avatar: a GauHuman avatar whose Gaussians a hexplane changes from frame to frame.
 
 Zhan et al. 2025, "R³-Avatar: Record and Retrieve Temporal Codebook for Reconstructing Photorealistic
-Human Avatars": a frame's time picks shift, scale, rotation and opacity of every Gaussian, and linear
-blend skinning moves it from the big pose. As Gaussians shift, the vertex nearest to each changes
-from frame to frame; frames are counted, so a table says which.
+Human Avatars": a frame's time determines offset, scale, rotation and opacity of every Gaussian, and
+linear blend skinning moves it from the big pose. The offset changes the nearest vertex, so a table
+holds the nearest vertex of each Gaussian in each frame.
 """
 
 __all__ = ["R3Avatar"]
@@ -18,18 +18,18 @@ from torch import Tensor
 
 from gsgen.reference_plugins.bodies import rest_pose
 from gsgen.reference_plugins.bodies.actors import ActorInputs, Rotation
-from gsgen.reference_plugins.bodies.pose_blendshapes import Limbs
+from gsgen.reference_plugins.bodies.pose_blendshapes import PoseBlendshapes
 from gsgen.reference_plugins.bodies.pose_networks import weight_offsets
 from gsgen.reference_plugins.bodies.skinning import (
-    applied,
     covariance,
-    multiplied,
-    repeated,
-    rows_of,
+    multiply_matrices,
+    planes_to_rows,
+    repeat_rows,
+    transform_points,
 )
 from gsgen.reference_plugins.bodies.skinning_weights import LEAST_WEIGHT, inverse
 from gsgen.reference_plugins.people.appearance import Appearance
-from gsgen.reference_plugins.people.gauhuman import big_transforms
+from gsgen.reference_plugins.people.gauhuman import big_pose_transforms
 from gsgen.reference_plugins.people.r3_avatar_checkpoint import R3Checkpoint
 from gsgen.reference_plugins.tensors.planes import rotation_columns
 from gsgen.sdk import GaussianGenerator, Gaussians
@@ -37,7 +37,7 @@ from gsgen.sdk import GaussianGenerator, Gaussians
 
 @final
 class R3Avatar(GaussianGenerator):
-    """A person, or several of the same, in the frames that training saw."""
+    """A person, or several copies, whose poses and training frames are inputs."""
 
     family = "avatar"
 
@@ -59,43 +59,47 @@ class R3Avatar(GaussianGenerator):
         add_hands: bool = False,
         progress: Callable[[int], None] | None = None,
     ) -> None:
-        """Find the nearest vertices of every frame.
+        """Bake the checkpoint, and find the nearest vertices in every frame.
 
         Args:
             read: The checkpoint.
-            poses: The pose id of each frame that can be asked for.
-            shape: Shape coefficients to bake; an input where absent.
-            rotation: How the rotation of a body as a whole is given.
-            bodies: How many there are.
-            add_hands: Poses come without the mean pose of SMPL-X's hands.
-            progress: Told after each frame how many are done.
+            poses: The pose id of each frame in the model.
+            shape: Shape coefficients to bake; None if they are an input.
+            rotation: Convention of the root rotation input.
+            bodies: Number of bodies.
+            add_hands: Add the mean pose of SMPL-X's hands to poses.
+            progress: Called after each frame with the number of finished frames.
         """
         super().__init__()
         body = read.body
         free = body.shape_dirs.shape[2] if shape is None else 0
         self.actors = ActorInputs(
-            body.joints, rotation, shape=free, frames=len(poses), bodies=bodies
+            joints=body.joints,
+            rotation=rotation,
+            shape=free,
+            frames=len(poses),
+            bodies=bodies,
         )
         self.inputs = self.actors.declared()
         self.appearance = Appearance(read, poses)
         xyz = read.canonical.position
         vertex = self._nearest(xyz.double().numpy(), read, len(poses), progress)
-        used, which = np.unique(vertex, return_inverse=True)
+        used, table_index = np.unique(vertex, return_inverse=True)
         baked = None if shape is None else np.asarray(shape)
-        self.limbs = Limbs(body, used, baked, read.nets, add_hands=add_hands)
+        self.limbs = PoseBlendshapes(body, used, baked, read.nets, add_hands=add_hands)
         offsets = weight_offsets(read.nets, xyz)
-        # softmax(log w + b) is w eᵇ over its sum: logarithms are not taken every frame.
+        # softmax(log w + b) = w eᵇ / Σ w eᵇ, so no logarithm is computed per frame.
         factor = torch.exp(offsets - offsets.max(dim=1, keepdim=True).values)
         keep = self.register_buffer
         keep("position", xyz.t().contiguous()[None])
         keep("factor", factor.float())
         near = body.weights[used] + LEAST_WEIGHT
         keep("near", torch.from_numpy(near.astype(np.float32)))
-        big = big_transforms(body).reshape(body.joints, 12).astype(np.float32)
-        ones = np.ones((body.joints, 1), np.float32)
-        keep("big", torch.from_numpy(np.concatenate([big, ones], axis=1)))
-        # The largest table where frames are many; it is widened once, when a model is loaded.
-        numbers = which.reshape(vertex.shape).astype(np.int16)
+        big = big_pose_transforms(body).reshape(body.joints, 12).astype(np.float32)
+        ones_column = np.ones((body.joints, 1), np.float32)
+        keep("big", torch.from_numpy(np.concatenate([big, ones_column], axis=1)))
+        # With many frames this is the largest table: int16, cast once when a runtime loads the model.
+        numbers = table_index.reshape(vertex.shape).astype(np.int16)
         keep("vertex", torch.from_numpy(numbers))
         keep("sh", read.canonical.sh)
 
@@ -107,70 +111,77 @@ class R3Avatar(GaussianGenerator):
         frames: int,
         progress: Callable[[int], None] | None,
     ) -> Int[np.ndarray, "f n"]:
-        """Return the vertex nearest to each Gaussian where it is in each frame."""
+        """Return the vertex nearest to each Gaussian in each frame."""
         from scipy.spatial import cKDTree
 
         body = read.body
         tree = cKDTree(
             rest_pose.posed_vertices(body, rest_pose.big_pose(body), np.zeros(0))
         )
-        made = []
+        vertices = []
         for frame in range(frames):
             shift = self.appearance(torch.tensor([frame], dtype=torch.int32))[:3]
-            made.append(tree.query(xyz + shift.t().double().numpy())[1])
+            vertices.append(tree.query(xyz + shift.t().double().numpy())[1])
             if progress is not None:
                 progress(frame + 1)
-        return np.stack(made).astype(np.int64)
+        return np.stack(vertices).astype(np.int64)
 
-    def forward(self, *given: Tensor) -> Gaussians:
+    def forward(self, *tensors: Tensor) -> Gaussians:
         """Return the Gaussians of all bodies, body after body.
 
         Args:
-            given: The declared inputs, in order.
+            tensors: The values of the declared inputs, in order.
         """
-        actor = self.actors.taken(given)
+        actor = self.actors.actor_from(tensors)
         joints, added = self.limbs(actor)
         assert actor.frame is not None
         parts = [
-            self._moved(frame, joints[index], added[index : index + 1])
+            self._body_gaussians(frame, joints[index], added[index : index + 1])
             for index, frame in enumerate(actor.frame)
         ]
         position, opacity, spread = (
-            one[0] if len(one) == 1 else torch.cat(one) for one in zip(*parts, strict=True)
+            body_rows[0] if len(body_rows) == 1 else torch.cat(body_rows)
+            for body_rows in zip(*parts, strict=True)
         )
         return Gaussians(
             position=position,
             opacity=opacity,
             covariance=spread,
-            sh=repeated(self.sh, self.actors.bodies),
+            sh=repeat_rows(self.sh, self.actors.bodies),
         )
 
-    def _moved(
+    def _body_gaussians(
         self, frame: Int[Tensor, "1"], joints: Tensor, added: Float[Tensor, "1 3 u"]
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Return position, opacity and covariance of one body, as rows."""
-        said = self.appearance(frame)
+        attributes = self.appearance(frame)
         vertex = torch.index_select(self.vertex.to(torch.int32), 0, frame).reshape(-1)
         weights = torch.index_select(self.near, 0, vertex) * self.factor
         maps = torch.cat([joints.reshape(-1, 12), self.big], dim=1)
         mixed = (weights @ maps).transpose(0, 1)
         mixed = mixed[:24] / mixed[24:25]
-        there, big = mixed.reshape(2, 1, 3, 4, -1).unbind(dim=0)
+        posed, big = mixed.reshape(2, 1, 3, 4, -1).unbind(dim=0)
         back = inverse(big)
-        place = self.position + said[None, :3] - big[:, :, 3]
-        place = _turned(back, place) + torch.index_select(added, 2, vertex)
-        scale = said[3:6] * said[3:6]
-        columns = rotation_columns([said[index : index + 1] for index in range(6, 10)])
+        position = self.position + attributes[None, :3] - big[:, :, 3]
+        position = _rotate_points(back, position) + torch.index_select(added, 2, vertex)
+        scale = attributes[3:6] * attributes[3:6]
+        columns = rotation_columns(
+            [attributes[index : index + 1] for index in range(6, 10)]
+        )
         turn = torch.stack([torch.cat(column) for column in columns], dim=1)
-        root = multiplied(there, multiplied(back, (turn * scale[None])[None]))
-        opacity = torch.sigmoid(said[10:11]).transpose(0, 1)
-        return rows_of(applied(there, place)), opacity, rows_of(covariance(root))
+        root = multiply_matrices(posed, multiply_matrices(back, (turn * scale[None])[None]))
+        opacity = torch.sigmoid(attributes[10:11]).transpose(0, 1)
+        return (
+            planes_to_rows(transform_points(posed, position)),
+            opacity,
+            planes_to_rows(covariance(root)),
+        )
 
 
-def _turned(
+def _rotate_points(
     matrix: Float[Tensor, "1 3 3 n"], point: Float[Tensor, "1 3 n"]
 ) -> Float[Tensor, "1 3 n"]:
-    made = matrix[:, :, 0] * point[:, 0:1]
+    turned_point = matrix[:, :, 0] * point[:, 0:1]
     for axis in (1, 2):
-        made = made + matrix[:, :, axis] * point[:, axis : axis + 1]
-    return made
+        turned_point = turned_point + matrix[:, :, axis] * point[:, axis : axis + 1]
+    return turned_point

@@ -1,11 +1,11 @@
-"""Checkpoints of R3-Avatar: Gaussians, a hexplane with its decoder, and GauHuman's two networks.
+"""Reads checkpoints of R3-Avatar: Gaussians, a hexplane with decoder, and GauHuman's networks.
 
-``chkpntN.pth`` holds all of it, with its networks pickled as objects of classes that only the
-training code has. ``torch.load(weights_only=True)`` is told to put an inert class in their place
+``chkpntN.pth`` holds all of them, with networks pickled as objects of classes that only the
+training code has. ``torch.load(weights_only=True)`` replaces these by an inert class
 (Yifever20002/R3Avatars, ``scene/gaussian_model.py``: ``capture``).
 """
 
-__all__ = ["DATASETS", "R3Checkpoint", "guessed_dataset", "read_r3"]
+__all__ = ["DATASETS", "R3Checkpoint", "guess_dataset", "read_r3"]
 
 import re
 from collections.abc import Iterator, Mapping
@@ -27,23 +27,23 @@ from gsgen.reference_plugins.loading.method_detection import refuse_other_method
 from gsgen.reference_plugins.loading.states import Shape, require_tensors
 from gsgen.reference_plugins.loading.tensor_files import Inert, load_tensors
 from gsgen.reference_plugins.people.gauhuman_checkpoint import read_body_of
+from gsgen.reference_plugins.tensors.hexplane import PLANES
 
 # Data set → the pose id at which time is 0 (R3-Avatar, gaussian_renderer/__init__.py).
 DATASETS = {"dna": 50, "zju": 150, "hifi4g": 75, "mvhuman": 75}
-# What a path holds by which training picks the reader, in its order (its scene/__init__.py).
+# Part of the path by which training selects the reader, in its order (its scene/__init__.py).
 _MARKS = {
     "zju_mocap": "zju",
     "DNA-Rendering": "dna",
     "HiFi4G": "hifi4g",
     "MVHumanNet": "mvhuman",
 }
-# Which body each data set is fitted with (its scripts).
+# Body model that each data set is fitted with (its scripts).
 _BODIES = {"dna": "smplx", "zju": "smpl", "hifi4g": "smpl", "mvhuman": "smplx"}
 
 _FILE = re.compile(r"chkpnt(\d+)\.pth")
 _FIELDS = 19
 _HEADS = {"warp": 3, "opacity": 1, "rotation": 4, "scaling": 3}
-_PLANES = 6
 _CLASSES = (
     "nets.gaussian_decoder.GaussianDecoder",
     "nets.mlp_delta_body_pose.BodyPoseRefiner",
@@ -66,10 +66,10 @@ Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
 
 
 class _Shell(Inert):
-    """Stands for a module of the file, whose tensors are wanted."""
+    """Inert stand-in for a pickled network; it gives access to the network's tensors."""
 
     def tensors(self, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
-        """Yield what ``state_dict`` would."""
+        """Yield the names and tensors that ``state_dict`` would return."""
         for name, value in dict(self.given.get("_parameters", {})).items():
             if isinstance(value, Tensor):
                 yield prefix + name, value
@@ -78,18 +78,18 @@ class _Shell(Inert):
                 yield from child.tensors(f"{prefix}{name}.")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class R3Checkpoint:
-    """Everything that inference needs, but for poses.
+    """A trained avatar of R3-Avatar, without poses.
 
     Attributes:
         path: The file.
         cfg: Options of the training run.
-        canonical: The Gaussians; opacity, rotation and scale are the decoder's, and these unused.
+        canonical: The Gaussians; their opacity, rotation and scale are replaced by the decoder's.
         aabb: Lower and upper corner of the hexplane.
-        grids: Sets of six planes [C, h, w].
-        inner: Layers of the decoder.
-        heads: What it says of each Gaussian, as layers.
+        grids: Sets of six planes [C, h, w], one for each resolution.
+        inner: Hidden layers of the decoder.
+        heads: Output layers of the decoder, by attribute.
         nets: Networks that correct joints and weights.
         body: The body model.
         origin: The pose id at which time is 0.
@@ -107,7 +107,7 @@ class R3Checkpoint:
     origin: int
 
     def describe(self) -> str:
-        """Say in one line what it holds."""
+        """Describe the checkpoint in one line: Gaussians, planes, time and body model."""
         return (
             f"{self.path}: {self.canonical.describe()}, "
             f"{len(self.grids)} × 6 planes, time 0 at pose "
@@ -124,18 +124,18 @@ def read_r3(
     """Read a checkpoint of R3-Avatar.
 
     Args:
-        folder: What training wrote, or its ``chkpntN.pth``.
-        iteration: The last where absent.
-        body: The body model; looked for under ``assets`` where absent.
-        dataset: Which reader training used; guessed from ``cfg_args`` where absent.
+        folder: The folder of a training run, or its ``chkpntN.pth``.
+        iteration: The training iteration; the last by default.
+        body: The file of the body model; by default, it is searched under ``assets``.
+        dataset: The data set of training; by default, it is guessed from ``cfg_args``.
 
     Raises:
-        CheckpointInvalid: Something is missing, or does not fit the rest.
+        CheckpointInvalid: A file is missing or damaged, or does not fit the others.
     """
-    path = _find(folder, iteration)
+    path = _checkpoint_file(folder, iteration)
     folder = path.parent
     cfg = read_cfg_args(folder)
-    origin = DATASETS[dataset or guessed_dataset(cfg)]
+    origin = DATASETS[dataset or guess_dataset(cfg)]
     model = read_body_of(folder, cfg, body)
     fields = _fields(path)
     nets = read_pose_nets(
@@ -146,49 +146,65 @@ def read_r3(
     inner, heads = _decoder(path, _state(path, fields[18]), features)
     aabb = require_tensors(path, {"aabb": fields[14]}, {"aabb": (2, 3)})["aabb"]
     if not (aabb[0] < aabb[1]).all():
-        what = f"aabb is {aabb.tolist()}, wanted the lower corner before the upper"
-        raise CheckpointInvalid(what, where=str(path))
+        message = (
+            f"aabb is {aabb.tolist()}, expected the lower corner before the upper corner"
+        )
+        raise CheckpointInvalid(message, where=str(path))
     canonical = _canonical(path, fields)
     return R3Checkpoint(
-        path, cfg, canonical, aabb, grids, inner, heads, nets, model, origin
+        path=path,
+        cfg=cfg,
+        canonical=canonical,
+        aabb=aabb,
+        grids=grids,
+        inner=inner,
+        heads=heads,
+        nets=nets,
+        body=model,
+        origin=origin,
     )
 
 
-def _find(folder: Path, iteration: int | None) -> Path:
-    named = _FILE.fullmatch(folder.name) if folder.is_file() else None
-    if named and iteration in (None, -1, int(named[1])):
+def _checkpoint_file(folder: Path, iteration: int | None) -> Path:
+    name_match = _FILE.fullmatch(folder.name) if folder.is_file() else None
+    if name_match and iteration in (None, -1, int(name_match[1])):
         return folder
     folder, iteration = within_run(folder, iteration)
     if not folder.is_dir():
-        what = "is no folder" if folder.exists() else "does not exist"
-        hint = "Give the folder that training wrote, or its chkpntN.pth."
-        raise CheckpointInvalid(what, where=str(folder), hint=hint)
+        message = "is not a folder" if folder.exists() else "does not exist"
+        hint = "Give the folder of a training run, or its chkpntN.pth."
+        raise CheckpointInvalid(message, where=str(folder), hint=hint)
     matches = ((_FILE.fullmatch(child.name), child) for child in folder.iterdir())
-    found = {int(match[1]): child for match, child in matches if match}
-    if not found:
-        refuse_other_method("r3-avatar", folder, _last(folder))
-        hint = "Give the folder that training wrote: the planes are in no other file."
-        hint = likely_folders(folder, lambda one: any(one.glob("chkpnt*.pth"))) or hint
+    files = {int(match[1]): child for match, child in matches if match}
+    if not files:
+        refuse_other_method("r3-avatar", folder, _last_iteration_folder(folder))
+        hint = "Give the folder of a training run: only chkpntN.pth holds the planes."
+        hint = (
+            likely_folders(folder, lambda candidate: any(candidate.glob("chkpnt*.pth")))
+            or hint
+        )
         raise CheckpointInvalid("holds no chkpntN.pth", where=str(folder), hint=hint)
-    wanted = max(found) if iteration is None else iteration
-    if wanted not in found:
-        known = ", ".join(map(str, sorted(found)))
-        what = f"has no iteration {wanted}"
-        raise NotInCheckpoint(what, where=str(folder), hint=f"There are: {known}.")
-    return found[wanted]
+    number = max(files) if iteration is None else iteration
+    if number not in files:
+        known = ", ".join(map(str, sorted(files)))
+        message = f"has no iteration {number}"
+        raise NotInCheckpoint(
+            message, where=str(folder), hint=f"The iterations are {known}."
+        )
+    return files[number]
 
 
-def _last(folder: Path) -> Path:
-    """Return an iteration's folder, by which other methods are told; the run's if there is none."""
-    places = (folder / "point_cloud").glob("iteration_*")
-    return max(places, default=folder)
+def _last_iteration_folder(folder: Path) -> Path:
+    """Return the folder of the last iteration; the run's folder without iterations."""
+    iteration_folders = (folder / "point_cloud").glob("iteration_*")
+    return max(iteration_folders, default=folder)
 
 
-def guessed_dataset(cfg: CfgArgs) -> str:
-    """Return whose data a run was trained on: by its path, or else by the name of the run.
+def guess_dataset(cfg: CfgArgs) -> str:
+    """Guess the data set of a training run from the path of its data, or from the run's name.
 
     Raises:
-        CheckpointInvalid: Neither says so.
+        CheckpointInvalid: Neither names a known data set.
     """
     source, name = cfg.word("source_path", ""), cfg.word("exp_name", "")
     body = cfg.word("smpl_type", "smpl")
@@ -196,39 +212,43 @@ def guessed_dataset(cfg: CfgArgs) -> str:
         if mark in source:
             return dataset
     for text in (source, name):
-        found = [one for one in DATASETS if one in text.lower()]
-        fitting = [one for one in found if _BODIES[one] == body]
-        if len(found) == 1 or len(fitting) == 1:
-            return (found if len(found) == 1 else fitting)[0]
+        mentioned = [
+            dataset_name for dataset_name in DATASETS if dataset_name in text.lower()
+        ]
+        fitting = [
+            dataset_name for dataset_name in mentioned if _BODIES[dataset_name] == body
+        ]
+        if len(mentioned) == 1 or len(fitting) == 1:
+            return (mentioned if len(mentioned) == 1 else fitting)[0]
     known = ", ".join(DATASETS)
-    what = f"source_path is {source!r}, which does not say the kind of data"
-    hint = f"Say which reader training used: --dataset, one of {known}."
-    raise CheckpointInvalid(what, where=str(cfg.path), hint=hint)
+    message = f"source_path is {source!r}, which names no known data set"
+    hint = f"Give the data set of training: --dataset, one of {known}."
+    raise CheckpointInvalid(message, where=str(cfg.path), hint=hint)
 
 
 def _fields(path: Path) -> Any:
-    hint = "Wanted what R3-Avatar's training saves; code in files is not run."
+    hint = "Expected a checkpoint of R3-Avatar's training; code in files is not executed."
     read = load_tensors(path, hint, [(_Shell, name) for name in _CLASSES])
     fields = read[0] if isinstance(read, tuple) and len(read) == 2 else None
     if not isinstance(fields, tuple) or len(fields) != _FIELDS:
-        what = f"is no pair of {_FIELDS} fields and an iteration"
-        raise CheckpointInvalid(what, where=str(path), hint=hint)
+        message = f"is not a pair of {_FIELDS} fields and an iteration"
+        raise CheckpointInvalid(message, where=str(path), hint=hint)
     return fields
 
 
 def _state(path: Path, shell: Any) -> dict[str, Tensor]:
     if not isinstance(shell, _Shell):
-        what = f"holds a {type(shell).__name__}, wanted a network"
-        raise CheckpointInvalid(what, where=str(path))
+        message = f"holds a {type(shell).__name__}, expected a network"
+        raise CheckpointInvalid(message, where=str(path))
     return dict(shell.tensors())
 
 
 def _canonical(path: Path, fields: Any) -> Canonical:
     names = ("xyz", "f_dc", "f_rest", "scaling", "rotation", "opacity")
-    given = dict(zip(names, fields[1:7], strict=True))
-    xyz = given["xyz"]
+    tensors = dict(zip(names, fields[1:7], strict=True))
+    xyz = tensors["xyz"]
     count = xyz.shape[0] if isinstance(xyz, Tensor) and xyz.ndim else None
-    wanted: dict[str, Shape] = {
+    expected: dict[str, Shape] = {
         "xyz": (count, 3),
         "f_dc": (count, 1, 3),
         "f_rest": (count, None, 3),
@@ -236,11 +256,11 @@ def _canonical(path: Path, fields: Any) -> Canonical:
         "rotation": (count, 4),
         "opacity": (count, 1),
     }
-    read = require_tensors(path, given, wanted)
+    read = require_tensors(path, tensors, expected)
     sh = torch.cat([read["f_dc"], read["f_rest"]], dim=1)
     if sh.shape[1] not in (1, 4, 9, 16):
-        what = f"f_rest has {sh.shape[1] - 1} coefficients, wanted 0, 3, 8 or 15"
-        raise CheckpointInvalid(what, where=str(path))
+        message = f"f_rest has {sh.shape[1] - 1} coefficients, expected 0, 3, 8 or 15"
+        raise CheckpointInvalid(message, where=str(path))
     return Canonical(
         position=read["xyz"],
         rotation=read["rotation"],
@@ -255,11 +275,11 @@ def _grids(path: Path, state: Mapping[str, Tensor]) -> tuple[tuple[Tensor, ...],
     sizes: dict[str, Shape] = {
         f"{scale}.{plane}": (1, None, None, None)
         for scale in range(len(scales))
-        for plane in range(_PLANES)
+        for plane in range(PLANES)
     }
     read = require_tensors(path, state, sizes)
     return tuple(
-        tuple(read[f"{scale}.{plane}"][0] for plane in range(_PLANES))
+        tuple(read[f"{scale}.{plane}"][0] for plane in range(PLANES))
         for scale in range(len(scales))
     )
 
@@ -269,16 +289,16 @@ def _decoder(
 ) -> tuple[tuple[Layer, ...], dict[str, Layer]]:
     count = sum(bool(re.fullmatch(r"linear\.\d+\.weight", name)) for name in state)
     first = state.get("linear.0.weight")
-    wide = first.shape[0] if first is not None and first.ndim else None
-    wanted: dict[str, Shape] = {}
+    width = first.shape[0] if first is not None and first.ndim else None
+    expected: dict[str, Shape] = {}
     for index in range(count):
-        inputs = wide if index else features
-        wanted |= {f"linear.{index}.weight": (wide, inputs)}
-        wanted |= {f"linear.{index}.bias": (wide,)}
+        inputs = width if index else features
+        expected |= {f"linear.{index}.weight": (width, inputs)}
+        expected |= {f"linear.{index}.bias": (width,)}
     for head, outputs in _HEADS.items():
-        wanted |= {f"gaussian_{head}.weight": (outputs, wide)}
-        wanted |= {f"gaussian_{head}.bias": (outputs,)}
-    read = require_tensors(path, state, wanted)
+        expected |= {f"gaussian_{head}.weight": (outputs, width)}
+        expected |= {f"gaussian_{head}.bias": (outputs,)}
+    read = require_tensors(path, state, expected)
 
     def layer(name: str) -> Layer:
         return read[f"{name}.weight"], read[f"{name}.bias"]

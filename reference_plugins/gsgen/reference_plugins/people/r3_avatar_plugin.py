@@ -1,4 +1,4 @@
-"""`gsgen export r3-avatar`: a checkpoint of R3-Avatar as a generator."""
+"""`gsgen export r3-avatar`: exports a checkpoint of R3-Avatar as a generator."""
 
 __all__ = ["PLUGIN"]
 
@@ -17,9 +17,9 @@ from gsgen.reference_plugins.bodies.options import (
     RootRotation,
     Shape,
     Spacing,
-    played,
     read_shape,
-    warn_of_body,
+    warn_about_body,
+    with_motion,
 )
 from gsgen.reference_plugins.loading.options import (
     Checkpoint,
@@ -40,17 +40,16 @@ _MOST_POSES = 100_000
 Dataset = Annotated[
     Literal["dna", "zju", "hifi4g", "mvhuman"] | None,
     typer.Option(
-        help="Whose data it was trained on: that says how poses are timed.",
-        show_default="as source_path or exp_name in cfg_args says",
+        help="Data set of training, which determines the times of poses.",
+        show_default="from source_path or exp_name in cfg_args",
     ),
 ]
 PoseIds = Annotated[
     str | None,
     typer.Option(
         "--pose-ids",
-        help="Which poses of training can be asked for, such as 0-99 or 0,17,50; frame_index "
-        "counts them.",
-        show_default="all of which time knows",
+        help="Training poses in the model, such as 0-99 or 0,17,50; frame_index selects one.",
+        show_default="all with a time",
     ),
 ]
 
@@ -67,87 +66,89 @@ def build(
     instances: Instances = 1,
     motion: MotionFile = None,
     fps: Fps = None,
-    loop: Loop = False,
     spacing: Spacing = 1.0,
+    *,
+    loop: Loop = False,
 ) -> "GaussianGenerator":
-    """Read a checkpoint, say what is in it, and return its generator."""
+    """Read a checkpoint, report its contents, and return its generator."""
     from gsgen.reference_plugins.bodies.motions import read_motion
     from gsgen.reference_plugins.people.r3_avatar import R3Avatar
-    from gsgen.reference_plugins.people.r3_avatar_checkpoint import guessed_dataset, read_r3
+    from gsgen.reference_plugins.people.r3_avatar_checkpoint import guess_dataset, read_r3
 
     read = read_r3(checkpoint, iteration, body, dataset)
     report_checkpoint(read.describe(), read.cfg)
     if dataset is None:
-        note(f"note: by {read.cfg.path} its data are of {guessed_dataset(read.cfg)}")
-    warn_of_body(read.cfg, read.body)
-    told = read_motion(motion, read.body.joints) if motion else None
-    # A motion shows a frame of training with each of its own, so it needs no more.
-    known = min(2 * read.origin, len(told)) if told else 2 * read.origin
-    poses = ids_of(pose_ids) if pose_ids else list(range(known))
+        note(f"note: {read.cfg.path} names the data set {guess_dataset(read.cfg)}")
+    warn_about_body(read.cfg, read.body)
+    recording = read_motion(motion, read.body.joints) if motion else None
+    # Each frame of a motion shows one training frame, so it needs no more of them.
+    known = min(2 * read.origin, len(recording)) if recording else 2 * read.origin
+    poses = parse_pose_ids(pose_ids) if pose_ids else list(range(known))
     table = 4 * len(poses) * len(read.canonical) / 2**20
-    note(f"{len(poses)} frames; which vertices are nearest takes {table:.1f} MiB")
+    note(f"{len(poses)} frames; the table of nearest vertices takes {table:.1f} MiB")
     avatar = R3Avatar(
         read,
         poses,
-        shape=read_shape(shape, told, read.body.shape_dirs.shape[2]),
-        rotation="matrix" if told else root_rotation,
+        shape=read_shape(shape, recording, read.body.shape_dirs.shape[2]),
+        rotation="matrix" if recording else root_rotation,
         bodies=instances,
         add_hands=hands == "raw",
-        progress=lambda frame: _say(frame, len(poses)),
+        progress=lambda frame: _show_progress(frame, len(poses)),
     )
-    return played(
-        avatar, avatar.actors, told, read.body, fps=fps, loop=loop, spacing=spacing
+    return with_motion(
+        avatar, avatar.actors, recording, read.body, fps=fps, loop=loop, spacing=spacing
     )
 
 
-def _say(frame: int, frames: int) -> None:
-    """Show how far the search for nearest vertices is, where someone is watching."""
+def _show_progress(frame: int, frames: int) -> None:
+    """Show the progress of the search for nearest vertices in a terminal."""
     if sys.stderr.isatty():
         typer.echo(f"\r\x1b[2Knearest vertices: {frame} of {frames} …", err=True, nl=False)
         if frame == frames:
             typer.echo("\r\x1b[2K", err=True, nl=False)
 
 
-def ids_of(text: str) -> list[int]:
-    """Return the numbers that a list such as ``0-9,17`` means.
+def parse_pose_ids(text: str) -> list[int]:
+    """Parse a list of pose ids such as ``0-9,17``.
 
     Raises:
-        ConfigInvalid: It is no such list.
+        ConfigInvalid: ``text`` is not such a list.
     """
-    made: list[int] = []
+    ids: list[int] = []
     for word in text.split(","):
         first, dash, last = word.strip().partition("-")
         if not (first.isdecimal() and (last.isdecimal() if dash else True)):
             hint = "Write it as 0-99 or 0,17,50."
-            raise ConfigInvalid(f"{word!r} is no pose", where="--pose-ids", hint=hint)
+            raise ConfigInvalid(f"{word!r} is not a pose id", where="--pose-ids", hint=hint)
         listed = range(int(first), int(last or first) + 1)
         if not listed or listed.stop > _MOST_POSES:
-            what = f"{word!r} is no range of poses below {_MOST_POSES:,}"
-            raise ConfigInvalid(what, where="--pose-ids")
-        made += listed
-    return made
+            message = (
+                f"{word!r} is not an ascending range of pose ids below {_MOST_POSES:,}"
+            )
+            raise ConfigInvalid(message, where="--pose-ids")
+        ids += listed
+    return ids
 
 
 def _recognises(run: Path, iteration: Path) -> bool:
-    """Whether some ``chkpntN.pth`` holds the decoder of R3-Avatar."""
+    """Return whether any ``chkpntN.pth`` holds the decoder of R3-Avatar."""
     return is_r3_run(run)
 
 
 def _write_demo(folder: Path) -> list[str]:
-    """Write a checkpoint of a person, and a motion to play."""
+    """Write a checkpoint of a person and a motion, and return the options that name them."""
     from gsgen.reference_plugins.bodies.synthetic_body import PersonOptions
-    from gsgen.reference_plugins.bodies.synthetic_motion import write_motion
+    from gsgen.reference_plugins.bodies.synthetic_motion import write_demo_motion
     from gsgen.reference_plugins.people.synthetic_people import write_r3
 
     write_r3(folder, PersonOptions(count=6000, vertices=3000, nets=True))
-    motion = write_motion(folder / "walk.npz", frames=24)
-    return ["--checkpoint", str(folder), "--motion", str(motion)]
+    return write_demo_motion(folder)
 
 
 PLUGIN = Plugin(
     name="r3-avatar",
     title="R3-Avatar",
-    summary="A person whose look changes from frame to frame.",
+    summary="A person whose appearance changes from frame to frame.",
     reads="Reads DIR/cfg_args, DIR/chkpntN.pth and the body model that --body names or "
     "DIR/assets holds.",
     inputs=("pose", "root_rotation", "root_translation", "frame_index", "shape", "time"),

@@ -1,4 +1,4 @@
-"""Tells runs of R3-Avatar from those of GauHuman, whose files have the same names."""
+"""Distinguishes runs of R3-Avatar from those of GauHuman, whose files have the same names."""
 
 __all__ = ["is_r3_run"]
 
@@ -11,7 +11,7 @@ _MAX_PICKLE_BYTES = 1 << 26
 
 
 def is_r3_run(run: Path) -> bool:
-    """Whether some ``chkpntN.pth`` of a training run is of R3-Avatar; nothing is unpickled."""
+    """Return whether any ``chkpntN.pth`` of a run is of R3-Avatar, without unpickling."""
     return any(_is_r3_checkpoint(path) for path in sorted(run.glob("chkpnt*.pth")))
 
 
@@ -25,5 +25,5 @@ def _is_r3_checkpoint(path: Path) -> bool:
                 ):
                     return _MODULE in archive.read(entry)
     except (zipfile.BadZipFile, OSError, ValueError, RuntimeError):
-        return False  # the reader of the file reports what is wrong with it
+        return False  # the reader of the file reports the error
     return False

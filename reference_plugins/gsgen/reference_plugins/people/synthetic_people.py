@@ -1,6 +1,6 @@
-"""Checkpoints of people, as their training code writes them, with made-up weights.
+"""Writes synthetic checkpoints of avatars in the layouts of their training code.
 
-Gaussians lie on a body of tubes and are dressed; networks correct it by a little noise.
+Gaussians are on a body of tubes, coloured as skin and clothes; networks add slight noise.
 """
 
 __all__ = ["write_gauhuman", "write_lhm", "write_r3"]
@@ -24,14 +24,14 @@ from gsgen.reference_plugins.bodies.body_models import Body, read_body
 from gsgen.reference_plugins.bodies.rest_pose import big_pose, posed_vertices
 from gsgen.reference_plugins.bodies.synthetic_body import (
     PersonOptions,
-    arrays_of,
-    colors_of,
+    body_arrays,
+    clothing_colors,
     write_body,
 )
 from gsgen.reference_plugins.synthetic.random_layers import random_linear
 from gsgen.reference_plugins.synthetic.run_files import write_cfg_args, write_columns
 
-_PLAIN = PersonOptions()
+_UNCORRECTED = PersonOptions()
 _CORRECTED = PersonOptions(nets=True)
 
 
@@ -43,14 +43,14 @@ def _assets(folder: Path, options: PersonOptions) -> Body:
 
 
 def _splats(options: PersonOptions, body: Body) -> Splats:
-    """Gaussians in the pose of training, not far from some vertex, that look dressed."""
+    """Return Gaussians of the training pose near random vertices, coloured as skin and clothes."""
     rng = np.random.default_rng([options.seed, 2])
     count = options.count
     near = rng.integers(0, options.vertices, count)
     spread = posed_vertices(body, big_pose(body), np.zeros(0))
     position = spread[near] + rng.normal(0, 0.012, (count, 3))
     sh = rng.normal(0, 0.03, (count, (options.degree + 1) ** 2, 3))
-    sh[:, 0] += (colors_of(body.template[near], options) - 0.5) / SH_C0
+    sh[:, 0] += (clothing_colors(body.template[near], options) - 0.5) / SH_C0
     return Splats(
         position=position.astype(np.float32),
         rotation=rng.normal(size=(count, 4)).astype(np.float32),
@@ -60,14 +60,14 @@ def _splats(options: PersonOptions, body: Body) -> Splats:
     )
 
 
-def write_gauhuman(folder: Path, options: PersonOptions = _PLAIN) -> Path:
-    """Write a checkpoint of GauHuman, its body model under ``assets``, and return ``folder``."""
+def write_gauhuman(folder: Path, options: PersonOptions = _UNCORRECTED) -> Path:
+    """Write a checkpoint of GauHuman with a body model in ``assets``, and return ``folder``."""
     cfg = {"smpl_type": options.kind, "actor_gender": "neutral", "sh_degree": 3}
     write_cfg_args(folder, cfg | {"motion_offset_flag": options.nets})
     body = _assets(folder, options)
-    place = folder / "point_cloud/iteration_1200"
-    place.mkdir(parents=True, exist_ok=True)
-    write_ply(place / "point_cloud.ply", _splats(options, body))
+    iteration_folder = folder / "point_cloud/iteration_1200"
+    iteration_folder.mkdir(parents=True, exist_ok=True)
+    write_ply(iteration_folder / "point_cloud.ply", _splats(options, body))
     if options.nets:
         pose, weights = _pose_nets(options)
         path = folder / "mlp_ckpt/iteration_1200/ckpt.pth"
@@ -79,15 +79,17 @@ def write_gauhuman(folder: Path, options: PersonOptions = _PLAIN) -> Path:
 
 def _pose_nets(options: PersonOptions) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     noise = torch.Generator().manual_seed(options.seed)
-    turns, wide = 3 * (options.joints - 1), options.width
+    turns, width = 3 * (options.joints - 1), options.width
     pose: dict[str, Tensor] = {}
-    for index, (inputs, outputs) in enumerate([(turns, wide), (wide, wide), (wide, turns)]):
+    for index, (inputs, outputs) in enumerate(
+        [(turns, width), (width, width), (width, turns)]
+    ):
         gain = 0.05 if index == 2 else 1.0
         pose |= random_linear(f"block_mlps.{2 * index}", inputs, outputs, noise, gain)
     weights: dict[str, Tensor] = {}
-    for index, inputs in enumerate([63, wide, wide, 63 + wide]):
-        weights |= random_linear(f"bw_linears.{index}", inputs, wide, noise)
-    weights |= random_linear("bw_fc", wide, options.joints, noise, 0.3)
+    for index, inputs in enumerate([63, width, width, 63 + width]):
+        weights |= random_linear(f"bw_linears.{index}", inputs, width, noise)
+    weights |= random_linear("bw_fc", width, options.joints, noise, 0.3)
     convolved = {
         name: value[:, :, None] if value.ndim == 2 else value
         for name, value in weights.items()
@@ -95,17 +97,22 @@ def _pose_nets(options: PersonOptions) -> tuple[dict[str, Tensor], dict[str, Ten
     return pose, convolved
 
 
-def write_lhm(folder: Path, options: PersonOptions = _PLAIN) -> Path:
-    """Write an avatar of LHM with all that it needs, and return ``folder``.
+def write_lhm(folder: Path, options: PersonOptions = _UNCORRECTED) -> Path:
+    """Write an avatar of LHM with the files that it needs, and return ``folder``.
 
-    The body is always an SMPL-X of 400 shape coefficients; ``kind`` and ``shapes`` are not looked at.
+    The body is always an SMPL-X of 400 shape coefficients; ``kind`` and ``shapes`` are ignored.
     """
     body = PersonOptions(
-        options.count, "smplx", options.vertices, 400, hands=True, seed=options.seed
+        count=options.count,
+        kind="smplx",
+        vertices=options.vertices,
+        shapes=400,
+        hands=True,
+        seed=options.seed,
     )
-    arrays = arrays_of(body)
+    arrays = body_arrays(body)
     rng = np.random.default_rng([options.seed, 3])
-    # Only some of the vertices have a face.
+    # Expressions move only the first third of the vertices.
     arrays["shapedirs"][options.vertices // 3 :, :, 300:] = 0
     folder.mkdir(parents=True, exist_ok=True)
     np.savez(folder / "SMPLX_NEUTRAL.npz", **arrays)  # type: ignore[arg-type]
@@ -116,7 +123,9 @@ def write_lhm(folder: Path, options: PersonOptions = _PLAIN) -> Path:
     prior = folder / "pretrained_models/voxel_grid/human_prior_constrain.npz"
     prior.parent.mkdir(parents=True, exist_ok=True)
     np.savez(prior, masks=(rng.random(options.vertices) < 0.3).astype(np.float32))
-    torch.save(_lhm_tensors(samples, colors_of(near, body), rng), folder / "avatar.pth")
+    torch.save(
+        _lhm_tensors(samples, clothing_colors(near, body), rng), folder / "avatar.pth"
+    )
     return folder
 
 
@@ -129,8 +138,10 @@ def _lhm_tensors(
     quaternion = rng.normal(size=(count, 4))
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     neutral = np.tile(np.eye(4), (55, 1, 1))
-    left, _, right = np.linalg.svd(np.eye(3) + rng.normal(0, 0.03, (55, 3, 3)))
-    neutral[:, :3, :3] = left @ right  # the nearest rotations
+    left_vectors, _, right_vectors = np.linalg.svd(
+        np.eye(3) + rng.normal(0, 0.03, (55, 3, 3))
+    )
+    neutral[:, :3, :3] = left_vectors @ right_vectors  # the nearest rotations
     neutral[:, :3, 3] = rng.normal(0, 0.01, (55, 3))
     arrays = [
         rng.normal(0, 0.005, (count, 3)),
@@ -143,7 +154,7 @@ def _lhm_tensors(
         rng.normal(size=10),
     ]
     return [
-        *(torch.from_numpy(one.astype(np.float32)) for one in arrays),
+        *(torch.from_numpy(array.astype(np.float32)) for array in arrays),
         np.float64(7.3),
         True,
     ]
@@ -178,9 +189,9 @@ def _r3_fields(
             for a, b in combinations(range(4), 2)
         ]
         grids.append(nn.ParameterList(planes))
-    wide = options.width
-    decoder = random_linear("linear.0", 3 * options.channels, wide, noise)
-    decoder |= random_linear("linear.1", wide, wide, noise)
+    width = options.width
+    decoder = random_linear("linear.0", 3 * options.channels, width, noise)
+    decoder |= random_linear("linear.1", width, width, noise)
     heads = {
         "warp": (3, 0.02),
         "opacity": (1, 0.7),
@@ -188,61 +199,68 @@ def _r3_fields(
         "scaling": (3, 0.03),
     }
     for name, (outputs, gain) in heads.items():
-        decoder |= random_linear(f"gaussian_{name}", wide, outputs, noise, gain)
-    decoder["gaussian_opacity.bias"] += 2  # most are seen
+        decoder |= random_linear(f"gaussian_{name}", width, outputs, noise, gain)
+    decoder["gaussian_opacity.bias"] += 2  # most Gaussians are opaque
     decoder["gaussian_scaling.bias"] += 0.11  # its square is the scale
     margin = 0.05
-    low, high = xyz.amin(dim=0) + margin, xyz.amax(dim=0) + margin  # some lie outside
+    low, high = (
+        xyz.amin(dim=0) + margin,
+        xyz.amax(dim=0) + margin,
+    )  # some Gaussians are outside
     parameters = [
-        nn.Parameter(one)
-        for one in (xyz, sh[:, :1], sh[:, 1:], torch.from_numpy(splats.log_scale))
+        nn.Parameter(values)
+        for values in (xyz, sh[:, :1], sh[:, 1:], torch.from_numpy(splats.log_scale))
     ]
     return (
         *(3, *parameters, nn.Parameter(torch.from_numpy(splats.rotation))),
         nn.Parameter(torch.from_numpy(splats.logit_opacity)[:, None]),
         *(torch.zeros(0), torch.zeros(len(xyz), 1), torch.zeros(len(xyz), 1)),
-        # Numbers that NumPy computed, as they are in what training saves.
+        # NumPy scalars, as in checkpoints that training saves.
         *({"state": {}, "param_groups": [{"lr": np.float64(1.6e-6)}]}, np.float64(1.1)),
-        _filled(classes["BodyPoseRefiner"](), pose),
-        _filled(classes["LBSOffsetDecoder"](), weights),
+        _with_tensors(classes["BodyPoseRefiner"](), pose),
+        _with_tensors(classes["LBSOffsetDecoder"](), weights),
         *(
             nn.Parameter(torch.stack([low, high])),
             [{"resolution": list(options.resolution)}],
         ),
-        *(grids, 3 * options.channels, _filled(classes["GaussianDecoder"](), decoder)),
+        *(
+            grids,
+            3 * options.channels,
+            _with_tensors(classes["GaussianDecoder"](), decoder),
+        ),
     )
 
 
-def _filled(module: nn.Module, state: Mapping[str, Tensor]) -> nn.Module:
-    """Give a module the tensors of a state dict, in modules of the names in it."""
+def _with_tensors(module: nn.Module, state: Mapping[str, Tensor]) -> nn.Module:
+    """Add the tensors of a state dict to a module, in submodules named after their keys."""
     for path, value in state.items():
         *parents, name = path.split(".")
-        at = module
+        submodule = module
         for parent in parents:
-            if parent not in dict(at.named_children()):
-                at.add_module(parent, nn.ModuleList())
-            at = at.get_submodule(parent)
-        at.register_parameter(name, nn.Parameter(value))
+            if parent not in dict(submodule.named_children()):
+                submodule.add_module(parent, nn.ModuleList())
+            submodule = submodule.get_submodule(parent)
+        submodule.register_parameter(name, nn.Parameter(value))
     return module
 
 
 @contextmanager
 def _training_classes() -> Iterator[dict[str, type[nn.Module]]]:
-    """Let classes be pickled under the names that they have in the training code."""
+    """Register classes that are pickled under their names in the training code."""
     homes = {
         "GaussianDecoder": "gaussian_decoder",
         "BodyPoseRefiner": "mlp_delta_body_pose",
         "LBSOffsetDecoder": "mlp_delta_weight_lbs",
     }
-    made, modules = {}, {"nets": ModuleType("nets")}
+    classes, modules = {}, {"nets": ModuleType("nets")}
     for name, home in homes.items():
         module = modules.setdefault(f"nets.{home}", ModuleType(f"nets.{home}"))
-        made[name] = type(name, (nn.Module,), {"__module__": module.__name__})
-        setattr(module, name, made[name])
+        classes[name] = type(name, (nn.Module,), {"__module__": module.__name__})
+        setattr(module, name, classes[name])
     before = {name: sys.modules.get(name) for name in modules}
     sys.modules.update(modules)
     try:
-        yield made
+        yield classes
     finally:
         for name, module_before in before.items():
             if module_before is None:

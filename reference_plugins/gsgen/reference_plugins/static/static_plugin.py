@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gsgen.contract.errors import InputUnreadable
+from gsgen.formats.codecs import format_titles
 from gsgen.sdk.plugins.plugin import Demo, Plugin
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ def build(
     file: Annotated[
         Path,
         typer.Argument(
-            help="PLY, compressed PLY, SPZ, SPLAT, KSPLAT, GLB, SOG or npz file.",
+            help=f"A file of splats, packed rows or points: {format_titles()}.",
             show_default=False,
         ),
     ],
@@ -70,14 +70,11 @@ def build(
 
 
 def _read(file: Path) -> "Splats | PointCloud | PackedRows":
-    from gsgen.formats import FormatError, FormatWarning, open_splats
+    from gsgen.formats import FormatWarning, open_splats
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", FormatWarning)
-        try:
-            content = open_splats(file, drop_invalid=True)
-        except FormatError as error:
-            raise InputUnreadable(str(error)) from error
+        content = open_splats(file, drop_invalid=True)
     for warning in caught:
         typer.echo(f"note: {warning.message}", err=True)
     return content
@@ -104,9 +101,9 @@ def _write_demo(folder: Path) -> list[str]:
 PLUGIN = Plugin(
     name="static",
     summary="A splat file or a coloured point cloud, unchanging.",
-    reads="Reads splats (PLY, compressed PLY, SPZ, SPLAT, KSPLAT, GLB or SOG; SH degree 0 to 4), a "
-    "point cloud (PLY with red, green, blue; npz with points, xyz or means3d and colors), or an "
-    "npz of packed rows (gaussians and appearance), which passes through unchanged.",
+    reads=f"Reads {format_titles()}: splats of SH degree 0 to 4, a point cloud (a PLY with red, "
+    "green and blue, or an NPZ with points, xyz or means3d and colors), or an NPZ of packed rows "
+    "(gaussians and appearance), which passes through unchanged.",
     inputs=(),
     demo=Demo(write=_write_demo, caption="around a splat file"),
     build=build,

@@ -1,1 +1,1 @@
-"""Is what a model draws right (level render)?"""
+"""Are the frames that a model draws valid (level render)?"""

@@ -1,4 +1,4 @@
-"""Example models that break a rule of level ``render``, and show nothing wrong before."""
+"""Invalid example models, each of which breaks one rule of level ``render``."""
 
 __all__ = ["render_fixtures", "with_reference"]
 
@@ -20,13 +20,13 @@ from gsgen.contract.spec.severity import Level
 
 
 def render_fixtures() -> list[Fixture]:
-    """Return the models, one a rule."""
+    """Return the models, one for each rule."""
     return fixtures_in(sys.modules[__name__])
 
 
 @invalid("GB018", level=Level.RENDER)
 def too_fine_to_be_seen() -> ModelSpec:
-    """Gaussians a thousandth of a pixel wide, of whose opacity antialiasing leaves nothing."""
+    """Gaussians a thousandth of a pixel wide, which antialiasing makes invisible."""
     fine = still()
     rows = np.array(fine.weights["rows"])
     rows[:, COVARIANCE] *= 1e-9
@@ -35,7 +35,7 @@ def too_fine_to_be_seen() -> ModelSpec:
 
 @invalid("GB019", level=Level.RENDER)
 def grows_out_of_nothing() -> ModelSpec:
-    """At time zero Gaussians are too fine to be seen; they grow with time."""
+    """Gaussians that are too small to be seen at time zero, and grow with time."""
     growing = drifting().reworded(
         "gaussians = Concat <axis = 1> (moved, opacity, spread)",
         "size = Max (time, least) wide = Mul (spread, size) "
@@ -46,7 +46,7 @@ def grows_out_of_nothing() -> ModelSpec:
 
 @invalid("GB020", level=Level.RENDER)
 def opaque_behind_opaque() -> ModelSpec:
-    """A black sheet that fills the view, and a white one behind it: a hundredth of it shows, or not."""
+    """A black sheet in front of a white one, of which one rasteriser draws a hundredth."""
     sheets = still(2)
     rows, colors = (np.array(sheets.weights[name]) for name in ("rows", "colors"))
     rows[:, :3], rows[:, 3] = (0.0, 0.0, 0.0), 1.0
@@ -58,7 +58,7 @@ def opaque_behind_opaque() -> ModelSpec:
 
 @invalid("GB021", level=Level.RENDER)
 def looks_otherwise() -> ModelSpec:
-    """The picture beside the model is all red; the model is not."""
+    """A reference image that is all red, for a model that is not."""
     from gsgen.runtime.media.pictures import png_of
 
     red = np.zeros((36, 64, 3), np.uint8)
@@ -66,8 +66,8 @@ def looks_otherwise() -> ModelSpec:
     return with_reference(still(), png_of(red))
 
 
-def with_reference(sketch: ModelSpec, png: bytes, **changes: object) -> ModelSpec:
-    """Return a copy that declares a picture of 64×36 pixels, seen from four units away."""
+def with_reference(spec: ModelSpec, png: bytes, **changes: object) -> ModelSpec:
+    """Return a copy that declares a reference image of 64×36 pixels, seen from four units away."""
     straight = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 4.0))
     reference = ReferenceImage(
         path="reference.png",
@@ -78,5 +78,5 @@ def with_reference(sketch: ModelSpec, png: bytes, **changes: object) -> ModelSpe
         center=(32.0, 18.0),
     )
     declared = replace(reference, **changes)  # type: ignore[arg-type]
-    with_file = replace(sketch, beside={"reference.png": png})
+    with_file = replace(spec, beside={"reference.png": png})
     return with_file.declaring(reference_images=(declared,))

@@ -1,7 +1,7 @@
-"""Draw a model's outputs as a viewer would: what the rules of level ``render`` look at."""
+"""The backend of level ``render``: draws a model's outputs as a viewer would."""
 
 __all__ = [
-    "Compared",
+    "ComparedReference",
     "RenderEvidence",
     "RenderedProbe",
     "decibels",
@@ -24,8 +24,8 @@ from gsgen.contract.probing.run_comparison import ProbeRuns
 from gsgen.contract.spec.manifest import GeneratorManifest
 from gsgen.contract.validation.level_backend import LevelContext, LevelUnavailable
 from gsgen.runtime.checks.reference_image import (
-    BEHIND,
-    MOST_REFERENCES,
+    BACKGROUND,
+    MAX_REFERENCES,
     ReferenceUnreadable,
     read_reference,
     reference_camera,
@@ -37,28 +37,28 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.sources.source import direction
+from gsgen.runtime.sources.source import axis_direction
 
 _WIDTH: Final = 640
 _HEIGHT: Final = 360
 _FRAMES: Final = 5
 _AGREEMENT: Final = "GB020"
 _REFERENCES: Final = "GB021"
-_LEAST_ERROR: Final = 1e-20  # equal pictures have 200 dB
+_MIN_ERROR: Final = 1e-20  # equal pictures have 200 dB
 _FOV_Y: Final = 50.0
-_DISTANCE: Final = 2.2  # half diagonals of the bounds, as the probes' own cameras have it
+_DISTANCE: Final = 2.2  # half diagonals of the bounds; the cameras of probes have the same
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedProbe:
-    """One frame that was drawn.
+    """The drawn frame of one probe.
 
     Attributes:
-        probe: Label of its inputs.
+        probe: Label of the probe's inputs.
         live: How many rows are live.
         visible: How many Gaussians were drawn.
-        covered: The most that any pixel is covered, in [0, 1].
-        agreement: Of the two rasterisers, in decibels; None where only one of them can draw it.
+        covered: The highest alpha of any pixel, in [0, 1].
+        agreement: Agreement of the two rasterisers in decibels; None if one of them cannot draw it.
     """
 
     probe: str
@@ -69,14 +69,14 @@ class RenderedProbe:
 
 
 @dataclass(frozen=True, slots=True)
-class Compared:
-    """A declared picture beside what the model draws.
+class ComparedReference:
+    """A reference image, compared with the frame that the model draws.
 
     Attributes:
-        path: As declared.
-        expected: The least decibels.
-        psnr: Those there are; None where nothing can be compared.
-        problem: Why not; empty where it was.
+        path: Path in the manifest.
+        expected: The least peak signal-to-noise ratio, in decibels.
+        psnr: The measured ratio; None if the picture cannot be compared.
+        problem: The reason if it cannot; else empty.
     """
 
     path: str
@@ -87,34 +87,34 @@ class Compared:
 
 @dataclass(frozen=True, slots=True)
 class RenderEvidence:
-    """The frames of a model, drawn.
+    """The drawn frames of a model, which the rules of level ``render`` check.
 
     Attributes:
-        frames: In the order of the probes.
-        device: What drew them.
-        references: The pictures that the manifest declares.
+        frames: Frames in the order of the probes.
+        device: Name of the graphics device.
+        references: The compared reference images.
     """
 
     frames: tuple[RenderedProbe, ...]
     device: str
-    references: tuple[Compared, ...] = ()
+    references: tuple[ComparedReference, ...] = ()
 
 
 @contextmanager
-def prepare_render(trial: ProbeRuns) -> Iterator[LevelContext]:
-    """Draw what the model of ``trial`` gave for some of its probes.
+def prepare_render(probe_runs: ProbeRuns) -> Iterator[LevelContext]:
+    """Draw the outputs that a model gave for some of its probes.
 
     Raises:
-        LevelUnavailable: A package, an adapter or its memory is missing here.
+        LevelUnavailable: A package, a graphics adapter or its memory is missing.
     """
     if find_spec("wgpu") is None:
         raise LevelUnavailable("wgpu is not installed", hint="pip install 'gsgen[runtime]'")
     started = time.monotonic()
     try:
         renderer = Renderer(rasteriser="tiles")
-        quads = _quads(renderer.device)
-        frames = tuple(_drawn(trial, renderer, quads))
-        references = tuple(_compared(trial, renderer))
+        quads = _quad_renderer(renderer.device)
+        frames = tuple(_render_probes(probe_runs, renderer, quads))
+        references = tuple(_compare_references(probe_runs, renderer))
     except (DeviceUnavailable, CapacityExceeded) as error:
         message = f"{error.where}: {error.message}" if error.where else error.message
         raise LevelUnavailable(message, hint=error.hint) from error
@@ -123,60 +123,63 @@ def prepare_render(trial: ProbeRuns) -> Iterator[LevelContext]:
         items=len(frames),
         environment={"renderer": renderer.device.name},
         seconds=time.monotonic() - started,
-        skipped=_unjudged(trial, renderer.device),
+        skipped=_skip_reasons(probe_runs, renderer.device),
     )
 
 
-def _quads(device: Device) -> Renderer | None:
-    """Return a renderer that draws by quads, or None: the device has none."""
+def _quad_renderer(device: Device) -> Renderer | None:
+    """Return a renderer with the quad rasteriser, or None if the device lacks it."""
     return Renderer(device, rasteriser="quads") if device.blends_floats else None
 
 
-def _unjudged(trial: ProbeRuns, device: Device) -> dict[str, str]:
-    """Return which rules cannot be judged, and why."""
-    manifest = trial.subject.generator
+def _skip_reasons(probe_runs: ProbeRuns, device: Device) -> dict[str, str]:
+    """Return the ids of the rules that cannot be checked, each with the reason."""
+    manifest = probe_runs.subject.generator
     reasons = {}
     if manifest is not None and manifest.blend == "wsr":
-        reasons[_AGREEMENT] = "weighted sums have one way to be drawn"
+        reasons[_AGREEMENT] = "weighted sums have one rasteriser only"
     elif not device.blends_floats:
-        reasons[_AGREEMENT] = (
-            f"{device.name} cannot blend 32-bit floats, so it has no quads"
-        )
+        reasons[_AGREEMENT] = f"{device.name} cannot blend 32-bit floats, which quads need"
     if manifest is not None and manifest.reference_images and find_spec("PIL") is None:
         reasons[_REFERENCES] = "pillow is not installed"
     return reasons
 
 
-def _drawn(
-    trial: ProbeRuns, renderer: Renderer, quads: Renderer | None
+def _render_probes(
+    probe_runs: ProbeRuns, renderer: Renderer, quads: Renderer | None
 ) -> Iterator[RenderedProbe]:
-    manifest = trial.subject.generator
-    assert manifest is not None  # the rules are of generators alone
-    for number in _chosen(trial):
-        probe = trial.plan.probes[number]
-        scene, camera = _scene(trial, number), probe_camera(manifest, probe)
+    manifest = probe_runs.subject.generator
+    assert manifest is not None  # the rules apply to generators only
+    for number in _spread_probes(probe_runs):
+        probe = probe_runs.plan.probes[number]
+        scene, camera = _probe_scene(probe_runs, number), probe_camera(manifest, probe)
         frame = renderer.render(scene, camera)
-        second = None
+        agreement = None
         if quads is not None and scene.sets[0].weighted is None:
-            second = decibels(frame, quads.render(scene, camera))
-        live, covered = scene.sets[0].data.count, float(frame.alpha.max())
-        yield RenderedProbe(probe.label, live, frame.visible, covered, second)
+            agreement = decibels(frame, quads.render(scene, camera))
+        yield RenderedProbe(
+            probe=probe.label,
+            live=scene.sets[0].data.count,
+            visible=frame.visible,
+            covered=float(frame.alpha.max()),
+            agreement=agreement,
+        )
 
 
-def _scene(trial: ProbeRuns, number: int) -> Scene:
-    """Return what the model gave for a probe."""
-    manifest = trial.subject.generator
+def _probe_scene(probe_runs: ProbeRuns, number: int) -> Scene:
+    """Return the model's outputs for a probe as a scene."""
+    manifest = probe_runs.subject.generator
     assert manifest is not None
-    sample = trial.execution.runs[number].sample
-    return scene_of(manifest, trial.execution.samples[sample].outputs)
+    sample = probe_runs.execution.runs[number].sample
+    return scene_of(manifest, probe_runs.execution.samples[sample].outputs)
 
 
 def scene_of(manifest: GeneratorManifest, tensors: Mapping[str, np.ndarray]) -> Scene:
-    """Return what a run of a model gave as a scene.
+    """Return the outputs of one run of a generator as a scene.
 
     Args:
-        manifest: What its outputs mean; gaussians and appearance are declared.
-        tensors: Output name → what it held.
+        manifest: The generator's manifest, which declares gaussians and appearance.
+        tensors: Output name → array.
     """
     outputs = manifest.outputs
     assert outputs.gaussians is not None
@@ -198,50 +201,58 @@ def scene_of(manifest: GeneratorManifest, tensors: Mapping[str, np.ndarray]) -> 
     return Scene([splat_set], outputs.appearance.color_space)
 
 
-def _compared(trial: ProbeRuns, renderer: Renderer) -> Iterator[Compared]:
-    """Compare the pictures that the manifest declares with what is drawn."""
-    manifest = trial.subject.generator
+def _compare_references(
+    probe_runs: ProbeRuns, renderer: Renderer
+) -> Iterator[ComparedReference]:
+    """Compare the reference images of the manifest with the frames that the model draws."""
+    manifest = probe_runs.subject.generator
     if manifest is None or find_spec("PIL") is None:
         return
-    labels = [probe.label for probe in trial.plan.probes[: trial.plan.values]]
+    labels = [probe.label for probe in probe_runs.plan.probes[: probe_runs.plan.values]]
     for number, reference in enumerate(manifest.reference_images):
-        if number >= MOST_REFERENCES:
-            few = f"there are {MOST_REFERENCES} before it, the most that are looked at"
-            yield Compared(reference.path, reference.psnr, problem=few)
+        if number >= MAX_REFERENCES:
+            problem = f"only the first {MAX_REFERENCES} reference images are compared"
+            yield ComparedReference(reference.path, reference.psnr, problem=problem)
             return
         if reference.inputs not in labels:
-            known = f"no probe is called {reference.inputs!r}; there are {', '.join(labels[:5])}, …"
-            yield Compared(reference.path, reference.psnr, problem=known)
+            problem = f"no probe has the label {reference.inputs!r}, but {', '.join(labels[:5])}, …"
+            yield ComparedReference(reference.path, reference.psnr, problem=problem)
             continue
         try:
-            expected = read_reference(trial.subject.file.path.parent, reference)
+            expected = read_reference(probe_runs.subject.file.path.parent, reference)
             height, width = expected.shape[:2]
             camera = reference_camera(reference, width, height)
         except (ReferenceUnreadable, SceneInvalid) as error:
-            yield Compared(
+            yield ComparedReference(
                 reference.path, reference.psnr, problem=str(error).partition("\n")[0]
             )
             continue
         frame = renderer.render(
-            _scene(trial, labels.index(reference.inputs)), camera, background=BEHIND
+            _probe_scene(probe_runs, labels.index(reference.inputs)),
+            camera,
+            background=BACKGROUND,
         )
-        apart = np.square(frame.srgb8[..., :3] / 255 - expected.astype(np.float64)).mean()
-        psnr = float(-10 * np.log10(max(apart, _LEAST_ERROR)))
-        yield Compared(reference.path, reference.psnr, psnr)
+        mean_error = np.square(
+            frame.srgb8[..., :3] / 255 - expected.astype(np.float64)
+        ).mean()
+        psnr = float(-10 * np.log10(max(mean_error, _MIN_ERROR)))
+        yield ComparedReference(reference.path, reference.psnr, psnr)
 
 
 def decibels(a: Frame, b: Frame) -> float:
-    """Return how alike the colours of two frames are: the peak signal-to-noise ratio of 1, in dB."""
+    """Return the peak signal-to-noise ratio between the colours of two frames, in decibels."""
     assert a.rgba is not None
     assert b.rgba is not None
     error = np.square(a.rgba[..., :3].astype(np.float64) - b.rgba[..., :3]).mean()
-    return float(-10 * np.log10(max(error, _LEAST_ERROR)))
+    return float(-10 * np.log10(max(error, _MIN_ERROR)))
 
 
-def _chosen(trial: ProbeRuns) -> list[int]:
-    """Choose runs that are spread over the probes; all inputs zero is no camera."""
+def _spread_probes(probe_runs: ProbeRuns) -> list[int]:
+    """Choose evenly spread probes; all inputs zero would be an invalid camera."""
     candidates = [
-        number for number in range(trial.plan.values) if not trial.plan.probes[number].zeros
+        number
+        for number in range(probe_runs.plan.values)
+        if not probe_runs.plan.probes[number].zeros
     ]
     return [
         candidates[i]
@@ -252,10 +263,10 @@ def _chosen(trial: ProbeRuns) -> list[int]:
 
 
 def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
-    """Return the camera that the inputs describe, or one that looks at the bounds."""
+    """Return the camera of a probe's inputs, or else one that looks at the bounds."""
     by_role = {spec.role: probe.inputs[spec.name] for spec in manifest.inputs}
     order = manifest.space.matrix_order if manifest.space else "column"
-    default_camera = _looking(manifest, by_role.get("camera_position"))
+    default_camera = _camera_at_bounds(manifest, by_role.get("camera_position"))
     if "view" not in by_role:
         return default_camera
     view = as_tensor(np.asarray(by_role["view"], np.float64), order).astype(np.float64)
@@ -273,10 +284,9 @@ def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
         np.float64
     )
     height = max(1, round(_WIDTH * lens[0, 0] / -lens[1, 1]))
-    focal = _WIDTH / 2 * float(lens[0, 0])
     return Camera(
         view,
-        fx=focal,
+        fx=_WIDTH / 2 * float(lens[0, 0]),
         fy=height / 2 * float(-lens[1, 1]),
         cx=_WIDTH / 2 * float(lens[0, 2] + 1),
         cy=height / 2 * float(1 - lens[1, 2]),
@@ -285,8 +295,8 @@ def probe_camera(manifest: GeneratorManifest, probe: Probe) -> Camera:
     )
 
 
-def _looking(manifest: GeneratorManifest, eye: np.ndarray | None) -> Camera:
-    """Return a camera that looks at the middle of the bounds, from ``eye`` if it is given."""
+def _camera_at_bounds(manifest: GeneratorManifest, eye: np.ndarray | None) -> Camera:
+    """Return a camera that looks at the centre of the bounds, from ``eye`` or an orbit."""
     bounds = manifest.bounds
     low, high = (
         (np.array(bounds.min), np.array(bounds.max))
@@ -294,7 +304,7 @@ def _looking(manifest: GeneratorManifest, eye: np.ndarray | None) -> Camera:
         else (-np.ones(3), np.ones(3))
     )
     center, reach = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
-    up = direction(manifest.space.up if manifest.space else "-y")
+    up = axis_direction(manifest.space.up if manifest.space else "-y")
     if eye is None or np.allclose(eye, center):
         return Camera.orbit(
             center.tolist(),

@@ -1,8 +1,8 @@
-"""Reference images: pictures beside a model that it must draw, read within bounds."""
+"""Reference images: pictures in a model's folder that the model must draw, read with limits."""
 
 __all__ = [
-    "BEHIND",
-    "MOST_REFERENCES",
+    "BACKGROUND",
+    "MAX_REFERENCES",
     "ReferenceUnreadable",
     "read_reference",
     "reference_camera",
@@ -21,42 +21,42 @@ from gsgen.contract.spec.manifest import ReferenceImage
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.scene.camera import Camera
 
-BEHIND: Final = (0.0, 0.0, 0.0, 1.0)
-"""What is behind the pictures, which have no alpha."""
+BACKGROUND: Final = (0.0, 0.0, 0.0, 1.0)
+"""The background of reference images, which have no alpha."""
 
-MOST_REFERENCES: Final = 16
-"""How many pictures of a model are looked at."""
+MAX_REFERENCES: Final = 16
+"""How many reference images of a model are compared."""
 
-_MOST_BYTES: Final = 32 << 20
-_MOST_SIDE: Final = 4096
-_MOST_COMPONENT: Final = 255
+_MAX_BYTES: Final = 32 << 20
+_MAX_SIDE: Final = 4096
+_MAX_COMPONENT: Final = 255
 
 
 class ReferenceUnreadable(GsgenError):
-    """The file is missing, another one, elsewhere, or no PNG of a size to compare."""
+    """A reference image is missing, outside the folder, altered, too large, or not a PNG."""
 
 
 def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarray, "h w 3"]:
-    """Return red, green and blue in [0, 1] of a declared picture.
+    """Return red, green and blue in [0, 1] of a reference image.
 
     Args:
-        folder: The model's.
-        reference: What the manifest says of it.
+        folder: The model's folder.
+        reference: Declaration of the picture in the manifest.
 
     Raises:
-        ReferenceUnreadable: There is no such picture.
+        ReferenceUnreadable: The picture is missing, altered or invalid.
     """
     raw = _bytes(folder, reference.path)
     digest = hashlib.sha256(raw).hexdigest()
     if digest != reference.sha256:
-        raise ReferenceUnreadable(f"sha256 {digest}, the manifest has {reference.sha256}")
+        raise ReferenceUnreadable(f"sha256 is {digest}, expected {reference.sha256}")
     from PIL import Image, UnidentifiedImageError
 
     try:
         with Image.open(io.BytesIO(raw), formats=["PNG"]) as image:
-            if max(image.size) > _MOST_SIDE:
+            if max(image.size) > _MAX_SIDE:
                 raise ReferenceUnreadable(
-                    f"{image.width}×{image.height} pixels, {_MOST_SIDE} a side at most"
+                    f"{image.width}×{image.height} pixels, expected at most {_MAX_SIDE} a side"
                 )
             colors = np.asarray(image.convert("RGB"), np.float32)
     except (
@@ -66,18 +66,18 @@ def read_reference(folder: Path, reference: ReferenceImage) -> Float32[np.ndarra
         ValueError,
         SyntaxError,
     ) as error:
-        raise ReferenceUnreadable(f"no PNG that can be read: {error}") from error
-    return colors / np.float32(_MOST_COMPONENT)
+        raise ReferenceUnreadable(f"cannot be read as PNG: {error}") from error
+    return colors / np.float32(_MAX_COMPONENT)
 
 
 def reference_camera(reference: ReferenceImage, width: int, height: int) -> Camera:
-    """Return the camera that a declared picture was taken by.
+    """Return the camera of a reference image.
 
     Raises:
-        SceneInvalid: The manifest's numbers are no camera.
+        SceneInvalid: The manifest describes an invalid camera.
     """
     if len(reference.view) != 3:
-        raise SceneInvalid(f"has {len(reference.view)} rows, wanted 3", where="view")
+        raise SceneInvalid(f"has {len(reference.view)} rows, expected 3", where="view")
     view = np.eye(4)
     view[:3] = reference.view
     (fx, fy), (cx, cy) = reference.focal, reference.center
@@ -86,17 +86,17 @@ def reference_camera(reference: ReferenceImage, width: int, height: int) -> Came
 
 def _bytes(folder: Path, name: str) -> bytes:
     parts = PurePosixPath(name)
-    inside = folder.resolve()
-    path = (inside / parts).resolve()
-    if "\\" in name or parts.is_absolute() or not path.is_relative_to(inside):
-        raise ReferenceUnreadable("not in the model's folder")
+    root = folder.resolve()
+    path = (root / parts).resolve()
+    if "\\" in name or parts.is_absolute() or not path.is_relative_to(root):
+        raise ReferenceUnreadable(f"{name!r} is outside the model's folder")
     try:
         if not path.is_file():
-            raise ReferenceUnreadable("no such file beside the model")
+            raise ReferenceUnreadable("the file is missing in the model's folder")
         with path.open("rb") as file:
-            raw = file.read(_MOST_BYTES + 1)
+            raw = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise ReferenceUnreadable(f"cannot be read: {error.strerror}") from error
-    if len(raw) > _MOST_BYTES:
-        raise ReferenceUnreadable(f"more than {_MOST_BYTES:,} bytes")
+    if len(raw) > _MAX_BYTES:
+        raise ReferenceUnreadable(f"has more than {_MAX_BYTES:,} bytes, the limit")
     return raw

@@ -1,4 +1,4 @@
-"""Record reference images: pictures that a model draws now, and must draw wherever it runs."""
+"""Reference recording: draws reference images of a model, and declares them in a copy."""
 
 __all__ = ["References", "record_references"]
 
@@ -29,7 +29,7 @@ from gsgen.contract.tools.recording import (
 )
 from gsgen.contract.validation.settings import Settings
 from gsgen.runtime.checks.level import probe_camera, scene_of
-from gsgen.runtime.checks.reference_image import BEHIND, MOST_REFERENCES
+from gsgen.runtime.checks.reference_image import BACKGROUND, MAX_REFERENCES
 from gsgen.runtime.errors import SceneInvalid
 from gsgen.runtime.media.pictures import png_of
 from gsgen.runtime.playback.camera_options import viewpoint
@@ -38,25 +38,25 @@ from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.sources.scene_source import sources_of
-from gsgen.runtime.sources.source import direction
+from gsgen.runtime.sources.source import axis_direction
 
-_COUNT: Final = 3
-_WIDTH: Final = 640
-_SEEING: Final = ("view", "camera_position")
-"""Roles of inputs that say from where a model is seen."""
-_PICTURE: Final = re.compile(r"^[0-9]+\.png$")
+_DEFAULT_COUNT: Final = 3
+_DEFAULT_WIDTH: Final = 640  # pixels
+_CAMERA_ROLES: Final = ("view", "camera_position")
+"""Roles of inputs that give the camera of a model."""
+_PICTURE_NAME: Final = re.compile(r"^[0-9]+\.png$")
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class References:
-    """What was written.
+    """The reference images that were written.
 
     Attributes:
         model: The copy whose manifest declares the pictures.
-        images: What it says of them now.
-        empty: Labels of probes at which nothing is seen.
-        device: What drew them.
+        images: Their declarations.
+        empty: Labels of probes whose picture is empty.
+        device: Name of the graphics device.
     """
 
     model: Path
@@ -78,59 +78,62 @@ def record_references(
     renderer: Renderer | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> References:
-    """Draw ``source`` at some of its probes, and declare the pictures in the manifest of a copy.
+    """Draw a model at some of its probes, and declare the pictures in the manifest of a copy.
 
     Args:
         source: A generator with a manifest; it stays as it is, unless ``model`` is the same file.
-        model: The copy; its pictures go to a folder beside it, its name and ``-references``.
-        camera: From where, in words of ``gsgen render --camera``; where absent, from where a
-            probe says, or from where most of it is seen if the model knows of no camera.
-        count: How many, spread over the probes that are not all zeros, 16 at most; three where
-            absent, or all where there are fewer.
-        width: Of the pictures, in pixels; 640 where absent. Heights follow from the cameras.
-        psnr: The least decibels that a picture drawn elsewhere must have.
+        model: The copy; its pictures go to the folder ``NAME-references`` next to it.
+        camera: A value of ``gsgen render --camera``; by default the camera of a probe, or an orbit
+            around the model if it has no camera input.
+        count: How many, spread over the probes that are not all zeros, 16 at most; by default
+            three, or all where there are fewer.
+        width: Width of the pictures in pixels, 640 by default; heights follow from the cameras.
+        psnr: The least decibels that a picture must have on another machine.
         settings: Limits of running the model.
-        force: Replace pictures that stand there already.
-        renderer: What draws; a new one where absent.
-        progress: Called with a few words whenever a new stage begins.
+        force: Replace existing pictures.
+        renderer: Draws the pictures; a new one by default.
+        progress: Called with a few words when a stage begins.
 
     Raises:
         ModelUnreadable: ``source`` is not an ONNX model.
-        RecordingRefused: It is no generator, has no manifest, breaks a static rule, or fails.
-        ConfigInvalid: There are fewer probes, pictures stand there, nothing can be written, or
-            the words mean no camera.
-        DeviceUnavailable: There is nothing to draw with.
-        GsgenError: It cannot be drawn.
+        RecordingRefused: The model is not a generator, has no manifest, breaks a static rule, or
+            fails.
+        ConfigInvalid: There are fewer probes, pictures exist already, the copy cannot be
+            written, or the camera is invalid.
+        DeviceUnavailable: No graphics device can be opened.
+        GsgenError: The model cannot be drawn.
     """
     folder = model.with_name(f"{model.stem}-references")
-    standing = _standing(folder)
+    existing = _existing_pictures(folder)
     if not force:
-        refuse_existing(standing, folder, "copy")
+        refuse_existing(existing, folder, "copy")
     settings = settings or Settings()
     progress(f"reading {source.name}")
     subject = inspect_recordable(source, settings)
     if subject.generator is None:
-        message = "is no gaussian-generator, and only these are drawn"
+        message = "is not a gaussian-generator; only generators have reference images"
         raise RecordingRefused(message, where=str(source))
-    probes = _chosen(make_plan(subject, Level.VALUES, settings.seed).probes, count)
+    probes = _spread_probes(make_plan(subject, Level.VALUES, settings.seed).probes, count)
     renderer = renderer or Renderer(rasteriser="tiles")
-    views = _Views(subject.generator, camera, width or _WIDTH)
-    shots = list(_drawn(subject, probes, views, renderer, progress))
+    cameras = _PictureCameras(subject.generator, camera, width or _DEFAULT_WIDTH)
+    pictures = list(_draw(subject, probes, cameras, renderer, progress))
     progress(f"writing {model.name}")
-    images = _write(subject, shots, model, folder.name, psnr)
-    for path in standing:
+    images = _write(subject, pictures, model, folder.name, psnr)
+    for path in existing:
         if path.name not in {Path(image.path).name for image in images}:
             path.unlink()
     empty = [
-        shot.probe.label for shot in shots if not shot.frame.alpha.max() >= CULL_OPACITY
+        picture.probe.label
+        for picture in pictures
+        if not picture.frame.alpha.max() >= CULL_OPACITY
     ]
     return References(model, images, tuple(empty), renderer.device.name)
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class _Shot:
-    """A probe, from where it was seen, and the picture."""
+class _Picture:
+    """The drawn frame of a probe, with its camera."""
 
     probe: Probe
     camera: Camera
@@ -138,49 +141,47 @@ class _Shot:
 
 
 @final
-class _Views:
-    """From where a model is seen.
+class _PictureCameras:
+    """The cameras of the reference images.
 
     Args:
-        manifest: The model's.
-        words: What a user typed; None where nothing was.
-        width: Of the pictures, in pixels.
+        manifest: The model's manifest.
+        camera: A value of ``--camera``, or None.
+        width: Width of the pictures, in pixels.
     """
 
-    def __init__(self, manifest: GeneratorManifest, words: str | None, width: int) -> None:
+    def __init__(self, manifest: GeneratorManifest, camera: str | None, width: int) -> None:
         self._manifest, self._width = manifest, width
-        seeing = any(spec.role in _SEEING for spec in manifest.inputs)
-        self._view = None if seeing and words is None else viewpoint(words)
+        has_camera_input = any(spec.role in _CAMERA_ROLES for spec in manifest.inputs)
+        self._view = None if has_camera_input and camera is None else viewpoint(camera)
 
     def camera(self, probe: Probe, scene: Scene, number: int) -> Camera:
         """Return the camera of picture ``number``, from 0.
 
         Raises:
-            SceneInvalid: A manifest cannot describe such a camera.
+            SceneInvalid: The camera is not a pinhole camera.
         """
         if self._view is None:
             camera = probe_camera(self._manifest, probe)
         else:
             (source,) = sources_of(scene)
-            source.up = direction((self._manifest.space or Space()).up)
+            source.up = axis_direction((self._manifest.space or Space()).up)
             camera = self._view.camera(source, number, 0.0)
         if camera.kind != "pinhole":
-            message = (
-                f"is a camera of kind {camera.kind}; reference images have perspective"
-            )
+            message = f"is a camera of kind {camera.kind}, expected one with perspective"
             raise SceneInvalid(message, where="--camera")
         return camera.scaled(
             self._width, max(1, round(camera.height * self._width / camera.width))
         )
 
 
-def _drawn(
+def _draw(
     subject: InspectedModel,
     probes: Sequence[Probe],
-    views: _Views,
+    cameras: _PictureCameras,
     renderer: Renderer,
     progress: Callable[[str], None],
-) -> Iterator[_Shot]:
+) -> Iterator[_Picture]:
     manifest = subject.generator
     assert manifest is not None
     progress(f"running {len(probes)} probes in ONNX Runtime")
@@ -188,63 +189,68 @@ def _drawn(
         for number, (run, probe) in enumerate(zip(execution.runs, probes, strict=True)):
             progress(f"drawing picture {number + 1} of {len(probes)}")
             scene = scene_of(manifest, execution.samples[run.sample].outputs)
-            camera = views.camera(probe, scene, number)
-            frame = renderer.render(scene, camera, background=BEHIND)
-            yield _Shot(probe, camera, frame)
+            camera = cameras.camera(probe, scene, number)
+            frame = renderer.render(scene, camera, background=BACKGROUND)
+            yield _Picture(probe, camera, frame)
 
 
 def _write(
-    subject: InspectedModel, shots: Sequence[_Shot], model: Path, folder: str, psnr: float
+    subject: InspectedModel,
+    pictures: Sequence[_Picture],
+    model: Path,
+    folder: str,
+    psnr: float,
 ) -> tuple[ReferenceImage, ...]:
-    """Write the copy and its pictures; return what its manifest says of them."""
+    """Write the copy and its pictures; return their declarations in its manifest."""
     assert subject.parsed is not None
     document = json.loads(subject.file.manifest_text or "{}")
-    if subject.parsed.version is not None:  # 1.0 knows of no pictures
+    if subject.parsed.version is not None:  # version 1.0 has no reference images
         document = upgrade(document, subject.parsed.version)
     files = {
-        f"{folder}/{number}.png": png_of(shot.frame.srgb8[..., :3])
-        for number, shot in enumerate(shots)
+        f"{folder}/{number}.png": png_of(picture.frame.srgb8[..., :3])
+        for number, picture in enumerate(pictures)
     }
     images = tuple(
-        _declared(path, file, shot.probe, shot.camera, psnr)
-        for (path, file), shot in zip(files.items(), shots, strict=True)
+        _declaration(path, file, picture, psnr)
+        for (path, file), picture in zip(files.items(), pictures, strict=True)
     )
     changed = document | {"reference_images": to_json(images)}
-    with write_recorded_copy(subject.file, changed, model) as written:
-        (written / folder).mkdir()
+    with write_recorded_copy(subject.file, changed, model) as draft_folder:
+        (draft_folder / folder).mkdir()
         for path, file in files.items():
-            (written / path).write_bytes(file)
+            (draft_folder / path).write_bytes(file)
     return images
 
 
-def _standing(folder: Path) -> list[Path]:
-    """Return the pictures that a folder holds, in the order of their numbers."""
+def _existing_pictures(folder: Path) -> list[Path]:
+    """Return the pictures in a folder, in the order of their numbers."""
     if not folder.is_dir():
         return []
-    pictures = [path for path in folder.iterdir() if _PICTURE.match(path.name)]
+    pictures = [path for path in folder.iterdir() if _PICTURE_NAME.match(path.name)]
     return sorted(pictures, key=lambda path: int(path.stem))
 
 
-def _chosen(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
-    """Choose probes that are spread over those that have a camera; all zeros are none."""
+def _spread_probes(probes: tuple[Probe, ...], count: int | None) -> list[Probe]:
+    """Choose evenly spread probes; all inputs zero would be an invalid camera."""
     candidates = [probe for probe in probes if not probe.zeros] or list(probes)
-    most = min(len(candidates), MOST_REFERENCES)
+    limit = min(len(candidates), MAX_REFERENCES)
     if count is None:
-        count = min(_COUNT, most)
-    if not 1 <= count <= most:
-        message = f"{count} pictures, wanted from 1 to {most}"
-        raise ConfigInvalid(message, where="--count", hint=f"--count {most} takes most.")
+        count = min(_DEFAULT_COUNT, limit)
+    if not 1 <= count <= limit:
+        message = f"is {count}, expected from 1 to {limit}"
+        raise ConfigInvalid(
+            message, where="--count", hint=f"The largest is --count {limit}."
+        )
     return evenly_spaced(candidates, count)
 
 
-def _declared(
-    path: str, file: bytes, probe: Probe, camera: Camera, psnr: float
-) -> ReferenceImage:
+def _declaration(path: str, file: bytes, picture: _Picture, psnr: float) -> ReferenceImage:
+    camera = picture.camera
     rows = [tuple(float(value) for value in row) for row in camera.view[:3]]
     return ReferenceImage(
         path=path,
         sha256=hashlib.sha256(file).hexdigest(),
-        inputs=probe.label,
+        inputs=picture.probe.label,
         view=tuple(rows),  # type: ignore[arg-type]  # four numbers each
         focal=(camera.fx, camera.fy),
         center=(camera.cx, camera.cy),

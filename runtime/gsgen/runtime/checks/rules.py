@@ -1,6 +1,6 @@
-"""GB, render: what the model emits can be seen.
+"""Rules of level ``render`` (GB018 to GB021): the drawn frames show the model.
 
-Registered under the entry point group ``gsgen.rules``; importing this costs little.
+Registered under the entry point group ``gsgen.rules``; importing this module is cheap.
 """
 
 from collections.abc import Iterator
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from gsgen.runtime.checks.level import RenderEvidence
 
 
-def _prepare(trial: ProbeRuns) -> AbstractContextManager[LevelContext]:
+def _prepare(probe_runs: ProbeRuns) -> AbstractContextManager[LevelContext]:
     from gsgen.runtime.checks.level import prepare_render
 
-    return prepare_render(trial)
+    return prepare_render(probe_runs)
 
 
 RUNNER = LevelBackend(Level.RENDER, "drawing frames", _prepare)
 
-_LEAST_AGREEMENT = 60
+_MIN_AGREEMENT = 60  # decibels
 _NEEDS = ("GV025", "GO001", "GO002", "GO005", "GO008")
 
 
@@ -38,19 +38,19 @@ _NEEDS = ("GV025", "GO001", "GO002", "GO005", "GO008")
     fixture="too_fine_to_be_seen",
     needs=_NEEDS,
 )
-def picture_not_empty(showing: "RenderEvidence") -> Iterator[Violation]:
-    """A camera that looks at the model sees it in at least one of the frames that are drawn.
+def picture_not_empty(evidence: "RenderEvidence") -> Iterator[Violation]:
+    """At least one drawn frame shows the model.
 
     Why:
-        Every tensor may keep the contract, and yet nothing is on the screen: Gaussians of the
-        wrong unit, behind the camera that they are culled for, or so fine that antialiasing
-        leaves nothing of them.
+        All tensors may be valid, and the screen still be empty: Gaussians have the wrong unit,
+        are behind the camera that they are culled for, or are so small that antialiasing makes
+        them invisible.
 
     Hint:
-        Draw the model with `gsgen render`, and compare the scale of positions and covariances with
-        "bounds". With antialias "mip", Gaussians must be about a pixel wide to be seen.
+        Draw the model with `gsgen render`, and compare positions and covariances with "bounds".
+        With antialias "mip", visible Gaussians are about a pixel wide or more.
     """
-    frames = [frame for frame in showing.frames if frame.live]
+    frames = [frame for frame in evidence.frames if frame.live]
     if frames and not any(_is_seen(frame.covered) for frame in frames):
         most = max(frame.covered for frame in frames)
         actual = (
@@ -67,21 +67,23 @@ def picture_not_empty(showing: "RenderEvidence") -> Iterator[Violation]:
     fixture="grows_out_of_nothing",
     needs=(*_NEEDS, "GB018"),
 )
-def every_frame_shows(showing: "RenderEvidence") -> Iterator[Violation]:
-    """Every frame that is drawn, and that has live rows, shows something.
+def every_frame_shows(evidence: "RenderEvidence") -> Iterator[Violation]:
+    """Every drawn frame with live rows shows at least one of them.
 
     Why:
-        A model that is empty for some cameras or times flickers, and most often culls by a matrix
+        A model that is empty for some cameras or times flickers. Most often it culls by a matrix
         that it reads in the wrong order.
 
     Hint:
-        Draw the frame that is named with `gsgen render`. If nothing is to be seen there, give a
-        count of zero; else check what depends on the camera and the time.
+        Draw the named frame with `gsgen render`. If the frame is meant to be empty, set the count
+        to zero; else check the parts of the model that read the camera and the time.
     """
-    for frame in showing.frames:
+    for frame in evidence.frames:
         if frame.live and not _is_seen(frame.covered):
-            actual = f"{frame.visible} of {frame.live} rows are drawn at {frame.probe!r}, none visibly"
-            yield Violation.at("picture", actual, "a pixel that something covers")
+            actual = f"{frame.visible} of {frame.live} rows are drawn at {frame.probe!r}, none visible"
+            yield Violation.at(
+                "picture", actual, f"a pixel covered by at least {CULL_OPACITY:.2g}"
+            )
 
 
 @rule(
@@ -92,22 +94,22 @@ def every_frame_shows(showing: "RenderEvidence") -> Iterator[Violation]:
     fixture="opaque_behind_opaque",
     needs=(*_NEEDS, "GB018"),
 )
-def rasterisers_agree(showing: "RenderEvidence") -> Iterator[Violation]:
-    """Compute tiles and the hardware's quads draw the same picture, to 60 dB.
+def rasterisers_agree(evidence: "RenderEvidence") -> Iterator[Violation]:
+    """The tile and the quad rasteriser draw the same picture, to 60 dB.
 
     Why:
-        Viewers blend in one of two ways: tiles leave out what is behind a pixel that is finished,
-        quads draw it. Up to a hundredth of the light is between them. A model of sheets that are
-        as good as opaque, one behind the other, looks different from viewer to viewer.
+        Viewers blend in one of two ways: tiles skip Gaussians behind an opaque pixel, quads draw
+        them. The two differ by up to a hundredth of the light. A model of nearly opaque sheets,
+        one behind the other, looks different from viewer to viewer.
 
     Hint:
-        Leave out what is hidden behind opaque Gaussians that are much wider than a pixel, or give
-        both the same colour.
+        Remove Gaussians that are hidden behind opaque ones much wider than a pixel, or give both
+        the same colour.
     """
-    for frame in showing.frames:
-        if frame.agreement is not None and frame.agreement < _LEAST_AGREEMENT:
+    for frame in evidence.frames:
+        if frame.agreement is not None and frame.agreement < _MIN_AGREEMENT:
             actual = f"{frame.agreement:.1f} dB between tiles and quads at {frame.probe!r}"
-            yield Violation.at("picture", actual, f"at least {_LEAST_AGREEMENT} dB")
+            yield Violation.at("picture", actual, f"at least {_MIN_AGREEMENT} dB")
 
 
 @rule(
@@ -118,18 +120,18 @@ def rasterisers_agree(showing: "RenderEvidence") -> Iterator[Violation]:
     fixture="looks_otherwise",
     needs=(*_NEEDS, "GM002", "GM003", "GM005"),
 )
-def reference_images_match(showing: "RenderEvidence") -> Iterator[Violation]:
-    """Every picture that the manifest declares is beside the model, and the model draws it.
+def reference_images_match(evidence: "RenderEvidence") -> Iterator[Violation]:
+    """Every reference image of the manifest exists, and the model draws it.
 
     Why:
-        Tensors that agree to a tolerance say little to whoever wants to know that a model looks
-        as it did at its author's. A picture, its camera and a least number of decibels do.
+        Tensors that agree to a tolerance do not show that a model looks the same as on its
+        author's machine. A picture, its camera and a least number of decibels do.
 
     Hint:
-        Give the file along with the model. If the model is right, draw its pictures anew:
+        Ship the picture with the model. If the model is right, draw its pictures again:
         `gsgen references MODEL -o MODEL --force`. Models without pictures are fine.
     """
-    for number, reference in enumerate(showing.references):
+    for number, reference in enumerate(evidence.references):
         subject = f"manifest reference_images.{number}"
         if reference.psnr is None:
             yield Violation.at(

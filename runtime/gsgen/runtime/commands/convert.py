@@ -1,4 +1,4 @@
-"""`gsgen convert`: splats from one file format to another."""
+"""`gsgen convert`: converts splats from one file format to another."""
 
 __all__ = ["convert"]
 
@@ -8,103 +8,111 @@ from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from gsgen.contract.errors import ConfigInvalid, ExitCode, UnknownName
 from gsgen.contract.process.atomic_files import refuse_itself
+from gsgen.formats.codecs import CODECS, Codec, codec_named, codec_of_suffix, format_titles
+from gsgen.runtime.commands.options import AsJson
 
 if TYPE_CHECKING:
-    from gsgen.formats.codecs import Codec
     from gsgen.formats.conversion import Conversion
+
+_WRITABLE = [codec.name for codec in CODECS if codec.write]
+
+Source = Annotated[
+    Path,
+    typer.Argument(
+        help=f"{format_titles()}; recognised by its content.", show_default=False
+    ),
+]
+Target = Annotated[Path, typer.Argument(help="The file to write.", show_default=False)]
+Format = Annotated[
+    str | None,
+    typer.Option(
+        help=f"{', '.join(_WRITABLE[:-1])} or {_WRITABLE[-1]}. [default: by TARGET's suffix]"
+    ),
+]
+Degree = Annotated[
+    int | None, typer.Option(help="Drop harmonics above this degree.", min=0, max=4)
+]
+DropInvalid = Annotated[
+    bool,
+    typer.Option(
+        "--drop-invalid",
+        help="Drop rows of a PLY that cannot be drawn (NaN, infinite), and print their number.",
+    ),
+]
+SpzVersion = Annotated[
+    int | None,
+    typer.Option(
+        help="Version of SPZ; few viewers read 4, which uses zstd. [default: 3]",
+        min=1,
+        max=4,
+    ),
+]
+Encoding = Annotated[
+    Literal["ascii", "binary_little_endian", "binary_big_endian"] | None,
+    typer.Option(help="Encoding of PLY. [default: binary_little_endian]"),
+]
+Force = Annotated[
+    bool, typer.Option("--force", help="Allow TARGET to be SOURCE, which is replaced.")
+]
 
 
 def convert(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            help="PLY, compressed PLY, SPZ, SPLAT, KSPLAT, GLB, SOG or NPZ; told by its content.",
-            show_default=False,
-        ),
-    ],
-    target: Annotated[Path, typer.Argument(help="The file to write.", show_default=False)],
-    format: Annotated[
-        str | None,
-        typer.Option(
-            help="ply, compressed-ply, splat, spz or glb. [default: what TARGET ends in]"
-        ),
-    ] = None,
-    sh_degree: Annotated[
-        int | None,
-        typer.Option(help="Drop harmonics above this degree.", min=0, max=4),
-    ] = None,
-    drop_invalid: Annotated[
-        bool,
-        typer.Option(
-            "--drop-invalid",
-            help="Leave out rows of a PLY that cannot be drawn (NaN, infinite), and say how many.",
-        ),
-    ] = False,
-    spz_version: Annotated[
-        int | None,
-        typer.Option(
-            help="Version of SPZ; 4 is in zstd, and few viewers read it. [default: 3]",
-            min=1,
-            max=4,
-        ),
-    ] = None,
-    encoding: Annotated[
-        Literal["ascii", "binary_little_endian", "binary_big_endian"] | None,
-        typer.Option(help="Of PLY. [default: binary_little_endian]"),
-    ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Let TARGET be SOURCE, which is replaced.")
-    ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print what was done and lost as JSON.")
-    ] = False,
+    source: Source,
+    target: Target,
+    *,
+    format: Format = None,
+    sh_degree: Degree = None,
+    drop_invalid: DropInvalid = False,
+    spz_version: SpzVersion = None,
+    encoding: Encoding = None,
+    force: Force = False,
+    as_json: AsJson = False,
 ) -> None:
-    """Write the splats of SOURCE to TARGET in another format, and say what was lost.
+    """Write the splats of SOURCE to TARGET in another format, and print the losses.
 
     Exits 0 if TARGET was written, 1 if it cannot be, 2 for wrong options, 4 if SOURCE cannot be
     read.
     """
     from gsgen.contract.commands.progress import clear, progress
     from gsgen.formats import FormatError, FormatWarning
-    from gsgen.formats.conversion import convert as run
+    from gsgen.formats.conversion import convert as convert_file
 
     codec = _codec(format, target)
     if not force:
         hint = "Name another file, or replace it with --force."
         refuse_itself(target, [source], hint)
     write = _writer(codec, spz_version, encoding)
-    reading = True
+    is_reading = True
 
-    def step(words: str) -> None:
-        nonlocal reading
-        reading = words.startswith("reading")
-        progress(words)
+    def on_step(step: str) -> None:
+        nonlocal is_reading
+        is_reading = step.startswith("reading")
+        progress(step)
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", FormatWarning)
         try:
-            result = run(
+            result = convert_file(
                 source,
                 target,
                 codec,
                 sh_degree=sh_degree,
                 drop_invalid=drop_invalid,
                 write=write,
-                step=step,
+                step=on_step,
             )
         except FormatError as error:
             clear()
             typer.echo(f"gsgen: {error}", err=True)
-            unreadable = reading and error.path == str(source)
-            raise typer.Exit(
-                ExitCode.UNREADABLE if unreadable else ExitCode.FAILURE
-            ) from error
+            is_unreadable = is_reading and error.path == str(source)
+            code = ExitCode.UNREADABLE if is_unreadable else ExitCode.FAILURE
+            raise typer.Exit(code) from error
     clear()
     notes = list(dict.fromkeys(str(warning.message) for warning in caught))
     for note in notes:
@@ -113,49 +121,53 @@ def convert(
     typer.echo(json.dumps(document, indent=2) if as_json else _as_text(result))
 
 
-def _codec(name: str | None, target: Path) -> "Codec":
-    """Return the format that is asked for, or the one that the target's name ends in."""
-    from gsgen.formats.codecs import CODECS, codec_named, codec_of_suffix
-
-    writable = [codec.name for codec in CODECS if codec.write]
+def _codec(name: str | None, target: Path) -> Codec:
+    """Return the format of this name, or else of the target's suffix."""
     if name is not None:
-        if name not in writable:
-            raise UnknownName.among("format", name, writable, where="--format")
+        if name not in _WRITABLE:
+            raise UnknownName.among("format", name, _WRITABLE, where="--format")
         return codec_named(name)
     codec = codec_of_suffix(target)
     if codec is None or codec.write is None:
-        problem = f"{codec.title} is only read" if codec else "ends in no known suffix"
+        suffix = target.suffix or "(none)"
+        problem = (
+            f"{codec.title} can only be read"
+            if codec
+            else f"has the unknown suffix {suffix}"
+        )
         suffixes = [known.suffixes[0] for known in CODECS if known.write]
         raise ConfigInvalid(
             problem,
             where=str(target),
-            hint=f"Let it end in {', '.join(suffixes)}, or give --format.",
+            hint=f"Use one of {', '.join(suffixes)}, or give --format.",
         )
     return codec
 
 
 def _writer(
-    codec: "Codec", spz_version: int | None, encoding: str | None
+    codec: Codec, spz_version: int | None, encoding: str | None
 ) -> "Callable[..., None] | None":
-    """Return what writes with the options of the format, or None where none is given."""
-    writers: dict[str, tuple[str, dict[str, Any]]] = {}
+    """Return a writer with the options of the format, or None without any options."""
+    arguments: dict[str, tuple[str, dict[str, object]]] = {}
     if spz_version is not None:
-        writers["--spz-version"] = "spz", {"version": spz_version}
+        arguments["--spz-version"] = "spz", {"version": spz_version}
     if encoding is not None:
-        writers["--encoding"] = "ply", {"format": encoding}
-    for option, (format, _) in writers.items():
+        arguments["--encoding"] = "ply", {"format": encoding}
+    for option, (format, _) in arguments.items():
         if codec.name != format:
             raise ConfigInvalid(
-                f"is for {format}, and {codec.name} is written",
+                f"applies to {format}, but the output is {codec.name}",
                 where=option,
-                hint="Leave it out.",
+                hint="Leave the option out.",
             )
     assert codec.write is not None
-    options = {key: value for _, words in writers.values() for key, value in words.items()}
+    options = {
+        key: value for _, values in arguments.values() for key, value in values.items()
+    }
     return partial(codec.write, **options) if options else None
 
 
-def _as_dict(result: "Conversion") -> dict[str, Any]:
+def _as_dict(result: "Conversion") -> dict[str, object]:
     document = asdict(result)
     document["degree"] = result.degree and list(result.degree)
     return document
@@ -171,13 +183,13 @@ def _as_text(result: "Conversion") -> str:
         f"{before:.2f} MiB → {after:.2f} MiB{times}"
     ]
     lines += [f"lost: {loss}" for loss in result.lost]
-    off = [difference for difference in result.differences if difference.largest]
-    if off:
+    changed = [difference for difference in result.differences if difference.largest]
+    if changed:
         lines.append(f"{'off by':<12}{'at most':>12}{'typically':>12}")
     lines += [
         f"  {difference.name:<10}{difference.largest:>12.3g}{difference.typical:>12.3g} {difference.unit}".rstrip()
-        for difference in off
+        for difference in changed
     ]
-    if result.degree and not off and not result.lost:
+    if result.degree and not changed and not result.lost:
         lines.append("nothing was lost")
     return "\n".join(lines)

@@ -1,6 +1,6 @@
-"""What commands draw: scenes and post-process models, opened with words for what goes wrong."""
+"""Opening: the scenes and post-process models of a command, with messages for the user."""
 
-__all__ = ["opened", "scene_files"]
+__all__ = ["open_scenes", "read_scene_files"]
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from gsgen.runtime.sources.source import Source
 
 
-def scene_files(scenes: Sequence[Path]) -> "dict[Path, SceneFile]":
-    """Read the scene files among scenes.
+def read_scene_files(scenes: Sequence[Path]) -> "dict[Path, SceneFile]":
+    """Read the scene files among some scenes.
 
     Raises:
-        typer.Exit: One cannot be read; it was said why.
-        GsgenError: One says something that cannot be meant.
+        typer.Exit: A file cannot be read; the reason is printed.
+        GsgenError: A file is invalid.
     """
     from gsgen.runtime.errors import SceneUnreadable
     from gsgen.runtime.sources.scene_file import is_scene_file, read_scene
@@ -36,36 +36,40 @@ def scene_files(scenes: Sequence[Path]) -> "dict[Path, SceneFile]":
 
 
 @contextmanager
-def opened(
+def open_scenes(
     scenes: Sequence[Path],
-    post: Sequence[Path] = (),
+    post: Sequence[Path] | None = None,
     *,
     provider: str = "cpu",
-    sizes: Mapping[str, int] | None = None,
+    size: Sequence[str] | None = None,
 ) -> "Iterator[tuple[list[Source], list[PostProcessor]]]":
-    """Open everything, and close it in the end; what a session warns of becomes notes.
+    """Open scenes and post-process models, print their warnings as notes, and close them.
 
     Args:
         scenes: Splat files, meshes, generators, and scene files.
         post: Post-process models.
-        provider: What ONNX Runtime runs models on.
-        sizes: Symbol → size; each model gets those that it leaves open.
+        provider: Execution provider of ONNX Runtime.
+        size: Values of ``--size``; each model gets the sizes of its own open dimensions.
 
     Raises:
-        typer.Exit: A file cannot be read; it was said why.
+        typer.Exit: A file cannot be read; the reason is printed.
         GsgenError: A model is of another kind, or does not run.
     """
     from gsgen.runtime.errors import SceneUnreadable
     from gsgen.runtime.playback.post_process import PostProcessor
+    from gsgen.runtime.sources.opening import open_source
     from gsgen.runtime.sources.scene_file import open_scene
-    from gsgen.runtime.sources.source import open_source
+    from gsgen.sdk.commands.sizes import sizes_of
 
-    files = scene_files(scenes)
+    sizes = sizes_of(list(size) if size else None, "--size")
+    files = read_scene_files(scenes)
     model_paths = [model.path for file in files.values() for model in file.models]
     with ExitStack() as stack:
-        with _noting():
+        with _warnings_as_notes():
             try:
-                sizes_by_path = _sizes_of_each([*scenes, *model_paths, *post], sizes or {})
+                sizes_by_path = _sizes_by_path(
+                    [*scenes, *model_paths, *(post or ())], sizes or {}
+                )
                 sources: list[Source] = []
                 models: list[PostProcessor] = []
                 for path in scenes:
@@ -77,7 +81,7 @@ def opened(
                     sources += opened_sources
                     for source in opened_sources:
                         stack.callback(source.close)
-                for path in post:
+                for path in post or ():
                     models.append(PostProcessor(path, provider, sizes_by_path.get(path)))
                     stack.callback(models[-1].close)
             except (ModelUnreadable, SceneUnreadable) as error:
@@ -87,7 +91,8 @@ def opened(
 
 
 @contextmanager
-def _noting() -> Iterator[None]:
+def _warnings_as_notes() -> Iterator[None]:
+    """Print warnings to standard error, as notes."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         yield
@@ -95,13 +100,13 @@ def _noting() -> Iterator[None]:
         typer.echo(f"note: {warning.message}", err=True)
 
 
-def _sizes_of_each(
+def _sizes_by_path(
     paths: Sequence[Path], sizes: Mapping[str, int]
 ) -> dict[Path, dict[str, int]]:
-    """Return for each model the sizes that are its own.
+    """Return the sizes of each model's own open dimensions.
 
     Raises:
-        UnknownName: No model leaves such a dimension open.
+        UnknownName: No model has such an open dimension.
     """
     if not sizes:
         return {}

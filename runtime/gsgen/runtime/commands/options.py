@@ -1,76 +1,193 @@
-"""Options that several commands have, each with its words."""
-
-from pathlib import Path
-from typing import Annotated, Literal
-
-import typer
+"""Options that several commands share, with one name and help text each."""
 
 __all__ = [
     "Antialias",
+    "AsJson",
     "Axis",
     "Compact",
     "FieldOfView",
     "Height",
+    "Inputs",
+    "ModeName",
+    "ModeOption",
+    "Orthographic",
+    "Panorama",
+    "Poses",
     "Post",
     "Provider",
     "RasteriserName",
+    "RenderCamera",
     "Scenes",
     "ShDegree",
     "Sizes",
     "Width",
+    "read_tracks",
 ]
+
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, cast
+
+import typer
+
+from gsgen.contract.errors import ConfigInvalid
+
+if TYPE_CHECKING:
+    from gsgen.runtime.media.pictures import Mode
+    from gsgen.runtime.playback.input_tracks import Track
+    from gsgen.runtime.sources.source import Source
+
+
+class ModeName(StrEnum):
+    """Values of ``--mode``; both spellings of colour are valid."""
+
+    COLOR = "color"
+    COLOUR = "colour"
+    DEPTH = "depth"
+    MEDIAN_DEPTH = "median-depth"
+    NORMAL = "normal"
+    ALPHA = "alpha"
+
+    @property
+    def mode(self) -> "Mode":
+        """The mode of this name."""
+        return "color" if self is ModeName.COLOUR else cast("Mode", self.value)
+
 
 Antialias = Annotated[
     Literal["classic", "mip"] | None,
-    typer.Option(help="How the scene was trained. [default: the manifest's, or classic]"),
+    typer.Option(
+        help="Antialiasing of the training. [default: the manifest's, or classic]"
+    ),
 ]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Axis = Annotated[
     Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None,
-    typer.Option(help="Which axis points up. [default: the manifest's, or -y]"),
+    typer.Option(help="Axis that points up. [default: the manifest's, or -y]"),
 ]
 Compact = Annotated[
     bool,
     typer.Option(
         "--compact",
-        help="Keep Gaussians in about half the memory; colours are off by less than a hundredth.",
+        help="Keep Gaussians in about half the memory; colours change by less than a hundredth.",
     ),
 ]
 FieldOfView = Annotated[
     float | None, typer.Option(help="Vertical field of view, in degrees. [default: 50]")
 ]
 Height = Annotated[
-    int | None, typer.Option(help="Pixels. [default: the camera's, or 720]", min=1)
+    int | None,
+    typer.Option(help="Height in pixels. [default: the camera's, or 720]", min=1),
+]
+Inputs = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--input",
+        metavar="NAME=VALUE",
+        help="Another input, by its name or role: a number, A,B,…, FROM..TO, or a file; "
+        "repeatable.",
+    ),
+]
+ModeOption = Annotated[
+    ModeName, typer.Option("--mode", help="Output to show.", case_sensitive=False)
+]
+Orthographic = Annotated[
+    bool,
+    typer.Option(
+        "--orthographic",
+        help="Draw without perspective; the centre of the scene keeps its size.",
+    ),
+]
+Panorama = Annotated[
+    bool,
+    typer.Option(
+        "--panorama",
+        help="Draw all directions, equirectangular: from the middle, or from the camera.",
+    ),
+]
+Poses = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--pose",
+        metavar="[NAME=]FILE",
+        help="Poses, frame by frame: .npy, .npz or .json of [J,3] or [F,J,3], an .npz of AMASS, "
+        "LHM's .json, or a folder of such files; repeatable.",
+    ),
 ]
 Post = Annotated[
     list[Path] | None,
     typer.Option(
-        help="A post-process model that the picture goes through; repeatable, in this order."
+        help="Post-process model that the picture goes through; repeatable, in this order."
     ),
 ]
 Provider = Annotated[
     Literal["auto", "cpu", "webgpu", "cuda"],
-    typer.Option(help="What ONNX Runtime runs models on."),
+    typer.Option(help="Execution provider of ONNX Runtime."),
 ]
 RasteriserName = Annotated[
     Literal["auto", "tiles", "quads"],
-    typer.Option(help="What blends: compute shaders, the hardware, or the faster one."),
+    typer.Option(
+        help="Rasteriser: compute shaders (tiles), the hardware (quads), or the faster one."
+    ),
+]
+RenderCamera = Annotated[
+    str | None,
+    typer.Option(
+        "--camera",
+        help="orbit[:AZIMUTH,ELEVATION[,RADIUS]], look-at:EX,EY,EZ,TX,TY,TZ, or a file or "
+        "folder of cameras; #NAME or #NUMBER after it picks one. "
+        "[default: an orbit with the whole scene in view]",
+    ),
 ]
 Scenes = Annotated[
     list[Path],
     typer.Argument(
-        help="Splat files, meshes, ONNX generators and scene.json; several are one scene.",
+        help="Splat files, meshes, ONNX generators and scene.json; several form one scene.",
         show_default=False,
     ),
 ]
 ShDegree = Annotated[
-    int | None, typer.Option(help="Use no harmonics above this degree.", min=0, max=3)
+    int | None,
+    typer.Option(help="Highest degree of spherical harmonics to use.", min=0, max=3),
 ]
 Sizes = Annotated[
     list[str] | None,
     typer.Option(
-        metavar="SYMBOL=SIZE", help="Give an open dimension of a model a size; repeatable."
+        metavar="SYMBOL=SIZE", help="Size of an open dimension of a model; repeatable."
     ),
 ]
 Width = Annotated[
-    int | None, typer.Option(help="Pixels. [default: the camera's, or 1280]", min=1)
+    int | None,
+    typer.Option(help="Width in pixels. [default: the camera's, or 1280]", min=1),
 ]
+
+
+def read_tracks(
+    poses: list[str] | None, inputs: list[str] | None, sources: "Sequence[Source]"
+) -> "tuple[list[Track], float | None]":
+    """Read the values of ``--pose`` and ``--input``.
+
+    Returns:
+        A track for each input, and the frames per second of the first file of poses that has them.
+
+    Raises:
+        ConfigInvalid: A text or a file is invalid, or no source has an input of this name.
+    """
+    from gsgen.runtime.playback.input_tracks import input_track
+    from gsgen.runtime.playback.pose_tracks import named_file, pose_tracks
+
+    tracks: list[Track] = []
+    fps: float | None = None
+    for text in poses or ():
+        name = named_file(text)[0]
+        source = next((source for source in sources if source.named(name)), None)
+        if source is None:
+            raise ConfigInvalid(
+                f"needs the input {name!r}, which no scene has",
+                where=f"--pose {text}",
+                hint="`gsgen inspect` lists the inputs of a model.",
+            )
+        file_tracks, file_fps = pose_tracks(text, source)
+        tracks, fps = [*tracks, *file_tracks], fps or file_fps
+    return [*tracks, *(input_track(text) for text in inputs or ())], fps

@@ -1,4 +1,4 @@
-"""`gsgen references`: record what a model looks like, for whoever draws it elsewhere."""
+"""`gsgen references`: draws reference images of a model, and declares them in a copy."""
 
 __all__ = ["references"]
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gsgen.contract.commands.options import Config, Memory, Timeout
+from gsgen.runtime.commands.options import AsJson
 
 if TYPE_CHECKING:
     from gsgen.runtime.checks.reference_recording import References
@@ -23,20 +24,20 @@ def references(
         typer.Option(
             "-o",
             "--output",
-            help="The copy of MODEL that declares the pictures; they go to a folder beside it.",
+            help="The copy of MODEL that declares the pictures; their folder is next to it.",
             show_default=False,
         ),
     ],
     camera: Annotated[
         str | None,
         typer.Option(
-            help="As for render. [default: the probes', or from where everything is seen]"
+            help="Camera; see `gsgen render`. [default: the probes', or an orbit]"
         ),
     ] = None,
     count: Annotated[
         int | None,
         typer.Option(
-            help="How many, spread over the probes of `gsgen validate`; 16 at most.",
+            help="How many pictures, spread over the probes of `gsgen validate`; 16 at most.",
             show_default="3, or all where there are fewer",
             min=1,
         ),
@@ -44,7 +45,7 @@ def references(
     width: Annotated[
         int | None,
         typer.Option(
-            help="Pixels; the height follows from the camera.",
+            help="Width in pixels; the height follows from the camera.",
             show_default="640",
             min=16,
             max=4096,
@@ -53,21 +54,21 @@ def references(
     psnr: Annotated[
         float,
         typer.Option(
-            help="Least decibels that a picture drawn elsewhere must have.", min=1
+            help="Least decibels that a picture must have on another machine.", min=1
         ),
     ] = 50.0,
     force: Annotated[
-        bool, typer.Option("--force", help="Replace pictures that the copy has.")
+        bool, typer.Option("--force", help="Replace existing pictures of the copy.")
     ] = False,
     config: Config = None,
     timeout: Timeout = None,
     memory: Memory = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Draw reference images of MODEL, and write a copy of it that declares them.
 
     `gsgen validate --level render` draws them again (rule GB021). Exits 0 if they were written, 2
-    if they cannot be or an option is wrong, 4 if no model.
+    if they cannot be or an option is wrong, 4 if MODEL cannot be read.
     """
     from gsgen.contract.commands.progress import clear, progress
     from gsgen.contract.rules.catalogue import installed_rules
@@ -78,7 +79,7 @@ def references(
         installed_rules(), config=config, timeout=timeout, memory=memory
     )
     try:
-        recorded = record_references(
+        result = record_references(
             model,
             output,
             camera=camera,
@@ -91,25 +92,24 @@ def references(
         )
     finally:
         clear()
-    for label in recorded.empty:
-        typer.echo(f"note: nothing is seen at {label!r}", err=True)
-    _print(recorded, as_json)
+    for label in result.empty:
+        typer.echo(f"note: the picture at {label!r} is empty", err=True)
+    _print(result, as_json=as_json)
 
 
-def _print(recorded: "References", as_json: bool) -> None:
+def _print(result: "References", *, as_json: bool) -> None:
     if as_json:
-        listed = [asdict(image) for image in recorded.images]
         document = {
-            "model": str(recorded.model),
-            "device": recorded.device,
-            "reference_images": listed,
+            "model": str(result.model),
+            "device": result.device,
+            "reference_images": [asdict(image) for image in result.images],
         }
         typer.echo(json.dumps(document, indent=2))
         return
-    for image in recorded.images:
-        typer.echo(f"{recorded.model.parent / image.path}: {image.inputs}")
-    typed = shlex.quote(str(recorded.model))
+    for image in result.images:
+        typer.echo(f"{result.model.parent / image.path}: {image.inputs}")
+    quoted_path = shlex.quote(str(result.model))
     typer.echo(
-        f"{recorded.model}: declares them, drawn on {recorded.device}; "
-        f"`gsgen validate {typed} --level render` draws them again"
+        f"{result.model}: declares them, drawn on {result.device}; "
+        f"`gsgen validate {quoted_path} --level render` draws them again"
     )

@@ -1,6 +1,6 @@
 """Morton order: neighbours in space become neighbours in memory."""
 
-__all__ = ["along_curve"]
+__all__ = ["along_curve", "spread_bits"]
 
 from typing import Final
 
@@ -39,15 +39,15 @@ def along_curve(position: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
     words = np.arange(len(position), dtype=np.uint64)
     for start in range(0, len(position), _BLOCK):
         part = slice(start, start + _BLOCK)
-        x, y, z = _spread(((columns[:, part] - low) * scale).astype(np.uint64))
+        x, y, z = spread_bits(((columns[:, part] - low) * scale).astype(np.uint64))
         code = x | (y << np.uint64(1)) | (z << np.uint64(2))
         words[part] |= code << np.uint64(index_bits)
     words.sort()
     return (words & np.uint64((1 << index_bits) - 1)).astype(np.int64)
 
 
-def _spread(number: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
-    """Return numbers of 21 bits with two zeros between their bits."""
+def spread_bits(number: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
+    """Insert two zero bits between the bits of each number of 21 bits."""
     for shift, mask in _SPREAD:
         number = (number | (number << np.uint64(shift))) & np.uint64(mask)
     return number

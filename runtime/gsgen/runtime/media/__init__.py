@@ -1,1 +1,1 @@
-"""How are pictures and films written?"""
+"""How are frames written as pictures and videos?"""

@@ -1,7 +1,7 @@
-"""MP4 films: AV1 pictures in the boxes that players and browsers expect.
+"""MP4 videos: AV1 pictures in the boxes that players and browsers expect.
 
-The encoder is Pillow's, whose AVIF sequences hold the same AV1 samples in other boxes. So no
-codec with another licence is needed. Boxes: ISO/IEC 14496-12 (ISO base media file format); the
+The encoder is Pillow's, whose AVIF sequences hold the same AV1 samples in other boxes. So
+no codec with another licence is needed. Boxes: ISO/IEC 14496-12 (ISO base media file format); the
 sample entry: "AV1 Codec ISO Media File Format Binding", version 1.2.
 """
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 _TICKS: Final = 1000
-"""How many units of time a frame lasts: rates such as 23.976 stay as they were asked for."""
+"""Units of time per frame, so that rates such as 23.976 are stored exactly."""
 
-_GROUP: Final = 48  # frames that are encoded together; the first of them can be sought
-_LARGEST: Final = 1 << 32  # offsets have 32 bits
+_GROUP: Final = 48  # frames encoded together; players can seek to the first of them
+_MAX_BYTES: Final = 1 << 32  # offsets have 32 bits
 _QUALITY: Final = 80
-_SPEED: Final = 8  # of 10; 6 takes four times as long and saves nothing at this quality
-_ENTRY_FIELDS: Final = 8 + 78  # of a visual sample entry, before its boxes
+_SPEED: Final = 8  # of 10; 6 takes four times as long for the same size at this quality
+_ENTRY_FIELDS: Final = 8 + 78  # bytes of a visual sample entry before its boxes
 _UNITY: Final = struct.pack(">9I", 0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000)
 
 
@@ -36,25 +36,26 @@ def encode(pictures: Iterable["Image"], fps: float) -> bytes:
     """Return an MP4 file of the pictures.
 
     Args:
-        pictures: All of one size, at least one. Only some are held at a time.
+        pictures: Pictures of one size, at least one. Few are in memory at a time.
         fps: Frames per second.
 
     Raises:
-        SceneInvalid: This Pillow has no AV1 encoder, the pictures differ in size, or the film
-            is longer than a file of this kind.
+        SceneInvalid: Pillow has no AV1 encoder, the pictures differ in size, or the video
+            exceeds 4 GiB.
     """
     groups = [_sequence(group) for group in _groups(iter(pictures))]
     if len(sizes := {(group.width, group.height) for group in groups}) > 1:
-        raise _uneven(sizes)
+        raise _differing_sizes(sizes)
     samples = [sample for group in groups for sample in group.samples]
     firsts = np.cumsum([1, *(len(group.samples) for group in groups[:-1])])
     head = _box(b"ftyp", b"isom", _u32(0x200), b"isomiso6av01mp41")
-    # The table of contents is as long wherever the samples are, and says where they are.
+    # The table of contents stores the offset of the samples, which depends on its own length.
+    # That length does not depend on the offset, so it is built twice.
     size = len(head) + len(_contents(groups[0], samples, firsts.tolist(), fps, 0)) + 8
-    if size + sum(map(len, samples)) >= _LARGEST:
+    if size + sum(map(len, samples)) >= _MAX_BYTES:
         raise SceneInvalid(
-            f"{len(samples):,} frames are more than 4 GiB, which no .mp4 here can be",
-            hint="Draw the film in parts, or smaller.",
+            f"has {len(samples):,} frames of more than 4 GiB, the limit of an .mp4",
+            hint="Draw the video in parts, or smaller.",
         )
     contents = _contents(groups[0], samples, firsts.tolist(), fps, size)
     return b"".join([head, contents, _box(b"mdat", *samples)])
@@ -66,10 +67,10 @@ class _Group:
     """Frames that were encoded together.
 
     Attributes:
-        entry: How they are coded: a sample entry, box and all.
+        entry: The sample entry box, which describes their coding.
         samples: The coded frames, in order.
-        width: Of each, in pixels.
-        height: Of each, in pixels.
+        width: Width of a frame, in pixels.
+        height: Height of a frame, in pixels.
     """
 
     entry: bytes
@@ -79,28 +80,28 @@ class _Group:
 
 
 def _groups(pictures: Iterator["Image"]) -> Iterator[list["Image"]]:
-    """Yield the pictures in groups of at least two, but for a film of one.
+    """Yield the pictures in groups of at least two, unless there is one picture in all.
 
-    A sequence of one picture would be a still image, which has other boxes.
+    AVIF stores a sequence of one picture as a still image, which has other boxes.
     """
     group = list(islice(pictures, _GROUP))
-    while len(coming := list(islice(pictures, _GROUP))) > 1:
+    while len(following := list(islice(pictures, _GROUP))) > 1:
         yield group
-        group = coming
-    yield group + coming
+        group = following
+    yield group + following
 
 
 def _sequence(pictures: Sequence["Image"]) -> _Group:
-    """Encode pictures as an AVIF sequence, and take its samples out."""
+    """Encode pictures as an AVIF sequence, and extract its samples."""
     from PIL import features
 
     if not features.check("avif"):
         raise SceneInvalid(
-            "this pillow was built without its AV1 encoder, which .mp4 files need",
-            hint="Install a wheel of pillow 11.3 or newer, or ask for a .gif.",
+            "this pillow has no AV1 encoder, which .mp4 files need",
+            hint="Install a wheel of pillow 11.3 or newer, or write a .gif.",
         )
     if len(shapes := {picture.size for picture in pictures}) > 1:
-        raise _uneven(shapes)
+        raise _differing_sizes(shapes)
     first, *remaining = pictures
     buffer = io.BytesIO()
     first.save(
@@ -111,7 +112,7 @@ def _sequence(pictures: Sequence["Image"]) -> _Group:
         duration=1,
         quality=_QUALITY,
         speed=_SPEED,
-        range="limited",  # what players assume of a film that says nothing
+        range="limited",  # the default that players assume
     )
     file = buffer.getvalue()
     table = _find(file, b"moov", b"trak", b"mdia", b"minf", b"stbl")
@@ -123,16 +124,16 @@ def _sequence(pictures: Sequence["Image"]) -> _Group:
     return _Group(entry, samples[: len(pictures)], first.width, first.height)
 
 
-def _uneven(sizes: Collection[tuple[int, int]]) -> SceneInvalid:
+def _differing_sizes(sizes: Collection[tuple[int, int]]) -> SceneInvalid:
     size_list = ", ".join(f"{width}×{height}" for width, height in sorted(sizes))
     return SceneInvalid(
-        f"frames differ in size ({size_list}), those of a film cannot",
+        f"frames have several sizes ({size_list}), expected one size for a video",
         hint="Give --width and --height.",
     )
 
 
 def _entry(avif: bytes) -> bytes:
-    """Return the sample entry of a film, given the one of an image sequence."""
+    """Convert the sample entry of an AVIF sequence to that of a video."""
     retained = {b"av1C", b"colr"}
     boxes = [
         _box(kind, body) for kind, body in _boxes(avif[_ENTRY_FIELDS:]) if kind in retained
@@ -141,14 +142,14 @@ def _entry(avif: bytes) -> bytes:
 
 
 def _contents(
-    look: _Group, samples: Sequence[bytes], firsts: Sequence[int], fps: float, offset: int
+    group: _Group, samples: Sequence[bytes], firsts: Sequence[int], fps: float, offset: int
 ) -> bytes:
-    """Return the box ``moov`` of samples that lie one after the other from ``offset`` on."""
+    """Return the box ``moov`` of consecutive samples that begin at ``offset``."""
     duration = _TICKS * len(samples)
     rate = round(_TICKS * fps)
     table = _box(
         b"stbl",
-        _box(b"stsd", _u32(0, 1), look.entry),
+        _box(b"stsd", _u32(0, 1), group.entry),
         _box(b"stts", _u32(0, 1, len(samples), _TICKS)),
         _box(b"stss", _u32(0, len(firsts), *firsts)),
         _box(b"stsc", _u32(0, 1, 1, len(samples), 1)),
@@ -162,13 +163,13 @@ def _contents(
         _box(b"hdlr", _u32(0, 0), b"vide", _u32(0, 0, 0), b"\0"),
         _box(b"minf", _box(b"vmhd", _u32(1, 0, 0)), _box(b"dinf", data_reference), table),
     )
-    size = _u32(look.width << 16, look.height << 16)
+    size = _u32(group.width << 16, group.height << 16)
     track_fields = _u32(
         3, 0, 0, 1, 0, duration, 0, 0, 0, 0
-    )  # enabled, in the film; track 1
+    )  # flags enabled and in movie; track 1
     track = _box(b"trak", _box(b"tkhd", track_fields, _UNITY, size), media)
-    film = _u32(0, 0, 0, rate, duration, 0x10000, 0x1000000, 0, 0)
-    return _box(b"moov", _box(b"mvhd", film, _UNITY, bytes(24), _u32(2)), track)
+    header = _u32(0, 0, 0, rate, duration, 0x10000, 0x1000000, 0, 0)
+    return _box(b"moov", _box(b"mvhd", header, _UNITY, bytes(24), _u32(2)), track)
 
 
 def _u32(*values: int) -> bytes:
@@ -176,7 +177,7 @@ def _u32(*values: int) -> bytes:
 
 
 def _box(kind: bytes, *parts: bytes) -> bytes:
-    """Return a box: its length, its kind, and what is in it."""
+    """Return a box: its length, its kind and its content."""
     return b"".join([_u32(8 + sum(map(len, parts))), kind, *parts])
 
 
@@ -190,7 +191,7 @@ def _boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 
 def _find(data: bytes, *path: bytes) -> bytes:
-    """Return what is in the box that ``path`` leads to."""
+    """Return the content of the box at ``path``."""
     for kind in path:
         data = next(body for box_kind, body in _boxes(data) if box_kind == kind)
     return data

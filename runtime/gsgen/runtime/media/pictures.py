@@ -1,18 +1,18 @@
-"""Pictures: what a frame becomes on disk."""
+"""Pictures: frames as bytes, arrays, image files and videos."""
 
 __all__ = [
-    "FILMS",
+    "IMAGE_SUFFIXES",
     "MODES",
-    "OPAQUE",
-    "SUFFIXES",
+    "OPAQUE_SUFFIXES",
+    "VIDEO_SUFFIXES",
     "Mode",
     "array_of",
     "depth_range",
     "picture_of",
     "png_of",
     "save_array",
-    "save_film",
     "save_picture",
+    "save_video",
 ]
 
 import io
@@ -41,22 +41,22 @@ MODES: Final[dict[Mode, Output]] = {
     "normal": "normal",
     "alpha": "color",
 }
-"""What each mode has to ask the renderer for."""
+"""The output of the renderer that each mode needs."""
 
-SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
-"""The suffixes that one picture can have."""
+IMAGE_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
+"""Suffixes of image files."""
 
-FILMS: Final = (".gif", ".mp4")
-"""The suffixes that one film can have."""
+VIDEO_SUFFIXES: Final = (".gif", ".mp4")
+"""Suffixes of videos and animations."""
 
-OPAQUE: Final = (".jpg", ".jpeg", ".mp4", ".bmp")
-"""The suffixes of formats without transparency."""
+OPAQUE_SUFFIXES: Final = (".jpg", ".jpeg", ".mp4", ".bmp")
+"""Suffixes of formats without transparency."""
 
-_SHARE: Final = 2.0  # percent of the depths, at each end, that the grey scale leaves out
+_OUTLIERS: Final = 2.0  # percent of the depths, at each end, beyond the grey scale
 
 
 def array_of(frame: Frame, mode: Mode) -> Float32[np.ndarray, "h w *c"]:
-    """Return what ``mode`` shows, as it is: no clipping, no rounding, no colour curve."""
+    """Return the array of ``mode`` without clipping, rounding or a colour curve."""
     arrays = {
         "color": frame.rgba,
         "depth": frame.depth,
@@ -66,22 +66,22 @@ def array_of(frame: Frame, mode: Mode) -> Float32[np.ndarray, "h w *c"]:
     }
     array = arrays[mode]
     if array is None:
-        raise ValueError(f"the frame was drawn without {MODES[mode]}")
+        raise ValueError(f"the frame has no {mode}: expected it drawn with {MODES[mode]!r}")
     return array
 
 
 def picture_of(
     frame: Frame, mode: Mode, depths: tuple[float, float] | None = None
 ) -> UInt8[np.ndarray, "h w *c"]:
-    """Return what ``mode`` shows as bytes.
+    """Return the array of ``mode`` as bytes.
 
-    Colours are sRGB with alpha. Depths are grey, near is bright and nothing is black. Normals
+    Colours are sRGB with alpha. Depths are grey: near is bright, and no depth is black. Normals
     are (n + 1) / 2 in world space. Alpha is grey.
 
     Args:
-        frame: What to show.
-        mode: How.
-        depths: The depths that are white and nearly black; of most of the pixels where absent.
+        frame: The frame.
+        mode: Which of its arrays.
+        depths: The depths that become white and nearly black; by default those of most pixels.
     """
     if mode == "color":
         return frame.srgb8
@@ -96,11 +96,11 @@ def picture_of(
 
 
 def depth_range(depth: Float32[np.ndarray, "h w"]) -> tuple[float, float]:
-    """Return the depths between which most of the pixels lie."""
+    """Return the range of depths that holds most pixels."""
     finite = depth[np.isfinite(depth)]
     if not finite.size:
         return 0.0, 1.0
-    near, far = np.percentile(finite, [_SHARE, 100 - _SHARE])
+    near, far = np.percentile(finite, [_OUTLIERS, 100 - _OUTLIERS])
     return float(near), float(far)
 
 
@@ -111,21 +111,23 @@ def _bytes(array: np.ndarray) -> UInt8[np.ndarray, "..."]:
 def save_picture(
     path: Path, picture: UInt8[np.ndarray, "h w *c"], camera: Camera | None = None
 ) -> None:
-    """Write an image file, of the format that the suffix names; whole or not at all.
+    """Write an image file atomically, in the format of its suffix.
 
     Args:
-        path: Where to.
-        picture: What.
-        camera: Of a panorama, which a JPEG then says it is.
+        path: The file to write.
+        picture: The pixels.
+        camera: Camera of the picture; a JPEG of a panorama gets GPano metadata.
 
     Raises:
-        SceneInvalid: The image library is missing or cannot write such a file.
+        SceneInvalid: Pillow is missing, or cannot write such a file.
     """
     image = _image()
-    metadata = _said_of(camera, picture) if path.suffix.lower() in (".jpg", ".jpeg") else {}
+    metadata = (
+        _metadata(camera, picture) if path.suffix.lower() in (".jpg", ".jpeg") else {}
+    )
     with atomic_write(path) as draft:
         try:
-            image.fromarray(_fitting(path, picture)).save(draft, **metadata)
+            image.fromarray(_on_black(path, picture)).save(draft, **metadata)
         except ValueError as error:
             raise SceneInvalid(f"cannot be written: {error}", where=str(path)) from error
 
@@ -134,17 +136,17 @@ def png_of(picture: UInt8[np.ndarray, "h w *c"]) -> bytes:
     """Return a picture as a PNG file.
 
     Raises:
-        SceneInvalid: The image library is missing.
+        SceneInvalid: Pillow is missing.
     """
     file = io.BytesIO()
     _image().fromarray(picture).save(file, "png")
     return file.getvalue()
 
 
-def _said_of(
+def _metadata(
     camera: Camera | None, picture: UInt8[np.ndarray, "h w *c"]
 ) -> dict[str, bytes]:
-    """Return the metadata of a picture, unless a model made it another size."""
+    """Return the metadata of a picture, unless a post-process model changed its size."""
     if camera is None or picture.shape[:2] != (camera.height, camera.width):
         return {}
     packet = gpano(camera)
@@ -152,36 +154,42 @@ def _said_of(
 
 
 def save_array(path: Path, array: Float32[np.ndarray, "h w *c"]) -> None:
-    """Write a NumPy file, whole or not at all."""
+    """Write a NumPy file atomically."""
     with atomic_write(path) as draft:
         np.save(draft, array)
 
 
-def save_film(path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: float) -> None:
-    """Write an MP4, or an animated GIF that repeats for ever; whole or not at all.
+def save_video(
+    path: Path, pictures: Iterable[UInt8[np.ndarray, "..."]], fps: float
+) -> None:
+    """Write an MP4, or an animated GIF that repeats for ever, atomically.
 
-    An MP4 stands on black; what is transparent in a GIF, :func:`save_gif` says.
+    An MP4 is blended with black; :func:`save_gif` describes the transparency of a GIF.
 
     Raises:
-        SceneInvalid: The image library is missing or cannot write such a file.
+        SceneInvalid: Pillow is missing, or cannot write such a file.
     """
     image = _image()
     if path.suffix.lower() == ".mp4":
         colors = (
-            image.fromarray(_fitting(path, picture)).convert("RGB") for picture in pictures
+            image.fromarray(_on_black(path, picture)).convert("RGB") for picture in pictures
         )
-        film = mp4.encode(colors, fps)
+        video = mp4.encode(colors, fps)
         with atomic_write(path) as draft:
-            draft.write_bytes(film)
+            draft.write_bytes(video)
         return
     frames = list(pictures)
     with atomic_write(path) as draft:
         save_gif(draft, frames, fps)
 
 
-def _fitting(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> np.ndarray:
-    """Return the picture without alpha where the format has none: on black."""
-    if picture.ndim == 3 and picture.shape[2] == 4 and path.suffix.lower() in OPAQUE:
+def _on_black(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> np.ndarray:
+    """Blend a picture with black if its format has no transparency."""
+    if (
+        picture.ndim == 3
+        and picture.shape[2] == 4
+        and path.suffix.lower() in OPAQUE_SUFFIXES
+    ):
         alpha = picture[..., 3:] / 255
         return np.asarray(np.rint(picture[..., :3] * alpha), np.uint8)
     return picture

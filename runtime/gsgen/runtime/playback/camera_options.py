@@ -1,9 +1,9 @@
-"""Viewpoints in words: where a camera stands, as people type it."""
+"""Camera options: the cameras that ``--camera`` and its companion options describe."""
 
-__all__ = ["Viewpoint", "viewpoint"]
+__all__ = ["DEFAULT_FOV", "Viewpoint", "viewpoint"]
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, final
 
@@ -12,67 +12,75 @@ from jaxtyping import Float
 
 from gsgen.contract.errors import ConfigInvalid
 from gsgen.runtime.camera_files import open_cameras, split_pick
-from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.sources.source import Source, direction
+from gsgen.runtime.scene.camera import DEFAULT_NEAR, Camera
+from gsgen.runtime.sources.source import Source, axis_direction
 
 _FORMS: Final = "Give orbit[:AZIMUTH,ELEVATION[,RADIUS]], look-at:EX,EY,EZ,TX,TY,TZ or a file of cameras."
 _AZIMUTH: Final = 30.0
 _ELEVATION: Final = 20.0
-_AROUND: Final = 2048  # pixels that a panorama is wide
+_PANORAMA_WIDTH: Final = 2048  # pixels
+_WIDTH, _HEIGHT = 1280, 720
+
+
+DEFAULT_FOV: Final = 50.0
+"""Vertical field of view, in degrees, where no option gives one."""
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Viewpoint:
-    """What ``--camera`` and its companions say.
+    """The cameras of all frames, as the camera options describe them.
+
+    One of ``orbit``, ``look_at`` and ``cameras`` is set; without any, the camera orbits.
 
     Attributes:
         orbit: Azimuth and elevation in degrees, and the radius, or None for one that fits.
         look_at: Eye and target, six numbers.
         cameras: Cameras of a file.
-        width: Of the image; None for the camera's own, or 1280.
-        height: Of the image; None for the camera's own, or 720.
+        width: Width of the image in pixels; None for the camera's own, or 1280.
+        height: Height of the image in pixels; None for the camera's own, or 720.
         fov: Vertical field of view, in degrees.
-        up: The upward direction; None for what the source says.
-        flat: Whether the camera is orthographic; what it looks at is as large as without.
-        around: Whether it is a panorama. An orbit without a radius then stands in the middle; a
-            camera of a file stays as it is turned, unless ``up`` says where its poles are.
-        notes: What is to be said about the cameras of the file.
+        up: The upward direction; None for that of the source.
+        is_orthographic: Whether there is no perspective; the scene's centre keeps its size.
+        is_panorama: Whether the camera sees all directions. An orbit without a radius then
+            stands in the middle; a camera of a file keeps its rotation, unless ``up`` gives its
+            poles.
+        notes: Remarks on the file of cameras, for the user.
     """
 
-    orbit: tuple[float, float, float | None] | None
-    look_at: tuple[float, ...] | None
-    cameras: tuple[Camera, ...]
-    width: int | None
-    height: int | None
-    fov: float
+    orbit: tuple[float, float, float | None] | None = None
+    look_at: tuple[float, ...] | None = None
+    cameras: tuple[Camera, ...] = ()
+    width: int | None = None
+    height: int | None = None
+    fov: float = DEFAULT_FOV
     up: tuple[float, float, float] | None = None
-    flat: bool = False
-    around: bool = False
+    is_orthographic: bool = False
+    is_panorama: bool = False
     notes: tuple[str, ...] = ()
 
     @property
     def sizes(self) -> set[tuple[int, int]]:
-        """Widths and heights that the cameras of a file have here; nothing without a file."""
+        """Image sizes of the cameras of a file; empty without a file."""
         return {
             (self.width or camera.width, self.height or camera.height)
             for camera in self.cameras
-            if not self.around
+            if not self.is_panorama
         }
 
     def camera(self, source: Source, number: int, turn: float) -> Camera:
         """Return the camera of frame ``number``.
 
         Args:
-            source: What it looks at, where the words name no point.
-            number: From 0; the cameras of a file are gone through, and then again.
-            turn: Degrees that an orbit has gone on since the first frame.
+            source: Gives the centre of an orbit.
+            number: Frame number, from 0; the cameras of a file repeat.
+            turn: Degrees that an orbit has turned since the first frame.
         """
         center, reach = source.extent()
-        if self.around:
+        if self.is_panorama:
             return self._panorama(source, center, number, turn)
         camera = self._placed(source, center, reach, number, turn)
-        if not self.flat:
+        if not self.is_orthographic:
             return camera
         ahead = float(camera.view[2, :3] @ center + camera.view[2, 3])
         return camera.flattened(ahead if ahead > camera.near else reach)
@@ -80,7 +88,7 @@ class Viewpoint:
     def _panorama(
         self, source: Source, center: Float[np.ndarray, "3"], number: int, turn: float
     ) -> Camera:
-        width = self.width or (2 * self.height if self.height else _AROUND)
+        width = self.width or (2 * self.height if self.height else _PANORAMA_WIDTH)
         height = self.height or max(1, width // 2)
         if self.cameras:
             file_camera = self.cameras[number % len(self.cameras)]
@@ -95,7 +103,7 @@ class Viewpoint:
     def _heading(
         self, source: Source, center: Float[np.ndarray, "3"], turn: float
     ) -> tuple[list[float], list[float]]:
-        """Return where a panorama is seen from, and which way its middle looks."""
+        """Return the eye of a panorama, and the direction of its middle column."""
         if self.look_at is not None:
             eye, target = np.array(self.look_at[:3]), np.array(self.look_at[3:])
             return eye.tolist(), (target - eye).tolist()
@@ -120,15 +128,15 @@ class Viewpoint:
             return file_camera.scaled(
                 self.width or file_camera.width, self.height or file_camera.height
             )
-        size = {"width": self.width or 1280, "height": self.height or 720}
+        size = {"width": self.width or _WIDTH, "height": self.height or _HEIGHT}
         up = self.up or source.up
         if self.look_at is not None:
             eye, target = self.look_at[:3], self.look_at[3:]
             return Camera.look_at(eye, target, up=up, fov_y=self.fov, **size)
         azimuth, elevation, radius = self.orbit or (_AZIMUTH, _ELEVATION, None)
         if radius is None:
-            narrow = self.fov * min(1.0, size["width"] / size["height"])
-            radius = reach / math.sin(math.radians(narrow) / 2)
+            narrow_fov = self.fov * min(1.0, size["width"] / size["height"])
+            radius = reach / math.sin(math.radians(narrow_fov) / 2)
         return Camera.orbit(
             center.tolist(),
             radius,
@@ -136,7 +144,7 @@ class Viewpoint:
             elevation=elevation,
             up=up,
             fov_y=self.fov,
-            near=min(0.01, radius / 100),
+            near=min(DEFAULT_NEAR, radius / 100),
             **size,
         )
 
@@ -145,60 +153,70 @@ def viewpoint(
     text: str | None,
     width: int | None = None,
     height: int | None = None,
-    fov: float = 50.0,
+    fov: float = DEFAULT_FOV,
     up: str | None = None,
-    flat: bool = False,
-    around: bool = False,
+    *,
+    orthographic: bool = False,
+    panorama: bool = False,
 ) -> Viewpoint:
-    """Read what a user typed for ``--camera``.
+    """Parse the value of ``--camera`` and its companion options.
 
     Args:
         text: ``orbit``, ``look-at``, or a file of cameras, of which ``#WHICH`` picks; None orbits.
         width: See :class:`Viewpoint`.
         height: See :class:`Viewpoint`.
         fov: See :class:`Viewpoint`.
-        up: An axis such as ``-y``; None for what the source says.
-        flat: See :class:`Viewpoint`.
-        around: See :class:`Viewpoint`.
+        up: An axis such as ``-y``; None for that of the source.
+        orthographic: See :class:`Viewpoint`.
+        panorama: See :class:`Viewpoint`.
 
     Raises:
-        ConfigInvalid: It is none of the forms.
-        SceneInvalid: The file holds something that is no camera.
+        ConfigInvalid: The text or an option is invalid.
+        SceneInvalid: The file of cameras is invalid.
     """
     if not 0 < fov < 180:
-        raise ConfigInvalid(f"{fov} degrees, wanted 0 to 180", where="--fov")
-    if flat and around:
-        both = "--orthographic and --panorama"
-        raise ConfigInvalid("were both given; a camera is one of them", where=both)
-    upward = None if up is None else direction(up)
+        message = f"is {fov} degrees, expected more than 0 and less than 180"
+        raise ConfigInvalid(message, where="--fov")
+    if orthographic and panorama:
+        raise ConfigInvalid(
+            "exclude each other: a camera has one projection",
+            where="--orthographic and --panorama",
+            hint="Leave one of them out.",
+        )
+    upward = None if up is None else axis_direction(up)
+    common = Viewpoint(
+        width=width,
+        height=height,
+        fov=fov,
+        up=upward,
+        is_orthographic=orthographic,
+        is_panorama=panorama,
+    )
     head, _, arguments = (text or "orbit").partition(":")
     if head == "orbit":
         numbers = _numbers(text or "", arguments, (0, 2, 3)) if arguments else ()
         azimuth, elevation = numbers[:2] or (_AZIMUTH, _ELEVATION)
         radius = numbers[2] if len(numbers) > 2 else None
-        orbit = (azimuth, elevation, radius)
-        return Viewpoint(orbit, None, (), width, height, fov, upward, flat, around)
+        return replace(common, orbit=(azimuth, elevation, radius))
     if head == "look-at":
         eye_and_target = _numbers(text or "", arguments, (6,))
-        return Viewpoint(None, eye_and_target, (), width, height, fov, upward, flat, around)
+        return replace(common, look_at=eye_and_target)
     path, selection = split_pick(text or "")
     if not _exists(path):
         raise ConfigInvalid(
-            f"{text!r} is no camera and no file that can be read",
+            f"{text!r} is neither a camera nor an existing file",
             where="--camera",
             hint=_FORMS,
         )
     file = open_cameras(path)
     cameras = tuple(entry.camera for entry in file.pick(selection))
-    return Viewpoint(
-        None, None, cameras, width, height, fov, upward, flat, around, file.notes
-    )
+    return replace(common, cameras=cameras, notes=file.notes)
 
 
 def _exists(path: Path) -> bool:
     try:
         return path.exists()
-    except OSError:  # the name is too long, say
+    except OSError:  # a name that is too long, for example
         return False
 
 
@@ -210,7 +228,7 @@ def _numbers(text: str, part: str, counts: tuple[int, ...]) -> tuple[float, ...]
     if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
         expected = " or ".join(map(str, counts))
         raise ConfigInvalid(
-            f"{text!r} has {len(numbers)} numbers, wanted {expected} finite ones",
+            f"{text!r} has {len(numbers)} numbers, expected {expected} finite ones",
             where="--camera",
             hint=_FORMS,
         )

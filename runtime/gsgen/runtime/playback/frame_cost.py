@@ -1,4 +1,4 @@
-"""What frames cost: time by stage, inference, and memory, measured on a film as it plays."""
+"""Frame cost: seconds per stage and per model, and memory, measured while frames are played."""
 
 __all__ = ["FrameCost", "Span", "measure"]
 
@@ -15,21 +15,19 @@ from gsgen.runtime.playback.frame_sequence import FrameSequence
 from gsgen.runtime.renderer.frame_plan import Placed, Plan
 from gsgen.runtime.scene.camera import Camera
 
-_UNMEASURED: Final = (
-    2  # frames at the beginning: kernels are compiled, room is made for pairs
-)
-_STAGED: Final = 8  # frames whose stages are measured, at most
-_NOTHING: Final = np.zeros(3)
+_WARM_UP_FRAMES: Final = 2  # they compile kernels and grow the buffer of pairs
+_STAGED_FRAMES: Final = 8  # whose stages are measured, at most
+_BLACK: Final = np.zeros(3)
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Seconds that something took, over frames.
+    """Percentiles of the seconds that one step of a frame took.
 
     Attributes:
         p50: The median.
-        p95: Only one frame in twenty took longer.
+        p95: The 95th percentile.
     """
 
     p50: float
@@ -37,34 +35,34 @@ class Span:
 
     @classmethod
     def of(cls, seconds: Sequence[float]) -> "Span":
-        """Return the span of some measurements."""
+        """Return the percentiles of measured seconds."""
         p50, p95 = np.percentile(seconds, [50, 95])
         return cls(float(p50), float(p95))
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FrameCost:
-    """What the frames of a film cost; counts are medians.
+    """Time and memory of the frames of a sequence; counts are medians.
 
     Attributes:
-        device: What drew.
-        software: Whether that is a driver that runs on the CPU.
+        device: Name of the graphics device.
+        software: Whether its driver runs on the CPU.
         size: Width and height, in pixels.
-        frames: How many were measured.
-        wall: From one frame to the next, as it plays.
-        cpu: CPU seconds of the process for a frame, all threads together; on a software driver
-            the device's work is in it.
+        frames: How many frames were measured.
+        wall: Seconds from one frame to the next.
+        cpu: CPU seconds per frame, all threads together; on a software driver they include the
+            device's work.
         submit: CPU seconds of one thread to encode and submit a frame.
-        inference: What computing a frame took, by generator; absent where nothing was computed.
+        inference: Seconds to compute a frame, by generator; absent where none was computed.
         stages: Seconds of each stage of drawing.
-        clock: What told them: the device's timestamps, or the CPU time that each stage adds to
-            those before it.
-        gaussians: Live ones.
-        visible: Those that were drawn.
-        pairs: Of a splat and a tile that it touches.
-        rows_bytes: Of the Gaussians on the device: rows, harmonics, cells.
-        plan_bytes: Of all else that is there for a frame.
+        clock: Clock of ``stages``: the device's timestamps, or the CPU time that each stage adds
+            to those before it.
+        gaussians: Live Gaussians.
+        visible: Gaussians that were drawn.
+        pairs: Pairs of a splat and a tile that it touches.
+        rows_bytes: Bytes of the Gaussians on the device: rows, harmonics, cells.
+        plan_bytes: Bytes of all other buffers of a frame.
         capacity: Gaussians that the device has room for.
     """
 
@@ -87,28 +85,28 @@ class FrameCost:
 
 
 def measure(
-    film: FrameSequence, watch: Callable[[str], None] = lambda _: None
+    sequence: FrameSequence, on_step: Callable[[str], None] = lambda _: None
 ) -> FrameCost:
-    """Play a film without writing it, and say what its frames cost.
+    """Play a frame sequence without writing it, and return the cost of its frames.
 
     Args:
-        film: What is measured; some frames more are drawn before it.
-        watch: Is told what is being done.
+        sequence: The frames; a few are drawn once more to warm up.
+        on_step: Called with the name of each step.
     """
-    device, camera = film.player.renderer.device, film.shot(0).camera
-    watch("warming up")
-    for number in range(min(film.frames, _UNMEASURED)):
-        film.draw(number)
-    watch(f"drawing {film.frames} frames")
-    played = _play(film)
-    watch("measuring stages")
+    device, camera = sequence.player.renderer.device, sequence.frame_request(0).camera
+    on_step("warming up")
+    for number in range(min(sequence.frames, _WARM_UP_FRAMES)):
+        sequence.draw(number)
+    on_step(f"drawing {sequence.frames} frames")
+    played = _play(sequence)
+    on_step("measuring stages")
     with device.translate_errors():
-        staged = _stage(film)
+        staged = _stage(sequence)
     return FrameCost(
         device=device.name,
         software=device.software,
         size=(camera.width, camera.height),
-        frames=film.frames,
+        frames=sequence.frames,
         wall=Span.of(played.wall),
         cpu=Span.of(played.cpu),
         submit=Span.of(staged.submit),
@@ -122,13 +120,13 @@ def measure(
         pairs=int(np.median(played.pairs)),
         rows_bytes=staged.rows_bytes,
         plan_bytes=staged.plan_bytes,
-        capacity=len(film.player.scene),
+        capacity=len(sequence.player.scene),
     )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Played:
-    """What was measured while frames were played."""
+    """Measurements of each frame while the sequence is played."""
 
     wall: list[float]
     cpu: list[float]
@@ -138,26 +136,33 @@ class _Played:
     pairs: list[int]
 
 
-def _play(film: FrameSequence) -> _Played:
-    played = _Played([], [], {source.name: [] for source in film.sources}, [], [], [])
+def _play(sequence: FrameSequence) -> _Played:
+    played = _Played(
+        wall=[],
+        cpu=[],
+        inference={source.name: [] for source in sequence.sources},
+        gaussians=[],
+        visible=[],
+        pairs=[],
+    )
     started, busy = time.perf_counter(), time.process_time()
-    for frame in film.player.play(map(film.shot, range(film.frames))):
+    for frame in sequence.player.play(sequence.frame_requests()):
         now, used = time.perf_counter(), time.process_time()
         played.wall.append(now - started)
         played.cpu.append(used - busy)
         started, busy = now, used
         played.visible.append(frame.visible)
         played.pairs.append(frame.pairs)
-        played.gaussians.append(sum(source.data.count for source in film.sources))
-        for source in film.sources:
+        played.gaussians.append(sum(source.data.count for source in sequence.sources))
+        for source in sequence.sources:
             if source.seconds:
                 played.inference[source.name].append(source.seconds)
     return played
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Staged:
-    """What was measured stage by stage."""
+    """Measurements of single stages."""
 
     submit: list[float]
     stages: dict[str, float]
@@ -166,31 +171,41 @@ class _Staged:
     plan_bytes: int
 
 
-def _stage(film: FrameSequence) -> _Staged:
-    """Draw some frames of the film stage by stage."""
-    renderer = film.player.renderer
+def _stage(sequence: FrameSequence) -> _Staged:
+    """Draw some frames of the sequence stage by stage."""
+    renderer = sequence.player.renderer
     clock = StageClock(renderer.device) if renderer.device.has_clock else None
-    frame_numbers = np.unique(np.linspace(0, film.frames - 1, _STAGED).round().astype(int))
+    frame_numbers = np.unique(
+        np.linspace(0, sequence.frames - 1, _STAGED_FRAMES).round().astype(int)
+    )
     submit: list[float] = []
     rows: list[dict[str, float]] = []
     clock_kind: Literal["timestamps", "cpu"] = "timestamps"
-    _Part.of(film, film.frames - 1).submit(clock)  # the first timestamps take long
+    _PlannedFrame.of(sequence, sequence.frames - 1).submit(
+        clock
+    )  # the first timestamps are slow
     for number in frame_numbers:
-        film.draw(int(number))
-        part = _Part.of(film, int(number))
-        submit.append(part.submit(clock))
+        sequence.draw(int(number))
+        planned = _PlannedFrame.of(sequence, int(number))
+        submit.append(planned.submit(clock))
         ticks = clock.seconds() if clock is not None else {}
         if not any(ticks.values()):
-            clock_kind, ticks = "cpu", part.added()
+            clock_kind, ticks = "cpu", planned.stage_seconds()
         rows.append(ticks)
     stages = {name: float(np.median([row[name] for row in rows])) for name in rows[0]}
-    return _Staged(submit, stages, clock_kind, part.rows_bytes, part.plan_bytes)
+    return _Staged(
+        submit=submit,
+        stages=stages,
+        clock=clock_kind,
+        rows_bytes=planned.rows_bytes,
+        plan_bytes=planned.plan_bytes,
+    )
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """A frame that was drawn, and can be drawn again in parts."""
+class _PlannedFrame:
+    """A planned frame, which can be drawn again up to any stage."""
 
     plan: Plan
     placed: list[Placed]
@@ -198,9 +213,9 @@ class _Part:
     camera: Camera
 
     @classmethod
-    def of(cls, film: FrameSequence, number: int) -> "_Part":
-        renderer, camera = film.player.renderer, film.shot(number).camera
-        scene = film.player.scene
+    def of(cls, sequence: FrameSequence, number: int) -> "_PlannedFrame":
+        renderer, camera = sequence.player.renderer, sequence.frame_request(number).camera
+        scene = sequence.player.scene
         placed, meshes = renderer.placed(scene), renderer.placed_meshes(scene)
         plan = renderer.plan(placed, camera, frozenset({"color"}), meshes)
         return cls(plan, placed, meshes, camera)
@@ -208,17 +223,17 @@ class _Part:
     def submit(
         self, clock: StageClock | None = None, only: Sequence[str] | None = None
     ) -> float:
-        """Draw; return the CPU seconds that this thread took until the device had everything."""
+        """Draw, and return the CPU seconds of this thread until everything is submitted."""
         started = time.thread_time()
         self.plan.submit(
-            self.placed, self.camera, _NOTHING, meshes=self.meshes, only=only, clock=clock
+            self.placed, self.camera, _BLACK, meshes=self.meshes, only=only, clock=clock
         )
         seconds = time.thread_time() - started
         self.plan.collect()
         return seconds
 
-    def added(self) -> dict[str, float]:
-        """Return the CPU seconds that each stage adds to those before it, which it needs."""
+    def stage_seconds(self) -> dict[str, float]:
+        """Return the CPU seconds that each stage adds to the stages before it."""
         names = list(self.plan.stages)
         sums = []
         for length in range(len(names) + 1):
@@ -231,7 +246,7 @@ class _Part:
 
     @property
     def rows_bytes(self) -> int:
-        """Bytes of what is there of the Gaussians; sets may share them."""
+        """Bytes of the buffers of the Gaussians; buffers that sets share count once."""
         buffers = [
             buffer
             for _, page in self.placed
@@ -242,5 +257,5 @@ class _Part:
 
     @property
     def plan_bytes(self) -> int:
-        """Bytes of what is there for a frame."""
+        """Bytes of the buffers of the frame plan."""
         return sum(buffer.size for buffer in self.plan.buffers.values())

@@ -1,19 +1,22 @@
-"""Post-process images that are larger than a model takes, in overlapping tiles.
+"""Image tiling: runs a fixed-size network over a larger image, in overlapping tiles.
 
 Where tiles overlap, results are blended by weights that fall towards a tile's edges and sum to 1
-at every pixel, so that no seam shows and what every tile agrees on stays as it is.
+at every pixel. So no seam shows, and a value that all tiles agree on stays unchanged.
 """
 
 __all__ = ["Tile", "lay_tiles", "post_process", "run_tiled", "tile_weights"]
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.errors import ConfigInvalid
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
 
 Image = Float[np.ndarray, "1 c h w"]
 Network = Callable[[np.ndarray], np.ndarray]
@@ -21,7 +24,7 @@ Network = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """A part of an image.
+    """The position of a tile in an image, in pixels.
 
     Attributes:
         top: First row.
@@ -35,41 +38,40 @@ class Tile:
 def lay_tiles(
     image: tuple[int, int], tile: tuple[int, int], overlap: int
 ) -> Iterator[Tile]:
-    """Yield tiles of one size that cover an image; the last ones end with it.
+    """Yield tiles of one size that cover an image; the last tile ends at its edge.
 
     Args:
         image: Height and width, at least those of a tile.
         tile: Height and width.
-        overlap: How many pixels neighbours share at least.
+        overlap: The least number of pixels that neighbours share.
     """
     rows, columns = (_starts(n, size, overlap) for n, size in zip(image, tile, strict=True))
     for top in rows:
-        for x in columns:
-            yield Tile(top, x)
+        for left in columns:
+            yield Tile(top, left)
 
 
 def _starts(length: int, size: int, overlap: int) -> list[int]:
-    """Return where tiles begin along one axis, as evenly as they can."""
-    step = size - overlap
-    count = 1 + max(0, -(-(length - size) // step))
-    room = length - size
+    """Return the first pixel of each tile along one axis, evenly spaced."""
+    step, room = size - overlap, length - size
+    count = 1 + max(0, -(-room // step))
     return [round(i * room / (count - 1)) for i in range(count)] if count > 1 else [0]
 
 
 def tile_weights(
     image: tuple[int, int], tile: tuple[int, int], overlap: int
 ) -> list[tuple[Tile, Float[np.ndarray, "h w"]]]:
-    """Return every tile with the weight of its pixels, float64; they sum to 1 at each pixel.
+    """Return every tile with the blend weights of its pixels, float64.
 
-    A weight rises from a tile's edge over ``overlap`` pixels; at the edges of the image, where
-    there is no neighbour, all that is left is the tile itself.
+    A weight rises from a tile's edge over ``overlap`` pixels. The weights of all tiles sum to 1
+    at each pixel; a pixel of one tile alone has weight 1.
     """
     ramp = np.outer(_ramp(tile[0], overlap), _ramp(tile[1], overlap))
     tiles = list(lay_tiles(image, tile, overlap))
     total = np.zeros(image)
-    for laid in tiles:
-        total[_part(laid, tile)] += ramp
-    return [(laid, ramp / total[_part(laid, tile)]) for laid in tiles]
+    for corner in tiles:
+        total[_part(corner, tile)] += ramp
+    return [(corner, ramp / total[_part(corner, tile)]) for corner in tiles]
 
 
 def _ramp(size: int, overlap: int) -> Float[np.ndarray, " n"]:
@@ -89,33 +91,33 @@ def _part(tile: Tile, size: tuple[int, int]) -> tuple[slice, slice]:
 def run_tiled(
     image: Image, network: Network, tile: tuple[int, int], overlap: int = 32
 ) -> Image:
-    """Run a network over an image tile by tile, and blend what comes out.
+    """Run a network over an image tile by tile, and blend the results.
 
-    An image that is smaller than a tile is continued by its edge, and cut again.
+    An image that is smaller than a tile is padded with its edge pixels, and cropped afterwards.
 
     Args:
         image: float32 or float16, channels first.
         network: Takes and returns one tile, [1, C, tile height, tile width]; channels may differ.
         tile: Height and width of a tile.
-        overlap: Pixels that neighbours share at least, below half a tile's sides.
+        overlap: The least number of pixels that neighbours share, below half a tile's sides.
 
     Returns:
-        The image, in the dtype that the network returns.
+        The result, in the dtype of the network's output.
 
     Raises:
-        ConfigInvalid: The overlap does not fit the tile, or sizes are none.
+        ConfigInvalid: The overlap does not fit the tile, or a size is invalid.
     """
     _require(image, tile, overlap)
     height, width = image.shape[2:]
     missing = [max(0, size - n) for size, n in zip(tile, (height, width), strict=True)]
     padded = np.pad(image, ((0, 0), (0, 0), (0, missing[0]), (0, missing[1])), mode="edge")
     total: np.ndarray | None = None
-    dtype: Any = None
-    for laid, weight in tile_weights(padded.shape[2:], tile, overlap):
-        part = (slice(None), slice(None), *_part(laid, tile))
+    dtype = image.dtype
+    for corner, weight in tile_weights(padded.shape[2:], tile, overlap):
+        part = (slice(None), slice(None), *_part(corner, tile))
         result = np.asarray(network(np.ascontiguousarray(padded[part])))
         if result.ndim != 4 or result.shape[0] != 1 or result.shape[2:] != tile:
-            message = f"the network returned {list(result.shape)} for a tile of {tile[0]} × {tile[1]}"
+            message = f"the network returned {list(result.shape)}, expected [1, channels, {tile[0]}, {tile[1]}]"
             raise ConfigInvalid(message, where="tile")
         if total is None:
             dtype = result.dtype
@@ -127,7 +129,7 @@ def run_tiled(
 
 def _require(image: np.ndarray, tile: tuple[int, int], overlap: int) -> None:
     if image.ndim != 4 or image.shape[0] != 1 or 0 in image.shape:
-        message = f"the image is {list(image.shape)}, wanted [1, channels, height, width]"
+        message = f"the image is {list(image.shape)}, expected [1, channels, height, width]"
         raise ConfigInvalid(message, where="image")
     if min(tile) < 1 or not 0 <= overlap <= (min(tile) - 1) // 2:
         message = f"an overlap of {overlap} does not fit tiles of {tile[0]} × {tile[1]}"
@@ -136,7 +138,7 @@ def _require(image: np.ndarray, tile: tuple[int, int], overlap: int) -> None:
 
 
 def post_process(
-    session: Any,
+    session: "InferenceSession",
     image: Image,
     extra_inputs: Mapping[str, np.ndarray] | None = None,
     *,
@@ -149,21 +151,21 @@ def post_process(
 
     Args:
         session: An ``onnxruntime.InferenceSession``.
-        image: In the model's own range of values.
-        extra_inputs: What the model takes besides the image.
-        name: Of the input that takes the image.
-        overlap: Pixels that tiles share; less where tiles are small.
+        image: Image in the model's own range of values.
+        extra_inputs: Values of the model's other inputs.
+        name: Name of the image input.
+        overlap: Pixels that tiles share; fewer where tiles are small.
 
     Raises:
-        ConfigInvalid: The model has no such input, or takes another number of channels.
+        ConfigInvalid: The model has no such input, or expects another number of channels.
     """
     by_name = {entry.name: entry for entry in session.get_inputs()}
     if name not in by_name:
-        message = f"there is no input {name!r}; there are {', '.join(by_name)}"
+        message = f"the model has no input {name!r}, but {', '.join(by_name)}"
         raise ConfigInvalid(message, where="image")
     channels, *size = by_name[name].shape[1:]
     if isinstance(channels, int) and channels != image.shape[1]:
-        message = f"the image has {image.shape[1]} channels, and the model takes {channels}"
+        message = f"the image has {image.shape[1]} channels, expected {channels}"
         raise ConfigInvalid(message, where="image")
     dtype = np.float16 if "float16" in by_name[name].type else np.float32
 

@@ -1,6 +1,6 @@
-"""Tracks: what an input is fed frame after frame, as people type it."""
+"""Input tracks: the values of one input in each frame, parsed from ``--input``."""
 
-__all__ = ["Track", "input_track"]
+__all__ = ["ARRAY_SUFFIXES", "Track", "input_track"]
 
 import json
 import math
@@ -16,19 +16,21 @@ from gsgen.contract.errors import ConfigInvalid
 _FORMS: Final = (
     "Give NAME=NUMBER, NAME=A,B,… , NAME=FROM..TO, or NAME=FILE of .npy, .npz or .json."
 )
-_SUFFIXES: Final = (".npy", ".npz", ".json")
+
+ARRAY_SUFFIXES: Final = (".npy", ".npz", ".json")
+"""Suffixes of files that hold the values of a track."""
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """Values of one input.
+    """The values of one input over the frames.
 
     Attributes:
         word: The tensor's name, or its role.
-        values: One value of the input, or one after the other along the first axis.
-        where: What an error calls it.
-        sweep: ``values`` is where a film begins and where it ends; between them it goes evenly.
+        values: One value of the input, or one per frame along the first axis.
+        where: The option that gave it, for error messages.
+        sweep: Whether ``values`` are the first and the last value, with even steps between.
     """
 
     word: str
@@ -37,10 +39,10 @@ class Track:
     sweep: bool = False
 
     def frames(self, shape: tuple[int, ...]) -> int:
-        """Return for how many frames there are values; 1 where one is for all.
+        """Return the number of frames that have a value; 1 where all frames share one.
 
         Raises:
-            ConfigInvalid: They do not fill an input of that shape.
+            ConfigInvalid: The values do not fill an input of this shape.
         """
         if self.sweep or self.values.size == math.prod(shape):
             return 1
@@ -49,20 +51,20 @@ class Track:
             return len(self.values)
         expected = ", ".join(map(str, shape))
         raise ConfigInvalid(
-            f"has shape {list(self.values.shape)}, and input {self.word} takes [{expected}], "
-            f"or [frames, {expected}]",
+            f"has shape {list(self.values.shape)}, expected [{expected}] or [frames, {expected}] "
+            f"for input {self.word}",
             where=self.where,
         )
 
     def at(
         self, shape: tuple[int, ...], number: int, frames: int
     ) -> Shaped[np.ndarray, "..."]:
-        """Return the value of a frame; a track that is shorter than the film repeats.
+        """Return the value in a frame; a track with fewer values than frames repeats.
 
         Args:
-            shape: Of the input.
-            number: Of the frame, from 0.
-            frames: Of the film.
+            shape: Shape of the input.
+            number: Frame number, from 0.
+            frames: How many frames there are.
         """
         length = self.frames(shape)
         if self.sweep:
@@ -75,10 +77,10 @@ class Track:
 
 
 def input_track(text: str) -> Track:
-    """Read what a user typed for ``--input``.
+    """Parse the value of ``--input``, for example ``time=0..1``.
 
     Raises:
-        ConfigInvalid: It is none of the forms, or a file that cannot be read.
+        ConfigInvalid: The text is not of a known form, or its file cannot be read.
     """
     word, sign, value = text.partition("=")
     where = f"--input {word}"
@@ -86,7 +88,7 @@ def input_track(text: str) -> Track:
         raise ConfigInvalid(
             f"{text!r} has no name or no value", where="--input", hint=_FORMS
         )
-    if Path(value).suffix.lower() in _SUFFIXES:
+    if Path(value).suffix.lower() in ARRAY_SUFFIXES:
         return Track(word, read_array(Path(value)), f"{where}={value}")
     first, dots, last = value.partition("..")
     if dots:
@@ -99,21 +101,21 @@ def _numbers(text: str, part: str) -> Shaped[np.ndarray, " n"]:
         numbers = [float(word) for word in part.split(",")]
     except ValueError as error:
         raise ConfigInvalid(f"{text!r}: {error}", where="--input", hint=_FORMS) from error
-    return whole_if_so(np.asarray(numbers))
+    return integers_if_whole(np.asarray(numbers))
 
 
-def whole_if_so(values: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "..."]:
-    """Return whole numbers as integers, so that inputs that count things take them."""
+def integers_if_whole(values: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "..."]:
+    """Convert whole numbers to integers, which integer inputs need."""
     with np.errstate(invalid="ignore"):
         whole = values.astype(np.int64)
     return whole if np.array_equal(whole, values) else values
 
 
 def read_array(path: Path) -> Shaped[np.ndarray, "..."]:
-    """Read the array of an .npy, of an .npz that has no other, or of a .json of nested lists.
+    """Read the array of an .npy, of an .npz with one array, or of a .json of nested lists.
 
     Raises:
-        ConfigInvalid: It cannot be read, or holds no numbers.
+        ConfigInvalid: The file cannot be read, or holds no numbers.
     """
     try:
         if path.suffix.lower() == ".json":
@@ -134,20 +136,22 @@ def _loaded(path: Path) -> Shaped[np.ndarray, "..."]:
         if isinstance(array, np.ndarray):
             return array
         if len(array.files) != 1:
-            raise ValueError(f"it has {len(array.files)} arrays, wanted one")
+            raise ValueError(f"it has {len(array.files)} arrays, expected one")
         return np.asarray(array[array.files[0]])
 
 
 def numbers_of(array: Shaped[np.ndarray, "..."], where: str) -> Shaped[np.ndarray, "..."]:
-    """Return an array of finite numbers, whole ones as integers.
+    """Check that an array holds finite numbers, and convert whole ones to integers.
 
     Raises:
-        ConfigInvalid: It is none.
+        ConfigInvalid: The array is empty, or an entry is not a finite number.
     """
     if array.dtype.kind not in "iuf" or not array.size:
-        message = f"holds {array.dtype} {list(array.shape)}, wanted numbers"
+        message = f"holds {array.dtype} {list(array.shape)}, expected numbers"
         raise ConfigInvalid(message, where=where)
     if not np.isfinite(array).all():
         count = int((~np.isfinite(array)).sum())
-        raise ConfigInvalid(f"has {count} numbers that are not finite", where=where)
-    return whole_if_so(array)
+        raise ConfigInvalid(
+            f"has {count} non-finite values, expected finite numbers", where=where
+        )
+    return integers_if_whole(array)

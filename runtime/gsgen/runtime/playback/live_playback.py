@@ -1,4 +1,4 @@
-"""A stage: sources that move while somebody looks at them."""
+"""Live playback: sources that follow a clock while a window shows them."""
 
 __all__ = ["LivePlayback"]
 
@@ -6,52 +6,44 @@ from collections.abc import Sequence
 from typing import Final, Literal, final
 
 import numpy as np
-from jaxtyping import Float
 
 from gsgen.contract.errors import GsgenError
 from gsgen.runtime.playback.input_tracks import Track
-from gsgen.runtime.playback.player import FrameRequest, Player, composed
+from gsgen.runtime.playback.playback import Playback
+from gsgen.runtime.playback.player import Player
 from gsgen.runtime.playback.post_process import PostProcessor
-from gsgen.runtime.playback.timeline import AnimatedInputs, Timeline
+from gsgen.runtime.playback.timeline import Timeline
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame, Output
-from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.sources.source import Source
 
-_FPS: Final = 25.0
-_FRAMES: Final = 100  # that a time which has no frames of its own is cut into
+_FRAMES: Final = 100  # steps of a time range without a frame count of its own
 
 
 @final
-class LivePlayback:
-    """What is shown: sources, the frame of the film that they are at, and how they are drawn.
+class LivePlayback(Playback):
+    """A playback that repeats in real time; frames are those of ``gsgen render --frames``.
 
-    Frames are those of ``gsgen render --frames``. A frame is begun, and taken when it is done:
-    nobody waits, and what is drawn in between is the frame before.
+    A frame is begun, and taken when it is computed. No call waits for it: until then, the frame
+    before is drawn.
 
     Args:
-        sources: What is drawn together.
-        post: Models that the colours go through, in this order.
-        tracks: What inputs are fed.
-        time: Of all frames; None to go through the range.
-        frames: How many; None for one a value of the tracks, or what suits a range.
-        fps: Frames a second; None for what the manifest says, or 25.
-        sh_degree: Use no harmonics above this; None for all.
-        antialias: How the scene was trained; None for what each source says.
+        sources: Sources that are drawn together.
+        post: Post-process models that the colours go through, in this order.
+        tracks: Values of inputs.
+        time: One time for all frames; None to go through the range.
+        frames: How many frames; None for one per value of the tracks, or a default for a range.
+        fps: Frames per second; None for the first source's rate, or 25.
+        sh_degree: Highest degree of spherical harmonics; None for all.
+        antialias: How the scene was trained; None for each source's own setting.
 
     Attributes:
-        sources: What is drawn together.
-        post: Models that the colours go through.
-        frames: How many there are; 1 where nothing moves.
-        fps: How many pass in a second.
-        playing: Whether time goes on.
-        sh_degree: Harmonics above it are left out; :meth:`scene` takes it up.
-        antialias: How the scene is said to have been trained; :meth:`scene` takes it up.
-        version: Grows when the Gaussians have changed.
+        playing: Whether time advances.
+        version: A counter that grows when the Gaussians change.
 
     Raises:
-        ConfigInvalid: As :class:`gsgen.runtime.playback.frame_sequence.FrameSequence`.
+        ConfigInvalid: See :class:`gsgen.runtime.playback.frame_sequence.FrameSequence`.
         UnknownName: No model has the input of a track.
     """
 
@@ -67,44 +59,40 @@ class LivePlayback:
         sh_degree: int | None = None,
         antialias: Literal["classic", "mip"] | None = None,
     ) -> None:
-        self.sources, self.post = list(sources), list(post)
-        takers: list[AnimatedInputs] = [*self.sources, *self.post]
-        self._score = Timeline(takers, tracks, time)
-        self.frames = 1
-        if self._score.moving:
-            self.frames = frames or (
-                self._score.frames if self._score.frames > 1 else _counted(self.sources)
-            )
-        rates = (source.time.fps for source in self.sources if source.time is not None)
-        self.fps = fps or next((rate for rate in rates if rate), _FPS)
-        self.sh_degree: int | None = sh_degree
-        self.antialias: Literal["classic", "mip"] | None = antialias
+        timeline = Timeline([*sources, *post], tracks, time)
+        default_frames = timeline.frames if timeline.frames > 1 else _range_length(sources)
+        super().__init__(
+            sources,
+            post,
+            timeline,
+            frames=(frames or default_frames) if timeline.is_animated else 1,
+            fps=fps,
+            sh_degree=sh_degree,
+            antialias=antialias,
+        )
         self.playing, self.version = False, 0
         self._position = 0.0
-        self._shown: object = None
-        self._begun: object = None
-        probed_frames = sorted({0, self.frames // 2, self.frames - 1}, reverse=True)
-        for index, source in enumerate(self.sources):  # an orbit goes around all of it
-            source.survey((number, self._values(number)[index]) for number in probed_frames)
-        self.scene()  # what cannot be drawn together says so now
+        self._shown: object = None  # the moment that the sources are at
+        self._pending: object = None  # the moment that the sources compute
+        self.scene()  # sources that cannot be drawn together raise here
 
     @property
     def number(self) -> int:
-        """The frame that it is at, from 0."""
+        """The current frame, from 0."""
         return int(self._position)
 
     def seek(self, number: int) -> None:
-        """Go to a frame; before the first is the last."""
+        """Go to a frame; before the first comes the last."""
         self._position = float(number % self.frames)
 
     def advance(self, seconds: float) -> None:
-        """Let time pass, if it plays."""
+        """Let time pass while it plays."""
         if self.playing:
             self._position = (self._position + seconds * self.fps) % self.frames
 
     def moment(self) -> float | None:
-        """Return the time that the first source that has one is at."""
-        for source, values in zip(self.sources, self._values(self.number), strict=False):
+        """Return the current time of the first source that has one."""
+        for source, values in zip(self.sources, self.values(self.number), strict=False):
             if source.time is not None and source.time.name in values:
                 return float(np.asarray(values[source.time.name]).reshape(-1)[0])
         return None
@@ -112,33 +100,31 @@ class LivePlayback:
     @property
     def busy(self) -> bool:
         """Whether a frame was begun and not taken."""
-        return self._begun is not None
+        return self._pending is not None
 
     def begin(self, camera: Camera) -> None:
-        """Begin to compute what a camera sees now, unless that is here or under way."""
-        request = self._wanted(camera)
-        if self._begun is None and request != self._shown:
-            for source, values in zip(
-                self.sources, self._values(self.number), strict=False
-            ):
-                source.start(camera, values, self.number)
-            self._begun = request
+        """Begin to compute the current frame for ``camera``, unless it is computed or pending."""
+        moment = self._moment_key(camera)
+        if self._pending is None and moment != self._shown:
+            values = self.values(self.number)
+            for source, source_values in zip(self.sources, values, strict=False):
+                source.start(camera, source_values, self.number)
+            self._pending = moment
 
-    def take(self, wait: bool = False) -> None:
-        """Take what is done.
+    def take(self, *, wait: bool = False) -> None:
+        """Take the pending frame if it is computed.
 
         Args:
-            wait: Whether to wait for it.
+            wait: Wait until it is.
 
         Raises:
-            GsgenError: A value does not fit, or a model fails. It is not tried again.
+            GsgenError: A value does not fit, or a model fails. The frame is not tried again.
         """
-        if self._begun is None or not (
-            wait or all(source.ready for source in self.sources)
-        ):
+        is_ready = wait or all(source.ready for source in self.sources)
+        if self._pending is None or not is_ready:
             return
-        self._shown, self._begun = self._begun, None
-        before = self._state()
+        self._shown, self._pending = self._pending, None
+        before = self._data_versions()
         try:
             for source in self.sources:
                 source.finish()
@@ -147,51 +133,40 @@ class LivePlayback:
             self.abandon()
             raise
         finally:
-            self.version += before != self._state()
+            self.version += before != self._data_versions()
 
     def settle(self, camera: Camera) -> None:
-        """Compute what a camera sees now, and wait for it.
+        """Compute the current frame for ``camera``, and wait for it.
 
         Raises:
-            GsgenError: As :meth:`take`.
+            GsgenError: See :meth:`take`.
         """
         self.take(wait=True)
         self.begin(camera)
         self.take(wait=True)
 
-    def scene(self) -> Scene:
-        """Return what is drawn."""
-        return composed(self.sources, self.sh_degree, self.antialias)
-
     def player(
         self, renderer: Renderer, background: Sequence[float], output: Output
     ) -> Player:
-        """Return what draws the sources as they are drawn now."""
-        return Player(
-            self.sources,
-            post=self.post if output == "color" else (),
-            renderer=renderer,
-            background=background,
-            outputs=(output,),
-            sh_degree=self.sh_degree,
-            antialias=self.antialias,
-        )
+        """Return a player of the sources; post-process models take part in colours only."""
+        post = self.post if output == "color" else ()
+        return self.make_player(renderer, background, output, post)
 
     def frame(self, player: Player, camera: Camera) -> Frame:
-        """Compute and draw a whole frame, which goes through the post-process models.
+        """Compute and draw the current frame, through the post-process models.
 
         Raises:
             GsgenError: A value does not fit, or a model fails.
         """
         self.abandon()
-        request, before = self._wanted(camera), self._state()
-        frame = player.render(FrameRequest(camera, self._values(self.number), self.number))
-        self._shown = request
-        self.version += before != self._state()
+        moment, before = self._moment_key(camera), self._data_versions()
+        frame = player.render(self.request(camera, self.number))
+        self._shown = moment
+        self.version += before != self._data_versions()
         return frame
 
     def depths(self, camera: Camera) -> tuple[float, float]:
-        """Return between which depths most of it lies."""
+        """Return the nearest and the farthest depth of the extents of the sources."""
         extents = [source.extent() for source in self.sources]
         ahead = [
             float(np.linalg.norm(center - camera.eye))
@@ -204,19 +179,14 @@ class LivePlayback:
         far = max(depth + size for depth, size in zip(ahead, reach, strict=True))
         return max(near, camera.near), max(far, 2 * camera.near)
 
-    @property
-    def middle(self) -> tuple[Float[np.ndarray, "3"], float]:
-        """The middle of the first source and the reach of it, as orbits have it."""
-        return self.sources[0].extent()
-
     def abandon(self) -> None:
-        """Wait for what was begun; what is wrong with it concerns nobody."""
-        self._begun = None
+        """Wait for the pending frame and discard its result or error."""
+        self._pending = None
         for source in self.sources:
             source.abandon()
 
     def close(self) -> None:
-        """Release what computes, in the middle of a frame if need be: it may never end."""
+        """Release the sources and models; a run that never ends is interrupted."""
         for source in self.sources:
             source.interrupt()
         self.abandon()
@@ -225,17 +195,14 @@ class LivePlayback:
         for model in self.post:
             model.close()
 
-    def _values(self, number: int) -> list[dict[str, object]]:
-        return [dict(values) for values in self._score.values(number, self.frames)]
-
-    def _wanted(self, camera: Camera) -> object:
-        """Return what tells one moment from another."""
+    def _moment_key(self, camera: Camera) -> object:
+        """Return a key that differs where the sources must be computed again."""
         if not any(source.inputs for source in self.sources):
             return 0
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         return self.number, camera.view.tobytes(), lens
 
-    def _state(self) -> list[tuple[int, ...]]:
+    def _data_versions(self) -> list[tuple[int, ...]]:
         return [
             (
                 id(source.data),
@@ -248,12 +215,12 @@ class LivePlayback:
         ]
 
 
-def _counted(sources: Sequence[Source]) -> int:
-    """Return how many frames those who count them have."""
-    ends = [
+def _range_length(sources: Sequence[Source]) -> int:
+    """Return the longest range of a frame number, or a default for times."""
+    ranges = [
         spec.range
         for source in sources
         for spec in source.inputs
         if spec.role == "frame_index" and spec.range is not None and source.time is None
     ]
-    return max([int(high - low) + 1 for low, high in ends], default=_FRAMES)
+    return max([int(high - low) + 1 for low, high in ranges], default=_FRAMES)

@@ -1,6 +1,6 @@
-"""Players: generators and the renderer joined, so that one computes while the other draws."""
+"""Players: they compute the next frame of the sources while the renderer draws the last one."""
 
-__all__ = ["FrameRequest", "GeneratorPlayer", "Player", "composed"]
+__all__ = ["FrameRequest", "GeneratorPlayer", "Player", "compose_scene"]
 
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -14,28 +14,27 @@ import numpy as np
 
 from gsgen.contract.errors import ConfigInvalid, GsgenError
 from gsgen.contract.spec.manifest import GeneratorManifest
-from gsgen.runtime.errors import placed
+from gsgen.runtime.errors import locate_in_frame
 from gsgen.runtime.playback.post_process import PostProcessor
 from gsgen.runtime.renderer.renderer import Renderer
 from gsgen.runtime.scene.camera import Camera
-from gsgen.runtime.scene.frame import Frame, Output
+from gsgen.runtime.scene.frame import COLOR_ONLY, Frame, Output
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.sources.source import GeneratorSource, Source, Values
 
-_COLOR: tuple[Output, ...] = ("color",)
 _NOTHING = (0.0, 0.0, 0.0, 0.0)
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameRequest:
-    """What a frame shows.
+    """The camera and the input values of one frame.
 
     Attributes:
-        camera: From where, and how large.
-        values: For each source, in their order, tensor name or role → value; and after them for
-            each post-process model. What is not named keeps its value.
-        number: What an error calls the frame; None for how many were begun before it.
+        camera: Camera, and the size of the image.
+        values: Tensor name or role → value, for each source in order, then for each post-process
+            model. Inputs that are absent keep their value.
+        number: Frame number in error messages; None for the count of frames begun before it.
     """
 
     camera: Camera
@@ -47,24 +46,25 @@ class FrameRequest:
 class Player:
     """Draws sources as one scene, frame after frame.
 
-    While a frame is drawn, the next one is computed. What the sources leave as it was is not
+    While a frame is drawn, the next one is computed. Arrays that a source leaves unchanged are not
     uploaded again, and no buffer is made once the first frame is drawn.
 
     Args:
-        sources: What is drawn. They stay open when the player closes.
-        post: What the colours go through, in this order. They stay open, too.
-        renderer: What draws; a new one where absent.
-        background: Red, green, blue and alpha behind it all.
-        outputs: What is made of each frame.
-        sh_degree: Use no harmonics above this; None for all.
-        antialias: How the scene was trained; None for what each source says.
+        sources: Sources that are drawn together; the caller closes them.
+        post: Post-process models that the colours go through, in this order; the caller closes
+            them.
+        renderer: Draws the frames; a new one by default.
+        background: Red, green, blue and alpha behind the scene.
+        outputs: Outputs of each frame.
+        sh_degree: Highest degree of spherical harmonics; None for all.
+        antialias: How the scene was trained; None for each source's own setting.
 
     Attributes:
-        scene: What is drawn.
-        renderer: What draws.
+        scene: The sources as one scene.
+        renderer: Draws the frames.
 
     Raises:
-        ConfigInvalid: Colour spaces differ, or models work on colours that are not made.
+        ConfigInvalid: Colour spaces differ, or post-process models lack the colour output.
     """
 
     def __init__(
@@ -74,47 +74,47 @@ class Player:
         post: Sequence[PostProcessor] = (),
         renderer: Renderer | None = None,
         background: Sequence[float] = _NOTHING,
-        outputs: Collection[Output] = _COLOR,
+        outputs: Collection[Output] = COLOR_ONLY,
         sh_degree: int | None = None,
         antialias: Literal["classic", "mip"] | None = None,
     ) -> None:
         if post and "color" not in outputs:
             output_names = ", ".join(sorted(outputs))
-            message = f"works on colours, but {output_names} is what is made"
-            raise ConfigInvalid(message, where=post[0].name)
+            message = f"works on colours, but the output is {output_names}"
+            hint = "Leave the post-process model out, or draw colours."
+            raise ConfigInvalid(message, where=post[0].name, hint=hint)
         self._sources, self._post = list(sources), list(post)
-        self.scene = composed(sources, sh_degree, antialias)
+        self.scene = compose_scene(sources, sh_degree, antialias)
         self.renderer = renderer or Renderer()
         self._background, self._outputs = background, outputs
         self._begun = 0
 
-    def render(self, shot: FrameRequest) -> Frame:
+    def render(self, request: FrameRequest) -> Frame:
         """Compute and draw one frame.
 
         Raises:
             GsgenError: A value does not fit or a model fails; it names model, input and frame.
         """
-        number = self._start(shot)
+        number = self._start(request)
         self._finish()
-        return self._draw(shot, number)
+        return self._draw(request, number)
 
-    def play(self, shots: Iterable[FrameRequest]) -> Iterator[Frame]:
-        """Yield a frame for each shot.
+    def play(self, requests: Iterable[FrameRequest]) -> Iterator[Frame]:
+        """Yield the frame of each request; each is computed while the one before is drawn.
 
-        A shot is taken from ``shots``, and its inference begun, before the frame of the one before
-        is drawn: frames are the same as :meth:`render` makes them, and come sooner.
+        Frames equal those of :meth:`render`, and come sooner.
 
         Raises:
-            GsgenError: As :meth:`render`, when it is that frame's turn.
+            GsgenError: See :meth:`render`; raised when the frame's turn comes.
         """
         before: tuple[FrameRequest, int] | None = None
         try:
-            for shot in shots:
+            for request in requests:
                 self._finish()
-                number = self._start(shot)
+                number = self._start(request)
                 if before is not None:
                     yield self._draw(*before)
-                before = shot, number
+                before = request, number
             self._finish()
             if before is not None:
                 yield self._draw(*before)
@@ -123,51 +123,51 @@ class Player:
                 source.interrupt()
             raise
         finally:
-            for source in self._sources:  # where nobody wants the rest
+            for source in self._sources:  # the caller may stop before the last frame
                 source.abandon()
 
-    def _start(self, shot: FrameRequest) -> int:
+    def _start(self, request: FrameRequest) -> int:
         """Begin to compute a frame, and return its number."""
-        number = self._begun if shot.number is None else shot.number
+        number = self._begun if request.number is None else request.number
         self._begun += 1
-        for source, values in zip(self._sources, _each(shot.values), strict=False):
-            source.start(shot.camera, values, number)
+        for source, values in zip(self._sources, _each(request.values), strict=False):
+            source.start(request.camera, values, number)
         return number
 
     def _finish(self) -> None:
         for source in self._sources:
             source.finish()
 
-    def _draw(self, shot: FrameRequest, number: int) -> Frame:
+    def _draw(self, request: FrameRequest, number: int) -> Frame:
         frame = self.renderer.render(
-            self.scene, shot.camera, background=self._background, outputs=self._outputs
+            self.scene, request.camera, background=self._background, outputs=self._outputs
         )
-        post_values = _each(shot.values[len(self._sources) :])
+        post_values = _each(request.values[len(self._sources) :])
         for model, values in zip(self._post, post_values, strict=False):
             try:
                 frame = model(frame, values)
             except GsgenError as error:
-                raise placed(error, model.name, number) from error
+                raise locate_in_frame(error, model.name, number) from error
         return frame
 
 
 def _each(values: Sequence[Values]) -> Iterator[Values]:
-    """Yield the values, and then nothing to be changed."""
+    """Yield the values, and then empty mappings without end."""
     yield from values
     yield from repeat({})
 
 
-def composed(
+def compose_scene(
     sources: Sequence[Source],
     sh_degree: int | None = None,
     antialias: Literal["classic", "mip"] | None = None,
 ) -> Scene:
-    """Return sources as one scene, which follows them as they change.
+    """Join sources into one scene, which follows them as they change.
 
     Args:
-        sources: What is drawn.
-        sh_degree: Use no harmonics above this; None for all.
-        antialias: How the scene was trained; None for what each source says.
+        sources: Sources that are drawn together.
+        sh_degree: Highest degree of spherical harmonics; None for all.
+        antialias: How the scene was trained; None for each source's own setting.
 
     Raises:
         ConfigInvalid: Colour spaces differ.
@@ -185,13 +185,14 @@ def _common_space(sources: Sequence[Source]) -> Literal["srgb", "linear"]:
         raise ConfigInvalid(
             "one scene has linear colours, another sRGB: they cannot be blended",
             where="scenes",
+            hint="Draw them apart, or train them in one colour space.",
         )
     return spaces.pop() if spaces else "srgb"
 
 
 @final
 class GeneratorPlayer:
-    """A generator that is drawn every frame.
+    """Runs one generator and draws its Gaussians in every frame.
 
     ::
 
@@ -200,26 +201,26 @@ class GeneratorPlayer:
             for frame in player.play(camera, poses=walk):
                 screen.show(frame.srgb8)
 
-    Inputs keep their value from frame to frame; at first they have the manifest's defaults.
+    Inputs keep their value from frame to frame, beginning with the manifest's defaults.
 
     Args:
-        model: The ONNX file. Validate it before, if it is not your own.
+        model: The ONNX file. Validate files from others first.
         post: Post-process models that the colours go through, in this order.
-        provider: What ONNX Runtime runs models on: cpu, webgpu, cuda, or auto for the fastest.
-        sizes: Symbol → size of a dimension that the model leaves open.
-        renderer: What draws; a new one where absent.
-        background: Red, green, blue and alpha behind it all.
-        outputs: What is made of each frame.
+        provider: ONNX Runtime's execution provider: cpu, webgpu, cuda, or auto for the fastest.
+        sizes: Symbol → size of an open dimension of the model.
+        renderer: Draws the frames; a new one by default.
+        background: Red, green, blue and alpha behind the scene.
+        outputs: Outputs of each frame.
 
     Attributes:
-        source: The generator: its inputs, and the Gaussians as they are now.
-        manifest: What the generator declares.
+        source: The generator: its inputs, and its current Gaussians.
+        manifest: Manifest of the generator.
 
     Raises:
-        ModelUnreadable: A file is no ONNX model.
-        SceneInvalid: It is not of the kind that it is used as.
-        DeviceUnavailable: There is nothing to draw with.
-        GsgenError: Whatever ``FrameSession`` raises.
+        ModelUnreadable: A file is not an ONNX model.
+        SceneInvalid: A file is not a generator, or not a post-process model.
+        DeviceUnavailable: No graphics device can be opened.
+        GsgenError: See ``FrameSession``.
     """
 
     def __init__(
@@ -231,7 +232,7 @@ class GeneratorPlayer:
         sizes: Mapping[str, int] | None = None,
         renderer: Renderer | None = None,
         background: Sequence[float] = _NOTHING,
-        outputs: Collection[Output] = _COLOR,
+        outputs: Collection[Output] = COLOR_ONLY,
     ) -> None:
         self.source = GeneratorSource(Path(model), provider, sizes)
         self._post: list[PostProcessor] = []
@@ -250,7 +251,7 @@ class GeneratorPlayer:
 
     @property
     def manifest(self) -> GeneratorManifest:
-        """What the generator declares."""
+        """Manifest of the generator."""
         return self.source.manifest
 
     def render(
@@ -264,9 +265,9 @@ class GeneratorPlayer:
         """Compute and draw one frame.
 
         Args:
-            camera: From where, and how large.
-            time: In the declared range; None leaves it as it is.
-            pose: Joint rotations, [J, 3] axis-angle or [J, 4] quaternions; None leaves them.
+            camera: Camera, and the size of the image.
+            time: In the declared range; None leaves it unchanged.
+            pose: Joint rotations, [J, 3] axis-angle or [J, 4] quaternions; None leaves it unchanged.
             values: Other inputs: tensor name or role → value.
 
         Raises:
@@ -284,26 +285,24 @@ class GeneratorPlayer:
         poses: Iterable[np.ndarray] | None = None,
         values: Iterable[Values] | None = None,
     ) -> Iterator[Frame]:
-        """Yield one frame after the other, computing each while the one before is drawn.
+        """Yield frame after frame; each is computed while the one before is drawn.
 
         Args:
             cameras: One for each frame, or one for all.
-            times: One for each frame; None leaves the time as it is.
-            poses: As in :meth:`render`, one for each frame.
-            values: As in :meth:`render`, for each frame.
+            times: One for each frame; None leaves the time unchanged.
+            poses: One for each frame; see :meth:`render`.
+            values: One mapping for each frame; see :meth:`render`.
 
-        The shortest of what is given ends the film; one camera alone is one frame.
+        The shortest argument ends the sequence; one camera alone is one frame.
 
         Raises:
-            GsgenError: As in :meth:`render`, when it is that frame's turn.
+            GsgenError: See :meth:`render`; raised when the frame's turn comes.
         """
-        tracks = [
-            iter(iterable) if iterable is not None else None
-            for iterable in (times, poses, values)
-        ]
+        arguments = (times, poses, values)
         if isinstance(cameras, Camera):
-            cameras = repeat(cameras) if any(tracks) else [cameras]
-        columns = [repeat(None) if track is None else track for track in tracks]
+            has_frames = any(argument is not None for argument in arguments)
+            cameras = repeat(cameras) if has_frames else [cameras]
+        columns = [repeat(None) if argument is None else argument for argument in arguments]
         return self._player.play(
             FrameRequest(camera, (_merged(*parts),))
             for camera, *parts in zip(cameras, *columns, strict=False)

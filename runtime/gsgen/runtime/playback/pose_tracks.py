@@ -1,9 +1,9 @@
-"""Motions: poses of a body frame after frame, as files have them.
+"""Pose tracks: the poses of a body in each frame, read from motion files.
 
 - an .npy or a .json of nested lists: ``[J, 3]``, or ``[F, J, 3]`` (quaternions: 4),
-- an .npz of one such array, or as AMASS has them (``poses``, ``trans``), or with ``R`` or ``Rh``
-  and ``Th`` in place of ``trans``,
-- a .json as LHM estimates it from videos (``root_pose``, ``body_pose``, …), one frame or a list,
+- an .npz of one such array, or of AMASS (``poses``, ``trans``), or with ``R`` or ``Rh`` and
+  ``Th`` in place of ``trans``,
+- a .json of LHM's motion estimator (``root_pose``, ``body_pose``, …), one frame or a list,
 - a folder of files of one kind, a frame each, in the order of the numbers in their names.
 
 Nothing is unpickled.
@@ -17,22 +17,21 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
 from gsgen.contract.errors import ConfigInvalid
-from gsgen.runtime.playback.input_tracks import Track, numbers_of
+from gsgen.runtime.playback.input_tracks import ARRAY_SUFFIXES, Track, numbers_of
 from gsgen.runtime.sources.source import Source
 
 _KINDS: Final = (
     "Give an .npy, .npz or .json of [joints, 3] or [frames, joints, 3], an .npz of AMASS, "
     "LHM's .json, or a folder of such files."
 )
-_SUFFIXES: Final = (".npy", ".npz", ".json")
-_SPEED: Final = ("mocap_framerate", "mocap_frame_rate")
-# How LHM calls the parts of a pose of SMPL-X, in its order, and how many numbers each has.
+_RATES: Final = ("mocap_framerate", "mocap_frame_rate")
+# LHM's names for the parts of an SMPL-X pose, in order, with their numbers of values.
 _PARTS: Final = {
     "root_pose": 3,
     "body_pose": 63,
@@ -48,8 +47,8 @@ _BODIES: Final = (_SHARED, 24, 52, 55)
 
 
 @dataclass(frozen=True, slots=True)
-class _Read:
-    """What a file holds: arrays by what they are, each with an axis for the frames."""
+class _Motion:
+    """The arrays of a motion file, each with frames along the first axis."""
 
     pose: Float[np.ndarray, "t ..."]
     extra_inputs: Mapping[str, Float[np.ndarray, "t ..."]]
@@ -57,35 +56,36 @@ class _Read:
 
 
 def pose_tracks(text: str, source: Source) -> tuple[list[Track], float | None]:
-    """Read what a user typed for ``--pose``: FILE or NAME=FILE.
+    """Parse the value of ``--pose``, FILE or NAME=FILE, and read its file.
 
     Args:
-        text: As it was typed.
-        source: Whose inputs take the pose and what else the file tells of a body.
+        text: The value of the option.
+        source: The source whose inputs take the pose, the root's motion and the expression.
 
     Returns:
-        A track for each of those inputs; and frames a second, if the file says so.
+        A track for each of those inputs, and the frames per second if the file has them.
 
     Raises:
-        ConfigInvalid: It cannot be read, or is of another body.
+        ConfigInvalid: The file cannot be read, or is of another body.
     """
     word, path = named_file(text)
-    read, where = _read(path), f"--pose {path}"
-    taker = source.named(word)[0]
-    pose = _fitted(read.pose, source.shape(taker.name), taker.convention, where)
+    motion, where = _read(path), f"--pose {path}"
+    pose_input = source.named(word)[0]
+    shape = source.shape(pose_input.name)
+    pose = _fit_pose(motion.pose, shape, pose_input.convention, where)
     tracks = [Track(word, pose, where)]
-    for role, values in read.extra_inputs.items():
+    for role, values in motion.extra_inputs.items():
         for spec in source.named(role):
             shape = source.shape(spec.name)
-            turned = _turned(values, shape) if role == "root_rotation" else values
-            tracks.append(Track(spec.name, turned, f"{where}, {role}"))
-    return tracks, read.fps
+            fitting = _fit_rotation(values, shape) if role == "root_rotation" else values
+            tracks.append(Track(spec.name, fitting, f"{where}, {role}"))
+    return tracks, motion.fps
 
 
-def _turned(
+def _fit_rotation(
     rotations: Float[np.ndarray, "t x"], shape: tuple[int, ...]
 ) -> Float[np.ndarray, "t y"]:
-    """Return axis-angles as matrices or the other way round, where an input wants the other."""
+    """Convert between axis-angles and matrices where the input needs the other form."""
     if rotations.shape[1] == np.prod(shape):
         return rotations
     from scipy.spatial.transform import Rotation
@@ -96,20 +96,20 @@ def _turned(
 
 
 def named_file(text: str) -> tuple[str, Path]:
-    """Split ``NAME=FILE``; the name is the role where there is none."""
+    """Split ``NAME=FILE``; without a name it is the role ``pose``."""
     word, sign, name = text.partition("=")
     if sign and word and not Path(text).exists():
         return word, Path(name)
     return "pose", Path(text)
 
 
-def _fitted(
+def _fit_pose(
     pose: Float[np.ndarray, "t ..."],
     shape: tuple[int, ...],
     convention: str | None,
     where: str,
 ) -> Float[np.ndarray, "t ..."]:
-    """Return poses of one body as those of another; what the file does not have stays still."""
+    """Convert poses between SMPL bodies; joints that the file lacks stay at zero."""
     frames, frame_size = len(pose), int(np.prod(pose.shape[1:]))
     expected_size = int(np.prod(shape))
     flat = pose.reshape(frames, frame_size)
@@ -124,7 +124,7 @@ def _fitted(
     )
     if not (known and convention == "smpl-axis-angle"):
         raise ConfigInvalid(
-            f"holds poses of {list(pose.shape[1:])}, and the model takes {list(shape)}",
+            f"holds poses of {list(pose.shape[1:])}, expected {list(shape)}",
             where=where,
             hint=_KINDS,
         )
@@ -136,14 +136,16 @@ def _fitted(
     return padded
 
 
-def _read(path: Path) -> _Read:
+def _read(path: Path) -> _Motion:
     if not path.is_dir():
         return _read_file(path)
-    for suffix in _SUFFIXES:
+    for suffix in ARRAY_SUFFIXES:
         files = sorted(path.glob(f"*{suffix}"), key=_number)
         if files:
             return _joined(path, [_read_file(file) for file in files])
-    raise ConfigInvalid("holds neither .npy, .npz nor .json", where=str(path), hint=_KINDS)
+    raise ConfigInvalid(
+        "is a folder without .npy, .npz or .json files", where=str(path), hint=_KINDS
+    )
 
 
 def _number(path: Path) -> tuple[int, str]:
@@ -151,28 +153,28 @@ def _number(path: Path) -> tuple[int, str]:
     return (int(match[1]) if match else -1, path.stem)
 
 
-def _joined(path: Path, frames: list[_Read]) -> _Read:
+def _joined(path: Path, frames: list[_Motion]) -> _Motion:
     try:
         extra_inputs = {
             name: np.concatenate([frame.extra_inputs[name] for frame in frames])
             for name in frames[0].extra_inputs
         }
-        return _Read(
+        return _Motion(
             np.concatenate([frame.pose for frame in frames]), extra_inputs, frames[0].fps
         )
     except (KeyError, ValueError) as error:
-        message = f"its files are not of one kind: {error}"
+        message = f"has files that differ in kind: {error}"
         raise ConfigInvalid(message, where=str(path)) from error
 
 
-def _read_file(path: Path) -> _Read:
+def _read_file(path: Path) -> _Motion:
     try:
         if path.suffix.lower() == ".json":
             return _of_json(json.loads(path.read_text("utf-8")), str(path))
         with path.open("rb") as file:
             contents = np.load(file, allow_pickle=False)
             if isinstance(contents, np.ndarray):
-                return _Read(_framed(contents, str(path)), {})
+                return _Motion(_framed(contents, str(path)), {})
             return _of_arrays({name: contents[name] for name in contents.files}, str(path))
     except OSError as error:
         message = f"cannot be read: {error.strerror or error}"
@@ -184,56 +186,60 @@ def _read_file(path: Path) -> _Read:
 
 
 def _framed(array: np.ndarray, where: str) -> Float[np.ndarray, "t ..."]:
-    """Return poses with an axis for the frames, which [joints, 3] has not."""
+    """Add the frame axis to a single pose, such as [joints, 3]."""
     checked = numbers_of(array, where).astype(np.float64)
     if checked.ndim not in (1, 2, 3):
         message = (
-            f"has shape {list(array.shape)}, wanted [joints, 3] or [frames, joints, 3]"
+            f"has shape {list(array.shape)}, expected [joints, 3] or [frames, joints, 3]"
         )
         raise ConfigInvalid(message, where=where, hint=_KINDS)
-    alone = checked.ndim == 1 or (checked.ndim == 2 and checked.shape[1] in (3, 4))
-    return checked[None] if alone else checked
+    is_single = checked.ndim == 1 or (checked.ndim == 2 and checked.shape[1] in (3, 4))
+    return checked[None] if is_single else checked
 
 
-def _of_json(read: Any, where: str) -> _Read:
-    if isinstance(read, list) and read and all(isinstance(entry, dict) for entry in read):
+def _of_json(document: object, where: str) -> _Motion:
+    if (
+        isinstance(document, list)
+        and document
+        and all(isinstance(entry, dict) for entry in document)
+    ):
         return _joined(
             Path(where),
-            [_of_json(entry, f"{where}, frame {k}") for k, entry in enumerate(read)],
+            [_of_json(entry, f"{where}, frame {k}") for k, entry in enumerate(document)],
         )
-    if isinstance(read, dict) and "body_pose" in read:
-        return _of_lhm(read, where)
-    if isinstance(read, dict):
+    if isinstance(document, dict) and "body_pose" in document:
+        return _of_lhm(document, where)
+    if isinstance(document, dict):
         return _of_arrays(
-            {name: np.asarray(values) for name, values in read.items()}, where
+            {name: np.asarray(values) for name, values in document.items()}, where
         )
-    return _Read(_framed(np.asarray(read), where), {})
+    return _Motion(_framed(np.asarray(document), where), {})
 
 
-def _of_lhm(read: Mapping[str, Any], where: str) -> _Read:
+def _of_lhm(document: Mapping[str, list[float]], where: str) -> _Motion:
     parts = []
     for name, size in _PARTS.items():
-        part = np.asarray(read.get(name, ()), np.float64).ravel()
+        part = np.asarray(document.get(name, ()), np.float64).ravel()
         if len(part) != size:
-            message = f"{name} has {len(part)} numbers, wanted {size}"
-            raise ConfigInvalid(message, where=where)
+            message = f"has {len(part)} numbers, expected {size}"
+            raise ConfigInvalid(message, where=f"{where}, {name}")
         parts.append(part)
     extra_inputs = {
-        role: numbers_of(np.asarray(read[name]), f"{where}, {name}").reshape(1, -1)
+        role: numbers_of(np.asarray(document[name]), f"{where}, {name}").reshape(1, -1)
         for name, role in {"trans": "root_translation", "expr": "expression"}.items()
-        if name in read
+        if name in document
     }
-    return _Read(numbers_of(np.concatenate(parts), where)[None], extra_inputs)
+    return _Motion(numbers_of(np.concatenate(parts), where)[None], extra_inputs)
 
 
-def _of_arrays(read: Mapping[str, np.ndarray], where: str) -> _Read:
-    names = [name for name in ("poses", "pose") if name in read]
-    if not names and len(read) == 1:
-        names = list(read)
+def _of_arrays(arrays: Mapping[str, np.ndarray], where: str) -> _Motion:
+    names = [name for name in ("poses", "pose") if name in arrays]
+    if not names and len(arrays) == 1:
+        names = list(arrays)
     if not names:
-        message = f"has no poses, but {', '.join(read) or 'nothing'}"
+        message = f"has no array `poses` or `pose`, but {', '.join(arrays) or 'nothing'}"
         raise ConfigInvalid(message, where=where, hint=_KINDS)
-    pose = _framed(read[names[0]], where)
+    pose = _framed(arrays[names[0]], where)
     extra_inputs = {}
     for name, role, size in (
         ("trans", "root_translation", 3),
@@ -241,13 +247,13 @@ def _of_arrays(read: Mapping[str, np.ndarray], where: str) -> _Read:
         ("Rh", "root_rotation", 3),
         ("R", "root_rotation", 9),
     ):
-        if name in read:
-            rows = numbers_of(np.asarray(read[name]), f"{where}, {name}").astype(np.float64)
+        if name in arrays:
+            rows = numbers_of(np.asarray(arrays[name]), f"{where}, {name}").astype(
+                np.float64
+            )
             if rows.size != len(pose) * size:
-                message = (
-                    f"is {list(rows.shape)}, wanted {size} numbers for {len(pose)} frames"
-                )
+                message = f"has shape {list(rows.shape)}, expected [{len(pose)}, {size}]: {size} numbers a frame"
                 raise ConfigInvalid(message, where=f"{where}, {name}")
             extra_inputs[role] = rows.reshape(len(pose), size)
-    speed = next((float(np.ravel(read[n])[0]) for n in _SPEED if n in read), None)
-    return _Read(pose, extra_inputs, speed)
+    fps = next((float(np.ravel(arrays[n])[0]) for n in _RATES if n in arrays), None)
+    return _Motion(pose, extra_inputs, fps)

@@ -1,4 +1,4 @@
-"""Post-process models: what a network makes of a frame once it is drawn."""
+"""Post-process models: networks that change the colours of a drawn frame."""
 
 __all__ = ["PostProcessor"]
 
@@ -17,8 +17,8 @@ from gsgen.runtime.playback.image_tiling import run_tiled
 from gsgen.runtime.scene.frame import Frame, srgb_of_linear
 from gsgen.runtime.sources.source import named
 from gsgen.sdk.binding import FrameSession
-from gsgen.sdk.binding.bound_session import Spec
-from gsgen.sdk.binding.model_facts import Sources, read_sources
+from gsgen.sdk.binding.bound_session import TensorSpec
+from gsgen.sdk.binding.model_facts import ModelFacts, read_model_facts
 
 _OVERLAP: Final = 32  # pixels that tiles share, where they are large enough
 
@@ -28,22 +28,22 @@ class PostProcessor:
     """A post-process model that runs on frames of any size.
 
     A model of fixed size runs tile by tile; one of open size sees the whole image, and is opened
-    anew when that has another size. It is given sRGB colours that are not multiplied by alpha,
-    clipped, and scaled to the range that its manifest declares. What it gives is scaled back,
-    and is in the colour space that the manifest declares. Where it gives no alpha, that stays.
+    again when the size changes. Its input is sRGB, not multiplied by alpha, clipped, and scaled to
+    the range that its manifest declares. Its output is scaled back, and is in the manifest's
+    colour space. Without an alpha output, the frame keeps its alpha.
 
     Args:
         path: The model.
-        provider: What ONNX Runtime runs it on: cpu, webgpu, cuda or auto.
-        sizes: Symbol → size of a dimension that is left open, beside those of the image.
+        provider: ONNX Runtime's execution provider: cpu, webgpu, cuda or auto.
+        sizes: Symbol → size of an open dimension other than those of the image.
 
     Attributes:
-        name: What it was opened from.
-        manifest: What it declares.
+        name: Path of the model.
+        manifest: Manifest of the model.
 
     Raises:
-        ModelUnreadable: The file is no ONNX model.
-        SceneInvalid: It is no post-process model.
+        ModelUnreadable: The file is not an ONNX model.
+        SceneInvalid: The file is not a post-process model.
     """
 
     def __init__(
@@ -51,15 +51,15 @@ class PostProcessor:
     ) -> None:
         self.name = str(path)
         self._path, self._provider, self._sizes = path, provider, dict(sizes or {})
-        sources = read_sources(path, None)
-        self.manifest = _post_process(self.name, sources)
+        facts = read_model_facts(path, None)
+        self.manifest = _post_process(self.name, facts)
         image = named(self.manifest.inputs, "image")
-        graph_inputs = {value.name for value in sources.file.proto.graph.input}
+        graph_inputs = {value.name for value in facts.file.proto.graph.input}
         if not image or image[0].name not in graph_inputs:
-            raise SceneInvalid("has no input that is declared an image", where=self.name)
+            raise SceneInvalid("declares no image input", where=self.name)
         self._image = image[0].name
-        self._shapes = {spec.name: spec for spec in _specs(sources)}
-        self._known = sources.sizes(self._sizes)
+        self._shapes = {spec.name: spec for spec in _specs(facts)}
+        self._known = facts.sizes(self._sizes)
         self._axes = {
             axis: dim or f"{self._image}[{axis + 2}]"
             for axis, dim in enumerate(self._shapes[self._image].dims[2:])
@@ -67,48 +67,52 @@ class PostProcessor:
         }
         self._opened: tuple[tuple[int, int], FrameSession] | None = None
         if not self._axes:
-            self._session((0, 0))  # what is wrong with it shows before anything is drawn
+            self._session((0, 0))  # a model that cannot run raises before drawing begins
 
     @property
     def inputs(self) -> tuple[Input, ...]:
-        """What may be fed to it beside the image."""
+        """The inputs other than the image."""
         return tuple(spec for spec in self.manifest.inputs if spec.name != self._image)
 
     def named(self, word: str) -> list[Input]:
-        """Return the inputs that a word means: a tensor of that name, or all of that role."""
+        """Return the inputs with this tensor name, or else with this role."""
         return named(self.inputs, word)
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input beside the image.
+        """Return the shape of an input other than the image.
 
         Raises:
-            SizeUnknown: It depends on the size of the image.
+            SizeUnknown: The shape depends on the size of the image.
         """
         if self._opened is not None:
             return self._opened[1].inputs[name].shape
         return self._shapes[name].shape(self._known)
 
     def __call__(self, frame: Frame, values: Mapping[str, object] | None = None) -> Frame:
-        """Return the frame with other colours.
+        """Return the frame with the colours that the model computes.
 
         Args:
-            frame: Drawn with colours.
-            values: Tensor name or role → value; what is not named keeps its value.
+            frame: A frame with colours.
+            values: Tensor name or role → value; absent inputs keep their value.
 
         Raises:
-            SceneInvalid: The frame has no colours, or the model gives none that can be shown.
+            SceneInvalid: The frame has no colours, or the model's output is not a valid image.
             GsgenError: A value does not fit, or the model fails.
         """
         if frame.rgba is None:
-            raise SceneInvalid("works on colours, which were not drawn", where=self.name)
+            raise SceneInvalid(
+                "needs colours, but the frame was drawn without", where=self.name
+            )
         alpha = np.clip(frame.rgba[..., 3:], 0, 1)
         height, width = alpha.shape[:2]
         session = self._session((height, width))
         session.update(values)
-        port = session.inputs[self._image]
-        pixels = np.concatenate([_srgb(frame, alpha), alpha], axis=-1)[..., : port.shape[1]]
+        binding = session.inputs[self._image]
+        pixels = np.concatenate([_srgb(frame, alpha), alpha], axis=-1)[
+            ..., : binding.shape[1]
+        ]
         low, high = self.manifest.image_range
-        image = (low + (high - low) * pixels).transpose(2, 0, 1)[None].astype(port.dtype)
+        image = (low + (high - low) * pixels).transpose(2, 0, 1)[None].astype(binding.dtype)
         result = self._run(session, image)
         return replace(
             frame,
@@ -133,26 +137,27 @@ class PostProcessor:
     def _blended(
         self, result: Float[np.ndarray, "1 c h w"], alpha: Float32[np.ndarray, "h w 1"]
     ) -> Float32[np.ndarray, "h w 4"]:
-        """Return what the model gave as a frame has it: from 0 to 1, multiplied by alpha."""
+        """Scale the model's output to [0, 1], and multiply it by alpha."""
         height, width = alpha.shape[:2]
         if result.shape not in ((1, 3, height, width), (1, 4, height, width)):
             raise SceneInvalid(
-                f"gives {list(result.shape)} for an image of {height} × {width}, wanted "
+                f"returned {list(result.shape)} for an image of {height} × {width}, expected "
                 f"[1, 3 or 4, {height}, {width}]",
                 where=self.name,
             )
         low, high = self.manifest.outputs.image.range
         image = (result[0].transpose(1, 2, 0).astype(np.float32) - low) / (high - low)
-        wrong = ~np.isfinite(image)
-        if wrong.any():
-            message = f"gives {int(wrong.sum())} of {wrong.size} values that are not finite"
+        is_finite = np.isfinite(image)
+        if not is_finite.all():
+            count = int(image.size - is_finite.sum())
+            message = f"returned {count} non-finite values of {image.size}"
             raise SceneInvalid(message, where=self.name)
         if image.shape[2] == 4:
             alpha = np.clip(image[..., 3:], 0, 1)
         return np.concatenate([image[..., :3] * alpha, alpha], axis=-1, dtype=np.float32)
 
     def _session(self, size: tuple[int, int]) -> FrameSession:
-        """Return the session for an image of a height and a width."""
+        """Return the session for an image of this height and width."""
         image_size = size if self._axes else (0, 0)
         if self._opened is not None and self._opened[0] == image_size:
             return self._opened[1]
@@ -163,7 +168,7 @@ class PostProcessor:
         return session
 
     def close(self) -> None:
-        """Release the session; the next frame would open another."""
+        """Release the session; the next frame opens another."""
         if self._opened is not None:
             self._opened[1].close()
             self._opened = None
@@ -180,32 +185,32 @@ class PostProcessor:
         self.close()
 
 
-def _post_process(name: str, sources: Sources) -> PostProcessManifest:
-    manifest = sources.manifest
+def _post_process(name: str, facts: ModelFacts) -> PostProcessManifest:
+    manifest = facts.manifest
     if isinstance(manifest, PostProcessManifest):
         return manifest
-    found_kind = f"is a {manifest.kind}" if manifest else "has no manifest"
+    kind = f"is a {manifest.kind}" if manifest else "has no manifest"
     hint = "`gsgen inspect --emit-manifest` derives a manifest from names and shapes."
     if manifest and manifest.kind == "gaussian-generator":
-        hint = "It makes Gaussians: name it among the scenes."
-    raise SceneInvalid(f"{found_kind}, wanted a post-process model", where=name, hint=hint)
+        hint = "A generator makes Gaussians: give it as a scene."
+    raise SceneInvalid(f"{kind}, expected a post-process model", where=name, hint=hint)
 
 
-def _specs(sources: Sources) -> Iterator[Spec]:
+def _specs(facts: ModelFacts) -> Iterator[TensorSpec]:
     """Yield each input of the graph with its dimensions."""
-    for value in sources.file.proto.graph.input:
+    for value in facts.file.proto.graph.input:
         tensor = value.type.tensor_type
         dims = tuple(
             dim.dim_value if dim.HasField("dim_value") else dim.dim_param or None
             for dim in tensor.shape.dim
         )
-        yield Spec(value.name, np.dtype(np.float32), dims)
+        yield TensorSpec(value.name, np.dtype(np.float32), dims)
 
 
 def _srgb(
     frame: Frame, alpha: Float32[np.ndarray, "h w 1"]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Return the colours as screens show them, from 0 to 1."""
+    """Return the colours in sRGB, from 0 to 1, not multiplied by alpha."""
     assert frame.rgba is not None
     straight = frame.rgba[..., :3] / np.where(alpha > 0, alpha, 1)
     color = np.clip(straight, 0, 1)

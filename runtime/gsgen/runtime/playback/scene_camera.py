@@ -1,71 +1,74 @@
-"""What scene files say about the picture, unless a command's options say something else."""
+"""Scene cameras: camera options of a command, completed by the scene files it draws."""
 
-__all__ = ["scene_view", "told"]
+__all__ = ["first_setting", "scene_viewpoint"]
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import TypeVar
 
 from gsgen.contract.errors import GsgenError
-from gsgen.runtime.playback.camera_options import Viewpoint, viewpoint
+from gsgen.runtime.playback.camera_options import DEFAULT_FOV, Viewpoint, viewpoint
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.sources.scene_file import SceneFile
 
-_FOV: Final = 50.0
+Setting = TypeVar("Setting")
 
 
-def told(files: Sequence[SceneFile], name: str) -> Any:
-    """Return what the first file that says something about ``name`` says, or None."""
-    values = (getattr(scene_file, name) for scene_file in files)
+def first_setting(values: Sequence[Setting | None]) -> Setting | None:
+    """Return the first value that is set; options therefore come before files."""
     return next((value for value in values if value is not None), None)
 
 
-def scene_view(
+def scene_viewpoint(
     files: Sequence[SceneFile],
     camera: str | None = None,
     width: int | None = None,
     height: int | None = None,
     fov: float | None = None,
     up: str | None = None,
-    flat: bool = False,
-    around: bool = False,
+    *,
+    orthographic: bool = False,
+    panorama: bool = False,
 ) -> Viewpoint:
-    """Return from where scenes are seen: as options say, or else as their files say.
+    """Return the viewpoint of some scenes: from the options, or else from the scene files.
 
     Args:
         files: The scene files among the scenes.
         camera: See :func:`gsgen.runtime.playback.camera_options.viewpoint`.
         width: See there.
         height: See there.
-        fov: See there; 50 degrees if nobody says anything.
+        fov: See there; 50 degrees where neither an option nor a file sets it.
         up: See there.
-        flat: See there.
-        around: See there.
+        orthographic: See there.
+        panorama: See there.
 
     Raises:
-        ConfigInvalid: It is no camera.
-        SceneInvalid: The file of cameras holds something that is none.
+        ConfigInvalid: The camera is invalid.
+        SceneInvalid: The file of cameras is invalid.
     """
-    kind = None if flat or around or camera is not None else told(files, "kind")
-    shot = told(files, "camera") if camera is None else camera
-    text = None if isinstance(shot, Camera) else shot
+    has_kind = orthographic or panorama or camera is not None
+    kind = None if has_kind else first_setting([file.kind for file in files])
+    cameras: list[str | Camera | None] = [camera, *(file.camera for file in files)]
+    scene_camera = next((entry for entry in cameras if entry is not None), None)
+    text = None if isinstance(scene_camera, Camera) else scene_camera
+    degrees = first_setting([fov, *(file.fov for file in files)])
     try:
         view = viewpoint(
             text,
-            width or told(files, "width"),
-            height or told(files, "height"),
-            next(
-                degrees
-                for degrees in (fov, told(files, "fov"), _FOV)
-                if degrees is not None
-            ),
-            up or told(files, "up"),
-            flat or kind == "orthographic",
-            around or kind == "panorama",
+            first_setting([width, *(file.width for file in files)]),
+            first_setting([height, *(file.height for file in files)]),
+            DEFAULT_FOV if degrees is None else degrees,
+            first_setting([up, *(file.up for file in files)]),
+            orthographic=orthographic or kind == "orthographic",
+            panorama=panorama or kind == "panorama",
         )
     except GsgenError as error:
         if camera is not None or text is None or error.where != "--camera":
             raise
-        where = f"{next(scene_file.path for scene_file in files if scene_file.camera is not None)}: camera"
-        raise type(error)(error.message, where=where, hint=error.hint) from error
-    return replace(view, orbit=None, cameras=(shot,)) if isinstance(shot, Camera) else view
+        path = next(file.path for file in files if file.camera is not None)
+        raise type(error)(
+            error.message, where=f"{path}: camera", hint=error.hint
+        ) from error
+    if isinstance(scene_camera, Camera):
+        return replace(view, orbit=None, cameras=(scene_camera,))
+    return view

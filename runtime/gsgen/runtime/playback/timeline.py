@@ -1,4 +1,4 @@
-"""The score of a film: what each model is fed in each frame."""
+"""Timeline: the input values of each model in each frame."""
 
 __all__ = ["AnimatedInputs", "Timeline"]
 
@@ -16,14 +16,14 @@ from gsgen.runtime.sources.source import Values
 
 
 class AnimatedInputs(Protocol):
-    """What can be fed: a source, or a post-process model."""
+    """A model whose inputs a timeline sets: a source, or a post-process model."""
 
     @property
     def inputs(self) -> Sequence[Input]:
-        """What may be fed to it."""
+        """The inputs that a caller may set."""
 
     def named(self, word: str) -> list[Input]:
-        """Return the inputs that a word means."""
+        """Return the inputs with this tensor name, or else with this role."""
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Return the shape of an input."""
@@ -31,44 +31,48 @@ class AnimatedInputs(Protocol):
 
 @final
 class Timeline:
-    """Values for each model and each frame.
+    """Input values for each model and each frame.
 
-    What no track names moves by itself where there are several frames: a time goes through its
-    range, and a frame number counts.
+    Inputs without a track advance by themselves where there are several frames: a time goes
+    through its range, and a frame number counts.
 
     Args:
-        takers: Who is fed.
-        tracks: What they are fed.
-        time: Of all frames; None to go through the range.
+        models: The models whose inputs are set.
+        tracks: Values of inputs.
+        time: One time for all frames; None to go through the range.
 
     Raises:
-        ConfigInvalid: A time is asked of models that have none, or a track does not fit.
+        ConfigInvalid: ``time`` is set but no model has a time, or a track does not fit.
         UnknownName: No model has the input of a track.
     """
 
     def __init__(
         self,
-        takers: Sequence[AnimatedInputs],
+        models: Sequence[AnimatedInputs],
         tracks: Sequence[Track],
         time: float | None = None,
     ) -> None:
-        self._takers, self._tracks, self._time = list(takers), list(tracks), time
-        if time is not None and not any(_of_role(taker, "time") for taker in takers):
-            raise ConfigInvalid("no scene has a time", where="--time")
+        self._models, self._tracks, self._time = list(models), list(tracks), time
+        if time is not None and not any(_of_role(model, "time") for model in models):
+            raise ConfigInvalid(
+                f"is {time}, but no scene has a time",
+                where="--time",
+                hint="Leave the option out.",
+            )
         self._lengths = [self._length(track) for track in tracks]
 
     def _length(self, track: Track) -> int:
-        """Return how many values a track has, as those who take it see it."""
+        """Return the number of values of a track, given the shapes of the inputs it sets."""
         shapes = [
-            taker.shape(spec.name)
-            for taker in self._takers
-            for spec in taker.named(track.word)
+            model.shape(spec.name)
+            for model in self._models
+            for spec in model.named(track.word)
         ]
         if not shapes:
             known = {
                 word
-                for taker in self._takers
-                for spec in taker.inputs
+                for model in self._models
+                for spec in model.inputs
                 for word in (spec.name, spec.role)
             }
             raise UnknownName.among("input", track.word, known, track.where)
@@ -76,64 +80,67 @@ class Timeline:
 
     @property
     def frames(self) -> int:
-        """For how many frames there are values: those of the longest track, or 1."""
+        """The number of values of the longest track, or 1."""
         return max(self._lengths, default=1)
 
     @property
-    def moving(self) -> bool:
-        """Whether models are fed other values in other frames of a film."""
+    def is_animated(self) -> bool:
+        """Whether an input differs between the frames of a video."""
         sweeps = any(track.sweep for track in self._tracks)
-        playing = any(self._playing(taker) for taker in self._takers)
-        return self.frames > 1 or sweeps or playing
+        advances = any(self._advancing(model) for model in self._models)
+        return self.frames > 1 or sweeps or advances
 
     def values(self, number: int, frames: int) -> list[Values]:
-        """Return what each model is fed.
+        """Return the input values of each model.
 
         Args:
-            number: Of the frame, from 0.
-            frames: Of the film.
+            number: Frame number, from 0.
+            frames: How many frames there are.
         """
-        return [self._values(taker, number, frames) for taker in self._takers]
+        return [self._values(model, number, frames) for model in self._models]
 
-    def _values(self, taker: AnimatedInputs, number: int, frames: int) -> Values:
+    def _values(self, model: AnimatedInputs, number: int, frames: int) -> Values:
         values: dict[str, object] = {}
         if frames > 1:
-            for spec, ends in self._playing(taker):
+            for spec, ends in self._advancing(model):
                 values[spec.name] = _moment(spec, ends, number, frames)
         if self._time is not None:
-            values |= {spec.name: self._time for spec in _of_role(taker, "time")}
+            values |= {spec.name: self._time for spec in _of_role(model, "time")}
         for track in self._tracks:
-            for spec in taker.named(track.word):
-                value = track.at(taker.shape(spec.name), number, frames)
-                counting = track.sweep and ROLES[spec.role].index
-                values[spec.name] = _counting(value) if counting else value
+            for spec in model.named(track.word):
+                value = track.at(model.shape(spec.name), number, frames)
+                is_counter = track.sweep and ROLES[spec.role].index
+                values[spec.name] = _rounded(value) if is_counter else value
         return values
 
-    def _playing(self, taker: AnimatedInputs) -> list[tuple[Input, tuple[float, float]]]:
-        """Return what goes on by itself, from where to where: times, else frame numbers."""
+    def _advancing(self, model: AnimatedInputs) -> list[tuple[Input, tuple[float, float]]]:
+        """Return the inputs that advance by themselves, with their ranges.
+
+        These are the times of a model, or else its frame numbers.
+        """
         fixed_names = {
-            spec.name for track in self._tracks for spec in taker.named(track.word)
+            spec.name for track in self._tracks for spec in model.named(track.word)
         }
         if self._time is not None:
-            fixed_names |= {spec.name for spec in _of_role(taker, "time")}
+            fixed_names |= {spec.name for spec in _of_role(model, "time")}
         times, numbers = (
-            [spec for spec in _of_role(taker, role) if spec.name not in fixed_names]
+            [spec for spec in _of_role(model, role) if spec.name not in fixed_names]
             for role in ("time", "frame_index")
         )
         return [(spec, spec.range) for spec in times or numbers if spec.range is not None]
 
 
-def _of_role(taker: AnimatedInputs, role: str) -> list[Input]:
-    return [spec for spec in taker.inputs if spec.role == role]
+def _of_role(model: AnimatedInputs, role: str) -> list[Input]:
+    return [spec for spec in model.inputs if spec.role == role]
 
 
-def _counting(value: Shaped[np.ndarray, "..."]) -> Int64[np.ndarray, "..."]:
-    """Return numbers that a sweep went through as what counts things takes."""
+def _rounded(value: Shaped[np.ndarray, "..."]) -> Int64[np.ndarray, "..."]:
+    """Round interpolated values for an integer input, such as a frame number."""
     return np.asarray(np.rint(value), np.int64)
 
 
 def _moment(spec: Input, ends: tuple[float, float], number: int, frames: int) -> object:
-    """Return the time of a frame, or its number; a loop ends just before its beginning."""
+    """Return the time or frame number of a frame; a looping time stops before its first value."""
     low, high = ends
     if spec.role == "frame_index":
         return int(low + number % (high - low + 1))

@@ -1,6 +1,6 @@
-"""A generator's frames, computed in a thread of their own while the frame before is drawn."""
+"""Generator worker: computes the frames of a generator in a thread while others are drawn."""
 
-__all__ = ["FrameDelta", "Inference"]
+__all__ = ["FrameDelta", "GeneratorWorker"]
 
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -19,52 +19,52 @@ if TYPE_CHECKING:
     from gsgen.runtime.scene.camera import Camera
     from gsgen.sdk.binding import FrameSession
 
-_COMPARED = 1 << 16  # elements at a time: a difference is mostly found in the first of them
+_BLOCK = 1 << 16  # elements compared at a time: the first block mostly shows a difference
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FrameDelta:
-    """What a frame has that the one before had not.
+    """The outputs of a frame that differ from those of the frame before.
 
     Attributes:
-        rows: The packed rows, of which ``count`` hold; None where they are as before.
-        appearance: The same of the appearance.
-        cells: All cells; None where they are as before, or where there are none.
+        rows: The packed rows, of which ``count`` are live; None if unchanged.
+        appearance: The appearance rows; None if unchanged.
+        cells: All cells; None if unchanged, or without cells.
         count: How many rows are live.
-        seconds: What computing took; 0 where nothing had to be computed.
+        seconds: Seconds of the computation; 0 if no input changed.
     """
 
-    rows: Float[np.ndarray, "n 10"] | None
-    appearance: Float[np.ndarray, "n c"] | None
-    cells: Float[np.ndarray, "c 10"] | None
+    rows: Float[np.ndarray, "n 10"] | None = None
+    appearance: Float[np.ndarray, "n c"] | None = None
+    cells: Float[np.ndarray, "c 10"] | None = None
     count: int
     seconds: float = 0.0
 
 
 @final
-class Inference:
-    """A generator's session, and copies of the outputs that are being drawn.
+class GeneratorWorker:
+    """A generator's session in a thread of its own, with copies of the drawn outputs.
 
     ONNX Runtime releases Python's lock while it computes, so that drawing goes on meanwhile. All
     its calls come from one thread: a CUDA graph is replayed by the thread that recorded it.
 
-    An output is kept twice: as it is drawn, and as the next frame has it. One that a frame
-    leaves as it was, in its live rows, bit by bit, is neither copied nor passed on; and nothing is
-    computed where no input has changed that the manifest says any output depends on.
+    Each output has two buffers: the drawn one, and one for the next frame. An output whose live
+    rows are unchanged, bit by bit, is neither copied nor passed on. The model does not run if no
+    input has changed that an output depends on, according to the manifest.
 
     Args:
         path: The model.
-        provider: What ONNX Runtime runs it on.
-        sizes: Symbol → size of a dimension that the model leaves open.
+        provider: ONNX Runtime's execution provider.
+        sizes: Symbol → size of an open dimension of the model.
 
     Attributes:
-        session: What computes; :meth:`start` alone may run it.
-        manifest: What the model declares.
+        session: The session, which :meth:`start` alone may run.
+        manifest: Manifest of the model.
 
     Raises:
-        SceneInvalid: The model is no generator, or declares no Gaussians.
-        GsgenError: Whatever ``FrameSession`` raises.
+        SceneInvalid: The model is not a generator, or declares no Gaussians.
+        GsgenError: See ``FrameSession``.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Inference:
                 FrameSession, path, provider=provider, sizes=sizes, stop=self._stop
             ).result()
         except BaseException:
-            self.interrupt()  # it may never end by itself
+            self.interrupt()  # a model may run for ever
             self._worker.shutdown()
             raise
         self.session: FrameSession = opened
@@ -94,7 +94,7 @@ class Inference:
         self._names = [outputs.gaussians.name, outputs.appearance.name]
         if outputs.cells is not None:
             self._names.append(outputs.cells.name)
-        self._inert = frozenset(
+        self._unused_inputs = frozenset(
             spec.name
             for spec in self.manifest.inputs
             if not self.manifest.depends_on.get(spec.role, True)
@@ -104,11 +104,11 @@ class Inference:
     def start(
         self, camera: "Camera | None", values: Mapping[str, object]
     ) -> "Future[FrameDelta]":
-        """Begin to compute a frame, once those that were begun before are done.
+        """Begin to compute a frame, after the pending ones.
 
         Args:
-            camera: Whose frame it is; None leaves what the model knows of a camera as it is.
-            values: Tensor name or role → value; what is not named keeps its value.
+            camera: Camera of the frame; None leaves the camera inputs unchanged.
+            values: Tensor name or role → value; absent inputs keep their value.
 
         Raises:
             SessionClosed: :meth:`close` was called.
@@ -121,60 +121,67 @@ class Inference:
         return self._worker.submit(self._compute, camera, values)
 
     def interrupt(self) -> None:
-        """End what was begun, which fails; another frame can be begun after."""
+        """Stop the pending frames, which then fail; later frames can be computed."""
         self._stop.now()
 
     def close(self) -> None:
-        """End what was begun, and release the session; doing it twice does no harm."""
+        """Stop the pending frames, and release the session; doing it twice does no harm."""
         self.interrupt()
         self._worker.shutdown()
         self.session.close()
 
     def _forget(self) -> None:
-        """Let the next frame be new as a whole."""
-        self._kept = tuple(_Kept() for _ in self._names)
+        """Forget the last outputs, so that the next frame is copied as a whole."""
+        self._buffers = tuple(_OutputBuffer() for _ in self._names)
         self._count = -1
 
     def _compute(self, camera: "Camera | None", values: Mapping[str, object]) -> FrameDelta:
         started = perf_counter()
         try:
             changed = self.session.update(values, camera=camera)
-            if self._count >= 0 and changed <= self._inert:
-                return FrameDelta(None, None, None, self._count)
+            if self._count >= 0 and changed <= self._unused_inputs:
+                return FrameDelta(count=self._count)
             frame = self.session.run()
             self._count = frame.count
             live = (self._count, self._count, None)  # cells have no count of their own
             rows, appearance, *cells = (
-                previous.take(frame[name], live_rows)
-                for previous, name, live_rows in zip(
-                    self._kept, self._names, live, strict=False
+                buffer.take(frame[name], live_rows)
+                for buffer, name, live_rows in zip(
+                    self._buffers, self._names, live, strict=False
                 )
             )
         except BaseException:
             self._forget()
             raise
-        cell = cells[0] if cells else None
-        return FrameDelta(rows, appearance, cell, self._count, perf_counter() - started)
+        return FrameDelta(
+            rows=rows,
+            appearance=appearance,
+            cells=cells[0] if cells else None,
+            count=self._count,
+            seconds=perf_counter() - started,
+        )
 
 
 def _generator(path: Path, session: "FrameSession") -> GeneratorManifest:
     manifest = session.manifest
     if not isinstance(manifest, GeneratorManifest):
-        found_kind = f"is a {manifest.kind}" if manifest else "has no manifest"
+        kind = f"is a {manifest.kind}" if manifest else "has no manifest"
         hint = "`gsgen inspect --emit-manifest` derives a manifest from names and shapes."
         if manifest and manifest.kind == "post-process":
-            hint = "It works on images: `--post` runs it on what the scenes give."
+            hint = "It works on images: `--post` runs it on the drawn frames."
         raise SceneInvalid(
-            f"{found_kind}, wanted a gaussian-generator", where=str(path), hint=hint
+            f"{kind}, expected a gaussian-generator", where=str(path), hint=hint
         )
     if manifest.outputs.gaussians is None or manifest.outputs.appearance is None:
-        raise SceneInvalid("declares no gaussians or no appearance", where=str(path))
+        raise SceneInvalid(
+            "declares no gaussians output or no appearance output", where=str(path)
+        )
     return manifest
 
 
 @final
-class _Kept:
-    """An output as it is drawn, and a place for the next one."""
+class _OutputBuffer:
+    """The drawn copy of an output, and a spare array for the next frame."""
 
     def __init__(self) -> None:
         self._shown: np.ndarray | None = None
@@ -184,11 +191,11 @@ class _Kept:
     def take(
         self, array: Float[np.ndarray, "n c"], live_rows: int | None
     ) -> np.ndarray | None:
-        """Return a copy that lasts until the call after the next, or None if nothing changed.
+        """Return a copy that stays valid until the call after the next, or None if unchanged.
 
         Args:
             array: The output.
-            live_rows: How many of its first rows matter; None for all.
+            live_rows: How many of its first rows are live; None for all.
         """
         old, live = self._shown, len(array) if live_rows is None else live_rows
         if old is not None and live <= self._live and _same(old[:live], array[:live]):
@@ -200,12 +207,12 @@ class _Kept:
 
 
 def _same(a: Shaped[np.ndarray, "n c"], b: Shaped[np.ndarray, "n c"]) -> bool:
-    """Say whether two arrays are the same bit by bit, stopping where they are not."""
+    """Return whether two arrays have the same bits, stopping at the first difference."""
     bits = np.dtype(f"u{a.itemsize}")
     a_bits, b_bits = (
         np.ascontiguousarray(array).reshape(-1).view(bits) for array in (a, b)
     )
     return all(
-        np.array_equal(a_bits[start : start + _COMPARED], b_bits[start : start + _COMPARED])
-        for start in range(0, len(a_bits), _COMPARED)
+        np.array_equal(a_bits[start : start + _BLOCK], b_bits[start : start + _BLOCK])
+        for start in range(0, len(a_bits), _BLOCK)
     )

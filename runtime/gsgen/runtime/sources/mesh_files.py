@@ -1,16 +1,16 @@
-"""Meshes from files: GLB, glTF, OBJ, PLY and STL, read by trimesh."""
+"""Mesh files: GLB, glTF, OBJ, PLY and STL, read by trimesh."""
 
 __all__ = ["is_mesh", "read_mesh"]
 
 import json
 import struct
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final, Literal, final
+from typing import Any, Final, Literal, Protocol, TypeAlias, final
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -21,29 +21,60 @@ from gsgen.runtime.scene.frame import srgb_of_linear
 from gsgen.runtime.scene.mesh import Mesh, MeshData
 
 SUFFIXES: Final = (".glb", ".gltf", ".obj", ".ply", ".stl")
-"""How names of files that may hold meshes end."""
+"""Suffixes of files that may hold meshes."""
 
-# glTF is x left, y up, z forward where our worlds, and PLY files, are x right, y down.
+# glTF is x left, y up, z forward; worlds here, and PLY files, are x right, y down.
 _FROM_GLTF: Final = np.diag([-1.0, -1.0, 1.0, 1.0])
-_SPLATS: Final = b"KHR_gaussian_splatting"
-_PACKED: Final = (
+_SPLAT_EXTENSION: Final = b"KHR_gaussian_splatting"
+_COMPRESSIONS: Final = (
     "KHR_draco_mesh_compression",
     "EXT_meshopt_compression",
     "KHR_texture_basisu",
 )
-_HEADER: Final = 1 << 20  # bytes to look for the end of a PLY header in
+_HEADER: Final = 1 << 20  # bytes of a PLY file that are searched for the end of its header
 _STL: Final = struct.Struct("<80xI")
 _STL_FACE: Final = 50
 _GLB: Final = struct.Struct("<4sIII4s")
 _WHITE: Final = np.ones(3)
 
+_GltfObject: TypeAlias = dict[str, Any]
+
+
+class _Visual(Protocol):
+    """Colours of a part; which attributes exist depends on its kind."""
+
+    face_colors: np.ndarray
+    vertex_colors: np.ndarray
+
+
+class _Geometry(Protocol):
+    """One part of a scene, as trimesh reads it."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    visual: _Visual
+    vertex_attributes: Mapping[str, np.ndarray]
+
+
+class _Graph(Protocol):
+    """The nodes of a scene: node name → transform and name of a geometry."""
+
+    nodes_geometry: Sequence[str]
+
+    def __getitem__(self, node: str) -> tuple[np.ndarray, str]: ...
+
+
+class _TrimeshScene(Protocol):
+    graph: _Graph
+    geometry: Mapping[str, _Geometry]
+
 
 def is_mesh(path: Path) -> bool:
-    """Say whether a file holds a mesh, by its content where it can tell.
+    """Return whether a file holds a mesh, judged by its content where possible.
 
-    A PLY file does if it has faces and no splats, a GLB or glTF file unless it has
-    KHR_gaussian_splatting, an STL file if its length is as it says. OBJ files, and STL files of
-    text, are known by their names. A file that cannot be opened holds none.
+    A PLY file does if it has faces and no splats, a GLB or glTF file unless it uses
+    KHR_gaussian_splatting, an STL file if its length agrees with its header. OBJ files, and STL
+    files of text, are recognised by name. A file that cannot be opened counts as no mesh.
     """
     try:
         size = path.stat().st_size
@@ -55,17 +86,17 @@ def is_mesh(path: Path) -> bool:
     if head.startswith((b"ply\n", b"ply\r\n")):
         return _faces_in_ply(head) > 0 and not _splats_in_ply(head)
     if head.startswith(b"glTF") or suffix == ".gltf":
-        return not _mentions(path, _SPLATS)
+        return _SPLAT_EXTENSION not in _json_of(path)
     return suffix in (".obj", ".stl") or _is_binary_stl(head, size)
 
 
 def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
-    """Read the meshes that a GLB, glTF, OBJ, PLY or STL file shows: one a part with an own colour.
+    """Read the meshes of a GLB, glTF, OBJ, PLY or STL file: one for each node of its scene.
 
-    Each is where its node says, in the axes of PLY files (x right, y down, z forward). Colours of
-    vertices and faces, and textures of base colours, are shown as they are; what has neither is
-    grey, with a headlight. All is opaque; lights, skins and animations are left out. Files that
-    it names are read from its own folder alone.
+    Each has the transform of its node, in the axes of PLY files (x right, y down, z forward).
+    Vertex colours, face colours and base colour textures are drawn unlit; a mesh without any is
+    grey, with a headlight. All meshes are opaque; lights, skins and animations are ignored. Other
+    files that the file names are read from its own folder alone.
 
     Raises:
         SceneUnreadable: The file holds no triangles that can be drawn.
@@ -75,37 +106,42 @@ def read_mesh(path: str | Path) -> tuple[Mesh, ...]:
     trimesh = _trimesh()
     kind = _kind(file)
     try:
-        _require_honest(file, kind)
+        _require_plausible_sizes(file, kind)
         has_no_materials = kind == "obj" and not _has_materials(file)
-        scene = _opened(trimesh, file, kind, has_no_materials)
-        if kind in ("glb", "gltf"):
+        scene = _load(trimesh, file, kind, has_no_materials=has_no_materials)
+        is_gltf = kind in ("glb", "gltf")
+        if is_gltf:
             _require_textures(json.loads(_json_of(file)), scene)
-        meshes = tuple(_meshes(scene, file, kind in ("glb", "gltf"), has_no_materials))
+        meshes = tuple(
+            _meshes(scene, file, is_gltf=is_gltf, has_no_materials=has_no_materials)
+        )
     except SceneUnreadable:
         raise
     except GsgenError as error:
         message = f"{error.where}: {error.message}" if error.where else error.message
         raise SceneUnreadable(message, where=str(file), hint=error.hint) from error
-    except Exception as error:  # whatever a reader of a hostile file stumbles over
+    except Exception as error:  # a malformed file can raise any error in trimesh
         raise SceneUnreadable(
-            f"is no readable {kind.upper()}: {type(error).__name__}: {_short(error)}",
+            f"cannot be read as {kind.upper()}: {type(error).__name__}: {_shortened(error)}",
             where=str(file),
             hint="Copy or export the file again.",
         ) from error
     if not any(len(mesh.data) for mesh in meshes):
-        raise SceneUnreadable("has no triangles", where=str(file))
+        raise SceneUnreadable(
+            "has no triangles", where=str(file), hint="Give a file with faces."
+        )
     return meshes
 
 
 def _is_binary_stl(head: bytes, size: int | None = None) -> bool:
-    """Say whether a file is as long as the count of triangles in its header says."""
+    """Return whether the length of a file agrees with the triangle count in its header."""
     if len(head) < _STL.size:
         return False
     count = int(_STL.unpack_from(head)[0])
     return count > 0 and _STL.size + _STL_FACE * count == (size or len(head))
 
 
-def _short(error: Exception) -> str:
+def _shortened(error: Exception) -> str:
     text = " ".join(str(error).split())
     return text if len(text) <= 120 else text[:119] + "…"
 
@@ -122,44 +158,49 @@ def _trimesh() -> ModuleType:
 
 
 def _kind(path: Path) -> str:
-    """Return the format of a file, by its first bytes or else its name."""
+    """Return the format of a file, from its first bytes or else its name."""
     try:
         with path.open("rb") as file:
             head = file.read(4)
     except OSError as error:
         raise SceneUnreadable(f"cannot be opened: {error}", where=str(path)) from error
-    marks = {b"glTF": "glb", b"ply\n": "ply", b"ply\r": "ply"}
-    kind = marks.get(head, path.suffix.lower().removeprefix("."))
-    if f".{kind}" not in SUFFIXES or (kind in ("glb", "ply") and head not in marks):
+    magics = {b"glTF": "glb", b"ply\n": "ply", b"ply\r": "ply"}
+    kind = magics.get(head, path.suffix.lower().removeprefix("."))
+    if f".{kind}" not in SUFFIXES or (kind in ("glb", "ply") and head not in magics):
         raise SceneUnreadable(
-            f"begins with {head.hex(' ') or 'nothing'}, which is no mesh",
+            f"begins with the bytes {head.hex(' ') or '(none)'}, expected a mesh",
             where=str(path),
             hint="Known: GLB, glTF, OBJ, PLY and STL.",
         )
     return kind
 
 
-def _opened(trimesh: ModuleType, path: Path, kind: str, has_no_materials: bool) -> Any:
-    """Return trimesh's scene; nothing is merged, and nothing comes from other folders."""
-    options: dict[str, Any] = {"process": False}
+def _load(
+    trimesh: ModuleType, path: Path, kind: str, *, has_no_materials: bool
+) -> _TrimeshScene:
+    """Load a file with trimesh, without merging vertices and from its own folder alone."""
+    options = {"process": False}
     if kind == "obj":
         options |= {"skip_materials": has_no_materials, "maintain_order": True}
     content = path.read_bytes()
     if kind == "obj" or (kind == "stl" and not _is_binary_stl(content)):
-        # Names in other encodings are none of our business.
+        # Names in other encodings must not stop the reader.
         content = content.decode("utf-8", "replace").encode()
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # of a picture that would take too much memory
-        return trimesh.load_scene(
+        warnings.simplefilter("error")  # pillow warns of pictures that need too much memory
+        scene: _TrimeshScene = trimesh.load_scene(
             BytesIO(content),
             file_type=kind,
             resolver=trimesh.resolvers.FilePathResolver(str(path)),
             **options,
         )
+    return scene
 
 
-def _meshes(scene: Any, path: Path, gltf: bool, has_no_materials: bool) -> Iterator[Mesh]:
-    """Yield a mesh for each node; what several nodes show is held once."""
+def _meshes(
+    scene: _TrimeshScene, path: Path, *, is_gltf: bool, has_no_materials: bool
+) -> Iterator[Mesh]:
+    """Yield a mesh for each node; nodes with the same geometry share its data."""
     by_geometry: dict[str, tuple[MeshData, bool]] = {}
     for node in scene.graph.nodes_geometry:
         matrix, name = scene.graph[node]
@@ -167,11 +208,13 @@ def _meshes(scene: Any, path: Path, gltf: bool, has_no_materials: bool) -> Itera
         if not hasattr(geometry, "faces") or not len(geometry.faces):
             continue  # points and lines
         if name not in by_geometry:
-            by_geometry[name] = _data(geometry, gltf, has_no_materials)
-        data, colored = by_geometry[name]
-        transform = (_FROM_GLTF if gltf else np.eye(4)) @ np.asarray(matrix, np.float64)
+            by_geometry[name] = _mesh_data(
+                geometry, is_gltf=is_gltf, has_no_materials=has_no_materials
+            )
+        data, is_colored = by_geometry[name]
+        transform = (_FROM_GLTF if is_gltf else np.eye(4)) @ np.asarray(matrix, np.float64)
         try:
-            yield Mesh(data, transform, "unlit" if colored else "headlight")
+            yield Mesh(data, transform, "unlit" if is_colored else "headlight")
         except SceneInvalid as error:
             message = f"node {node!r}: {error.where} {error.message}"
             raise SceneUnreadable(message, where=str(path), hint=error.hint) from error
@@ -179,22 +222,24 @@ def _meshes(scene: Any, path: Path, gltf: bool, has_no_materials: bool) -> Itera
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class _Look:
-    """What the surface of a part looks like, with colours still in the space of the file."""
+class _Surface:
+    """Colours and texture of a part, in the colour space of the file."""
 
     colors: Float[np.ndarray, "v 3"] | None
     factor: Float[np.ndarray, "3"]
-    uv: Float[np.ndarray, "v 2"] | None
-    texture: UInt8[np.ndarray, "h w 4"] | None
+    uv: Float[np.ndarray, "v 2"] | None = None
+    texture: UInt8[np.ndarray, "h w 4"] | None = None
 
 
-def _data(geometry: Any, gltf: bool, has_no_materials: bool) -> tuple[MeshData, bool]:
+def _mesh_data(
+    geometry: _Geometry, *, is_gltf: bool, has_no_materials: bool
+) -> tuple[MeshData, bool]:
     """Return the triangles of one part, and whether they have colours of their own.
 
     Args:
-        geometry: What trimesh read.
-        gltf: Whether from glTF, whose factors and vertex colours are linear (2.0, 3.9.2).
-        has_no_materials: Whether materials are those that trimesh gives to what has none.
+        geometry: The part, as trimesh reads it.
+        is_gltf: Whether the file is glTF, whose factors and vertex colours are linear (2.0, 3.9.2).
+        has_no_materials: Whether the file has no materials, so that trimesh added its own.
     """
     vertices = np.asarray(geometry.vertices, np.float64)
     faces = np.asarray(geometry.faces)
@@ -203,30 +248,32 @@ def _data(geometry: Any, gltf: bool, has_no_materials: bool) -> tuple[MeshData, 
         vertices = vertices[faces].reshape(-1, 3)
         faces = np.arange(len(vertices)).reshape(-1, 3)
         face_colors = np.asarray(visual.face_colors)[:, :3] / 255.0
-        look = _Look(np.repeat(face_colors, 3, axis=0), _WHITE, None, None)
+        surface = _Surface(np.repeat(face_colors, 3, axis=0), _WHITE)
     else:
-        look = _look(geometry, has_no_materials)
-    colored = (
-        look.colors is not None or look.texture is not None or look.factor is not _WHITE
+        surface = _surface(geometry, has_no_materials=has_no_materials)
+    is_colored = (
+        surface.colors is not None
+        or surface.texture is not None
+        or surface.factor is not _WHITE
     )
     space: Literal["srgb", "linear"] = "srgb"
-    colors = look.colors
-    if colored:
+    colors = surface.colors
+    if is_colored:
         vertex_colors = (
             np.broadcast_to(_WHITE, vertices.shape) if colors is None else colors
         )
-        colors = vertex_colors * look.factor
-        if gltf and look.texture is None:
+        colors = vertex_colors * surface.factor
+        if is_gltf and surface.texture is None:
             space = "linear"
-        elif gltf:
+        elif is_gltf:
             colors = srgb_of_linear(np.clip(colors, 0, 1))
     data = MeshData(
-        vertices, faces, colors, uv=look.uv, texture=look.texture, color_space=space
+        vertices, faces, colors, uv=surface.uv, texture=surface.texture, color_space=space
     )
-    return data, colored
+    return data, is_colored
 
 
-def _look(geometry: Any, has_no_materials: bool) -> _Look:
+def _surface(geometry: _Geometry, *, has_no_materials: bool) -> _Surface:
     visual = geometry.visual
     attributes = geometry.vertex_attributes
     colors = None
@@ -241,22 +288,22 @@ def _look(geometry: Any, has_no_materials: bool) -> _Look:
         )
     material = getattr(visual, "material", None)
     if material is None or has_no_materials:
-        return _Look(colors, _WHITE, None, None)
-    factor = getattr(material, "baseColorFactor", None)
-    if factor is None:
-        factor = getattr(material, "diffuse", None)
-    tint = _WHITE if factor is None else np.asarray(factor)[:3] / 255.0
+        return _Surface(colors, _WHITE)
+    rgba = getattr(material, "baseColorFactor", None)
+    if rgba is None:
+        rgba = getattr(material, "diffuse", None)
+    factor = _WHITE if rgba is None else np.asarray(rgba)[:3] / 255.0
     image = getattr(material, "baseColorTexture", None)
     image = getattr(material, "image", None) if image is None else image
     uv = getattr(visual, "uv", None)
     if image is None or uv is None:
-        return _Look(colors, tint, None, None)
+        return _Surface(colors, factor)
     texture = np.asarray(image.convert("RGBA"))
-    return _Look(colors, tint, np.asarray(uv, np.float64), texture)
+    return _Surface(colors, factor, np.asarray(uv, np.float64), texture)
 
 
 def _has_materials(path: Path) -> bool:
-    """Say whether an OBJ file names materials that are there; note where they are not."""
+    """Return whether an OBJ file has all the material files it names; warn of missing ones."""
     with path.open("rb") as file:
         libraries = [line.split(None, 1) for line in file if line.startswith(b"mtllib")]
     names = [
@@ -264,17 +311,13 @@ def _has_materials(path: Path) -> bool:
     ]
     absent = [name for name in names if not (path.parent / name).is_file()]
     if absent:
-        note = f"{path}: {', '.join(absent)} is not beside it: drawn without its materials"
+        note = f"{path}: {', '.join(absent)} is missing in its folder; it is drawn without materials"
         warnings.warn(note, UserWarning, stacklevel=2)
     return bool(names) and not absent
 
 
-def _mentions(path: Path, word: bytes) -> bool:
-    """Say whether a word is in the JSON of a GLB or a glTF file."""
-    return word in _json_of(path)
-
-
 def _json_of(path: Path) -> bytes:
+    """Return the JSON text of a GLB or a glTF file."""
     with path.open("rb") as file:
         head = file.read(_GLB.size)
         if not head.startswith(b"glTF"):
@@ -305,8 +348,8 @@ def _splats_in_ply(head: bytes) -> bool:
     return bool(names & {b"f_dc_0", b"scale_0", b"rot_0", b"packed_position"})
 
 
-def _require_honest(path: Path, kind: str) -> None:
-    """Refuse a file that says it has more than its bytes can hold, before room is made for it."""
+def _require_plausible_sizes(path: Path, kind: str) -> None:
+    """Refuse a file whose counts exceed its bytes, before memory is allocated for them."""
     size = path.stat().st_size
     if kind == "ply":
         with path.open("rb") as file:
@@ -321,24 +364,24 @@ def _require_honest(path: Path, kind: str) -> None:
                 _STL.unpack(head)[0], (size - _STL.size) // _STL_FACE, "triangles"
             )
     elif kind in ("glb", "gltf"):
-        _require_honest_gltf(path, size)
+        _require_plausible_gltf(path, size)
 
 
-def _require_honest_gltf(path: Path, size: int) -> None:
-    """Look at what of glTF makes readers take memory or time without end."""
+def _require_plausible_gltf(path: Path, size: int) -> None:
+    """Refuse glTF whose counts or node graph would take unbounded memory or time."""
     document = json.loads(_json_of(path))
     if not isinstance(document, dict):
         raise SceneInvalid(
-            f"is a {type(document).__name__}, wanted an object", where="JSON"
+            f"is a {type(document).__name__}, expected an object", where="JSON"
         )
     for name in document.get("extensionsRequired", []):
-        if name in _PACKED:
+        if name in _COMPRESSIONS:
             raise SceneInvalid(
-                f"needs {name}, which is not read here",
+                f"needs {name}, which is not supported",
                 where="extensionsRequired",
                 hint="Export it without compression.",
             )
-    room = size + sum(_beside(path, buffer) for buffer in document.get("buffers", []))
+    room = size + sum(_buffer_size(path, buffer) for buffer in document.get("buffers", []))
     for index, accessor in enumerate(document.get("accessors", [])):
         _require_count(accessor["count"], room, f"accessors[{index}].count")
     children = [
@@ -346,11 +389,11 @@ def _require_honest_gltf(path: Path, size: int) -> None:
     ]
     if len(children) != len(set(children)):
         raise SceneInvalid("has a node with two parents", where="nodes")
-    _require_no_ring(document.get("nodes", []))
+    _require_no_cycle(document.get("nodes", []))
 
 
-def _require_textures(document: dict[str, Any], scene: Any) -> None:
-    """Refuse a file of whose textures some were not read: trimesh says nothing of it."""
+def _require_textures(document: _GltfObject, scene: _TrimeshScene) -> None:
+    """Refuse a file with textures that were not read: trimesh skips them silently."""
     materials = document.get("materials", [])
     declared = sum(
         "baseColorTexture" in materials[part["material"]].get("pbrMetallicRoughness", {})
@@ -367,21 +410,21 @@ def _require_textures(document: dict[str, Any], scene: Any) -> None:
     )
     if loaded < declared:
         raise SceneInvalid(
-            f"of {declared} parts with a texture, {declared - loaded} have one that cannot be read",
+            f"cannot be read for {declared - loaded} of {declared} parts",
             where="textures",
-            hint="Pictures are PNG, JPEG or WebP, and in the file or in its folder.",
+            hint="Textures must be PNG, JPEG or WebP, inside the file or in its folder.",
         )
 
 
-def _beside(path: Path, buffer: dict[str, Any]) -> int:
-    """Return the size of the file that a buffer names, if it is there."""
+def _buffer_size(path: Path, buffer: _GltfObject) -> int:
+    """Return the size of the file that a buffer names, or 0 if it is missing."""
     name = buffer.get("uri", "data:")
     file = path.parent / name
     return file.stat().st_size if not name.startswith("data:") and file.is_file() else 0
 
 
-def _require_no_ring(nodes: list[dict[str, Any]]) -> None:
-    """Refuse nodes that are their own ancestors; each has one parent at most."""
+def _require_no_cycle(nodes: list[_GltfObject]) -> None:
+    """Refuse nodes that are their own ancestors; each node has at most one parent."""
     parent = {
         child: parent
         for parent, node in enumerate(nodes)
@@ -395,6 +438,8 @@ def _require_no_ring(nodes: list[dict[str, Any]]) -> None:
                 raise SceneInvalid("is its own ancestor", where=f"nodes[{start}]")
 
 
-def _require_count(count: object, most: int, where: str) -> None:
-    if isinstance(count, bool) or not isinstance(count, int) or not 0 <= count <= most:
-        raise SceneInvalid(f"is {count!r}, more than the file holds", where=where)
+def _require_count(count: object, limit: int, where: str) -> None:
+    if isinstance(count, bool) or not isinstance(count, int) or not 0 <= count <= limit:
+        raise SceneInvalid(
+            f"is {count!r}, expected at most {limit} by the size of the file", where=where
+        )

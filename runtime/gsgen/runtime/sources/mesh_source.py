@@ -1,4 +1,4 @@
-"""Meshes as a source: a file of triangles that is drawn among Gaussians."""
+"""Mesh source: a file of triangles that is drawn together with Gaussians."""
 
 __all__ = ["MeshSource"]
 
@@ -9,52 +9,37 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.mesh import Mesh
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.mesh_files import read_mesh
-from gsgen.runtime.sources.source import Source, Values
+from gsgen.runtime.sources.source import StaticSource
 
 
 @final
-class MeshSource(Source):
-    """A file of triangles; it has no Gaussians.
+class MeshSource(StaticSource):
+    """The triangles of a file; a source without Gaussians.
 
     Args:
-        path: What ``read_mesh`` reads.
-        meshes: What is drawn in place of what the file holds, where it was read before.
+        path: A file that ``read_mesh`` reads.
+        meshes: The meshes of the file if it was read before; they are drawn in its place.
     """
 
     def __init__(self, path: Path, meshes: Sequence[Mesh] | None = None) -> None:
         self.name = str(path)
         self.meshes = tuple(read_mesh(path) if meshes is None else meshes)
-        none = np.zeros((0, 10), np.float32)
-        self.data = SplatData(none, np.zeros((0, 3), np.float32), "rgb")
-
-    def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Do nothing: a file stays as it is."""
-
-    def finish(self) -> None:
-        """Do nothing: a file stays as it is."""
-
-    def abandon(self) -> None:
-        """Do nothing: a file stays as it is."""
-
-    def shape(self, name: str) -> tuple[int, ...]:
-        """Raise: a file has no inputs."""
-        raise KeyError(name)
+        no_rows = np.zeros((0, 10), np.float32)
+        self.data = SplatData(no_rows, np.zeros((0, 3), np.float32), "rgb")
 
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
-        """Return the middle of the triangles and half the diagonal of the box around them."""
-        corners = np.concatenate([_box(mesh) for mesh in self.meshes if len(mesh.data)])
+        """Return the centre of the box around the triangles, and half its diagonal."""
+        corners = np.concatenate(
+            [_vertices(mesh) for mesh in self.meshes if len(mesh.data)]
+        )
         low, high = corners.min(axis=0), corners.max(axis=0)
         return (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0
 
-    def close(self) -> None:
-        """Do nothing: the file was closed when it was read."""
 
-
-def _box(mesh: Mesh) -> Float[np.ndarray, "n 3"]:
-    """Return the vertices that faces use, in the world."""
+def _vertices(mesh: Mesh) -> Float[np.ndarray, "n 3"]:
+    """Return the vertices that faces use, in world space."""
     used = mesh.data.vertices[np.unique(mesh.data.faces)].astype(np.float64)
     return np.asarray(used @ mesh.transform[:3, :3].T + mesh.transform[:3, 3])

@@ -1,6 +1,6 @@
-"""Placed sources: a source with its place in the world, and how it is to be drawn."""
+"""Placed sources: a source with a transform and its own drawing settings."""
 
-__all__ = ["Look", "PlacedSource"]
+__all__ = ["DrawSettings", "PlacedSource"]
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -16,16 +16,16 @@ from gsgen.runtime.sources.source import Source, Values
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class Look:
-    """How the Gaussians of a source are drawn; see :class:`gsgen.runtime.scene.scene.SplatSet`.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawSettings:
+    """Drawing settings of a source's Gaussians; see :class:`gsgen.runtime.scene.scene.SplatSet`.
 
     Attributes:
         opacity_scale: Factor of all opacities.
-        sh_degree: Use no harmonics above this; None for all.
-        antialias: How the scene was trained; None for what the source says.
-        clip: In the source's own space.
-        sorted: Blend sorted what the source would have summed cell by cell.
+        sh_degree: Highest degree of spherical harmonics; None for all.
+        antialias: How the scene was trained; None for the source's own setting.
+        clip: A box in the source's own space, outside of which no Gaussian is drawn.
+        sorted: Blend in depth order, even if the source declares weighted sums.
     """
 
     opacity_scale: float = 1.0
@@ -37,38 +37,38 @@ class Look:
 
 @final
 class PlacedSource(Source):
-    """Another source, moved.
+    """A source at another place in the world, with its own drawing settings.
 
-    A generator is asked for what a camera in its own space sees: it makes Gaussians there.
+    A generator computes Gaussians in its own space, for a camera in that space.
 
     Args:
         inner: The source; it is closed with this one.
         transform: Its space → world, [4, 4].
-        look: How it is drawn.
-        values: Inputs that stay as they are: tensor name or role → value.
-        where: What an error calls the place of ``values``.
+        settings: Drawing settings.
+        values: Inputs with a fixed value: tensor name or role → value.
+        where: Location of ``values`` in error messages.
 
     Raises:
         UnknownName: The source has no such input.
-        SceneInvalid: The transform or the look cannot be used.
+        SceneInvalid: The transform or the settings are invalid.
     """
 
     def __init__(
         self,
         inner: Source,
         transform: Float[np.ndarray, "4 4"],
-        look: Look | None = None,
+        settings: DrawSettings | None = None,
         values: Values | None = None,
         where: str = "values",
     ) -> None:
-        self._inner, self._look = inner, look or Look()
+        self._inner, self._settings = inner, settings or DrawSettings()
         self._transform = np.array(transform, np.float64)
         self._fixed = _by_name(inner, values or {}, where)
         self.name, self.data, self.color_space = inner.name, inner.data, inner.color_space
-        self.antialias = self._look.antialias or inner.antialias
-        self.weighted = None if self._look.sorted else inner.weighted
+        self.antialias = self._settings.antialias or inner.antialias
+        self.weighted = None if self._settings.sorted else inner.weighted
         self.inputs = tuple(spec for spec in inner.inputs if spec.name not in self._fixed)
-        self.splats(None, None)  # what cannot be drawn says so now
+        self.splats(None, None)  # invalid settings raise here
         self.meshes = tuple(mesh.placed(self._transform) for mesh in inner.meshes)
         up = _rotation(self._transform) @ np.array(inner.up)
         self.up = (float(up[0]), float(up[1]), float(up[2]))
@@ -78,40 +78,40 @@ class PlacedSource(Source):
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return the Gaussians as they are drawn."""
-        degree = self._look.sh_degree if sh_degree is None else sh_degree
+        """Return the Gaussians with the transform and the drawing settings."""
+        degree = self._settings.sh_degree if sh_degree is None else sh_degree
         return SplatSet(
             self.data,
             self._transform,
-            opacity_scale=self._look.opacity_scale,
+            opacity_scale=self._settings.opacity_scale,
             degree=degree,
             antialias=antialias or self.antialias,
-            clip=self._look.clip,
+            clip=self._settings.clip,
             weighted=self.weighted,
         )
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Begin to compute what a camera sees, from where it is in the source's space."""
+        """Begin to compute a frame, for the camera in the source's own space."""
         local = None if camera is None else local_camera(camera, self._transform)
         self._inner.start(local, {**values, **self._fixed}, frame)
 
     @property
     def ready(self) -> bool:
-        """Whether the source is done."""
+        """Whether the source has finished the pending frame."""
         return self._inner.ready
 
     def finish(self) -> None:
-        """Wait for the source."""
+        """Wait for the source, and take its Gaussians."""
         self._inner.finish()
         self.data, self.seconds = self._inner.data, self._inner.seconds
 
     def abandon(self) -> None:
-        """Wait for the source; what is wrong concerns nobody."""
+        """Wait for the source and discard its result or error."""
         self._inner.abandon()
 
-    def survey(self, moments: Iterable[tuple[int, Values]]) -> None:
-        """Bring the source to moments, whose extent becomes that of all."""
-        self._inner.survey((frame, {**values, **self._fixed}) for frame, values in moments)
+    def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
+        """Compute some frames of the source, and let its extent span them all."""
+        self._inner.survey((frame, {**values, **self._fixed}) for frame, values in frames)
         self.data, self.seconds = self._inner.data, self._inner.seconds
 
     def shape(self, name: str) -> tuple[int, ...]:
@@ -119,7 +119,7 @@ class PlacedSource(Source):
         return self._inner.shape(name)
 
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
-        """Return the middle in the world and half the diagonal of a box around most of it."""
+        """Return the centre of a box around most Gaussians, in the world, and half its diagonal."""
         center, reach = self._inner.extent()
         linear, offset = self._transform[:3, :3], self._transform[:3, 3]
         return linear @ center + offset, reach * _scale(linear)
@@ -130,7 +130,7 @@ class PlacedSource(Source):
 
 
 def _by_name(source: Source, values: Values, where: str) -> Mapping[str, object]:
-    """Return the values by tensor name."""
+    """Convert names and roles of inputs to tensor names."""
     known = {word for spec in source.inputs for word in (spec.name, spec.role)}
     by_name: dict[str, object] = {}
     for word, value in values.items():
@@ -142,37 +142,39 @@ def _by_name(source: Source, values: Values, where: str) -> Mapping[str, object]
 
 
 def _scale(linear: Float[np.ndarray, "3 3"]) -> float:
-    """Return the mean of the scales along the axes."""
+    """Return the geometric mean of the scales along the axes."""
     return float(np.cbrt(abs(np.linalg.det(linear))))
 
 
 def _rotation(transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3 3"]:
-    """Return the orthogonal factor of the polar decomposition; a reflection stays one."""
+    """Return the orthogonal factor of the polar decomposition; it keeps a reflection."""
     left, _, right = np.linalg.svd(transform[:3, :3])
     return np.asarray(left @ right)
 
 
 def local_camera(camera: Camera, transform: Float[np.ndarray, "4 4"]) -> Camera:
-    """Return where a camera is, and which way it looks, in a space that is placed in its world.
+    """Convert a camera from world space to the space of a placed source.
 
-    A camera has neither a shear nor a mirror: of these the nearest rotation is left.
+    A camera can neither shear nor mirror: the nearest rotation is used.
 
     Args:
-        camera: In the world.
+        camera: The camera in world space.
         transform: The space → world, [4, 4].
     """
     linear, offset = transform[:3, :3], transform[:3, 3]
     left, _, right = np.linalg.svd(linear)
-    turn = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    rotation = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
     view = np.eye(4)
-    view[:3, :3] = camera.view[:3, :3] @ turn
+    view[:3, :3] = camera.view[:3, :3] @ rotation
     view[:3, 3] = -view[:3, :3] @ np.linalg.solve(linear, camera.eye - offset)
     scale = _scale(linear)
-    flat = scale if camera.kind == "orthographic" else 1.0  # pixels for each unit
+    zoom = (
+        scale if camera.kind == "orthographic" else 1.0
+    )  # its focal length is pixels a unit
     return replace(
         camera,
         view=view,
         near=camera.near / scale,
-        fx=camera.fx * flat,
-        fy=camera.fy * flat,
+        fx=camera.fx * zoom,
+        fy=camera.fy * zoom,
     )

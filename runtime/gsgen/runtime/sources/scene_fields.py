@@ -1,9 +1,9 @@
-"""Fields of a scene file: each is taken out by name and judged, and none may be left over."""
+"""Scene fields: read and check the fields of a scene file by name; unknown fields are errors."""
 
 __all__ = ["Fields", "fields_of", "refuse"]
 
 from collections.abc import Iterator, Mapping
-from typing import Any, NoReturn, TypeVar, final, overload
+from typing import NoReturn, TypeVar, final, overload
 
 import numpy as np
 from jaxtyping import Float
@@ -11,12 +11,13 @@ from jaxtyping import Float
 from gsgen.contract.errors import UnknownName
 from gsgen.runtime.errors import SceneInvalid
 
-_MOST = 1e12
+_MAX = 1e12
 Word = TypeVar("Word", bound=str)
+Alternative = TypeVar("Alternative", list[object], dict[str, object])
 
 
 def refuse(message: str, where: str, hint: str = "") -> NoReturn:
-    """Raise SceneInvalid.
+    """Raise SceneInvalid with a location and a hint.
 
     Raises:
         SceneInvalid: Always.
@@ -24,63 +25,69 @@ def refuse(message: str, where: str, hint: str = "") -> NoReturn:
     raise SceneInvalid(message, where=where, hint=hint)
 
 
-def fields_of(document: Mapping[str, Any], where: str) -> "Fields":
-    """Return the fields of the outermost object of the file ``where``."""
+def fields_of(document: Mapping[str, object], where: str) -> "Fields":
+    """Return the fields of the outermost object of the file at ``where``."""
     return Fields(document, where, ": ")
 
 
 @final
 class Fields:
-    """One object of the file.
+    """The fields of one JSON object of a scene file.
 
     Args:
-        made: The object.
-        where: Its place, which errors name.
-        joint: What stands between that and the name of a field.
+        document: The object.
+        where: Location of the object in error messages.
+        separator: Text between the location and the name of a field.
     """
 
-    def __init__(self, document: Mapping[str, Any], where: str, joint: str = ".") -> None:
-        self._made, self.where, self._joint = document, where, joint
+    def __init__(
+        self, document: Mapping[str, object], where: str, separator: str = "."
+    ) -> None:
+        self._document, self.where, self._separator = document, where, separator
         self._known: list[str] = []
 
-    def place(self, name: str) -> str:
-        """Return what to call the place of a field."""
-        return f"{self.where}{self._joint}{name}"
+    def location(self, name: str) -> str:
+        """Return the location of a field for error messages."""
+        return f"{self.where}{self._separator}{name}"
 
     def refuse(self, name: str, message: str) -> NoReturn:
-        """Say what is wrong with a field.
+        """Raise an error about a field.
 
         Raises:
             SceneInvalid: Always.
         """
-        refuse(message, self.place(name))
+        refuse(message, self.location(name))
 
     def has(self, name: str) -> bool:
-        """Say whether a field is there, and not null."""
+        """Return whether a field exists and is not null."""
         return self.peek(name) is not None
 
-    def peek(self, name: str) -> Any:
-        """Return a field as it is; None where it is not there."""
+    def peek(self, name: str) -> object:
+        """Return a field without a check; None if it is absent."""
         self._known.append(name)
-        return self._made.get(name)
+        return self._document.get(name)
 
-    def take(self, name: str, expected: str) -> Any:
-        """Return a field that is text, or one of the other kinds that ``expected`` names."""
+    def text(self, name: str) -> str | None:
+        """Return a text, or None if the field is absent."""
         value = self.peek(name)
-        kinds: tuple[type, ...] = (str,)
-        if "numbers" in expected:
-            kinds = (str, list)
-        if "object" in expected:
-            kinds = (str, dict)
-        if value is not None and not isinstance(value, kinds):
-            self._wrong(name, expected)
+        if value is not None and not isinstance(value, str):
+            self._mismatch(name, "text")
+        return value
+
+    def text_or(
+        self, name: str, kind: type[Alternative], title: str
+    ) -> str | Alternative | None:
+        """Return a text or a value of another type, which messages call ``title``."""
+        value = self.peek(name)
+        if value is not None and not isinstance(value, str | kind):
+            self._mismatch(name, f"text or {title}")
         return value
 
     def required(self, name: str) -> str:
-        """Return a text that has to be there."""
+        """Return a text that must not be absent or empty."""
         value = self.peek(name)
         if not isinstance(value, str) or not value:
-            self._wrong(name, "text")
+            self._mismatch(name, "text")
         return str(value)
 
     @overload
@@ -95,8 +102,8 @@ class Fields:
         self,
         name: str,
         *,
-        low: float = -_MOST,
-        high: float = _MOST,
+        low: float = -_MAX,
+        high: float = _MAX,
         fallback: float | None = None,
     ) -> float | None:
         """Return a number from ``low`` to ``high``."""
@@ -104,11 +111,11 @@ class Fields:
         if value is None:
             return fallback
         if isinstance(value, bool) or not isinstance(value, int | float):
-            self._wrong(name, "a number")
+            self._mismatch(name, "a number")
         if not low <= value <= high:
-            least = f"from {low:g}" if low > -_MOST else ""
-            most = f"to {high:g}" if high < _MOST else ""
-            self._wrong(name, " ".join(filter(None, ["a finite number", least, most])))
+            least = f"from {low:g}" if low > -_MAX else ""
+            most = f"to {high:g}" if high < _MAX else ""
+            self._mismatch(name, " ".join(filter(None, ["a finite number", least, most])))
         return float(value)
 
     def whole(self, name: str, *, low: int, high: int) -> int | None:
@@ -121,28 +128,28 @@ class Fields:
             or not isinstance(value, int)
             or not low <= value <= high
         ):
-            self._wrong(name, f"a whole number from {low} to {high}")
+            self._mismatch(name, f"a whole number from {low} to {high}")
         return int(value)
 
     def side(self, name: str) -> int | None:
-        """Return a number of pixels."""
+        """Return a width or a height in pixels."""
         return self.whole(name, low=1, high=16_384)
 
     def choice(self, name: str, known: tuple[Word, ...]) -> Word | None:
-        """Return one of several words.
+        """Return one of the known words.
 
         Raises:
-            UnknownName: It is none of them; the nearest is suggested.
+            UnknownName: The value is not one of them; the hint suggests the nearest.
         """
         value = self.peek(name)
         if value is not None and value not in known:
             if not isinstance(value, str):
-                self._wrong(name, " or ".join(known))
-            raise UnknownName.among("word", value, known, self.place(name))
+                self._mismatch(name, " or ".join(known))
+            raise UnknownName.among("word", value, known, self.location(name))
         return next((word for word in known if word == value), None)
 
     def array(self, name: str, *shapes: tuple[int, ...]) -> Float[np.ndarray, "..."] | None:
-        """Return an array of finite numbers of one of some shapes."""
+        """Return an array of finite numbers with one of the given shapes."""
         value = self.peek(name)
         if value is None:
             return None
@@ -154,66 +161,69 @@ class Fields:
         try:
             array = np.array(value)
         except ValueError:  # rows of several lengths
-            self._wrong(name, expected)
+            self._mismatch(name, expected)
         if array.dtype.kind not in "if" or array.shape not in shapes:
-            self._wrong(name, expected)
-        if not (np.abs(array) <= _MOST).all():
-            self._wrong(name, f"{expected} that are finite")
+            self._mismatch(name, expected)
+        if not (np.abs(array) <= _MAX).all():
+            self._mismatch(name, f"{expected} that are finite")
         return array.astype(np.float64)
 
-    def mapping(self, name: str) -> Mapping[str, Any]:
-        """Return an object of any names, whose values are numbers or lists of them."""
+    def mapping(self, name: str) -> Mapping[str, np.ndarray]:
+        """Return an object with free names, whose values are numbers or lists of numbers."""
         value = self.peek(name)
         if value is None:
             return {}
         if not isinstance(value, dict):
-            self._wrong(name, "an object")
+            self._mismatch(name, "an object")
         return {key: self._values(f"{name}.{key}", value) for key, value in value.items()}
 
-    def _values(self, name: str, value: Any) -> np.ndarray:
+    def _values(self, name: str, value: object) -> np.ndarray:
         try:
             array = np.array(value)
         except ValueError:
             array = np.array(None)
         if array.dtype.kind not in "ifb":
-            refuse(f"is {_shown(value)}, wanted numbers", self.place(name))
+            refuse(f"is {_shortened(value)}, expected numbers", self.location(name))
         return array
 
     def inner(self, name: str) -> "Fields":
-        """Return the fields of an object in a field."""
+        """Return the fields of a nested object."""
         value = self.peek(name)
         if not isinstance(value, dict):
-            self._wrong(name, "an object")
-        return Fields(value, self.place(name))
+            self._mismatch(name, "an object")
+        return Fields(value, self.location(name))
 
     def parts(self, name: str) -> Iterator["Fields"]:
-        """Yield the fields of each object of a list; a text stands for an object of its path."""
+        """Yield the fields of each object of a list; a text stands for an object with that path."""
         entries = self.peek(name)
         if entries is not None and not isinstance(entries, list):
-            self._wrong(name, "a list")
+            self._mismatch(name, "a list")
         for index, entry in enumerate(entries or []):
-            where = f"{self.place(name)}[{index}]"
+            where = f"{self.location(name)}[{index}]"
             document = {"path": entry} if isinstance(entry, str) else entry
             if not isinstance(document, dict):
-                refuse(f"is {_shown(entry)}, wanted an object or a path", where)
+                refuse(f"is {_shortened(entry)}, expected an object or a path", where)
             yield Fields(document, where)
 
     def close(self) -> None:
-        """Make sure that nothing was left over.
+        """Check that every field of the object was read.
 
         Raises:
-            UnknownName: There is a field that nobody asked for; the nearest name is suggested.
+            UnknownName: A field is unknown; the hint suggests the nearest name.
         """
-        for name in self._made:
+        for name in self._document:
             if name not in self._known:
                 raise UnknownName.among("field", name, set(self._known), self.where)
 
-    def _wrong(self, name: str, expected: str) -> NoReturn:
-        if name not in self._made:
-            refuse(f"is missing: wanted {expected}", self.place(name))
-        refuse(f"is {_shown(self._made[name])}, wanted {expected}", self.place(name))
+    def _mismatch(self, name: str, expected: str) -> NoReturn:
+        if name not in self._document:
+            refuse(f"is missing, expected {expected}", self.location(name))
+        refuse(
+            f"is {_shortened(self._document[name])}, expected {expected}",
+            self.location(name),
+        )
 
 
-def _shown(value: object) -> str:
+def _shortened(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 60 else text[:59] + "…"

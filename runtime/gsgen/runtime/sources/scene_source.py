@@ -1,4 +1,4 @@
-"""Scenes in memory as sources, for what shows sources."""
+"""Scene sources: scenes in memory, as the sources that players and windows take."""
 
 __all__ = ["SceneSource", "sources_of"]
 
@@ -10,21 +10,21 @@ from typing import Literal, final
 import numpy as np
 from jaxtyping import Float
 
-from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.scene import Scene, SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.runtime.sources.mesh_source import MeshSource
+from gsgen.runtime.sources.opening import open_source
 from gsgen.runtime.sources.scene_file import is_scene_file, open_scene
-from gsgen.runtime.sources.source import Source, Values, open_source
+from gsgen.runtime.sources.source import Source, StaticSource
 
 
 @final
-class SceneSource(Source):
-    """A set of Gaussians that is there already.
+class SceneSource(StaticSource):
+    """A set of Gaussians in memory, which its owner may change.
 
     Args:
-        one: The set.
-        color_space: Of its colours.
+        splat_set: The set.
+        color_space: Colour space of the set.
     """
 
     def __init__(
@@ -37,38 +37,22 @@ class SceneSource(Source):
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return the set as it is drawn."""
+        """Return the set with these drawing settings."""
         degree = self._set.degree if sh_degree is None else sh_degree
         return replace(self._set, degree=degree, antialias=antialias or self.antialias)
 
-    def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Do nothing: who made the set changes it."""
-
-    def finish(self) -> None:
-        """Do nothing: who made the set changes it."""
-
-    def abandon(self) -> None:
-        """Do nothing: who made the set changes it."""
-
-    def shape(self, name: str) -> tuple[int, ...]:
-        """Raise: a set has no inputs."""
-        raise KeyError(name)
-
     def extent(self) -> tuple[Float[np.ndarray, "3"], float]:
-        """Return the middle in the world and half the diagonal of a box around most of it."""
+        """Return the centre of a box around most Gaussians, in the world, and half its diagonal."""
         center, reach = super().extent()
         linear, offset = self._set.transform[:3, :3], self._set.transform[:3, 3]
         scale = float(np.cbrt(abs(np.linalg.det(linear))))
         return linear @ center + offset, reach * scale
 
-    def close(self) -> None:
-        """Do nothing: there is nothing to release."""
-
 
 def sources_of(
     scene: Scene | SplatData | str | Path | Sequence[str | Path],
 ) -> list[Source]:
-    """Return what is drawn of a scene in memory, or of files.
+    """Return the sources of a scene in memory, or of files.
 
     Args:
         scene: A scene, Gaussians, or splat files, meshes, generators and scene files.

@@ -1,13 +1,13 @@
-"""Where Gaussians come from: a file that holds them, or a generator that makes them every frame."""
+"""Sources: Gaussians of a file, or of a generator that computes them in every frame."""
 
 __all__ = [
     "GeneratorSource",
     "Source",
+    "StaticSource",
     "StillSource",
     "Values",
-    "direction",
+    "axis_direction",
     "named",
-    "open_source",
 ]
 
 from abc import ABC, abstractmethod
@@ -23,34 +23,34 @@ from gsgen.contract.errors import GsgenError
 from gsgen.contract.spec import layout
 from gsgen.contract.spec.manifest import Input, Space, WeightedSum
 from gsgen.formats import FormatError, PackedRows, PointCloud, Splats, open_splats
-from gsgen.runtime.errors import SceneUnreadable, placed
+from gsgen.runtime.errors import SceneUnreadable, locate_in_frame
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.mesh import Mesh
 from gsgen.runtime.scene.scene import SplatSet
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.sources.generator_worker import FrameDelta, Inference
+from gsgen.runtime.sources.generator_worker import FrameDelta, GeneratorWorker
 
 Center = Float[np.ndarray, "3"]
 
 Values = Mapping[str, object]
 """Tensor name or role → value."""
 
-_UNSEEN = 2.0  # percent of the centres, at each end of each axis, that framing leaves out
+_CROPPED = 2.0  # percent of the centres, at each end of each axis, that framing leaves out
 
 
 class Source(ABC):
-    """Gaussians, whatever they come from.
+    """Base of all sources of Gaussians and meshes: files, generators and scenes in memory.
 
     Attributes:
-        name: What it was opened from.
-        data: The Gaussians as they are now.
-        up: Which direction is up.
+        name: Path or name of the source, for messages.
+        data: The current Gaussians.
+        up: The upward direction, a unit vector.
         antialias: How the scene was trained.
-        color_space: Of the colours.
-        weighted: How Gaussians are weighed where they are summed cell by cell.
+        color_space: Colour space of the Gaussians.
+        weighted: Weights of Gaussians that are blended by weighted sums; None for sorted blending.
         meshes: Triangles that are drawn with the Gaussians.
-        inputs: What may be fed to it.
-        seconds: What computing the present frame took.
+        inputs: The inputs that a caller may set.
+        seconds: Seconds that the current frame took to compute.
     """
 
     name: str
@@ -66,17 +66,17 @@ class Source(ABC):
 
     @abstractmethod
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Begin to bring the Gaussians to a moment; they stay as they are until :meth:`finish`.
+        """Begin to compute a frame; the Gaussians change in :meth:`finish`.
 
         Args:
-            camera: Who will see them; None where nobody knows yet.
-            values: Tensor name or role → value; what is not named keeps its value.
-            frame: What an error calls the frame.
+            camera: The camera of the frame; None if it is not known.
+            values: Tensor name or role → value; absent inputs keep their value.
+            frame: Frame number in error messages.
         """
 
     @abstractmethod
     def finish(self) -> None:
-        """Bring the Gaussians to the moment that was begun.
+        """Wait for the pending frame, and update the Gaussians.
 
         Raises:
             GsgenError: A value does not fit, or the model fails; it names model, input and frame.
@@ -89,24 +89,24 @@ class Source(ABC):
 
     @abstractmethod
     def abandon(self) -> None:
-        """Wait for the moment that was begun, if any; what is wrong with it concerns nobody."""
+        """Wait for the pending frame and discard its result or error."""
 
-    def interrupt(self) -> None:  # noqa: B027 - what computes nothing has nothing to end
-        """End what computes the moment that was begun, which fails."""
+    def interrupt(self) -> None:  # noqa: B027 - a file computes nothing
+        """Stop the computation of the pending frame, which then fails."""
 
     def update(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Bring the Gaussians to a moment; see :meth:`start` and :meth:`finish`."""
+        """Compute a frame and update the Gaussians; see :meth:`start` and :meth:`finish`."""
         self.start(camera, values, frame)
         self.finish()
 
     def splats(
         self, sh_degree: int | None, antialias: Literal["classic", "mip"] | None
     ) -> SplatSet:
-        """Return the Gaussians as they are drawn.
+        """Return the Gaussians with their drawing settings.
 
         Args:
-            sh_degree: Use no harmonics above this; None for what the source says, or all.
-            antialias: How the scene was trained; None for what the source says.
+            sh_degree: Highest degree of spherical harmonics; None for the source's own, or all.
+            antialias: How the scene was trained; None for the source's own setting.
         """
         return SplatSet(
             self.data,
@@ -117,11 +117,11 @@ class Source(ABC):
 
     @property
     def time(self) -> Input | None:
-        """What the manifest says of the time, or None where nothing moves with it."""
+        """The time input, or None for a source without one."""
         return next((spec for spec in self.inputs if spec.role == "time"), None)
 
     def named(self, word: str) -> list[Input]:
-        """Return the inputs that a word means: a tensor of that name, or all of that role."""
+        """Return the inputs with this tensor name, or else with this role."""
         return named(self.inputs, word)
 
     @abstractmethod
@@ -129,23 +129,23 @@ class Source(ABC):
         """Return the shape of an input."""
 
     def extent(self) -> tuple[Center, float]:
-        """Return the middle of the Gaussians and half the diagonal of the box around most.
+        """Return the centre of a box around most Gaussians, and half its diagonal.
 
-        They are those of the moments of :meth:`survey`, or of when this was first asked: cameras
-        that are placed by them stand still while Gaussians move.
+        The box spans the frames of :meth:`survey`, or else the Gaussians at the first call: cameras
+        that are placed by it stand still while Gaussians move.
         """
         if self._extent is None:
             self._extent = _around([_centers(self.data)])
         return self._extent
 
-    def survey(self, moments: Iterable[tuple[int, Values]]) -> None:
-        """Bring the Gaussians to moments, one after the other; the extent becomes that of all.
+    def survey(self, frames: Iterable[tuple[int, Values]]) -> None:
+        """Compute some frames, and let the extent span them all.
 
         Args:
-            moments: What an error calls the frame, and the values.
+            frames: The number and the input values of each frame.
         """
         centers: dict[tuple[int, int], Float64[np.ndarray, "n 3"]] = {}
-        for frame, values in moments:
+        for frame, values in frames:
             self.update(None, values, frame)
             state = (self.data.rows_version, self.data.count)
             if state not in centers:
@@ -158,13 +158,13 @@ class Source(ABC):
 
 
 def named(inputs: Sequence[Input], word: str) -> list[Input]:
-    """Return the inputs that a word means: a tensor of that name, or all of that role."""
+    """Return the inputs with this tensor name, or else with this role."""
     exact = [spec for spec in inputs if spec.name == word]
     return exact or [spec for spec in inputs if spec.role == word]
 
 
 def _centers(data: SplatData) -> Float64[np.ndarray, "n 3"]:
-    """Return the centres of what can be seen, or of all where nothing can."""
+    """Return the centres of the Gaussians with opacity, or of all if none has any."""
     rows = data.rows[: data.count]
     centers = rows[:, layout.POSITION].astype(np.float64)
     finite = np.isfinite(centers).all(axis=1)
@@ -172,11 +172,11 @@ def _centers(data: SplatData) -> Float64[np.ndarray, "n 3"]:
     return np.asarray(centers[is_visible if is_visible.any() else finite])
 
 
-def _around(moments: Sequence[Float64[np.ndarray, "n 3"]]) -> tuple[Center, float]:
-    """Return the middle and the reach of the boxes around most of the centres at each moment."""
+def _around(frames: Sequence[Float64[np.ndarray, "n 3"]]) -> tuple[Center, float]:
+    """Return the centre and half the diagonal of the box around most centres of each frame."""
     boxes = [
-        np.percentile(centers, [_UNSEEN, 100 - _UNSEEN], axis=0)
-        for centers in moments
+        np.percentile(centers, [_CROPPED, 100 - _CROPPED], axis=0)
+        for centers in frames
         if len(centers)
     ]
     if not boxes:
@@ -185,12 +185,32 @@ def _around(moments: Sequence[Float64[np.ndarray, "n 3"]]) -> tuple[Center, floa
     return (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0
 
 
+class StaticSource(Source):
+    """Base of sources that compute nothing: splat files, meshes and scenes in memory."""
+
+    def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
+        """Do nothing: the Gaussians are the same in every frame."""
+
+    def finish(self) -> None:
+        """Do nothing: no frame is pending."""
+
+    def abandon(self) -> None:
+        """Do nothing: no frame is pending."""
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Raise KeyError: the source has no inputs."""
+        raise KeyError(name)
+
+    def close(self) -> None:
+        """Do nothing: no file is open."""
+
+
 @final
-class StillSource(Source):
-    """A file of Gaussians.
+class StillSource(StaticSource):
+    """The Gaussians of a file, which stay the same in every frame.
 
     Args:
-        path: PLY, NPZ or whatever ``open_splats`` reads.
+        path: A file that ``gsgen.formats.open_splats`` reads, such as PLY or NPZ.
     """
 
     def __init__(self, path: Path) -> None:
@@ -204,47 +224,31 @@ class StillSource(Source):
             self.antialias = "mip" if content.antialiased else "classic"
             self.color_space = content.color_space
 
-    def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Do nothing: a file stays as it is."""
-
-    def finish(self) -> None:
-        """Do nothing: a file stays as it is."""
-
-    def abandon(self) -> None:
-        """Do nothing: a file stays as it is."""
-
-    def shape(self, name: str) -> tuple[int, ...]:
-        """Raise: a file has no inputs."""
-        raise KeyError(name)
-
-    def close(self) -> None:
-        """Do nothing: the file was closed when it was read."""
-
 
 @final
 class GeneratorSource(Source):
-    """An ONNX model that makes Gaussians every frame; see :class:`Inference`.
+    """An ONNX model that computes Gaussians in every frame; see :class:`GeneratorWorker`.
 
     Args:
         path: The model.
-        provider: What ONNX Runtime runs it on: cpu, webgpu, cuda or auto.
-        sizes: Symbol → size of a dimension that the model leaves open.
+        provider: ONNX Runtime's execution provider: cpu, webgpu, cuda or auto.
+        sizes: Symbol → size of an open dimension of the model.
     """
 
     def __init__(
         self, path: Path, provider: str = "cpu", sizes: Mapping[str, int] | None = None
     ) -> None:
         self.name = str(path)
-        self._inference = Inference(path, provider, sizes)
-        self.manifest = manifest = self._inference.manifest
-        self.up = direction((manifest.space or Space()).up)
+        self._worker = GeneratorWorker(path, provider, sizes)
+        self.manifest = manifest = self._worker.manifest
+        self.up = axis_direction((manifest.space or Space()).up)
         self.antialias = manifest.antialias
         self.weighted = manifest.weighted_sum if manifest.blend == "wsr" else None
         self.inputs = manifest.inputs
         appearance = manifest.outputs.appearance
-        assert appearance is not None  # an inference has both outputs
+        assert appearance is not None  # the worker requires both outputs
         self._space, self.color_space = appearance.space, appearance.color_space
-        self._begun: tuple[int, Future[FrameDelta]] | None = None
+        self._pending: tuple[int, Future[FrameDelta]] | None = None
         try:
             self.update(None, {})
         except BaseException:
@@ -252,36 +256,36 @@ class GeneratorSource(Source):
             raise
 
     def start(self, camera: Camera | None, values: Values, frame: int = 0) -> None:
-        """Begin to run the model."""
+        """Begin to run the model for a frame."""
         self.abandon()
-        self._begun = frame, self._inference.start(camera, values)
+        self._pending = frame, self._worker.start(camera, values)
 
     @property
     def ready(self) -> bool:
-        """Whether the model is done."""
-        return self._begun is None or self._begun[1].done()
+        """Whether the model has finished the pending frame."""
+        return self._pending is None or self._pending[1].done()
 
     def finish(self) -> None:
-        """Wait for the model, and take over what it changed."""
-        if self._begun is None:
+        """Wait for the model, and copy its changed outputs."""
+        if self._pending is None:
             return
-        (frame, future), self._begun = self._begun, None
+        (frame, future), self._pending = self._pending, None
         try:
             self._take(future.result())
         except GsgenError as error:
-            raise placed(error, self.name, frame) from error
+            raise locate_in_frame(error, self.name, frame) from error
         except KeyboardInterrupt:
             self.interrupt()
             raise
 
     def interrupt(self) -> None:
-        """End the run of the model."""
-        self._inference.interrupt()
+        """Stop the run of the model."""
+        self._worker.interrupt()
 
     def abandon(self) -> None:
-        """Wait for the model. It makes a whole frame again after one that failed."""
-        if self._begun is not None:
-            (_, future), self._begun = self._begun, None
+        """Wait for the model; after an error it computes all outputs again."""
+        if self._pending is not None:
+            (_, future), self._pending = self._pending, None
             if future.exception() is None:
                 self._take(future.result())
 
@@ -304,38 +308,11 @@ class GeneratorSource(Source):
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Return the shape of an input."""
-        return self._inference.session.inputs[name].shape
+        return self._worker.session.inputs[name].shape
 
     def close(self) -> None:
         """Release the session."""
-        self._inference.close()
-
-
-def open_source(
-    path: Path, provider: str = "cpu", sizes: Mapping[str, int] | None = None
-) -> Source:
-    """Open a file of Gaussians or triangles, or a generator, which the suffix ``.onnx`` tells.
-
-    Args:
-        path: The file.
-        provider: What ONNX Runtime runs a generator on.
-        sizes: Symbol → size of a dimension that a generator leaves open.
-
-    Raises:
-        SceneUnreadable: The file holds nothing that can be read and drawn.
-        ModelUnreadable: The file is no ONNX model.
-        SceneInvalid: The model is no generator.
-        SizeUnknown: A dimension has no size.
-    """
-    if path.suffix.lower() == ".onnx":
-        return GeneratorSource(path, provider, sizes)
-    from gsgen.runtime.sources.mesh_files import is_mesh
-
-    if is_mesh(path):
-        from gsgen.runtime.sources.mesh_source import MeshSource
-
-        return MeshSource(path)
-    return StillSource(path)
+        self._worker.close()
 
 
 def _drawable(content: Splats | PointCloud | PackedRows) -> SplatData:
@@ -346,7 +323,7 @@ def _drawable(content: Splats | PointCloud | PackedRows) -> SplatData:
     return SplatData.from_packed(content)
 
 
-def direction(axis: str) -> tuple[float, float, float]:
+def axis_direction(axis: str) -> tuple[float, float, float]:
     """Return the unit vector of an axis such as ``-y``."""
     sign = -1.0 if axis[0] == "-" else 1.0
     x, y, z = (sign * (name == axis[1]) for name in "xyz")

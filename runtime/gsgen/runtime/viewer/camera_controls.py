@@ -1,6 +1,6 @@
-"""Controls of a viewer: a camera that is turned, moved and brought back by hand."""
+"""Camera controls: a camera that the user turns, moves and resets."""
 
-__all__ = ["Controls"]
+__all__ = ["KEYS", "Controls", "unproject"]
 
 import math
 from dataclasses import replace
@@ -14,13 +14,13 @@ from gsgen.runtime.scene.camera import Camera
 
 Vector = Float[np.ndarray, "3"]
 
-_POLE: Final = math.radians(1.0)  # so near to straight up or down an orbit may come
-_TURN: Final = math.radians(0.3)  # for each pixel that is dragged
-_WHEEL: Final = 0.0012  # of the logarithm of the distance; a notch is 100
-_SPEED: Final = 0.5  # of the reach, each second
-_FAST: Final = 4.0
-_NEAREST: Final = 1e-4  # of the reach: no wheel comes nearer to the pivot
-_NEAR: Final = 0.01  # of the distance: the near plane is no farther than that
+_POLE: Final = math.radians(1.0)  # least angle between the view and straight up or down
+_TURN: Final = math.radians(0.3)  # per dragged pixel
+_WHEEL: Final = 0.0012  # logarithm of the distance per wheel unit; a notch is 100
+_SPEED: Final = 0.5  # reaches per second
+_FAST: Final = 4.0  # factor of the speed with shift
+_MIN_DISTANCE: Final = 1e-4  # reaches between the eye and the pivot
+_NEAR_SHARE: Final = 0.01  # of the distance to the pivot, at which the near plane is
 
 KEYS: Final = {
     "w": (0, 0, 1),
@@ -30,24 +30,24 @@ KEYS: Final = {
     "q": (0, 1, 0),
     "e": (0, -1, 0),
 }
-"""Keys that move, and where to: right, down and forward."""
+"""Keys that move the camera, with their direction: right, down and forward."""
 
 
 @final
 class Controls:
-    """A camera in somebody's hands.
+    """A camera that orbits, pans, zooms and flies.
 
-    It turns about a pivot in front of it, which goes with it when it flies. How it is turned is
-    kept as a rotation, so that cameras of files, which may be tilted, go on from where they are.
+    It turns about a pivot in front of it, which moves with it when it flies. Its orientation is a
+    rotation matrix, not two angles, so that tilted cameras of files keep their tilt.
 
     Args:
-        home: Where it begins.
+        home: The first camera.
         up: The world's upward direction.
-        center: Of what is seen.
-        reach: From there to the end of most of it.
+        center: Centre of the scene.
+        reach: Radius of the scene around its centre.
 
     Attributes:
-        pivot: What it turns about.
+        pivot: The point that the camera turns about, in the world.
     """
 
     def __init__(self, home: Camera, up: Vector, center: Vector, reach: float) -> None:
@@ -57,33 +57,31 @@ class Controls:
         self.reset()
 
     def reset(self) -> None:
-        """Go back to where it began."""
-        self._turn = self._home.view[:3, :3].copy()  # world → camera
+        """Return to the first camera."""
+        self._rotation = self._home.view[:3, :3].copy()  # world → camera
         self._zoom = 1.0
-        ahead = float(self._turn[2] @ (self._center - self._home.eye))
-        self._distance = ahead if ahead > _NEAREST * self._reach else self._reach
+        ahead = float(self._rotation[2] @ (self._center - self._home.eye))
+        self._distance = ahead if ahead > _MIN_DISTANCE * self._reach else self._reach
         if self._home.kind == "panorama":
-            self._distance = (
-                _NEAREST * self._reach
-            )  # it stands in the middle, and looks around
-        self.pivot = self._home.eye + self._distance * self._turn[2]
+            self._distance = _MIN_DISTANCE * self._reach  # it turns on the spot
+        self.pivot = self._home.eye + self._distance * self._rotation[2]
 
     @property
     def eye(self) -> Vector:
         """The camera centre, in world units."""
-        return np.asarray(self.pivot - self._distance * self._turn[2])
+        return np.asarray(self.pivot - self._distance * self._rotation[2])
 
     def camera(self, width: int, height: int) -> Camera:
-        """Return the camera, in an image that shows at least what it showed in its own.
+        """Return the camera for an image size; all of the first camera's view stays visible.
 
         Args:
-            width: Of the image, in pixels.
-            height: Of the image, in pixels.
+            width: Width of the image, in pixels.
+            height: Height of the image, in pixels.
         """
         home = self._home
         view = np.eye(4)
-        view[:3, :3] = self._turn
-        view[:3, 3] = -self._turn @ self.eye
+        view[:3, :3] = self._rotation
+        view[:3, 3] = -self._rotation @ self.eye
         if home.kind == "panorama":
             return replace(home.scaled(width, height), view=view)
         scale = min(width / home.width, height / home.height)
@@ -96,74 +94,93 @@ class Controls:
             cy=height / 2 + (home.cy - home.height / 2) * scale,
             width=width,
             height=height,
-            near=min(home.near, _NEAR * self._distance),
+            near=min(home.near, _NEAR_SHARE * self._distance),
         )
 
     def orbit(self, right: float, down: float) -> None:
-        """Turn about the pivot, as if what is seen were dragged by so many pixels."""
+        """Turn about the pivot by a drag of some pixels."""
         if self._home.kind == "panorama":
             return self.look(right, down)
         self._rotate(right * _TURN, down * _TURN)
 
     def look(self, right: float, down: float) -> None:
-        """Look around from where it is, as if what is seen were dragged by so many pixels."""
+        """Turn on the spot by a drag of some pixels."""
         eye = self.eye
         self._rotate(-right * _TURN, -down * _TURN)
-        self.pivot = eye + self._distance * self._turn[2]
+        self.pivot = eye + self._distance * self._rotation[2]
 
     def _rotate(self, around: float, over: float) -> None:
-        """Turn about the upward direction, and then about the camera's own right."""
-        turn = self._turn @ _rotation(self._up, around)
-        # Which way up is leans by as much as the camera looks up; there is an end to that.
-        angle = math.acos(float(np.clip(turn[2] @ self._up, -1, 1)))
-        goal = float(np.clip(angle + over, min(angle, _POLE), max(angle, math.pi - _POLE)))
-        turn = turn @ _rotation(turn[0], goal - angle)
-        left, _, right = np.linalg.svd(turn)  # thousands of drags do not wear it out
-        self._turn = left @ right
+        """Turn about the upward direction, then about the camera's own right."""
+        rotation = self._rotation @ _rotation(self._up, around)
+        # The angle to straight up stays away from the poles, where the view would flip over.
+        angle = math.acos(float(np.clip(rotation[2] @ self._up, -1, 1)))
+        target = float(
+            np.clip(angle + over, min(angle, _POLE), max(angle, math.pi - _POLE))
+        )
+        rotation = rotation @ _rotation(rotation[0], target - angle)
+        # Orthogonalised, so that rounding errors of many drags do not add up.
+        left, _, right = np.linalg.svd(rotation)
+        self._rotation = left @ right
 
     def pan(self, right: float, down: float, width: int, height: int) -> None:
-        """Drag what is at the pivot by so many pixels of an image of that size."""
+        """Move the camera so that the pivot follows a drag, in pixels of an image of this size."""
         camera = self.camera(width, height)
-        deep = {"pinhole": self._distance, "orthographic": 1.0, "panorama": self._reach}
-        steps = -deep[camera.kind] * np.array([right / camera.fx, down / camera.fy, 0])
-        self.pivot = self.pivot + self._turn.T @ steps
+        depth = {"pinhole": self._distance, "orthographic": 1.0, "panorama": self._reach}
+        steps = -depth[camera.kind] * np.array([right / camera.fx, down / camera.fy, 0])
+        self.pivot = self.pivot + self._rotation.T @ steps
 
     def wheel(self, amount: float) -> None:
-        """Come nearer to the pivot, or go away for a positive amount; 100 is a notch."""
+        """Move towards the pivot, or away from it for a positive amount; 100 is a notch."""
         factor = math.exp(float(np.clip(amount * _WHEEL, -5, 5)))
         if self._home.kind == "orthographic":
             self._zoom = float(np.clip(self._zoom / factor, 1e-4, 1e4))
         elif self._home.kind == "pinhole":
-            least, most = _NEAREST * self._reach, 1e4 * self._reach
-            self._distance = float(np.clip(self._distance * factor, least, most))
+            low, high = _MIN_DISTANCE * self._reach, 1e4 * self._reach
+            self._distance = float(np.clip(self._distance * factor, low, high))
 
-    def fly(self, keys: frozenset[str], seconds: float, fast: bool) -> bool:
-        """Move as the keys that are held say, and say whether that was anywhere."""
+    def fly(self, keys: frozenset[str], seconds: float, *, fast: bool) -> bool:
+        """Move in the directions of the held keys, and return whether the camera moved."""
         steps = np.sum([KEYS[key] for key in keys if key in KEYS] or [(0, 0, 0)], axis=0)
         if not steps.any():
             return False
         length = _SPEED * self._reach * seconds * (_FAST if fast else 1)
-        self.pivot = self.pivot + self._turn.T @ (steps / np.linalg.norm(steps)) * length
+        self.pivot = (
+            self.pivot + self._rotation.T @ (steps / np.linalg.norm(steps)) * length
+        )
         return True
 
     def focus(self, point: Vector) -> None:
-        """Look at a point from where it is, and turn about it from now on."""
+        """Turn towards a point, which becomes the pivot."""
         eye = self.eye
         ahead = np.asarray(point, np.float64) - eye
         distance = float(np.linalg.norm(ahead))
-        if not distance > _NEAREST * self._reach:
+        if not distance > _MIN_DISTANCE * self._reach:
             return
         if np.linalg.norm(np.cross(ahead / distance, self._up)) > math.sin(_POLE):
-            self._turn = look_at(eye, np.asarray(point, np.float64), self._up)[:3, :3]
+            self._rotation = look_at(eye, np.asarray(point, np.float64), self._up)[:3, :3]
         self._distance, self.pivot = distance, np.asarray(point, np.float64)
 
     def frame(self) -> None:
-        """Step to where everything is seen, without turning."""
+        """Move to where the whole scene is in view, without turning."""
         home = self._home
         self.pivot, self._zoom = self._center.copy(), 1.0
         if home.kind == "pinhole":
             half = math.atan(min(home.width / home.fx, home.height / home.fy) / 2)
             self._distance = self._reach / math.sin(half)
+
+
+def unproject(camera: Camera, x: float, y: float, depth: float) -> Vector:
+    """Return the point of the world at a pixel and a depth."""
+    across, down = (x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy
+    local = np.array([across, down, 1.0]) * depth
+    if camera.kind == "orthographic":
+        local = np.array([across, down, depth])
+    elif camera.kind == "panorama":
+        level = math.cos(down)
+        local = depth * np.array(
+            [math.sin(across) * level, math.sin(down), math.cos(across) * level]
+        )
+    return np.asarray(camera.eye + camera.view[:3, :3].T @ local)
 
 
 def _rotation(axis: Vector, angle: float) -> Float[np.ndarray, "3 3"]:

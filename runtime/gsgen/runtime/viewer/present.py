@@ -1,15 +1,23 @@
-"""Present: what was drawn, and panels of words over it, on the surface of a window."""
+"""Present: shows a drawn image, and panels over it, on the surface of a window."""
 
 __all__ = ["Panel", "Present", "View"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal, final
+from typing import Final, Literal, final
 
 import numpy as np
 from jaxtyping import UInt8
 
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import (
+    BindGroup,
+    BindGroupLayout,
+    Buffer,
+    RawDevice,
+    RenderPipeline,
+    Texture,
+)
 from gsgen.runtime.kernels.shared.shader import source
 from gsgen.runtime.media.pictures import Mode
 from gsgen.runtime.renderer.renderer import Drawn
@@ -22,13 +30,13 @@ _MODES: Final[dict[Mode, int]] = {
     "normal": 3,
     "alpha": 4,
 }
-_WORDS: Final = {
+_CONSTANTS: Final = {
     "MODE_DEPTH": _MODES["depth"],
     "MODE_MEDIAN": _MODES["median-depth"],
     "MODE_NORMAL": _MODES["normal"],
     "MODE_ALPHA": _MODES["alpha"],
 }
-_SHOWING: Final = np.dtype(
+_UNIFORMS: Final = np.dtype(
     [
         ("turn", np.float32, (3, 4)),
         ("size", np.float32, 2),
@@ -41,9 +49,9 @@ _SHOWING: Final = np.dtype(
         ("filling", np.uint32, 3),
     ]
 )
-"""``RenderEvidence`` of ``present.wgsl``; a column of a matrix has room for four."""
+"""``Showing`` of ``present.wgsl``; a column of a matrix takes four numbers."""
 
-_OVER: Final = {
+_BLEND_OVER: Final = {
     "src_factor": "one",
     "dst_factor": "one-minus-src-alpha",
     "operation": "add",
@@ -53,28 +61,28 @@ _OVER: Final = {
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Panel:
-    """A picture that lies over the surface.
+    """A picture that is drawn over the surface.
 
     Attributes:
-        picture: Red, green and blue multiplied by alpha, and alpha, sRGB.
-        at: Pixels from the left and from the upper edge.
+        picture: Red, green and blue multiplied by alpha, and alpha, in sRGB.
+        corner: Upper left corner, in pixels from the left and the upper edge.
     """
 
     picture: UInt8[np.ndarray, "h w 4"]
-    at: tuple[int, int]
+    corner: tuple[int, int]
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class View:
-    """What was drawn, and how it is shown.
+    """A drawn image on the device, and how it is shown.
 
     Attributes:
         drawn: The image on the device.
-        camera: Whose image it is.
-        mode: What of it is shown; the image has to be of that output.
-        depths: The depths that are white and nearly black.
-        color_space: Of its colours.
+        camera: Camera of the image.
+        mode: The output that is shown; the image must contain it.
+        depths: The depths that become white and nearly black.
+        color_space: Colour space of the image.
     """
 
     drawn: Drawn
@@ -86,38 +94,38 @@ class View:
 
 @final
 class Present:
-    """``present.wgsl`` and ``panel.wgsl``.
+    """Draws an image and panels by ``present.wgsl`` and ``panel.wgsl``.
 
     Args:
-        device: Where the images are.
-        format: Of the surfaces' textures; it has no curve of its own.
+        device: The device of the images.
+        format: Texture format of the surface, without an sRGB curve of its own.
     """
 
     def __init__(self, device: Device, format: str) -> None:
         self._device, raw = device, device.raw
-        self._uniform = device.uniform("showing", _SHOWING.itemsize)
+        self._uniform = device.uniform("showing", _UNIFORMS.itemsize)
         self._layout, self._pipeline = _pipeline(
             raw,
             "present",
             {"buffer": {"type": "read-only-storage"}},
             format,
             None,
-            **_WORDS,
+            **_CONSTANTS,
         )
-        blend = {"color": _OVER, "alpha": _OVER}
+        blend = {"color": _BLEND_OVER, "alpha": _BLEND_OVER}
         self._panel_layout, self._panels = _pipeline(
             raw, "panel", {"texture": {"sample_type": "float"}}, format, blend
         )
-        self._bound: tuple[Any, Any] | None = None
-        self._laid: dict[Panel, tuple[Any, Any]] = {}
+        self._bound: tuple[Buffer, BindGroup] | None = None
+        self._panel_bindings: dict[Panel, tuple[Texture, BindGroup]] = {}
 
-    def __call__(self, target: Any, view: View | None, panels: Sequence[Panel]) -> None:
-        """Show an image and panels.
+    def __call__(self, target: Texture, view: View | None, panels: Sequence[Panel]) -> None:
+        """Draw an image and panels on a surface.
 
         Args:
-            target: The surface's texture, all of which the image is stretched over.
+            target: Texture of the surface, which the image fills.
             view: The image; None for black.
-            panels: From the lowest to the uppermost; what is beyond the surface is not seen.
+            panels: Panels from the lowest to the uppermost, cropped to the surface.
         """
         width, height = target.size[:2]
         encoder = self._device.raw.create_command_encoder(label="present")
@@ -127,36 +135,39 @@ class Present:
             "load_op": "clear",
             "store_op": "store",
         }
-        showing = encoder.begin_render_pass(label="present", color_attachments=[attachment])
+        render_pass = encoder.begin_render_pass(
+            label="present", color_attachments=[attachment]
+        )
         if view is not None:
-            self._device.write(self._uniform, _showing(view, (width, height)))
-            showing.set_pipeline(self._pipeline)
-            showing.set_bind_group(0, self._bind(view.drawn.image))
-            showing.draw(3)
-        laid = {panel: self._lay(panel) for panel in panels}
-        for panel, (_, bind) in laid.items():
-            tall, panel_width = panel.picture.shape[:2]
-            left, top = panel.at
-            tall, panel_width = min(tall, height - top), min(panel_width, width - left)
-            if tall > 0 and panel_width > 0:
-                showing.set_pipeline(self._panels)
-                showing.set_viewport(left, top, panel_width, tall, 0, 1)
-                showing.set_bind_group(0, bind)
-                showing.draw(3)
-        showing.end()
-        self._laid = laid  # what is no more shown goes
+            self._device.write(self._uniform, _uniforms(view, (width, height)))
+            render_pass.set_pipeline(self._pipeline)
+            render_pass.set_bind_group(0, self._bind(view.drawn.image))
+            render_pass.draw(3)
+        bindings = {panel: self._panel_binding(panel) for panel in panels}
+        for panel, (_, bind_group) in bindings.items():
+            panel_height, panel_width = panel.picture.shape[:2]
+            left, top = panel.corner
+            panel_height = min(panel_height, height - top)
+            panel_width = min(panel_width, width - left)
+            if panel_height > 0 and panel_width > 0:
+                render_pass.set_pipeline(self._panels)
+                render_pass.set_viewport(left, top, panel_width, panel_height, 0, 1)
+                render_pass.set_bind_group(0, bind_group)
+                render_pass.draw(3)
+        render_pass.end()
+        self._panel_bindings = bindings  # panels that are no longer shown are released
         self._device.submit(encoder)
 
-    def _bind(self, image: Any) -> Any:
+    def _bind(self, image: Buffer) -> BindGroup:
         if self._bound is None or self._bound[0] is not image:
             resources = [{"buffer": self._uniform}, {"buffer": image}]
-            self._bound = image, _group(self._device.raw, self._layout, resources)
+            self._bound = image, _bind_group(self._device.raw, self._layout, resources)
         return self._bound[1]
 
-    def _lay(self, panel: Panel) -> tuple[Any, Any]:
-        """Return the texture of a panel and what binds it, made when it is first seen."""
-        if panel in self._laid:
-            return self._laid[panel]
+    def _panel_binding(self, panel: Panel) -> tuple[Texture, BindGroup]:
+        """Return the texture of a panel and its bind group, created when it is first shown."""
+        if panel in self._panel_bindings:
+            return self._panel_bindings[panel]
         raw = self._device.raw
         height, width = panel.picture.shape[:2]
         texture = raw.create_texture(
@@ -172,17 +183,16 @@ class Present:
             (width, height, 1),
         )
         origin = self._device.uniform("origin of a panel", 16)
-        self._device.write(origin, np.array([*panel.at, 0, 0], np.float32))
+        self._device.write(origin, np.array([*panel.corner, 0, 0], np.float32))
         resources = [{"buffer": origin}, texture.create_view()]
-        return texture, _group(raw, self._panel_layout, resources)
+        return texture, _bind_group(raw, self._panel_layout, resources)
 
 
-def _showing(view: View, surface: tuple[int, int]) -> np.ndarray:
+def _uniforms(view: View, surface: tuple[int, int]) -> np.ndarray:
     camera = view.camera
-    uniforms = np.zeros(1, _SHOWING)
-    uniforms["turn"][0, :, :3] = camera.view[
-        :3, :3
-    ]  # its rows are the columns of camera → world
+    uniforms = np.zeros(1, _UNIFORMS)
+    # The rows of world → camera are the columns of camera → world.
+    uniforms["turn"][0, :, :3] = camera.view[:3, :3]
     uniforms["size"] = camera.width, camera.height
     uniforms["scale"] = camera.width / surface[0], camera.height / surface[1]
     uniforms["row"], uniforms["mode"] = view.drawn.row, _MODES[view.mode]
@@ -192,14 +202,14 @@ def _showing(view: View, surface: tuple[int, int]) -> np.ndarray:
 
 
 def _pipeline(
-    raw: Any,
+    raw: RawDevice,
     name: str,
-    resource: dict[str, Any],
+    resource: dict[str, dict[str, str]],
     format: str,
-    blend: dict[str, Any] | None,
+    blend: dict[str, dict[str, str]] | None,
     **constants: int,
-) -> tuple[Any, Any]:
-    """Return the layout and the pipeline of a shader with a uniform and one more binding."""
+) -> tuple[BindGroupLayout, RenderPipeline]:
+    """Return the layout and the pipeline of a shader with a uniform and a second binding."""
     layout = raw.create_bind_group_layout(
         label=name,
         entries=[
@@ -208,7 +218,7 @@ def _pipeline(
         ],
     )
     module = raw.create_shader_module(label=name, code=source(name, **constants))
-    target = {"format": format} | ({"blend": blend} if blend else {})
+    target: dict[str, object] = {"format": format} | ({"blend": blend} if blend else {})
     pipeline = raw.create_render_pipeline(
         label=name,
         layout=raw.create_pipeline_layout(bind_group_layouts=[layout]),
@@ -219,7 +229,9 @@ def _pipeline(
     return layout, pipeline
 
 
-def _group(raw: Any, layout: Any, resources: Sequence[Any]) -> Any:
+def _bind_group(
+    raw: RawDevice, layout: BindGroupLayout, resources: Sequence[object]
+) -> BindGroup:
     entries = [
         {"binding": binding, "resource": resource}
         for binding, resource in enumerate(resources)

@@ -1,66 +1,70 @@
-"""The painter of a viewer: what draws on a surface, on a device that may be lost."""
+"""Surface renderer: draws a playback on the surface of a window, on a device that may be lost."""
 
 __all__ = ["SurfaceRenderer", "ViewRequest"]
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from gsgen.runtime.errors import DeviceUnavailable
 from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.gpu.handles import Buffer
 from gsgen.runtime.media.pictures import MODES, Mode
+from gsgen.runtime.playback.live_playback import LivePlayback
 from gsgen.runtime.renderer.rasteriser_choice import RasteriserOption
 from gsgen.runtime.renderer.renderer import Drawn, Renderer
 from gsgen.runtime.scene.camera import Camera
 from gsgen.runtime.scene.frame import Frame
-from gsgen.runtime.viewer.live_playback import LivePlayback
 from gsgen.runtime.viewer.present import Panel, Present, View
+
+if TYPE_CHECKING:
+    from rendercanvas.contexts import WgpuContext
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewRequest:
-    """What is to be seen of a stage.
+    """Camera and drawing mode of the next picture.
 
     Attributes:
-        camera: From where, and how large.
-        mode: What of it.
-        background: Red, green, blue, alpha.
+        camera: Camera, and the size of the picture.
+        mode: The output that is shown.
+        background: Red, green, blue and alpha, from 0 to 1.
     """
 
     camera: Camera
     mode: Mode
     background: tuple[float, ...]
 
-    def key(self, stage: LivePlayback) -> object:
-        """Return what tells one picture from another."""
+    def key(self, playback: LivePlayback) -> object:
+        """Return a key that differs where the picture must be drawn again."""
         camera = self.camera
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         camera_key = (camera.view.tobytes(), lens, camera.near)
-        moving = stage.number if stage.post else 0
-        settings_key = (stage.sh_degree, stage.antialias, stage.version, moving)
-        return camera_key, self.mode, self.background, settings_key, id(stage)
+        number = playback.number if playback.post else 0
+        settings_key = (playback.sh_degree, playback.antialias, playback.version, number)
+        return camera_key, self.mode, self.background, settings_key, id(playback)
 
 
 @final
 class SurfaceRenderer:
-    """Draws stages on the surface of a window.
+    """Draws playbacks on the surface of a window, and recovers from a lost device.
 
     Args:
-        open_device: Opens a device, now and when one was lost.
-        rasteriser: What blends, as :class:`Renderer` has it.
-        compact: Keep Gaussians in fewer bytes, as :class:`Renderer` has it.
+        open_device: Opens a device, at first and after a loss.
+        rasteriser: Rasteriser of the :class:`Renderer`.
+        compact: Keep Gaussians in fewer bytes; see :class:`Renderer`.
 
     Attributes:
-        renderer: What draws.
-        seconds: What drawing the last picture took.
-        drawn: The last picture.
+        renderer: Draws the images.
+        seconds: Seconds that the last picture took to draw.
+        drawn: The last picture on the device.
 
     Raises:
-        DeviceUnavailable: There is nothing to draw with.
+        DeviceUnavailable: No graphics device can be opened.
     """
 
     def __init__(
@@ -73,7 +77,7 @@ class SurfaceRenderer:
         self._open = open_device
         self._rasteriser: RasteriserOption = rasteriser
         self._compact = compact
-        self._uploads: Any = None
+        self._upload: tuple[Device, int, Buffer] | None = None
         self.seconds = 0.0
         self._begin()
 
@@ -82,101 +86,118 @@ class SurfaceRenderer:
             self._open(), rasteriser=self._rasteriser, compact=self._compact
         )
         self._present: Present | None = None
-        self._configured: Any = None
-        self._shown: tuple[object, View] | None = None
+        self._configured: WgpuContext | None = None
+        self._last_view: tuple[object, View] | None = None
         self.drawn: Drawn | None = None
 
-    def view(self, stage: LivePlayback, wish: ViewRequest) -> View:
-        """Return a picture of a stage, drawn anew where anything is not as it was.
+    def view(self, playback: LivePlayback, request: ViewRequest) -> View:
+        """Return a picture of a playback, drawn again only if anything has changed.
 
         Args:
-            stage: What is drawn.
-            wish: What is to be seen of it.
+            playback: The playback.
+            request: Camera and drawing mode.
 
         Raises:
-            CapacityExceeded: It is more than the device has room for.
-            DeviceLost: The device went away.
-            GsgenError: It cannot be drawn, or a post-process model fails.
+            CapacityExceeded: The scene or the picture exceeds the device's memory or limits.
+            DeviceLost: The device was lost.
+            GsgenError: The scene cannot be drawn, or a post-process model fails.
         """
-        if self._shown is not None and self._shown[0] == wish.key(stage):
-            return self._shown[1]
+        if self._last_view is not None and self._last_view[0] == request.key(playback):
+            return self._last_view[1]
         started = time.perf_counter()
-        view = self._drawn(stage, wish)
+        view = self._draw(playback, request)
         self.seconds, self.drawn = time.perf_counter() - started, view.drawn
-        self._shown = wish.key(stage), view  # a post-process model may have moved the stage
+        # The key is computed again: a post-process model may have taken a new frame.
+        self._last_view = request.key(playback), view
         return view
 
-    def show(self, context: Any, view: View | None, panels: Sequence[Panel]) -> None:
-        """Show a picture, or nothing, and panels over it.
+    def show(
+        self, context: "WgpuContext", view: View | None, panels: Sequence[Panel]
+    ) -> None:
+        """Show a picture, or black, with panels over it.
 
         Args:
-            context: Of the surface, a rendercanvas ``WgpuContext``.
-            view: Of :meth:`view`.
-            panels: What lies over it.
+            context: The surface.
+            view: The result of :meth:`view`, or None.
+            panels: Panels over the picture.
 
         Raises:
-            DeviceLost: The device went away.
+            DeviceLost: The device was lost.
         """
         device = self.renderer.device
-        device.require()  # wgpu-native ends the process where a surface asks a lost device
+        device.require()  # wgpu-native aborts if a surface uses a lost device
         with device.translate_errors():
             self._show(device, context, view, panels)
 
     def _show(
-        self, device: Device, context: Any, view: View | None, panels: Sequence[Panel]
+        self,
+        device: Device,
+        context: "WgpuContext",
+        view: View | None,
+        panels: Sequence[Panel],
     ) -> None:
         if self._present is None or self._configured is not context:
-            # The shader makes bytes of sRGB itself, so that panels are blended as they look.
+            # The shader encodes sRGB itself, so that panels are blended in sRGB.
             preferred = context.get_preferred_format(device.raw.adapter)
             surface_format = preferred.removesuffix("-srgb")
             if context.get_configuration() is not None:
-                context.unconfigure()  # its texture was of a device that is lost
+                context.unconfigure()  # its texture belongs to a lost device
             context.configure(device=device.raw, format=surface_format)
             self._present, self._configured = Present(device, surface_format), context
         self._present(context.get_current_texture(), view, panels)
 
-    def _drawn(self, stage: LivePlayback, wish: ViewRequest) -> View:
-        camera, output = wish.camera, MODES[wish.mode]
-        self._shown = None  # its buffers may go now
-        depths = stage.depths(camera)
-        if stage.post and wish.mode == "color":
-            player = stage.player(self.renderer, wish.background, output)
-            frame = stage.frame(player, camera)
+    def _draw(self, playback: LivePlayback, request: ViewRequest) -> View:
+        camera, output = request.camera, MODES[request.mode]
+        self._last_view = None  # its buffers may be reused now
+        depths = playback.depths(camera)
+        if playback.post and request.mode == "color":
+            player = playback.player(self.renderer, request.background, output)
+            frame = playback.frame(player, camera)
             drawn, camera = self._uploaded(frame), _resized(camera, frame)
-            return View(drawn, camera, wish.mode, depths, frame.color_space)
-        scene = stage.scene()
-        drawn = self.renderer.draw(scene, camera, background=wish.background, output=output)
-        return View(drawn, camera, wish.mode, depths, scene.color_space)
+            color_space = frame.color_space
+        else:
+            scene = playback.scene()
+            color_space = scene.color_space
+            drawn = self.renderer.draw(
+                scene, camera, background=request.background, output=output
+            )
+        return View(
+            drawn=drawn,
+            camera=camera,
+            mode=request.mode,
+            depths=depths,
+            color_space=color_space,
+        )
 
     def _uploaded(self, frame: Frame) -> Drawn:
-        """Return a frame that came back from the device as if it had stayed there."""
-        assert frame.rgba is not None  # colours were asked for
+        """Upload a frame that a post-process model computed on the CPU."""
+        assert frame.rgba is not None  # colours were drawn
         device, size = self.renderer.device, frame.rgba.nbytes
-        if self._uploads is None or self._uploads[:2] != (device, size):
+        if self._upload is None or self._upload[:2] != (device, size):
             with device.translate_errors():
-                self._uploads = device, size, device.storage("shown image", size)
-        image = self._uploads[2]
+                self._upload = device, size, device.storage("shown image", size)
+        image = self._upload[2]
         with device.translate_errors():
             device.write(image, np.ascontiguousarray(frame.rgba, np.float32))
         return Drawn(image, frame.rgba.shape[1], frame.visible, frame.pairs)
 
-    def frame(self, stage: LivePlayback, wish: ViewRequest) -> Frame:
-        """Return the picture as arrays; post-process models work on its colours.
+    def frame(self, playback: LivePlayback, request: ViewRequest) -> Frame:
+        """Return a picture as arrays; its colours go through the post-process models.
 
         Raises:
-            GsgenError: It cannot be drawn, or a model fails.
+            GsgenError: The scene cannot be drawn, or a model fails.
         """
-        player = stage.player(self.renderer, wish.background, MODES[wish.mode])
-        return stage.frame(player, wish.camera)
+        player = playback.player(self.renderer, request.background, MODES[request.mode])
+        return playback.frame(player, request.camera)
 
     def recover(self) -> None:
-        """Open the device again; what is shown next is uploaded to it.
+        """Open the device again; the next picture uploads the scene to it.
 
         Raises:
-            DeviceUnavailable: There is none any more.
+            DeviceUnavailable: No device can be opened.
         """
         try:
-            self._uploads = None
+            self._upload = None
             self._begin()
         except DeviceUnavailable as error:
             message = (

@@ -1,16 +1,19 @@
-"""Windows: a viewer in whatever shows pictures and takes events, through rendercanvas."""
+"""Windows: shows a viewer on a rendercanvas canvas, in a window or a notebook."""
 
-__all__ = ["attach", "open_window", "require_display", "take_drops", "view"]
+__all__ = ["accept_drops", "attach", "open_window", "require_display", "view"]
 
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from gsgen.runtime.errors import DisplayUnavailable
 from gsgen.runtime.scene.scene import Scene
 from gsgen.runtime.scene.splat_data import SplatData
-from gsgen.runtime.viewer.viewer import Viewer
+from gsgen.runtime.viewer.viewer import Event, Viewer
+
+if TYPE_CHECKING:
+    from rendercanvas import BaseRenderCanvas
 
 _EVENTS: Final = (
     "key_down",
@@ -22,49 +25,47 @@ _EVENTS: Final = (
     "wheel",
     "resize",
 )
-_FASTEST: Final = 60.0  # pictures a second
-_LARGEST: Final = (1920, 1080)  # pixels that a window begins with, whatever a camera says
+_MAX_FPS: Final = 60.0
+_MAX_SIZE: Final = (1920, 1080)  # pixels of a new window; larger cameras are scaled
 
 
-def attach(viewer: Viewer, canvas: Any) -> Callable[[], Exception | None]:
-    """Show a viewer on a canvas, and let it take the canvas's events.
+def attach(viewer: Viewer, canvas: "BaseRenderCanvas") -> Callable[[], Exception | None]:
+    """Show a viewer on a canvas, and pass the canvas's events to it.
 
     Args:
-        viewer: What draws.
+        viewer: The viewer.
         canvas: A rendercanvas canvas, of any backend.
 
     Returns:
-        What says why drawing came to an end, if something went wrong.
+        A function that returns the error that ended drawing, or None.
     """
     context = canvas.get_wgpu_context()
-    ended: list[Exception] = []
+    errors: list[Exception] = []
 
     def draw() -> None:
-        if viewer.closed or ended:
+        if viewer.closed or errors:
             canvas.close()
             return
         try:
-            is_unfinished = viewer.draw(context)
-        except (
-            Exception
-        ) as error:  # rendercanvas would log it, and ask for the next picture
-            ended.append(error)
+            needs_another = viewer.draw(context)
+        except Exception as error:  # else rendercanvas logs it, and goes on drawing
+            errors.append(error)
             canvas.request_draw()
             raise
-        if is_unfinished or viewer.closed:
+        if needs_another or viewer.closed:
             canvas.request_draw()
 
-    def take(event: dict[str, Any]) -> None:
+    def handle(event: Event) -> None:
         viewer.handle(event)
         canvas.request_draw()
 
-    canvas.add_event_handler(take, *_EVENTS)
+    canvas.add_event_handler(handle, *_EVENTS)
     canvas.request_draw(draw)
-    return lambda: ended[0] if ended else None
+    return lambda: errors[0] if errors else None
 
 
 def require_display() -> None:
-    """Make sure that a window can be opened.
+    """Check that a window can be opened.
 
     Raises:
         DisplayUnavailable: There is no screen, or glfw or rendercanvas is not installed.
@@ -78,45 +79,45 @@ def require_display() -> None:
             hint="pip install 'gsgen[runtime]'",
         ) from error
     reasons: list[str] = []
-    reporter: Any = glfw  # its stubs say of errors that they are str; they are bytes
+    reporter: Any = glfw  # its stubs declare error texts as str; they are bytes
     before = reporter.set_error_callback(
         lambda _, text: reasons.append(text.decode("utf-8", "replace"))
     )
-    works = glfw.init()
+    is_initialised = glfw.init()
     reporter.set_error_callback(before)
-    if not works:
-        raise DisplayUnavailable(": ".join(["no window can be opened here", *reasons[-1:]]))
+    if not is_initialised:
+        raise DisplayUnavailable(": ".join(["no window can be opened", *reasons[-1:]]))
 
 
 def open_window(viewer: Viewer, title: str, size: tuple[int, int]) -> None:
-    """Show a viewer in a window of its own, and return when it is closed.
+    """Show a viewer in a new window, and return when the window is closed.
 
     Args:
-        viewer: What draws.
-        title: Of the window.
-        size: Width and height of what it shows, in pixels of the desktop.
+        viewer: The viewer.
+        title: Title of the window.
+        size: Width and height of its content, in pixels of the desktop.
 
     Raises:
         DisplayUnavailable: No window can be opened.
-        GsgenError: What :meth:`Viewer.draw` raises.
+        GsgenError: See :meth:`Viewer.draw`.
     """
     require_display()
     from rendercanvas.glfw import GlfwRenderCanvas, loop
 
-    shrink = min(1.0, _LARGEST[0] / size[0], _LARGEST[1] / size[1])
-    width, height = (max(1, round(side * shrink)) for side in size)
-    canvas = GlfwRenderCanvas(size=(width, height), title=title, max_fps=_FASTEST)
+    scale = min(1.0, _MAX_SIZE[0] / size[0], _MAX_SIZE[1] / size[1])
+    width, height = (max(1, round(side * scale)) for side in size)
+    canvas = GlfwRenderCanvas(size=(width, height), title=title, max_fps=_MAX_FPS)
     failure = attach(viewer, canvas)
-    take_drops(viewer, canvas)
+    accept_drops(viewer, canvas)
     loop.run()
     if (error := failure()) is not None:
         raise error
 
 
-def take_drops(viewer: Viewer, canvas: Any) -> None:
-    """Let files be dropped on a window.
+def accept_drops(viewer: Viewer, canvas: "BaseRenderCanvas") -> None:
+    """Open files that are dropped on a window.
 
-    rendercanvas 2.7 has no such event; the window that its glfw canvas holds does.
+    rendercanvas 2.7 has no such event, but the glfw window of its canvas has.
     """
     import glfw
 
@@ -124,11 +125,12 @@ def take_drops(viewer: Viewer, canvas: Any) -> None:
     if window is None:
         return
 
-    def dropped(_: Any, paths: Any, *__: Any) -> None:
+    # glfw passes the window and the paths; its stubs declare other arguments.
+    def on_drop(_window: object, paths: Any, *_: object) -> None:
         viewer.drop([Path(path) for path in paths])
         canvas.request_draw()
 
-    glfw.set_drop_callback(window, dropped)
+    glfw.set_drop_callback(window, on_drop)
 
 
 def view(
@@ -136,46 +138,46 @@ def view(
     *,
     camera: str | None = None,
     size: tuple[int, int] = (960, 540),
-    canvas: Any = None,
-) -> Any:
+    canvas: "BaseRenderCanvas | None" = None,
+) -> "BaseRenderCanvas":
     """Show a scene in a notebook, or in a window of your own event loop.
 
-    In a notebook the canvas that is returned is a widget: leave it as the last line of a cell.
-    In a script, run its loop: ``from rendercanvas.auto import loop; loop.run()``.
+    In a notebook the returned canvas is a widget: make it the last line of a cell. In a script,
+    run its loop: ``from rendercanvas.auto import loop; loop.run()``.
 
     Args:
         scene: A scene, Gaussians, or files as ``gsgen view`` takes them.
-        camera: As ``gsgen view --camera``.
-        size: Of the canvas, in pixels.
-        canvas: A rendercanvas canvas; one that suits the surroundings where absent.
+        camera: A value of ``gsgen view --camera``.
+        size: Width and height of the canvas, in pixels.
+        canvas: A rendercanvas canvas; by default a widget or a window, as available.
 
     Returns:
         The canvas.
 
     Raises:
-        DisplayUnavailable: There is neither a notebook's widget nor a window to be had.
-        GsgenError: A file cannot be read, or there is nothing to draw with.
+        DisplayUnavailable: Neither a notebook widget nor a window can be created.
+        GsgenError: A file cannot be read, or no graphics device can be opened.
     """
     from gsgen.runtime.playback.camera_options import viewpoint
+    from gsgen.runtime.playback.live_playback import LivePlayback
     from gsgen.runtime.sources.scene_source import sources_of
-    from gsgen.runtime.viewer.live_playback import LivePlayback
 
     window_canvas = canvas if canvas is not None else _canvas(size)
-    stage = LivePlayback(sources_of(scene))
-    viewer = Viewer(stage, viewpoint(camera, *size), say=lambda text: _print(text))
+    playback = LivePlayback(sources_of(scene))
+    viewer = Viewer(playback, viewpoint(camera, *size), print_line=_print)
     attach(viewer, window_canvas)
     return window_canvas
 
 
-def _canvas(size: tuple[int, int]) -> Any:
+def _canvas(size: tuple[int, int]) -> "BaseRenderCanvas":
     try:
         from rendercanvas.auto import RenderCanvas
     except (ImportError, RuntimeError) as error:
         raise DisplayUnavailable(
-            f"there is no canvas: {error}",
+            f"no canvas can be created: {error}",
             hint="In a notebook: pip install anywidget. Elsewhere: pip install 'gsgen[runtime]'.",
         ) from error
-    return RenderCanvas(size=size, title="gsgen", max_fps=_FASTEST)
+    return RenderCanvas(size=size, title="gsgen", max_fps=_MAX_FPS)
 
 
 def _print(text: str) -> None:

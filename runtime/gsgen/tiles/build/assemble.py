@@ -1,4 +1,4 @@
-"""Assemble the index of a tileset from the tiles that were built, and clean up behind it."""
+"""Write the index of a built tileset, and delete files of earlier builds."""
 
 __all__ = ["geometric_error", "is_complete", "remove_stale", "walk", "write_index"]
 
@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -21,8 +21,9 @@ from gsgen.tiles.index import (
     write_build_record,
     write_tileset,
 )
+from gsgen.tiles.json_values import JsonDict
+from gsgen.tiles.stores.opening import INDEX
 
-INDEX: Final = "tileset.json"
 ERROR_PER_CELL: Final = 4.0
 """Geometric error in sides of the merge cell.
 
@@ -58,7 +59,7 @@ def write_index(plan: Plan, root: Tile, key: str) -> dict[str, tuple[int, str]]:
     qualities = plan.parameters.qualities
     if len(qualities) > 1:
         names |= {f"tileset-q{quality}.json": i for i, quality in enumerate(qualities)}
-    facts: dict[str, Any] = {
+    facts: JsonDict = {
         "source_splats": plan.count,
         "sh_degree": max(tile.sh_degree for tile in walk(root)),
         "codec": plan.parameters.codec,
@@ -118,7 +119,7 @@ def _record(tile: Tile) -> TileRecord:
     )
 
 
-def is_complete(output: Path, key: str) -> dict[str, Any] | None:
+def is_complete(output: Path, key: str) -> JsonDict | None:
     """Return the record of a finished build with this key, or None.
 
     Every file has to be there with the size that the record has for it.
@@ -126,7 +127,7 @@ def is_complete(output: Path, key: str) -> dict[str, Any] | None:
     path = output / BUILD_RECORD
     if not path.is_file():
         return None
-    record: dict[str, Any] = read_json(path)
+    record: JsonDict = read_json(path)
     if record.get("key") != key:
         return None
     sizes = ((output / name, entry["bytes"]) for name, entry in record["files"].items())

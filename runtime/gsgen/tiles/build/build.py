@@ -1,6 +1,6 @@
 """Build a tileset: scan, count, bin, partition, top, index, each phase after the other.
 
-Every task leaves a file as its marker, so that a build that was stopped goes on where it was.
+Every task writes a marker file, so that a stopped build resumes after its last finished task.
 """
 
 __all__ = ["BuildReport", "build_tileset"]
@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeVar, final
+from typing import Final, TypeVar, final
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from gsgen.tiles.build.engines.engine import Engine
 from gsgen.tiles.build.files import sweep, write_json
 from gsgen.tiles.build.merging.morton import DEPTH, Cube
 from gsgen.tiles.build.octree import load_built
-from gsgen.tiles.build.parameters import VERSION, BuildParameters
+from gsgen.tiles.build.parameters import ALGORITHM_VERSION, BuildParameters
 from gsgen.tiles.build.plan import Plan, depth_of, make_partitions
 from gsgen.tiles.build.plan_file import load_plan, save_plan
 from gsgen.tiles.build.progress import Progress
@@ -46,6 +46,7 @@ from gsgen.tiles.build.tasks import (
     run_top,
 )
 from gsgen.tiles.index import BUILD_RECORD
+from gsgen.tiles.json_values import JsonDict
 
 WORK: Final = ".gsgen-build"
 """Folder in the output that holds spills and markers until the build is done."""
@@ -64,7 +65,7 @@ _Result = TypeVar("_Result")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildReport:
-    """What was built.
+    """The result of a build: splats, tiles, files and bytes.
 
     Attributes:
         output: Folder of the tileset.
@@ -89,7 +90,7 @@ class BuildReport:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Run:
-    """An engine and a progress, as all phases use them."""
+    """The engine and the progress display that all phases share."""
 
     engine: Engine
     progress: Progress
@@ -123,15 +124,15 @@ def build_tileset(
 ) -> BuildReport:
     """Build the tileset of ``scenes`` in the folder ``output``.
 
-    A build of the same scenes and parameters that was stopped goes on where it was.
+    A stopped build of the same scenes and parameters resumes.
 
     Args:
         scenes: Files of splats, which are put together.
         output: A folder that is new, empty, or of an earlier build.
-        parameters: What decides the bytes.
-        engine: Who runs the tasks.
-        progress: Is told of phases.
-        fresh: Delete what an earlier build has left, and begin again.
+        parameters: All options that change bytes of the tileset.
+        engine: Runs the tasks.
+        progress: Reports the phases.
+        fresh: Delete the intermediate files of an earlier build, and start from the beginning.
         chunk_bytes: Bytes of a PLY file that one task reads. No byte of the result depends on it.
         partition: Most splats that one task sorts and builds. No byte depends on it either.
 
@@ -171,14 +172,14 @@ def build_tileset(
     plan = load_plan(str(plan_path))
     if plan.count != splats:
         raise AssertionError(f"{plan.count} splats counted of {splats}")
-    _carry_out(run, str(plan_path), total)
+    _write_tiles(run, str(plan_path), total)
     # 5. The index, and nothing else is left.
     progress.begin("index", 0)
     return _finish(plan, key, skipped)
 
 
-def _carry_out(run: _Run, path: str, rows: int) -> None:
-    """Write all tiles of the plan in the file ``path``; its chunks have ``rows`` rows."""
+def _write_tiles(run: _Run, path: str, rows: int) -> None:
+    """Run the phases bin, tiles and top of the plan in the file ``path``."""
     plan = load_plan(path)
     # 3. Bin, with a barrier: every splat is in one spill.
     items = [PlanTask(plan=path, item=chunk.index) for chunk in plan.chunks]
@@ -215,7 +216,7 @@ def _finish(plan: Plan, key: str, skipped: int) -> BuildReport:
     )
 
 
-def _up_to_date(output: Path, record: dict[str, Any], skipped: int) -> BuildReport:
+def _up_to_date(output: Path, record: JsonDict, skipped: int) -> BuildReport:
     sizes = [entry["bytes"] for entry in record["files"].values()]
     return BuildReport(
         output=str(output),
@@ -230,13 +231,13 @@ def _up_to_date(output: Path, record: dict[str, Any], skipped: int) -> BuildRepo
 
 
 def _require_output(output: Path) -> None:
-    """Refuse a folder that holds what is not ours: stale files of a tileset are deleted."""
+    """Raise if ``output`` holds files of other origin, as a build deletes stale files in it."""
     if output.exists() and not output.is_dir():
         raise ConfigInvalid("is a file; expected a folder", where=str(output))
     if not output.is_dir():
         return
-    ours = {BUILD_RECORD, WORK} & {path.name for path in output.iterdir()}
-    if not ours and any(output.iterdir()):
+    build_files = {BUILD_RECORD, WORK} & {path.name for path in output.iterdir()}
+    if not build_files and any(output.iterdir()):
         raise ConfigInvalid(
             "holds files that are not of a build; expected a new or empty folder",
             where=str(output),
@@ -254,7 +255,7 @@ def _prepare(
 ) -> Path:
     """Return the work folder of this build; those of other builds are deleted."""
     content = {
-        "version": VERSION,
+        "version": ALGORITHM_VERSION,
         "parameters": parameters.as_dict(),
         "division": division,
         "files": [[file.path, file.size, file.modified] for file in files],
@@ -263,9 +264,9 @@ def _prepare(
     name = hashlib.sha256(text.encode()).hexdigest()[:16]
     folder = output / WORK
     try:
-        for other in folder.glob("*"):
-            if fresh or other.name != name:
-                shutil.rmtree(other) if other.is_dir() else other.unlink()
+        for leftover in folder.glob("*"):
+            if fresh or leftover.name != name:
+                shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
         (folder / name).mkdir(parents=True, exist_ok=True)
         sweep(output)
     except OSError as error:
@@ -301,7 +302,7 @@ def _note_large(facts: Sequence[ChunkFacts], progress: Progress) -> None:
 
 
 def _content_digests(facts: Sequence[ChunkFacts], chunks: Sequence[Chunk]) -> list[str]:
-    """Return what names the content of the scenes, wherever their files are."""
+    """Return digests of the scenes' splats, which do not depend on the paths of the files."""
     names: list[str] = []
     for chunk, fact in zip(chunks, facts, strict=True):
         if chunk.first == 0:

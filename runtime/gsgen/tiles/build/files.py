@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all: each one is the marker of its own task."""
+"""Write files atomically, so that an existing file marks its task as finished."""
 
 __all__ = ["read_json", "save_array", "sweep", "write_bytes", "write_json"]
 
@@ -17,7 +17,7 @@ PART: Final = ".part"
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write ``data`` to ``path``, under a temporary name until it is whole.
+    """Write ``data`` to ``path`` atomically: under a temporary name, then renamed.
 
     Raises:
         ConfigInvalid: The file cannot be written, for example because the disk is full.
@@ -26,12 +26,12 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def save_array(path: Path, array: np.ndarray) -> None:
-    """Save ``array`` as a ``.npy`` file, in the same way."""
+    """Write ``array`` to a ``.npy`` file atomically."""
     _write(path, lambda file: np.save(file, array, allow_pickle=False))
 
 
-def write_json(path: Path, content: Any) -> None:
-    """Write ``content`` as JSON with sorted keys, in the same way."""
+def write_json(path: Path, content: object) -> None:
+    """Write ``content`` as JSON with sorted keys, atomically."""
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     write_bytes(path, text.encode())
 

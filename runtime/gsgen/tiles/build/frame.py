@@ -1,4 +1,4 @@
-"""Transforms of the root tile: where in the world, or on the globe, a scene is put."""
+"""Transforms of the root tile, which place a scene in the world or on the globe."""
 
 __all__ = ["UPRIGHT", "globe_transform", "read_transform", "upright_transform"]
 
@@ -22,7 +22,7 @@ _TOLERANCE: Final = 1e-6
 
 
 def upright_transform() -> tuple[float, ...]:
-    """Return the transform of a scene that is nowhere in particular, column by column."""
+    """Return the transform from scene axes (y down) to world axes (z up), column by column."""
     return _columns(UPRIGHT)
 
 

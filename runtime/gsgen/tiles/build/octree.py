@@ -1,4 +1,4 @@
-"""Build the tiles of a partition, leaves first, and the tiles above all partitions."""
+"""Write the tiles of a partition, leaves first, and the tiles above all partitions."""
 
 __all__ = ["build_partition", "build_top", "load_built"]
 
@@ -20,7 +20,7 @@ Built = tuple[list[Tile], Mixture]
 
 
 def build_partition(plan: Plan, partition: Partition) -> int:
-    """Write the tiles of a partition, unless they are there; return its splats."""
+    """Write the tiles of a partition if they do not exist yet; return its number of splats."""
     name = f"partition-{partition.index:06}"
     if _marker(plan, name).exists():
         return partition.count
@@ -95,7 +95,7 @@ def _extra_leaves(
 
 
 def _above(plan: Plan, location: int, parts: list[Built]) -> Built:
-    """Write the tile that stands for ``parts``; a single tile stands for itself."""
+    """Write the parent tile of ``parts``; a single tile needs no parent."""
     tiles = [tile for part, _ in parts for tile in part]
     mixture = concatenate([part for _, part in parts])
     if len(tiles) == 1 and not plan.parameters.implicit:
@@ -106,7 +106,7 @@ def _above(plan: Plan, location: int, parts: list[Built]) -> Built:
 
 
 def build_top(plan: Plan, location: int) -> int:
-    """Write the tile of a cell above the partitions, unless it is there.
+    """Write the tile of a cell above the partitions if it does not exist yet.
 
     The cells below it have to be built. Returns 0: no splat of the scenes is new here.
     """

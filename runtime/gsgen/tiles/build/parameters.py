@@ -1,23 +1,24 @@
-"""What a build was asked for, and the key that says whether an earlier result is the same."""
+"""The parameters of a build, and the key under which an earlier result is reused."""
 
-__all__ = ["VERSION", "BuildParameters"]
+__all__ = ["ALGORITHM_VERSION", "BuildParameters"]
 
 import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Final, final
+from typing import Final, final
 
-from gsgen.tiles.content import CodecName
+from gsgen.tiles.gltf.encoding import CodecName
+from gsgen.tiles.json_values import JsonDict
 
-VERSION: Final = 1
-"""Of the algorithm: it grows when the same inputs and parameters give other bytes."""
+ALGORITHM_VERSION: Final = 1
+"""Version of the algorithm: increased when equal inputs and parameters give other bytes."""
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildParameters:
-    """What decides the bytes of a tileset, besides the scenes.
+    """All options that, besides the scenes, decide the bytes of a tileset.
 
     The engine, the number of workers and how the work is divided are missing on purpose: no byte
     depends on them.
@@ -25,7 +26,7 @@ class BuildParameters:
     Attributes:
         leaf: Most splats of a leaf.
         codec: How contents are written.
-        qualities: Qualities of :data:`gsgen.tiles.content.QUALITIES` that are written, finest
+        qualities: Qualities of :data:`gsgen.tiles.gltf.encoding.QUALITIES` that are written, finest
             first.
         implicit: Whether the tree is an implicit octree.
         transform: Of the root tile, scene → world: 16 numbers, column by column.
@@ -37,12 +38,16 @@ class BuildParameters:
     implicit: bool = False
     transform: tuple[float, ...]
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the parameters as JSON has them."""
+    def as_dict(self) -> JsonDict:
+        """Return the parameters as a JSON object."""
         return json.loads(json.dumps(asdict(self)))  # type: ignore[no-any-return]
 
     def key(self, inputs: Sequence[str]) -> str:
-        """Return the sha256 of version, parameters and ``inputs``."""
-        content = {"version": VERSION, "parameters": self.as_dict(), "inputs": list(inputs)}
+        """Return the SHA-256 of version, parameters and ``inputs``."""
+        content = {
+            "version": ALGORITHM_VERSION,
+            "parameters": self.as_dict(),
+            "inputs": list(inputs),
+        }
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""Plan: which cells of the octree are partitions, built by one task each, and which are above.
+"""The plan of a build: cells of the octree that one task builds each, and the cells above them.
 
 A cell with at most ``partition`` splats is a partition: one task sorts its splats and builds all
 tiles in it. The cells above are *top* cells. Splats that are anchored at a top cell form a
@@ -31,7 +31,7 @@ from gsgen.tiles.build.source import Chunk
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Partition:
-    """Splats that one task builds.
+    """A part of the octree whose tiles one task writes.
 
     Attributes:
         index: Of the partition.
@@ -48,14 +48,14 @@ class Partition:
 
     @property
     def above(self) -> int:
-        """The top cell that the partition is a part of; 0 for a whole scene."""
+        """The top cell that contains the partition; 0 for a whole scene."""
         return self.locations[0] if self.anchored else self.locations[0] >> 3
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """What every task of a build has to know.
+    """The plan of a build, which every task reads.
 
     Attributes:
         cube: The root cube.
@@ -113,8 +113,8 @@ def make_partitions(
     Returns:
         The partitions, in depth-first order, and the top cells, deepest first.
     """
-    own = dict(zip(cells.tolist(), counts.tolist(), strict=True))
-    total, children = _totals(own)
+    cell_counts = dict(zip(cells.tolist(), counts.tolist(), strict=True))
+    total, children = _totals(cell_counts)
     partitions: list[Partition] = []
     top: list[int] = []
 
@@ -135,22 +135,22 @@ def make_partitions(
         below = sorted(children[cell])
         runs = group_small([total[child] for child in below], leaf)
         pending += [tuple(below[index] for index in run) for run in reversed(runs)]
-        if own.get(cell, 0):
-            add((cell,), own[cell], anchored=True)
+        if cell_counts.get(cell, 0):
+            add((cell,), cell_counts[cell], anchored=True)
     top.sort(key=lambda cell: (-depth_of(cell), cell))
     return tuple(partitions), tuple(top)
 
 
-def _totals(own: dict[int, int]) -> tuple[dict[int, int], dict[int, list[int]]]:
+def _totals(cell_counts: dict[int, int]) -> tuple[dict[int, int], dict[int, list[int]]]:
     """Return the splats in each cell and all cells in it, and the cells right below each."""
     depths: dict[int, list[int]] = {}
-    for cell in own:
+    for cell in cell_counts:
         depths.setdefault(depth_of(cell), []).append(cell)
     total: dict[int, int] = {}
     children: dict[int, list[int]] = {}
     below: dict[int, int] = {}
     for depth in range(max(depths), -1, -1):
-        level = {cell: own[cell] for cell in depths.get(depth, ())}
+        level = {cell: cell_counts[cell] for cell in depths.get(depth, ())}
         for cell, count in below.items():
             level[cell >> 3] = level.get(cell >> 3, 0) + count
             children.setdefault(cell >> 3, []).append(cell)

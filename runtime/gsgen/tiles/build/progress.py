@@ -1,4 +1,4 @@
-"""What a build reports while it runs: a bar for people, lines of JSON for programs."""
+"""Progress of a build: a bar in a terminal, or lines of JSON for programs."""
 
 __all__ = ["BarProgress", "JsonProgress", "Progress", "Silent"]
 
@@ -8,12 +8,14 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, Protocol, final
 
+from gsgen.tiles.json_values import JsonDict
+
 
 class Progress(AbstractContextManager["Progress"], Protocol):
-    """Is told of phases, and of the splats that each has done."""
+    """Receives the phases of a build and the number of splats processed in each."""
 
     def begin(self, phase: str, total: int) -> None:
-        """Begin ``phase``, which works on ``total`` splats."""
+        """Begin ``phase``, which processes ``total`` splats."""
         ...
 
     def advance(self, splats: int) -> None:
@@ -21,7 +23,7 @@ class Progress(AbstractContextManager["Progress"], Protocol):
         ...
 
     def note(self, message: str) -> None:
-        """Tell the user of something."""
+        """Show ``message`` to the user."""
         ...
 
 
@@ -56,8 +58,8 @@ class JsonProgress(Progress):
 
     def __init__(self, write: Callable[[str], object]) -> None:
         self._write = write
-        self._phase, self._total, self._done = "", 0, 0
-        self._began = self._written = time.monotonic()
+        self._phase, self._total, self._splats_done = "", 0, 0
+        self._start_time = self._written = time.monotonic()
 
     def __enter__(self) -> "JsonProgress":
         """Return the object."""
@@ -68,14 +70,14 @@ class JsonProgress(Progress):
 
     def begin(self, phase: str, total: int) -> None:
         """Write the beginning of a phase."""
-        self._phase, self._total, self._done = phase, total, 0
-        self._began = time.monotonic()
+        self._phase, self._total, self._splats_done = phase, total, 0
+        self._start_time = time.monotonic()
         self._line()
 
     def advance(self, splats: int) -> None:
         """Write a line if the last is a second ago, or all is done."""
-        self._done += splats
-        if self._done == self._total or time.monotonic() - self._written >= 1:
+        self._splats_done += splats
+        if self._splats_done == self._total or time.monotonic() - self._written >= 1:
             self._line()
 
     def note(self, message: str) -> None:
@@ -84,19 +86,21 @@ class JsonProgress(Progress):
 
     def _line(self) -> None:
         self._written = time.monotonic()
-        elapsed = self._written - self._began
-        rate = self._done / elapsed if elapsed > 0 else 0.0
-        event: dict[str, Any] = {
+        elapsed = self._written - self._start_time
+        rate = self._splats_done / elapsed if elapsed > 0 else 0.0
+        event: JsonDict = {
             "event": "progress",
             "phase": self._phase,
-            "done": self._done,
+            "done": self._splats_done,
             "total": self._total,
             "splats_per_second": round(rate),
-            "eta_seconds": round((self._total - self._done) / rate, 1) if rate else None,
+            "eta_seconds": round((self._total - self._splats_done) / rate, 1)
+            if rate
+            else None,
         }
         self._emit(event)
 
-    def _emit(self, event: dict[str, Any]) -> None:
+    def _emit(self, event: JsonDict) -> None:
         self._write(json.dumps(event))
 
 
@@ -120,10 +124,10 @@ class BarProgress(Progress):
             transient=True,
         )
         self._task: Any = None
-        self._began, self._done = 0.0, 0
+        self._start_time, self._splats_done = 0.0, 0
 
     def __enter__(self) -> "BarProgress":
-        """Show the bar, where somebody can see it."""
+        """Show the bar if stderr is a terminal."""
         if self._console.is_terminal:
             self._bar.start()
         return self
@@ -137,15 +141,15 @@ class BarProgress(Progress):
         """Show the bar of a phase."""
         if self._task is not None:
             self._bar.remove_task(self._task)
-        self._began, self._done = time.monotonic(), 0
+        self._start_time, self._splats_done = time.monotonic(), 0
         self._task = self._bar.add_task(phase, total=total, rate="")
 
     def advance(self, splats: int) -> None:
         """Move the bar."""
-        self._done += splats
-        elapsed = time.monotonic() - self._began
-        rate = f"{self._done / elapsed:,.0f}/s" if elapsed > 0.5 else ""
-        self._bar.update(self._task, completed=self._done, rate=rate)
+        self._splats_done += splats
+        elapsed = time.monotonic() - self._start_time
+        rate = f"{self._splats_done / elapsed:,.0f}/s" if elapsed > 0.5 else ""
+        self._bar.update(self._task, completed=self._splats_done, rate=rate)
 
     def note(self, message: str) -> None:
         """Print a note above the bar."""

@@ -1,4 +1,4 @@
-"""Scan: the box, the count and the digest of each chunk, then how many splats each cell holds.
+"""Scan chunks for their box, count and digest, and count the splats of octree cells.
 
 A splat is *anchored* at the deepest level whose tiles are at least twice as long as its radius
 of 3σ; there it stays, in an extra leaf, so that it is not in a tile far smaller than itself.
@@ -21,18 +21,18 @@ import numpy as np
 from jaxtyping import Float32, Int64, UInt64
 
 from gsgen.formats import Splats
+from gsgen.formats.shared.splat_values import ARRAYS
 from gsgen.tiles.build.merging.morton import DEPTH, Cube, cell_codes, morton_codes
 from gsgen.tiles.build.source import BLOCK_ROWS, Chunk, read_chunk, valid_rows
+from gsgen.tiles.gltf.encoding import SIGMAS
 
-SIGMAS: Final = 3.0
 _SMALLEST_LOG_SCALE: Final = -1e3  # e^-1000 is 0, and JSON has no infinity
-_ARRAYS: Final = ("position", "rotation", "log_scale", "logit_opacity", "sh")
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChunkFacts:
-    """What a scan found out about a chunk.
+    """The box, the counts and the digests of a chunk.
 
     Attributes:
         index: Of the chunk.
@@ -42,7 +42,7 @@ class ChunkFacts:
         low: Least coordinates of the centres.
         high: Greatest coordinates of the centres.
         largest: Logarithm of the largest standard deviation, −1000 or more.
-        digests: sha256 of the values of every ``BLOCK_ROWS`` rows, whatever the chunks are.
+        digests: SHA-256 of the values of every ``BLOCK_ROWS`` rows; independent of the chunk size.
     """
 
     index: int
@@ -56,7 +56,7 @@ class ChunkFacts:
 
 
 def scan_chunk(chunk: Chunk) -> ChunkFacts:
-    """Return the facts of ``chunk``."""
+    """Read ``chunk`` and return its box, counts and digests."""
     splats = read_chunk(chunk)
     valid = valid_rows(splats)
     count = int(np.count_nonzero(valid))
@@ -84,7 +84,7 @@ def scan_chunk(chunk: Chunk) -> ChunkFacts:
 
 def _digest(splats: Splats, first: int) -> str:
     digest = hashlib.sha256()
-    for name in _ARRAYS:
+    for name in ARRAYS:
         block = getattr(splats, name)[first : first + BLOCK_ROWS]
         digest.update(np.ascontiguousarray(block).data)
     return digest.hexdigest()
@@ -105,7 +105,7 @@ def anchor_depths(
 def location_codes(
     codes: UInt64[np.ndarray, " n"], anchors: Int64[np.ndarray, " n"], depth: int
 ) -> UInt64[np.ndarray, " n"]:
-    """Return the cell of each splat, no deeper than its anchor, as 1 followed by its code.
+    """Return the octree cell of each splat, not deeper than its anchor depth, as 1 and the code.
 
     The leading 1 makes the number name the depth, too (I. Gargantini 1982, "An effective way to
     represent quadtrees", in three dimensions).

@@ -1,4 +1,4 @@
-"""Scenes as chunks of rows: what one task reads at a time."""
+"""Divide scene files into chunks of rows, which tasks read one at a time."""
 
 __all__ = [
     "BLOCK_ROWS",
@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
+from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.formats import (
     FormatError,
     PackedRows,
@@ -31,7 +32,6 @@ from gsgen.formats import (
 )
 from gsgen.formats.ply.chunks import PlyTable, ply_table, read_ply_rows
 from gsgen.formats.shared.splats import SH_COUNTS
-from gsgen.tiles.content import MAX_DEGREE
 
 CHUNK_BYTES: Final = 64 << 20
 """Bytes of a PLY file that one task reads."""
@@ -89,7 +89,7 @@ class Chunk:
 
 
 def open_scenes(paths: Sequence[Path]) -> list[SceneFile]:
-    """Look at the files of a scene; only those that are not PLY tables are decoded.
+    """Return the number of splats, degree and layout of scene files; only non-PLY files are decoded.
 
     Raises:
         InputUnreadable: A file is missing, damaged or holds something else than splats.
@@ -197,7 +197,7 @@ def _ranges(file: SceneFile, chunk_bytes: int) -> Iterator[tuple[int, int]]:
 
 
 def read_chunk(chunk: Chunk) -> Splats:
-    """Return all rows of ``chunk``, those that cannot be drawn included.
+    """Return all rows of ``chunk``, including rows that cannot be drawn.
 
     Raises:
         InputUnreadable: The file was changed or cannot be read any more.
@@ -211,7 +211,7 @@ def read_chunk(chunk: Chunk) -> Splats:
 
 
 def valid_rows(splats: Splats) -> Bool[np.ndarray, " n"]:
-    """Return which splats can be drawn: finite, except an opacity or a scale with a meaning."""
+    """Return a mask of drawable splats: finite, or an infinite opacity or scale with a meaning."""
     with np.errstate(invalid="ignore", over="ignore"):
         valid = ~np.isnan(splats.logit_opacity)
         for axis in range(3):  # a NaN fails the comparison

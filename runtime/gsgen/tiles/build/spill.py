@@ -1,4 +1,4 @@
-"""Bin: spill the rows of each chunk to a file, sorted by partition, and read a partition back.
+"""Spill the rows of each chunk to a file, sorted by partition, and read partitions back.
 
 The shuffle is files, so that it is the same on one core, on many and on many machines.
 """
@@ -21,7 +21,7 @@ Rows = np.ndarray[Any, np.dtype[Any]]
 
 
 def bin_chunk(plan: Plan, chunk: Chunk) -> int:
-    """Spill the rows of ``chunk``, unless they are there; return how many.
+    """Spill the rows of ``chunk`` if that is not done yet; return the number of rows.
 
     The file of rows is the marker of the task, so that of the offsets is written before it.
     """
@@ -46,7 +46,7 @@ def bin_chunk(plan: Plan, chunk: Chunk) -> int:
 
 
 def anchors_of(plan: Plan, rows: Rows) -> np.ndarray:
-    """Return the deepest level of each row; an implicit tree has no extra leaves for large ones."""
+    """Return the deepest octree level of each row; an implicit tree does not hold large splats back."""
     if plan.parameters.implicit:
         return np.full(len(rows), DEPTH, np.int64)
     return anchor_depths(rows["log_scale"], plan.cube)

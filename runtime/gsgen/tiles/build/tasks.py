@@ -71,7 +71,7 @@ class CountTask:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanTask:
-    """A part of the plan to carry out.
+    """A task on one chunk, partition or cell of the plan.
 
     Attributes:
         plan: Path of ``plan.json``.
@@ -83,7 +83,7 @@ class PlanTask:
 
 
 def run_scan(task: ScanTask) -> tuple[int, ChunkFacts]:
-    """Scan a chunk; return its rows and its facts."""
+    """Scan a chunk; return its number of rows, its box, counts and digests."""
     marker = Path(task.work) / "scan" / f"{task.chunk.index:06}.json"
     if marker.exists():
         content = read_json(marker)
@@ -98,7 +98,7 @@ def run_scan(task: ScanTask) -> tuple[int, ChunkFacts]:
 def run_count(
     task: CountTask,
 ) -> tuple[int, tuple[UInt64[np.ndarray, " m"], Int64[np.ndarray, " m"]]]:
-    """Count splats in cells; return the rows of the chunk, the cells and their counts."""
+    """Count splats in cells; return the number of rows, the cells and their counts."""
     folder = Path(task.work) / "cells"
     marker = folder / f"{task.chunk.index:06}-{task.depth}.npy"
     if marker.exists():
@@ -118,14 +118,14 @@ def run_count(
 
 
 def run_bin(task: PlanTask) -> tuple[int, int]:
-    """Spill a chunk; return its rows, and those that were spilled."""
+    """Spill a chunk; return its number of rows and the number of spilled rows."""
     plan = load_plan(task.plan)
     chunk = plan.chunks[task.item]
     return chunk.count, bin_chunk(plan, chunk)
 
 
 def run_partition(task: PlanTask) -> tuple[int, None]:
-    """Write the tiles of a partition; return its splats."""
+    """Write the tiles of a partition; return its number of splats."""
     plan = load_plan(task.plan)
     return build_partition(plan, plan.partitions[task.item]), None
 

@@ -1,4 +1,4 @@
-"""Tiles as they are written: the files of their contents, and the record of each."""
+"""Write the content files of a tile, and describe the written tile."""
 
 __all__ = [
     "Content",
@@ -28,9 +28,10 @@ from gsgen.tiles.build.merging.levels import Level, stored_degree
 from gsgen.tiles.build.merging.mixture import Mixture
 from gsgen.tiles.build.plan import Plan, coordinates_of, depth_of
 from gsgen.tiles.build.spill import Rows
-from gsgen.tiles.content import write_content
+from gsgen.tiles.gltf.encoding import write_content
 from gsgen.tiles.implicit_tiling.writing import implicit_uri
 from gsgen.tiles.index import content_uri
+from gsgen.tiles.json_values import JsonDict
 
 
 @final
@@ -76,13 +77,13 @@ class Tile:
     contents: tuple[Content, ...]
     children: tuple["Tile", ...] = ()
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the tile and those below it as JSON has them."""
+    def as_json(self) -> JsonDict:
+        """Return the tile and its descendants as a JSON object."""
         return asdict(self)
 
 
 def tile_from_json(value: Mapping[str, Any]) -> Tile:
-    """Undo :meth:`Tile.as_json`."""
+    """Return a tile from the JSON of :meth:`Tile.as_json`."""
     contents = (
         Content(**{**item, "low": _point(item["low"]), "high": _point(item["high"])})
         for item in value["contents"]
@@ -96,7 +97,7 @@ def _point(values: list[float]) -> tuple[float, float, float]:
 
 
 def mixture_of(splats: Splats, codes: UInt64[np.ndarray, " n"]) -> Mixture:
-    """Return splats as Gaussians that a level can be merged of, in the order of the splats.
+    """Convert splats to Gaussians for merging, in the same order.
 
     Args:
         splats: To be merged.
@@ -116,7 +117,7 @@ def mixture_of(splats: Splats, codes: UInt64[np.ndarray, " n"]) -> Mixture:
 
 
 def splats_of(mixture: Mixture, degree: int) -> Splats:
-    """Return merged Gaussians as splats, with harmonics up to ``degree``."""
+    """Convert merged Gaussians to splats, with harmonics up to ``degree``."""
     return Splats(
         position=mixture.mean.astype(np.float32),
         rotation=mixture.rotation,
@@ -147,7 +148,7 @@ def write_leaf(
     location: int,
     extra: int = 0,
 ) -> tuple[Tile, Mixture]:
-    """Write source splats as the content of a leaf; return it with what it shows."""
+    """Write source splats as the content of a leaf; return the tile and its Gaussians."""
     splats = _leaf_splats(rows)
     tile = _write(plan, splats, location, extra=extra, cell=0.0)
     return tile, mixture_of(splats, codes)

@@ -18,67 +18,78 @@ if TYPE_CHECKING:
 _QUALITIES = {1: (0,), 2: (0, 2), 3: (0, 2, 4)}
 
 
+_Scenes = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Files of splats: PLY is read in pieces, other formats as a whole.",
+        show_default=False,
+    ),
+]
+_Output = Annotated[
+    Path, typer.Option("-o", "--output", help="The folder to write.", show_default=False)
+]
+_Leaf = Annotated[int, typer.Option(help="Most splats of a leaf.", min=1, max=1 << 20)]
+_Engine = Annotated[
+    str, typer.Option(help="serial, processes, dask (this machine) or dask=ADDRESS.")
+]
+_Workers = Annotated[
+    int | None,
+    typer.Option(help="Processes. [default: one a processor core]", min=1, max=1024),
+]
+_QualityCount = Annotated[
+    int,
+    typer.Option(help="How many qualities to write, each a tileset-qN.json.", min=1, max=3),
+]
+_Codec = Annotated[
+    Literal["spz", "khr"], typer.Option(help="SPZ version 2, or plain float32 attributes.")
+]
+_Implicit = Annotated[
+    bool, typer.Option("--implicit", help="Write an implicit octree, in subtrees.")
+]
+_Transform = Annotated[
+    Path | None,
+    typer.Option(help="JSON: 16 numbers, scene → world. [default: upright, y down → z up]"),
+]
+_Longitude = Annotated[
+    float | None, typer.Option(help="Longitude of the origin, in degrees.")
+]
+_Latitude = Annotated[
+    float | None, typer.Option(help="Latitude of the origin, in degrees.")
+]
+_Height = Annotated[
+    float | None, typer.Option(help="Height of the origin over WGS 84, in metres.")
+]
+_Fresh = Annotated[
+    bool,
+    typer.Option(
+        "--fresh", help="Start from the beginning; do not resume a stopped build."
+    ),
+]
+_AsJson = Annotated[
+    bool, typer.Option("--json", help="Print progress and result as lines of JSON.")
+]
+
+
 def build(
-    scenes: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Files of splats: PLY is read in pieces, other formats as a whole.",
-            show_default=False,
-        ),
-    ],
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--output", help="The folder to write.", show_default=False),
-    ],
-    leaf: Annotated[
-        int, typer.Option(help="Most splats of a leaf.", min=1, max=1 << 20)
-    ] = 65_536,
-    engine: Annotated[
-        str, typer.Option(help="serial, processes, dask (this machine) or dask=ADDRESS.")
-    ] = "processes",
-    workers: Annotated[
-        int | None,
-        typer.Option(help="Processes. [default: one a processor core]", min=1, max=1024),
-    ] = None,
-    quality: Annotated[
-        int,
-        typer.Option(
-            help="How many qualities to write, each a tileset-qN.json.", min=1, max=3
-        ),
-    ] = 1,
-    codec: Annotated[
-        Literal["spz", "khr"],
-        typer.Option(help="SPZ version 2, or plain float32 attributes."),
-    ] = "spz",
-    implicit: Annotated[
-        bool, typer.Option("--implicit", help="Write an implicit octree, in subtrees.")
-    ] = False,
-    transform: Annotated[
-        Path | None,
-        typer.Option(
-            help="JSON: 16 numbers, scene → world. [default: upright, y down → z up]"
-        ),
-    ] = None,
-    lon: Annotated[
-        float | None, typer.Option(help="Longitude of the origin, in degrees.")
-    ] = None,
-    lat: Annotated[
-        float | None, typer.Option(help="Latitude of the origin, in degrees.")
-    ] = None,
-    height: Annotated[
-        float | None, typer.Option(help="Height of the origin over WGS 84, in metres.")
-    ] = None,
-    fresh: Annotated[
-        bool,
-        typer.Option("--fresh", help="Begin again, whatever a stopped build has left."),
-    ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print progress and result as lines of JSON.")
-    ] = False,
+    scenes: _Scenes,
+    output: _Output,
+    leaf: _Leaf = 65_536,
+    engine: _Engine = "processes",
+    workers: _Workers = None,
+    quality: _QualityCount = 1,
+    codec: _Codec = "spz",
+    *,
+    implicit: _Implicit = False,
+    transform: _Transform = None,
+    lon: _Longitude = None,
+    lat: _Latitude = None,
+    height: _Height = None,
+    fresh: _Fresh = False,
+    as_json: _AsJson = False,
 ) -> None:
     """Build a tileset of SCENES: a tree of tiles, coarse above and fine below.
 
-    A build that was stopped goes on where it was when the same command is given again.
+    The same command resumes a build that was stopped.
 
     Exits 0 if the tileset is there, 2 for wrong options, 4 if a scene cannot be read, 130 if it
     was stopped.

@@ -1,4 +1,4 @@
-"""`gsgen tiles info`: what a tileset is made of."""
+"""`gsgen tiles info`: tiles, splats and bytes of a tileset by level."""
 
 __all__ = ["info"]
 
@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gsgen.contract.spec.units import MEBIBYTE
+
 if TYPE_CHECKING:
     from gsgen.tiles.info import TilesetInfo
-
-_MIB = 1 << 20
 
 
 def info(
@@ -23,7 +23,7 @@ def info(
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print it as JSON.")] = False,
 ) -> None:
-    """Say how many tiles, splats and bytes TILESET has at each level.
+    """Print how many tiles, splats and bytes TILESET has at each level.
 
     Exits 0, or 4 if TILESET or a file of it cannot be read.
     """
@@ -39,21 +39,21 @@ def info(
 
 
 def _as_text(name: str, described: "TilesetInfo") -> str:
-    """Return a table of the levels, and what holds for all of them."""
+    """Return a summary of the tileset and a table of its levels."""
     low, high = described.box
     size = " × ".join(f"{b - a:.4g}" for a, b in zip(low, high, strict=True))
     lines = [
         f"{name}: {described.tiles:,} tiles, {described.splats:,} splats "
-        f"({described.leaf_splats:,} in leaves), {described.bytes / _MIB:.2f} MiB, "
+        f"({described.leaf_splats:,} in leaves), {described.bytes / MEBIBYTE:.2f} MiB, "
         f"SH degree {described.sh_degree}, {described.refine}",
         f"size {size}" + _place(described),
         f"{'level':>5} {'tiles':>8} {'splats':>12} {'MiB':>9} {'B/splat':>8} {'error':>10}",
     ]
     for level in described.levels:
-        each = level.bytes / max(level.splats, 1)
+        bytes_per_splat = level.bytes / max(level.splats, 1)
         lines.append(
             f"{level.level:>5} {level.tiles:>8,} {level.splats:>12,} "
-            f"{level.bytes / _MIB:>9.2f} {each:>8.1f} {level.geometric_error:>10.4g}"
+            f"{level.bytes / MEBIBYTE:>9.2f} {bytes_per_splat:>8.1f} {level.geometric_error:>10.4g}"
         )
     if described.neural:
         lines.append(f"{described.neural:,} tiles hold a generator")
@@ -61,7 +61,7 @@ def _as_text(name: str, described: "TilesetInfo") -> str:
 
 
 def _place(described: "TilesetInfo") -> str:
-    """Return where on the globe the root frame is, if it is there."""
+    """Return the longitude, latitude and height of the root frame, or "" off the globe."""
     import numpy as np
 
     from gsgen.tiles.volumes import geodetic

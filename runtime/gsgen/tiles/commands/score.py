@@ -1,4 +1,4 @@
-"""`gsgen tiles score`: what each level looks like, and what it costs."""
+"""`gsgen tiles score`: SSIM, splats and bytes of each level of a tileset."""
 
 __all__ = ["score"]
 
@@ -12,11 +12,10 @@ import typer
 
 from gsgen.contract.errors import ConfigInvalid, InputUnreadable
 from gsgen.contract.process.atomic_files import atomic_write
+from gsgen.contract.spec.units import MEBIBYTE
 
 if TYPE_CHECKING:
     from gsgen.tiles.scoring.score import TilesetScore
-
-_MIB = 1 << 20
 
 
 def score(
@@ -84,6 +83,6 @@ def _as_text(result: "TilesetScore", output: Path) -> str:
         values = " ".join(f"{entry.ssim[name]:>7.4f}" for name in names)
         lines.append(
             f"{entry.level:>5} {entry.tiles:>7,} {entry.splats:>11,} "
-            f"{entry.splats / result.splats:>7.1%} {entry.bytes / _MIB:>9.3f}       {values}"
+            f"{entry.splats / result.splats:>7.1%} {entry.bytes / MEBIBYTE:>9.3f}       {values}"
         )
     return "\n".join([*lines, f"pictures: {output}"])

@@ -1,4 +1,4 @@
-"""`gsgen tiles serve`: a folder as a web server would give it, on a network of one's choice."""
+"""`gsgen tiles serve`: a web server for tilesets that can simulate a slow or faulty network."""
 
 __all__ = ["serve"]
 

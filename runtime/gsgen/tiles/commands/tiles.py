@@ -1,4 +1,4 @@
-"""`gsgen tiles`: tilesets, from building to looking at them."""
+"""`gsgen tiles`: build, inspect, score and serve tilesets."""
 
 __all__ = ["app"]
 

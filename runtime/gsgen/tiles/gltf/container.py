@@ -7,13 +7,12 @@ import binascii
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 from urllib.parse import unquote_to_bytes
 
 from gsgen.formats.glb.container import Container, parse
 from gsgen.formats.shared.errors import FormatError
 from gsgen.tiles.errors import Fault, TilesetInvalid
-from gsgen.tiles.json_values import JsonObject, parse_object
+from gsgen.tiles.json_values import JsonDict, JsonObject, parse_object
 
 _DATA = re.compile(r"^data:([^,;]*)((?:;[^,;]*)*),", re.DOTALL)
 
@@ -43,7 +42,7 @@ def open_content(data: bytes, location: str, fetch: Fetch | None = None) -> Cont
 
 
 def _with_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
-    """Join the buffers of a .gltf file, and let its views refer to the one."""
+    """Join the buffers of a .gltf file into one, and adapt the buffer views."""
     starts, joined = [], bytearray()
     for buffer in document.objects("buffers"):
         size = buffer.whole("byteLength")
@@ -57,7 +56,7 @@ def _with_buffers(document: JsonObject, fetch: Fetch | None) -> Container:
             )
         starts.append(len(joined))
         joined += content[:size]
-    views: list[dict[str, Any]] = []
+    views: list[JsonDict] = []
     for view in document.objects("bufferViews"):
         index = view.whole("buffer")
         if index >= len(starts):
@@ -96,7 +95,7 @@ def _buffer(buffer: JsonObject, size: int, fetch: Fetch | None) -> bytes:
 
 @contextmanager
 def as_fault(location: str, fault: Fault) -> Iterator[None]:
-    """Turn a FormatError of the body into a TilesetInvalid of a kind."""
+    """Translate a FormatError of the ``with`` block to a TilesetInvalid with ``fault``."""
     try:
         yield
     except FormatError as error:

@@ -16,21 +16,21 @@ import warnings
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import Float64
 
 from gsgen.formats.glb.accessors import view_range
-from gsgen.formats.glb.container import Container, part
+from gsgen.formats.glb.container import Container, object_member
 from gsgen.formats.glb.glb import _primitives as scene_primitives
 from gsgen.formats.glb.splats import NAME, is_splats, read_primitive
 from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.splats import Splats
-from gsgen.tiles.content import SPZ_EXTENSION
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.gltf.container import as_fault
-from gsgen.tiles.json_values import JsonObject
+from gsgen.tiles.gltf.encoding import SPZ_EXTENSION
+from gsgen.tiles.json_values import JsonDict, JsonObject
 
 DRAFTS: Final = (
     "KHR_gaussian_splatting_compression_spz",
@@ -50,7 +50,7 @@ _DECODED_EACH = 400  # bytes of a splat while it is decoded
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SplatPrimitive:
-    """What the JSON, and the first bytes of SPZ, say of a set of splats.
+    """A glTF primitive of splats, as its JSON and SPZ header describe it.
 
     Attributes:
         location: JSON path.
@@ -70,14 +70,14 @@ class SplatPrimitive:
 
     @property
     def count(self) -> int:
-        """How many splats there are: as SPZ says, or the positions."""
+        """Number of splats: that of the SPZ header, or else of the positions."""
         return self.counts.get("SPZ", self.counts.get("POSITION", 0))
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContentHeader:
-    """What a content says of itself.
+    """The header of a content: its size, primitives and extensions.
 
     Attributes:
         size: Bytes of the file.
@@ -93,7 +93,7 @@ class ContentHeader:
 
     @property
     def splats(self) -> int:
-        """How many splats there are in all."""
+        """Number of splats of all primitives."""
         return sum(primitive.count for primitive in self.primitives)
 
     @property
@@ -103,7 +103,7 @@ class ContentHeader:
 
 
 def read_header(container: Container, location: str, size: int) -> ContentHeader:
-    """Return what the JSON of a content says of its splats.
+    """Return the header of a content; splats are not decoded.
 
     Args:
         container: Of :func:`open_content`.
@@ -128,12 +128,12 @@ def read_header(container: Container, location: str, size: int) -> ContentHeader
 
 
 def _primitive(
-    container: Container, primitive: dict[str, Any], where: str, location: str
+    container: Container, primitive: JsonDict, where: str, location: str
 ) -> SplatPrimitive:
-    attributes = part(primitive, "attributes", where)
-    extensions = part(primitive, "extensions", where)
-    extension = part(extensions, NAME, where)
-    packed = extensions | part(extension, "extensions", where)
+    attributes = object_member(primitive, "attributes", where)
+    extensions = object_member(primitive, "extensions", where)
+    extension = object_member(extensions, NAME, where)
+    packed = extensions | object_member(extension, "extensions", where)
     counts = {}
     for name, index in attributes.items():
         accessor = container.item("accessors", index, f"{where}.attributes.{name}")
@@ -143,7 +143,7 @@ def _primitive(
     degree, version = max(degrees, default=0), None
     for name in (SPZ_EXTENSION, *DRAFTS):
         if name in packed:
-            holder = part(packed, name, where)
+            holder = object_member(packed, name, where)
             version, counts["SPZ"], degree = _spz_head(
                 container, holder, f"{location}, {where}"
             )
@@ -161,7 +161,7 @@ def _primitive(
     )
 
 
-def _disagreements(primitive: dict[str, Any], extensions: dict[str, Any]) -> Iterator[str]:
+def _disagreements(primitive: JsonDict, extensions: JsonDict) -> Iterator[str]:
     if primitive.get("mode", 4) != 0:
         yield f"mode {primitive.get('mode', 4)!r:.40} instead of 0, points"
     extension = extensions.get(NAME)
@@ -169,9 +169,7 @@ def _disagreements(primitive: dict[str, Any], extensions: dict[str, Any]) -> Ite
         yield f"kernel {extension['kernel']!r:.40} instead of ellipse"
 
 
-def _spz_head(
-    container: Container, holder: dict[str, Any], where: str
-) -> tuple[int, int, int]:
+def _spz_head(container: Container, holder: JsonDict, where: str) -> tuple[int, int, int]:
     """Return version, number of splats and degree of the SPZ file in a buffer view."""
     view = container.item("bufferViews", holder.get("bufferView"), where)
     start, size = view_range(container, view, where)

@@ -1,4 +1,4 @@
-"""Splats somewhere on the globe: float32 around an origin in float64."""
+"""Splats with float32 positions relative to a float64 origin, for scenes on the globe."""
 
 __all__ = ["PlacedSplats", "join_placed", "place"]
 
@@ -17,7 +17,7 @@ from gsgen.formats.shared.splats import Splats
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedSplats:
-    """Splats around an origin.
+    """Splats with positions relative to an origin.
 
     Attributes:
         splats: Their positions are relative to ``origin``, so that float32 is enough.
@@ -43,7 +43,8 @@ class PlacedSplats:
 def place(splats: Splats, matrix: Float64[np.ndarray, "4 4"]) -> PlacedSplats:
     """Return ``splats`` after ``matrix``, whose translation stays in float64.
 
-    Positions far from the file's own origin keep their digits: what is far becomes the origin.
+    Positions far from the file's own origin keep their digits: the middle of the splats becomes
+    the origin.
     """
     low, high = splats.position.min(axis=0), splats.position.max(axis=0)
     middle = (low.astype(np.float64) + high) / 2

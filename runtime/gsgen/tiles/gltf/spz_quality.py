@@ -4,7 +4,7 @@ A lower quality rounds the bytes of an attribute to fewer values, so that gzip p
 better, and gives coordinates fewer fractional bits; the layout of the file stays the same.
 """
 
-__all__ = ["QUALITIES", "Quality", "encode_spz"]
+__all__ = ["QUALITIES", "SPZ_VERSION", "Quality", "encode_spz"]
 
 import math
 from dataclasses import dataclass
@@ -15,10 +15,9 @@ from jaxtyping import UInt8
 
 from gsgen.formats.shared.errors import ValueInvalid
 from gsgen.formats.shared.splats import Splats
-from gsgen.formats.spz import container as container
-from gsgen.formats.spz import streams as streams
+from gsgen.formats.spz import container, streams
 
-VERSION: Final = 2
+SPZ_VERSION: Final = 2
 """What 3D Tiles viewers decode; version 4 loads nothing in them."""
 
 _FINEST_BITS = 12
@@ -29,7 +28,7 @@ _ALPHA = "alphas"
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quality:
-    """How finely attributes are stored.
+    """The number of bits that each attribute keeps at one quality.
 
     Attributes:
         bits: Attribute → how many of eight bits differ between values.
@@ -78,15 +77,15 @@ def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
         raise ValueInvalid(
             str(quality), where="quality", expected=f"0 to {len(QUALITIES) - 1}"
         )
-    chosen = QUALITIES[quality]
-    fraction = _fractional_bits(local, chosen, finest=quality == 0)
+    settings = QUALITIES[quality]
+    fraction = _fractional_bits(local, settings, finest=quality == 0)
     content = streams.encode(
-        local, version=VERSION, fractional_bits=fraction, sh_bits=chosen.sh_bits
+        local, version=SPZ_VERSION, fractional_bits=fraction, sh_bits=settings.sh_bits
     )
-    for name, bits in chosen.bits.items():
+    for name, bits in settings.bits.items():
         content[name] = _rounded(content[name], bits, least=int(name == _ALPHA))
     frame = container.Frame(
-        version=VERSION,
+        version=SPZ_VERSION,
         count=len(local),
         degree=local.degree,
         fractional_bits=fraction,
@@ -95,7 +94,7 @@ def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
     )
     decoded = streams.decode(
         {name: np.frombuffer(data, np.uint8) for name, data in content.items()},
-        version=VERSION,
+        version=SPZ_VERSION,
         degree=local.degree,
         fractional_bits=fraction,
         antialiased=local.antialiased,
@@ -104,7 +103,7 @@ def encode_spz(local: Splats, quality: int) -> tuple[bytes, Splats]:
 
 
 def _fractional_bits(local: Splats, quality: Quality, *, finest: bool) -> int:
-    """Return the bits after the point: fine enough for small splats, wide enough for far ones.
+    """Choose the fractional bits of positions: fine for small splats, with range for far ones.
 
     1. The far ones win: 24 bits have to hold the largest coordinate.
     2. The finest quality has 1/4096 unit at least, as other writers have.
@@ -126,7 +125,7 @@ def _fractional_bits(local: Splats, quality: Quality, *, finest: bool) -> int:
 
 
 def _rounded(data: bytes, bits: int, *, least: int) -> bytes:
-    """Round bytes to multiples of 2^(8 − bits), none that is not zero below ``least``."""
+    """Round bytes to multiples of 2^(8 − bits); nonzero bytes become ``least`` or more."""
     if bits == 8:
         return data
     step = 1 << (8 - bits)

@@ -1,1 +1,1 @@
-"""Implicit tiling: which tiles does a tree have whose tiles are not written out?"""
+"""Implicit tiling: how are the tiles of an implicit quadtree or octree read and written?"""

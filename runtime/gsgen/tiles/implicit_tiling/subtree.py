@@ -1,4 +1,4 @@
-"""Read the subtrees of implicit tilesets: which tiles, contents and further subtrees there are.
+"""Read the subtrees of implicit tilesets: the availability of tiles, contents and subtrees.
 
 3D Tiles 1.1, section "Implicit Tiling", "Subtrees". A subtree of L levels over a tree whose
 tiles have N children holds a bit for each of (N^L − 1) / (N − 1) tiles, level by level, within
@@ -10,21 +10,21 @@ __all__ = ["Subtree", "read_subtree", "tile_count"]
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import Bool
 
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.implicit_tiling.property_table import PropertyClass, read_property_table
-from gsgen.tiles.json_values import MAX_JSON, JsonObject, parse_object
+from gsgen.tiles.json_values import MAX_JSON, JsonDict, JsonObject, parse_object
 
 MAX_BITS: Final = 1 << 24
 """How many tiles a subtree may have."""
 
 _HEADER = struct.Struct("<4sIQQ")
 _MAGIC = b"subt"
-_VERSION = 1
+_SUBTREE_VERSION = 1
 
 Bits = Bool[np.ndarray, " n"]
 ReadBuffer = Callable[[str, str, int], bytes]
@@ -34,7 +34,7 @@ ReadBuffer = Callable[[str, str, int], bytes]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Subtree:
-    """What a subtree says of its tiles.
+    """The availability and the metadata of the tiles of a subtree.
 
     Attributes:
         tiles: Which tiles there are.
@@ -132,8 +132,8 @@ def _split(data: bytes, location: str) -> tuple[JsonObject, bytes]:
     if len(data) < _HEADER.size:
         raise _wrong(f"{len(data)} bytes", location, f"a header of {_HEADER.size}")
     _, version, json_size, binary_size = _HEADER.unpack_from(data)
-    if version != _VERSION:
-        raise _wrong(f"version {version}", f"{location}, byte 4", f"{_VERSION}")
+    if version != _SUBTREE_VERSION:
+        raise _wrong(f"version {version}", f"{location}, byte 4", f"{_SUBTREE_VERSION}")
     whole = _HEADER.size + json_size + binary_size
     if whole != len(data) or json_size > MAX_JSON:
         raise _wrong(
@@ -159,7 +159,7 @@ def _check_tree(
     below: Bits,
     branching: int,
 ) -> None:
-    """Refuse tiles without a parent, and contents and subtrees of tiles that are not there."""
+    """Raise for tiles without a parent, and for contents or subtrees of unavailable tiles."""
     location = document.location.removesuffix(", ")
     if not tiles[0]:
         raise _wrong("the root tile is not available", location, "a subtree with a root")
@@ -172,18 +172,18 @@ def _check_tree(
             "a tree",
         )
     for bits in contents:
-        lost = np.flatnonzero(bits & ~tiles)
-        if len(lost):
+        orphan_contents = np.flatnonzero(bits & ~tiles)
+        if len(orphan_contents):
             raise _wrong(
-                f"content {lost[0]} is available and its tile is not",
+                f"content {orphan_contents[0]} is available and its tile is not",
                 document.at("contentAvailability"),
                 "content of available tiles only",
             )
     last = tiles[-(len(below) // branching) :]
-    hanging = np.flatnonzero(below & ~np.repeat(last, branching))
-    if len(hanging):
+    orphan_subtrees = np.flatnonzero(below & ~np.repeat(last, branching))
+    if len(orphan_subtrees):
         raise _wrong(
-            f"subtree {hanging[0]} hangs below a tile that is not available",
+            f"subtree {orphan_subtrees[0]} hangs below a tile that is not available",
             document.at("childSubtreeAvailability"),
             "subtrees of available tiles only",
         )
@@ -265,7 +265,5 @@ class _Reader:
         index = holder.whole(key)
         if index >= len(tables):
             holder.refuse(key, f"less than {len(tables)}, the number of property tables")
-        columns: dict[str, Any] = read_property_table(
-            tables[index], count, classes, self.view
-        )
+        columns: JsonDict = read_property_table(tables[index], count, classes, self.view)
         return columns

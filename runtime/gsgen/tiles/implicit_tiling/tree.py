@@ -7,14 +7,14 @@ __all__ = ["ImplicitTree", "TileCoordinates", "expand_implicit", "read_implicit"
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.implicit_tiling.property_table import PropertyClass
 from gsgen.tiles.implicit_tiling.subtree import MAX_BITS, Subtree, tile_count
-from gsgen.tiles.json_values import JsonObject, shorten
+from gsgen.tiles.json_values import JsonDict, JsonObject, shorten
 from gsgen.tiles.tileset import Content, Refine, Tile
 from gsgen.tiles.uris import resolve_uri
 from gsgen.tiles.volumes import Box, Region, Sphere, Volume, read_volume
@@ -41,7 +41,7 @@ class TileCoordinates(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImplicitTree:
-    """What a tile with ``implicitTiling`` says of the tree below it.
+    """The tree that ``implicitTiling`` of a tile declares.
 
     Attributes:
         dimensions: 2 for a quadtree, 3 for an octree.
@@ -90,7 +90,7 @@ def read_implicit(
     base: str,
     classes: dict[str, PropertyClass],
 ) -> ImplicitTree:
-    """Read ``implicitTiling`` of a tile.
+    """Read the member ``implicitTiling`` of a tile.
 
     Raises:
         TilesetInvalid: A member is missing or wrong, or the volume cannot be divided.
@@ -253,7 +253,7 @@ def _tile(
     tree: ImplicitTree,
     root: Tile,
     coordinates: TileCoordinates,
-    values: dict[str, Any],
+    values: JsonDict,
     contents: tuple[Content, ...],
     children: tuple[Tile, ...],
 ) -> Tile:
@@ -287,8 +287,8 @@ def _tile(
     )
 
 
-def _declared_volume(values: dict[str, Any], owner: str) -> Volume | None:
-    """Return the volume that metadata of a tile or content says, if it does."""
+def _declared_volume(values: JsonDict, owner: str) -> Volume | None:
+    """Return the bounding volume in the metadata of a tile or content, or None."""
     for kind, width in _VOLUMES.items():
         name = f"{owner}_BOUNDING_{kind.upper()}"
         if name in values:

@@ -10,13 +10,13 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 from jaxtyping import Float64
 
 from gsgen.formats.shared.files import make_folder, replacing
-from gsgen.tiles.content import CodecName
+from gsgen.tiles.gltf.encoding import CodecName
 from gsgen.tiles.implicit_tiling.subtree import tile_count
 from gsgen.tiles.index import (
     ContentRecord,
@@ -26,6 +26,7 @@ from gsgen.tiles.index import (
     morton,
     tileset_document,
 )
+from gsgen.tiles.json_values import JsonDict
 from gsgen.tiles.metadata import TILE_CLASS, implicit_metadata_schema
 
 SUBTREE_LEVELS: Final = 5
@@ -36,7 +37,7 @@ _ALIGN = 8
 
 
 def implicit_uri(level: int, coordinates: tuple[int, int, int], quality: int = 0) -> str:
-    """Return the uri that a content of an implicit tileset has to have."""
+    """Return the uri of a content of an implicit tileset, as its template requires."""
     x, y, z = coordinates
     return f"t/{level}/{x}_{y}_{z}-q{quality}.glb"
 
@@ -154,7 +155,7 @@ def _implicit_root(
     quality: int,
     levels: int,
     subtree_levels: int,
-) -> dict[str, Any]:
+) -> JsonDict:
     return {
         "boundingVolume": {"box": box_numbers(low, high)},
         "content": {"uri": f"t/{{level}}/{{x}}_{{y}}_{{z}}-q{quality}.glb"},
@@ -215,7 +216,7 @@ def _subtree(
     first = tile_count(_BRANCHING, levels)
     hanging = [index(top + levels, child) - first for child in below]
     writer = _SubtreeWriter()
-    document: dict[str, Any] = {
+    document: JsonDict = {
         "tileAvailability": writer.bits(indices, first),
         "contentAvailability": [writer.bits(content_indices, first)],
         "childSubtreeAvailability": writer.bits(hanging, _BRANCHING**levels),
@@ -249,7 +250,7 @@ def _content_columns(cells: list[_Cell], quality: int) -> dict[str, np.ndarray]:
 
 @final
 class _SubtreeWriter:
-    """Gathers the buffer of a subtree."""
+    """Collects the bitstreams and tables of a subtree in one buffer."""
 
     def __init__(self) -> None:
         self._data = bytearray()
@@ -264,9 +265,7 @@ class _SubtreeWriter:
         packed = np.packbits(flags, bitorder="little").tobytes()
         return {"availableCount": len(indices), "bitstream": self._view(packed)}
 
-    def table(
-        self, name: str, count: int, columns: dict[str, np.ndarray]
-    ) -> dict[str, Any]:
+    def table(self, name: str, count: int, columns: dict[str, np.ndarray]) -> JsonDict:
         """Return a property table."""
         properties = {
             key: {"values": self._view(column.tobytes())} for key, column in columns.items()
@@ -279,7 +278,7 @@ class _SubtreeWriter:
         self._data += data + bytes(-len(data) % _ALIGN)
         return len(self._views) - 1
 
-    def file(self, document: dict[str, Any]) -> bytes:
+    def file(self, document: JsonDict) -> bytes:
         """Return the subtree as a binary file."""
         values = dict(document)
         if self._data:

@@ -1,19 +1,19 @@
 """Read the documents of a tileset: indices and their metadata schemas, within a budget."""
 
-__all__ = ["GLTF_EXTENSION", "Document", "DocumentReader"]
+__all__ = ["Document", "DocumentReader"]
 
 from dataclasses import dataclass
 from typing import Final, final
 
 from gsgen.tiles.errors import TilesetInvalid
 from gsgen.tiles.implicit_tiling.property_table import PropertyClass, read_classes
+from gsgen.tiles.index import GLTF_EXTENSION
 from gsgen.tiles.json_values import MAX_JSON, JsonObject, parse_object, shorten
 from gsgen.tiles.neural import EXTENSION as NEURAL
 from gsgen.tiles.reading.limits import Limits, LoadReport
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.uris import resolve_uri
 
-GLTF_EXTENSION: Final = "3DTILES_content_gltf"
 _UNDERSTOOD: Final = {GLTF_EXTENSION, "3DTILES_metadata", NEURAL}
 _VERSIONS: Final = ("1.0", "1.1")
 
@@ -36,16 +36,16 @@ class Document:
 
 @final
 class DocumentReader:
-    """Reads indices of one tileset, and counts them."""
+    """Reads the indices of one tileset, within limits of their number and size."""
 
     def __init__(self, store: Store, limits: Limits, report: LoadReport) -> None:
         self._store, self._limits, self._report = store, limits, report
-        self._left = limits.index_bytes
+        self._bytes_left = limits.index_bytes
         self._documents = 0
 
     def spend(self, size: int, path: str) -> None:
-        """Count a document and its bytes; refuse too many."""
-        self._left -= size
+        """Count a document and its bytes; raise beyond the limits."""
+        self._bytes_left -= size
         self._documents += 1
         if self._documents > self._limits.documents:
             raise TilesetInvalid(
@@ -53,7 +53,7 @@ class DocumentReader:
                 location=f"{self._store.name}: {path}",
                 expected="fewer",
             )
-        if self._left < 0:
+        if self._bytes_left < 0:
             raise TilesetInvalid(
                 f"more than {self._limits.index_bytes:,} bytes of indices",
                 location=f"{self._store.name}: {path}",
@@ -61,7 +61,7 @@ class DocumentReader:
             )
 
     def read_index(self, path: str) -> JsonObject:
-        """Read ``tileset.json``, and check what all indices share."""
+        """Read an index, and check the members that every index has."""
         data = self._store.read(path, limit=MAX_JSON)
         self.spend(len(data), path)
         document = parse_object(data, f"{path}, ")

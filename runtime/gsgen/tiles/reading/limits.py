@@ -1,4 +1,4 @@
-"""How much of a tileset is read, and who is told of its faults."""
+"""Limits of reading a tileset, and the handling of its faults."""
 
 __all__ = ["Limits", "LoadReport", "Strict"]
 
@@ -11,7 +11,7 @@ from gsgen.tiles.errors import TilesetInvalid
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """How much of a tileset is read.
+    """Upper limits of reading a tileset.
 
     Attributes:
         tiles: How many tiles of all files together.
@@ -29,24 +29,24 @@ class Limits:
 
 
 class LoadReport(Protocol):
-    """Is told of every fault, so that reading can go on with the rest."""
+    """Receives every fault, so that reading continues with the rest."""
 
     def note(self, error: TilesetInvalid) -> None:
-        """Take a fault that hides nothing: the part is read all the same."""
+        """Receive a fault of a part that can be read nevertheless."""
         ...
 
     def drop(self, error: TilesetInvalid) -> None:
-        """Take a fault because of which a part is left out; may raise it."""
+        """Receive a fault of a part that is left out; may raise it."""
         ...
 
 
 @final
 class Strict:
-    """Raises what cannot be read, and passes over what can."""
+    """Raises faults that hide a part, and ignores the others."""
 
     def note(self, error: TilesetInvalid) -> None:
-        """Pass over it."""
+        """Ignore the fault."""
 
     def drop(self, error: TilesetInvalid) -> None:
-        """Raise it."""
+        """Raise the fault."""
         raise error

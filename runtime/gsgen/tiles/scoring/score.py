@@ -1,4 +1,4 @@
-"""Draw each level of a tileset beside the scene that it was made of, and compare."""
+"""Compare renderings of each level of a tileset with renderings of its source scene."""
 
 __all__ = ["DISTANCES", "LevelScore", "TilesetScore", "level_cut", "score_tileset"]
 
@@ -20,7 +20,7 @@ from gsgen.runtime.scene.splat_data import SplatData
 from gsgen.tiles.errors import Fault, TilesetInvalid
 from gsgen.tiles.leaves import read_tile_content
 from gsgen.tiles.loading import load_tileset
-from gsgen.tiles.ssim import ssim
+from gsgen.tiles.scoring.ssim import ssim
 from gsgen.tiles.stores.opening import open_store
 from gsgen.tiles.stores.store import Store
 from gsgen.tiles.tileset import Content, Tile, Tileset
@@ -31,7 +31,7 @@ DISTANCES: Final = {"near": 1.5, "middle": 3.0, "far": 6.0}
 """Name → distance of the camera from the middle, in radii of the scene."""
 
 _AZIMUTHS = (20.0, 140.0, 260.0)
-_ELEVATION = 20.0
+_RING_LATITUDE = 20.0
 _FIELD_OF_VIEW = 50.0
 _SHARE_WITHIN = 0.9
 _ON_GLOBE = 1e6
@@ -40,7 +40,7 @@ _ON_GLOBE = 1e6
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelScore:
-    """A level of detail, drawn everywhere.
+    """SSIM, splats and bytes of one level of detail.
 
     Attributes:
         level: How many times the root is refined.
@@ -60,12 +60,12 @@ class LevelScore:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TilesetScore:
-    """A tileset beside its scene.
+    """The scores and pictures of all levels of a tileset.
 
     Attributes:
         splats: Of the scene.
         levels: Coarsest first; the last one has all leaves.
-        pictures: Name of a column (``scene``, ``level 0`` …) → distance → what is seen.
+        pictures: Name of a column (``scene``, ``level 0`` …) → distance → rendered picture.
     """
 
     splats: int
@@ -81,7 +81,7 @@ def score_tileset(
     height: int = 240,
     progress: Callable[[str], None] = lambda words: None,
 ) -> TilesetScore:
-    """Draw a tileset, level by level, and its scene, and compare them.
+    """Render each level of a tileset and its source scene, and compute their SSIM.
 
     Args:
         source: The tileset.
@@ -114,15 +114,17 @@ def score_tileset(
             progress(f"drawing level {level} of {_depth(tileset)}")
             cut = list(level_cut(tileset, level))
             drawn, size = _read(store, tileset, cut)
-            seen = _draw(renderer, drawn, cameras)
-            pictures[f"level {level}"] = _first(seen)
+            renders = _draw(renderer, drawn, cameras)
+            pictures[f"level {level}"] = _first(renders)
             levels.append(
                 LevelScore(
                     level=level,
                     tiles=len(cut),
                     splats=len(drawn),
                     bytes=size,
-                    ssim={name: _similarity(seen[name], expected[name]) for name in seen},
+                    ssim={
+                        name: _similarity(renders[name], expected[name]) for name in renders
+                    },
                 )
             )
     return TilesetScore(splats=len(splats), levels=tuple(levels), pictures=pictures)
@@ -135,18 +137,18 @@ def level_cut(tileset: Tileset, level: int) -> Iterator[tuple[Tile, Content]]:
     """
     pending = [(tileset.root, level)]
     while pending:
-        tile, left = pending.pop()
-        stops = not tile.children or (left == 0 and bool(tile.contents))
+        tile, refinements = pending.pop()
+        stops = not tile.children or (refinements == 0 and bool(tile.contents))
         if stops or tile.refine == "ADD":
             for content in tile.contents:
                 yield tile, content
         if not stops:
-            below = left - 1 if tile.contents else left
+            below = refinements - 1 if tile.contents else refinements
             pending += [(child, below) for child in reversed(tile.children)]
 
 
 def _depth(tileset: Tileset) -> int:
-    """Return after how many levels nothing is refined any more."""
+    """Return the number of refinements down to the finest tiles."""
     deepest, pending = 0, [(tileset.root, 0)]
     while pending:
         tile, depth = pending.pop()
@@ -192,15 +194,15 @@ def _cameras(
 ) -> dict[str, list[Camera]]:
     """Return cameras around the middle of the scene, by distance."""
     center = np.median(splats.position.astype(np.float64), axis=0)
-    away = np.linalg.norm(splats.position - center, axis=1)
-    radius = max(float(np.quantile(away, _SHARE_WITHIN)), 1e-6)
+    distances = np.linalg.norm(splats.position - center, axis=1)
+    radius = max(float(np.quantile(distances, _SHARE_WITHIN)), 1e-6)
     return {
         name: [
             Camera.orbit(
                 center.tolist(),
                 distance * radius,
                 azimuth=azimuth,
-                elevation=_ELEVATION,
+                elevation=_RING_LATITUDE,
                 up=up.tolist(),
                 width=width,
                 height=height,
@@ -231,5 +233,5 @@ def _first(pictures: dict[str, list[Picture]]) -> dict[str, Picture]:
     return {name: views[0] for name, views in pictures.items()}
 
 
-def _similarity(seen: list[Picture], expected: list[Picture]) -> float:
-    return float(np.mean([ssim(a, b) for a, b in zip(seen, expected, strict=True)]))
+def _similarity(renders: list[Picture], expected: list[Picture]) -> float:
+    return float(np.mean([ssim(a, b) for a, b in zip(renders, expected, strict=True)]))

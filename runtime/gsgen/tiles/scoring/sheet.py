@@ -1,4 +1,4 @@
-"""The pictures of a score on one sheet: levels beside each other, distances below."""
+"""Draw the pictures of a score on one sheet: a column per level, a row per distance."""
 
 __all__ = ["draw_sheet"]
 
@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import UInt8
 
+from gsgen.contract.spec.units import MEBIBYTE
 from gsgen.tiles.scoring.score import DISTANCES, TilesetScore
 
 _BAR: Final = 18
@@ -35,7 +36,7 @@ def draw_sheet(score: TilesetScore) -> UInt8[np.ndarray, "h w 3"]:
             if name in levels:
                 entry = levels[name]
                 text = (
-                    f"{name}: {entry.splats:,}, {entry.bytes / (1 << 20):.2f} MiB, "
+                    f"{name}: {entry.splats:,}, {entry.bytes / MEBIBYTE:.2f} MiB, "
                     f"SSIM {entry.ssim[distance]:.4f}"
                 )
             pen.text((x + 4, y + 3), text, fill=(240, 240, 240))

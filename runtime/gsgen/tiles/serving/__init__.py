@@ -1,1 +1,1 @@
-"""Serving: how does a tileset reach a viewer, over a network as good or bad as one likes?"""
+"""Serving: how does a tileset reach a viewer over a slow or faulty network?"""

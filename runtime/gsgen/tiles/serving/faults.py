@@ -1,4 +1,4 @@
-"""Networks that are slow or fail: what a server does to its answers."""
+"""Simulate a slow or failing network: limit the rate, delay and fail responses."""
 
 __all__ = ["FailureRule", "NetworkFaults", "parse_failure"]
 
@@ -19,7 +19,7 @@ _FORM = re.compile(r"^(\d{3}|cut|stall):([0-9.]+)$")
 @final
 @dataclass(frozen=True, slots=True)
 class FailureRule:
-    """A share of answers that fails.
+    """A kind of failure and the fraction of responses that fail so.
 
     Attributes:
         failure: The status; ``cut`` ends the answer half way, ``stall`` sends nothing.
@@ -31,7 +31,7 @@ class FailureRule:
 
 
 def parse_failure(text: str) -> FailureRule:
-    """Return what ``404:0.01``, ``cut:0.05`` or ``stall:0.1`` says.
+    """Parse a failure rule such as ``404:0.01``, ``cut:0.05`` or ``stall:0.1``.
 
     Raises:
         ConfigInvalid: It says something else.
@@ -56,7 +56,7 @@ def parse_failure(text: str) -> FailureRule:
 @final
 @dataclass(slots=True, kw_only=True)
 class NetworkFaults:
-    """What happens to answers; safe to use from many threads.
+    """Rate, latency and failures of responses; safe to use from many threads.
 
     Attributes:
         bytes_per_second: Of all answers together; None for as fast as it goes.
@@ -91,7 +91,7 @@ class NetworkFaults:
         return None
 
     def wait_to_begin(self) -> None:
-        """Wait for as long as an answer takes to begin."""
+        """Wait for the latency before a response begins."""
         if self.latency > 0:
             self.sleep(self.latency)
 

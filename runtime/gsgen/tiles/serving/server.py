@@ -1,4 +1,4 @@
-"""A local server of a folder: ranges, CORS, ETag, and faults as a network has them."""
+"""An HTTP server of a folder with ranges, CORS, ETags and simulated network faults."""
 
 __all__ = ["TileServer", "serve_folder"]
 
@@ -42,7 +42,7 @@ Log = Callable[[str], None]
 @final
 @dataclass(frozen=True, slots=True)
 class _Span:
-    """The bytes of a file that are asked for."""
+    """The byte range of a file to send."""
 
     start: int
     size: int
@@ -54,7 +54,7 @@ class TileServer(ThreadingHTTPServer):
     Attributes:
         folder: The folder.
         faults: What happens to answers.
-        log: Is told of each answer in a line.
+        log: Called with a line per response.
     """
 
     daemon_threads = True
@@ -67,7 +67,7 @@ class TileServer(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """Where the folder is served."""
+        """The URL of the served folder."""
         host, port = self.server_address[:2]
         return f"http://{host if isinstance(host, str) else host.decode()}:{port}/"
 
@@ -83,11 +83,11 @@ def serve_folder(
     """Return a server of ``folder`` that listens; call ``serve_forever`` to answer.
 
     Args:
-        folder: What is served, and nothing beside it.
+        folder: Served; files outside it are not.
         host: The address to listen at.
         port: The port; 0 for one that is free.
         faults: What happens to answers; nothing where absent.
-        log: Is told of each answer in a line.
+        log: Called with a line per response.
 
     Raises:
         OSError: The port is taken.
@@ -111,14 +111,14 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(with_body=False)
 
     def do_OPTIONS(self) -> None:
-        """Answer the question of a browser whether it may ask."""
+        """Answer the preflight request of a browser (CORS)."""
         self.send_response(HTTPStatus.NO_CONTENT)
         self._send_cors()
         self.send_header("Content-Length", "0")
         self.end_headers()
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing: each answer is logged once, below."""
+        """Do nothing: each response is logged once by ``_head`` or ``_refuse``."""
 
     def _answer(self, *, with_body: bool) -> None:
         faults = self.server.faults
@@ -159,7 +159,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_body(file, span, cut=failure == "cut")
 
     def _file(self) -> Path | None:
-        """Return the file that is asked for, if it is one below the folder."""
+        """Return the requested file, or None if it is not a regular file in the folder."""
         path = unquote(urlsplit(self.path).path).lstrip("/") or "index.html"
         try:
             file = self.server.folder / resolve_uri("", path, self.path)
@@ -170,7 +170,7 @@ class _Handler(BaseHTTPRequestHandler):
         return file if inside and regular else None
 
     def _span(self, size: int, etag: str) -> _Span | None:
-        """Return the range that is asked for; all where none is; None where it is outside."""
+        """Return the requested byte range: all without a Range header, None if unsatisfiable."""
         match = _RANGE.match(self.headers.get("Range") or "")
         condition = self.headers.get("If-Range")
         if match is None or match[0] == "bytes=-" or condition not in (None, etag):
@@ -189,8 +189,8 @@ class _Handler(BaseHTTPRequestHandler):
     ) -> None:
         self.send_response(status)
         kind = _TYPES.get(file.suffix.lower(), "application/octet-stream")
-        named = _NAMED_BY_DIGEST.search(file.name) is not None
-        caching = "public, max-age=31536000, immutable" if named else "no-cache"
+        is_immutable = _NAMED_BY_DIGEST.search(file.name) is not None
+        caching = "public, max-age=31536000, immutable" if is_immutable else "no-cache"
         for name, value in [
             ("Content-Type", kind),
             ("ETag", etag),
@@ -230,11 +230,11 @@ class _Handler(BaseHTTPRequestHandler):
         self.server.log(f"{status.value} {self.path}")
 
     def _send_body(self, file: Path, span: _Span, *, cut: bool) -> None:
-        left = span.size // 2 if cut else span.size
+        size = span.size // 2 if cut else span.size
         try:
             with file.open("rb") as stream:
                 stream.seek(span.start)
-                for chunk in _chunks(stream, left):
+                for chunk in _chunks(stream, size):
                     self.server.faults.wait_to_send(len(chunk))
                     self.wfile.write(chunk)
         except (BrokenPipeError, ConnectionResetError):
@@ -244,10 +244,10 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _chunks(stream: BinaryIO, size: int) -> Iterator[bytes]:
-    left = size
-    while left > 0:
-        chunk = stream.read(min(_CHUNK, left))
+    remaining = size
+    while remaining > 0:
+        chunk = stream.read(min(_CHUNK, remaining))
         if not chunk:
             return
-        left -= len(chunk)
+        remaining -= len(chunk)
         yield chunk

@@ -18,8 +18,8 @@ _TIMEOUT = 30.0
 _RETRIES = 3
 _BACKOFF = 0.25
 _CHUNK = 1 << 18
-_GONE = (404, 410)
-_PASSING = (429, 500, 502, 503, 504)
+_NOT_FOUND = (404, 410)
+_TRANSIENT = (429, 500, 502, 503, 504)
 
 
 @final
@@ -49,7 +49,7 @@ class HttpStore:
             _RETRIES,
             backoff_factor=_BACKOFF,
             backoff_jitter=_BACKOFF,
-            status_forcelist=_PASSING,
+            status_forcelist=_TRANSIENT,
             raise_on_status=False,
         )
         self._pool = PoolManager(
@@ -122,7 +122,7 @@ class HttpStore:
         if response.status in (200, 206, 416):
             return _Answer(response)
         response.drain_conn()
-        if response.status in _GONE:
+        if response.status in _NOT_FOUND:
             raise missing(self.name, path, f"the server answers {response.status}")
         raise self._failed(path, f"the server answers {response.status}")
 

@@ -1,4 +1,4 @@
-"""Open the store of a tileset from what a user types."""
+"""Open the store of a tileset from a path or an address."""
 
 __all__ = ["INDEX", "open_store"]
 

@@ -1,4 +1,4 @@
-"""What a store of files gives: bytes by name, within bounds."""
+"""The protocol of stores: read files by their path, within size limits."""
 
 __all__ = ["MAX_FILE", "Store", "check_range", "missing", "too_large"]
 
@@ -48,7 +48,7 @@ class Store(Protocol):
         ...
 
     def close(self) -> None:
-        """Give back what the store holds open."""
+        """Close open files and connections."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -64,7 +64,7 @@ class Store(Protocol):
 def missing(
     store: str, path: str, reason: str = "the file does not exist"
 ) -> ContentMissing:
-    """Return the error of a file that is not there."""
+    """Return the error for a file that does not exist."""
     return ContentMissing(
         reason,
         location=f"{store}: {path}",
@@ -75,7 +75,7 @@ def missing(
 
 
 def too_large(store: str, path: str, size: int, limit: int) -> TilesetInvalid:
-    """Return the error of a file that is larger than may be read."""
+    """Return the error for a file above the size limit."""
     return TilesetInvalid(
         f"{size:,} bytes",
         location=f"{store}: {path}",
@@ -87,7 +87,7 @@ def too_large(store: str, path: str, size: int, limit: int) -> TilesetInvalid:
 def check_range(
     store: str, path: str, whole: int, start: int, size: int | None, limit: int
 ) -> int:
-    """Return how many bytes to read of a file of ``whole`` bytes; refuse too many."""
+    """Return how many bytes to read of a file of ``whole`` bytes; raise above ``limit``."""
     count = max(whole - start, 0) if size is None else max(min(size, whole - start), 0)
     if count > limit:
         raise too_large(store, path, count, limit)

@@ -28,13 +28,13 @@ _MOST_MEMBERS = 4_000_000
 
 
 def index_sort_key(digest: bytes) -> tuple[int, int]:
-    """Return what records of the index are sorted by."""
+    """Return the sort key of an index record."""
     low, high = struct.unpack("<QQ", digest)
     return low, high
 
 
 def index_record(path: str, offset: int) -> bytes:
-    """Return the record of a member."""
+    """Return the index record of a member."""
     digest = hashlib.md5(path.encode(), usedforsecurity=False).digest()
     return _RECORD.pack(digest, offset)
 
@@ -82,15 +82,17 @@ class ZipStore:
     def _check_index(
         self, index: zipfile.ZipInfo, by_name: dict[str, zipfile.ZipInfo]
     ) -> None:
-        """Refuse an index that names other places than the directory of the archive."""
-        others = [member for name, member in by_name.items() if name != INDEX_NAME]
-        if index.file_size != _RECORD.size * len(others):
+        """Raise if the index and the directory of the archive disagree on offsets."""
+        members = [member for name, member in by_name.items() if name != INDEX_NAME]
+        if index.file_size != _RECORD.size * len(members):
             raise self._damaged(
-                f"an index of {index.file_size} bytes for {len(others)} members"
+                f"an index of {index.file_size} bytes for {len(members)} members"
             )
-        expected = {index_record(m.filename, m.header_offset) for m in others}
+        expected = {index_record(m.filename, m.header_offset) for m in members}
         data = self._member(index, 0, index.file_size)
-        records = [data[at : at + 24] for at in range(0, len(data), _RECORD.size)]
+        records = [
+            data[offset : offset + 24] for offset in range(0, len(data), _RECORD.size)
+        ]
         if set(records) != expected:
             raise self._damaged("an index that does not name the members of the archive")
 

@@ -31,7 +31,7 @@ _INDEX = "/tileset.json"
 
 
 def tiles_fixtures() -> list[Fixture]:
-    """Return the tilesets."""
+    """Return the example tilesets."""
     return fixtures_in(sys.modules[__name__])
 
 
@@ -58,13 +58,13 @@ def tiles_good() -> TilesetSketch:
 
 @_example()
 def tiles_good_floats() -> TilesetSketch:
-    """The same with plain float accessors."""
+    """A root over two leaves with plain float accessors."""
     return explicit_sketch(codec="khr")
 
 
 @_example()
 def tiles_good_globe() -> TilesetSketch:
-    """The same somewhere on the globe."""
+    """A root over two leaves on the globe."""
     matrix = np.eye(4)
     matrix[:3, :3] = [[-0.8, -0.6, 0.0], [0.0, 0.0, 1.0], [-0.6, 0.8, 0.0]]
     matrix[:3, 3] = [4_000_000.0, 3_000_000.0, 3_900_000.0]
@@ -93,7 +93,7 @@ def tiles_without_error() -> TilesetSketch:
 
 @_example("GT002")
 def tiles_child_outside() -> TilesetSketch:
-    """The box of a leaf is as large as it likes to be, and sticks out of the root's."""
+    """The box of a leaf is larger than the root's box."""
     sketch = explicit_sketch()
     box = sketch.document["root"]["children"][0]["boundingVolume"]["box"]
     box[3] *= 8
@@ -135,7 +135,7 @@ def tiles_content_cut_short() -> TilesetSketch:
 
 @_example("GT006")
 def tiles_counts_differ() -> TilesetSketch:
-    """Metadata says a splat more than the content has."""
+    """Metadata declares one splat more than the content has."""
     sketch = explicit_sketch()
     sketch.document["root"]["children"][0]["metadata"]["properties"]["splats"] += 1
     return sketch
@@ -152,12 +152,12 @@ def tiles_extension_missing() -> TilesetSketch:
 
 @_example("GT008")
 def tiles_hole_in_children() -> TilesetSketch:
-    """Half of what the root shows has no leaf."""
+    """Half of the root's splats have no leaf."""
     sketch = explicit_sketch(record=False)
     root = sketch.document["root"]
-    lost = root["children"].pop()
+    removed_child = root["children"].pop()
     properties = sketch.document["metadata"]["properties"]
-    properties["source_splats"] -= lost["metadata"]["properties"]["splats"]
+    properties["source_splats"] -= removed_child["metadata"]["properties"]["splats"]
     return sketch
 
 
@@ -187,7 +187,7 @@ def tiles_spz_version() -> TilesetSketch:
 
 @_example("GT010")
 def tiles_uri_escapes() -> TilesetSketch:
-    """A leaf's content lies beside the folder of the tileset."""
+    """A leaf's content is outside the folder of the tileset."""
     sketch = explicit_sketch()
     sketch.document["root"]["children"][0]["content"]["uri"] = "../elsewhere.glb"
     return sketch
@@ -236,7 +236,7 @@ def tiles_leaf_lost() -> TilesetSketch:
 
 @_example("GT015")
 def tiles_file_changed() -> TilesetSketch:
-    """A file is not what the build record lists."""
+    """The digest of a file differs from the one in the build record."""
     sketch = explicit_sketch()
     uri = sketch.document["root"]["children"][0]["content"]["uri"]
     sketch.files[uri] = sketch.files[uri].replace(b'"gsgen"', b'"other"')
@@ -251,7 +251,7 @@ def tiles_too_many_splats() -> TilesetSketch:
 
 @_example("GT017")
 def tiles_root_error_zero() -> TilesetSketch:
-    """The root says that it is as good as its leaves."""
+    """The geometric error of the root is 0."""
     sketch = explicit_sketch()
     sketch.document["root"]["geometricError"] = 0.0
     return sketch
@@ -286,10 +286,10 @@ def tiles_draft_names() -> TilesetSketch:
 
 @_example("GT020")
 def tiles_neural_digest() -> TilesetSketch:
-    """The generator is another one than the tile names."""
+    """The digest of the generator differs from the one in the tile."""
     sketch = _neural()
-    held = sketch.document["root"]["children"][0]["extensions"][NEURAL]
-    held["sha256"] = hashlib.sha256(b"another model").hexdigest()
+    extension = sketch.document["root"]["children"][0]["extensions"][NEURAL]
+    extension["sha256"] = hashlib.sha256(b"another model").hexdigest()
     return sketch
 
 

@@ -1,4 +1,4 @@
-"""What the rules look at: a tileset, its faults, and its contents, each read once."""
+"""The input of the rules: a tileset, its faults, and its contents, each read once."""
 
 __all__ = [
     "InspectedContent",
@@ -40,14 +40,14 @@ _MOST_FAULTS: Final = 1000
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class InspectedContent:
-    """A content of a tile, and what was found in it.
+    """A content of a tile with its header, digest and measured values.
 
     Attributes:
         tile: The tile; None for a file that was given alone.
         content: What the tile says of it.
         header: What the file says of its splats; None where it cannot be read.
         sha256: Of the file, where a build record lists it.
-        values: What was measured; None where nothing was decoded.
+        values: Measurements of the decoded splats; None where nothing was decoded.
     """
 
     tile: Tile | None
@@ -60,7 +60,7 @@ class InspectedContent:
 @final
 @dataclass(slots=True, kw_only=True, eq=False)
 class InspectedTileset:
-    """The subject of the rules GT.
+    """A tileset with its contents, faults and build record, as input of the rules GT.
 
     Attributes:
         tileset: The tree; None where the index cannot be read, or a content was given alone.
@@ -88,7 +88,7 @@ class InspectedTileset:
         return self.tileset is not None and "source_splats" in self.tileset.metadata
 
     def note(self, error: TilesetInvalid) -> None:
-        """Take a fault."""
+        """Record a fault for the rules to report."""
         if sum(map(len, self.faults.values())) < _MOST_FAULTS:
             self.faults[error.fault].append(error)
 
@@ -112,7 +112,7 @@ def inspect_tileset(
         decode: Whether splats are decoded, too.
         seconds: After how long no further content is decoded.
         progress: Called with a few words whenever a new stage begins.
-        name: What the caller calls the tileset.
+        name: Name of the tileset in messages.
 
     Raises:
         TilesetInvalid: The index is not there, or not JSON.
@@ -151,7 +151,7 @@ def inspect_content_file(
 
 @final
 class _ContentReader:
-    """Reads contents; a file that several tiles share is opened once a tile, and judged once."""
+    """Reads contents; a file that several tiles share is opened once a tile, and checked once."""
 
     def __init__(
         self, inspected: InspectedTileset, *, decode: bool, deadline: float
@@ -161,7 +161,7 @@ class _ContentReader:
         self._headers: dict[str, tuple[ContentHeader | None, str]] = {}
 
     def read(self, tile: Tile | None, content: Content) -> InspectedContent:
-        """Read a content; its faults go to the subject."""
+        """Read a content; its faults go to the inspected tileset."""
         known = content.uri in self._headers
         late = self._decode and time.monotonic() > self._deadline
         if late:
@@ -215,17 +215,17 @@ class _ContentReader:
             for entry, matrix in decoded
             if len(entry)
         ]
-        own = to_world @ tile.transform
+        tile_to_world = to_world @ tile.transform
         children: list[Volume] = []
         if tile.refine == "REPLACE":
             children = [
                 child.volume.transformed(to_world @ child.transform)
                 for child in tile.children
             ]
-        scale = float(np.cbrt(np.linalg.det(own[:3, :3])))
+        scale = float(np.cbrt(np.linalg.det(tile_to_world[:3, :3])))
         return measure_content(
             parts,
-            (content.volume or tile.volume).transformed(own),
+            (content.volume or tile.volume).transformed(tile_to_world),
             children,
             tile.geometric_error * scale,
             to_world,

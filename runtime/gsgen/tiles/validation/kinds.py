@@ -1,4 +1,4 @@
-"""What the rules GT are about."""
+"""The kinds of input that the rules GT check."""
 
 __all__ = ["TILESET", "TILE_CONTENT"]
 

@@ -1,4 +1,4 @@
-"""Small tilesets made by code, to be changed and written: the stuff of fixtures and tests."""
+"""Small generated tilesets that fixtures and tests change and write."""
 
 __all__ = [
     "TilesetSketch",
@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float64
@@ -22,7 +22,7 @@ from jaxtyping import Float64
 from gsgen.formats.glb.container import build
 from gsgen.formats.shared.joined import joined
 from gsgen.formats.shared.splats import Splats
-from gsgen.tiles.content import CodecName, write_content
+from gsgen.tiles.gltf.encoding import CodecName, write_content
 from gsgen.tiles.implicit_tiling.writing import implicit_uri, write_implicit_tileset
 from gsgen.tiles.index import (
     BUILD_RECORD,
@@ -33,11 +33,12 @@ from gsgen.tiles.index import (
     tileset_document,
     write_build_record,
 )
+from gsgen.tiles.json_values import JsonDict
 
 _ROWS = 24
 _CENTERS = ((0.0, 0.0, 0.0), (10.0, 0.0, 0.0))
 _ERROR = 1.0
-_Edit = Callable[[dict[str, Any]], dict[str, Any]]
+_Edit = Callable[[JsonDict], JsonDict]
 
 
 @final
@@ -50,7 +51,7 @@ class TilesetSketch:
         files: Path → bytes of all others.
     """
 
-    document: dict[str, Any]
+    document: JsonDict
     files: dict[str, bytes] = field(default_factory=dict)
 
     def write(self, path: Path) -> None:
@@ -83,7 +84,7 @@ def explicit_sketch(
     record: bool = True,
     leaf_rows: int = _ROWS,
 ) -> TilesetSketch:
-    """Return a root over two leaves.
+    """Return a tileset of a root and two leaves.
 
     Args:
         codec: Of the contents.
@@ -224,7 +225,7 @@ def edit_glb(
         binary: Returns the binary chunk to write; lengths in the JSON follow it.
     """
     json_size = struct.unpack_from("<I", data, 12)[0]
-    values: dict[str, Any] = json.loads(data[20 : 20 + json_size])
+    values: JsonDict = json.loads(data[20 : 20 + json_size])
     chunk = data[28 + json_size :]
     if binary is not None:
         chunk = binary(chunk)

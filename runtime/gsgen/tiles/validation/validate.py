@@ -1,4 +1,4 @@
-"""Judge a tileset, or one content, by the rules GT: the door that `gsgen validate` comes through.
+"""Validate a tileset, or one content, by the rules GT, on behalf of `gsgen validate`.
 
 Registered under the entry point group ``gsgen.validators``.
 """
@@ -36,16 +36,16 @@ _NOT_DRAWN: Final = "tilesets are not drawn here: `gsgen tiles score` draws them
 
 
 def recognises(path: Path) -> bool:
-    """Say whether ``path`` names a tileset or a content, by how it ends."""
-    address = str(path).lower().startswith(_ADDRESSES)
-    named = path.suffix.lower() in (*_CONTENTS, *_INDICES)
-    return named or address or (path.is_dir() and (path / INDEX).is_file())
+    """Return whether ``path`` names a tileset or a content, by its suffix."""
+    is_address = str(path).lower().startswith(_ADDRESSES)
+    has_suffix = path.suffix.lower() in (*_CONTENTS, *_INDICES)
+    return has_suffix or is_address or (path.is_dir() and (path / INDEX).is_file())
 
 
 def validate(
     path: Path, settings: Settings, registry: Registry, progress: Callable[[str], None]
 ) -> Report:
-    """Judge the tileset or the content at ``path``; nothing is printed.
+    """Check the tileset or the content at ``path``; nothing is printed.
 
     Args:
         path: ``tileset.json``, its folder, ``.3tz``, ``.glb``, ``.gltf``, or an address.
@@ -54,9 +54,9 @@ def validate(
         progress: Called with a few words whenever a new stage begins.
 
     Raises:
-        TilesetInvalid: The file cannot be judged at all.
+        TilesetInvalid: The file cannot be read at all.
     """
-    began = time.perf_counter()
+    start = time.perf_counter()
     settings = settings.for_model(path)
     progress(f"reading {path.name}")
     registry = registry.of_scope(tilesets=True)
@@ -65,7 +65,7 @@ def validate(
     with store:
         inspected = _inspect(store, index, kind, path, settings, progress)
         results = ResultCollector(registry=registry, settings=settings, kind=kind)
-        _judge(results, inspected, settings.level)
+        _check(results, inspected, settings.level)
         size, digest = _index_digest(store, index)
     rules = [results.outcomes[id] for id in registry.rules]
     return Report(
@@ -83,7 +83,7 @@ def validate(
         levels=tuple(_levels(settings.level)),
         environment={"gsgen": version("gsgen")},
         settings=settings.source,
-        seconds=time.perf_counter() - began,
+        seconds=time.perf_counter() - start,
         sha256=digest,
     )
 
@@ -105,8 +105,8 @@ def _inspect(
     )
 
 
-def _judge(results: ResultCollector, inspected: InspectedTileset, level: Level) -> None:
-    """Judge all rules of the level, each after those it needs; account for the others."""
+def _check(results: ResultCollector, inspected: InspectedTileset, level: Level) -> None:
+    """Check the rules up to ``level``, each after those that it needs; mark the others skipped."""
     items = max(len(inspected.contents), 1)
     for rule in _needs_first(results.registry.rules.values()):
         if rule.level > level:
@@ -134,12 +134,12 @@ def _needs_first(rules: Iterable[Rule]) -> list[Rule]:
     return ordered
 
 
-def _levels(asked: Level) -> Iterable[LevelOutcome]:
-    """Yield what became of the levels that were asked for and that tilesets have."""
+def _levels(requested: Level) -> Iterable[LevelOutcome]:
+    """Yield the outcome of every requested level that tilesets have."""
     yield LevelOutcome(Level.STATIC, ran=True)
-    if asked >= Level.VALUES:
+    if requested >= Level.VALUES:
         yield LevelOutcome(Level.VALUES, ran=True)
-    if asked >= Level.RENDER:
+    if requested >= Level.RENDER:
         yield LevelOutcome(Level.RENDER, ran=False, reason=_NOT_DRAWN)
 
 

@@ -1,4 +1,4 @@
-"""What the values of a content say: splats outside of volumes, and numbers that cannot be."""
+"""Measure the decoded splats of a content: splats outside volumes, and invalid numbers."""
 
 __all__ = ["ContentValues", "OutsideSplats", "measure_content"]
 
@@ -17,10 +17,10 @@ from gsgen.formats.shared.errors import FormatError
 from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import Splats
 from gsgen.tiles.errors import Fault, TilesetInvalid
+from gsgen.tiles.gltf.encoding import SIGMAS
 from gsgen.tiles.gltf.placement import PlacedSplats
 from gsgen.tiles.volumes import Box, Volume
 
-SIGMAS: Final = 3.0
 _SHARE_OF_SIZE: Final = 1e-3
 _SHARE_OF_REACH: Final = 0.04  # half a step of a scale in SPZ, and of its rotation
 _UNIT: Final = 0.02
@@ -50,7 +50,7 @@ class OutsideSplats:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContentValues:
-    """What was measured of the splats of a content.
+    """Measurements of the splats of a content against volumes.
 
     Attributes:
         outside: Those that reach out of its volume; None where none does.
@@ -72,7 +72,7 @@ def measure_content(
 
     Args:
         parts: In the root frame.
-        volume: Of the content, in the world; None where there is none.
+        volume: Of the content, in the world; None without a volume.
         children: The volumes of the tiles that replace it, in the world; may be empty.
         margin: How far the children's volumes are grown, in units of the world.
         to_world: From the root frame to the world, where volumes are.
@@ -152,7 +152,7 @@ def _merge(
 
 
 def check_values(container: Container, decoded: list[Splats], location: str) -> None:
-    """Refuse numbers that cannot be: not finite, quaternions that are not unit.
+    """Raise for numbers that are not finite and quaternions that are not unit.
 
     Raises:
         TilesetInvalid: The first fault that is found.

@@ -1,4 +1,4 @@
-"""Read the arrays of a GLB file.
+"""Reads the arrays of a GLB file.
 
 The format is that of the glTF 2.0 specification, section 3.6 (Khronos).
 """
@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.formats.glb.container import Container, Json, whole
+from gsgen.formats.glb.container import Container, Json, whole_number
 from gsgen.formats.shared.bytes import require_room
 from gsgen.formats.shared.errors import HeaderMalformed, NotSupported, shown
 
@@ -22,22 +22,24 @@ _LONGEST_STRIDE = 252
 def read_accessor(
     glb: Container, index: object, widths: tuple[int, ...], where: str
 ) -> Float32[np.ndarray, "n w"]:
-    """Return the accessor ``index`` as floats; normalised whole numbers become shares.
+    """Return the accessor ``index`` as floats; normalised integers become fractions of 1.
 
     Args:
         glb: The file.
-        index: Of the accessor.
-        widths: How many components it may have.
-        where: What to call it in an error.
+        index: The index of the accessor.
+        widths: The allowed numbers of components.
+        where: The name of the accessor in an error.
 
     Raises:
-        HeaderMalformed: It is not what the specification says.
-        NotSupported: It is sparse.
-        FileTruncated: It reaches over the end of its buffer.
+        HeaderMalformed: The accessor breaks the specification.
+        NotSupported: The accessor is sparse.
+        FileTruncated: The accessor reaches beyond the end of its buffer.
     """
     accessor = glb.item("accessors", index, where)
     if "sparse" in accessor or "bufferView" not in accessor:
-        raise NotSupported("a sparse accessor", where=where, expected="one with all values")
+        raise NotSupported(
+            "a sparse accessor", where=where, expected="an accessor with all values"
+        )
     kind, width = accessor.get("componentType"), accessor.get("type")
     if (
         not (isinstance(kind, int) and isinstance(width, str))
@@ -53,54 +55,58 @@ def read_accessor(
         names = [name for name, size in _WIDTHS.items() if size in widths]
         raise HeaderMalformed(width, where=where, expected=" or ".join(names))
     stored = _stored(glb, accessor, np.dtype(_COMPONENTS[kind]), _WIDTHS[width], where)
-    made = stored.astype(np.float32)
+    values = stored.astype(np.float32)
     if accessor.get("normalized") and stored.dtype.kind != "f":
-        made = np.maximum(made / np.float32(np.iinfo(stored.dtype).max), -1)
-    return made
+        values = np.maximum(values / np.float32(np.iinfo(stored.dtype).max), -1)
+    return values
 
 
 def _stored(
     glb: Container, accessor: Json, dtype: np.dtype, width: int, where: str
 ) -> np.ndarray:
     view = glb.item("bufferViews", accessor["bufferView"], where)
-    count = whole(accessor.get("count"), f"{where}, count")
-    each = dtype.itemsize * width
-    stride = whole(view.get("byteStride", each), f"{where}, byteStride", _LONGEST_STRIDE)
-    if stride < each:
+    count = whole_number(accessor.get("count"), f"{where}, count")
+    value_bytes = dtype.itemsize * width
+    stride = whole_number(
+        view.get("byteStride", value_bytes), f"{where}, byteStride", _LONGEST_STRIDE
+    )
+    if stride < value_bytes:
         raise HeaderMalformed(
-            f"a stride of {stride} bytes", where=where, expected=f"{each} or more"
+            f"a stride of {stride} bytes", where=where, expected=f"{value_bytes} or more"
         )
     start, size = view_range(glb, view, where)
-    at = whole(accessor.get("byteOffset", 0), f"{where}, byteOffset")
-    needed = stride * (count - 1) + each if count else 0
-    if at + needed > size:
+    offset = whole_number(accessor.get("byteOffset", 0), f"{where}, byteOffset")
+    needed = stride * (count - 1) + value_bytes if count else 0
+    if offset + needed > size:
         raise HeaderMalformed(
-            f"{count} values end at byte {at + needed}",
+            f"{count} values end at byte {offset + needed}",
             where=where,
-            expected=f"{size} or less, where the buffer view ends",
+            expected=f"at most {size}, the end of the buffer view",
         )
     if not count:
         return np.empty((0, width), dtype)
-    return np.ndarray((count, width), dtype, glb.data, start + at, (stride, dtype.itemsize))
+    return np.ndarray(
+        (count, width), dtype, glb.data, start + offset, (stride, dtype.itemsize)
+    )
 
 
 def view_range(glb: Container, view: Json, where: str) -> tuple[int, int]:
-    """Return where in the file a buffer view begins, and its length.
+    """Return the first byte of a buffer view in the file, and its length.
 
     Raises:
-        NotSupported: It is of a buffer outside of the file.
-        FileTruncated: It reaches over the end of the binary chunk.
+        NotSupported: Its buffer is outside of the file.
+        FileTruncated: It reaches beyond the end of the binary chunk.
     """
-    buffer = whole(view.get("buffer"), f"{where}, buffer")
+    buffer = whole_number(view.get("buffer"), f"{where}, buffer")
     if buffer or "uri" in glb.item("buffers", 0, where):
         raise NotSupported(
-            f"buffer {buffer}, which is not in the file",
+            f"buffer {buffer} is not in the file",
             where=where,
             expected="the binary chunk",
             hint="pack all buffers into the GLB file",
         )
-    at = whole(view.get("byteOffset", 0), f"{where}, byteOffset")
-    size = whole(view.get("byteLength"), f"{where}, byteLength")
+    offset = whole_number(view.get("byteOffset", 0), f"{where}, byteOffset")
+    size = whole_number(view.get("byteLength"), f"{where}, byteLength")
     chunk = memoryview(glb.data)[: glb.start + glb.size]
-    require_room(chunk, glb.start + at, size, where)
-    return glb.start + at, size
+    require_room(chunk, glb.start + offset, size, where)
+    return glb.start + offset, size

@@ -1,4 +1,4 @@
-"""The frame of a GLB file, and values in its JSON, each judged when it is asked for.
+"""Parses the chunks of a GLB file, and checks values of its JSON when they are read.
 
 The format is that of the glTF 2.0 specification, section 4 (Khronos).
 """
@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, final
 
-from gsgen.formats.shared.bytes import AGAIN, Data, require_room
+from gsgen.formats.shared.bytes import DOWNLOAD_HINT, Data, require_room
 from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSupported, shown
 
 MAGIC: Final = b"glTF"
@@ -23,13 +23,13 @@ Json = dict[str, Any]
 @final
 @dataclass(frozen=True, slots=True)
 class Container:
-    """What a GLB file is made of.
+    """The parts of a GLB file.
 
     Attributes:
         document: The parsed JSON.
         data: The bytes of the file.
         start: The byte where the binary chunk begins.
-        size: Its length; 0 where there is none.
+        size: The length of the binary chunk; 0 without one.
     """
 
     document: Json
@@ -42,7 +42,7 @@ class Container:
         items = self.document.get(group, [])
         if not isinstance(items, list):
             raise _malformed(items, group, "an array")
-        number = whole(index, where)
+        number = whole_number(index, where)
         if number >= len(items):
             raise _malformed(number, where, f"less than the {len(items)} of {group}")
         if not isinstance(items[number], dict):
@@ -54,16 +54,18 @@ def parse(data: Data) -> Container:
     """Return the parts of the GLB file ``data``.
 
     Raises:
-        NotRecognised: It is no GLB file.
-        NotSupported: It is of another version than 2.
+        NotRecognised: The data are not a GLB file.
+        NotSupported: The version is not 2.
         FileTruncated: The file ends early.
-        HeaderMalformed: A chunk is of no known kind, or the JSON is none.
+        HeaderMalformed: A chunk has an unknown type, or its JSON is invalid.
     """
     require_room(data, 0, _HEADER.size + _CHUNK.size, "header")
     magic, version, length = _HEADER.unpack_from(data)
     if magic != MAGIC:
         raise NotRecognised(
-            magic.hex(" "), where="first bytes", expected="67 6c 54 46 (glTF), as of GLB"
+            magic.hex(" "),
+            where="first bytes",
+            expected="67 6c 54 46 (glTF), the start of a GLB",
         )
     if version != 2:
         raise NotSupported(f"glTF version {version}", where="byte 4", expected="2")
@@ -91,7 +93,10 @@ def _document(content: bytes) -> Json:
         document = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise HeaderMalformed(
-            f"no JSON ({error})", where="chunk JSON", expected="JSON", hint=AGAIN
+            f"invalid JSON ({error})",
+            where="chunk JSON",
+            expected="JSON",
+            hint=DOWNLOAD_HINT,
         ) from error
     if not isinstance(document, dict):
         raise _malformed(document, "chunk JSON", "an object")
@@ -99,7 +104,7 @@ def _document(content: bytes) -> Json:
 
 
 def build(document: Json, size: int) -> bytes:
-    """Return all of a GLB file up to its binary chunk, which is ``size`` bytes long."""
+    """Return the bytes of a GLB file before the content of its binary chunk of ``size`` bytes."""
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     total = _HEADER.size + 2 * _CHUNK.size + len(text) + size
@@ -113,40 +118,40 @@ def build(document: Json, size: int) -> bytes:
     )
 
 
-def whole(value: object, where: str, most: int = 2**53) -> int:
-    """Return ``value``, which has to be a whole number from 0 to ``most``."""
+def whole_number(value: object, where: str, most: int = 2**53) -> int:
+    """Return ``value``; raise unless it is a whole number from 0 to ``most``."""
     number = int(value) if isinstance(value, float) and value.is_integer() else value
     if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= most:
         raise _malformed(value, where, f"a whole number from 0 to {most}")
     return number
 
 
-def part(holder: Mapping[str, Any], key: str, where: str) -> Json:
-    """Return the object ``key`` of ``holder``; an empty one where it is absent."""
-    found = holder.get(key, {})
-    if not isinstance(found, dict):
-        raise _malformed(found, f"{where}.{key}", "an object")
-    return found
+def object_member(holder: Mapping[str, Any], key: str, where: str) -> Json:
+    """Return the object ``key`` of ``holder``; empty if it is absent."""
+    value = holder.get(key, {})
+    if not isinstance(value, dict):
+        raise _malformed(value, f"{where}.{key}", "an object")
+    return value
 
 
-def members(holder: Mapping[str, Any], key: str, where: str) -> list[Any]:
-    """Return the array ``key`` of ``holder``; an empty one where it is absent."""
-    found = holder.get(key, [])
-    if not isinstance(found, list):
-        raise _malformed(found, f"{where}.{key}", "an array")
-    return found
+def array_member(holder: Mapping[str, Any], key: str, where: str) -> list[Any]:
+    """Return the array ``key`` of ``holder``; empty if it is absent."""
+    value = holder.get(key, [])
+    if not isinstance(value, list):
+        raise _malformed(value, f"{where}.{key}", "an array")
+    return value
 
 
-def numbers(
+def number_member(
     holder: Mapping[str, Any], key: str, default: tuple[float, ...], where: str
 ) -> tuple[float, ...]:
-    """Return the finite numbers ``key`` of ``holder``, as many as ``default`` has."""
-    found = holder.get(key, default)
+    """Return the finite numbers ``key`` of ``holder``; their count is that of ``default``."""
+    value_list = holder.get(key, default)
     size = len(default)
-    fits = isinstance(found, list | tuple) and len(found) == size
-    if not fits or not all(_is_finite(value) for value in found):
-        raise _malformed(found, f"{where}.{key}", f"{size} finite numbers")
-    return tuple(float(value) for value in found)
+    fits = isinstance(value_list, list | tuple) and len(value_list) == size
+    if not fits or not all(_is_finite(value) for value in value_list):
+        raise _malformed(value_list, f"{where}.{key}", f"{size} finite numbers")
+    return tuple(float(value) for value in value_list)
 
 
 def _is_finite(value: object) -> bool:

@@ -1,6 +1,6 @@
-"""Read and write GLB files with the glTF extension KHR_gaussian_splatting (Khronos, ratified).
+"""Reads and writes GLB files with the glTF extension KHR_gaussian_splatting (Khronos, ratified).
 
-A GLB is x left, y up, z forward where a PLY file is x right, y down, z forward.
+The axes of a GLB are x left, y up, z forward; those of a PLY file are x right, y down, z forward.
 """
 
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.formats.glb.container import Container, build, members, parse
+from gsgen.formats.glb.container import Container, array_member, build, parse
 from gsgen.formats.glb.nodes import Matrix, meshes, moved
 from gsgen.formats.glb.splats import (
     COLOR_SPACES,
@@ -43,24 +43,24 @@ _BYTES_EACH = 44  # of a splat in memory, less its harmonics
 
 
 def read_glb(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
-    """Read the splats that the scene of the GLB file at ``path`` shows, as one set.
+    """Read the splats in the scene of the GLB file at ``path``, as one set.
 
-    Each is put where its node says; its harmonics turn along. Attributes of earlier drafts
-    of the extension, and SPZ in a buffer view, are read too. Other meshes are passed over.
+    The transforms of nodes are applied, to the harmonics too. Attributes of earlier drafts of
+    the extension, and SPZ in a buffer view, are read too. Other meshes are ignored.
 
     Args:
         path: The file.
-        max_bytes: What the splats of all nodes may take together; nodes can share a mesh.
+        max_bytes: The limit of the memory for the splats of all nodes; nodes can share a mesh.
 
     Raises:
-        FileUnreadable: The file is missing, empty or closed to us.
-        NotRecognised: It is no GLB file.
-        NotSupported: It is of another version, or needs files beside it.
+        FileUnreadable: The file is missing or empty, or may not be read.
+        NotRecognised: The file is not a GLB file.
+        NotSupported: The file has another version, or needs other files.
         HeaderMalformed: The JSON breaks the rules of glTF or of the extension.
-        PropertyMissing: There are no splats, or an attribute of theirs is not there.
+        PropertyMissing: The scene has no splats, or splats lack an attribute.
         FileTruncated: The file ends early.
         SizeExceeded: The splats would take more than ``max_bytes``.
-        ValueInvalid: A value that cannot be drawn.
+        ValueInvalid: A value cannot be drawn.
     """
     with contents(path) as data:
         splats = decode_glb(data, max_bytes)
@@ -72,14 +72,16 @@ def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
     """Return the splats of the GLB file ``data``, with the axes of a PLY file."""
     glb = parse(data)
     parts: list[Splats] = []
-    spent = 0
+    used_bytes = 0
     for primitive, matrix, where in _primitives(glb):
-        splats = read_primitive(glb, primitive, where, max_bytes - spent)
+        splats = read_primitive(glb, primitive, where, max_bytes - used_bytes)
         require_rows(len(splats), where)
-        spent += len(splats) * (_BYTES_EACH + 12 * splats.sh.shape[1])
-        if spent > max_bytes:
+        used_bytes += len(splats) * (_BYTES_EACH + 12 * splats.sh.shape[1])
+        if used_bytes > max_bytes:
             raise SizeExceeded(
-                f"splats of {spent} bytes", where=where, expected=f"{max_bytes} or fewer"
+                f"splats of {used_bytes} bytes",
+                where=where,
+                expected=f"{max_bytes} or fewer",
             )
         parts.append(moved(splats, matrix))
     if not parts:
@@ -89,15 +91,19 @@ def decode_glb(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
     spaces = {part.color_space for part in parts}
     if len(spaces) > 1:
         raise HeaderMalformed(
-            "sRGB and linear colours", where="colorSpace", expected="one of them for all"
+            "sRGB and linear colours",
+            where="colorSpace",
+            expected="one color space for all",
         )
     return flip(joined(parts), RDF_LUF)
 
 
 def _primitives(glb: Container) -> Iterator[tuple[dict[str, Any], Matrix, str]]:
     for mesh, matrix in meshes(glb):
-        found = members(glb.item("meshes", mesh, "nodes"), "primitives", f"meshes[{mesh}]")
-        for index, primitive in enumerate(found):
+        primitives = array_member(
+            glb.item("meshes", mesh, "nodes"), "primitives", f"meshes[{mesh}]"
+        )
+        for index, primitive in enumerate(primitives):
             if isinstance(primitive, dict) and is_splats(primitive):
                 yield primitive, matrix, f"meshes[{mesh}].primitives[{index}]"
 
@@ -105,14 +111,15 @@ def _primitives(glb: Container) -> Iterator[tuple[dict[str, Any], Matrix, str]]:
 def write_glb(path: FilePath, splats: Splats) -> None:
     """Write ``splats`` to ``path`` as a GLB file with the extension KHR_gaussian_splatting.
 
-    All numbers are float32. Scales become linear, opacities shares and quaternions unit,
-    which costs their last digits; an opacity that rounds to 1 comes back as infinite.
-    The file appears whole or not at all.
+    All numbers are float32. Scales become linear, opacities become fractions of 1 and quaternions
+    are normalised, which costs their last digits. An opacity that rounds to 1 is infinite when
+    read.
+    The file is written completely or not at all.
 
     Raises:
         ValueInvalid: ``splats`` is empty, holds values that cannot be drawn, or needs more
-            than the 4 GiB that a GLB file can be.
-        FileUnwritable: The file could not be written or put in place.
+            than the 4 GiB of a GLB file.
+        FileUnwritable: The file cannot be written at ``path``.
     """
     with naming(path):
         require_drawable(splats)
@@ -148,9 +155,9 @@ def _attributes(splats: Splats) -> dict[str, Float32[np.ndarray, "n w"]]:
 def _document(
     arrays: dict[str, Float32[np.ndarray, "n w"]], splats: Splats
 ) -> dict[str, Any]:
-    views, accessors, at = [], [], 0
+    views, accessors, offset = [], [], 0
     for index, (name, array) in enumerate(arrays.items()):
-        views.append({"buffer": 0, "byteOffset": at, "byteLength": array.nbytes})
+        views.append({"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes})
         accessor: dict[str, Any] = {
             "bufferView": index,
             "componentType": _FLOAT,
@@ -161,7 +168,7 @@ def _document(
             accessor["min"] = [float(value) for value in array.min(axis=0)]
             accessor["max"] = [float(value) for value in array.max(axis=0)]
         accessors.append(accessor)
-        at += array.nbytes
+        offset += array.nbytes
     names = {space: name for name, space in COLOR_SPACES.items()}
     extension = {
         "kernel": "ellipse",
@@ -181,7 +188,7 @@ def _document(
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": [primitive]}],
-        "buffers": [{"byteLength": at}],
+        "buffers": [{"byteLength": offset}],
         "bufferViews": views,
         "accessors": accessors,
     }

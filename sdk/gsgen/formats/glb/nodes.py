@@ -1,4 +1,4 @@
-"""Where the nodes of a GLB file put its meshes, and splats that are put somewhere else.
+"""Computes the transforms of the nodes of a GLB file, and applies them to splats.
 
 The format is that of the glTF 2.0 specification, section 3.5 (Khronos).
 """
@@ -11,7 +11,13 @@ import numpy as np
 from jaxtyping import Float64
 
 from gsgen.contract.spec.geometry import rotation_matrix
-from gsgen.formats.glb.container import Container, Json, members, numbers, whole
+from gsgen.formats.glb.container import (
+    Container,
+    Json,
+    array_member,
+    number_member,
+    whole_number,
+)
 from gsgen.formats.shared.errors import HeaderMalformed, NotSupported
 from gsgen.formats.shared.harmonics import rotate_sh
 from gsgen.formats.shared.quantities import log, rotations
@@ -24,78 +30,82 @@ _DEEPEST = 200
 
 
 def meshes(glb: Container) -> Iterator[tuple[int, Matrix]]:
-    """Yield the meshes that the scene shows, and the matrix that puts each in the world.
+    """Yield the meshes of the scene, each with its matrix from mesh to world.
 
     Raises:
-        HeaderMalformed: A node is its own ancestor, is not there, or has no usable matrix.
+        HeaderMalformed: A node is its own ancestor, is missing, or has an invalid matrix.
     """
     todo = [(index, np.eye(4), 0) for index in reversed(_roots(glb))]
-    seen: set[int] = set()
+    visited: set[int] = set()
     while todo:
         index, above, depth = todo.pop()
         where = f"nodes[{index}]"
-        if index in seen or depth > _DEEPEST:
+        if index in visited or depth > _DEEPEST:
             raise HeaderMalformed(
-                "a node within itself, or in two places", where=where, expected="a tree"
+                "a node is within itself or has two parents", where=where, expected="a tree"
             )
-        seen.add(index)
+        visited.add(index)
         node = glb.item("nodes", index, where)
         matrix = above @ _local(node, where)
         if "mesh" in node:
-            yield whole(node["mesh"], f"{where}.mesh"), matrix
+            yield whole_number(node["mesh"], f"{where}.mesh"), matrix
         inner = [
-            whole(one, f"{where}.children") for one in members(node, "children", where)
+            whole_number(child, f"{where}.children")
+            for child in array_member(node, "children", where)
         ]
-        todo += [(one, matrix, depth + 1) for one in reversed(inner)]
+        todo += [(child, matrix, depth + 1) for child in reversed(inner)]
 
 
 def _roots(glb: Container) -> list[int]:
     if "scenes" in glb.document:
         scene = glb.item("scenes", glb.document.get("scene", 0), "scene")
-        return [whole(one, "scene.nodes") for one in members(scene, "nodes", "scene")]
-    nodes = members(glb.document, "nodes", "document")
+        return [
+            whole_number(root, "scene.nodes")
+            for root in array_member(scene, "nodes", "scene")
+        ]
+    nodes = array_member(glb.document, "nodes", "document")
     inner: set[Any] = set()
     for index, node in enumerate(nodes):
         if isinstance(node, dict):
-            children = members(node, "children", f"nodes[{index}]")
-            inner |= {whole(one, f"nodes[{index}].children") for one in children}
+            children = array_member(node, "children", f"nodes[{index}]")
+            inner |= {whole_number(child, f"nodes[{index}].children") for child in children}
     return [index for index in range(len(nodes)) if index not in inner]
 
 
 def _local(node: Json, where: str) -> Matrix:
     if "matrix" in node:
-        made = np.array(numbers(node, "matrix", _IDENTITY, where)).reshape(4, 4).T
+        matrix = np.array(number_member(node, "matrix", _IDENTITY, where)).reshape(4, 4).T
     else:
-        x, y, z, w = numbers(node, "rotation", (0.0, 0.0, 0.0, 1.0), where)
-        scale = numbers(node, "scale", (1.0, 1.0, 1.0), where)
-        made = np.eye(4)
-        made[:3, :3] = rotation_matrix(np.array([[w, x, y, z]]))[0] * scale
-        made[:3, 3] = numbers(node, "translation", (0.0, 0.0, 0.0), where)
-    if not np.array_equal(made[3], [0, 0, 0, 1]):
+        x, y, z, w = number_member(node, "rotation", (0.0, 0.0, 0.0, 1.0), where)
+        scale = number_member(node, "scale", (1.0, 1.0, 1.0), where)
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation_matrix(np.array([[w, x, y, z]]))[0] * scale
+        matrix[:3, 3] = number_member(node, "translation", (0.0, 0.0, 0.0), where)
+    if not np.array_equal(matrix[3], [0, 0, 0, 1]):
         raise HeaderMalformed(
-            f"last row {made[3].tolist()}", where=f"{where}.matrix", expected="0 0 0 1"
+            f"last row {matrix[3].tolist()}", where=f"{where}.matrix", expected="0 0 0 1"
         )
-    if not np.linalg.det(made[:3, :3]) > 0:
+    if not np.linalg.det(matrix[:3, :3]) > 0:
         raise NotSupported(
             "a transform that mirrors or flattens",
             where=where,
             expected="a scale above 0 along every axis",
         )
-    return np.asarray(made)
+    return np.asarray(matrix)
 
 
 def moved(splats: Splats, matrix: Matrix) -> Splats:
-    """Return ``splats`` after ``matrix``: Σ becomes M Σ Mᵀ, and colours turn along."""
+    """Transform ``splats`` by ``matrix``: Σ becomes M Σ Mᵀ, and harmonics are rotated."""
     linear = matrix[:3, :3]
     if np.array_equal(matrix, np.eye(4)):
         return splats
-    left, sizes, right = np.linalg.svd(linear)
-    turn = left @ right
+    u, sizes, right = np.linalg.svd(linear)
+    turn = u @ right
     position = splats.position @ linear.T + matrix[:3, 3]
     spread = np.einsum("ij,njk->nik", linear, rotation_matrix(splats.rotation))
     with np.errstate(over="ignore"):
         spread *= np.exp(splats.log_scale.astype(np.float64))[:, None, :]
-    if np.allclose(sizes, sizes[0], rtol=1e-6):  # nothing is sheared: axes stay axes
+    if np.allclose(sizes, sizes[0], rtol=1e-6):  # without shear the axes stay orthogonal
         rotation, scale = turn @ rotation_matrix(splats.rotation), None
         log_scale = splats.log_scale + np.float32(np.log(sizes[0]))
     else:
@@ -113,7 +123,7 @@ def moved(splats: Splats, matrix: Matrix) -> Splats:
 def _axes(
     spread: Float64[np.ndarray, "n 3 3"],
 ) -> tuple[Float64[np.ndarray, "n 3 3"], Float64[np.ndarray, "n 3"]]:
-    """Return the axes of the ellipsoids spread · spreadᵀ as rotations, and their half sizes."""
-    left, sizes, _ = np.linalg.svd(spread)
-    left[:, :, 2] *= np.sign(np.linalg.det(left))[:, None]
-    return left, sizes
+    """Return the axes of the ellipsoids spread · spreadᵀ as rotations, and their standard deviations."""
+    u, sizes, _ = np.linalg.svd(spread)
+    u[:, :, 2] *= np.sign(np.linalg.det(u))[:, None]
+    return u, sizes

@@ -1,7 +1,7 @@
-"""What the attributes of a primitive mean: those of KHR_gaussian_splatting, and of its drafts.
+"""Decodes the splats of a primitive: attributes of KHR_gaussian_splatting and of its drafts.
 
-In the file's own space, x left, y up, z forward. Besides the ratified extension there are
-files of drafts: SPZ in a buffer view, and ``_ROTATION`` and ``_SCALE`` beside COLOR_0.
+The axes are those of the file, x left, y up, z forward. Drafts of the extension stored SPZ in a
+buffer view, or ``_ROTATION`` and ``_SCALE`` next to COLOR_0.
 """
 
 import re
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from gsgen.formats.glb.accessors import read_accessor, view_range
-from gsgen.formats.glb.container import Container, Json, part
+from gsgen.formats.glb.container import Container, Json, object_member
 from gsgen.formats.shared.axes import RDF_LUF, RDF_RUB, flip
 from gsgen.formats.shared.errors import (
     HeaderMalformed,
@@ -41,21 +41,23 @@ _COEFFICIENT = re.compile(re.escape(NAME) + r":SH_DEGREE_(\d)_COEF_(\d)")
 
 
 def is_splats(primitive: Json) -> bool:
-    """Say whether a primitive is splats, of the extension or of a draft."""
+    """Return whether a primitive holds splats, by the extension or a draft."""
     extensions, attributes = primitive.get("extensions"), primitive.get("attributes")
-    named = isinstance(extensions, dict) and any(key in extensions for key in (NAME, *_SPZ))
+    has_extension = isinstance(extensions, dict) and any(
+        key in extensions for key in (NAME, *_SPZ)
+    )
     drafted = isinstance(attributes, dict) and {"_ROTATION", "_SCALE"} <= attributes.keys()
-    return named or drafted
+    return has_extension or drafted
 
 
 def read_primitive(glb: Container, primitive: Json, where: str, max_bytes: int) -> Splats:
     """Return the splats of a primitive.
 
     Raises:
-        FormatError: They are not what the extension says; the subclass says how.
+        FormatError: The primitive breaks the extension; the subclass names the fault.
     """
-    extensions = part(primitive, "extensions", where)
-    extension = part(extensions, NAME, where)
+    extensions = object_member(primitive, "extensions", where)
+    extension = object_member(extensions, NAME, where)
     mode = primitive.get("mode", 4)
     if mode != _POINTS:
         raise HeaderMalformed(
@@ -64,14 +66,14 @@ def read_primitive(glb: Container, primitive: Json, where: str, max_bytes: int) 
     space: Literal["srgb", "linear"] = "srgb"
     if NAME in extensions:
         space = _color_space(extension, where)
-    packed = extensions | part(extension, "extensions", where)
+    packed = extensions | object_member(extension, "extensions", where)
     for name in _SPZ:
         if name in packed:
             splats = _from_spz(
-                glb, part(packed, name, where), f"{where}, {name}", max_bytes
+                glb, object_member(packed, name, where), f"{where}, {name}", max_bytes
             )
             return replace(splats, color_space=space)
-    attributes = part(primitive, "attributes", where)
+    attributes = object_member(primitive, "attributes", where)
     return _from_attributes(glb, attributes, where, space)
 
 
@@ -79,7 +81,7 @@ def _color_space(extension: Json, where: str) -> Literal["srgb", "linear"]:
     kernel, space = extension.get("kernel", "ellipse"), extension.get("colorSpace")
     if kernel != "ellipse":
         raise NotSupported(shown(str(kernel)), where=f"{where}, kernel", expected="ellipse")
-    if space is None and "extensions" in extension:  # the drafts with SPZ have none
+    if space is None and "extensions" in extension:  # the drafts with SPZ do not state it
         return "srgb"
     if not isinstance(space, str) or space not in COLOR_SPACES:
         raise NotSupported(
@@ -101,7 +103,7 @@ def _from_spz(glb: Container, extension: Json, where: str, max_bytes: int) -> Sp
         fractional_bits=frame.fractional_bits,
         antialiased=frame.antialiased,
     )
-    if frame.signs == RDF_RUB:  # nothing is declared, and then the draft says LUF
+    if frame.signs == RDF_RUB:  # no declaration: the draft specifies LUF
         return splats
     return flip(flip(splats, frame.signs), RDF_LUF)
 
@@ -133,14 +135,14 @@ def _from_attributes(
 
 
 class _Arrays:
-    """The arrays of one primitive, all of which have as many rows as the first."""
+    """Reads the arrays of one primitive; all must have as many rows as the first."""
 
     def __init__(self, glb: Container, attributes: dict[str, Any], where: str) -> None:
         self._glb, self._attributes, self._where = glb, attributes, where
         self._rows: int | None = None
 
     def read(self, *names: str, widths: tuple[int, ...]) -> Float32[np.ndarray, "n w"]:
-        """Return the first of ``names`` that is there."""
+        """Return the first of the attributes ``names`` that the primitive has."""
         name = next((name for name in names if name in self._attributes), None)
         if name is None:
             raise PropertyMissing(
@@ -154,7 +156,7 @@ class _Arrays:
             raise HeaderMalformed(
                 f"{len(array)} values",
                 where=where,
-                expected=f"{self._rows}, as of POSITION",
+                expected=f"{self._rows}, the number of POSITION",
             )
         self._rows = len(array)
         return array
@@ -163,46 +165,46 @@ class _Arrays:
 def _harmonics(
     arrays: _Arrays, attributes: Json, where: str
 ) -> Float32[np.ndarray, "n k 3"]:
-    found = {
+    stored_pairs = {
         (int(match[1]), int(match[2]))
         for match in map(_COEFFICIENT.fullmatch, attributes)
         if match
     }
-    degree = max((band for band, _ in found), default=0)
+    degree = max((band for band, _ in stored_pairs), default=0)
     if degree >= len(SH_COUNTS):
         raise NotSupported(f"SH degree {degree}", where=where, expected="0 to 4")
     pairs = [(band, n) for band in range(degree + 1) for n in range(2 * band + 1)]
-    missing = [coefficient(*pair) for pair in pairs if pair not in found]
+    missing = [coefficient(*pair) for pair in pairs if pair not in stored_pairs]
     if missing:
         raise PropertyMissing(
             f"no attribute {missing[0]}",
             where=where,
             expected=f"all {len(pairs)} coefficients of SH degree {degree}",
         )
-    made = np.empty((0, 0, 3), np.float32)
+    sh = np.empty((0, 0, 3), np.float32)
     for column, pair in enumerate(pairs):
         values = arrays.read(coefficient(*pair), widths=(3,))
         if not column:
-            made = np.empty((len(values), len(pairs), 3), np.float32)
-        made[:, column] = values
-    return made
+            sh = np.empty((len(values), len(pairs), 3), np.float32)
+        sh[:, column] = values
+    return sh
 
 
 def coefficient(band: int, index: int) -> str:
-    """Return the name of the attribute of the harmonic of order m = index − band."""
+    """Return the attribute name of the harmonic of degree ``band`` and order ``index`` − ``band``."""
     return f"{NAME}:SH_DEGREE_{band}_COEF_{index}"
 
 
 def _require(
     values: Float32[np.ndarray, "..."],
-    kept: Bool[np.ndarray, "..."],
+    is_valid: Bool[np.ndarray, "..."],
     where: str,
     expected: str,
 ) -> None:
-    if not kept.all():
-        first = int(np.argmin(kept))  # phrased so that NaN is not kept
+    if not is_valid.all():
+        first = int(np.argmin(is_valid))  # the comparisons are false for NaN
         raise ValueInvalid(
-            f"{kept.size - np.count_nonzero(kept)} of {kept.size} values, "
+            f"{is_valid.size - np.count_nonzero(is_valid)} of {is_valid.size} values, "
             f"the first is {values.ravel()[first]:g}",
             where=where,
             expected=expected,

@@ -1,4 +1,4 @@
-"""Walk through the rows of a text PLY file, a chunk of columns at a time."""
+"""Iterates over the rows of a text PLY file in chunks of columns."""
 
 import mmap
 from collections.abc import Iterator
@@ -12,20 +12,20 @@ from gsgen.formats.shared.errors import BodyMalformed, FileTruncated, shown
 
 CHUNK_ROWS = 1 << 12
 MAX_LINE = 1 << 24
-"""Bytes of one line; a splat needs about 1000, a long list of indices more."""
+"""The longest line that is read, in bytes; a splat needs about 1000, a list of indices more."""
 
 
 def ascii_rows(
     data: mmap.mmap, header: Header, vertex: Element
 ) -> Iterator[dict[str, Float64[np.ndarray, " rows"]]]:
-    """Return the columns of ``vertex`` by name, for chunk after chunk of its rows.
+    """Return an iterator over chunks of the rows of ``vertex``: property → column.
 
     Numbers are read as doubles, which hold every PLY type exactly.
 
     Raises:
-        FileTruncated: At once if the file is too short for as many rows, or later if
-            the rows end early.
-        BodyMalformed: A row holds too many or too few values, or no numbers.
+        FileTruncated: The file is too short for all rows (raised at once), or the rows end
+            early (raised by the iterator).
+        BodyMalformed: A row holds too many or too few values, or values that are not numbers.
     """
     _require_room(data, header, vertex)
     return _chunks(data, header, vertex)
@@ -46,42 +46,42 @@ def _chunks(
 
 
 def _before(header: Header, vertex: Element) -> tuple[Element, ...]:
-    """Return the elements before ``vertex`` that have lines: empty rows have none."""
+    """Return the elements before ``vertex`` that have properties, and so lines."""
     elements = header.elements[: header.elements.index(vertex)]
     return tuple(element for element in elements if element.properties)
 
 
 def _require_room(data: mmap.mmap, header: Header, vertex: Element) -> None:
-    """Raise FileTruncated if even rows of one-digit numbers would not fit."""
-    left = len(data) - header.body
+    """Raise FileTruncated if the file is too short even for rows of one-digit numbers."""
+    remaining = len(data) - header.body
     for element in (*_before(header, vertex), vertex):
-        # A digit and a blank or line end for each value; the last line may end bare.
+        # A digit and a blank or line end for each value; the last line may lack its end.
         least = 2 * len(element.properties) * element.count - 1
-        if least > left:
+        if least > remaining:
             raise FileTruncated(
-                f"{element.count} rows take {least} bytes or more, {left} are left",
+                f"{element.count} rows take {least} bytes or more, {remaining} are left",
                 where=f"element {shown(element.name)}",
                 hint="copy or download the file again",
             )
 
 
 def _take(lines: Iterator[str], element: Element) -> None:
-    """Read past the rows of ``element``: a row is a line, whatever lists are in it."""
-    seen = sum(1 for _ in islice(lines, element.count))
-    if seen < element.count:
-        raise _ended(element, seen)
+    """Skip the rows of ``element``: a row is one line, with any lists in it."""
+    rows = sum(1 for _ in islice(lines, element.count))
+    if rows < element.count:
+        raise _ended(element, rows)
 
 
-def _ended(element: Element, seen: int) -> FileTruncated:
+def _ended(element: Element, rows: int) -> FileTruncated:
     return FileTruncated(
-        f"the file ends after {seen} of {element.count} rows",
+        f"the file ends after {rows} of {element.count} rows",
         where=f"element {shown(element.name)}",
         hint="copy or download the file again",
     )
 
 
 def _lines(data: mmap.mmap, start: int) -> Iterator[str]:
-    """Yield the lines from byte ``start`` on that hold something, without their ends."""
+    """Yield the lines from byte ``start`` on that are not blank, without their ends."""
     while start < len(data):
         end = data.find(b"\n", start, start + MAX_LINE)
         if end < 0:
@@ -90,7 +90,7 @@ def _lines(data: mmap.mmap, start: int) -> Iterator[str]:
             raise BodyMalformed(
                 f"a line of more than {MAX_LINE} bytes", where=f"byte {start}"
             )
-        # What is not ASCII is no number either; the parser will point at it.
+        # The parser reports characters beyond ASCII as invalid numbers.
         line = data[start:end].decode("ascii", "replace").strip()
         if line:
             yield line
@@ -109,7 +109,7 @@ def _parse(rows: list[str], first: int, width: int) -> Float64[np.ndarray, "rows
 
 
 def _diagnosis(rows: list[str], first: int, width: int, trouble: str) -> BodyMalformed:
-    """Return an error that points at the first bad row, or else says ``trouble``."""
+    """Return the error of the first invalid row, or else one with the message ``trouble``."""
     for number, row in enumerate(rows, start=first):
         values = row.split()
         where = f"element 'vertex', row {number}"

@@ -1,4 +1,4 @@
-"""Walk through the rows of a binary PLY file, a chunk of columns at a time."""
+"""Iterates over the rows of a binary PLY file in chunks of columns."""
 
 import mmap
 from collections.abc import Iterator
@@ -10,13 +10,13 @@ from gsgen.formats.ply.header import Element, Header, Property
 from gsgen.formats.shared.errors import BodyMalformed, FileTruncated, shown
 
 CHUNK_ROWS = 1 << 12
-"""Rows that stay in a processor's cache while their columns are picked one by one."""
+"""Rows a chunk; they fit in a processor's cache while their columns are copied."""
 
 
 def binary_rows(
     data: mmap.mmap, header: Header, vertex: Element
 ) -> Iterator[dict[str, Shaped[np.ndarray, " rows"]]]:
-    """Return the columns of ``vertex`` by name, for chunk after chunk of its rows.
+    """Return an iterator over chunks of the rows of ``vertex``: property → column.
 
     The columns are views of ``data`` in the types of the file.
 
@@ -29,13 +29,13 @@ def binary_rows(
     fields = [(name, order + code) for name, code in vertex.types.items()]
     rows = np.frombuffer(data, np.dtype(fields), vertex.count, start)
     return (
-        {name: rows[name][at : at + CHUNK_ROWS] for name in vertex.types}
-        for at in range(0, vertex.count, CHUNK_ROWS)
+        {name: rows[name][chunk_start : chunk_start + CHUNK_ROWS] for name in vertex.types}
+        for chunk_start in range(0, vertex.count, CHUNK_ROWS)
     )
 
 
 def first_row(data: mmap.mmap, header: Header, vertex: Element) -> int:
-    """Return the byte where the rows of ``vertex`` begin, all of which are there.
+    """Return the first byte of the rows of ``vertex``, after a check that the file holds them all.
 
     Raises:
         FileTruncated: The file ends before the last row.
@@ -67,7 +67,7 @@ def _end(data: mmap.mmap, header: Header, element: Element, start: int) -> int:
 
 
 def _length(data: mmap.mmap, header: Header, item: Property, start: int, row: int) -> int:
-    """Return how many values ``item`` has in the row where it begins at ``start``."""
+    """Return the number of values of ``item``, whose data in this row begin at ``start``."""
     if item.count_type is None:
         return 1
     count = data[start : start + int(item.count_type[1])]
@@ -75,16 +75,18 @@ def _length(data: mmap.mmap, header: Header, item: Property, start: int, row: in
     length = int.from_bytes(count, header.byte_order, signed=signed)
     if length < 0:
         where = f"property {shown(item.name)}, row {row}, byte {start}"
-        raise BodyMalformed(f"a list of {length} values", where=where, expected="0 or more")
+        raise BodyMalformed(
+            f"a list of {length} values", where=where, expected="0 values or more"
+        )
     return length
 
 
 def _require_room(data: mmap.mmap, element: Element, start: int) -> None:
-    needed, left = element.count * element.row_bytes, len(data) - start
-    if needed > left:
+    needed, remaining = element.count * element.row_bytes, len(data) - start
+    if needed > remaining:
         raise FileTruncated(
             f"{element.count} rows of {element.row_bytes} bytes take {needed} bytes, "
-            f"{left} are left from byte {start} on",
+            f"{remaining} are left from byte {start} on",
             where=f"element {shown(element.name)}",
             hint="copy or download the file again",
         )

@@ -1,4 +1,4 @@
-"""Write compressed PLY files: 16 bytes a splat, and a byte for each harmonic.
+"""Writes compressed PLY files: 16 bytes a splat, and a byte for each harmonic.
 
 The format is that of PlayCanvas (playcanvas/splat-transform), which ``read_ply`` reads too.
 """
@@ -24,27 +24,27 @@ def compressed_order(splats: Splats) -> Int64[np.ndarray, " n"]:
 
 
 def write_compressed_ply(path: FilePath, splats: Splats) -> None:
-    """Write ``splats`` to ``path`` as a compressed PLY file, in another order.
+    """Write ``splats`` to ``path`` as a compressed PLY file, in Morton order.
 
-    Within the box of each 256 neighbours, what comes back is within half a step: 1/2047 of
-    it for x and z, 1/1023 for y, the same for log scales (which are cut at ±20), 1/255 for
-    colours. Opacity is within 1/510, quaternions 1/1446, harmonics 1/32 from -4 to 4. The
-    file appears whole or not at all.
+    The error is at most half a step. Steps are fractions of the box of 256 neighbours: 1/2047
+    for x and z, 1/1023 for y, the same for log scales (clipped to ±20), 1/255 for colours.
+    Opacity is within 1/510, quaternions within 1/1446, harmonics from -4 to 4 within 1/32. The
+    file is written completely or not at all.
 
     Raises:
         ValueInvalid: ``splats`` is empty or holds values that cannot be drawn.
-        FileUnwritable: The file could not be written or put in place.
+        FileUnwritable: The file cannot be written at ``path``.
     """
     with naming(path):
         require_drawable(splats)
     ordered = _ordered(splats)
-    rest = 3 * (splats.sh.shape[1] - 1)
+    higher_count = 3 * (splats.sh.shape[1] - 1)
     with replacing(path) as file:
         boxes, words = _packed(ordered)
-        file.write(_header(len(boxes), len(splats), rest))
+        file.write(_header(len(boxes), len(splats), higher_count))
         file.write(boxes.astype("<f4").tobytes())
         file.write(words.astype("<u4").tobytes())
-        channels = ordered.sh[:, 1:].swapaxes(1, 2).reshape(len(splats), rest)
+        channels = ordered.sh[:, 1:].swapaxes(1, 2).reshape(len(splats), higher_count)
         file.write(rows.pack_sh(channels).tobytes())
 
 
@@ -62,7 +62,7 @@ def _ordered(splats: Splats) -> Splats:
 
 
 def _packed(splats: Splats) -> tuple[Float32[np.ndarray, "c 18"], np.ndarray]:
-    """Return the boxes, and the words of each splat."""
+    """Return the boxes, and the four packed words of each splat."""
     color = rows.color_of(splats.sh[:, 0])
     parts = (splats.position, splats.log_scale, color)
     boxes = [_box(part) for part in parts]
@@ -82,16 +82,16 @@ def _packed(splats: Splats) -> tuple[Float32[np.ndarray, "c 18"], np.ndarray]:
 def _box(
     values: Float32[np.ndarray, "n 3"] | Float64[np.ndarray, "n 3"],
 ) -> Sequence[Float32[np.ndarray, "c 3"]]:
-    """Return the least and the greatest values of each 256 rows."""
+    """Return the minimum and the maximum of each 256 rows."""
     starts = np.arange(0, len(values), rows.CHUNK)
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
     return low.astype(np.float32), high.astype(np.float32)
 
 
-def _header(boxes: int, count: int, rest: int) -> bytes:
+def _header(boxes: int, count: int, higher_count: int) -> bytes:
     elements = [("chunk", boxes, "float", rows.BOX), ("vertex", count, "uint", rows.WORDS)]
-    if rest:
-        names = tuple(f"f_rest_{index}" for index in range(rest))
+    if higher_count:
+        names = tuple(f"f_rest_{index}" for index in range(higher_count))
         elements.append(("sh", count, "uchar", names))
     lines = ["ply", "format binary_little_endian 1.0"]
     for name, size, kind, properties in elements:

@@ -1,4 +1,4 @@
-"""Read the header of a PLY file: what it holds, in which types, from which byte on.
+"""Parses the header of a PLY file: its elements, their types, and the first byte of data.
 
 The format is that of Greg Turk, "The PLY Polygon File Format", 1994, with the sized
 type names (``float32``) that later writers added.
@@ -12,13 +12,16 @@ from typing import Final, Literal, final, get_args
 from gsgen.formats.shared.errors import FileTruncated, HeaderMalformed, NotRecognised, shown
 
 Encoding = Literal["ascii", "binary_little_endian", "binary_big_endian"]
-"""How the rows of a PLY file are written."""
+"""The encodings of the rows of a PLY file."""
+
+MAGIC: Final = (b"ply\n", b"ply\r\n")
+"""The first line of a PLY file, with either line end."""
 
 ENCODINGS: Final[tuple[Encoding, ...]] = get_args(Encoding)
 MAX_HEADER = 1 << 20
-"""Bytes to look for the end of the header in; a splat file needs about 2000."""
+"""The largest header that is read, in bytes; a splat file needs about 2000."""
 MAX_COUNT_DIGITS = 18
-"""Digits of an element count; more rows than that would not fit on any disk."""
+"""The most digits of an element count; more rows would not fit on any disk."""
 
 TYPES = {
     "char": "i1",
@@ -38,13 +41,13 @@ TYPES = {
     "float32": "f4",
     "float64": "f8",
 }
-"""NumPy kind and size in bytes of every scalar type a PLY file can name."""
+"""The NumPy kind and size in bytes of every scalar type of PLY."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Property:
-    """One value of each row, or one list of values if ``count_type`` is given."""
+    """A property: one value a row, or a list of values if ``count_type`` is set."""
 
     name: str
     type: str
@@ -52,14 +55,14 @@ class Property:
 
     @property
     def size(self) -> int:
-        """Bytes of one value."""
+        """The bytes of one value."""
         return int(self.type[1])
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Element:
-    """A table: ``count`` rows of the same properties."""
+    """An element: a table of ``count`` rows with the same properties."""
 
     name: str
     count: int
@@ -67,12 +70,12 @@ class Element:
 
     @property
     def has_lists(self) -> bool:
-        """Whether rows differ in size."""
+        """Whether any property is a list, so that rows differ in size."""
         return any(item.count_type for item in self.properties)
 
     @property
     def row_bytes(self) -> int:
-        """Bytes of one binary row without lists."""
+        """The bytes of one binary row without lists."""
         return sum(item.size for item in self.properties)
 
     @property
@@ -84,7 +87,7 @@ class Element:
 @final
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The tables of a PLY file in their order, and the byte where the first begins."""
+    """The elements of a PLY file in order, and the byte where the first one begins."""
 
     encoding: Encoding
     elements: tuple[Element, ...]
@@ -92,7 +95,7 @@ class Header:
 
     @property
     def byte_order(self) -> Literal["little", "big"]:
-        """The order of the bytes of a binary value."""
+        """The byte order of binary values."""
         return "big" if self.encoding == "binary_big_endian" else "little"
 
     def find(self, name: str) -> Element | None:
@@ -140,17 +143,17 @@ def parse_header(data: mmap.mmap) -> Header:
 def _split(data: mmap.mmap) -> tuple[list[str], int]:
     """Return the lines between ``ply`` and ``end_header``, and the byte after both."""
     head = data[:MAX_HEADER]
-    if not re.match(rb"ply\r?\n", head):
+    if not head.startswith(MAGIC):
         raise NotRecognised(
             shown(head[:4].decode("latin-1")),
             where="first bytes",
-            expected="`ply` on a line of its own, as a PLY file begins",
+            expected="`ply` on a line of its own, the start of a PLY file",
         )
     end = re.search(rb"(?<=\n)end_header[ \t]*\r?\n", head)
     if end is None:
         raise _endless(len(head), len(data))
     if not head[: end.start()].isascii():
-        offset = next(at for at, byte in enumerate(head) if byte > 127)
+        offset = next(index for index, byte in enumerate(head) if byte > 127)
         raise HeaderMalformed(
             f"byte {head[offset]:#04x} at offset {offset}",
             where="header",
@@ -160,13 +163,13 @@ def _split(data: mmap.mmap) -> tuple[list[str], int]:
     return lines[1:-1], end.end()
 
 
-def _endless(seen: int, size: int) -> FileTruncated | HeaderMalformed:
-    what = f"no end_header in the first {seen} bytes"
-    expected = "a line that says end_header"
-    if seen < size:
-        return HeaderMalformed(what, where="header", expected=expected)
+def _endless(searched: int, size: int) -> FileTruncated | HeaderMalformed:
+    message = f"no end_header in the first {searched} bytes"
+    expected = "a line `end_header`"
+    if searched < size:
+        return HeaderMalformed(message, where="header", expected=expected)
     return FileTruncated(
-        f"{what}, which are all there are",
+        f"{message}, the whole file",
         where="header",
         expected=expected,
         hint="copy or download the file again",
@@ -177,7 +180,9 @@ def _add_element(
     tables: dict[str, tuple[int, dict[str, Property]]], name: str, count: str, number: int
 ) -> None:
     if name in tables:
-        raise _malformed(number, f"element {shown(name)} for the second time", "it once")
+        raise _malformed(
+            number, f"element {shown(name)} for the second time", "unique names"
+        )
     if not (count.isdigit() and len(count) <= MAX_COUNT_DIGITS):
         raise _malformed(
             number,
@@ -192,8 +197,8 @@ def _add_property(
 ) -> None:
     element, (_, properties) = next(reversed(tables.items()))
     if added.name in properties:
-        what = f"property {shown(added.name)} of element {shown(element)}"
-        raise _malformed(number, f"{what} for the second time", "it once")
+        noun = f"property {shown(added.name)} of element {shown(element)}"
+        raise _malformed(number, f"{noun} for the second time", "unique names")
     properties[added.name] = added
 
 
@@ -215,7 +220,7 @@ def _countable(type_name: str, number: int) -> str:
 
 
 def _grammar(line: str) -> str:
-    """Return what a line that begins like ``line`` should have been."""
+    """Return the valid form of a header line that begins like ``line``."""
     forms = {
         "format": f"one line `format ENCODING 1.0`, ENCODING {' or '.join(ENCODINGS)}",
         "element": "`element NAME COUNT`",
@@ -226,5 +231,5 @@ def _grammar(line: str) -> str:
     return forms.get(keyword, "format, element, property, comment or obj_info")
 
 
-def _malformed(number: int, what: str, expected: str) -> HeaderMalformed:
-    return HeaderMalformed(what, where=f"header line {number}", expected=expected)
+def _malformed(number: int, message: str, expected: str) -> HeaderMalformed:
+    return HeaderMalformed(message, where=f"header line {number}", expected=expected)

@@ -1,6 +1,6 @@
-"""Which properties of a PLY file mean what: the names 3DGS and point clouds use.
+"""The property names of splats and point clouds in PLY files.
 
-The names of splats are those that ``save_ply`` of the 3DGS training code writes
+The names of splats are those of ``save_ply`` in the 3DGS training code
 (graphdeco-inria/gaussian-splatting, ``scene/gaussian_model.py``).
 """
 
@@ -18,20 +18,22 @@ COLORS = (
     ("r", "g", "b"),
     ("diffuse_red", "diffuse_green", "diffuse_blue"),
 )
-"""Names of the colour of a point, best known first."""
+"""The property names of a point's colour, the most common first."""
 
 _REST_NAME = re.compile(r"f_rest_\d+")
 _REST_COUNTS = tuple(3 * (count - 1) for count in SH_COUNTS)
 
 
 def splat_groups(degree: int) -> dict[str, tuple[str, ...]]:
-    """Return the properties that make up each array of ``Splats``, in its order.
+    """Return the properties of each array of ``Splats``, in the order of its columns.
 
-    The file lists ``f_rest`` channel-major: all of red, then green, then blue. Here they
-    are named coefficient-major, which is all that it takes to reorder them.
+    The file lists ``f_rest`` channel-major: all of red, then green, then blue. The names are
+    returned coefficient-major, so that reading by name reorders them.
     """
-    rest = (degree + 1) ** 2 - 1
-    higher = (f"f_rest_{c * rest + k}" for k in range(rest) for c in range(3))
+    higher_count = (degree + 1) ** 2 - 1
+    higher = (
+        f"f_rest_{c * higher_count + k}" for k in range(higher_count) for c in range(3)
+    )
     return {
         "position": XYZ,
         "sh": ("f_dc_0", "f_dc_1", "f_dc_2", *higher),
@@ -42,12 +44,12 @@ def splat_groups(degree: int) -> dict[str, tuple[str, ...]]:
 
 
 def splat_names(degree: int) -> list[str]:
-    """Return the properties of splats in the order of the training code, less normals."""
-    rest = 3 * (degree + 1) ** 2 - 3
+    """Return the properties of splats in the order of the training code, without normals."""
+    higher_count = 3 * (degree + 1) ** 2 - 3
     return [
         *XYZ,
         *(f"f_dc_{index}" for index in range(3)),
-        *(f"f_rest_{index}" for index in range(rest)),
+        *(f"f_rest_{index}" for index in range(higher_count)),
         "opacity",
         *(f"scale_{index}" for index in range(3)),
         *(f"rot_{index}" for index in range(4)),
@@ -55,17 +57,17 @@ def splat_names(degree: int) -> list[str]:
 
 
 def find_vertex(header: Header) -> Element:
-    """Return the element that holds the points.
+    """Return the element ``vertex``, which holds the points.
 
     Raises:
-        PropertyMissing: There is none.
+        PropertyMissing: The header has no such element.
         NotSupported: Its rows are packed, or hold lists.
     """
     vertex = header.find("vertex")
     if vertex is None:
-        found = listed([element.name for element in header.elements])
+        names = listed([element.name for element in header.elements])
         raise PropertyMissing(
-            f"no element 'vertex', found {found}", expected="element 'vertex'"
+            f"no element 'vertex', found {names}", expected="element 'vertex'"
         )
     if "packed_position" in vertex.types:
         raise NotSupported(
@@ -83,27 +85,27 @@ def find_vertex(header: Header) -> Element:
 
 
 def is_splat(names: Collection[str]) -> bool:
-    """Say whether any property is one that only splats have."""
-    own = set(splat_names(0)).difference(XYZ)
-    return any(name in own or _REST_NAME.fullmatch(name) for name in names)
+    """Return whether any property belongs to splats only."""
+    splat_only = set(splat_names(0)).difference(XYZ)
+    return any(name in splat_only or _REST_NAME.fullmatch(name) for name in names)
 
 
 def splat_degree(names: Collection[str]) -> int:
     """Return the SH degree of a file of splats with these properties.
 
     Raises:
-        PropertyMissing: A property of splats is missing, or the number of ``f_rest``
-            is that of no degree.
+        PropertyMissing: A property of splats is missing, or the number of ``f_rest`` fits
+            no degree.
     """
     _require_all(names, splat_names(0))
-    rest = [name for name in names if _REST_NAME.fullmatch(name)]
-    if len(rest) not in _REST_COUNTS:
+    higher = [name for name in names if _REST_NAME.fullmatch(name)]
+    if len(higher) not in _REST_COUNTS:
         raise PropertyMissing(
-            f"{len(rest)} properties f_rest: {listed(rest)}",
+            f"{len(higher)} properties f_rest: {listed(higher)}",
             where="element 'vertex'",
-            expected="0, 9, 24, 45 or 72 of them, for SH degree 0 to 4",
+            expected="0, 9, 24, 45 or 72, for SH degree 0 to 4",
         )
-    degree = math.isqrt(len(rest) // 3 + 1) - 1
+    degree = math.isqrt(len(higher) // 3 + 1) - 1
     _require_all(names, splat_names(degree))
     return degree
 
@@ -114,11 +116,11 @@ def _require_all(names: Collection[str], needed: list[str]) -> None:
         return
     hint = ""
     if missing == ["scale_2"]:
-        hint = "two scales look like a 2DGS file: flat splats, which are not read here"
+        hint = "two scales look like a 2DGS file: flat splats, which gsgen does not read"
     raise PropertyMissing(
         f"{listed(missing, limit=100)} missing, found {listed(list(names))}",
         where="element 'vertex'",
-        expected="all properties of a 3DGS PLY, as some are there",
+        expected="all properties of a 3DGS PLY",
         hint=hint,
     )
 
@@ -127,11 +129,13 @@ def cloud_colors(types: Mapping[str, str]) -> tuple[str, ...]:
     """Return the names of red, green and blue in a point cloud with these properties.
 
     Raises:
-        PropertyMissing: There is no position, or no colour.
+        PropertyMissing: Position or colour is missing.
         NotSupported: The colours are neither bytes nor floats.
     """
-    found = {names: len(types.keys() & set(names)) for names in COLORS}
-    colors = max(COLORS, key=lambda names: found[names])  # the first of the fullest
+    matches = {names: len(types.keys() & set(names)) for names in COLORS}
+    colors = max(
+        COLORS, key=lambda names: matches[names]
+    )  # the first one with the most properties
     missing = [name for name in (*XYZ, *colors) if name not in types]
     if missing:
         raise PropertyMissing(

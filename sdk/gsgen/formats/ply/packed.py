@@ -1,4 +1,4 @@
-"""Read a compressed PLY file: packed words in boxes of 256 splats."""
+"""Reads a compressed PLY file: packed words in boxes of 256 splats."""
 
 import mmap
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ _REST_COUNTS = tuple(3 * (count - 1) for count in SH_COUNTS[1:])
 
 
 def is_packed(header: Header) -> bool:
-    """Say whether the vertices are packed words."""
+    """Return whether the vertices are packed words."""
     vertex = header.find("vertex")
     return vertex is not None and rows.WORDS[0] in vertex.types
 
@@ -29,10 +29,10 @@ def read_packed(data: mmap.mmap, header: Header) -> Splats:
     """Return the splats of a compressed PLY file.
 
     Raises:
-        PropertyMissing: The boxes, the words or harmonics are not all there.
-        HeaderMalformed: There are too few boxes, or other than one row of harmonics a splat.
+        PropertyMissing: Boxes, words or harmonics are missing.
+        HeaderMalformed: The file has too few boxes, or not one row of harmonics a splat.
         FileTruncated: The file ends before the last row.
-        ValueInvalid: There is no splat, or one that cannot be drawn.
+        ValueInvalid: The file has no splats, or one that cannot be drawn.
     """
     vertex, boxes = _element(header, "vertex"), _element(header, "chunk")
     require_rows(vertex.count, "element 'vertex'")
@@ -60,7 +60,7 @@ def read_packed(data: mmap.mmap, header: Header) -> Splats:
 def _boxes(
     data: mmap.mmap, header: Header, element: Element, count: int
 ) -> Float32[np.ndarray, "n b"]:
-    """Return the box of each splat; files before 2024 have none for colours."""
+    """Return the box of each splat; files before 2024 lack boxes of colours."""
     names = rows.BOX if rows.BOX[-1] in element.types else _OLD_BOX
     columns = _columns(data, header, element, names, "f4")
     return np.repeat(np.stack(columns, axis=1), rows.CHUNK, axis=0)[:count]
@@ -72,16 +72,20 @@ def _higher(data: mmap.mmap, header: Header, count: int) -> Float32[np.ndarray, 
         return np.empty((count, 0, 3), np.float32)
     if element.count != count:
         raise HeaderMalformed(
-            f"{element.count} rows", where="element 'sh'", expected=f"{count}, as of vertex"
+            f"{element.count} rows",
+            where="element 'sh'",
+            expected=f"{count}, the rows of vertex",
         )
-    rest = len(element.properties)
-    if rest not in _REST_COUNTS:
+    value_count = len(element.properties)
+    if value_count not in _REST_COUNTS:
         raise PropertyMissing(
-            f"{rest} properties", where="element 'sh'", expected="9, 24, 45 or 72 of f_rest"
+            f"{value_count} properties",
+            where="element 'sh'",
+            expected="9, 24, 45 or 72 of f_rest",
         )
-    names = [f"f_rest_{index}" for index in range(rest)]
+    names = [f"f_rest_{index}" for index in range(value_count)]
     columns = _columns(data, header, element, names, "u1")
-    channels = rows.unpack_sh(np.stack(columns, axis=1)).reshape(count, 3, rest // 3)
+    channels = rows.unpack_sh(np.stack(columns, axis=1)).reshape(count, 3, value_count // 3)
     return np.ascontiguousarray(channels.swapaxes(1, 2))
 
 
@@ -97,7 +101,7 @@ def _element(header: Header, name: str) -> Element:
 def _columns(
     data: mmap.mmap, header: Header, element: Element, names: Sequence[str], code: str
 ) -> list[Shaped[np.ndarray, " n"]]:
-    """Return the columns ``names`` of ``element``, whose type has to be ``code``."""
+    """Return the columns ``names`` of ``element``; raise unless their type is ``code``."""
     wrong = [name for name in names if element.types.get(name) != code]
     if wrong or element.has_lists:
         kinds = {"u4": "uint", "f4": "float", "u1": "uchar"}

@@ -1,7 +1,7 @@
-"""The four packed words of a splat in a compressed PLY file, and the boxes they count in.
+"""Packs and unpacks the four words of a splat in a compressed PLY file.
 
 The format is that of PlayCanvas (playcanvas/splat-transform): 256 splats share a box of
-positions, log scales and colours; a word divides the box evenly.
+positions, log scales and colours; the numbers of a word divide the box evenly.
 """
 
 from collections.abc import Sequence
@@ -22,14 +22,14 @@ from gsgen.formats.shared.quantities import (
 )
 
 CHUNK: Final = 256
-"""Splats that share a box."""
+"""The number of splats that share a box."""
 BOX: Final = tuple(
     f"{end}_{axis}"
     for group in (("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b"))
     for end in ("min", "max")
     for axis in group
 )
-"""Properties of a box, in the order of the file."""
+"""The properties of a box, in the order of the file."""
 WORDS: Final = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 LARGEST_LOG_SCALE: Final = 20.0
 
@@ -43,16 +43,16 @@ Words = UInt32[np.ndarray, " n"]
 
 
 def split(words: Words, widths: Sequence[int]) -> Int64[np.ndarray, "n m"]:
-    """Return the numbers that ``words`` are made of, of so many bits each, highest first."""
-    made, shift = [], 32
+    """Split ``words`` into numbers of ``widths`` bits each, the highest bits first."""
+    columns, shift = [], 32
     for width in widths:
         shift -= width
-        made.append(words.astype(np.int64) >> shift & ((1 << width) - 1))
-    return np.stack(made, axis=1)
+        columns.append(words.astype(np.int64) >> shift & ((1 << width) - 1))
+    return np.stack(columns, axis=1)
 
 
 def join(numbers: Int64[np.ndarray, "n m"], widths: Sequence[int]) -> Words:
-    """Undo ``split``."""
+    """Join numbers of ``widths`` bits to words: the inverse of ``split``."""
     word, shift = np.zeros(len(numbers), np.int64), 32
     for column, width in zip(numbers.T, widths, strict=True):
         shift -= width
@@ -61,12 +61,12 @@ def join(numbers: Int64[np.ndarray, "n m"], widths: Sequence[int]) -> Words:
 
 
 def shares(words: Words, widths: Sequence[int]) -> Float64[np.ndarray, "n m"]:
-    """Return the numbers in ``words`` as shares of the largest that fits, from 0 to 1."""
+    """Return the numbers in ``words`` as fractions of their largest value, from 0 to 1."""
     return split(words, widths) / (2.0 ** np.array(widths) - 1)
 
 
 def from_shares(values: Float[np.ndarray, "n m"], widths: Sequence[int]) -> Words:
-    """Undo ``shares``; what is beyond 0 or 1 is cut."""
+    """Pack fractions, clipped to [0, 1], to words: the inverse of ``shares``."""
     numbers = rounded(np.clip(values, 0, 1) * (2.0 ** np.array(widths) - 1), 0, 2**31)
     return join(numbers, widths)
 
@@ -74,9 +74,9 @@ def from_shares(values: Float[np.ndarray, "n m"], widths: Sequence[int]) -> Word
 def unpack_in_box(
     words: Words, low: Float[np.ndarray, "n 3"], high: Float[np.ndarray, "n 3"]
 ) -> Float32[np.ndarray, "n 3"]:
-    """Return positions or log scales."""
+    """Unpack positions or log scales within their boxes."""
     share = shares(words, _AXES)
-    with np.errstate(invalid="ignore", over="ignore"):  # what comes of it is judged later
+    with np.errstate(invalid="ignore", over="ignore"):  # the checks of values follow
         return np.asarray(low * (1 - share) + high * share, np.float32)
 
 
@@ -85,28 +85,28 @@ def pack_in_box(
     low: Float[np.ndarray, "n 3"],
     high: Float[np.ndarray, "n 3"],
 ) -> Words:
-    """Undo ``unpack_in_box``."""
+    """Pack positions or log scales within their boxes."""
     return from_shares(_share(values, low, high), _AXES)
 
 
 def unpack_rotation(words: Words) -> Float32[np.ndarray, "n 4"]:
-    """Return unit quaternions (w, x, y, z)."""
+    """Unpack unit quaternions (w, x, y, z)."""
     largest = split(words, _TURNS)[:, 0]
-    rest = (shares(words, _TURNS)[:, 1:] - 0.5) * _ROOT_TWO
-    return unit(from_largest(largest, rest))
+    smaller = (shares(words, _TURNS)[:, 1:] - 0.5) * _ROOT_TWO
+    return unit(from_largest(largest, smaller))
 
 
 def pack_rotation(rotation: Float32[np.ndarray, "n 4"]) -> Words:
-    """Undo ``unpack_rotation``."""
-    largest, rest = without_largest(unit(rotation))
-    numbers = rounded((rest / _ROOT_TWO + 0.5) * 1023, 0, 1023)
+    """Pack quaternions (w, x, y, z)."""
+    largest, smaller = without_largest(unit(rotation))
+    numbers = rounded((smaller / _ROOT_TWO + 0.5) * 1023, 0, 1023)
     return join(np.column_stack([largest, numbers]), _TURNS)
 
 
 def unpack_color(
     words: Words, low: Float[np.ndarray, "n 3"], high: Float[np.ndarray, "n 3"]
 ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
-    """Return the constant harmonics, and opacity before the sigmoid."""
+    """Unpack the constant harmonics, and the opacity before the sigmoid."""
     share = shares(words, _COLORS)
     with np.errstate(invalid="ignore", over="ignore"):
         color = low * (1 - share[:, :3]) + high * share[:, :3]
@@ -114,7 +114,7 @@ def unpack_color(
 
 
 def color_of(constant: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-    """Return the colour of a constant harmonic, which boxes are made of."""
+    """Return the colour of a constant harmonic, the unit of colour boxes."""
     return np.asarray(0.5 + SH_C0 * constant.astype(np.float64))
 
 
@@ -124,20 +124,20 @@ def pack_color(
     low: Float[np.ndarray, "n 3"],
     high: Float[np.ndarray, "n 3"],
 ) -> Words:
-    """Undo ``unpack_color``."""
+    """Pack colours within their boxes, and opacities."""
     share = np.column_stack([_share(color, low, high), sigmoid(logit_opacity)])
     return from_shares(share, _COLORS)
 
 
 def unpack_sh(bytes_: UInt8[np.ndarray, "n m"]) -> Float32[np.ndarray, "n m"]:
-    """Return harmonics above degree 0; the end bytes mean the ends of the range."""
+    """Unpack harmonics above degree 0; bytes 0 and 255 are the ends of the range."""
     share = (bytes_ + 0.5) / 256
     share[bytes_ == 0], share[bytes_ == 255] = 0, 1
     return ((share - 0.5) * _SH_REACH).astype(np.float32)
 
 
 def pack_sh(sh: Float32[np.ndarray, "n m"]) -> UInt8[np.ndarray, "n m"]:
-    """Undo ``unpack_sh``."""
+    """Pack harmonics above degree 0 to bytes."""
     return to_bytes(np.floor((sh.astype(np.float64) / _SH_REACH + 0.5) * 256))
 
 
@@ -146,6 +146,6 @@ def _share(
     low: Float[np.ndarray, "n 3"],
     high: Float[np.ndarray, "n 3"],
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return where between ``low`` and ``high`` each value is; 0 where there is no between."""
-    wide = high.astype(np.float64) - low
-    return np.asarray((values - low.astype(np.float64)) / np.where(wide > 0, wide, 1))
+    """Return the relative position of values between ``low`` and ``high``; 0 for an empty range."""
+    extent = high.astype(np.float64) - low
+    return np.asarray((values - low.astype(np.float64)) / np.where(extent > 0, extent, 1))

@@ -1,4 +1,4 @@
-"""Read and write PLY files of splats and of coloured points."""
+"""Reads and writes PLY files of splats and of coloured points."""
 
 import mmap
 
@@ -29,35 +29,35 @@ from gsgen.formats.shared.values import require_rows
 
 __all__ = ["Encoding", "read_ply", "write_ply"]
 
-_MEND = "`gsgen convert --drop-invalid` writes a file without such rows"
+_DROP_HINT = "`gsgen convert --drop-invalid` writes a file without such rows"
 
 
 def read_ply(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointCloud:
     """Read the splats, or else the coloured points, of the PLY file at ``path``.
 
-    It is splats if any property is one of splats (``f_dc_0``, ``opacity``, ``scale_0``,
-    ``rot_0``, …), and then all have to be there. Otherwise it is points: x, y, z and a
-    colour in bytes or in floats from 0 to 1. Properties are found by name. Numbers may
-    be text or binary, of either byte order and any type; all become float32. Other
-    properties and elements are passed over. A compressed PLY file is unpacked.
+    A file with any property of splats (``f_dc_0``, ``opacity``, ``scale_0``, ``rot_0``, …) must
+    have all of them. Otherwise it holds points: x, y, z and a colour in bytes or in floats from
+    0 to 1. Properties are found by name. Numbers may be text or binary, of either byte order and
+    any type; all become float32. Other properties and elements are ignored. A compressed PLY
+    file is unpacked.
 
     Args:
         path: The file.
-        drop_invalid: Leave out rows that cannot be drawn, which training leaves in some
-            files, and warn of them (FormatWarning). Those of a compressed file are always
-            refused: a row there is a part of 256.
+        drop_invalid: Drop rows that cannot be drawn, which training leaves in some files, and
+            warn about them (FormatWarning). A compressed file with such a row is always
+            refused: 256 rows share a box.
 
     Raises:
-        FileUnreadable: The file is missing, empty or closed to us.
-        NotRecognised: It is no PLY file.
-        NotSupported: It is a kind of PLY file that is not read here.
+        FileUnreadable: The file is missing or empty, or may not be read.
+        NotRecognised: The file is not a PLY file.
+        NotSupported: The file is a variant of PLY that gsgen does not read.
         HeaderMalformed: The header breaks the rules of the format.
-        BodyMalformed: A row of text, or a list on the way, breaks them.
-        PropertyMissing: A needed property is not there; all that are missing are named.
+        BodyMalformed: A row of text, or a list before the vertices, breaks them.
+        PropertyMissing: The file lacks needed properties; the message names them all.
         FileTruncated: The file ends before the last row.
-        ValueInvalid: There is no row, or a value that cannot be drawn: a NaN, or an
-            infinity other than those of opacity and -inf for a scale. With
-            ``drop_invalid``, there is such a value in every row.
+        ValueInvalid: The file has no rows, or a value that cannot be drawn: a NaN, or an
+            infinity other than ±inf for opacity and -inf for a scale. With ``drop_invalid``,
+            every row holds such a value.
     """
     with mapped(path) as data:
         header = parse_header(data)
@@ -68,7 +68,7 @@ def read_ply(path: FilePath, *, drop_invalid: bool = False) -> Splats | PointClo
         try:
             return read(data, header, vertex, path if drop_invalid else None)
         except ValueInvalid as error:
-            error.hint = error.hint or ("" if drop_invalid else _MEND)
+            error.hint = error.hint or ("" if drop_invalid else _DROP_HINT)
             raise
 
 

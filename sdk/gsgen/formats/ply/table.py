@@ -1,7 +1,7 @@
-"""Read the plain columns of a PLY file, whatever they mean: for files that hold no splats.
+"""Reads columns of a PLY file by name, for files that do not hold splats.
 
-Methods that store anchors, or other points that only a network turns into splats, use PLY too,
-with properties of their own.
+Methods that store anchors, or other points that a network turns into splats, use PLY with their
+own properties.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ def ply_properties(path: FilePath) -> tuple[str, ...]:
     """Return the names of the properties of the element ``vertex``, in the file's order.
 
     Raises:
-        FormatError: The file cannot be read, or is no PLY file with such an element.
+        FormatError: The file cannot be read, or is not a PLY file with such an element.
     """
     with mapped(path) as data:
         return tuple(item.name for item in find_vertex(parse_header(data)).properties)
@@ -34,17 +34,17 @@ def read_ply_columns(
 ) -> dict[str, Float32[np.ndarray, "n m"]]:
     """Return one array for each of ``groups``, with a column for each property named in it.
 
-    Numbers may be text or binary, of either byte order and any type; all become float32, and
-    all have to be finite.
+    Numbers may be text or binary, of either byte order and any type; they become float32 and
+    must be finite.
 
     Args:
         path: The file.
-        groups: What to call an array → the properties that make it up, in order.
+        groups: Name of an array → its properties, in order.
 
     Raises:
         FormatError: The file cannot be read.
-        PropertyMissing: A property is not in the file; all that are missing are named.
-        ValueInvalid: There is no row, or a value is NaN or infinite.
+        PropertyMissing: The file lacks properties; the message names them all.
+        ValueInvalid: The file has no rows, or a value is NaN or infinite.
     """
     with mapped(path) as data:
         header = parse_header(data)

@@ -1,4 +1,4 @@
-"""Refuse splats and points that cannot be drawn, or leave them out, in the words of a PLY file."""
+"""Raises for splats and points of a PLY file that cannot be drawn, or drops them."""
 
 import warnings
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from gsgen.formats.shared.notices import FormatWarning
 from gsgen.formats.shared.splat_values import INFINITE
 from gsgen.formats.shared.splats import PointCloud, Splats
 from gsgen.formats.shared.values import (
-    meaning_something,
+    finite_or_allowed,
     require_colors,
     require_finite,
     require_rows,
@@ -22,38 +22,38 @@ from gsgen.formats.shared.values import (
 
 
 def require_splats(splats: Splats) -> None:
-    """Raise ValueInvalid unless there are splats and all can be drawn."""
+    """Raise ValueInvalid if ``splats`` is empty or holds a value that cannot be drawn."""
     require_rows(len(splats), "element 'vertex'")
     for array, names, table in _tables(splats):
         require_finite(table, _labels(names), INFINITE.get(array, ()))
 
 
 def only_drawable(splats: Splats, path: FilePath) -> Splats:
-    """Return the splats of ``path`` that can be drawn, and warn of how many cannot.
+    """Return the splats that can be drawn, and warn about the number of others in ``path``.
 
     Raises:
-        ValueInvalid: None can be drawn.
+        ValueInvalid: No splat can be drawn.
     """
     try:
         require_splats(splats)
     except ValueInvalid:
-        fine = np.concatenate(
+        is_valid = np.concatenate(
             [
-                meaning_something(one, INFINITE.get(array, ()))
-                for array, _, one in _tables(splats)
+                finite_or_allowed(table, INFINITE.get(array, ()))
+                for array, _, table in _tables(splats)
             ],
             axis=1,
         )
-        kept = fine.all(axis=1)
-        if not kept.any():
+        drawable = is_valid.all(axis=1)
+        if not drawable.any():
             raise
     else:
         return splats
-    values = np.concatenate([one for *_, one in _tables(splats)], axis=1)
+    values = np.concatenate([table for *_, table in _tables(splats)], axis=1)
     labels = [name for _, names, _ in _tables(splats) for name in names]
-    _warn_of(path, fine, values, labels)
+    _warn_of(path, is_valid, values, labels)
     return replace(
-        splats, **{array: getattr(splats, array)[kept] for array, *_ in _tables(splats)}
+        splats, **{array: getattr(splats, array)[drawable] for array, *_ in _tables(splats)}
     )
 
 
@@ -63,35 +63,35 @@ def only_finite(cloud: PointCloud, path: FilePath) -> PointCloud:
     Raises:
         ValueInvalid: None is.
     """
-    fine = np.isfinite(cloud.position)
-    kept = fine.all(axis=1)
-    if kept.all():
+    is_valid = np.isfinite(cloud.position)
+    drawable = is_valid.all(axis=1)
+    if drawable.all():
         return cloud
-    if not kept.any():
+    if not drawable.any():
         require_finite(cloud.position, _labels(XYZ))
-    _warn_of(path, fine, cloud.position, XYZ)
-    return PointCloud(cloud.position[kept], cloud.color[kept])
+    _warn_of(path, is_valid, cloud.position, XYZ)
+    return PointCloud(cloud.position[drawable], cloud.color[drawable])
 
 
 def _warn_of(
     path: FilePath,
-    fine: Bool[np.ndarray, "n m"],
+    is_valid: Bool[np.ndarray, "n m"],
     values: Float32[np.ndarray, "n m"],
     names: Sequence[str],
 ) -> None:
-    """Warn of the rows that are left out, and say what is wrong with the first of them."""
-    kept = np.asarray(fine.all(axis=1))
-    row, left = int(np.argmin(kept)), len(kept) - int(np.count_nonzero(kept))
-    column = int(np.argmin(fine[row]))
+    """Warn about the number of dropped rows, with the fault of the first one."""
+    drawable = np.asarray(is_valid.all(axis=1))
+    row, dropped = int(np.argmin(drawable)), len(drawable) - int(np.count_nonzero(drawable))
+    column = int(np.argmin(is_valid[row]))
     text = (
-        f"{path}: {left:,} of {len(kept):,} rows cannot be drawn and are left out; row {row} "
+        f"{path}: {dropped:,} of {len(drawable):,} rows cannot be drawn and are left out; row {row} "
         f"is the first, where {names[column]} is {values[row, column]:g}"
     )
     warnings.warn(text, FormatWarning, stacklevel=2)
 
 
 def _tables(splats: Splats) -> list[tuple[str, Sequence[str], Float32[np.ndarray, "n m"]]]:
-    """Return each array of the splats, with what its columns are called in a file."""
+    """Return each array of the splats, with the property names of its columns."""
     return [
         (array, names, getattr(splats, array).reshape(len(splats), len(names)))
         for array, names in splat_groups(splats.degree).items()
@@ -99,11 +99,11 @@ def _tables(splats: Splats) -> list[tuple[str, Sequence[str], Float32[np.ndarray
 
 
 def require_cloud(cloud: PointCloud, colors: Sequence[str] = COLORS[0]) -> None:
-    """Raise ValueInvalid unless there are points and all can be drawn.
+    """Raise ValueInvalid if ``cloud`` is empty or holds a value that cannot be drawn.
 
     Args:
         cloud: The points.
-        colors: What the file calls red, green and blue.
+        colors: The property names of red, green and blue.
     """
     require_rows(len(cloud), "element 'vertex'")
     require_finite(cloud.position, _labels(XYZ))

@@ -1,4 +1,4 @@
-"""Write splats and point clouds as PLY files."""
+"""Writes splats and point clouds as PLY files."""
 
 from collections.abc import Iterator
 from typing import BinaryIO
@@ -27,19 +27,19 @@ def write_ply(
 ) -> None:
     """Write ``content`` to ``path`` as a PLY file that ``read_ply`` reads back.
 
-    Splats come back bit for bit (a NaN would not, and is refused). The colours of a
-    point cloud are written as bytes, which is what other programs expect, so they come
-    back to within 1/510. The file appears whole or not at all.
+    Splats are kept bit for bit. The colours of a point cloud are written as bytes, which other
+    programs expect, with an error of at most 1/510. The file is written completely or not at
+    all.
 
     Args:
-        path: Where to; a file that is there is replaced.
-        content: What to write.
-        format: How to write the numbers.
+        path: The output path; an existing file is replaced.
+        content: The splats or points.
+        format: The encoding of the numbers.
 
     Raises:
         ValueInvalid: ``content`` is empty or holds values that cannot be drawn, or
-            there is no such ``format``.
-        FileUnwritable: The file could not be written or put in place.
+            ``format`` is unknown.
+        FileUnwritable: The file cannot be written at ``path``.
     """
     with naming(path):
         if format not in ENCODINGS:
@@ -67,8 +67,8 @@ def _splat_columns(splats: Splats) -> Columns:
 def _points(cloud: PointCloud) -> Columns:
     require_cloud(cloud)
     color = np.rint(cloud.color * np.float32(255))
-    places = {name: ("f4", cloud.position[:, i]) for i, name in enumerate(XYZ)}
-    return places | {name: ("u1", color[:, i]) for i, name in enumerate(COLORS[0])}
+    properties = {name: ("f4", cloud.position[:, i]) for i, name in enumerate(XYZ)}
+    return properties | {name: ("u1", color[:, i]) for i, name in enumerate(COLORS[0])}
 
 
 def _header(columns: Columns, count: int, encoding: Encoding) -> bytes:
@@ -84,16 +84,16 @@ def _header(columns: Columns, count: int, encoding: Encoding) -> bytes:
 
 
 def _chunks(columns: Columns, count: int) -> Iterator[Columns]:
-    for at in range(0, count, CHUNK_ROWS):
+    for start in range(0, count, CHUNK_ROWS):
         yield {
-            name: (code, values[at : at + CHUNK_ROWS])
+            name: (code, values[start : start + CHUNK_ROWS])
             for name, (code, values) in columns.items()
         }
 
 
 def _write_rows(file: BinaryIO, columns: Columns, encoding: Encoding) -> None:
     if encoding == "ascii":
-        # Nine digits tell every float32 from its neighbours.
+        # Nine digits identify every float32.
         digits = ["%.9g" if code == "f4" else "%d" for code, _ in columns.values()]
         np.savetxt(file, np.stack([v for _, v in columns.values()], axis=1), fmt=digits)
         return

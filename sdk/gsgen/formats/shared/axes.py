@@ -1,6 +1,6 @@
-"""Turn splats between coordinate systems that differ in the signs of their axes.
+"""Converts splats between coordinate systems that differ in the signs of their axes.
 
-Signs of the harmonics follow from their parity: the function of degree l and order m is a
+The signs of the harmonics follow from their parity: the function of degree l and order m is a
 polynomial of z of the parity of l + m, times cos mφ for m ≥ 0 or sin |m|φ for m < 0.
 """
 
@@ -13,16 +13,16 @@ from jaxtyping import Float32
 from gsgen.formats.shared.splats import Splats
 
 Signs = tuple[int, int, int]
-"""What x, y and z are multiplied by."""
+"""The factors of x, y and z, each 1 or −1."""
 
 RDF_RUB: Final[Signs] = (1, -1, -1)
-"""Between x right, y down, z forward (PLY) and x right, y up, z back (SPZ)."""
+"""Converts between x right, y down, z forward (PLY) and x right, y up, z back (SPZ)."""
 RDF_LUF: Final[Signs] = (-1, -1, 1)
-"""Between x right, y down, z forward (PLY) and x left, y up, z forward (glTF)."""
+"""Converts between x right, y down, z forward (PLY) and x left, y up, z forward (glTF)."""
 
 
 def flip(splats: Splats, signs: Signs) -> Splats:
-    """Return ``splats`` in a system whose axes are those of now times ``signs``.
+    """Return ``splats`` in the coordinate system whose axes are multiplied by ``signs``.
 
     A second call with the same ``signs`` undoes the first.
     """
@@ -38,13 +38,13 @@ def flip(splats: Splats, signs: Signs) -> Splats:
 def _times(
     array: Float32[np.ndarray, "..."], signs: Float32[np.ndarray, "..."]
 ) -> Float32[np.ndarray, "..."]:
-    made = array * signs
-    made += 0  # so that no zero is negative
-    return np.asarray(made)
+    product = array * signs
+    product += 0  # turns −0 into 0
+    return np.asarray(product)
 
 
 def sh_signs(degree: int, signs: Signs) -> Float32[np.ndarray, " k"]:
-    """Return what each harmonic is multiplied by where x, y and z are by ``signs``."""
+    """Return the factor of each harmonic if x, y and z are multiplied by ``signs``."""
     orders = [(band, m) for band in range(degree + 1) for m in range(-band, band + 1)]
     return np.array([_sh_sign(band, m, signs) for band, m in orders], np.float32)
 

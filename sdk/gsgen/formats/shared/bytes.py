@@ -1,4 +1,4 @@
-"""Take arrays out of a file's bytes, once the file is known to be long enough for them."""
+"""Reads arrays from a file's bytes, after a check that the file is long enough."""
 
 import mmap
 from collections.abc import Iterator
@@ -15,20 +15,21 @@ from gsgen.formats.shared.files import FilePath, mapped, naming
 Data = bytes | bytearray | memoryview | mmap.mmap
 """The bytes of a file, in memory or mapped."""
 
-AGAIN: Final = "copy or download the file again"
+DOWNLOAD_HINT: Final = "copy or download the file again"
+MOST_SPLATS: Final = 2**31 - 1
+"""The most splats of a file whose counts other readers store as int32."""
 MAX_BYTES: Final = 8 << 30
-"""How much a compressed file may unpack to, unless the caller says more."""
+"""The default limit of the bytes that a compressed file may unpack to."""
 
 
 @contextmanager
 def contents(path: FilePath) -> Iterator[mmap.mmap]:
     """Map the file at ``path``; every FormatError of the body names it.
 
-    Numbers that overflow on the way are no warnings: as infinity or NaN they meet the checks
-    of values.
+    Overflows raise no warnings: the checks of values refuse the resulting infinity or NaN.
 
     Raises:
-        FileUnreadable: It is missing, empty, no regular file, or mapping it fails.
+        FileUnreadable: The file is missing, empty or not regular, or mapping it fails.
     """
     with naming(path), mapped(path) as data, np.errstate(all="ignore"):
         yield data
@@ -37,14 +38,14 @@ def contents(path: FilePath) -> Iterator[mmap.mmap]:
 def take(
     data: Data, dtype: DTypeLike, shape: tuple[int, ...], start: int, where: str
 ) -> Shaped[np.ndarray, "..."]:
-    """Return the array at byte ``start``, as a view of ``data``.
+    """Return the array at byte ``start`` as a view of ``data``.
 
     Args:
-        data: The file.
-        dtype: Of the array, byte order included.
-        shape: Of the array.
+        data: The bytes of the file.
+        dtype: The dtype of the array, byte order included.
+        shape: The shape of the array.
         start: The offset of its first byte.
-        where: What to call it in the error.
+        where: The name of the array in the error.
 
     Raises:
         FileTruncated: ``data`` ends before the array does.
@@ -59,11 +60,11 @@ def take(
 
 def require_room(data: Data, start: int, needed: int, where: str) -> None:
     """Raise FileTruncated unless ``needed`` bytes from ``start`` on are in ``data``."""
-    left = len(data) - start
-    if start < 0 or needed > left:
+    remaining = len(data) - start
+    if start < 0 or needed > remaining:
         raise FileTruncated(
-            f"{needed} bytes needed from byte {start} on, {max(left, 0)} are there",
+            f"{needed} bytes needed from byte {start} on, {max(remaining, 0)} are left",
             where=where,
-            expected=f"a file of {start + needed} bytes or more, it has {len(data)}",
-            hint=AGAIN,
+            expected=f"a file of {start + needed} bytes or more; it has {len(data)}",
+            hint=DOWNLOAD_HINT,
         )

@@ -1,6 +1,4 @@
-"""What can go wrong with a splat file, each kind with the fields a report needs."""
-
-from typing import final
+"""Exceptions raised for splat files that cannot be read or written, one class a cause."""
 
 __all__ = [
     "ArchiveDamaged",
@@ -17,20 +15,26 @@ __all__ = [
     "ValueInvalid",
 ]
 
+from typing import ClassVar, final
 
-class FormatError(Exception):
-    """A splat file, or the data for one, is not what it has to be.
+from gsgen.contract.errors import ExitCode, GsgenError
 
-    Catch this one to catch them all. As text it is one to three lines: where and what
-    was seen, what was wanted, what to do next.
+
+class FormatError(GsgenError):
+    """Base class of the errors about splat files, and about data that a file cannot hold.
+
+    As text it has one to three lines: the location and the actual value, the expected value, and
+    the hint.
 
     Attributes:
-        path: The file, as the caller gave it; None for data that is in memory only.
-        message: What was seen.
+        path: The file, as the caller gave it; None for data in memory.
+        message: The actual value or the fault.
         where: The property, row, element, array or byte offset; may be empty.
-        expected: What was wanted; may be empty.
-        hint: What to do next; may be empty.
+        expected: The expected value; may be empty.
+        hint: The next thing to do; may be empty.
     """
+
+    exit_code: ClassVar[int] = ExitCode.UNREADABLE
 
     def __init__(
         self,
@@ -41,62 +45,61 @@ class FormatError(Exception):
         hint: str = "",
         path: str | None = None,
     ) -> None:
-        super().__init__(message)
-        self.message = message
-        self.where = where
+        super().__init__(message, where=where, hint=hint)
         self.expected = expected
-        self.hint = hint
         self.path = path
 
     def __str__(self) -> str:
-        seen = ": ".join(part for part in (self.path, self.where, self.message) if part)
-        wanted = f"expected {self.expected}" if self.expected else ""
-        return "\n".join(line for line in (seen, wanted, self.hint) if line)
+        actual = ": ".join(part for part in (self.path, self.where, self.message) if part)
+        expected = f"expected {self.expected}" if self.expected else ""
+        return "\n".join(line for line in (actual, expected, self.hint) if line)
 
 
 @final
 class FileUnreadable(FormatError):
-    """The file is missing, empty, a folder, or closed to us."""
+    """The file is missing or empty, is a folder, or may not be read."""
 
 
 @final
 class FileUnwritable(FormatError):
-    """The file could not be put where it was asked for."""
+    """The file cannot be written at its path."""
+
+    exit_code: ClassVar[int] = ExitCode.USAGE
 
 
 @final
 class FileTruncated(FormatError):
-    """The file ends before the data that it promises."""
+    """The file ends before the data that its header announces."""
 
 
 @final
 class NotRecognised(FormatError):
-    """The content is of no kind that can be read here."""
+    """The content is not of the expected splat format, or of any."""
 
 
 @final
 class NotSupported(FormatError):
-    """The content is of a known kind that is not read here."""
+    """The content is of a known format, but of a variant that gsgen does not read."""
 
 
 @final
 class HeaderMalformed(FormatError):
-    """The description at the start of the file breaks the rules of its format."""
+    """The header of the file breaks the rules of its format."""
 
 
 @final
 class BodyMalformed(FormatError):
-    """A row of a text file does not hold what the header says."""
+    """A row of the file does not hold the values that the header announces."""
 
 
 @final
 class ArchiveDamaged(FormatError):
-    """A zip archive, or an array in it, cannot be unpacked."""
+    """Compressed data, such as a zip archive or an image in it, cannot be unpacked."""
 
 
 @final
 class PropertyMissing(FormatError):
-    """Properties or arrays that are needed are not in the file."""
+    """The file lacks properties or arrays that splats need."""
 
 
 @final
@@ -106,16 +109,17 @@ class SizeExceeded(FormatError):
 
 @final
 class ValueInvalid(FormatError, ValueError):
-    """A value, a shape or a data type is one that cannot be drawn."""
+    """A value, a shape or a data type cannot be drawn."""
 
 
 def shown(text: str, limit: int = 60) -> str:
-    """Return ``text`` quoted and cut short: names in a hostile file can be anything."""
+    """Return ``text`` quoted and cut to ``limit`` characters; a hostile file can hold any name."""
     return repr(text if len(text) <= limit else text[: limit - 1] + "…")
 
 
 def listed(names: list[str], limit: int = 12) -> str:
-    """Return ``names`` joined by commas, and how many were left out after ``limit``."""
-    kept = [name if name.isidentifier() else shown(name) for name in names[:limit]]
-    more = [f"and {len(names) - limit} more"] if len(names) > limit else []
-    return ", ".join(kept + more) or "nothing"
+    """Join ``names`` by commas; after ``limit`` names only count the others."""
+    words = [name if name.isidentifier() else shown(name) for name in names[:limit]]
+    if len(names) > limit:
+        words.append(f"and {len(names) - limit} more")
+    return ", ".join(words) or "nothing"

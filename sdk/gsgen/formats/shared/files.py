@@ -1,4 +1,4 @@
-"""Open and replace files so that every trouble is a FormatError that names the file."""
+"""Opens and replaces files; every fault raises a FormatError that names the file."""
 
 import mmap
 import os
@@ -13,12 +13,12 @@ from gsgen.contract.process.atomic_files import is_device
 from gsgen.formats.shared.errors import FileUnreadable, FileUnwritable, FormatError
 
 FilePath = str | os.PathLike[str]
-"""What a caller may give as a path."""
+"""The types of path arguments."""
 
 
 @contextmanager
 def naming(path: FilePath) -> Iterator[None]:
-    """Write ``path`` into every FormatError of the body that names no file yet."""
+    """Set ``path`` in every FormatError of the body that has no path yet."""
     try:
         yield
     except FormatError as error:
@@ -28,10 +28,10 @@ def naming(path: FilePath) -> Iterator[None]:
 
 @contextmanager
 def opened(path: FilePath) -> Iterator[BinaryIO]:
-    """Open the file at ``path`` to read.
+    """Open the file at ``path`` for reading.
 
     Raises:
-        FileUnreadable: It is missing, empty, no regular file, or reading it fails.
+        FileUnreadable: The file is missing, empty or not regular, or reading it fails.
     """
     with naming(path):
         try:
@@ -47,34 +47,34 @@ def mapped(path: FilePath) -> Iterator[mmap.mmap]:
     """Map the file at ``path`` into memory, read-only.
 
     Raises:
-        FileUnreadable: It is missing, empty, no regular file, or mapping it fails.
+        FileUnreadable: The file is missing, empty or not regular, or mapping it fails.
     """
     with opened(path) as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         try:
             yield data
         finally:
-            # An array of an unfinished read, held by a traceback, may still point into
-            # the map; then the map goes when the array does.
+            # A traceback may hold an array that points into the map. The map is then
+            # closed when the array is freed.
             with suppress(BufferError):
                 data.close()
 
 
 @contextmanager
 def replacing(path: FilePath) -> Iterator[BinaryIO]:
-    """Write a new file and put it at ``path`` once the body is done.
+    """Write a new file, and move it to ``path`` when the body ends.
 
-    Whoever reads ``path`` meanwhile sees the old file or the new one, never a part. If
-    the body raises, ``path`` is as it was.
+    Another process that reads ``path`` sees the old file or the new one, never a part. If the
+    body raises, ``path`` is unchanged.
 
     Raises:
-        FileUnwritable: The file could not be written or put in place, or is none.
+        FileUnwritable: The file cannot be written, or ``path`` is a device or a pipe.
     """
     with naming(path):
         try:
             if is_device(Path(path)):
                 raise FileUnwritable("is a device or a pipe", expected="a file to write")
-            # Not tempfile: its files are closed to everyone but their owner.
+            # Not tempfile: only the owner may read its files.
             part = Path(path).parent / f".{secrets.token_hex(8)}.part"
             try:
                 with open(part, "xb") as file:
@@ -87,10 +87,10 @@ def replacing(path: FilePath) -> Iterator[BinaryIO]:
 
 
 def make_folder(path: FilePath) -> None:
-    """Make the folder that ``path`` is to be written in, and those above it.
+    """Create the folder of ``path``, and the folders above it.
 
     Raises:
-        FileUnwritable: It cannot be made.
+        FileUnwritable: The folder cannot be created.
     """
     with naming(path):
         try:
@@ -110,5 +110,5 @@ def _require_regular(path: FilePath) -> None:
         raise FileUnreadable("is a device, pipe or socket", expected="a regular file")
     if status.st_size == 0:
         raise FileUnreadable(
-            "is empty", hint="make it again: whatever wrote it may have failed"
+            "is empty", hint="write it again: the program that wrote it may have failed"
         )

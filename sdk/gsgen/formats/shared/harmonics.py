@@ -1,4 +1,4 @@
-"""Turn spherical harmonics, up to degree 4: the colours then turn with the splats."""
+"""Rotates spherical harmonics up to degree 4, so that colours rotate with the splats."""
 
 import math
 
@@ -13,27 +13,27 @@ _SAMPLES = 200
 def rotate_sh(
     sh: Float32[np.ndarray, "n k 3"], rotation: Float[np.ndarray, "3 3"]
 ) -> Float32[np.ndarray, "n k 3"]:
-    """Return harmonics whose colour along ``rotation`` · d is that of ``sh`` along d.
+    """Return harmonics whose colour along ``rotation`` · d equals the colour of ``sh`` along d.
 
-    Each degree turns within itself by a matrix of its own (Wigner's D). It is found here from
-    the values along more directions than it has rows, which hold for it without remainder.
+    Each degree is rotated by its own matrix (Wigner's D), the exact least-squares solution for
+    the values along more directions than the matrix has rows.
     """
     degree = SH_COUNTS.index(sh.shape[1])
     directions = _directions()
-    here, there = (
+    basis, turned_basis = (
         sh_basis(directions, degree),
         sh_basis(directions @ np.asarray(rotation).T, degree),
     )
-    made = sh.copy()
+    turned = sh.copy()
     for band in range(1, degree + 1):
         part = slice(band * band, (band + 1) * (band + 1))
-        turn, *_ = np.linalg.lstsq(there[:, part], here[:, part], rcond=None)
-        made[:, part] = np.einsum("lk,nkc->nlc", turn, sh[:, part])
-    return made
+        turn, *_ = np.linalg.lstsq(turned_basis[:, part], basis[:, part], rcond=None)
+        turned[:, part] = np.einsum("lk,nkc->nlc", turn, sh[:, part])
+    return turned
 
 
 def _directions() -> Float64[np.ndarray, "d 3"]:
-    """Return directions that are spread evenly: along a spiral of golden angles."""
+    """Return evenly spread unit directions, along a spiral of golden angles."""
     steps = np.arange(_SAMPLES) + 0.5
     z = 1 - 2 * steps / _SAMPLES
     around = math.pi * (3 - math.sqrt(5)) * steps
@@ -51,9 +51,9 @@ def sh_basis(
     equation 3, times (−1)^m).
     """
     x, y, z = np.asarray(directions, np.float64).T
-    # Of (x + iy)^m = (ring e^iφ)^m, and of P_l^m over ring^m, which is a polynomial of z.
+    # (x + iy)^m = (ring e^iφ)^m, and P_l^m / ring^m is a polynomial of z.
     turns = [(x + 1j * y) ** m for m in range(degree + 1)]
-    made = np.empty((len(z), SH_COUNTS[degree]))
+    basis = np.empty((len(z), SH_COUNTS[degree]))
     for band in range(degree + 1):
         for order in range(-band, band + 1):
             m = abs(order)
@@ -61,8 +61,8 @@ def sh_basis(
             norm = math.sqrt((2 if m else 1) * (2 * band + 1) / (4 * math.pi) * ratio)
             angle = turns[m].imag if order < 0 else turns[m].real
             column = band * band + band + order
-            made[:, column] = (-1) ** m * norm * _legendre(band, m, z) * angle
-    return made
+            basis[:, column] = (-1) ** m * norm * _legendre(band, m, z) * angle
+    return basis
 
 
 def _legendre(band: int, m: int, z: Float64[np.ndarray, " d"]) -> Float64[np.ndarray, " d"]:

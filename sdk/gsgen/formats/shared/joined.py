@@ -1,4 +1,4 @@
-"""Several sets of splats as one."""
+"""Concatenates sets of splats."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from gsgen.formats.shared.splats import Splats
 
 
 def joined(parts: Sequence[Splats]) -> Splats:
-    """Return all splats of ``parts``, in order; harmonics that some lack are zero for them."""
+    """Concatenate ``parts``; harmonics that a part lacks are zero."""
     if len(parts) == 1:
         return parts[0]
     count = max(part.sh.shape[1] for part in parts)

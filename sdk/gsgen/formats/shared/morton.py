@@ -1,4 +1,4 @@
-"""The order in which neighbours in space are neighbours in a file."""
+"""Morton order of points, which places neighbours in space next to each other in a file."""
 
 import numpy as np
 from jaxtyping import Float32, Int64, UInt32
@@ -8,21 +8,21 @@ _LAST = (1 << _BITS) - 1
 
 
 def morton_order(position: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
-    """Return the rows of ``position`` along Morton's curve through their box.
+    """Return the order of the rows of ``position`` along Morton's curve through their box.
 
     G. M. Morton 1966, "A computer oriented geodetic data base": the bits of the coordinates,
-    interleaved, are the place on the curve. Rows of the same cell keep their order.
+    interleaved, are the index on the curve. Rows of the same cell keep their order.
     """
-    wide = position.astype(np.float64)
-    low, high = wide.min(axis=0), wide.max(axis=0)
+    position64 = position.astype(np.float64)
+    low, high = position64.min(axis=0), position64.max(axis=0)
     size = np.where(high > low, high - low, 1.0)
-    cells = np.rint((wide - low) / size * _LAST).astype(np.uint32)
+    cells = np.rint((position64 - low) / size * _LAST).astype(np.uint32)
     x, y, z = (_spread(cells[:, axis]) for axis in range(3))
     return np.argsort(x << 2 | y << 1 | z, kind="stable")
 
 
 def _spread(cells: UInt32[np.ndarray, " n"]) -> UInt32[np.ndarray, " n"]:
-    """Put two zeros between the ten bits of each number."""
+    """Insert two zero bits between the ten bits of each number."""
     cells = (cells | cells << 16) & 0x030000FF
     cells = (cells | cells << 8) & 0x0300F00F
     cells = (cells | cells << 4) & 0x030C30C3

@@ -1,4 +1,4 @@
-"""What a reader says of a file that it can read, but not all of."""
+"""The warning about parts of a splat file that a reader ignores."""
 
 from typing import final
 
@@ -7,4 +7,4 @@ __all__ = ["FormatWarning"]
 
 @final
 class FormatWarning(UserWarning):
-    """Something in a file is passed over, and may change what the rest means."""
+    """A reader ignores a part of a file, which may change the meaning of the rest."""

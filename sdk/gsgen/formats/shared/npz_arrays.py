@@ -1,4 +1,4 @@
-"""Unpack arrays from an .npz archive, after a look at what they say they are."""
+"""Unpacks arrays from an .npz archive, after a check of their declared sizes."""
 
 import errno
 import math
@@ -6,6 +6,7 @@ import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
+from typing import Final
 
 import numpy as np
 from jaxtyping import Shaped
@@ -17,33 +18,36 @@ from gsgen.formats.shared.errors import (
     SizeExceeded,
 )
 
+ZIP_MAGIC: Final = b"PK\x03\x04"
+"""The first bytes of a zip archive."""
+
 MAX_HEADER = 1 << 16
-"""Bytes to look for the header of an array in; a plain array needs 128."""
+"""The largest header of an array that is read, in bytes; plain arrays need 128."""
 
 _LONGEST = 200
 
 
 @contextmanager
 def unpacking(where: str) -> Iterator[None]:
-    """Turn what zipfile, zlib and NumPy raise over damaged data into ArchiveDamaged."""
+    """Convert the exceptions of zipfile, zlib and NumPy for damaged data to ArchiveDamaged."""
     try:
         yield
     except FormatError:
         raise
     except OSError as error:
-        if error.errno != errno.EINVAL:  # that one is a place before the start of the file
+        if error.errno != errno.EINVAL:  # EINVAL is an offset before the start of the file
             raise
         raise _damaged(where, error) from error
     except MemoryError as error:
-        raise SizeExceeded("takes more memory than there is", where=where) from error
-    # They document no common base: BadZipFile, zlib.error, EOFError, ValueError,
+        raise SizeExceeded("takes more memory than is available", where=where) from error
+    # The libraries document no common base: BadZipFile, zlib.error, EOFError, ValueError,
     # NotImplementedError, RuntimeError, struct.error, tokenize.TokenError and others.
     except Exception as error:
         raise _damaged(where, error) from error
 
 
 def _damaged(where: str, error: Exception) -> ArchiveDamaged:
-    reason = str(error)  # it may quote the file
+    reason = str(error)  # may quote the file
     short = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]}…"
     return ArchiveDamaged(
         f"cannot be unpacked ({type(error).__name__}: {short})",
@@ -55,10 +59,10 @@ def _damaged(where: str, error: Exception) -> ArchiveDamaged:
 def read_arrays(
     archive: zipfile.ZipFile, keys: Sequence[str], max_bytes: int
 ) -> list[Shaped[np.ndarray, "..."]]:
-    """Return the arrays ``keys``, if all of them fit in ``max_bytes`` of memory.
+    """Return the arrays ``keys`` if they fit in ``max_bytes`` of memory.
 
     Raises:
-        ArchiveDamaged: An array cannot be unpacked, or is not of the size it declares.
+        ArchiveDamaged: An array cannot be unpacked, or its size differs from the declared one.
         NotSupported: An array holds Python objects.
         SizeExceeded: The arrays would take more than ``max_bytes``.
     """
@@ -68,24 +72,24 @@ def read_arrays(
         raise SizeExceeded(
             f"arrays {parts} bytes",
             expected=f"{max_bytes} bytes or fewer together",
-            hint="if the file can be trusted, read it with a larger max_bytes",
+            hint="if you trust the file, read it with a larger max_bytes",
         )
     return [_read_array(archive, key) for key in keys]
 
 
 def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
-    """Return the bytes that the array ``key`` says it has, once they are believable."""
+    """Return the declared size of the array ``key`` in bytes, checked against its entry."""
     entry = archive.getinfo(f"{key}.npy")
     with unpacking(f"array {key}"), archive.open(entry) as stream:
-        # No more than this much is unpacked, whatever length the header claims.
+        # This limit holds for any length that the header declares.
         head = BytesIO(stream.read(MAX_HEADER))
         shape, dtype = _parse_header(head)
     if dtype.hasobject:
         raise NotSupported(
-            "Python objects",
+            "holds Python objects",
             where=f"array {key}",
             expected="numbers",
-            hint="save it again as an array of one numeric type",
+            hint="save it as an array of one numeric type",
         )
     size = math.prod(shape) * dtype.itemsize
     if head.tell() + size != entry.file_size:
@@ -99,7 +103,7 @@ def _declared_bytes(archive: zipfile.ZipFile, key: str) -> int:
 
 
 def _parse_header(head: BytesIO) -> tuple[tuple[int, ...], np.dtype]:
-    """Read the header of an array, leaving ``head`` at the first byte of its data."""
+    """Read the header of an array; ``head`` then points at the first byte of the data."""
     version = np.lib.format.read_magic(head)
     if version == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(head)

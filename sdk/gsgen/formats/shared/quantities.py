@@ -1,4 +1,4 @@
-"""The arithmetic that formats share: activations, unit quaternions, rounded numbers."""
+"""Arithmetic that formats share: activations, unit quaternions, rounding."""
 
 import math
 from typing import Final
@@ -12,15 +12,15 @@ SH_C0: Final = 0.5 / math.sqrt(math.pi)
 
 def sigmoid(logit: Float[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
     """Return 1 / (1 + e^-logit)."""
-    with np.errstate(over="ignore"):  # e^inf is inf, and 1 / inf the 0 that it means
+    with np.errstate(over="ignore"):  # e^inf is inf, and 1 / inf is the correct 0
         return np.asarray(1 / (1 + np.exp(-logit.astype(np.float64))), np.float32)
 
 
 def logit(opacity: Float[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
     """Undo ``sigmoid``: 0 becomes -inf and 1 becomes inf."""
-    wide = opacity.astype(np.float64)
+    opacity64 = opacity.astype(np.float64)
     with np.errstate(divide="ignore"):
-        return np.asarray(np.log(wide) - np.log1p(-wide), np.float32)
+        return np.asarray(np.log(opacity64) - np.log1p(-opacity64), np.float32)
 
 
 def log(scale: Float[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
@@ -31,39 +31,41 @@ def log(scale: Float[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
 
 def unit(rotation: Float[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:
     """Return unit quaternions; one of length zero becomes the identity (1, 0, 0, 0)."""
-    wide = rotation.astype(np.float64)
-    wide /= np.maximum(np.abs(wide).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
-    length = np.linalg.norm(wide, axis=1, keepdims=True)
-    turned = np.where(length > 0, wide / np.maximum(length, 0.5), [1.0, 0, 0, 0])
+    rotation64 = rotation.astype(np.float64)
+    rotation64 /= np.maximum(
+        np.abs(rotation64).max(axis=1, keepdims=True), np.finfo(np.float64).tiny
+    )
+    length = np.linalg.norm(rotation64, axis=1, keepdims=True)
+    turned = np.where(length > 0, rotation64 / np.maximum(length, 0.5), [1.0, 0, 0, 0])
     return np.asarray(turned, np.float32)
 
 
 def rounded(
     values: Float[np.ndarray, "..."], low: int, high: int
 ) -> Integer[np.ndarray, "..."]:
-    """Return ``values`` as the nearest whole numbers from ``low`` to ``high``."""
+    """Round ``values`` to the nearest whole numbers from ``low`` to ``high``."""
     return np.asarray(np.clip(np.rint(values), low, high), np.int64)
 
 
 def to_bytes(values: Float[np.ndarray, "..."]) -> UInt8[np.ndarray, "..."]:
-    """Return ``values`` as the nearest bytes."""
+    """Round ``values`` to the nearest bytes."""
     return rounded(values, 0, 255).astype(np.uint8)
 
 
 def from_largest(
-    largest: Integer[np.ndarray, " n"], rest: Float[np.ndarray, "n 3"]
+    largest: Integer[np.ndarray, " n"], smaller: Float[np.ndarray, "n 3"]
 ) -> Float32[np.ndarray, "n 4"]:
-    """Return unit quaternions of which the three components beside the largest are stored.
+    """Rebuild unit quaternions from the three components other than the largest.
 
     Args:
-        largest: The index of the component that is left out, which is positive.
-        rest: The others, in order of their indices.
+        largest: The index of the component that is not stored; it is positive.
+        smaller: The other components, in order of their indices.
     """
     rows = np.arange(len(largest))
     whole = np.empty((len(largest), 4), np.float64)
-    for place in range(3):
-        whole[rows, place + (place >= largest)] = rest[:, place]
-    squares = np.square(rest.astype(np.float64)).sum(axis=1)
+    for index in range(3):
+        whole[rows, index + (index >= largest)] = smaller[:, index]
+    squares = np.square(smaller.astype(np.float64)).sum(axis=1)
     whole[rows, largest] = np.sqrt(np.maximum(1 - squares, 0))
     return whole.astype(np.float32)
 
@@ -75,13 +77,13 @@ def without_largest(
     largest = np.abs(rotation).argmax(axis=1)
     rows = np.arange(len(rotation))
     positive = rotation * np.where(rotation[rows, largest] < 0, -1, 1)[:, None]
-    places = np.arange(3)
-    others = places + (places >= largest[:, None])
-    return largest, np.asarray(np.take_along_axis(positive, others, axis=1), np.float32)
+    indices = np.arange(3)
+    smaller = indices + (indices >= largest[:, None])
+    return largest, np.asarray(np.take_along_axis(positive, smaller, axis=1), np.float32)
 
 
 def rotations(matrices: Float64[np.ndarray, "n 3 3"]) -> Float32[np.ndarray, "n 4"]:
-    """Return unit quaternions (w, x, y, z), each from the component that is safest to divide by.
+    """Return unit quaternions (w, x, y, z), each derived from its largest component.
 
     The four rows below are 4 times the quaternion times one of its components (Shepperd 1978).
     """

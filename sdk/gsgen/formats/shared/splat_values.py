@@ -1,4 +1,4 @@
-"""Refuse splats that cannot be drawn, in the words of the arrays in memory."""
+"""Raises for splats that cannot be drawn; errors name the arrays in memory."""
 
 import math
 
@@ -9,25 +9,26 @@ from gsgen.formats.shared.splats import Splats
 from gsgen.formats.shared.values import require_finite, require_rows
 
 INFINITE = {"logit_opacity": (math.inf, -math.inf), "log_scale": (-math.inf,)}
-"""Infinities with a meaning: opaque, invisible, and flat along an axis."""
+"""The allowed infinities: opaque, invisible, and flat along an axis."""
 
-_ARRAYS = ("position", "rotation", "log_scale", "logit_opacity", "sh")
+ARRAYS = ("position", "rotation", "log_scale", "logit_opacity", "sh")
+"""Names of the arrays of :class:`Splats`."""
 
 
 def require_drawable(splats: Splats) -> None:
-    """Raise ValueInvalid unless there are splats and all can be drawn."""
+    """Raise ValueInvalid if ``splats`` is empty or holds a value that cannot be drawn."""
     require_rows(len(splats), "the scene")
-    for name in _ARRAYS:
+    for name in ARRAYS:
         table = getattr(splats, name).reshape(len(splats), -1)
         labels = [f"{name}[:, {column}]" for column in range(table.shape[1])]
         require_finite(table, labels, INFINITE.get(name, ()))
 
 
 def linear_scale(splats: Splats) -> Float32[np.ndarray, "n 3"]:
-    """Return standard deviations, from which every float32 logarithm can be had back.
+    """Return the standard deviations as float32.
 
     Raises:
-        ValueInvalid: One is too large for a float32.
+        ValueInvalid: A standard deviation is too large for float32.
     """
     with np.errstate(over="ignore"):
         scale = np.exp(splats.log_scale.astype(np.float64)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Splats in memory: what every reader returns and every writer takes."""
+"""The classes of splats, points and packed rows that readers return and writers take."""
 
 import math
 from dataclasses import dataclass
@@ -16,26 +16,26 @@ SH_COUNTS = (1, 4, 9, 16, 25)
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Splats:
-    """Gaussians as training leaves them: nothing activated, nothing normalised.
+    """Gaussians as training stores them: neither activated nor normalised.
 
-    Space is that of a 3DGS PLY file (x right, y down, z forward). The parameters and
+    Coordinates are those of a 3DGS PLY file (x right, y down, z forward). The parameters and
     their activations are those of Kerbl et al. 2023, "3D Gaussian Splatting for
     Real-Time Radiance Field Rendering".
 
     Attributes:
-        position: Centres, in scene units.
-        rotation: Quaternions (w, x, y, z); to be normalised before use.
+        position: The centres, in scene units.
+        rotation: Quaternions (w, x, y, z), not normalised.
         log_scale: Natural logarithms of the standard deviations along the three axes.
         logit_opacity: Opacity before the sigmoid; +inf is opaque, -inf invisible.
         sh: Spherical harmonics, coefficient-major; colour = max(0, 0.5 + Σ Y_k sh_k).
-        antialiased: Trained with the filter of Mip-Splatting (Yu et al. 2023), which takes
-            opacity from what it widens; few formats say so.
-        color_space: Of the colours; few formats say that they are linear.
+        antialiased: Whether training used the filter of Mip-Splatting (Yu et al. 2023), which
+            lowers the opacity of splats that it widens; few formats store this flag.
+        color_space: The colour space of the colours; few formats store it.
 
     Raises:
-        ValueInvalid: An array has another shape or data type.
+        ValueInvalid: An array has a wrong shape or data type.
     """
 
     position: Float32[np.ndarray, "n 3"]
@@ -57,7 +57,7 @@ class Splats:
             raise ValueInvalid(
                 f"{self.sh.shape[1]} SH coefficients",
                 where="sh",
-                expected="1, 4, 9, 16 or 25 of them (degree 0 to 4)",
+                expected="1, 4, 9, 16 or 25 (degree 0 to 4)",
             )
 
     def __len__(self) -> int:
@@ -65,21 +65,21 @@ class Splats:
 
     @property
     def degree(self) -> int:
-        """The SH degree: 0 for plain colour, at most 4."""
+        """The SH degree, from 0 (constant colour) to 4."""
         return math.isqrt(self.sh.shape[1]) - 1
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PointCloud:
-    """Coloured points, such as structure from motion gives.
+    """Coloured points, such as structure from motion returns.
 
     Attributes:
-        position: Points, in scene units.
+        position: The points, in scene units.
         color: Red, green, blue in [0, 1], in the colour space of the file.
 
     Raises:
-        ValueInvalid: An array has another shape or data type.
+        ValueInvalid: An array has a wrong shape or data type.
     """
 
     position: Float32[np.ndarray, "n 3"]
@@ -96,16 +96,16 @@ class PointCloud:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedRows:
-    """One frame as a generator emits it: the two packed tensors of the contract.
+    """One frame of a generator: the two packed tensors of the contract.
 
-    Values, and whether the two data types agree, are for the validator to judge.
+    The validator checks the values, and that both data types agree.
 
     Attributes:
         gaussians: Rows ``x y z opacity xx xy xz yy yz zz``, float16 or float32.
         appearance: SH coefficients or raw colour of each row, float16 or float32.
 
     Raises:
-        ValueInvalid: An array has another shape or data type.
+        ValueInvalid: An array has a wrong shape or data type.
     """
 
     gaussians: Float[np.ndarray, "n 10"]
@@ -123,7 +123,7 @@ class PackedRows:
 def _require(
     name: str, array: object, dtypes: tuple[str, ...], shape: tuple[int | str, ...]
 ) -> None:
-    """Raise ValueInvalid unless ``array`` fits; a name in ``shape`` is any size."""
+    """Raise ValueInvalid unless dtype and shape fit; a name in ``shape`` stands for any size."""
     expected = f"{' or '.join(dtypes)} {_bracketed(shape)}"
     if not isinstance(array, np.ndarray):
         raise ValueInvalid(f"a {type(array).__name__}", where=name, expected=expected)
@@ -131,11 +131,11 @@ def _require(
     fits = (
         array.ndim == len(shape)
         and array.dtype in [np.dtype(dtype) for dtype in dtypes]
-        and all(seen == size or isinstance(size, str) for seen, size in sizes)
+        and all(length == size or isinstance(size, str) for length, size in sizes)
     )
     if not fits:
-        seen = f"{array.dtype} {_bracketed(array.shape)}"
-        raise ValueInvalid(seen, where=name, expected=expected)
+        actual = f"{array.dtype} {_bracketed(array.shape)}"
+        raise ValueInvalid(actual, where=name, expected=expected)
 
 
 def _bracketed(shape: tuple[int | str, ...]) -> str:

@@ -1,4 +1,4 @@
-"""Refuse values that cannot be drawn, and say which, where and how many."""
+"""Raises for values that cannot be drawn, with their column, first row and number."""
 
 from collections.abc import Sequence
 
@@ -9,13 +9,13 @@ from gsgen.formats.shared.errors import ValueInvalid
 
 
 def require_rows(count: int, where: str) -> None:
-    """Raise ValueInvalid if there is nothing to draw."""
+    """Raise ValueInvalid if ``count`` is 0."""
     if count == 0:
         raise ValueInvalid(
             "0 rows",
             where=where,
             expected="at least one",
-            hint="whatever made this may have dropped every point",
+            hint="the program that wrote the file may have dropped every point",
         )
 
 
@@ -24,53 +24,51 @@ def require_finite(
     labels: Sequence[str],
     infinite: Sequence[float] = (),
 ) -> None:
-    """Raise ValueInvalid unless all is finite or one of ``infinite``.
+    """Raise ValueInvalid unless all values are finite or one of ``infinite``.
 
     Args:
         table: The values, a column for each of ``labels``.
-        labels: What to call the columns in the error.
-        infinite: Infinities that mean something here.
+        labels: The names of the columns in the error.
+        infinite: The allowed infinities.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        if np.isfinite(
-            table.sum()
-        ):  # a NaN or an infinity would show: nothing has to be found
+        if np.isfinite(table.sum()):  # a NaN or an infinity would make the sum non-finite
             return
     expected = " or ".join(["a finite number", *(f"{value:+}" for value in infinite)])
     for column, label in zip(table.T, labels, strict=True):
-        _require(meaning_something(column, infinite), column, label, expected)
+        _require(finite_or_allowed(column, infinite), column, label, expected)
 
 
-def meaning_something(
+def finite_or_allowed(
     values: Float32[np.ndarray, "..."], infinite: Sequence[float] = ()
 ) -> Bool[np.ndarray, "..."]:
-    """Return which values are finite or one of ``infinite``."""
-    kept = np.isfinite(values)
+    """Return the mask of the values that are finite or one of ``infinite``."""
+    is_valid = np.isfinite(values)
     for value in infinite:
-        kept |= values == value
-    return np.asarray(kept)
+        is_valid |= values == value
+    return np.asarray(is_valid)
 
 
 def require_colors(table: Float32[np.ndarray, "n 3"], labels: Sequence[str]) -> None:
-    """Raise ValueInvalid unless all lies in [0, 1]; ``labels`` names the columns."""
-    hint = "colours from 0 to 255 have to be stored as bytes (uchar, uint8)"
+    """Raise ValueInvalid unless all values lie in [0, 1]; ``labels`` names the columns."""
+    hint = "store colours from 0 to 255 as bytes (uchar, uint8)"
     for column, label in zip(table.T, labels, strict=True):
         _require((column >= 0) & (column <= 1), column, label, "0 <= value <= 1", hint)
 
 
 def _require(
-    kept: Bool[np.ndarray, " n"],
+    is_valid: Bool[np.ndarray, " n"],
     column: Float32[np.ndarray, " n"],
     label: str,
     expected: str,
     hint: str = "",
 ) -> None:
-    if kept.all():
+    if is_valid.all():
         return
-    first = int(np.argmin(kept))
-    bad = len(kept) - int(np.count_nonzero(kept))
+    first = int(np.argmin(is_valid))
+    invalid_count = len(is_valid) - int(np.count_nonzero(is_valid))
     raise ValueInvalid(
-        f"{bad} of {len(kept)} rows, row {first} is {column[first]:g}",
+        f"{invalid_count} of {len(is_valid)} rows, row {first} is {column[first]:g}",
         where=label,
         expected=expected,
         hint=hint,

@@ -1,4 +1,4 @@
-"""Images of a SOG: unpacked by Pillow, once their size is known to be what is needed."""
+"""Decodes the images of a SOG with Pillow, after a check of their size."""
 
 import warnings
 from io import BytesIO
@@ -6,7 +6,7 @@ from io import BytesIO
 import numpy as np
 from jaxtyping import UInt8
 
-from gsgen.formats.shared.bytes import AGAIN
+from gsgen.formats.shared.bytes import DOWNLOAD_HINT
 from gsgen.formats.shared.errors import (
     ArchiveDamaged,
     FileTruncated,
@@ -18,26 +18,26 @@ Image = UInt8[np.ndarray, "p 4"]
 
 
 def most_pixels(needed: int) -> int:
-    """Return how many pixels an image for ``needed`` values may have: writers round up."""
+    """Return the most pixels of an image for ``needed`` values: writers round sizes up."""
     return 2 * needed + (1 << 16)
 
 
 def decode_image(
     content: bytes, needed: int, where: str, width: int | None = None
 ) -> Image:
-    """Return the first ``needed`` pixels of a WebP image, red, green, blue and alpha.
+    """Return the first ``needed`` pixels of a WebP image as red, green, blue and alpha.
 
     Raises:
-        ArchiveDamaged: It is no WebP image that can be unpacked.
+        ArchiveDamaged: The content is not WebP, or cannot be unpacked.
         NotSupported: Pillow is not installed.
-        FileTruncated: It has too few pixels.
-        HeaderMalformed: It has far too many, or another ``width``.
+        FileTruncated: The image has too few pixels.
+        HeaderMalformed: The image has far too many pixels, or another ``width``.
     """
     try:
         from PIL import Image as pillow  # noqa: N813 -- a module
     except ImportError as error:
         raise NotSupported(
-            "WebP, for which Pillow is not installed",
+            "is a WebP image, and Pillow is not installed",
             where=where,
             hint="pip install 'gsgen[formats]'",
         ) from error
@@ -55,7 +55,7 @@ def decode_image(
             f"an image cannot be unpacked ({type(error).__name__}: {error})",
             where=where,
             expected="lossless WebP",
-            hint=AGAIN,
+            hint=DOWNLOAD_HINT,
         ) from error
     return np.asarray(pixels.reshape(-1, 4)[:needed])
 
@@ -64,9 +64,11 @@ def _require_size(
     size: tuple[int, int], needed: int, where: str, width: int | None
 ) -> None:
     pixels = size[0] * size[1]
-    seen = f"an image of {size[0]} × {size[1]} pixels"
+    message = f"an image of {size[0]} × {size[1]} pixels"
     if pixels < needed:
-        raise FileTruncated(seen, where=where, expected=f"{needed} pixels or more")
+        raise FileTruncated(message, where=where, expected=f"{needed} pixels or more")
     if pixels > most_pixels(needed) or (width is not None and size[0] != width):
-        wide = f", {width} in a row" if width is not None else ""
-        raise HeaderMalformed(seen, where=where, expected=f"about {needed} pixels{wide}")
+        row_note = f", {width} in a row" if width is not None else ""
+        raise HeaderMalformed(
+            message, where=where, expected=f"about {needed} pixels{row_note}"
+        )

@@ -1,4 +1,4 @@
-"""The meta.json of a SOG, each value judged when it is asked for."""
+"""Parses the meta.json of a SOG; values are checked when they are read."""
 
 import json
 import math
@@ -8,12 +8,13 @@ from typing import Any, Final, NoReturn, final
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from gsgen.formats.shared.bytes import MOST_SPLATS
 from gsgen.formats.shared.errors import HeaderMalformed, NotRecognised, NotSupported, shown
 
 META: Final = "meta.json"
-"""The file that says what the images mean."""
+"""The file that describes the images."""
 
-_MOST_SPLATS = 2**31 - 1
+
 _MOST_PALETTE = 1 << 16
 _CODES = 256
 _BANDS = (1, 2, 3)
@@ -22,11 +23,11 @@ _BANDS = (1, 2, 3)
 @final
 @dataclass(frozen=True, slots=True)
 class Meta:
-    """What meta.json says.
+    """The content of a meta.json.
 
     Attributes:
         data: The parsed file.
-        count: How many splats there are.
+        count: The number of splats.
     """
 
     data: dict[str, Any]
@@ -34,12 +35,12 @@ class Meta:
 
     @classmethod
     def parse(cls, content: bytes) -> "Meta":
-        """Read meta.json.
+        """Parse meta.json.
 
         Raises:
-            NotRecognised: It is no JSON object of a SOG.
-            NotSupported: It is of another version, or lists levels of detail.
-            HeaderMalformed: It does not say how many splats there are.
+            NotRecognised: The content is not the JSON object of a SOG.
+            NotSupported: The version is not 2, or the file lists levels of detail.
+            HeaderMalformed: The number of splats is missing or invalid.
         """
         data = _object(content)
         if "lodLevels" in data or "tree" in data:
@@ -47,7 +48,7 @@ class Meta:
                 "a streamed SOG of several levels of detail",
                 where=META,
                 expected="one SOG",
-                hint="read one of the files that it names",
+                hint="read one of the files that it lists",
             )
         if "means" not in data:
             raise NotRecognised(
@@ -56,27 +57,27 @@ class Meta:
         version = data.get("version", 1)
         if version != 2:
             raise NotSupported(f"version {shown(str(version))}", where=META, expected="2")
-        return cls(data, _whole(data.get("count"), f"{META}, count", _MOST_SPLATS))
+        return cls(data, _whole(data.get("count"), f"{META}, count", MOST_SPLATS))
 
     def files(self, group: str, number: int) -> list[str]:
         """Return the names of the images of ``group``."""
-        found = self._list(group, "files", number)
-        if not all(isinstance(name, str) for name in found):
+        names = self._list(group, "files", number)
+        if not all(isinstance(name, str) for name in names):
             self._refuse(group, "files", f"{number} names")
-        return found
+        return names
 
     def triple(self, group: str, key: str) -> Float64[np.ndarray, "3"]:
-        """Return three finite numbers."""
+        """Return the three finite numbers ``key`` of ``group``."""
         return np.asarray(self._numbers(group, key, 3), np.float64)
 
     def codebook(self, group: str) -> Float32[np.ndarray, "256"]:
-        """Return the 256 numbers that the bytes of an image mean."""
-        with np.errstate(over="ignore"):  # as infinity it meets the check of values
+        """Return the codebook of ``group``: the number for each byte of its image."""
+        with np.errstate(over="ignore"):  # the check of values refuses infinity
             numbers = np.array(self._numbers(group, "codebook", _CODES), np.float64)
             return numbers.astype(np.float32)
 
     def palette(self) -> tuple[int, int] | None:
-        """Return the size of the palette of harmonics and their degree, if there are any."""
+        """Return the size of the palette of harmonics and their degree; None without harmonics."""
         if self.data.get("shN") is None:
             return None
         group = self._group("shN")
@@ -87,28 +88,28 @@ class Meta:
         return size, int(bands)
 
     def _group(self, group: str) -> dict[str, Any]:
-        found = self.data.get(group)
-        if not isinstance(found, dict):
+        entry = self.data.get(group)
+        if not isinstance(entry, dict):
             raise HeaderMalformed(f"no {group}", where=META, expected="an object")
-        return found
+        return entry
 
     def _list(self, group: str, key: str, number: int) -> list[Any]:
-        found = self._group(group).get(key)
-        if not isinstance(found, list) or len(found) != number:
+        entries = self._group(group).get(key)
+        if not isinstance(entries, list) or len(entries) != number:
             self._refuse(group, key, f"a list of {number}")
-        return found
+        return entries
 
     def _numbers(self, group: str, key: str, number: int) -> list[float]:
-        found = self._list(group, key, number)
-        for value in found:
+        entries = self._list(group, key, number)
+        for value in entries:
             number_like = isinstance(value, int | float) and not isinstance(value, bool)
             if not (number_like and abs(value) < math.inf):
                 self._refuse(group, key, f"{number} finite numbers")
-        return [float(value) if abs(value) < 1e300 else math.inf for value in found]
+        return [float(value) if abs(value) < 1e300 else math.inf for value in entries]
 
     def _refuse(self, group: str, key: str, expected: str) -> NoReturn:
-        found = shown(str(self._group(group).get(key)))
-        raise HeaderMalformed(found, where=f"{META}, {group}.{key}", expected=expected)
+        actual = shown(str(self._group(group).get(key)))
+        raise HeaderMalformed(actual, where=f"{META}, {group}.{key}", expected=expected)
 
 
 def _object(content: bytes) -> dict[str, Any]:
@@ -116,11 +117,13 @@ def _object(content: bytes) -> dict[str, Any]:
         data = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise NotRecognised(
-            f"no JSON ({error})", where=META, expected="the meta.json of a SOG"
+            f"invalid JSON ({error})", where=META, expected="the meta.json of a SOG"
         ) from error
     if not isinstance(data, dict):
         raise NotRecognised(
-            f"a {type(data).__name__}", where=META, expected="an object, as of a SOG"
+            f"a {type(data).__name__}",
+            where=META,
+            expected="an object, the meta.json of a SOG",
         )
     return data
 

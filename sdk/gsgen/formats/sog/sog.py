@@ -1,4 +1,4 @@
-"""Read SOG files, version 2: splats in lossless WebP images, in a zip archive or beside meta.json.
+"""Reads SOG files, version 2: splats in lossless WebP images, zipped or next to meta.json.
 
 The format is that of PlayCanvas (playcanvas/splat-transform, "SOG"). Pillow reads the images.
 """
@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float32
 
-from gsgen.formats.shared.bytes import AGAIN, MAX_BYTES
+from gsgen.formats.shared.bytes import DOWNLOAD_HINT, MAX_BYTES
 from gsgen.formats.shared.errors import (
     FileTruncated,
     HeaderMalformed,
@@ -22,7 +22,7 @@ from gsgen.formats.shared.errors import (
     shown,
 )
 from gsgen.formats.shared.files import FilePath, naming, opened
-from gsgen.formats.shared.npz_arrays import unpacking
+from gsgen.formats.shared.npz_arrays import ZIP_MAGIC, unpacking
 from gsgen.formats.shared.quantities import from_largest, logit, unit
 from gsgen.formats.shared.splat_values import require_drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
@@ -32,15 +32,15 @@ from gsgen.formats.sog.meta import META, Meta
 __all__ = ["read_sog"]
 
 MAX_META: Final = 1 << 22
-_MOST_PER_BYTE = 1024  # splats in a byte of their positions: more would not be data
-_MOST_INFLATION = 1040  # what deflate can make of a byte
+_MOST_PER_BYTE = 1024  # splats a byte of positions; real data have fewer
+_MOST_INFLATION = 1040  # the most bytes that deflate unpacks from one
 _BYTES_PER_PIXEL = 8  # lossless WebP of noise takes little more than four
-_BYTES_EACH = 236  # of a splat of degree 3 in memory
+_BYTES_EACH = 236  # the memory of a splat of degree 3
 _PALETTE_WIDTH = 64
 _QUATERNION_TAG = 252  # alpha of a quaternion whose largest component is the first
 
 Fetch = Callable[[str, int], bytes]
-"""Gives the content of a file, if it has no more bytes than the second argument."""
+"""Returns the content of a file; raises if it has more bytes than the second argument."""
 
 
 def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
@@ -48,21 +48,21 @@ def read_sog(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
 
     Args:
         path: The file.
-        max_bytes: What an image may unpack to.
+        max_bytes: The limit of the memory of all splats, in bytes.
 
     Raises:
-        FileUnreadable: A file is missing, empty or closed to us.
-        NotRecognised: It is no SOG.
-        NotSupported: It is of another version, or Pillow is not installed.
-        HeaderMalformed: meta.json is no JSON, or does not say what it has to.
-        PropertyMissing: meta.json, or an image that it names, is not there.
+        FileUnreadable: A file is missing or empty, or may not be read.
+        NotRecognised: The file is not a SOG.
+        NotSupported: The version is not 2, or Pillow is not installed.
+        HeaderMalformed: meta.json is not JSON, or a value of it is missing or invalid.
+        PropertyMissing: The archive lacks meta.json, or an image that it names.
         FileTruncated: An image has too few pixels.
         ArchiveDamaged: The archive or an image cannot be unpacked.
-        SizeExceeded: An image would take more than ``max_bytes``.
-        ValueInvalid: There is no splat, or one that cannot be drawn.
+        SizeExceeded: The splats need more than ``max_bytes``.
+        ValueInvalid: The file has no splats, or one that cannot be drawn.
     """
     with naming(path), opened(path) as file, np.errstate(all="ignore"):
-        if file.read(4) != b"PK\x03\x04":
+        if file.read(len(ZIP_MAGIC)) != ZIP_MAGIC:
             return _decode(_beside(path), Path(path).name, max_bytes)
         with unpacking("archive"), zipfile.ZipFile(file) as archive:
             return _decode(_within(archive, Path(path).stat().st_size), META, max_bytes)
@@ -87,7 +87,7 @@ def _beside(path: FilePath) -> Fetch:
     def fetch(name: str, limit: int) -> bytes:
         if Path(name).name != name:
             raise HeaderMalformed(
-                shown(name), where=META, expected="the name of a file beside it"
+                shown(name), where=META, expected="the name of a file in the same folder"
             )
         with opened(folder / name) as file:
             most = min(limit, os.fstat(file.fileno()).st_size)
@@ -99,7 +99,7 @@ def _beside(path: FilePath) -> Fetch:
 def _limited(content: bytes, limit: int, name: str) -> bytes:
     if len(content) > limit:
         raise SizeExceeded(
-            f"more than {limit} bytes", where=f"file {shown(name)}", hint=AGAIN
+            f"more than {limit} bytes", where=f"file {shown(name)}", hint=DOWNLOAD_HINT
         )
     return content
 
@@ -111,7 +111,7 @@ def _decode(fetch: Fetch, name: str, max_bytes: int) -> Splats:
         raise SizeExceeded(
             f"{count} splats of some {_BYTES_EACH} bytes",
             expected=f"{max_bytes} bytes or fewer",
-            hint="if the file can be trusted, read it with a larger max_bytes",
+            hint="if you trust the file, read it with a larger max_bytes",
         )
 
     def fetched(file: str, pixels: int) -> bytes:
@@ -123,8 +123,8 @@ def _decode(fetch: Fetch, name: str, max_bytes: int) -> Splats:
         raise FileTruncated(
             f"{count} splats, whose positions are {packed} bytes",
             where=f"{META}, count",
-            expected=f"{packed * _MOST_PER_BYTE} or fewer, however packed",
-            hint=AGAIN,
+            expected=f"at most {packed * _MOST_PER_BYTE}, with the best compression",
+            hint=DOWNLOAD_HINT,
         )
     low, high = (decode_image(image, count, "means") for image in means)
 
@@ -153,27 +153,29 @@ def _positions(meta: Meta, low: Image, high: Image) -> Float32[np.ndarray, "n 3"
 
 
 def _rotations(image: Image) -> Float32[np.ndarray, "n 4"]:
-    """Return quaternions; where the tag is none, the identity."""
+    """Decode quaternions; an invalid tag gives the identity."""
     tag = image[:, 3].astype(np.int64) - _QUATERNION_TAG
-    rest = (image[:, :3] / 127.5 - 1) * math.sqrt(0.5)
-    made = unit(from_largest(np.maximum(tag, 0), rest))
-    made[tag < 0] = (1, 0, 0, 0)
-    return made
+    smaller = (image[:, :3] / 127.5 - 1) * math.sqrt(0.5)
+    rotation = unit(from_largest(np.maximum(tag, 0), smaller))
+    rotation[tag < 0] = (1, 0, 0, 0)
+    return rotation
 
 
 def _higher(
     meta: Meta, fetched: Callable[[str, int], bytes]
 ) -> Float32[np.ndarray, "n k 3"]:
-    """Return the harmonics above degree 0: each splat has one of a palette."""
+    """Return the harmonics above degree 0, which each splat takes from a palette."""
     palette = meta.palette()
     if palette is None:
         return np.empty((meta.count, 0, 3), np.float32)
     size, degree = palette
-    rest = SH_COUNTS[degree] - 1
+    higher_count = SH_COUNTS[degree] - 1
     centroids, labels = meta.files("shN", 2)
     height = -(-size // _PALETTE_WIDTH)
-    pixels = _PALETTE_WIDTH * rest * height
-    image = decode_image(fetched(centroids, pixels), pixels, "shN", _PALETTE_WIDTH * rest)
+    pixels = _PALETTE_WIDTH * higher_count * height
+    image = decode_image(
+        fetched(centroids, pixels), pixels, "shN", _PALETTE_WIDTH * higher_count
+    )
     indices = decode_image(fetched(labels, meta.count), meta.count, "shN")
     label = indices[:, 0] | indices[:, 1].astype(np.int64) << 8
     if (label >= size).any():
@@ -181,5 +183,5 @@ def _higher(
             f"label {int(label.max())}", where="shN", expected=f"0 to {size - 1}"
         )
     # Row y of the image holds palette entries 64 y to 64 y + 63, one after the other.
-    entries = image[:, :3].reshape(height * _PALETTE_WIDTH, rest, 3)
+    entries = image[:, :3].reshape(height * _PALETTE_WIDTH, higher_count, 3)
     return np.asarray(meta.codebook("shN")[entries[label]])

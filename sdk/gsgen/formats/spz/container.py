@@ -1,7 +1,7 @@
-"""The frame of an SPZ file: its header, and the attributes in gzip or in zstd.
+"""Packs and unpacks SPZ files: the header, and the attributes in gzip or in zstd.
 
-The format is that of nianticlabs/spz. Nothing is unpacked beyond what the header's count asks
-for, and that count has to be possible in a file of this size.
+The format is that of nianticlabs/spz. The count of the header limits the unpacked bytes, and the
+size of the file limits the count.
 """
 
 import struct
@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from gsgen.formats.shared.axes import RDF_RUB, Signs
-from gsgen.formats.shared.bytes import AGAIN, Data, require_room, take
+from gsgen.formats.shared.bytes import DOWNLOAD_HINT, MOST_SPLATS, Data, require_room, take
 from gsgen.formats.shared.errors import (
     ArchiveDamaged,
     FileTruncated,
@@ -32,14 +32,14 @@ from gsgen.formats.spz.streams import NAMES, sizes
 MAGIC: Final = b"NGSP"
 GZIP: Final = b"\x1f\x8b"
 LAST_GZIP, LAST = 3, 4
-"""The last version in gzip, and the last of all."""
+"""The last version in gzip, and the last version."""
 
 _ANTIALIASED, _EXTENDED = 1, 2
 _HEADER, _LONG_HEADER = struct.Struct("<4sIIBBBx"), struct.Struct("<4sIIBBBBI12x")
 _TOC_ENTRY = struct.Struct("<QQ")
 _RECORD = struct.Struct("<II")
 _MOST_PER_NINE_BYTES = 1024
-_MOST_SPLATS = 2**31 - 1
+
 _MOST_DEGREE, _MOST_FRACTION = 4, 24
 _MOST_EXTENSIONS = 1 << 20
 _CHUNK = 1 << 20
@@ -49,12 +49,12 @@ Streams = dict[str, UInt8[np.ndarray, " b"]]
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
-    """What the header of an SPZ file says, and the attributes behind it.
+    """The header of an SPZ file, and its attributes.
 
     Attributes:
-        signs: What turns the axes of the file into those of a PLY file, and back.
+        signs: The factors between the axes of the file and those of a PLY file.
     """
 
     version: int
@@ -67,21 +67,23 @@ class Frame:
 
 
 def unpack(data: Data, max_bytes: int) -> Frame:
-    """Return what the SPZ file ``data`` holds.
+    """Unpack the SPZ file ``data``.
 
     Raises:
-        NotRecognised: It is no SPZ file.
-        NotSupported: It is of a later version, or in a space whose axes are swapped.
+        NotRecognised: The data are not an SPZ file.
+        NotSupported: The version is later than 4, or the axes are swapped.
         HeaderMalformed: The header contradicts itself or the size of the file.
         FileTruncated: The data ends early.
         ArchiveDamaged: The data cannot be unpacked.
-        SizeExceeded: The attributes would take more than ``max_bytes``.
+        SizeExceeded: The attributes need more than ``max_bytes``.
     """
     if data[:2] == GZIP:
         return _unpack_gzip(data, max_bytes)
     require_room(data, 0, _HEADER.size, "header")
     version = _HEADER.unpack_from(data)[1]
-    if data[:4] == MAGIC and version <= LAST_GZIP:  # as it is inside of the gzip
+    if (
+        data[:4] == MAGIC and version <= LAST_GZIP
+    ):  # the content of the gzip stream, not compressed
         return _unpack_plain(iter([bytes(data)]), len(data), max_bytes)
     return _unpack_zstd(data, max_bytes)
 
@@ -91,30 +93,30 @@ def _unpack_gzip(data: Data, max_bytes: int) -> Frame:
 
 
 def _inflated(data: Data) -> Iterator[bytes]:
-    """Yield what the gzip file ``data`` unpacks to, piece by piece."""
+    """Yield the unpacked bytes of the gzip file ``data``, piece by piece."""
     unpacker = zlib.decompressobj(wbits=31)
     try:
-        for at in range(0, len(data), _CHUNK):
-            piece = data[at : at + _CHUNK]
-            made = b"more"
-            while not unpacker.eof and (piece or made):
-                made = unpacker.decompress(piece, _CHUNK)
+        for start in range(0, len(data), _CHUNK):
+            piece = data[start : start + _CHUNK]
+            output = b"more"
+            while not unpacker.eof and (piece or output):
+                output = unpacker.decompress(piece, _CHUNK)
                 piece = unpacker.unconsumed_tail
-                yield made
+                yield output
     except zlib.error as error:
         raise ArchiveDamaged(
-            f"cannot be unpacked ({error})", where="gzip stream", hint=AGAIN
+            f"cannot be unpacked ({error})", where="gzip stream", hint=DOWNLOAD_HINT
         ) from error
     if not unpacker.eof:
         raise FileTruncated(
             f"the gzip stream does not end within {len(data)} bytes",
             where="gzip stream",
-            hint=AGAIN,
+            hint=DOWNLOAD_HINT,
         )
 
 
 def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
-    """Read the header and the attributes of version 1 to 3 as they come."""
+    """Read the header and the attributes of versions 1 to 3 from unpacked pieces."""
     body = bytearray()
     _fill(body, pieces, _HEADER.size)
     require_room(body, 0, _HEADER.size, "header, unpacked")
@@ -127,7 +129,7 @@ def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
     parts = sizes(version, count, degree)
     end = _HEADER.size + sum(parts.values())
     _require_memory(end, max_bytes)
-    # One more byte than needed, so that one too many is seen.
+    # One more byte than needed, which reveals excess data.
     _fill(body, pieces, end + (_MOST_EXTENSIONS if flags & _EXTENDED else 1))
     require_room(body, _HEADER.size, end - _HEADER.size, f"{count} splats, unpacked")
     extra = body[end:]
@@ -136,15 +138,23 @@ def _unpack_plain(pieces: Iterator[bytes], size: int, max_bytes: int) -> Frame:
             f"more than the {end} bytes of {count} splats of degree {degree}",
             where="unpacked data",
             expected=f"{end} bytes",
-            hint=AGAIN,
+            hint=DOWNLOAD_HINT,
         )
     signs = _extensions(bytes(extra)) if flags & _EXTENDED else RDF_RUB
-    streams, at = {}, _HEADER.size
+    streams, offset = {}, _HEADER.size
     for name, length in parts.items():
-        streams[name] = take(body, np.uint8, (length,), at, name)
-        at += length
+        streams[name] = take(body, np.uint8, (length,), offset, name)
+        offset += length
     aliased = bool(flags & _ANTIALIASED)
-    return Frame(version, count, degree, fraction, aliased, streams, signs)
+    return Frame(
+        version=version,
+        count=count,
+        degree=degree,
+        fractional_bits=fraction,
+        antialiased=aliased,
+        streams=streams,
+        signs=signs,
+    )
 
 
 def _fill(body: bytearray, pieces: Iterator[bytes], length: int) -> None:
@@ -157,23 +167,25 @@ def _fill(body: bytearray, pieces: Iterator[bytes], length: int) -> None:
 def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
     require_room(data, 0, _LONG_HEADER.size, "header")
     fields = _LONG_HEADER.unpack_from(data)
-    magic, version, count, degree, fraction, flags, found, toc = fields
+    magic, version, count, degree, fraction, flags, stream_count, toc = fields
     _require_header(magic, version, count, degree, fraction, len(data))
     parts = {name: size for name, size in sizes(version, count, degree).items() if size}
     _require_memory(sum(parts.values()), max_bytes)
-    if found != len(parts):
+    if stream_count != len(parts):
         raise HeaderMalformed(
-            f"{found} streams", where="byte 15", expected=f"{len(parts)}, one an attribute"
+            f"{stream_count} streams",
+            where="byte 15",
+            expected=f"{len(parts)}, one for each attribute",
         )
     if toc < _LONG_HEADER.size:
         raise HeaderMalformed(
             f"table of contents at byte {toc}", where="byte 16", expected="32 or more"
         )
-    require_room(data, toc, found * _TOC_ENTRY.size, "table of contents")
+    require_room(data, toc, stream_count * _TOC_ENTRY.size, "table of contents")
     signs = (
         _extensions(bytes(data[_LONG_HEADER.size : toc])) if flags & _EXTENDED else RDF_RUB
     )
-    streams, at = {}, toc + found * _TOC_ENTRY.size
+    streams, offset = {}, toc + stream_count * _TOC_ENTRY.size
     for index, (name, size) in enumerate(parts.items()):
         entry = toc + index * _TOC_ENTRY.size
         packed, unpacked = _TOC_ENTRY.unpack_from(data, entry)
@@ -181,19 +193,29 @@ def _unpack_zstd(data: Data, max_bytes: int) -> Frame:
             raise HeaderMalformed(
                 f"{name} of {unpacked} bytes", where=f"byte {entry + 8}", expected=f"{size}"
             )
-        require_room(data, at, packed, f"stream {name}")
+        require_room(data, offset, packed, f"stream {name}")
         content = zstd.unpack(
-            bytes(data[at : at + packed]), size, f"stream {name}, byte {at}"
+            bytes(data[offset : offset + packed]), size, f"stream {name}, byte {offset}"
         )
         streams[name] = np.frombuffer(content, np.uint8)
-        at += packed
-    if at != len(data):
+        offset += packed
+    if offset != len(data):
         raise HeaderMalformed(
-            f"{len(data)} bytes", where="file", expected=f"{at}, where the last stream ends"
+            f"{len(data)} bytes",
+            where="file",
+            expected=f"{offset}, the end of the last stream",
         )
     streams = {name: streams.get(name, np.empty(0, np.uint8)) for name in NAMES}
     aliased = bool(flags & _ANTIALIASED)
-    return Frame(version, count, degree, fraction, aliased, streams, signs)
+    return Frame(
+        version=version,
+        count=count,
+        degree=degree,
+        fractional_bits=fraction,
+        antialiased=aliased,
+        streams=streams,
+        signs=signs,
+    )
 
 
 def _require_header(
@@ -201,7 +223,9 @@ def _require_header(
 ) -> None:
     if magic != MAGIC:
         raise NotRecognised(
-            magic.hex(" "), where="first bytes", expected="4e 47 53 50 (NGSP), as of SPZ"
+            magic.hex(" "),
+            where="first bytes",
+            expected="4e 47 53 50 (NGSP), the start of an SPZ",
         )
     if not 1 <= version <= LAST:
         raise NotSupported(f"version {version}", where="byte 4", expected="1, 2, 3 or 4")
@@ -217,13 +241,13 @@ def _require_header(
 
 
 def require_count(count: int, size: int) -> None:
-    """Raise FileTruncated if a file of ``size`` bytes cannot hold as many splats."""
-    if count > min(_MOST_SPLATS, size * _MOST_PER_NINE_BYTES // 9):
+    """Raise FileTruncated if a file of ``size`` bytes cannot hold ``count`` splats."""
+    if count > min(MOST_SPLATS, size * _MOST_PER_NINE_BYTES // 9):
         raise FileTruncated(
             f"{count} splats in a file of {size} bytes",
             where="byte 8",
-            expected=f"{size * _MOST_PER_NINE_BYTES // 9} or fewer, however packed",
-            hint=AGAIN,
+            expected=f"at most {size * _MOST_PER_NINE_BYTES // 9}, with the best compression",
+            hint=DOWNLOAD_HINT,
         )
 
 
@@ -232,43 +256,43 @@ def _require_memory(needed: int, max_bytes: int) -> None:
         raise SizeExceeded(
             f"unpacks to {needed} bytes",
             expected=f"{max_bytes} bytes or fewer",
-            hint="if the file can be trusted, read it with a larger max_bytes",
+            hint="if you trust the file, read it with a larger max_bytes",
         )
 
 
 def _extensions(zone: bytes) -> Signs:
-    """Return the signs of the axes that the records in ``zone`` declare; warn of unknown ones."""
-    signs, at = RDF_RUB, 0
-    while at < len(zone):
-        require_room(zone, at, _RECORD.size, "extension record")
-        kind, length = _RECORD.unpack_from(zone, at)
-        at += _RECORD.size
-        require_room(zone, at, length, f"extension {kind:#x}")
+    """Return the axis signs that the records in ``zone`` declare; warn about unknown records."""
+    signs, offset = RDF_RUB, 0
+    while offset < len(zone):
+        require_room(zone, offset, _RECORD.size, "extension record")
+        kind, length = _RECORD.unpack_from(zone, offset)
+        offset += _RECORD.size
+        require_room(zone, offset, length, f"extension {kind:#x}")
         if kind == _COORDINATES:
-            signs = _declared_signs(zone[at : at + length])
+            signs = _declared_signs(zone[offset : offset + length])
         elif kind != _CAMERA:
-            text = f"extension {kind:#x} is passed over: what it changes is not known"
+            text = f"extension {kind:#x} is unknown and ignored"
             warnings.warn(text, FormatWarning, stacklevel=2)
-        at += length
+        offset += length
     return signs
 
 
 def _declared_signs(payload: bytes) -> Signs:
-    """Return the signs that turn a named system of the standard family into that of PLY."""
+    """Return the signs between a declared coordinate system and that of PLY."""
     code = int.from_bytes(payload, "little")
     if not 1 <= code <= 8:
         raise NotSupported(
             f"coordinate system {code}",
             where="extension SPZ_ADOBE_coordinate_system",
             expected="1 to 8, whose axes are not swapped",
-            hint="save it again in RUB, which every reader understands",
+            hint="save it in RUB, which every reader understands",
         )
     right, up, forward = code - 1 & 1, code - 1 & 2, code - 1 & 4
     return (1 if right else -1, -1 if up else 1, 1 if forward else -1)
 
 
 def pack(frame: Frame, content: Mapping[str, bytes]) -> bytes:
-    """Return the file of ``frame`` whose attributes are ``content``."""
+    """Return the bytes of an SPZ file with the header of ``frame`` and the attributes ``content``."""
     flags = _ANTIALIASED if frame.antialiased else 0
     common = (MAGIC, frame.version, frame.count, frame.degree, frame.fractional_bits, flags)
     if frame.version <= LAST_GZIP:

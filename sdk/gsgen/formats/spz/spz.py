@@ -1,4 +1,4 @@
-"""Read and write SPZ files, versions 1 to 4: a tenth of the size of a PLY file, rounded.
+"""Reads and writes SPZ files, versions 1 to 4: a tenth of the size of a PLY file, rounded.
 
 The format is that of nianticlabs/spz.
 """
@@ -19,11 +19,11 @@ from gsgen.formats.spz import streams as streams
 __all__ = ["FRACTIONAL_BITS", "SH_BITS", "VERSION", "read_spz", "write_spz"]
 
 VERSION = 3
-"""What is written unless asked otherwise: version 4 needs zstd, and few viewers read it."""
+"""The default version of written files: version 4 needs zstd, and few viewers read it."""
 FRACTIONAL_BITS = 12
-"""Of coordinates, which reach to 2048 units in steps of 1/4096; fewer where that is too short."""
+"""The bits after the binary point of coordinates up to 2048 units; larger scenes get fewer."""
 SH_BITS = (5, 4)
-"""How many of eight bits of the harmonics are kept: of degree 1, and above."""
+"""The kept bits of eight for harmonics of degree 1, and of higher degrees."""
 
 _LARGEST_HALF = 65504.0
 
@@ -31,22 +31,22 @@ _LARGEST_HALF = 65504.0
 def read_spz(path: FilePath, *, max_bytes: int = MAX_BYTES) -> Splats:
     """Read the SPZ file at ``path``, of version 1, 2, 3 or 4.
 
-    Axes are turned from x right, y up, z back, or what the file declares, to those of a PLY.
+    Axes are converted from x right, y up, z back, or from the declared system, to those of a PLY.
 
     Args:
         path: The file.
-        max_bytes: What the attributes may unpack to.
+        max_bytes: The limit of the unpacked attributes, in bytes.
 
     Raises:
-        FileUnreadable: The file is missing, empty or closed to us.
-        NotRecognised: It is no SPZ file.
-        NotSupported: It is of a later version, in a space with swapped axes, or in zstd
-            where the package zstandard is missing.
+        FileUnreadable: The file is missing or empty, or may not be read.
+        NotRecognised: The file is not an SPZ file.
+        NotSupported: The version is later than 4, the axes are swapped, or the package
+            zstandard is needed and missing.
         HeaderMalformed: The header contradicts itself or the size of the file.
         FileTruncated: The file ends early.
         ArchiveDamaged: The data cannot be unpacked.
-        SizeExceeded: The attributes would take more than ``max_bytes``.
-        ValueInvalid: There is no splat, or one that cannot be drawn.
+        SizeExceeded: The attributes need more than ``max_bytes``.
+        ValueInvalid: The file has no splats, or one that cannot be drawn.
     """
     with contents(path) as data:
         return decode_spz(data, max_bytes)
@@ -67,15 +67,15 @@ def decode_spz(data: Data, max_bytes: int = MAX_BYTES) -> Splats:
 
 
 def _turned(splats: Splats, signs: Signs) -> Splats:
-    """Return ``splats`` with other axes, as the code of nianticlabs/spz turns them.
+    """Convert the axes of ``splats`` as the code of nianticlabs/spz does.
 
-    It takes the harmonic of degree 4 and order 4, x⁴ − 6x²y² + y⁴, for odd in y. It is even;
-    but the files that there are were written like this, and are read like this elsewhere.
+    That code treats the harmonic of degree 4 and order 4, x⁴ − 6x²y² + y⁴, as odd in y. It is
+    even, but existing files are written and read like this.
     """
-    made = flip(splats, signs)
-    if made.degree == 4 and signs[1] < 0:
-        made.sh[:, -1] *= -1
-    return made
+    turned = flip(splats, signs)
+    if turned.degree == 4 and signs[1] < 0:
+        turned.sh[:, -1] *= -1
+    return turned
 
 
 def write_spz(
@@ -87,25 +87,25 @@ def write_spz(
 ) -> None:
     """Write ``splats`` to ``path`` as an SPZ file.
 
-    What comes back is within half a step: positions 1/4096 (or twice that for every doubling
+    The error is at most half a step. Steps are: positions 1/4096 (or twice that for every doubling
     of a scene beyond 2048 units; float16 in version 1), opacity and colour 1/255 of their
     range, the colour coefficient 1/38, log scale 1/16 from -10 to 5.9, quaternions 1/723
-    (1/127.5 up to version 2), harmonics 1/16 and 1/8 from -1 to 1. What lies outside of a
-    range is cut. The file appears whole or not at all.
+    (1/127.5 up to version 2), harmonics 1/16 and 1/8 from -1 to 1. Values outside of a
+    range are clipped. The file is written completely or not at all.
 
     Args:
-        path: Where to; a file that is there is replaced.
-        splats: What to write.
-        version: 1 to 4; 4 needs the package zstandard.
-        sh_bits: How many of eight bits are kept of harmonics of degree 1 and above it.
+        path: The output path; an existing file is replaced.
+        splats: The splats.
+        version: The version, 1 to 4; 4 needs the package zstandard.
+        sh_bits: The kept bits of eight for harmonics of degree 1, and of higher degrees.
 
     Raises:
-        ValueInvalid: ``splats`` is empty, holds values that cannot be drawn or is larger
-            than the format can hold, or there is no such version or number of bits.
-        FileTruncated: All splats are alike, so that zstd makes a file of which readers would
-            say that it cannot hold as many; version 3 can be.
+        ValueInvalid: ``splats`` is empty, holds values that cannot be drawn or exceeds
+            the range of the format, or ``version`` or ``sh_bits`` is invalid.
+        FileTruncated: All splats are equal, so that zstd packs them into fewer bytes than
+            readers accept for their count; version 3 works.
         NotSupported: The package zstandard is needed and missing.
-        FileUnwritable: The file could not be written or put in place.
+        FileUnwritable: The file cannot be written at ``path``.
     """
     with naming(path):
         _require_options(version, sh_bits)
@@ -118,7 +118,12 @@ def write_spz(
             sh_bits=sh_bits,
         )
         frame = container.Frame(
-            version, len(splats), splats.degree, fraction, splats.antialiased, {}
+            version=version,
+            count=len(splats),
+            degree=splats.degree,
+            fractional_bits=fraction,
+            antialiased=splats.antialiased,
+            streams={},
         )
         packed = container.pack(frame, content)
         container.require_count(len(splats), len(packed))
@@ -127,7 +132,7 @@ def write_spz(
 
 
 def _fractional_bits(splats: Splats, version: int) -> int:
-    """Return the finest steps, at most 1/4096, with which all coordinates fit."""
+    """Return the most fractional bits, at most 12, with which all coordinates fit."""
     reach = float(np.abs(splats.position).max())
     half = version <= streams.HALF_POSITIONS
     limit = _LARGEST_HALF if half else float(streams.COORDINATE_LIMIT)
@@ -135,7 +140,7 @@ def _fractional_bits(splats: Splats, version: int) -> int:
         raise ValueInvalid(
             f"a coordinate of {reach:g}",
             where="position",
-            expected=f"{limit:g} or less, to be an SPZ file of version {version}",
+            expected=f"at most {limit:g} in an SPZ file of version {version}",
             hint="scale the scene down, or write another format",
         )
     spare = int(math.log2(streams.COORDINATE_LIMIT / max(reach, 1)))

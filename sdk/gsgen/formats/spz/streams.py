@@ -1,4 +1,4 @@
-"""The six attributes of an SPZ file as bytes: how each number is rounded, and had back.
+"""Encodes and decodes the six attributes of an SPZ file.
 
 The format is that of nianticlabs/spz, in the file's own space (x right, y up, z back).
 """
@@ -23,9 +23,9 @@ from gsgen.formats.shared.splats import SH_COUNTS, Splats
 NAMES: Final = ("positions", "alphas", "colors", "scales", "rotations", "sh")
 """The attributes in the order of the file."""
 HALF_POSITIONS, BYTE_ROTATIONS = 1, 2
-"""The last versions with positions of three float16, and with rotations of three bytes."""
+"""The last version with float16 positions, and the last one with rotations of three bytes."""
 COORDINATE_LIMIT: Final = (1 << 23) - 1
-"""The largest 24-bit number that a coordinate can be."""
+"""The largest 24-bit coordinate."""
 
 _COLOR_SCALE = 0.15
 _MAGNITUDE = 511
@@ -33,8 +33,8 @@ _ROOT_HALF = float(np.sqrt(0.5))
 
 
 def sizes(version: int, count: int, degree: int) -> dict[str, int]:
-    """Return how many bytes each attribute of ``count`` splats takes."""
-    each = (
+    """Return the bytes of each attribute of ``count`` splats."""
+    widths = (
         6 if version <= HALF_POSITIONS else 9,
         1,
         3,
@@ -42,7 +42,7 @@ def sizes(version: int, count: int, degree: int) -> dict[str, int]:
         3 if version <= BYTE_ROTATIONS else 4,
         3 * (SH_COUNTS[degree] - 1),
     )
-    return {name: count * size for name, size in zip(NAMES, each, strict=True)}
+    return {name: count * size for name, size in zip(NAMES, widths, strict=True)}
 
 
 def decode(
@@ -53,15 +53,17 @@ def decode(
     fractional_bits: int,
     antialiased: bool,
 ) -> Splats:
-    """Return the splats that ``streams`` hold, in the space of the file."""
+    """Return the splats of ``streams``, in the axes of the file."""
     count = len(streams["alphas"])
     colors = streams["colors"].reshape(count, 1, 3) / np.float32(255)
     higher = streams["sh"].reshape(count, SH_COUNTS[degree] - 1, 3).astype(np.float32)
     sh = np.concatenate([(colors - 0.5) / _COLOR_SCALE, (higher - 128) / 128], axis=1)
-    turned = _turned_bytes if version <= BYTE_ROTATIONS else _turned_words
+    decode_rotations = (
+        _decode_byte_rotations if version <= BYTE_ROTATIONS else _decode_word_rotations
+    )
     return Splats(
-        position=_placed(streams["positions"], count, version, fractional_bits),
-        rotation=turned(streams["rotations"]),
+        position=_decode_positions(streams["positions"], count, version, fractional_bits),
+        rotation=decode_rotations(streams["rotations"]),
         log_scale=streams["scales"].reshape(count, 3) / np.float32(16) - np.float32(10),
         logit_opacity=logit(streams["alphas"] / np.float32(255)),
         sh=sh.astype(np.float32),
@@ -69,7 +71,7 @@ def decode(
     )
 
 
-def _placed(
+def _decode_positions(
     stream: UInt8[np.ndarray, " b"], count: int, version: int, fractional_bits: int
 ) -> Float32[np.ndarray, "n 3"]:
     if version <= HALF_POSITIONS:
@@ -80,47 +82,51 @@ def _placed(
     return np.ldexp(signed.astype(np.float32), -fractional_bits)
 
 
-def _turned_bytes(stream: UInt8[np.ndarray, " b"]) -> Float32[np.ndarray, "n 4"]:
+def _decode_byte_rotations(stream: UInt8[np.ndarray, " b"]) -> Float32[np.ndarray, "n 4"]:
     xyz = stream.reshape(-1, 3) / np.float64(127.5) - 1
     w = np.sqrt(np.maximum(1 - np.square(xyz).sum(axis=1), 0))
     return unit(np.column_stack([w, xyz]))
 
 
-def _turned_words(stream: UInt8[np.ndarray, " b"]) -> Float32[np.ndarray, "n 4"]:
+def _decode_word_rotations(stream: UInt8[np.ndarray, " b"]) -> Float32[np.ndarray, "n 4"]:
     words = stream.view("<u4")
-    rest = np.empty((len(words), 3))
-    for place in range(3):  # the last of the three is the lowest
-        field = words >> np.uint32(10 * (2 - place)) & 0x3FF
+    smaller = np.empty((len(words), 3))
+    for index in range(3):  # the last of the three has the lowest bits
+        field = words >> np.uint32(10 * (2 - index)) & 0x3FF
         size = (field & 0x1FF) / _MAGNITUDE * _ROOT_HALF
-        rest[:, place] = np.where(field & 0x200, -size, size)
-    xyzw = from_largest((words >> 30).astype(np.int64), rest)
+        smaller[:, index] = np.where(field & 0x200, -size, size)
+    xyzw = from_largest((words >> 30).astype(np.int64), smaller)
     return unit(xyzw[:, [3, 0, 1, 2]])
 
 
 def encode(
     splats: Splats, *, version: int, fractional_bits: int, sh_bits: Sequence[int]
 ) -> dict[str, bytes]:
-    """Return the attributes of ``splats``, which are in the space of the file.
+    """Return the encoded attributes of ``splats``.
 
     Args:
-        splats: What to write.
-        version: Of the format, 1 to 4.
-        fractional_bits: Of the coordinates.
-        sh_bits: How many of eight bits are kept of harmonics of degree 1, and above it.
+        splats: The splats, in the axes of the file.
+        version: The version of the format, 1 to 4.
+        fractional_bits: The bits after the binary point of coordinates.
+        sh_bits: The kept bits of eight for harmonics of degree 1, and of higher degrees.
     """
-    log_scale = np.maximum(splats.log_scale, np.float32(-10))  # -inf, too, is the smallest
-    turned = _word_rotations if version > BYTE_ROTATIONS else _byte_rotations
+    log_scale = np.maximum(
+        splats.log_scale, np.float32(-10)
+    )  # -inf becomes the smallest too
+    encode_rotations = (
+        _encode_word_rotations if version > BYTE_ROTATIONS else _encode_byte_rotations
+    )
     return {
-        "positions": _positions(splats.position, version, fractional_bits),
+        "positions": _encode_positions(splats.position, version, fractional_bits),
         "alphas": to_bytes(sigmoid(splats.logit_opacity) * 255).tobytes(),
         "colors": to_bytes((splats.sh[:, 0] * _COLOR_SCALE + 0.5) * 255).tobytes(),
         "scales": to_bytes((log_scale + 10) * 16).tobytes(),
-        "rotations": turned(unit(splats.rotation)),
-        "sh": _harmonics(splats.sh[:, 1:], sh_bits).tobytes(),
+        "rotations": encode_rotations(unit(splats.rotation)),
+        "sh": _encode_harmonics(splats.sh[:, 1:], sh_bits).tobytes(),
     }
 
 
-def _positions(
+def _encode_positions(
     position: Float32[np.ndarray, "n 3"], version: int, fractional_bits: int
 ) -> bytes:
     if version <= HALF_POSITIONS:
@@ -130,27 +136,27 @@ def _positions(
     return whole.view(np.uint8).reshape(-1, 3, 4)[..., :3].tobytes()
 
 
-def _byte_rotations(rotation: Float32[np.ndarray, "n 4"]) -> bytes:
+def _encode_byte_rotations(rotation: Float32[np.ndarray, "n 4"]) -> bytes:
     signed = rotation[:, 1:] * np.where(rotation[:, :1] < 0, -1, 1)
     return to_bytes(signed * 127.5 + 127.5).tobytes()
 
 
-def _word_rotations(rotation: Float32[np.ndarray, "n 4"]) -> bytes:
-    largest, rest = without_largest(rotation[:, [1, 2, 3, 0]])
-    sizes = rounded(np.abs(rest) / _ROOT_HALF * _MAGNITUDE, 0, _MAGNITUDE)
-    fields = np.where(rest < 0, 0x200, 0) | sizes
+def _encode_word_rotations(rotation: Float32[np.ndarray, "n 4"]) -> bytes:
+    largest, smaller = without_largest(rotation[:, [1, 2, 3, 0]])
+    sizes = rounded(np.abs(smaller) / _ROOT_HALF * _MAGNITUDE, 0, _MAGNITUDE)
+    fields = np.where(smaller < 0, 0x200, 0) | sizes
     words = largest << 30 | fields[:, 0] << 20 | fields[:, 1] << 10 | fields[:, 2]
     return bytes(words.astype("<u4").tobytes())
 
 
-def _harmonics(
+def _encode_harmonics(
     sh: Float[np.ndarray, "n k 3"], sh_bits: Sequence[int]
 ) -> UInt8[np.ndarray, "n k 3"]:
-    """Round to the middles of buckets whose width is a power of two, so that it compresses."""
+    """Round to the centres of buckets whose width is a power of two, which compresses well."""
     first = SH_COUNTS[1] - 1
-    made = np.empty(sh.shape, np.uint8)
+    codes = np.empty(sh.shape, np.uint8)
     for part, bits in ((slice(first), sh_bits[0]), (slice(first, None), sh_bits[1])):
         width = 1 << (8 - bits)
         steps = np.rint(sh[:, part] * 128.0 + 128) + width // 2
-        made[:, part] = np.clip(np.floor(steps / width) * width, 0, 255)
-    return made
+        codes[:, part] = np.clip(np.floor(steps / width) * width, 0, 255)
+    return codes

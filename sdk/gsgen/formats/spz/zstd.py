@@ -1,8 +1,8 @@
-"""Zstandard, which Python before 3.14 lacks: through the package ``zstandard``, if it is there."""
+"""Packs and unpacks zstd with the package ``zstandard``; Python before 3.14 lacks it."""
 
 from typing import Any
 
-from gsgen.formats.shared.bytes import AGAIN
+from gsgen.formats.shared.bytes import DOWNLOAD_HINT
 from gsgen.formats.shared.errors import ArchiveDamaged, NotSupported
 
 _CHUNK = 1 << 20
@@ -14,45 +14,48 @@ def _package() -> Any:
         import zstandard
     except ImportError as error:
         raise NotSupported(
-            "zstd, for which the package zstandard is not installed",
+            "is packed with zstd, and the package zstandard is not installed",
             hint="pip install 'gsgen[formats]'",
         ) from error
     return zstandard
 
 
 def unpack(data: bytes, size: int, where: str) -> bytearray:
-    """Return the ``size`` bytes that ``data`` unpacks to; no more are ever held.
+    """Unpack ``data`` to ``size`` bytes, with a bounded use of memory.
 
     Raises:
-        ArchiveDamaged: It cannot be unpacked, or to another size.
-        NotSupported: The package is missing.
+        ArchiveDamaged: The data cannot be unpacked, or have another size.
+        NotSupported: The package zstandard is missing.
     """
     zstandard = _package()
-    made = bytearray()
+    content = bytearray()
     try:
         unpacker = zstandard.ZstdDecompressor(max_window_size=_MOST_WINDOW)
         with unpacker.stream_reader(data, read_across_frames=False) as reader:
-            while len(made) <= size:
-                piece = reader.read(min(_CHUNK, size + 1 - len(made)))
+            while len(content) <= size:
+                piece = reader.read(min(_CHUNK, size + 1 - len(content)))
                 if not piece:
                     break
-                made += piece
+                content += piece
     except zstandard.ZstdError as error:
         raise ArchiveDamaged(
-            f"cannot be unpacked ({error})", where=where, hint=AGAIN
+            f"cannot be unpacked ({error})", where=where, hint=DOWNLOAD_HINT
         ) from error
-    if len(made) != size:
-        seen = f"more than {size}" if len(made) > size else f"{len(made)}"
+    if len(content) != size:
+        actual_size = f"more than {size}" if len(content) > size else f"{len(content)}"
         raise ArchiveDamaged(
-            f"unpacks to {seen} bytes", where=where, expected=f"{size}", hint=AGAIN
+            f"unpacks to {actual_size} bytes",
+            where=where,
+            expected=f"{size}",
+            hint=DOWNLOAD_HINT,
         )
-    return made
+    return content
 
 
 def pack(data: bytes) -> bytes:
     """Return ``data`` compressed, with its size and a checksum.
 
     Raises:
-        NotSupported: The package is missing.
+        NotSupported: The package zstandard is missing.
     """
     return bytes(_package().ZstdCompressor(level=12).compress(data))

@@ -31,12 +31,12 @@ Range = tuple[float, float]
 
 def view(name: str = "camera") -> Input:
     """World→camera matrix, float32 [4, 4], in the generator's declared memory order."""
-    return Input(name, "view", shape=(4, 4), default="identity")
+    return Input(name=name, role="view", shape=(4, 4), default="identity")
 
 
 def projection(name: str = "proj") -> Input:
     """Camera→clip matrix, float32 [4, 4], depth 0..1."""
-    return Input(name, "projection", shape=(4, 4), default="identity")
+    return Input(name=name, role="projection", shape=(4, 4), default="identity")
 
 
 def time(
@@ -58,8 +58,8 @@ def time(
     """
     low, high = float(range[0]), float(range[1])
     return Input(
-        name,
-        "time",
+        name=name,
+        role="time",
         shape=(1,),
         range=(low, high),
         default=low,
@@ -72,18 +72,23 @@ def time(
 def frame_index(frames: int, name: str = "frame_index") -> Input:
     """Frame number, int32 [1], from 0 to ``frames`` − 1."""
     return Input(
-        name, "frame_index", shape=(1,), range=(0, frames - 1), default=0, frames=frames
+        name=name,
+        role="frame_index",
+        shape=(1,),
+        range=(0, frames - 1),
+        default=0,
+        frames=frames,
     )
 
 
 def camera_position(name: str = "camera_position") -> Input:
     """Camera centre in local space, float32 [3]."""
-    return Input(name, "camera_position", shape=(3,), default="zeros")
+    return Input(name=name, role="camera_position", shape=(3,), default="zeros")
 
 
 def viewport(name: str = "viewport") -> Input:
     """Width and height of the image in pixels, float32 [2]."""
-    return Input(name, "viewport", shape=(2,), default=(1280.0, 720.0))
+    return Input(name=name, role="viewport", shape=(2,), default=(1280.0, 720.0))
 
 
 def pose(
@@ -96,8 +101,8 @@ def pose(
     """Joint rotations, float32 [joints, 3] (axis-angle, radians) or [joints, 4] (quaternions)."""
     quaternions = convention == "quaternion-wxyz"
     return Input(
-        name,
-        "pose",
+        name=name,
+        role="pose",
         shape=(joints, 4 if quaternions else 3),
         range=(-1.0, 1.0) if quaternions else range,
         default="identity" if quaternions else "zeros",
@@ -107,14 +112,16 @@ def pose(
 
 def shape(count: int, name: str = "shape", *, range: Range = (-3.0, 3.0)) -> Input:
     """Body shape coefficients, float32 [count]."""
-    return Input(name, "shape", shape=(count,), range=range, default="zeros")
+    return Input(name=name, role="shape", shape=(count,), range=range, default="zeros")
 
 
 def root_translation(
     name: str = "root_translation", *, range: Range = (-1.0, 1.0)
 ) -> Input:
     """Translation of the root in local units, float32 [3]."""
-    return Input(name, "root_translation", shape=(3,), range=range, default="zeros")
+    return Input(
+        name=name, role="root_translation", shape=(3,), range=range, default="zeros"
+    )
 
 
 def root_rotation(
@@ -125,11 +132,15 @@ def root_rotation(
     """Rotation of the root, float32 [3] (axis-angle, radians) or [3, 3] (matrix)."""
     if convention == "matrix":
         return Input(
-            name, "root_rotation", shape=(3, 3), default="identity", convention=convention
+            name=name,
+            role="root_rotation",
+            shape=(3, 3),
+            default="identity",
+            convention=convention,
         )
     return Input(
-        name,
-        "root_rotation",
+        name=name,
+        role="root_rotation",
         shape=(3,),
         range=(-3.1416, 3.1416),
         default="zeros",
@@ -141,19 +152,23 @@ def expression(
     count: int, name: str = "expression", *, range: Range = (-2.0, 2.0)
 ) -> Input:
     """Expression coefficients, float32 [count]."""
-    return Input(name, "expression", shape=(count,), range=range, default="zeros")
+    return Input(name=name, role="expression", shape=(count,), range=range, default="zeros")
 
 
 def appearance_id(count: int, name: str = "appearance_id") -> Input:
     """Index of one of ``count`` appearances, int32 [1]."""
-    return Input(name, "appearance_id", shape=(1,), range=(0, count - 1), default=0)
+    return Input(
+        name=name, role="appearance_id", shape=(1,), range=(0, count - 1), default=0
+    )
 
 
 def control(
     name: str, *, range: Range, default: float, size: int = 1, label: str | None = None
 ) -> Input:
     """A named slider, float32 [size]."""
-    return Input(name, "control", shape=(size,), range=range, default=default, label=label)
+    return Input(
+        name=name, role="control", shape=(size,), range=range, default=default, label=label
+    )
 
 
 def image(
@@ -172,17 +187,23 @@ def image(
         range: Values of black and white.
     """
     shape = None if size is None else (1, channels, *size)
-    return Input(name, "image", shape=shape, range=range)
+    return Input(name=name, role="image", shape=shape, range=range)
 
 
 def timestep(default: float, name: str = "timestep", *, range: Range = (0, 999)) -> Input:
     """Diffusion timestep of a post-process model, float32 [1]."""
     low, high = float(range[0]), float(range[1])
-    return Input(name, "timestep", shape=(1,), range=(low, high), default=float(default))
+    return Input(
+        name=name, role="timestep", shape=(1,), range=(low, high), default=float(default)
+    )
 
 
 def conditioning(rows: int, width: int, name: str = "conditioning") -> Input:
     """Conditioning vectors of a post-process model, float32 [1, rows, width]."""
     return Input(
-        name, "conditioning", shape=(1, rows, width), range=(-3.0, 3.0), default="zeros"
+        name=name,
+        role="conditioning",
+        shape=(1, rows, width),
+        range=(-3.0, 3.0),
+        default="zeros",
     )

@@ -22,7 +22,6 @@ of the current folder can be imported), or one of the methods below.
 """
 # A command that only reports why it cannot run accepts all arguments.
 _ANY_WORDS = {"ignore_unknown_options": True, "allow_extra_args": True}
-_SCENES = (".ply", ".npz", ".splat", ".spz", ".ksplat")
 
 
 class _Targets(TyperGroup):
@@ -48,9 +47,11 @@ class _Targets(TyperGroup):
 
 
 def _unknown(word: str, plugins: list[str]) -> UnknownName:
+    from gsgen.formats.codecs import codec_of_suffix
+
     error = UnknownName.among("target", word, plugins, "TARGET")
     path = Path(word)
-    if path.suffix.lower() in _SCENES:
+    if codec_of_suffix(path):
         hint = f"Name the method that the file belongs to: gsgen export static {word} -o …"
     elif path.suffix == ".onnx":
         hint = f"It is already exported: gsgen validate {word}"

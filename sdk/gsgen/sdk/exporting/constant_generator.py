@@ -327,7 +327,9 @@ def _save(model: ModelProto, path: Path) -> None:
 def _check(path: Path, outputs: dict[str, np.ndarray]) -> None:
     """Run the model once and compare the bits of its outputs."""
     limits = Limits().for_model(sum(value.nbytes for value in outputs.values()))
-    with execute(path, list(outputs), [Probe("no inputs", {})], limits) as execution:
+    with execute(
+        path, list(outputs), [Probe(label="no inputs", inputs={})], limits
+    ) as execution:
         if execution.fault is not None:
             message = f"ONNX Runtime cannot run the model: {execution.fault.message}"
             raise ParityFailed(message, where=path.name)

@@ -1,6 +1,6 @@
 """Export a post-process model: run it in eager torch, trace and rewrite it, verify and validate it."""
 
-__all__ = ["ExportedImage", "export_post_process"]
+__all__ = ["IMAGE_CHANNELS", "ExportedImage", "export_post_process"]
 
 import copy
 import os
@@ -51,7 +51,7 @@ OUTPUT = "result"
 # Sets of inputs for each image size that is compared, and for the search for float16 nodes.
 _RUNS_PER_SIZE = 4
 _HALF_PROBES = 3
-_CHANNELS = (3, 4)
+IMAGE_CHANNELS = (3, 4)
 # Height and width: models of any size are traced at the first, and compared at both.
 _TRACED_SIZE, _SECOND_SIZE = (64, 64), (48, 80)
 
@@ -272,7 +272,11 @@ def _run_eager(model: PostProcess, probe: Probe) -> Float[np.ndarray, "1 c h w"]
     image = call_module(model, tensors)
     height, width = probe.inputs[_image(model.inputs).name].shape[2:]
     fits = isinstance(image, torch.Tensor) and image.ndim == 4
-    if not fits or image.shape[1] not in _CHANNELS or image.shape[2:] != (height, width):
+    if (
+        not fits
+        or image.shape[1] not in IMAGE_CHANNELS
+        or image.shape[2:] != (height, width)
+    ):
         is_tensor = isinstance(image, torch.Tensor)
         actual = list(image.shape) if is_tensor else type(image).__name__
         message = f"forward returned {actual}, expected [1, 3 or 4, {height}, {width}]"

@@ -94,7 +94,7 @@ def _compare_rows(live: Live, frames: list[Frame]) -> Parity | None:
 
 def _model_outputs(live: Live, frame: Frame, outputs: Outputs | None) -> ModelOutputs:
     probe = frame.probe
-    return read_outputs(live.subject, probe.label, probe.zeros, dict(outputs or {}))
+    return read_outputs(live.subject, probe.label, dict(outputs or {}), zeros=probe.zeros)
 
 
 def _some_rows(outputs: ModelOutputs) -> tuple[np.ndarray, np.ndarray | None]:

@@ -1,6 +1,7 @@
 """Unit vectors, quaternions and rotation matrices."""
 
 __all__ = [
+    "SMALL_ANGLE",
     "axis_angle_to_matrix",
     "quaternion_multiply",
     "quaternion_to_matrix",
@@ -13,7 +14,7 @@ from torch import Tensor
 
 _TINY = 1e-24
 # Below this squared angle, sin(a)/a is 1 and (1 - cos(a))/a² is ½ to the last bit of float32.
-_SMALL_ANGLE = 1e-12
+SMALL_ANGLE = 1e-12
 
 
 def safe_normalize(
@@ -68,7 +69,7 @@ def axis_angle_to_matrix(vector: Float[Tensor, "... 3"]) -> Float[Tensor, "... 3
     b = 2 (sin ½θ / θ)². It needs no unit axis, so a zero vector is not a special case.
     """
     x, y, z = vector.unbind(dim=-1)
-    angle = torch.sqrt((x * x + y * y + z * z).clamp(min=_SMALL_ANGLE))
+    angle = torch.sqrt((x * x + y * y + z * z).clamp(min=SMALL_ANGLE))
     a = torch.sin(angle) / angle
     half = torch.sin(0.5 * angle) / angle
     b = 2 * half * half

@@ -6,7 +6,7 @@ After k rounds of one gather and one batched product, 2ᵏ joints of a chain are
 jumping), so the 24 joints of SMPL need four rounds.
 """
 
-__all__ = ["skin", "skinning_transforms"]
+__all__ = ["NO_PARENT", "skin", "skinning_transforms"]
 
 from collections.abc import Iterator, Sequence
 
@@ -17,7 +17,7 @@ from torch import Tensor
 from gsgen.sdk.errors import GeneratorInvalid
 
 # The number for "no parent" in kinematic trees that are stored as unsigned integers.
-_NO_PARENT = (1 << 32) - 1
+NO_PARENT = (1 << 32) - 1
 
 
 def skinning_transforms(
@@ -115,11 +115,11 @@ def _parent_indices(
         message = f"{count} turns, {len(parents)} parents and joints of shape {list(shape)}"
         raise GeneratorInvalid(f"{message} differ in number", where=where)
     for joint, parent in enumerate(parents):
-        if parent not in (-1, _NO_PARENT) and not 0 <= parent < count:
+        if parent not in (-1, NO_PARENT) and not 0 <= parent < count:
             message = f"joint {joint} has parent {parent}, expected -1 to {count - 1}"
             raise GeneratorInvalid(message, where=where)
     indices = [
-        count if parent_index in (-1, _NO_PARENT) else int(parent_index)
+        count if parent_index in (-1, NO_PARENT) else int(parent_index)
         for parent_index in parents
     ]
     for joint in range(count):

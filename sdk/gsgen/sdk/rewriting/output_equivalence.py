@@ -83,7 +83,9 @@ def probes_of(subject: InspectedModel, sizes: Mapping[str, int]) -> tuple[Probe,
             _sample_probe(shapes, dtypes, index) for index in range(_COUNT if shapes else 1)
         )
     # Optimisations would round differently before and after: kernels alone are compared.
-    return tuple(Probe(p.label, p.inputs, p.zeros, optimise=False) for p in probes)
+    return tuple(
+        Probe(label=p.label, inputs=p.inputs, zeros=p.zeros, optimise=False) for p in probes
+    )
 
 
 def _shape(
@@ -126,7 +128,9 @@ def _sample_probe(
         else:
             arrays[name] = np.asarray(rng.integers(0, _HIGHEST_INDEX, shape)).astype(kind)
     return Probe(
-        "all inputs zero" if index == 0 else f"sample {index}", arrays, zeros=index == 0
+        label="all inputs zero" if index == 0 else f"sample {index}",
+        inputs=arrays,
+        zeros=index == 0,
     )
 
 

@@ -15,7 +15,7 @@ from gsgen.sdk.passes.simplify.merge_casts import MergeCasts
 from support.models.small_models import manifest_of
 from support.passes import operators, parsed, run
 
-TIME = replace(manifest_of(1), inputs=(Input("x", "time", range=(-3.0, 90.0)),))
+TIME = replace(manifest_of(1), inputs=(Input(name="x", role="time", range=(-3.0, 90.0)),))
 OLD = RewriteTarget.of(load_target("visionary"), TIME)
 X = np.array([-3, -0.5, 0, 1.7, 55.2, 90], np.float32)
 CODES = {"int32": 6, "int64": 7, "float": 1, "bool": 9}

@@ -99,23 +99,31 @@ def models() -> Iterator[Good]:
         return Good(name, "onnx_ir", draw, "webgpu")
 
     for low, high in ((0.0, 1.0), (-2.0, 2.0), (3.0, 10.0)):
-        time = Input("time", "time", range=(low, high), default=low)
+        time = Input(name="time", role="time", range=(low, high), default=low)
         yield one(f"time {low}..{high}", time, (1,), speed, "Mul")
-    turn = Input("time", "time", range=(0.0, 6.2831855), default=0.0, loop=True)
+    turn = Input(name="time", role="time", range=(0.0, 6.2831855), default=0.0, loop=True)
     yield one("looping time", turn, (1,), speed, "Sin Mul")
     for role in ("frame_index", "appearance_id"):
-        which = Input("which", role, range=(0.0, 8.0), default=4.0)
+        which = Input(name="which", role=role, range=(0.0, 8.0), default=4.0)
         yield one(role, which, (1,), frames, "Gather")
-    eye = Input("eye", "camera_position", default="zeros")
+    eye = Input(name="eye", role="camera_position", default="zeros")
     yield one("camera position", eye, (3,), np.eye(3, dtype=np.float32), "MatMul Tanh")
-    root = Input("root", "root_translation", range=(-1.0, 1.0), default=(0.0, 0.0, 0.5))
+    root = Input(
+        name="root", role="root_translation", range=(-1.0, 1.0), default=(0.0, 0.0, 0.5)
+    )
     yield one("root translation", root, (3,), np.ones(3, np.float32), "Mul")
-    betas = Input("betas", "shape", shape=(10,), range=(-2.0, 2.0), default="zeros")
+    betas = Input(
+        name="betas", role="shape", shape=(10,), range=(-2.0, 2.0), default="zeros"
+    )
     basis = rng.uniform(-0.05, 0.05, (10, 3)).astype(np.float32)
     yield one("body shape", betas, (10,), basis, "MatMul")
-    face = Input("face", "expression", shape=(10,), range=(0.0, 1.0), default=(0.5,) * 10)
+    face = Input(
+        name="face", role="expression", shape=(10,), range=(0.0, 1.0), default=(0.5,) * 10
+    )
     yield one("expression", face, (10,), basis, "MatMul")
-    slider = Input("explode", "control", range=(0.0, 2.0), default=1.0, label="Explode")
+    slider = Input(
+        name="explode", role="control", range=(0.0, 2.0), default=1.0, label="Explode"
+    )
     yield one("slider", slider, (1,), speed, "Mul", antialias="mip")
     loose = Tolerances(position=0.01)
     yield one("own tolerances", slider, (1,), speed, "Mul", tolerances=loose)

@@ -132,8 +132,8 @@ def _turned(degree: int | None, seed: int) -> ModelProto:
         "rest": (1e-4 * np.eye(3)).astype(np.float32),
     }
     pose = Input(
-        "pose",
-        "pose",
+        name="pose",
+        role="pose",
         shape=(1, 4),
         default=(1.0, 0.0, 0.0, 0.0),
         convention="quaternion-wxyz",
@@ -153,7 +153,7 @@ def _shown(up: str, degree: int | None, seed: int) -> ModelProto:
         "opacity": rows[:, 3:4],
         "spread": rows[:, 4:],
     }
-    camera = Input("camera", "view", default="identity")
+    camera = Input(name="camera", role="view", default="identity")
     manifest = made.manifest(camera, space=Space(up=up, unit="metre"))
     model = _built(shown, weights, {"view": (4, 4)}, _outputs(made), manifest)
     return _renamed_input(model, "view", "camera")
@@ -174,7 +174,7 @@ def _pulsing(degree: int | None, dtype: type, seed: int) -> ModelProto:
         "alive": live(256),
         "one": np.ones(1, dtype),
     }
-    time = Input("time", "time", range=(0.0, 1.0), default=0.0, loop=True, fps=30)
+    time = Input(name="time", role="time", range=(0.0, 1.0), default=0.0, loop=True, fps=30)
     manifest = packed.manifest(time, room=1.3)
     return _built(pulsing, weights, {"time": (1,)}, _outputs(packed), manifest)
 
@@ -183,7 +183,7 @@ def _blurred(size: tuple[int | str, int | str]) -> ModelProto:
     kernel = np.full((3, 1, 3, 3), 1 / 9, np.float32)
     manifest = PostProcessManifest(
         name="blur",
-        inputs=(Input("image", "image"),),
+        inputs=(Input(name="image", role="image"),),
         outputs=PostProcessOutputs(ImageOutput("out")),
     )
     dims = (1, 3, *size)

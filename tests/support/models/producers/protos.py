@@ -29,7 +29,7 @@ from gsgen.contract.spec.manifest import (
 from support.models.producers.good import UP, Good, Scene, declared, live, scene
 
 _CODES = {"float32": 1, "int32": 6, "int64": 7, "float16": 10}
-_VIEW = Input("view", "view", default="identity")
+_VIEW = Input(name="view", role="view", default="identity")
 
 
 def _node(op: str, inputs: str, outputs: str, **attributes: int) -> NodeProto:
@@ -134,7 +134,7 @@ def _picture(
     ends = (black, 1.0)
     manifest = PostProcessManifest(
         name="tone",
-        inputs=(Input("image", "image"),),
+        inputs=(Input(name="image", role="image"),),
         outputs=PostProcessOutputs(ImageOutput("out", dtype, ends)),
         image_range=ends,
     )
@@ -161,7 +161,9 @@ def _straight_on(steps: int, past: int) -> ModelProto:
     doubt = 0.1 * np.arange(1, steps + 1, dtype=np.float32)[:, None]
     manifest = TrajectoryManifest(
         name="straight-on",
-        inputs=(Input("past", "camera_history", shape=(past, 7), range=(-1.0, 1.0)),),
+        inputs=(
+            Input(name="past", role="camera_history", shape=(past, 7), range=(-1.0, 1.0)),
+        ),
         outputs=TrajectoryOutputs(
             FutureOutput("future", steps, "position+quaternion-wxyz"),
             UncertaintyOutput("sigma"),

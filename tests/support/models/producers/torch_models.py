@@ -124,8 +124,8 @@ def _own(kind: str, change: Callable[[ModelProto], ModelProto], **said: Any) -> 
 def _foreign(order: str, up: str, **said: Any) -> ModelProto:
     made = scene(_COUNT, None, seed=4)
     manifest = made.manifest(
-        Input("camera", "view", default="identity"),
-        Input("time", "time", range=(0.0, 6.3), default=0.0),
+        Input(name="camera", role="view", default="identity"),
+        Input(name="time", role="time", range=(0.0, 6.3), default=0.0),
         space=Space(up=up, matrix_order=order),
         room=1.3,
         **said,
@@ -139,7 +139,7 @@ def _foreign(order: str, up: str, **said: Any) -> ModelProto:
 def _sharpened() -> ModelProto:
     manifest = PostProcessManifest(
         name="enhance",
-        inputs=(Input("image", "image"),),
+        inputs=(Input(name="image", role="image"),),
         outputs=PostProcessOutputs(ImageOutput("out")),
     )
     return declared(ModelProto.FromString(_enhanced()), manifest)

@@ -1,1 +1,1 @@
-"""Engines: who runs the tasks of a build? No byte of the result depends on the answer."""
+"""Engines: where do the tasks of a build run? No byte of the result depends on the engine."""

@@ -17,9 +17,9 @@ _Result = TypeVar("_Result")
 
 _START_SECONDS = 20
 _SETTINGS: Final = {
-    # A worker that dies is no fault of the task that it ran.
+    # A worker may die for reasons other than the task that it ran.
     "distributed.scheduler.allowed-failures": RETRIES,
-    # Nobody looks at profiles, which take a stack sample every 10 ms.
+    # Profiles, which take a stack sample every 10 ms, are not used.
     "distributed.worker.profile.enabled": False,
     "distributed.admin.system-monitor.gil.enabled": False,
     # Dask's own setting makes every array a mapping of its own: a page fault for each 4 KB of

@@ -1,4 +1,4 @@
-"""What runs the tasks of a build, and what is raised where nothing can."""
+"""The protocol of engines, which run the tasks of a build, and the error for lost workers."""
 
 __all__ = ["RETRIES", "Engine", "EngineFailed"]
 

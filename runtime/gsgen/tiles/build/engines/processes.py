@@ -27,7 +27,7 @@ def _start_worker() -> None:
 
 @final
 class Processes(Engine):
-    """Processes of this machine; a killed one is replaced, and its tasks are run again.
+    """Worker processes of this machine; a killed worker is replaced and its tasks run again.
 
     Args:
         workers: Processes.
@@ -73,8 +73,8 @@ class Processes(Engine):
                 while pending and len(running) < _AHEAD * self._workers:
                     future: Future[_Result] = pool.submit(function, tasks[pending[-1]])
                     running[future] = pending.pop()
-                done, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in done:
+                finished_tasks, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in finished_tasks:
                     result = future.result()
                     yield running.pop(future), result
             except BrokenProcessPool as error:
@@ -83,7 +83,7 @@ class Processes(Engine):
                     raise EngineFailed(
                         f"workers died {failures} times", hint=_MEMORY_HINT
                     ) from error
-                # What is done but was not yielded is found by its marker.
+                # Tasks that finished but were not yielded return at once: their marker file exists.
                 pending += sorted(running.values(), reverse=True)
                 running.clear()
                 if self._pool is not None:

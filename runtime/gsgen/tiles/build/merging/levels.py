@@ -1,4 +1,4 @@
-"""Levels of detail: which cells the splats of a tile are merged in, and what is stored of them."""
+"""Levels of detail: choose the cells in which the splats of a tile are merged, and merge them."""
 
 __all__ = ["Level", "choose_cells", "merge_level", "stored_degree"]
 
@@ -14,7 +14,7 @@ from gsgen.tiles.build.merging.moments import merge_clusters
 from gsgen.tiles.build.merging.morton import DEPTH, cell_codes, separation_depths
 
 REDUCTION: Final = 4
-"""A level has about one splat for so many of the level below."""
+"""How many splats of the finer level one splat of a level replaces, on average."""
 
 BAND_ENERGY: Final = 0.01
 """Harmonics of a degree that holds less than this share of the energy are not stored."""
@@ -60,11 +60,11 @@ def choose_cells(
     occupied = 1 + begun[depth:]
     if depth < DEPTH:  # at the depth of the tile itself there is one cell
         occupied[0] = 1
-    chosen = depth + int(np.argmin(np.abs(np.log(occupied / target))))
-    starts = np.flatnonzero(separation <= chosen) + 1
-    if chosen == depth:
+    cell_depth = depth + int(np.argmin(np.abs(np.log(occupied / target))))
+    starts = np.flatnonzero(separation <= cell_depth) + 1
+    if cell_depth == depth:
         starts = starts[:0]
-    return chosen, np.concatenate([np.zeros(1, np.int64), starts])
+    return cell_depth, np.concatenate([np.zeros(1, np.int64), starts])
 
 
 def merge_level(mixture: Mixture, depth: int, most: int, side: float) -> Level:
@@ -78,13 +78,13 @@ def merge_level(mixture: Mixture, depth: int, most: int, side: float) -> Level:
     """
     target = max(1.0, min(len(mixture) / REDUCTION, most))
     # 1. Cells: as many as the level should have splats, within what powers of two allow.
-    chosen, starts = choose_cells(mixture.code, depth, target)
-    # 2. Where there are fewer cells, the largest splats stay as they are: merging what is as
-    #    large as its cell saves little and blurs most.
+    cell_depth, starts = choose_cells(mixture.code, depth, target)
+    # 2. Where there are fewer cells, the largest splats stay as they are: merging splats
+    #    as large as a cell saves little and blurs most.
     room = int(target) - len(starts)
-    retained = _largest(mixture, side / (1 << chosen), room) if room > 0 else None
+    retained = _largest(mixture, side / (1 << cell_depth), room) if room > 0 else None
     if retained is not None and retained.any():
-        cells = cell_codes(mixture.code, chosen)
+        cells = cell_codes(mixture.code, cell_depth)
         number = np.where(retained, np.arange(1, len(mixture) + 1), 0)
         order = np.lexsort((number, cells))
         mixture, cells, number = mixture.rows(order), cells[order], number[order]
@@ -93,11 +93,11 @@ def merge_level(mixture: Mixture, depth: int, most: int, side: float) -> Level:
     merged = merge_clusters(mixture, starts)
     # 3. A retained splat may have a code before that of the cluster beside it.
     merged = merged.rows(np.argsort(merged.code, kind="stable"))
-    return Level(mixture=merged, depth=chosen)
+    return Level(mixture=merged, depth=cell_depth)
 
 
 def _largest(mixture: Mixture, cell: float, count: int) -> Bool[np.ndarray, " n"]:
-    """Return at most ``count`` splats, the largest of those that are large beside a cell."""
+    """Return a mask of the largest splats, at most ``count``, that are large relative to ``cell``."""
     x, y, z = mixture.scale.T
     size = np.maximum(np.maximum(x, y), z)
     order = np.argsort(-size, kind="stable")[:count]

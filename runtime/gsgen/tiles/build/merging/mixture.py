@@ -19,8 +19,8 @@ class Mixture:
     """Gaussians to be merged, sorted by Morton code.
 
     Attributes:
-        code: Morton codes; a merged Gaussian has that of its first member, so that it stays in
-            the cells of its members whatever its centre is rounded to.
+        code: Morton codes; a merged Gaussian has the code of its first member, so that it stays
+            in the cells of its members regardless of how its centre is rounded.
         mean: Centres, in scene units.
         covariance: Upper triangles xx xy xz yy yz zz.
         scale: Standard deviations along the axes of ``rotation``, in scene units.
@@ -42,7 +42,7 @@ class Mixture:
 
     @property
     def mass(self) -> Float64[np.ndarray, " n"]:
-        """Opacity times surface: how much each Gaussian counts in a cluster."""
+        """Opacity times surface area: the weight of each Gaussian in its cluster."""
         return np.asarray(self.opacity * surface_area(self.scale))
 
     def rows(self, index: "np.ndarray | slice") -> "Mixture":

@@ -34,11 +34,11 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64
 
 from gsgen.contract.spec.geometry import symmetric
+from gsgen.contract.spec.layout import UPPER_TRIANGLE
 from gsgen.formats.shared.quantities import rotations
 from gsgen.tiles.build.merging.mixture import Mixture, surface_area
 
 MAX_OPACITY: Final = 0.999
-_UPPER: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 SPREAD: Final = 2.0
 """κ: how much wider than its members' centres a merged Gaussian is, in variance."""
 WIDEN: Final = 1.1
@@ -65,15 +65,19 @@ def merge_clusters(
         widen: f of the equations.
     """
     mass = mixture.mass
-    seen = mass > 0
-    if not seen.any():
+    is_visible = mass > 0
+    if not is_visible.any():
         return mixture.rows(np.arange(1))
     cluster = np.zeros(len(mixture), np.int64)
     cluster[starts[1:]] = 1
     cluster = np.cumsum(cluster)
     # 1. Leave out what cannot be seen, and number the clusters that remain.
-    if not seen.all():
-        mixture, mass, cluster = mixture.rows(seen), mass[seen], cluster[seen]
+    if not is_visible.all():
+        mixture, mass, cluster = (
+            mixture.rows(is_visible),
+            mass[is_visible],
+            cluster[is_visible],
+        )
     first = np.flatnonzero(np.diff(cluster, prepend=-1))
     sizes = np.diff(first, append=len(cluster))
     number = np.repeat(np.arange(len(first)), sizes)
@@ -85,7 +89,7 @@ def merge_clusters(
     offset = mixture.mean - origin[number]
     mean = _weighted(number, weight, offset, len(first))
     offset -= mean[number]
-    scatter = np.stack([offset[:, i] * offset[:, j] for i, j in _UPPER], axis=1)
+    scatter = np.stack([offset[:, i] * offset[:, j] for i, j in UPPER_TRIANGLE], axis=1)
     members = mixture.covariance + spread * scatter
     covariance = widen**2 * _weighted(number, weight, members, len(first))
     flat = mixture.sh.reshape(len(mixture), -1)

@@ -13,17 +13,12 @@ from typing import Final, final
 import numpy as np
 from jaxtyping import Float, Float64, Int64, UInt64
 
+from gsgen.runtime.gpu.morton_order import spread_bits
+
 DEPTH: Final = 21
 """Bits of a code along each axis, and the deepest level of the octree."""
 
 _CELLS: Final = 1 << DEPTH
-_SPREADS: Final = (
-    (32, 0x001F00000000FFFF),
-    (16, 0x001F0000FF0000FF),
-    (8, 0x100F00F00F00F00F),
-    (4, 0x10C30C30C30C30C3),
-    (2, 0x1249249249249249),
-)
 
 
 @final
@@ -78,15 +73,8 @@ def morton_codes(
     """
     share = (position.astype(np.float64) - np.asarray(cube.low)) / cube.side
     cells = np.clip(np.floor(share * _CELLS), 0, _CELLS - 1).astype(np.uint64)
-    x, y, z = (_spread(cells[:, axis]) for axis in range(3))
+    x, y, z = (spread_bits(cells[:, axis]) for axis in range(3))
     return np.asarray(x | y << np.uint64(1) | z << np.uint64(2))
-
-
-def _spread(cells: UInt64[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
-    """Put two zeros between the 21 bits of each number."""
-    for shift, mask in _SPREADS:
-        cells = (cells | cells << np.uint64(shift)) & np.uint64(mask)
-    return cells
 
 
 def cell_codes(codes: UInt64[np.ndarray, " n"], depth: int) -> UInt64[np.ndarray, " n"]:

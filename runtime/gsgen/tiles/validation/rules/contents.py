@@ -7,15 +7,15 @@ from gsgen.contract.spec.severity import Severity
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 from gsgen.formats.glb.splats import NAME
-from gsgen.tiles.content import SPZ_EXTENSION
 from gsgen.tiles.errors import Fault
+from gsgen.tiles.gltf.encoding import SPZ_EXTENSION
+from gsgen.tiles.gltf.spz_quality import SPZ_VERSION
 from gsgen.tiles.index import GLTF_EXTENSION
 from gsgen.tiles.validation.inspected import InspectedTileset
 from gsgen.tiles.validation.kinds import TILE_CONTENT, TILESET
 from gsgen.tiles.validation.rules.headers import headers, primitives
 from gsgen.tiles.validation.rules.reporting import SCHEMA_RULE, faults_of
 
-_SPZ_VERSION: Final = 2
 _BOTH: Final = (TILESET, TILE_CONTENT)
 
 
@@ -63,8 +63,8 @@ def counts_agree(inspected: InspectedTileset) -> Iterator[Violation]:
     """Accessors, SPZ and metadata say the same number of splats.
 
     Why:
-        Viewers allocate by one of the numbers and fill by another: what is between them is
-        rubbish on the screen, or a crash.
+        Viewers allocate by one of the numbers and fill by another: the splats between
+        the two are rubbish on the screen, or a crash.
 
     Hint:
         Write the accessors' counts and the metadata from the splats that are stored.
@@ -146,9 +146,9 @@ def spz_version(inspected: InspectedTileset) -> Iterator[Violation]:
         Encode the splats as SPZ version 2, say with `gsgen convert --spz-version 2`.
     """
     for primitive in primitives(inspected):
-        if primitive.spz_version not in (None, _SPZ_VERSION):
+        if primitive.spz_version not in (None, SPZ_VERSION):
             yield Violation.at(
                 f"content {primitive.location}",
                 f"SPZ version {primitive.spz_version}",
-                f"version {_SPZ_VERSION}",
+                f"version {SPZ_VERSION}",
             )

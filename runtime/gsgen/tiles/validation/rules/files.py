@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from gsgen.contract.spec.severity import Severity
+from gsgen.contract.spec.units import MEBIBYTE
 from gsgen.contract.validation.finding import Violation
 from gsgen.contract.validation.rule import rule
 from gsgen.formats.glb.splats import NAME
@@ -70,7 +71,7 @@ def hashes_match(inspected: InspectedTileset) -> Iterator[Violation]:
 
     Why:
         Names of tiles are kept in caches for ever: a file that changed under its name is seen
-        by some and not by others.
+        by some users and not by others.
 
     Hint:
         Build the tileset again, and copy all of it. Without a record nothing is compared.
@@ -116,7 +117,7 @@ def content_size(inspected: InspectedTileset) -> Iterator[Violation]:
         if header.splats > MAX_SPLATS or header.size > MAX_BYTES:
             yield Violation.at(
                 f"content {content.content.uri}",
-                f"{header.splats:,} splats, {header.size / (1 << 20):.1f} MiB",
+                f"{header.splats:,} splats, {header.size / MEBIBYTE:.1f} MiB",
                 f"{MAX_SPLATS:,} splats and {MAX_BYTES >> 20} MiB at most",
             )
 

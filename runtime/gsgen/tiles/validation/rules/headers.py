@@ -11,11 +11,11 @@ from gsgen.tiles.validation.inspected import InspectedContent, InspectedTileset
 def headers(
     inspected: InspectedTileset,
 ) -> Iterator[tuple[InspectedContent, ContentHeader]]:
-    """Yield every file once, with its header."""
-    seen: set[str] = set()
+    """Yield the first content of every file, with its header."""
+    known_uris: set[str] = set()
     for content in inspected.contents:
-        if content.header is not None and content.content.uri not in seen:
-            seen.add(content.content.uri)
+        if content.header is not None and content.content.uri not in known_uris:
+            known_uris.add(content.content.uri)
             yield content, content.header
 
 

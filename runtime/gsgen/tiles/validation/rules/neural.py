@@ -38,24 +38,24 @@ _BOUNDS_HOLD: Final = "GV021"  # a warning for a model, as no viewer culls by it
     kinds=(TILESET,),
 )
 def neural_content(inspected: InspectedTileset) -> Iterator[Violation]:
-    """The generator of a neural tile keeps the contract, is the one that is named, and stays in the tile.
+    """The generator of a neural tile conforms, has the declared digest, and stays in the tile.
 
     Why:
         A viewer runs the model instead of drawing the content. One that fails, or that puts
-        splats outside of the tile, shows less than the file that everyone can draw.
+        splats outside of the tile, shows less than the content.
 
     Hint:
-        Judge the model alone with `gsgen validate`; let its manifest declare bounds within the
+        Check the model alone with `gsgen validate`; let its manifest declare bounds within the
         volume of the tile; write sha256 and splats_max from the model.
     """
     yield from faults_of(inspected, Fault.NEURAL)
     tileset = inspected.tileset
     for tile in tileset.tiles() if tileset else ():
         if tile.neural is not None:
-            yield from _judge(inspected, tile, tile.neural)
+            yield from _check(inspected, tile, tile.neural)
 
 
-def _judge(
+def _check(
     inspected: InspectedTileset, tile: Tile, neural: NeuralTile
 ) -> Iterator[Violation]:
     location = f"tile {neural.location}"
@@ -79,13 +79,13 @@ def _judge(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.onnx"
         path.write_bytes(data)
-        yield from _judge_model(path, tile, neural, location)
+        yield from _check_model(path, tile, neural, location)
 
 
-def _judge_model(
+def _check_model(
     path: Path, tile: Tile, neural: NeuralTile, location: str
 ) -> Iterator[Violation]:
-    """Judge the model by the contract, whose probes prove that its bounds hold."""
+    """Check the model against the contract, whose probes test its bounds."""
     from gsgen.contract import Level, Settings, open_model, validate
 
     settings = Settings(level=Level.VALUES, severities={_BOUNDS_HOLD: Severity.ERROR})
@@ -109,10 +109,10 @@ def _judge_model(
             location, f"{neural.uri} is of kind {report.kind}", "a generator"
         )
         return
-    yield from _judge_promises(manifest, report, tile, neural, location)
+    yield from _check_declarations(manifest, report, tile, neural, location)
 
 
-def _judge_promises(
+def _check_declarations(
     manifest: GeneratorManifest,
     report: Report,
     tile: Tile,

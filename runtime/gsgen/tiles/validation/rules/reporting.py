@@ -1,4 +1,4 @@
-"""Turn faults of reading into what rules yield."""
+"""Convert faults of reading to violations of rules."""
 
 __all__ = ["SCHEMA_RULE", "certainty", "faults_of"]
 
@@ -13,12 +13,12 @@ SCHEMA_RULE: Final = Fault.SCHEMA.value
 
 
 def faults_of(inspected: InspectedTileset, fault: Fault) -> Iterator[Violation]:
-    """Yield what reading met of a kind."""
+    """Yield the faults of one kind as violations."""
     for error in inspected.faults.get(fault, ()):
         expected = error.expected or "a file that follows the specification"
         yield Violation.at(f"tileset {error.location}", error.actual, expected)
 
 
 def certainty(inspected: InspectedTileset) -> Certainty:
-    """Return how sure a breach of our own profile is: others' tilesets need not follow it."""
+    """Return the certainty of a violation of the gsgen profile: others need not follow it."""
     return "confirmed" if inspected.is_ours else "possible"

@@ -86,8 +86,8 @@ def error_does_not_grow(inspected: InspectedTileset) -> Iterator[Violation]:
     """The geometric error of a tile is not larger than that of its parent.
 
     Why:
-        A viewer that refines down to an error would stop above a tile that is worse than what
-        it replaces, or refine it and never be content.
+        A viewer that refines down to an error would stop above a tile that is worse than its
+        parent, or refine it without end.
 
     Hint:
         Let errors fall from level to level, to 0 for the leaves.
@@ -184,7 +184,7 @@ def leaf_error(inspected: InspectedTileset) -> Iterator[Violation]:
         as if something finer were missing, so that viewers ask for it again.
 
     Hint:
-        Give leaves 0. Give tiles above what they differ from the leaves by, in metres.
+        Give leaves 0, and tiles above them their distance from the leaves, in metres.
     """
     tileset = inspected.tileset
     if tileset is None:

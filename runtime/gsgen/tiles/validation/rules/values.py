@@ -28,11 +28,11 @@ def splats_in_box(inspected: InspectedTileset) -> Iterator[Violation]:
     """Splats lie in the volume of their content, out to three standard deviations.
 
     Why:
-        Viewers cull by volumes: what sticks out of one blinks at the edges of the picture, and
-        is left out of what is chosen to be loaded.
+        Viewers cull by volumes: a splat that sticks out blinks at the edges of the picture,
+        and is missing where its tile is not loaded.
 
     Hint:
-        Measure the box of what is stored, 3√Σ along each axis around every centre, and grow the
+        Measure the box of the stored splats, 3√Σ along each axis around every centre, and grow the
         volumes above it. A tileset that does not declare the profile of gsgen fails only where
         centres are outside.
     """
@@ -64,19 +64,19 @@ def children_cover(inspected: InspectedTileset) -> Iterator[Violation]:
     """Where children replace a tile, each of its splats has its centre in one of them.
 
     Why:
-        Replacing takes the parent away: what no child covers is a hole that opens when the
+        Replacing takes the parent away: a part that no child covers is a hole that opens when the
         viewer comes near.
 
     Hint:
         Add the missing children. Centres may lie outside by the geometric error of the tile.
     """
     for content in inspected.contents:
-        lost = content.values.uncovered if content.values else None
-        if lost is not None:
+        uncovered = content.values.uncovered if content.values else None
+        if uncovered is not None:
             yield Violation.at(
                 f"content {content.content.uri}",
-                f"{lost.count} of {lost.total} splats lie in no child; row {lost.row} is "
-                f"{lost.distance:.3g} from the nearest",
+                f"{uncovered.count} of {uncovered.total} splats lie in no child; row {uncovered.row} is "
+                f"{uncovered.distance:.3g} from the nearest",
                 "every centre in a child's volume",
             )
 

@@ -33,7 +33,14 @@ def spans_of(model: ir.Model, manifest: Manifest | None) -> dict[str, Interval]:
     nodes = tuple(
         ir.serde.serialize_node(node) for node in graph if node.domain in MAIN_DOMAIN
     )
-    described = Graph((), (), nodes, {}, tensors, frozenset())
+    described = Graph(
+        inputs=(),
+        outputs=(),
+        nodes=nodes,
+        initializers={},
+        tensors=tensors,
+        functions=frozenset(),
+    )
     weights = [_weight(value) for value in graph.initializers.values()]
     return intervals(
         described, [tensor for tensor in weights if tensor is not None], manifest

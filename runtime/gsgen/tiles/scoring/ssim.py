@@ -37,7 +37,7 @@ def ssim(a: Float[np.ndarray, "h w c"], b: Float[np.ndarray, "h w c"]) -> float:
 
 
 def _blur(image: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "h w c"]:
-    """Convolve with the window, where it lies in the picture as a whole."""
+    """Convolve with the window at all positions where it lies within the picture."""
     steps = np.arange(-_RADIUS, _RADIUS + 1)
     window = np.exp(-0.5 * (steps / _SIGMA) ** 2)
     window /= window.sum()

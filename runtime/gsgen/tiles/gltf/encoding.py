@@ -1,19 +1,27 @@
 """Write the content of a tile: splats as a GLB file that 3D Tiles viewers draw.
 
-The codec can change behind :func:`write_content`; nothing else knows how bytes are made. Equal
-splats give equal bytes, on any machine.
+Equal splats give equal bytes, on any machine.
 """
 
-__all__ = ["CODECS", "QUALITIES", "CodecName", "EncodedContent", "write_content"]
+__all__ = [
+    "CODECS",
+    "QUALITIES",
+    "SIGMAS",
+    "SPZ_EXTENSION",
+    "CodecName",
+    "EncodedContent",
+    "write_content",
+]
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, final
+from typing import Final, Literal, final
 
 import numpy as np
 from jaxtyping import Float64
 
 from gsgen.contract.spec.geometry import covariance_upper
+from gsgen.contract.spec.spherical_harmonics import MAX_DEGREE
 from gsgen.formats.glb.container import build
 from gsgen.formats.glb.splats import COLOR_SPACES, NAME, coefficient
 from gsgen.formats.shared.quantities import sigmoid, unit
@@ -21,22 +29,23 @@ from gsgen.formats.shared.splat_values import linear_scale, require_drawable
 from gsgen.formats.shared.splats import SH_COUNTS, Splats
 from gsgen.tiles.gltf.axes import Z_UP_FROM_Y_UP, to_content_axes
 from gsgen.tiles.gltf.spz_quality import QUALITIES, encode_spz
+from gsgen.tiles.json_values import JsonDict
 
 CodecName = Literal["spz", "khr"]
 SPZ_EXTENSION: Final = "KHR_gaussian_splatting_compression_spz_2"
-MAX_DEGREE: Final = 3
+SIGMAS: Final = 3.0
+"""Standard deviations that the volumes of tiles hold of each splat."""
 
-_SIGMAS = 3.0
 _DIAGONAL = [0, 3, 5]  # xx, yy and zz of an upper triangle
 _FLOAT, _BYTE = 5126, 5121
 _WIDTHS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
-_Parts = tuple[dict[str, Any], bytes, Splats]
+_Parts = tuple[JsonDict, bytes, Splats]
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EncodedContent:
-    """A written tile, and what was measured of the splats as they are stored.
+    """An encoded tile, and the box, number and SH degree of its stored splats.
 
     Attributes:
         data: The GLB file.
@@ -109,7 +118,7 @@ def _extent(
     """Return the box of splats at 3σ, turned from glTF axes to those of the tile."""
     scale = np.exp(stored.log_scale.astype(np.float64))
     variance = covariance_upper(scale, stored.rotation)[:, _DIAGONAL]
-    reach = _SIGMAS * np.sqrt(variance)
+    reach = SIGMAS * np.sqrt(variance)
     low = (stored.position - reach).min(axis=0)
     high = (stored.position + reach).max(axis=0)
     x, y, z = range(3)
@@ -123,7 +132,7 @@ def _as_spz(local: Splats, quality: int) -> _Parts:
     packed, stored = encode_spz(local, quality)
     count = len(stored)
     low, high = stored.position.min(axis=0), stored.position.max(axis=0)
-    accessors: dict[str, dict[str, Any]] = {
+    accessors: dict[str, JsonDict] = {
         "POSITION": _accessor("VEC3", count)
         | {"min": [float(v) for v in low], "max": [float(v) for v in high]},
         "COLOR_0": {**_accessor("VEC4", count, _BYTE), "normalized": True},
@@ -167,15 +176,13 @@ def _as_floats(local: Splats, quality: int) -> _Parts:
     return document, binary, local
 
 
-def _accessor(width: str, count: int, component: int = _FLOAT) -> dict[str, Any]:
+def _accessor(width: str, count: int, component: int = _FLOAT) -> JsonDict:
     return {"componentType": component, "count": count, "type": width}
 
 
-def _document(
-    accessors: dict[str, dict[str, Any]], sizes: list[int], splats: Splats
-) -> dict[str, Any]:
+def _document(accessors: dict[str, JsonDict], sizes: list[int], splats: Splats) -> JsonDict:
     spaces = {space: name for name, space in COLOR_SPACES.items()}
-    extension: dict[str, Any] = {
+    extension: JsonDict = {
         "kernel": "ellipse",
         "colorSpace": spaces[splats.color_space],
         "projection": "perspective",
@@ -205,4 +212,4 @@ CODECS: Final[dict[str, Callable[[Splats, int], _Parts]]] = {
     "spz": _as_spz,
     "khr": _as_floats,
 }
-"""Codec name → what turns splats with glTF axes into a document, its bytes and what is stored."""
+"""Codec name → function of splats with glTF axes to JSON, binary chunk and the stored splats."""

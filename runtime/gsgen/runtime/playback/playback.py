@@ -1,0 +1,96 @@
+"""Playback: sources, post-process models and a timeline, shared by files, videos and windows."""
+
+__all__ = ["DEFAULT_FPS", "Playback"]
+
+from collections.abc import Sequence
+from typing import Final, Literal
+
+from gsgen.runtime.playback.player import FrameRequest, Player, compose_scene
+from gsgen.runtime.playback.post_process import PostProcessor
+from gsgen.runtime.playback.timeline import Timeline
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.camera import Camera
+from gsgen.runtime.scene.frame import Output
+from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.sources.source import Source, Values
+
+DEFAULT_FPS: Final = 25.0
+"""Frames per second where neither the caller nor a manifest gives a rate."""
+
+
+class Playback:
+    """The sources, models, input values and frame rate that a numbered frame is drawn from.
+
+    :class:`FrameSequence` draws every frame of it into files; :class:`LivePlayback` follows a
+    clock. Both therefore show the same picture for the same frame number.
+
+    Args:
+        sources: Sources that are drawn together.
+        post: Post-process models that the colours go through, in this order.
+        timeline: Input values of the sources and models.
+        frames: How many frames there are.
+        fps: Frames per second; None for the first source's rate, or 25.
+        sh_degree: Highest degree of spherical harmonics; None for all.
+        antialias: How the scene was trained; None for each source's own setting.
+
+    Attributes:
+        sources: Sources that are drawn together.
+        post: Post-process models.
+        frames: How many frames there are.
+        fps: Frames per second.
+        sh_degree: Highest degree of spherical harmonics; :meth:`scene` reads it.
+        antialias: How the scene was trained; :meth:`scene` reads it.
+    """
+
+    def __init__(
+        self,
+        sources: Sequence[Source],
+        post: Sequence[PostProcessor],
+        timeline: Timeline,
+        *,
+        frames: int,
+        fps: float | None = None,
+        sh_degree: int | None = None,
+        antialias: Literal["classic", "mip"] | None = None,
+    ) -> None:
+        self.sources, self.post = list(sources), list(post)
+        self._timeline, self.frames = timeline, frames
+        rates = (source.time.fps for source in self.sources if source.time is not None)
+        self.fps = fps or next((rate for rate in rates if rate), DEFAULT_FPS)
+        self.sh_degree: int | None = sh_degree
+        self.antialias: Literal["classic", "mip"] | None = antialias
+        # An orbit goes around the extent of all frames. The first frame is surveyed last, so
+        # that the sources are left at it.
+        survey_frames = sorted({0, frames // 2, frames - 1}, reverse=True)
+        for index, source in enumerate(self.sources):
+            source.survey((number, self.values(number)[index]) for number in survey_frames)
+
+    def values(self, number: int) -> list[Values]:
+        """Return the input values of each source, then of each post-process model."""
+        return self._timeline.values(number, self.frames)
+
+    def request(self, camera: Camera, number: int) -> FrameRequest:
+        """Return the request for frame ``number`` as ``camera`` sees it."""
+        return FrameRequest(camera, self.values(number), number)
+
+    def scene(self) -> Scene:
+        """Return the sources as one scene, with the current harmonics and antialiasing."""
+        return compose_scene(self.sources, self.sh_degree, self.antialias)
+
+    def make_player(
+        self,
+        renderer: Renderer | None,
+        background: Sequence[float],
+        output: Output,
+        post: Sequence[PostProcessor],
+    ) -> Player:
+        """Return a player of the sources, whose colours go through the models ``post``."""
+        return Player(
+            self.sources,
+            post=post,
+            renderer=renderer,
+            background=background,
+            outputs=(output,),
+            sh_degree=self.sh_degree,
+            antialias=self.antialias,
+        )

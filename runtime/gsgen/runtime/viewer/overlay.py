@@ -1,0 +1,179 @@
+"""Overlay: the panels over the picture, with statistics, a time slider, messages and help."""
+
+__all__ = ["HELP", "Overlay", "SliderState", "Statistics"]
+
+import math
+import textwrap
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+from gsgen.runtime.playback.live_playback import LivePlayback
+from gsgen.runtime.viewer.panels import Slider, paragraph
+from gsgen.runtime.viewer.present import Panel
+from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
+
+HELP: Final = (
+    ("left drag", "orbit around the point in view"),
+    ("right drag", "look around"),
+    ("middle or shift drag", "move sideways"),
+    ("wheel", "nearer, farther"),
+    ("W A S D, Q E", "fly; Q down, E up; with shift faster"),
+    ("double click, F", "look at the point under the pointer, or at everything"),
+    ("R", "back to the first camera"),
+    ("space", "play, pause"),
+    ("arrows, home", "frame by frame, first frame"),
+    ("1 2 3 4 5", "colour, depth, median depth, normals, alpha"),
+    ("G", "harmonics: scene default, 0, 1, 2, 3"),
+    ("X", "antialias: scene default, classic, mip"),
+    ("B", "background: scene default, white, grey, black"),
+    ("P", "save the picture and its camera"),
+    ("I", "numbers"),
+    ("H", "this help"),
+    ("escape", "close"),
+)
+"""Keys and their effects, shown by the help panel and the guide."""
+
+_REFRESH: Final = (
+    0.25  # seconds between two updates of the statistics while something moves
+)
+_EDGE: Final = 10  # pixels between a panel and the edge of the window
+_CHARACTER: Final = 8.5  # pixels of a character, on average
+
+
+@final
+class Statistics:
+    """Counts and times of the last frames, updated slowly enough to be read.
+
+    Attributes:
+        rows: A name and a value for each line.
+    """
+
+    def __init__(self) -> None:
+        self.rows: tuple[tuple[str, str], ...] = ()
+        self._updated = -math.inf
+        self._frame_times: deque[float] = deque()
+
+    def refresh(self) -> None:
+        """Let the next update take effect at once."""
+        self._updated = -math.inf
+
+    def update(
+        self,
+        now: float,
+        playback: LivePlayback,
+        renderer: SurfaceRenderer,
+        *,
+        title: str,
+        is_moving: bool,
+    ) -> None:
+        """Count a frame at ``now`` seconds, and write the rows if they are due."""
+        self._frame_times.append(now)
+        while now - self._frame_times[0] > 1:
+            self._frame_times.popleft()
+        drawn = renderer.drawn
+        if drawn is None or (is_moving and now - self._updated < _REFRESH):
+            return
+        self._updated = now
+        count = sum(source.data.count for source in playback.sources)
+        rows = [(title, ""), ("Gaussians", f"{count:,}, {drawn.visible:,} drawn")]
+        if any(source.inputs for source in playback.sources):
+            seconds = sum(source.seconds for source in playback.sources)
+            rows.append(("inference", f"{1000 * seconds:.1f} ms"))
+        rows.append(("drawing", f"{1000 * renderer.seconds:.1f} ms"))
+        if is_moving:
+            rows.append(("pictures", f"{len(self._frame_times)} a second"))
+        if playback.sh_degree is not None:
+            rows.append(("harmonics", f"up to degree {playback.sh_degree}"))
+        if playback.antialias is not None:
+            rows.append(("antialias", playback.antialias))
+        self.rows = tuple(rows)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class SliderState:
+    """The content of the time slider.
+
+    Attributes:
+        fraction: Position of the knob, from 0 to 1.
+        label: Text at the end.
+        playing: Whether the button pauses.
+    """
+
+    fraction: float
+    label: str
+    playing: bool
+
+
+@final
+class Overlay:
+    """Panels over the picture; each is drawn again only when its content changes.
+
+    Attributes:
+        statistics: Lines of the statistics panel.
+        shows_help: Whether the help panel is open.
+        shows_statistics: Whether the statistics panel is open; the help panel covers it.
+    """
+
+    def __init__(self) -> None:
+        self.statistics = Statistics()
+        self.shows_help, self.shows_statistics = False, True
+        self._panels: dict[object, Panel] = {}
+
+    def panels(
+        self,
+        size: tuple[int, int],
+        ratio: float,
+        *,
+        slider: tuple[Slider, SliderState] | None,
+        message: str,
+    ) -> list[Panel]:
+        """Return the panels of the current frame.
+
+        Args:
+            size: Width and height of the surface, in pixels.
+            ratio: Pixels of the surface per logical pixel.
+            slider: The time slider and its content, or None.
+            message: A text in the middle of the surface; may be empty.
+        """
+        builders: dict[object, Callable[[], Panel]] = {}
+        rows = self.statistics.rows
+        if self.shows_statistics and rows and not self.shows_help:
+            edge = round(_EDGE * ratio)
+            builders["statistics", rows, ratio] = lambda: Panel(
+                paragraph(rows, ratio), (edge, edge)
+            )
+        if slider is not None:
+            bar, state = slider
+            builders["slider", bar, state] = lambda: Panel(
+                bar.picture(state.fraction, state.label, playing=state.playing), bar.corner
+            )
+        if message:
+            lines = tuple((line, "") for line in _wrapped(message, size[0] / ratio))
+            builders["message", lines, size, ratio] = lambda: _centered(
+                lines, size, ratio, 0.3
+            )
+        if self.shows_help:
+            builders["help", size, ratio] = lambda: _centered(HELP, size, ratio, 0.5)
+        self._panels = {
+            key: self._panels.get(key) or build() for key, build in builders.items()
+        }
+        return list(self._panels.values())
+
+
+def _centered(
+    rows: Sequence[tuple[str, str]], size: tuple[int, int], ratio: float, height: float
+) -> Panel:
+    """Return a panel in the middle, at a fraction of the free height."""
+    picture = paragraph(rows, ratio)
+    left = max(0, (size[0] - picture.shape[1]) // 2)
+    return Panel(picture, (left, max(0, round((size[1] - picture.shape[0]) * height))))
+
+
+def _wrapped(text: str, width: float) -> list[str]:
+    columns = max(20, int(width / _CHARACTER))
+    return [
+        part for line in text.splitlines() for part in textwrap.wrap(line.strip(), columns)
+    ]

@@ -1,0 +1,97 @@
+"""How a window begins, takes dropped files, and ends."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gsgen.runtime.errors import DeviceUnavailable
+from gsgen.runtime.gpu.device import Device
+from gsgen.runtime.playback.live_playback import LivePlayback
+from gsgen.runtime.renderer.renderer import Renderer
+from gsgen.runtime.scene.scene import Scene
+from gsgen.runtime.scene.splat_data import SplatData
+from gsgen.runtime.sources.scene_source import sources_of
+from gsgen.runtime.viewer.surface_renderer import SurfaceRenderer
+from gsgen.runtime.viewer.window import accept_drops
+from support.models.endless import endless
+from support.rendering.viewers import SIZE, Hand
+
+
+def test_a_device_that_does_not_come_back_ends_it(cloud: SplatData) -> None:
+    opened: list[Device] = []
+
+    def open_device() -> Device:
+        if opened:
+            raise DeviceUnavailable("no graphics adapter")
+        opened.append(Device.open())
+        return opened[-1]
+
+    hand = Hand(LivePlayback(sources_of(cloud)), SurfaceRenderer(open_device))
+    hand.look()
+    opened[0].raw.destroy()
+    hand.viewer.mode = "alpha"
+    with pytest.raises(DeviceUnavailable, match="lost, and cannot be opened again"):
+        hand.look()
+
+
+def test_a_window_closes_while_a_model_computes_for_ever(tmp_path: Path) -> None:
+    stage = LivePlayback(sources_of(endless(tmp_path, after=0.5)), time=0.0)
+    (source,) = stage.sources
+    source.start(None, {"time": 1.0})
+    time.sleep(0.2)
+    assert not source.ready
+    stage.close()  # or this test never ends
+
+
+def test_view_shows_a_scene_on_any_canvas(cloud: SplatData) -> None:
+    from rendercanvas.offscreen import OffscreenRenderCanvas
+
+    from gsgen.runtime import view
+
+    canvas = OffscreenRenderCanvas(size=SIZE)
+    assert view(Scene([cloud]), canvas=canvas, size=SIZE) is canvas
+    made = np.asarray(canvas.draw())
+    assert made.shape == (*SIZE[::-1], 4)
+    assert made[..., :3].max() > 60
+
+
+def test_files_that_are_dropped_on_a_window_are_opened(
+    cloud: SplatData,
+    painter: SurfaceRenderer,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    """glfw gives what is dropped to who asked for it; there is no screen here to drop on."""
+    glfw = pytest.importorskip("glfw")
+    asked: list[Any] = []
+    monkeypatch.setattr(glfw, "set_drop_callback", lambda *words: asked.append(words))
+    opened: list[Sequence[Path]] = []
+
+    def reopen(paths: Sequence[Path]) -> LivePlayback:
+        opened.append(paths)
+        return LivePlayback(sources_of(cloud))
+
+    hand = Hand(LivePlayback(sources_of(cloud)), painter, open_files=reopen)
+    accept_drops(hand.viewer, SimpleNamespace(_window="window", request_draw=lambda: None))
+    ((window, dropped),) = asked
+    assert window == "window"
+    dropped(window, [str(tmp_path / "a.ply"), str(tmp_path / "b.ply")])
+    assert opened == [[tmp_path / "a.ply", tmp_path / "b.ply"]]
+
+
+def test_what_nobody_foresaw_ends_the_window(
+    still: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fall(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("odd")
+
+    monkeypatch.setattr(Renderer, "draw", fall)
+    with pytest.raises(ZeroDivisionError):
+        still.look()
+    still.canvas.draw()
+    assert still.canvas.get_closed()
